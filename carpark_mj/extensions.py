@@ -3,7 +3,7 @@
 A part is registered under a name when its module is imported. Looking up an
 unregistered name imports the core's own parts, then the extensions:
 
-- the studies, every package in `carpark_mj.studies`;
+- the suite of hard cases, `carpark_mj.suite`;
 - the modules that installed packages name as entry points of `GROUP`;
 - the modules that the environment variable `VARIABLE` lists, separated by commas.
 
@@ -16,7 +16,6 @@ import functools
 import importlib
 import importlib.metadata
 import os
-import pkgutil
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -160,12 +159,7 @@ def load_extensions() -> None:
 @functools.cache  # registries ask at every look, and reading entry points takes 1 ms
 def _extensions(named: str) -> tuple[str, ...]:
     """The modules of all extensions, each once; `named` is the variable's value."""
-    from carpark_mj import studies
-
-    names = [
-        f"{studies.__name__}.{module.name}"
-        for module in pkgutil.iter_modules(studies.__path__)
-    ]
+    names = ["carpark_mj.suite"]
     names += [point.module for point in importlib.metadata.entry_points(group=GROUP)]
     names += [name for name in named.split(",") if name]
     return tuple(dict.fromkeys(names))

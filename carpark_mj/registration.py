@@ -21,10 +21,6 @@ ENTRY_POINTS: dict[str, tuple[str, str]] = {
         f"{_ROOM}.gymnasium_goal:ParkGoalEnv",
         f"{_ROOM}.gymnasium_goal:ParkGoalVectorEnv",
     ),
-    "carpark_mj/Slots-v0": (
-        "carpark_mj.studies.pandita.slots_env:SlotsEnv",
-        "carpark_mj.studies.pandita.slots_env:SlotsVectorEnv",
-    ),
     "carpark_mj/ParkMany-v0": (
         "carpark_mj.registration:refuse_single",
         f"{_ROOM}.gymnasium_vector:ParkManyVectorEnv",
@@ -44,6 +40,19 @@ def refuse_single(**_: Any) -> NoReturn:
         "carpark_mj/ParkMany-v0 has no single environment, as its agents share lots: "
         'use gymnasium.make_vec("carpark_mj/ParkMany-v0", num_envs)'
     )
+
+
+def add_environment(name: str, single: str, vector: str) -> None:
+    """Adds an id of another package, which Gymnasium knows from its import on.
+
+    Args:
+        name: the id.
+        single: entry point of one environment, `module:class`.
+        vector: entry point of many.
+    """
+    ENTRY_POINTS[name] = single, vector
+    if "gymnasium" in sys.modules:
+        register_environments()
 
 
 def register_environments() -> None:

@@ -1,4 +1,4 @@
-"""Environments by name; the studies and other packages register more."""
+"""Environments by name; the suite and other packages register more."""
 
 import dataclasses
 

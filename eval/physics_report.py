@@ -30,7 +30,7 @@ class ReportConfig:
     """Settings of `python eval/physics_report.py`.
 
     Attributes:
-        presets: vehicle presets to test; default: all but those of studies (`tpcap`,
+        presets: vehicle presets to test; default: all but those for one task (`tpcap`,
             `tanner`, `highway`).
         tyres: tyre models to test.
         out: folder of the report.

@@ -11,6 +11,16 @@ from typing import get_args
 
 import pytest
 from helpers.cars import ROAD_CARS
+from helpers.pages import (
+    PAGES,
+    PAPERS,
+    ROOT,
+    calls,
+    cells,
+    code,
+    is_importable,
+    section,
+)
 from helpers.rules import LIMITS
 
 import carpark_mj
@@ -28,6 +38,7 @@ from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig, complete
 from carpark_mj.cli.vehicles import VehiclesConfig
 from carpark_mj.config import (
+    REWARD_TERMS,
     REWARDS,
     ContextName,
     EnvConfig,
@@ -40,16 +51,7 @@ from carpark_mj.policy.plain_inputs import markdown_inputs
 from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registry import ENVIRONMENTS
-from carpark_mj.studies.cederle.experiments.program import JunctionStudyConfig
-from carpark_mj.studies.cederle.training.families import presets_of
-from carpark_mj.studies.hope.suite_command import SuiteConfig
-from carpark_mj.studies.pandita.experiments.program import SlotsStudyConfig
-from carpark_mj.studies.pandita.sac.config import SACConfig
-from carpark_mj.studies.pandita.sac.presets import SAC_PRESETS
-from carpark_mj.studies.tanner.environments import TANNER_FIXED
-from carpark_mj.studies.tanner.experiments.config import StudyConfig
-from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
-from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS
+from carpark_mj.suite.command import SuiteConfig
 from carpark_mj.sweeps.config import SweepConfig
 from carpark_mj.training.hosts import read_hosts
 from carpark_mj.training.ppo.arguments import read_runs
@@ -58,12 +60,6 @@ from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.settings import named
 from vehicle_suite.table import excerpt
 
-ROOT = Path(__file__).parents[1]
-PAGES = [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "docs").rglob("*.md")),
-]
 README, MDP, DEPLOYMENT, VEHICLE = (
     (ROOT / name).read_text()
     for name in ("README.md", "docs/mdp.md", "docs/deployment.md", "docs/vehicle.md")
@@ -73,14 +69,9 @@ REPORT = ROOT / "docs" / "physics" / "report.csv"
 # Configs of the commands; those of other scripts in eval are looked up in them.
 COMMANDS = {
     "train/ppo.py": PPOConfig,
-    "train/q_learning.py": QLearningConfig,
-    "train/sac.py": SACConfig,
     "train/export.py": ExportConfig,
-    "train/study.py": StudyConfig,
     "train/sweep.py": SweepConfig,
-    "train/junction_study.py": JunctionStudyConfig,
     "eval/benchmark.py": BenchmarkConfig,
-    "train/slots_study.py": SlotsStudyConfig,
     "eval/analysis.py": AnalysisConfig,
     "eval/evaluate.py": EvaluateConfig,
     "eval/render.py": RenderConfig,
@@ -96,31 +87,10 @@ COMMANDS = {
 }
 
 
-def section(page, name):
-    """What stands between two markers."""
-    return page.split(f"<!-- {name} -->\n")[1].split(f"\n<!-- end of {name} -->")[0]
-
-
-def cells(page, name):
-    """The rows of a table between markers, less its two head lines."""
-    rows = section(page, name).splitlines()[2:]
-    return [[cell.strip().strip("`") for cell in row[1:-1].split("|")] for row in rows]
-
-
-def code(page, language):
-    """The blocks of code of a page in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-
-
 # The same programs by the command `carpark_mj`.
 SCRIPTS = {
     "train": "train/ppo.py",
     **{f"{name}": f"train/{name}.py" for name in ("sweep", "export")},
-    **{f"study {name}": f"train/{name}.py" for name in ("q_learning", "sac")},
-    "study junction_tables": "train/junction_study.py",
-    "study junction": "train/junction.py",
-    "study slots": "train/slots_study.py",
-    "study tanner": "train/study.py",
     **{
         f"{name}": f"-m carpark_mj.{name}"
         for name in ("scene", "play", "layouts", "oracle", "vehicles", "identify")
@@ -143,26 +113,18 @@ def as_script(line):
 
 def commands(page):
     """Everything after `python` in blocks and quotes of a page, without comments."""
-    blocks = "\n".join(re.findall(r"^```\w*\n(.*?)^```", page, re.M | re.S))
-    text = re.sub(r"^```\w*\n.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
-    quoted = [" ".join(q.split()) for q in re.findall(r"`([^`]+)`", text)]
-    lines = [line.split("#")[0].strip() for line in blocks.splitlines()]
-    calls = [as_script(line) for line in lines + quoted]
-    return [call.removeprefix("python ") for call in calls if call[:7] == "python "]
+    found = [as_script(line) for line in calls(page)]
+    return [call.removeprefix("python ") for call in found if call[:7] == "python "]
 
 
-COMMAND_LINES = sorted({c for page in PAGES for c in commands(page.read_text())})
+OWN = [page for page in PAGES if page not in PAPERS]
+COMMAND_LINES = sorted({c for page in OWN for c in commands(page.read_text())})
 
 
 @pytest.mark.parametrize(
     ("page", "name", "expected"),
     [
         (MDP, "observation table", lambda: markdown_table(make_fields(EnvConfig()))),
-        (
-            MDP,
-            "tanner observation table",
-            lambda: markdown_table(make_fields(TANNER_FIXED)),
-        ),
         (DEPLOYMENT, "inputs of a car", markdown_inputs),
         (VEHICLE, "physics table", lambda: excerpt(REPORT)),
     ],
@@ -204,23 +166,11 @@ def test_the_parked_rules_are_those_in_force():
 
 
 def test_the_reward_terms_are_all_there_with_their_weights():
-    found = [row[:3] for row in cells(MDP, "reward terms")]
-    sets = [
-        {name: getattr(REWARDS[set_], name) for name in TERMS} | REWARDS[set_].extra
-        for set_ in ("shaped", "tanner")
-    ]
-    names = (
-        *TERMS,
-        "approach",
-        "smoothness",
-        "reverse",
-        "yielding",
-        "person",
-        "comfort",
-    )
-    assert found == [
-        [x, *(f"{weights.get(x, 0):g}" for weights in sets)] for x in names
-    ]
+    weights = {name: getattr(REWARDS["shaped"], name) for name in TERMS}
+    weights |= dict.fromkeys(sorted(REWARD_TERMS), 0) | REWARDS["shaped"].extra
+    found = dict(row[:2] for row in cells(MDP, "reward terms"))
+    del weights["pose"]  # of tasks with goal poses
+    assert found == {name: f"{weight:g}" for name, weight in weights.items()}
     for field in dataclasses.fields(RewardConfig):
         assert f"`{field.name}`" in MDP or field.name == "goals", field.name
 
@@ -234,7 +184,9 @@ def test_the_terms_of_dynamic_goals_are_all_there_with_their_defaults():
 def test_contexts_environments_and_layouts_are_all_named():
     named = [row[0].split("`")[0] for row in cells(MDP, "contexts")]
     assert tuple(named) == get_args(ContextName)
-    assert {row[0] for row in cells(MDP, "environments")} == {*ENVIRONMENTS}
+    ours = {row[0] for row in cells(MDP, "environments")}
+    papers = {row[0] for row in cells(MDP, "environments of papers")}
+    assert ours == {*ENVIRONMENTS} - papers
 
 
 def test_the_vehicle_presets_are_those_of_the_code():
@@ -267,6 +219,11 @@ def test_the_test_command_is_where_ci_reads_it():
 
 @pytest.mark.parametrize("line", COMMAND_LINES)
 def test_a_command_exists_and_takes_its_flags(line):
+    check_command(line)
+
+
+def check_command(line):
+    """Asserts that a command exists and takes its flags."""
     words = shlex.split(re.sub(r"\[.*?\]|\.\.\.", "", line).replace("RUN", "runs/x"))
     program = " ".join(words[:2]) if words[0] == "-m" else words[0]
     if program.startswith("-m ") and "carpark_mj" not in program:
@@ -286,11 +243,6 @@ def test_a_command_exists_and_takes_its_flags(line):
         program, arguments = f"layouts {arguments[0]}", arguments[1:]
     if program == "-m carpark_mj.scene":
         arguments = complete(arguments)
-    if program == "train/junction.py":  # its flags depend on the algorithm
-        presets = presets_of(named(arguments, "algorithm") or "double-dueling")
-        start = presets[named(arguments, "preset") or "parallel"]
-        read_flags(type(start), arguments, start)
-        return
     config = COMMANDS.get(program) or settings_of(program)
 
     def read(words):
@@ -325,14 +277,8 @@ def settings_in(path):
 
 def preset(config, arguments):
     """What a trainer's flags start from."""
-    presets = {
-        PPOConfig: PPO_PRESETS,
-        QLearningConfig: Q_PRESETS,
-        SACConfig: SAC_PRESETS,
-    }.get(config)
-    if not presets or "--preset" not in arguments:
-        return None
-    return presets[arguments[arguments.index("--preset") + 1]]
+    name = named(arguments, "preset")
+    return PPO_PRESETS[name] if config is PPOConfig and name else None
 
 
 def slugs(page):
@@ -348,7 +294,8 @@ def test_links_files_and_modules_exist(page):
         file = page.parent / target if target else page
         assert file.exists(), target
         assert not anchor or anchor in slugs(file), f"{target}#{anchor}"
-    path = r"`((?:carpark_mj|train|eval|tests|docs|examples)/[\w./]*)`(?! of commit)"
+    folders = "carpark_mj|papers|train|eval|tests|docs|examples"
+    path = rf"`((?:{folders})/[\w./]*)`(?! of commit)"
     for name in re.findall(path, text):
         assert (ROOT / name).exists(), name
     for name in re.findall(r"`(carpark_mj(?:\.\w+)+)", text):
@@ -378,16 +325,6 @@ def test_settings_named_in_the_docs_exist():
     assert len(names) > 20
     for name in names:
         attrgetter(name)(config)  # AttributeError names what is missing
-
-
-def is_importable(name):
-    """Whether a dotted name is a module, or something in one."""
-    try:
-        importlib.import_module(name)
-    except ImportError:
-        module, _, attribute = name.rpartition(".")
-        return hasattr(importlib.import_module(module), attribute)
-    return True
 
 
 def test_public_names_are_all_on_their_page():

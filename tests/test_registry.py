@@ -12,8 +12,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import observation_size
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.registry import ANYWHERE, environment
-from carpark_mj.studies.hope.environments import HOPE
-from carpark_mj.studies.hope.suite import suite_env
+from carpark_mj.suite.evaluation import suite_env
+from carpark_mj.suite.hope import HOPE
 from carpark_mj.vehicle.presets import PRESETS
 
 

@@ -34,7 +34,7 @@ class EnvConfig:
     Attributes:
         layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `square_compact`
             (the same with 2.5 m x 5.0 m bays), a random family such as `street`, or any
-            other of `LAYOUTS`, to which studies and other packages add theirs. Or a
+            other of `LAYOUTS`, to which other packages add theirs. Or a
             layout file (.json). A comma-separated list is a mixture. From Python also
             the config of a family, see `carpark_mj.layouts`.
         vehicle: a name in `carpark_mj.vehicle.VEHICLES`, or a vehicle file (.yaml,
@@ -55,10 +55,9 @@ class EnvConfig:
         physics: back end, by name. `mjx`: every car is an MJX model of its own, stepped
             as `sim.stepper` says; crashes are found by box tests. `scene`: the whole
             lot in one C MuJoCo world, crashes are its contacts; slow. `bicycle`:
-            kinematic cars whose tyres never slip. `highway`: highway-env's, without
-            lags (Pandita 2022). `grid`, `grid_coarse`, `grid_recorded`: the grid worlds
-            of Tanner 2022, with integer actions. From Python also the config of a back
-            end, a `PhysicsConfig`.
+            kinematic cars whose tyres never slip. `carpark_papers` adds `highway` and
+            the grid worlds `grid`, `grid_coarse`, `grid_recorded`, with integer
+            actions. From Python also the config of a back end, a `PhysicsConfig`.
         sim: time steps and ground.
         goals: whether the environment or the agents choose the goals.
         giving_way: when agents should give up dynamic goals.

@@ -61,6 +61,7 @@ class RewardTerm(CheckedConfig):
 REWARD_TERMS: Registry[RewardTerm] = Registry(
     "reward term",
     "carpark_mj.tasks.goal_pose",
+    "carpark_mj.mdp.progress",
     "carpark_mj.mdp.yielding",
     "carpark_mj.mdp.people",
 )

@@ -1,15 +1,22 @@
-"""Progress of a step: potential, approach to a target, direction of travel."""
+"""Progress of a step: potential, approach to a target, direction of travel, effort."""
 
 import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import WORLD_UNIT, RewardConfig
+from carpark_mj.config import (
+    REWARD_TERMS,
+    WORLD_UNIT,
+    EnvConfig,
+    RewardConfig,
+    RewardTerm,
+)
 from carpark_mj.geometry import heading_error, move_forward, norm, reeds_shepp_length
 from carpark_mj.layouts.routes import has_lanes, lane_distance
 from carpark_mj.layouts.types import Layout
-from carpark_mj.types import Motion, Vehicle
+from carpark_mj.types import Motion, Transition, Vehicle
 
 NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of Tanner's finer grid: rounding
 ALIGNMENT_RANGE = 4.0  # m, at which the alignment reward has faded to 1/e
@@ -121,3 +128,61 @@ def drives_wrong_way(layout: Layout, motion: Motion) -> jax.Array | None:
     allowed = inside & (along | ~layout.lane_one_way)
     moving = jnp.abs(motion.speed) > MOVING
     return moving & inside.any(axis=1) & ~allowed.any(axis=1)
+
+
+class Effort(NamedTuple):
+    """Steering change and speed of a step, as shares of the most; (num_agents,) each.
+
+    Attributes:
+        turn: what `PhysicsConfig.turn` says, over the largest.
+        speed: absolute speed at the end of the step over the higher of both limits.
+    """
+
+    turn: jax.Array
+    speed: jax.Array
+
+
+def effort(config: EnvConfig, transition: Transition) -> Effort:
+    """How hard agents steered in a step, and how fast they are."""
+    before, after = transition.before.motion, transition.after.motion
+    vehicle, ctrl_dt = transition.before.physics.vehicle, config.sim.ctrl_dt
+    physics = config.physics_config
+    turn = physics.turn(before, after, ctrl_dt)
+    top = physics.top_speed(vehicle, ctrl_dt)
+    return Effort(
+        turn=turn / physics.largest_turn(vehicle, ctrl_dt),
+        speed=jnp.abs(after.speed) / top,
+    )
+
+
+def approach(config: EnvConfig, transition: Transition) -> jax.Array:
+    """Reward per step that ends nearer to the goal, penalty per step that does not."""
+    before, after = transition.before.motion, transition.after.motion
+    nearer = is_nearer(before.xy, after.xy, transition.target_pose[:, :2])
+    paid = jnp.where(nearer, 1.0, -1.0)
+    goals = transition.goal_events
+    return paid if goals is None else jnp.where(goals.exploring, 0.0, paid)
+
+
+def smoothness(
+    config: EnvConfig, transition: Transition, by_speed: float = 0.0
+) -> jax.Array:
+    """Penalty per step, times the steering change as a share of the largest.
+
+    `PhysicsConfig.turn` is the steering change. With `by_speed` the penalty is
+    multiplied by the speed as a share of the top speed.
+    """
+    used = effort(config, transition)
+    return used.turn * used.speed if by_speed else used.turn
+
+
+def reverse(config: EnvConfig, transition: Transition) -> jax.Array:
+    """Penalty per step in reverse."""
+    return direction_of_travel(transition.after.motion) < 0.0
+
+
+REWARD_TERMS.register("approach", RewardTerm(approach, per_step=True))
+REWARD_TERMS.register(
+    "smoothness", RewardTerm(smoothness, -1, per_step=True, fixed=("by_speed",))
+)
+REWARD_TERMS.register("reverse", RewardTerm(reverse, -1, per_step=True))

@@ -1,4 +1,4 @@
-"""The programs of the command `carpark_mj`, and those of studies and extensions."""
+"""The programs of the command `carpark_mj`, and those of papers and extensions."""
 
 from collections.abc import Mapping
 
@@ -43,11 +43,11 @@ COMMANDS = {
         "carpark_mj.programs.benchmark:run", "measure speed, compilation and memory"
     ),
     "study": Entry(
-        "carpark_mj.programs.study:run", "run a program of a study or an extension"
+        "carpark_mj.programs.study:run", "run a program of a paper or an extension"
     ),
 }
 
-STUDY_PROGRAMS: Registry[Entry] = Registry("program of a study")
+STUDY_PROGRAMS: Registry[Entry] = Registry("program")
 
 
 def table(programs: Mapping[str, Entry]) -> str:

@@ -3,7 +3,7 @@
 carpark_mj benchmark
 carpark_mj benchmark --what env --batches 512 4096
 carpark_mj benchmark --what env --layouts lot --num-agents 1 4 16
-carpark_mj benchmark --what ppo --preset tanner-fixed --runs 1 4 16
+carpark_mj benchmark --what ppo --preset square --runs 1 4 16
 
 `env` counts agent steps of the whole environment under random actions, `ppo` those of
 training end to end, `physics` substeps of cars alone: on brush tyres, on the same by

@@ -6,7 +6,7 @@ defines every number.
 carpark_mj evaluate runs/cpu-0
 carpark_mj evaluate runs/cpu-mixture-0
 carpark_mj evaluate --policy random --episodes 500
-carpark_mj evaluate --policy zero --environment tanner-fixed
+carpark_mj evaluate --policy zero --environment square
 """
 
 from collections.abc import Sequence

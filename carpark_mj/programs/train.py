@@ -2,8 +2,7 @@
 
     carpark_mj train                        # preset by hardware, runs/cpu-0 or gpu-0
     carpark_mj train --resume runs/cpu-0    # continues where it stopped
-    carpark_mj train --preset tanner-fixed  # the study's grid world
-    carpark_mj train --preset tanner-fixed --seeds 0..7       # runs side by side
+    carpark_mj train --preset dynamic --seeds 0..7       # runs side by side
     carpark_mj train --help-all             # every setting
     carpark_mj train --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
     srun carpark_mj train --coordinator auto                         # a cluster

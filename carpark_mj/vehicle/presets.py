@@ -194,7 +194,7 @@ VAN = VehicleParameters(
     tyre=TyreParameters(vertical_stiffness=38_000.0, vertical_damping=2900.0),  # [est]
 )
 
-# Cars with their own looks, to which estimates are fitted. Cars of data sheets, studies
+# Cars with their own looks, to which estimates are fitted. Cars of data sheets, papers
 # and other packages are registered too.
 PRESETS = MappingProxyType(
     {

@@ -28,7 +28,7 @@ from carpark_mj.cli.analysis import MAX_ROWS, analyse
 from carpark_mj.programs import analysis
 from carpark_mj.training.ppo.parts import PRESETS
 
-BASE = PRESETS["tanner-fixed"]
+BASE = PRESETS["square"]
 
 
 def record(agents, seed, parked, **settings):
@@ -125,7 +125,7 @@ def test_a_run_is_read_with_its_settings_seed_and_versions(tmp_path):
     make_runs(tmp_path)
     found = read_run(tmp_path / "a2-1")
     assert found.settings["env.num_agents"] == 2
-    assert found.settings["env.reward.park"] == 1.0
+    assert found.settings["env.reward.park"] == BASE.env.reward.park
     assert (found.seed, found.metrics["parked"]) == (1, 0.5)
     assert found.versions["jax"]
 

@@ -22,8 +22,8 @@ from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.cli.scene import SceneConfig
 from carpark_mj.files import require_writable, write_atomically
-from carpark_mj.studies.hope import suite_command as suite
-from carpark_mj.studies.hope.suite_command import SuiteConfig
+from carpark_mj.suite import command as suite
+from carpark_mj.suite.command import SuiteConfig
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,7 +9,7 @@ from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.registry import ANYWHERE
-from carpark_mj.studies.metadrive.environments import METADRIVE
+from carpark_mj.suite.metadrive import METADRIVE
 
 RUN = EnvConfig(num_agents=5, min_agents=3)
 
@@ -88,12 +88,10 @@ def test_rule_and_hitboxes_are_set_alone_and_together():
 
 def test_nominal_cars_are_observed_as_they_are():
     assert ANYWHERE.sensors.is_on
-    nominal = adapt(ANYWHERE, nominal=True, physics="highway", vehicle="compact")
+    nominal = adapt(ANYWHERE, nominal=True, physics="bicycle", vehicle="compact")
     assert not nominal.sensors.is_on
     assert not nominal.randomization.is_on
     assert adapt(ANYWHERE, num_agents=2).sensors == ANYWHERE.sensors
-    with pytest.raises(ValueError, match="randomization has no effect in highway"):
-        adapt(ANYWHERE, physics="highway", vehicle="compact")
 
 
 def test_a_trained_policy_observes_another_task_as_in_training():
@@ -102,4 +100,4 @@ def test_a_trained_policy_observes_another_task_as_in_training():
     alike = {"observation": METADRIVE.observation, "reward": METADRIVE.reward}
     assert dataclasses.replace(env, **alike) == METADRIVE
     with pytest.raises(ValueError, match=r"reward\.route"):
-        find_driver("anywhere", "tanner-fixed")
+        find_driver("anywhere", "dynamic")

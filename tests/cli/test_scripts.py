@@ -40,7 +40,7 @@ print(json.dumps({
 """
 RENDERING = "train/ppo.py", "eval/render.py", "eval/suite.py"
 CALLING_BACK = "eval/suite.py", "eval/evaluate.py", "eval/render.py"
-FUSED = "train/ppo.py", "train/q_learning.py", "eval/evaluate.py", "eval/render.py"
+FUSED = "train/ppo.py", "eval/evaluate.py", "eval/render.py"
 
 
 def left_behind(script: str, flags: str | None = None) -> dict[str, object]:

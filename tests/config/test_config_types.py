@@ -9,12 +9,6 @@ from carpark_mj.config import EnvConfig, ParkedRule, RewardConfig, SimConfig
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.studies.cederle.junction import JunctionConfig
-from carpark_mj.studies.cederle.junction.config import RasterConfig, RewardRules
-from carpark_mj.studies.pandita.sac.config import SACConfig
-from carpark_mj.studies.tanner.indices import IndexObservation
-from carpark_mj.studies.tanner.observation import TannerObservation
-from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 
@@ -29,10 +23,9 @@ def config_classes(cls, found):
     return found
 
 
-CLASSES = config_classes(EnvConfig, {TannerObservation, IndexObservation})
-CLASSES |= {JunctionConfig, RasterConfig, RewardRules, ParkedRule}
+CLASSES = config_classes(EnvConfig, {ParkedRule})
 CLASSES |= {*FAMILIES.values()} - {FromFileConfig}
-CLASSES |= {NetworkConfig, CurriculumConfig, PPOConfig, QLearningConfig, SACConfig}
+CLASSES |= {NetworkConfig, CurriculumConfig, PPOConfig}
 JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
 
 

@@ -114,7 +114,6 @@ def test_a_car_that_turns_wide_is_refused_only_where_it_gets_into_no_bay():
     # One member is enough, or one of the widths that the aisles may have.
     make(mixture((NARROW, "street")))
     make(dataclasses.replace(NARROW, extra_aisle=(-3.0, -2.5)))
-    make(NARROW, physics="grid")
 
 
 BUS = dataclasses.replace(

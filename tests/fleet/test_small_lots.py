@@ -121,14 +121,3 @@ def test_a_fleet_in_a_fixed_lot_may_have_more_agents_than_bays_too():
         observation=ContinuousObservation(own_car=True),
     )
     assert ParkingEnv(config, SlidePhysics()).num_agents == 40
-
-
-def test_reserved_bays_are_no_goals_of_more_agents():
-    """In `slots` one bay of twelve can be a goal."""
-    observation = ContinuousObservation(rays=RayConfig())
-    config = dataclasses.replace(CONFIG, layout="slots", num_parked_cars=11)
-    config = dataclasses.replace(config, min_agents=1, observation=observation)
-    env = ParkingEnv(config, SlidePhysics())
-    state, _ = jax.jit(env.reset)(jax.random.key(0), num_present=jnp.int32(MOST))
-    assert state.present.sum() == 1
-    assert state.layout.goal_mask[state.goal[0]]

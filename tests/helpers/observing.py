@@ -9,7 +9,6 @@ from helpers.states import config_of, parked_in, state_of
 
 from carpark_mj.config import RayConfig, RingConfig
 from carpark_mj.observations import ContinuousObservation, observation_size, observe
-from carpark_mj.studies.tanner.observation import TannerObservation
 
 CONFIGS = [
     ContinuousObservation(),
@@ -17,7 +16,6 @@ CONFIGS = [
     ContinuousObservation(5, 1, rings=RingConfig((4.5,), cap=3)),
     ContinuousObservation(0, 4, rings=RingConfig((3.0, 7.25))),
     ContinuousObservation(rays=RayConfig(5), lane=True, own_car=True, lines=True),
-    TannerObservation(3, rings=RingConfig((4.0,), cars=True), global_information=True),
 ]
 
 observe_jit = jax.jit(observe, static_argnums=0)

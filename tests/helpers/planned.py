@@ -6,7 +6,7 @@ import numpy as np
 
 from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.tracking import Driven, Progress, track
-from carpark_mj.studies.hope.held_out import load_held_out
+from carpark_mj.suite.levels import load_held_out
 from carpark_mj.vehicle import preset
 
 # TPCAP's car.

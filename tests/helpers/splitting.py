@@ -1,11 +1,14 @@
 """Updates of PPO from the same steps on 1, 2 and 4 devices.
 
-Run with `JAX_NUM_CPU_DEVICES=4` and the path of an `.npz` file, which then holds what
-was learned: arrays named `variant/devices/number`, and losses.
+Run with `JAX_NUM_CPU_DEVICES=4`, a variant and the path of an `.npz` file, which then
+holds what was learned: arrays named `devices/number`, and losses.
 """
 
 import dataclasses
+import os
+import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -26,8 +29,10 @@ from carpark_mj.training.ppo.epochs import learn, network_params
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.state import AXIS
 
+ROOT = Path(__file__).parents[2]
 LENGTH, AGENTS, SIZE = 8, 8, 4
 DEVICES = (1, 2, 4)
+# Actions and a preset of each variant; `ml-agents` is of carpark_papers.
 ACTIONS = {"brax": ActionSpec(2), "ml-agents": ActionSpec(0, (3, 2))}
 PRESET = {"brax": "cpu", "ml-agents": "tanner-fixed-original"}
 # Present; of the first two devices one has two of four, the other all; a quarter has
@@ -106,23 +111,54 @@ def learned(variant: str, count: int) -> tuple[Any, dict[str, jax.Array]]:
     return jax.jit(split)(rollout)
 
 
-def main(path: str) -> None:
-    """Writes what comes of all variants and numbers of devices."""
+def learned_by(variant: str, path: Path) -> dict[str, np.ndarray]:
+    """What all numbers of devices learn, in a process with four, by `devices/what`."""
+    paths = os.pathsep.join(str(ROOT / name) for name in ("", "tests", "papers"))
+    environment = {"JAX_NUM_CPU_DEVICES": "4", "PYTHONPATH": paths}
+    done = subprocess.run(
+        [sys.executable, __file__, variant, str(path)],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}
+
+
+def assert_alike(found: dict[str, np.ndarray]) -> None:
+    """Asserts that several devices learn what one learns."""
+    names = [name[2:] for name in found if name.startswith("1/")]
+    assert "policy_loss" in names
+    for name in names:
+        for count in DEVICES[1:]:
+            # Sums in another order; the steps of Adam are of 1e-4 and 1e-3.
+            np.testing.assert_allclose(
+                found[f"{count}/{name}"],
+                found[f"1/{name}"],
+                rtol=2e-5,
+                atol=2e-6,
+                err_msg=name,
+            )
+
+
+def main(variant: str, path: str) -> None:
+    """Writes what comes of a variant on all numbers of devices."""
     arrays = {}
-    for variant in ACTIONS:
-        for count in DEVICES:
-            (normalizer, policy, value, _), losses = learned(variant, count)
-            leaves = jax.tree.leaves((normalizer, policy, value))
-            name = f"{variant}/{count}"
-            arrays |= {f"{name}/{k}": np.asarray(x) for k, x in enumerate(leaves)}
-            # Not the extremes of distributions, which are means over the devices.
-            arrays |= {
-                f"{name}/{key}": np.asarray(x)
-                for key, x in losses.items()
-                if "_dist_" not in key
-            }
+    for count in DEVICES:
+        (normalizer, policy, value, _), losses = learned(variant, count)
+        leaves = jax.tree.leaves((normalizer, policy, value))
+        arrays |= {f"{count}/{k}": np.asarray(x) for k, x in enumerate(leaves)}
+        # Not the extremes of distributions, which are means over the devices.
+        arrays |= {
+            f"{count}/{key}": np.asarray(x)
+            for key, x in losses.items()
+            if "_dist_" not in key
+        }
     np.savez(path, **arrays)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

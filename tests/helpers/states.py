@@ -119,13 +119,13 @@ def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State
 def config_of(
     observation: ObservationConfig, num_tracked_bays: int = 0, **settings: Any
 ) -> EnvConfig:
-    """An environment on the grid; without tracked bays its goals are fixed.
+    """An environment of kinematic cars; without tracked bays its goals are fixed.
 
     It has agents enough for all slots of the default observation.
     """
-    settings = {"num_agents": 7} | settings
+    settings = {"num_agents": 7, "physics": "bicycle"} | settings
     goals = GoalConfig(num_tracked_bays > 0, max(num_tracked_bays, 1))
-    return EnvConfig(observation=observation, goals=goals, physics="grid", **settings)
+    return EnvConfig(observation=observation, goals=goals, **settings)
 
 
 def any_hit(hits: dict[str, jax.Array]) -> jax.Array:

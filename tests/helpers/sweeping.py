@@ -13,7 +13,7 @@ from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.run_folder import describe
 
 
-def plan_runs(*texts, repeats=1, base="tanner-fixed"):
+def plan_runs(*texts, repeats=1, base="square"):
     """A plan and its runs."""
     axes = tuple(read_axis(text, PRESETS[base]) for text in texts)
     plan = Plan(base, axes, repeats)

@@ -91,13 +91,6 @@ def test_its_command_lists_the_programs(wheel, tmp_path):
         assert f"\n  {name} " in done.stdout
 
 
-def test_its_scripts_of_studies_are_there(wheel, tmp_path):
-    done = python(wheel, tmp_path, "-m", "carpark_mj", "study")
-    assert done.returncode == 0, done.stderr
-    assert "q_learning" in done.stdout
-    assert [*wheel.glob("carpark_mj/studies/tanner/**/*.csv")]
-
-
 def test_the_page_of_the_editor_is_there(wheel):
     page = "carpark_mj/editor/page"
     there, here = ({f.name for f in (at / page).iterdir()} for at in (wheel, ROOT))

@@ -42,7 +42,6 @@ HARD = [
     "dead_end, parallel, extreme",
 ]
 PLAIN = ["square_compact", "street", "street_parallel", "angled", "lot"]
-PLAIN += ["slots", "slots_diagonal", "slots_parallel"]
 NAMES = HARD + PLAIN + ["angled, back-in", "lot, deck with pillars", "lot, angled"]
 SHOWN = {name: LAYOUTS[name] for name in PLAIN} | VARIANTS
 PARALLEL = [name for name in NAMES if "parallel" in name]

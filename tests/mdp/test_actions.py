@@ -9,7 +9,6 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec, action_spec, parse, sanitize_action
-from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_QLEARNING
 
 NAN, INF = np.nan, np.inf
 CHOOSING = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=3))
@@ -71,18 +70,7 @@ def test_an_action_is_taken_apart_into_controls_and_the_choice_of_a_goal():
     assert chosen.invalid.tolist() == [False, True]
 
 
-def test_on_the_grid_controls_are_indices_too():
-    fixed = parse(TANNER_QLEARNING, jnp.array([[2, 0], [3, 0]]))
-    assert fixed.controls.tolist() == [[2, 0], [2, 0]]
-    assert (fixed.controls.dtype, fixed.goal_choice) == (jnp.int32, None)
-    assert fixed.invalid.tolist() == [False, True]
-    chosen = parse(TANNER_DYNAMIC, jnp.array([[2, 3, 1], [2, 3, -1]]))
-    assert chosen.controls.tolist() == [[2, 3], [2, 3]]
-    assert chosen.goal_choice.tolist() == [1, 0]
-    assert chosen.invalid.tolist() == [False, True]
-
-
-@pytest.mark.parametrize("config", [EnvConfig(), CHOOSING, TANNER_DYNAMIC])
+@pytest.mark.parametrize("config", [EnvConfig(), CHOOSING])
 def test_the_middle_of_the_ranges_is_a_valid_action(config):
     spec = action_spec(config)
     assert spec.middle.shape == (spec.size,)

@@ -13,7 +13,7 @@ from carpark_mj.geometry import boxes_overlap
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.fixed_goals import goal_of_start
 from carpark_mj.mdp.spawning.placing import start_placing
-from carpark_mj.studies.metadrive.environments import METADRIVE
+from carpark_mj.suite.metadrive import METADRIVE
 from carpark_mj.types import NO_BAY
 
 SPACES, EXITS = range(8), range(8, 11)

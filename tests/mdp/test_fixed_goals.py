@@ -220,10 +220,12 @@ def test_a_car_on_a_goal_that_is_kept_makes_way_even_near_another_agent():
 
 
 def test_reserved_bays_are_no_goals_and_their_cars_come_back():
-    layout = make_layout("slots")  # slot 2 of 12 is not reserved
-    _, (goals, bays, _) = history(layout, 1, 11, num_steps=60)
+    layout = make_layout("square")
+    kind = jnp.full(36, BayKind.RESERVED).at[2].set(0)
+    layout = layout.replace(bay_kind=kind)
+    _, (goals, bays, _) = history(layout, 1, 35, num_steps=60)
     assert (goals == 2).all()
-    others = np.delete(np.arange(12), 2)
+    others = np.delete(np.arange(36), 2)
     expected = np.broadcast_to(others, bays.shape)
     np.testing.assert_array_equal(np.sort(bays, axis=-1), expected)
 

@@ -28,7 +28,6 @@ from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.fields import FAR
 from carpark_mj.observations.tracking import tracks_parked_cars
-from carpark_mj.studies.tanner.observation import TannerObservation
 from carpark_mj.types import NO_BAY
 
 COUNT = 3000
@@ -123,11 +122,9 @@ ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(6)])
 FURTHEST = EnvConfig()
 
 
-def random_rule(num_tracked, tanner=False):
+def random_rule(num_tracked):
     """The rule that moves a random car, of those that agents do not track."""
     observation = ContinuousObservation(tracked_parked_cars=num_tracked)
-    if tanner:
-        observation = TannerObservation(tracked_cars=num_tracked)
     return EnvConfig(spawn=SpawnConfig(relocation="random"), observation=observation)
 
 
@@ -159,13 +156,12 @@ def test_the_car_farthest_from_all_agents_moves_into_the_bay():
     np.testing.assert_array_equal(after.pose_w, ROW.bay_pose[after.bay])
 
 
-@pytest.mark.parametrize("tanner", [False, True])
-def test_a_random_car_moves_that_no_agent_tracks(tanner):
+def test_a_random_car_moves_that_no_agent_tracks():
     # Agents at 0 and 48 track the cars at 10 and 40; those at 20 and 30 are left.
     state = row_of([0, 5], [1, 2, 3, 4], [0, 48])
 
     def moves(tracked):
-        after = relocations(random_rule(tracked, tanner), state, [0])
+        after = relocations(random_rule(tracked), state, [0])
         moved = after != np.array([1, 2, 3, 4])
         assert (moved.sum(axis=1) == 1).all()
         assert (after[moved] == 0).all()
@@ -185,20 +181,9 @@ def test_any_car_may_move_whoever_tracks_it():
     np.testing.assert_allclose(moved.mean(axis=0), [0.25] * 4, atol=0.07)
 
 
-def test_agents_in_one_list_with_parked_cars_take_their_places_in_it():
-    # Of two cars each the agents at 0 and 6 track each other and the one at 10.
-    state = row_of([0, 5], [1, 2, 3, 4], [0, 6])
-    moved = relocations(random_rule(2, tanner=True), state, [0]) == 0
-    np.testing.assert_allclose(moved.mean(axis=0), [0, *[1 / 3] * 3], atol=0.08)
-    # In a list of their own they track the two at 10 and 20.
-    moved = relocations(random_rule(2), state, [0]) == 0
-    np.testing.assert_allclose(moved.mean(axis=0), [0, 0, 0.5, 0.5], atol=0.08)
-
-
 RULES = {
     "furthest": FURTHEST,
     "random": random_rule(2),
-    "random, tanner": random_rule(3, tanner=True),
     "any": EnvConfig(spawn=SpawnConfig(relocation="any")),
 }
 

@@ -20,7 +20,6 @@ from carpark_mj.observations import (
 )
 from carpark_mj.observations.fields import FAR, FARTHEST
 from carpark_mj.registry import ANYWHERE
-from carpark_mj.studies.tanner.observation import TannerObservation
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -96,11 +95,8 @@ def test_the_entities_of_a_group_have_the_same_fields_side_by_side(
                     dataclasses.replace(first, name="")
                 )
     expected = {"bay": num_tracked_bays}
-    if isinstance(config, TannerObservation):
-        expected["car"] = config.tracked_cars
-    else:
-        expected["agent"] = config.tracked_agents
-        expected["parked_car"] = config.tracked_parked_cars
+    expected["agent"] = config.tracked_agents
+    expected["parked_car"] = config.tracked_parked_cars
     assert counts == {group: count for group, count in expected.items() if count}
 
 

@@ -22,10 +22,8 @@ from helpers.states import config_of, hand_cars, parked_in, state_of
 
 from carpark_mj.config import RayConfig, RingConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.observations import ContinuousObservation, cardinalities, make_fields
+from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.fields import FAR, NEAR
-from carpark_mj.studies.tanner.indices import IndexObservation
-from carpark_mj.studies.tanner.observation import DIAGONAL, TannerObservation
 from carpark_mj.types import NO_BAY
 
 
@@ -312,30 +310,11 @@ def test_pushed_cars_are_observed_where_they_stand_and_absent_ones_nowhere():
     absent = parked.replace(bay=jnp.array([2, NO_BAY], jnp.int32))
     motion = cars([(2.0, 5.5, 0.0)])
     rings = RingConfig((6.0,), cars=True)
-    for observation in (
-        ContinuousObservation(0, 2, rings=rings, rays=RayConfig(8)),
-        TannerObservation(2, rings=rings),
-    ):
-        config = config_of(observation)
-        neat, there, one, alone = (
-            np.asarray(observe_jit(config, state_of(BAYS, motion, 0, parked_cars=x)))
-            for x in (parked, pushed, absent, parked_in(BAYS, [2]))
-        )
-        assert (neat != there).any()
-        assert (neat != one).any()
-        np.testing.assert_array_equal(one, alone)
-    named = fields_of(there, config)
-    away = math.hypot(0.5, 3.75)  # the car of bay 2 is 3.5 + 0.25 m off, and 0.5 aside
-    np.testing.assert_allclose(named["car_1_distance"] * DIAGONAL, [[away]], rtol=1e-5)
-
-
-def test_indices_are_whole_numbers_within_their_cardinalities():
-    config = config_of(IndexObservation(RingConfig((4.0, 9.0), cars=True)))
-    motion, goal, parked_bay, parked_size = random_scene()
-    layout = make_layout("square")
-    parked_cars = parked_in(layout, parked_bay, parked_size)
-    state = state_of(layout, motion, goal, parked_cars=parked_cars)
-    seen = np.asarray(observe_jit(config, state))
-    np.testing.assert_array_equal(seen, np.round(seen))
-    assert (seen[:, 1:] >= 0).all()
-    assert (seen[:, 1:] < np.array(cardinalities(config))[1:]).all()
+    config = config_of(ContinuousObservation(0, 2, rings=rings, rays=RayConfig(8)))
+    neat, there, one, alone = (
+        np.asarray(observe_jit(config, state_of(BAYS, motion, 0, parked_cars=x)))
+        for x in (parked, pushed, absent, parked_in(BAYS, [2]))
+    )
+    assert (neat != there).any()
+    assert (neat != one).any()
+    np.testing.assert_array_equal(one, alone)

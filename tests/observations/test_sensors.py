@@ -25,7 +25,6 @@ from carpark_mj.layouts.routes import make_routes
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.odometry import reckon
 from carpark_mj.observations.sensors import init_sensors, measure, observed, reset
-from carpark_mj.studies.tanner.indices import IndexObservation
 from carpark_mj.types import Odometry
 
 KEY = jax.random.key(0)
@@ -222,7 +221,6 @@ SCENES = [
     FIXED,
     CHOSEN,
     config_of(CONFIGS[-1], 3, num_agents=5),
-    config_of(IndexObservation(RingConfig((4.0, 9.0), cars=True)), num_agents=5),
 ]
 # Whose numbers cannot be the same in the two scenes below, by who reads the sensors.
 CONSUMERS = {

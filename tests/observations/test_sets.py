@@ -9,8 +9,8 @@ import pytest
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.observations import ContinuousObservation, make_fields
+from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import OWN, observation_sets
-from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_QLEARNING
 
 FIXED = EnvConfig(num_agents=4, num_parked_cars=5)
 CONFIGS = {
@@ -20,8 +20,6 @@ CONFIGS = {
         FIXED, observation=ContinuousObservation(tracked_agents=0)
     ),
     "dynamic": dataclasses.replace(FIXED, goals=GoalConfig(True, 3)),
-    "study": TANNER_DYNAMIC,
-    "table": TANNER_QLEARNING,
 }
 
 
@@ -78,7 +76,8 @@ def test_entities_are_present_where_their_mask_is_1():
 
 
 def test_entities_without_a_mask_are_always_present():
-    sets = observation_sets(make_fields(TANNER_DYNAMIC))
+    cars = [Field("car_x", 1, -1, 1, "", "car", index) for index in range(3)]
+    sets = observation_sets([Field("speed", 1, -1, 1, ""), *cars])
     present = sets.present(sets.split(jnp.zeros((2, sets.size))))
     assert {group: bits.shape for group, bits in present.items()} == {
         part.group: (2, part.count) for part in sets.sets

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.registering import restore_after
 from helpers.scenes import cars, lot
 from helpers.states import HandPhysics, hand_cars
 from helpers.transitions import no_events, transition
@@ -22,15 +23,14 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.progress import effort
 from carpark_mj.physics.base import MEMBERS
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.planning.policy import planner_policy
 from carpark_mj.play.driven import DrivenLot
 from carpark_mj.policy.baselines import zero_policy
 from carpark_mj.policy.runs import from_dict
-from carpark_mj.studies.hope.suite import suite_env
-from carpark_mj.studies.tanner.grid_config import GridConfig
-from carpark_mj.studies.tanner.rewards import effort
+from carpark_mj.suite.evaluation import suite_env
 from carpark_mj.wrappers.spaces import observation_space
 
 BASE = EnvConfig(
@@ -251,8 +251,10 @@ def test_configs_that_are_none_are_refused():
         PHYSICS.register("mjx", Trial())
 
 
-@pytest.mark.parametrize("physics", ["grid_coarse", GridConfig(points=3)])
-def test_files_give_the_same_back_end_back(physics):
+@pytest.mark.parametrize("physics", ["bicycle", Trial(branches=(3,))])
+def test_files_give_the_same_back_end_back(physics, monkeypatch):
+    restore_after(monkeypatch, PHYSICS)
+    PHYSICS.register("trial", Trial())
     config = dataclasses.replace(BASE, physics=physics)
     read = from_dict(EnvConfig, json.loads(json.dumps(dataclasses.asdict(config))))
     assert read == config

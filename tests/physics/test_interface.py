@@ -11,7 +11,7 @@ from carpark_mj.vehicle import COMPACT, make_vehicle, preset
 
 SUV = preset("suv")
 POSE = jnp.array([[0.0, 1.0, 0.0], [5.0, -4.0, jnp.pi / 2]])
-TYRES = dict.fromkeys(("mjx", "bicycle", "highway", "grid"), "brush")
+TYRES = dict.fromkeys(("mjx", "bicycle"), "brush")
 TYRES["contact"] = "contact"
 
 

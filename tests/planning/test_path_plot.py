@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.planning.plot import AROUND, ASPECT, _view
-from carpark_mj.studies.tpcap.layouts import TpcapConfig
+from carpark_mj.suite.tpcap import TpcapConfig
 
 
 def test_start_and_goal_are_in_view_and_far_obstacles_are_not():

@@ -136,7 +136,6 @@ HEARS = ContinuousObservation(ultrasound=UltrasoundConfig(on=True))
 @pytest.mark.parametrize(
     ("env", "reason"),
     [
-        (environment("tanner-dynamic"), "reads the whole state"),
         (EnvConfig(observation=PAST), "rings.history"),
         (environment("considerate"), "tracked_movers 6"),
         (environment("sees"), "pictures .camera_depth, camera_seen"),

@@ -208,7 +208,7 @@ def test_a_refused_evaluation_leaves_no_folder(shipped):
     assert not Path("runs/tiny/evaluations/num_agents-500").exists()
     with pytest.raises(ValueError, match="the planner"):
         evaluate.prepare(
-            evaluate.EvaluateConfig(policy="planner", environment="tanner-fixed")
+            evaluate.EvaluateConfig(policy="planner", environment="dynamic")
         )
     assert not Path("runs/planner").exists()
 

@@ -107,7 +107,7 @@ def test_a_setting_of_another_type_is_refused_by_name(place):
         runs.from_dict(PPOConfig, data)
 
 
-@pytest.mark.parametrize("preset", ["anywhere", "tanner-fixed"])
+@pytest.mark.parametrize("preset", ["anywhere", "dynamic"])
 def test_settings_with_junk_are_a_config_or_refused(preset):
     data = dataclasses.asdict(PRESETS[preset])
     for seed in range(300):

@@ -6,15 +6,22 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_mj import __main__ as command
+from carpark_mj.extensions import Entry
 from carpark_mj.programs import COMMANDS, STUDY_PROGRAMS, study
 
-ENTRIES = {**COMMANDS, **STUDY_PROGRAMS}
+
+@pytest.fixture
+def programs(monkeypatch):
+    """The programs of `carpark_mj study`, to be changed; none at first."""
+    list(STUDY_PROGRAMS)  # of installed extensions
+    monkeypatch.setattr(STUDY_PROGRAMS, "_parts", {})
+    return STUDY_PROGRAMS
 
 
-@pytest.mark.parametrize("name", ENTRIES)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_a_listed_program_is_there_and_says_what_it_does(name):
-    assert callable(ENTRIES[name].load())
-    assert ENTRIES[name].summary
+    assert callable(COMMANDS[name].load())
+    assert COMMANDS[name].summary
 
 
 @pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"]])
@@ -32,15 +39,26 @@ def test_an_unknown_program_is_refused_in_one_line(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         command.main()
     assert end.value.code == 2
-    assert exit_code(study, ["sac_"]) == 2
-    first, second = capsys.readouterr().err.splitlines()
-    assert "'trian'" in first
-    assert "train" in first
-    assert "'sac_'" in second
-    assert "'sac'" in second
+    [line] = capsys.readouterr().err.splitlines()
+    assert "'trian'" in line
+    assert "train" in line
 
 
-def test_a_program_of_a_study_is_called_with_its_arguments(monkeypatch):
+def test_without_any_study_it_is_said_what_to_install(programs, capsys):
+    for words in ([], ["tanner"]):
+        assert exit_code(study, words) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        assert "pip install ./papers" in line
+
+
+def test_a_program_of_an_extension_is_called_with_its_arguments(
+    programs, monkeypatch, capsys
+):
     monkeypatch.setattr(sys, "argv", ["carpark_mj study"])
-    assert exit_code(study, ["slots", "--list"]) == 0
-    assert sys.argv == ["carpark_mj study slots", "--list"]
+    programs.register("count", Entry("builtins:len", "counts"))
+    assert exit_code(study, []) == 0
+    assert "count  counts" in capsys.readouterr().out
+    assert study.run(["count", "--list"]) == 1
+    assert sys.argv == ["carpark_mj study count", "--list"]
+    assert exit_code(study, ["county"]) == 2
+    assert "'count'" in capsys.readouterr().err

@@ -149,7 +149,7 @@ def test_other_cameras_see_the_roof_again():
         renderer.close()
 
 
-@pytest.mark.parametrize("name", ["square", "slots_parallel"])
+@pytest.mark.parametrize("name", ["square", "street_parallel"])
 def test_bay_numbers_are_upright_for_the_cameras_of_the_lot(name):
     layout, spec = make_layout(name), mujoco.MjSpec()
     add_bay_numbers(spec, layout)

@@ -204,7 +204,7 @@ def test_impossible_scenes_are_one_sentence(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("layout", ["metadrive", "tpcap_3", "slots_single", "street"])
+@pytest.mark.parametrize("layout", ["metadrive", "tpcap_3", "lot", "street"])
 def test_every_lot_opens_by_its_name_alone(layout):
     assert ParkingEnv(default_env(SceneConfig(layout=layout, out="x.xml")))
 

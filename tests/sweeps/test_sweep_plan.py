@@ -11,7 +11,7 @@ from carpark_mj.sweeps.plan import Plan, checked_runs, runs, settings_of
 from carpark_mj.training.ppo.parts import PRESETS
 
 
-def axes(*texts, base="tanner-fixed"):
+def axes(*texts, base="square"):
     return tuple(read_axis(text, PRESETS[base]) for text in texts)
 
 
@@ -28,12 +28,12 @@ def axes(*texts, base="tanner-fixed"):
     ],
 )
 def test_an_axis_is_a_field_and_its_values(text, field, values):
-    axis = read_axis(text, PRESETS["tanner-dynamic"])
+    axis = read_axis(text, PRESETS["dynamic"])
     assert axis == Axis((field,), tuple((value,) for value in values))
 
 
 def test_every_combination_has_every_seed_and_its_own_folder():
-    plan = Plan("tanner-fixed", axes("num_agents=1..3", "clip=0.1,0.2"), 2, seed=5)
+    plan = Plan("square", axes("num_agents=1..3", "clip=0.1,0.2"), 2, seed=5)
     found = checked_runs(plan)
     assert len(plan) == len(found) == 3 * 2 * 2
     configs = [settings_of(run) for run in found]
@@ -45,17 +45,17 @@ def test_every_combination_has_every_seed_and_its_own_folder():
 
 
 def test_settings_of_one_value_are_in_no_name():
-    plan = Plan("tanner-fixed", axes("num_agents=2", "smoothness.by_speed=1"))
+    plan = Plan("square", axes("num_agents=2", "closeness=1"))
     [run] = checked_runs(plan)
     assert run.name == "seed=0"
     assert settings_of(run).env.num_agents == 2
-    assert settings_of(run).env.reward.extra["smoothness.by_speed"] == 1.0
+    assert settings_of(run).env.reward.closeness == 1.0
 
 
 def test_settings_can_change_together():
     fields = ("env.giving_way.scheme", "env.observation.global_information")
     axis = Axis(fields, (("L,L,S", "false"), ("G,G,A", "true")))
-    first, second = checked_runs(Plan("tanner-dynamic", (axis,)))
+    first, second = checked_runs(Plan("dynamic", (axis,)))
     assert not settings_of(first).env.observation.global_information
     assert settings_of(second).env.giving_way.scheme == "G,G,A"
 
@@ -69,7 +69,7 @@ def test_runs_render_no_video_unless_they_are_asked_to():
 
 def test_groups_differ_in_seeds_and_data_only():
     swept = axes("num_agents=1,2", "discount=0.9,0.95,0.99")
-    found = groups(checked_runs(Plan("tanner-fixed", swept, repeats=2)), 4)
+    found = groups(checked_runs(Plan("square", swept, repeats=2)), 4)
     assert sorted(map(len, found)) == [2, 2, 4, 4]
     for group in found:
         assert len({settings_of(run).env.num_agents for run in group}) == 1

@@ -1,14 +1,10 @@
 """Training on several devices: as on one, and with noise of their own."""
 
 import dataclasses
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
 import numpy as np
-import pytest
 from helpers import splitting
 from helpers.sliding import SlidePhysics
 
@@ -25,42 +21,8 @@ from carpark_mj.wrappers.brax import BraxParking
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="module")
-def learned(tmp_path_factory):
-    """What an update learns from the same steps, by `variant/devices/what`."""
-    path = tmp_path_factory.mktemp("split") / "learned.npz"
-    paths = os.pathsep.join(str(ROOT / name) for name in ("", "tests"))
-    environment = {"JAX_NUM_CPU_DEVICES": "4", "PYTHONPATH": paths}
-    done = subprocess.run(
-        [sys.executable, splitting.__file__, str(path)],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    with np.load(path) as file:
-        return {name: file[name] for name in file.files}
-
-
-@pytest.mark.parametrize("variant", splitting.ACTIONS)
-@pytest.mark.parametrize("count", splitting.DEVICES[1:])
-def test_devices_learn_together_what_one_learns_from_all_their_steps(
-    learned, variant, count
-):
-    alone = f"{variant}/1/"
-    names = [name.removeprefix(alone) for name in learned if name.startswith(alone)]
-    assert "policy_loss" in names
-    for name in names:
-        # Sums in another order; the steps of Adam are of 1e-4 and 1e-3.
-        np.testing.assert_allclose(
-            learned[f"{variant}/{count}/{name}"],
-            learned[alone + name],
-            rtol=2e-5,
-            atol=2e-6,
-            err_msg=name,
-        )
+def test_devices_learn_together_what_one_learns_from_all_their_steps(tmp_path):
+    splitting.assert_alike(splitting.learned_by("brax", tmp_path / "learned.npz"))
 
 
 def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):

@@ -15,7 +15,8 @@ from carpark_mj.config.goals import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
+from carpark_mj.registry import DYNAMIC as DYNAMIC_ENV
+from carpark_mj.registry import SQUARE
 from carpark_mj.training.metrics_log import read_metrics
 from carpark_mj.training.ppo.arguments import MAX_SEEDS, parse_seeds, read_runs
 from carpark_mj.training.ppo.config import PPOConfig
@@ -34,17 +35,18 @@ FIXED = PPOConfig(
     checkpoint_minutes=1e-9,  # after every update
     curriculum=dataclasses.replace(PPOConfig().curriculum, discount_end=0.995),
     networks=NetworkConfig((16,), (16,), encoder="flat"),
-    env=dataclasses.replace(TANNER_FIXED, num_agents=2, num_parked_cars=4),
+    env=dataclasses.replace(SQUARE, physics="bicycle", num_agents=2, num_parked_cars=4),
 )
 # No weight of the rewards that can differ is 0.
 DYNAMIC = dataclasses.replace(
     FIXED,
     env=dataclasses.replace(
-        TANNER_DYNAMIC,
+        DYNAMIC_ENV,
+        physics="bicycle",
         num_agents=2,
         num_parked_cars=4,
         observation=dataclasses.replace(
-            TANNER_DYNAMIC.observation, global_information=True
+            DYNAMIC_ENV.observation, global_information=True
         ),
         giving_way=GivingWayConfig("G,G,A", bad_goal=-0.2),
         reward=RewardConfig(

@@ -15,14 +15,12 @@ from carpark_mj.policy.runs import (
     latest_checkpoint,
     save_checkpoint,
 )
-from carpark_mj.studies.pandita.sac.config import SACConfig
-from carpark_mj.studies.tanner.q_learning.config import QLearningConfig
 from carpark_mj.training.memory import device_memory, require_memory
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.run_folder import LOCK, open_run, read_header
 from carpark_mj.training.settings import read_config
 
-TRAINERS = (PPOConfig, QLearningConfig, SACConfig)
+TRAINERS = (PPOConfig,)
 NAMES = ("../../x", "/tmp/x", "a/b", "a\\b", "..", ".", " ", "\t", "a\nb", "a\0b")
 
 

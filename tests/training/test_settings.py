@@ -7,8 +7,6 @@ import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.files import write_json
-from carpark_mj.studies.tanner.environments import TANNER_FIXED
-from carpark_mj.studies.tanner.q_learning.presets import Q_PRESETS, Q_SUMMARIES
 from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS, summaries
 from carpark_mj.training.run_folder import describe
@@ -24,18 +22,18 @@ def read(*arguments):
 def test_a_preset_gives_the_defaults_and_flags_change_them():
     assert read() == PRESETS["cpu"]
     assert read("--preset", "auto") == PRESETS["cpu"]
-    changed = read("--seed", "3", "--preset=tanner-fixed", "--env.num-agents", "6")
+    changed = read("--seed", "3", "--preset=square", "--env.num-agents", "6")
     expected = dataclasses.replace(
-        PRESETS["tanner-fixed"],
+        PRESETS["square"],
         seed=3,
-        env=dataclasses.replace(TANNER_FIXED, num_agents=6),
+        env=dataclasses.replace(PRESETS["square"].env, num_agents=6),
     )
     assert changed == expected
 
 
 def test_settings_need_to_fit_the_named_preset_only():
-    # 128 lots x 7 agents divide by 28, the default's 128 x 2 do not.
-    assert read("--preset", "tanner-fixed", "--num-minibatches", "28").num_lots == 128
+    # 8192 lots x 7 agents divide by 28, the default's 128 x 2 do not.
+    assert read("--preset", "square", "--num-minibatches", "28").num_lots == 8192
     with pytest.raises(ValueError, match="256 must be a multiple of"):
         read("--num-minibatches", "28")
 
@@ -47,20 +45,11 @@ def test_agents_that_stay_put_are_refused():
         PPOConfig(env=still)
 
 
-def test_other_trainers_have_their_own_presets():
-    default = Q_PRESETS["tanner-qlearning"]
-    name = "tanner-qlearning-rings"
-    arguments = (default, Q_PRESETS, ["--preset", name], None, (), Q_SUMMARIES)
-    assert read_settings(*arguments) == Q_PRESETS[name]
-    with pytest.raises(ValueError, match=r"'cpu' .*tanner-qlearning-rings"):
-        read_settings(default, Q_PRESETS, ["--preset", "cpu"], None, (), Q_SUMMARIES)
-
-
 def test_the_help_is_of_the_named_preset(capsys):
     with pytest.raises(SystemExit) as stop:
-        read("--preset", "tanner-fixed-original", "--help")
+        read("--preset", "square", "--help")
     assert stop.value.code == 0
-    assert "12800000" in capsys.readouterr().out
+    assert "3700000000" in capsys.readouterr().out
 
 
 def test_the_short_help_lists_the_run_and_names_the_rest(capsys):
@@ -103,7 +92,7 @@ def test_a_resumed_run_keeps_its_preset(tmp_path):
     flags = ["--resume", str(tmp_path), "--preset"]
     assert read(*flags, "cpu").seed == 4
     with pytest.raises(ValueError, match="keeps its own settings: drop preset"):
-        read(*flags, "tanner-fixed")
+        read(*flags, "square")
 
 
 def test_a_resumed_run_is_given_no_setting_even_if_it_is_the_preset_s(tmp_path):

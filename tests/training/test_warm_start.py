@@ -356,13 +356,6 @@ def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
         networks=NetworkConfig((16,), (16,), encoder="flat"),
         env=WIDER.env,
     )
-    refused(
-        tmp_path,
-        ValueError,
-        r"was trained for other actions",
-        warm_start=folder,
-        env=dataclasses.replace(WIDER.env, physics="grid", sim=SimConfig()),
-    )
 
 
 def test_agents_that_observe_a_new_kind_of_entities_act_as_before_and_learn_from_it(

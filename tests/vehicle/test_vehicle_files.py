@@ -16,7 +16,6 @@ from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.fleet.draw import Fleet
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.scene.car_style import STYLES, nearest_style
-from carpark_mj.studies.cederle.junction.config import JunctionConfig
 from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle, preset
 from carpark_mj.vehicle.file import parameters_text, read_sheet
 from carpark_mj.vehicle.parameters import TyreParameters
@@ -60,9 +59,7 @@ def test_a_config_keeps_the_parameters_and_not_the_path(file):
         configure({"agents": 1, "vehicle": file}),
     )
     fleet = FleetConfig(agents=(file, "van"), parked_cars=(file,))
-    junction = JunctionConfig(vehicle=file)
     Path(file).unlink()
-    assert preset(junction.vehicle) == car
     assert [Fleet(c, preset(c.vehicle)).agent_names for c in configs] == [
         ("my_car",)
     ] * 4

@@ -6,10 +6,10 @@ import pytest
 
 import carpark_mj
 from carpark_mj.config import EnvConfig, EpisodeConfig
-from carpark_mj.registration import ENTRY_POINTS
-from carpark_mj.studies.cederle.adapters.pettingzoo import junction_parallel_env
 
-PARK, GOAL, SLOTS, MANY = ENTRY_POINTS
+PARK, GOAL, MANY = (
+    f"carpark_mj/{name}-v0" for name in ("Park", "ParkGoal", "ParkMany")
+)
 QUICK = EnvConfig(
     layout="square_compact",
     num_parked_cars=4,
@@ -142,13 +142,6 @@ def test_agents_of_pettingzoo_have_options_by_name():
         env.reset(options={"agent_2": START})
     with pytest.raises(ValueError, match="unknown option 'x'"):
         env.reset(options={"agent_0": {"x": 1.0}})
-
-
-def test_junctions_have_none():
-    pytest.importorskip("pettingzoo")
-    env = junction_parallel_env()
-    with pytest.raises(ValueError, match=r"JunctionEnv\.reset takes no options"):
-        env.reset(seed=0, options={"agent_0": {"speed": 1.0}})
 
 
 def test_torchrl_takes_those_of_all_lots():

@@ -154,15 +154,6 @@ def test_impossible_actions_are_refused(action, message):
         env.step(action)
 
 
-@pytest.mark.parametrize("action", [[np.nan, 0.0], [0.9, 0.0]])
-def test_actions_on_the_grid_are_integers(action):
-    env = make(config="tanner-fixed")
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=f"integers, not {action[0]} .lot 0, agent 0"):
-        env.step(np.array(action))
-    env.step(np.array([1.0, 0.0]))
-
-
 @pytest.mark.parametrize(
     ("name", "options", "error", "message"),
     [
@@ -212,8 +203,6 @@ def test_no_environment_of_many_is_an_absent_agent():
             "layout": "hope_extreme_parallel",
             "physics": "bicycle",
         },
-        {"config": "pandita"},
-        {"layout": "slots", "parked_cars": 0, "physics": "bicycle"},
         {
             "layout": mixture(["square", "tpcap"]),
             "parked_cars": 0,
@@ -237,7 +226,7 @@ def test_only_what_grows_beyond_the_lot_has_wider_bounds():
 
     fields = make_fields(EnvConfig(num_agents=1))
     names = np.repeat([f.name for f in fields], [f.size for f in fields])
-    lot, street = box(layout="square_compact"), box(layout="slots", num_parked_cars=4)
+    lot, street = box(layout="square_compact"), box(layout="street", num_parked_cars=4)
     assert np.isfinite(street.high).all()
     assert {*names[street.high > lot.high]} >= {"goal_position", "goal_distance"}
     same = {"speed", "steering", "goal_heading", "goal_near", "in_bay", "yaw_rate"}
@@ -250,12 +239,6 @@ def test_only_what_grows_beyond_the_lot_has_wider_bounds():
 def test_there_is_no_single_environment_of_many():
     with pytest.raises(gymnasium.error.Error, match="use gymnasium"):
         gymnasium.make(MANY)
-
-
-def test_the_grid_has_indices_for_actions():
-    env = make(config="tanner-qlearning")
-    check_env(env, skip_render_check=True)
-    assert env.action_space == gymnasium.spaces.MultiDiscrete([3, 3], dtype=np.int32)
 
 
 def test_pictures_show_the_lot_and_what_has_moved():

@@ -11,7 +11,6 @@ import pytest
 
 from carpark_mj.config import REWARDS, EpisodeConfig
 from carpark_mj.observations import ContinuousObservation, make_fields
-from carpark_mj.studies.tanner.environments import TANNER_QLEARNING
 from carpark_mj.tasks.goal_pose import POSE, pose_norm
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.gymnasium_goal import goal_config
@@ -142,14 +141,6 @@ def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it(goal):
 def test_what_cannot_be_relabelled_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         GoalParking(dataclasses.replace(ONE, **changes))
-
-
-def test_any_encoder_may_say_what_reveals_the_goal():
-    task = dataclasses.replace(
-        TANNER_QLEARNING, episode=ONE.episode, reward=REWARDS["pose"]
-    )
-    assert {field.name for field in make_fields(task)} == {"level", "bearing"}
-    assert [field.name for field in GoalParking(task).fields] == ["level"]
 
 
 def test_the_weights_of_the_reward_may_be_others():

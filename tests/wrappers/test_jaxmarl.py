@@ -74,13 +74,13 @@ def test_the_same_keys_give_the_same_steps(env):
 
 
 def test_q_learners_have_numbered_actions():
-    env = JaxMarlParking(config="tanner-qlearning", discrete=True)
+    env = JaxMarlParking(agents=1, physics="bicycle", discrete=True)
     manager = CTRolloutManager(env, batch_size=3)
     observation, state = manager.batch_reset(jax.random.key(0))
     assert observation["__all__"].shape[0] == 3
     actions = manager.batch_sample(jax.random.key(1), "agent_0")
     assert actions.shape == (3,)
-    assert actions.max() < env.action_space("agent_0").n == 9
+    assert actions.max() < env.action_space("agent_0").n == 77
     manager.batch_step(jax.random.key(2), state, {"agent_0": actions})
 
 

@@ -16,7 +16,7 @@ def test_every_option_sets_its_field():
             "agents": 3,
             "parked_cars": 5,
             "rule": "precise",
-            "reward": "tanner",
+            "reward": "pose",
             "physics": "bicycle",
         }
     )
@@ -25,7 +25,7 @@ def test_every_option_sets_its_field():
         num_agents=3,
         num_parked_cars=5,
         episode=EpisodeConfig(parked_rule="precise"),
-        reward=REWARDS["tanner"],
+        reward=REWARDS["pose"],
         physics="bicycle",
     )
 

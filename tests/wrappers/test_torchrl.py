@@ -11,7 +11,6 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from carpark_mj.config import EnvConfig, SensorConfig
-from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
 SMALL = {"agents": 2, "parked_cars": 2, "physics": "bicycle"}
@@ -44,10 +43,9 @@ def rollout(env):
     [
         SMALL,
         SMALL | {"discrete": True},
-        {"config": TANNER_DYNAMIC, "agents": 2, "discrete": True},
         {"config": EnvConfig(num_agents=3, min_agents=1, physics="bicycle")},
     ],
-    ids=["continuous", "discrete", "indices", "absent"],
+    ids=["continuous", "discrete", "absent"],
 )
 def test_torchrl_accepts_the_environment(options):
     check_env_specs(TorchRLParking(3, seed=0, **options))
@@ -167,7 +165,7 @@ def test_bad_input_is_refused(env):
     with pytest.raises(ValueError, match="device must be cpu"):
         TorchRLParking(device="meta")
     with pytest.raises(ValueError, match="give discrete=True"):
-        TorchRLParking(config=TANNER_DYNAMIC)
+        TorchRLParking(config="dynamic")
 
 
 def test_nan_is_sanitized_on_the_device(env):

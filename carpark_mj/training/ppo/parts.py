@@ -1,4 +1,4 @@
-"""Presets and variants of PPO by name: ours, and those of studies and extensions.
+"""Presets and variants of PPO by name: ours, and those of the suite and extensions.
 
 They are imported when they are used.
 """

@@ -10,13 +10,10 @@ import pytest
 from helpers.scenes import lot
 from helpers.spawning import surroundings_of
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, GoalConfig, SpawnConfig
-from carpark_mj.env import ParkingEnv
+from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.poses import redraw, spawn_pose, spawn_shapes
-from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
-from carpark_mj.types import NO_BAY
 
 # One candidate a round, and others in three corners of the square of 23.6 m.
 ONE = SpawnConfig(close_ratio=0.0, num_candidates=1, min_distance=16.0)
@@ -86,88 +83,3 @@ def test_a_close_start_has_one_walk_on_a_grid_and_a_walk_per_candidate_elsewhere
     # Deviation 1.1 %: five of them.
     expected = kept + (1 - kept) * by_chance
     assert share_close(grid) == pytest.approx(expected, abs=0.056)
-
-
-@pytest.mark.parametrize("config", [TANNER_FIXED, TANNER_DYNAMIC], ids=["fixed", "dyn"])
-def test_all_starts_of_the_study_s_tasks_keep_their_distance(config):
-    env = ParkingEnv(config)
-    agents, spec = env.num_agents, env.action_spec
-
-    def run(key):
-        state, _ = env.reset(key)
-
-        def step(state, key):
-            action = jax.random.randint(key, (agents, spec.size), 0, 5)
-            action = jnp.minimum(action, jnp.array(spec.choices) - 1)
-            state, timestep = env.step(state, action)
-            return state, (state.motion.xy, timestep.events.done)
-
-        first = state.motion.xy
-        return first, jax.lax.scan(step, state, jax.random.split(key, 60))[1]
-
-    keys = jax.random.split(jax.random.key(4), 64)
-    first, (xy, done) = jax.device_get(jax.jit(jax.vmap(run))(keys))
-    least = config.spawn.min_distance - 1e-4
-
-    def gaps(xy):
-        gap = np.linalg.norm(xy[..., :, None, :] - xy[..., None, :, :], axis=-1)
-        return np.where(np.eye(agents, dtype=bool), np.inf, gap).min(axis=-1)
-
-    assert gaps(first).min() > least
-    # Of agents that begin in one step the first to be placed may be too near to where
-    # the next one ended; alone they keep their distance to all.
-    alone = done.sum(axis=2) == 1
-    assert (done.any(axis=2) & alone).sum() > 50
-    assert gaps(xy)[alone][done[alone]].min() > least
-
-
-def test_a_lot_of_agents_that_choose_begins_with_starts_of_all_kinds_if_asked():
-    three = GoalConfig(dynamic=True, num_tracked_bays=3)
-
-    def goals(**spawn):
-        changed = dataclasses.replace(TANNER_DYNAMIC.spawn, close_ratio=0.5, **spawn)
-        task = dataclasses.replace(TANNER_DYNAMIC, spawn=changed, goals=three)
-        env = ParkingEnv(task)
-        keys = jax.random.split(jax.random.key(5), 200)
-        state, _ = jax.jit(jax.vmap(env.reset))(keys)
-        assert state.tracked_bays is not None
-        goal, tracked = np.asarray(state.goal), np.asarray(state.tracked_bays)
-        has = goal != NO_BAY
-        assert (tracked == goal[..., None]).any(axis=-1)[has].all()
-        taken = goal[:, :, None] == goal[:, None, :]
-        shared = (taken & has[:, :, None]).sum(axis=2) > 1
-        return has.mean(), shared.mean()
-
-    assert goals(kinds_at_reset=False) == (0.0, 0.0)
-    close, alone = goals(conflict_ratio=0.0)
-    assert 0.15 < close <= 0.27  # half of the close ones, if they track the bay
-    has, shared = goals(conflict_ratio=0.5)
-    # Those in conflict as well, if anybody's goal is among their bays.
-    assert has > close + 0.03
-    assert shared > alone + 0.06
-
-
-def test_the_study_s_fixed_goals_may_repeat():
-    spawn = dataclasses.replace(TANNER_FIXED.spawn, close_ratio=0.0, conflict_ratio=0.0)
-    config = dataclasses.replace(
-        TANNER_FIXED, num_agents=1, num_parked_cars=3, layout="square", spawn=spawn
-    )
-    again = 0
-    for may_repeat in (True, False):
-        goals = dataclasses.replace(config.goals, may_repeat=may_repeat)
-        episode = dataclasses.replace(config.episode, max_steps=1)
-        task = dataclasses.replace(config, goals=goals, episode=episode)
-        env = ParkingEnv(task)
-
-        def run(key, env=env):
-            state, _ = env.reset(key)
-            action = jnp.array([[2, 3]])
-            return state.goal, env.step(state, action)[0].goal
-
-        keys = jax.random.split(jax.random.key(6), 3600)
-        old, new = jax.device_get(jax.jit(jax.vmap(run))(keys))
-        again = (old == new).sum()
-        # Every 36th of 3600: deviation 10, five of them.
-        assert abs(again - 100) < 50 if may_repeat else again == 0
-    with pytest.raises(ValueError, match="may_repeat needs fixed goals"):
-        EnvConfig(goals=GoalConfig(dynamic=True, may_repeat=True))

@@ -1,1 +1,0 @@
-"""The studies behind this gym, each an extension of the core (`extensions`)."""

@@ -1,5 +1,0 @@
-"""Cederle 2023: automated cars that cross a junction."""
-
-from carpark_mj.studies.cederle import programs
-
-__all__ = ["programs"]

@@ -1,0 +1,292 @@
+"""The level `busy`: people, a cart or another car get in the way.
+
+The 1,000 held-out cases are of five groups in turn, in an aisle between two rows of
+perpendicular bays. The package stores them in whole millimetres, 1e-4 rad, mm/s and ms.
+`write` draws the same bytes again.
+"""
+
+import dataclasses
+import functools
+import math
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config import EnvConfig, LayoutConfig, MetricsConfig
+from carpark_mj.geometry import norm
+from carpark_mj.layouts.build import (
+    assemble,
+    bays,
+    boundary,
+    lanes,
+    spawns_in,
+    two_lanes,
+)
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.types import Layout, WallKind
+from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.movers.pedestrians import Pedestrians
+from carpark_mj.suite.levels import (
+    EXTRA_LEVELS,
+    Cases,
+    CaseStart,
+    ExtraLevel,
+    read_published,
+)
+from carpark_mj.suite.scripts import (
+    WAITS,
+    Script,
+    ScriptedBox,
+    ScriptedPerson,
+)
+from carpark_mj.suite.tpcap import TPCAP_CAR
+
+COLUMNS = 10  # bays in a row
+WIDTH, LENGTH = 2.5, 5.0  # m, of a bay
+END = 4.5  # m of aisle beyond the rows
+HALF_X = COLUMNS * WIDTH / 2 + END  # m
+WALL = 0.25  # m, thickness
+
+
+def bay_x(column: Any) -> Any:
+    """X of the middles of bays [m]."""
+    return (column - (COLUMNS - 1) / 2) * WIDTH
+
+
+def aisle_lot(aisle: jax.Array, absent: jax.Array) -> Layout:
+    """A lot; bays 0 to 9 are the lower row, 10 to 19 the upper one, from the left.
+
+    Args:
+        aisle: its width [m].
+        absent: number of a bay that the lot lacks; -1 = none.
+    """
+    middle = aisle / 2 + LENGTH / 2
+    x = bay_x(jnp.arange(COLUMNS))
+    low = jnp.stack(jnp.broadcast_arrays(x, -middle, jnp.pi / 2), axis=-1)
+    high = jnp.stack(jnp.broadcast_arrays(x, middle, -jnp.pi / 2), axis=-1)
+    there = jnp.arange(2 * COLUMNS) != absent
+    half_y = aisle / 2 + LENGTH
+    ground = jnp.stack([jnp.float32(2 * HALF_X), aisle])
+    lane = two_lanes(jnp.zeros(3), ground)
+    return assemble(
+        jnp.stack([jnp.float32(HALF_X), half_y]),
+        bays(jnp.concatenate([low, high]), (LENGTH, WIDTH), mask=there),
+        boundary(HALF_X, half_y, WALL, WallKind.WALL),
+        lanes(*lane, one_way=False),
+        spawns_in(DesignCar(), jnp.zeros((1, 3)), ground[None]),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class BusyAisle(LayoutConfig):
+    """An aisle between two rows of ten bays.
+
+    Attributes:
+        aisle: range of its width [m].
+        family: fixed.
+    """
+
+    aisle: tuple[float, float] = (6.0, 7.0)
+    family: str = "busy_aisle"
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays: one may be absent."""
+        return 2 * COLUMNS - 1
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws the width."""
+        low, high = self.aisle
+        width = jax.random.uniform(key, minval=low, maxval=high)
+        return aisle_lot(width, jnp.int32(-1))
+
+
+VERSION = 1
+FILE = Path(__file__).with_name(f"busy_{VERSION}.npz")
+SHA256 = "6004375ac7decf7dd5d427f72a45b2f20f606a670a4d605a124abec02d2c4c63"
+CASES = 1000
+GROUPS = ("crossing", "dart_out", "backing_out", "cart", "crowded_aisle")
+STEP = 1e-3  # m, m/s, m/s² or s of the whole numbers in the file
+RADIAN = 1e-4
+CHILD, ADULT = 0.5, 0.56  # m, twice the radius
+PACE = 2.0  # m/s, of a car that is met
+CART = (1.0, 0.6)  # m
+
+
+@functools.cache
+def load_held_out() -> dict[str, np.ndarray]:
+    """The columns of the cases, (1000, ...) whole numbers; see `draw_case`.
+
+    Raises:
+        ValueError: the file in the package is not the published one.
+    """
+    return read_published(FILE, SHA256)
+
+
+def draw_case(number: int) -> dict[str, list[float]]:
+    """Draws a case in metres, radians and seconds.
+
+    Returns:
+        `aisle`, its width; the car's `pose` and the bay `goal`; `absent`, a bay that
+        the lot lacks; and of `Script` the fields of what gets in the way.
+    """
+    rng = np.random.default_rng([VERSION, number])
+    group = GROUPS[number % len(GROUPS)]
+
+    def draw(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    aisle = draw(6.0, 7.0)
+    pose = [-HALF_X + draw(3.0, 4.0), -aisle / 4 + draw(-0.2, 0.2), draw(-0.05, 0.05)]
+    goal = int(rng.integers(2)) * COLUMNS + int(rng.integers(6, COLUMNS))
+    column, side = int(rng.integers(3, 6)), 1.0 - 2.0 * int(rng.integers(2))
+    edge, across = side * aisle / 2, -side * math.pi / 2  # rows, and the way out of one
+    between = bay_x(column) + WIDTH / 2  # two bays
+    absent = -1
+    script: dict[str, Any] = {
+        "pause": 0.0,
+        "returns": 0.0,
+        "slowing": 0.0,
+        "direction": across,
+    }
+
+    def meet(depth: float) -> float:
+        """How far off a car is that comes at `PACE` as somebody reaches its way."""
+        way = abs(edge + side * depth - pose[1])
+        return TPCAP_CAR.length / 2 + PACE * way / script["speed"]
+
+    if group == "dart_out":  # from the gap between two cars into that opposite
+        depth = draw(0.8, 1.5)
+        script |= {"start": [between, edge + side * depth, across]}
+        script |= {"distance": aisle + 2 * depth, "speed": draw(2.0, 3.0)}
+        script |= {"trigger": meet(depth) + draw(0.0, 2.0), "size": [CHILD, CHILD]}
+    elif group == "backing_out":  # a car parked nose in
+        absent = column + (COLUMNS if side > 0 else 0)
+        start = [
+            bay_x(column),
+            edge + side * LENGTH / 2,
+            math.remainder(across + math.pi, math.tau),
+        ]
+        script |= {"start": start, "distance": draw(2.5, aisle - 1.5)}
+        script |= {"speed": draw(0.6, 1.2), "trigger": draw(6.0, 11.0)}
+        script |= {"pause": draw(1.0, 4.0), "returns": 1.0}
+        script |= {"size": [TPCAP_CAR.length, TPCAP_CAR.width]}
+    elif group == "cart":  # rolls askew and stays where it stops
+        yaw = across + draw(-0.7, 0.7)
+        way = (aisle - 1.2) / math.cos(yaw - across)
+        script |= {"start": [between, edge - side * 0.6, yaw], "direction": yaw}
+        script |= {"distance": way, "speed": draw(0.8, 1.8)}
+        script |= {"slowing": draw(0.1, 0.3), "trigger": draw(5.0, 10.0)}
+        script |= {"size": list(CART)}
+    else:  # from the line of one row into the other; absent in a crowded aisle
+        script |= {"start": [between, edge + side * 0.4, across]}
+        script |= {"distance": aisle + 1.2, "speed": draw(0.9, 1.7)}
+        script |= {"trigger": meet(0.4) + draw(0.0, 2.5), "size": [ADULT, ADULT]}
+    car = {"aisle": aisle, "pose": pose, "goal": goal, "absent": absent}
+    return {name: np.atleast_1d(x).tolist() for name, x in (car | script).items()}
+
+
+def unit(name: str, width: int) -> np.ndarray:
+    """(width,) steps of a column's whole numbers."""
+    if name in ("goal", "absent", "returns"):
+        return np.ones(1)
+    steps = np.full(width, STEP)
+    if name == "direction" or width == 3:
+        steps[-1] = RADIAN
+    return steps
+
+
+def draw_cases(count: int = CASES) -> dict[str, np.ndarray]:
+    """Draws the first cases as the file has them: (count, ...) whole numbers."""
+    cases = [draw_case(number) for number in range(count)]
+    columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
+    return {
+        name: np.rint(x / unit(name, x.shape[1])).astype(np.int16)
+        for name, x in columns.items()
+    }
+
+
+def write(path: Path) -> None:
+    """Draws all cases and writes them."""
+    with path.open("wb") as file:  # by name, savez would choose another suffix
+        np.savez(file, allow_pickle=False, **draw_cases())
+
+
+NAME = "busy"
+PARKED = 14  # cars
+CLEAR = 4.0  # m about the middle of the car that nobody stands in at first
+CROWD = Pedestrians(number=12)
+PERSON, BOX = ScriptedPerson(), ScriptedBox()
+BY_PERSON, BY_BOX = ("crossing", "dart_out"), ("backing_out", "cart")
+EXTRA = ("near_misses", "min_person_gap", "person_speed", "hard_braking", "waiting")
+
+
+def busy_env(env: EnvConfig) -> EnvConfig:
+    """An environment of the suite with the busy aisle and all that gets in the way."""
+    return dataclasses.replace(
+        env,
+        layout=BusyAisle(),
+        num_parked_cars=PARKED,
+        movers=(PERSON, BOX, CROWD),
+        metrics=MetricsConfig(safety=True, extra=EXTRA),
+    )
+
+
+def pick(which: slice) -> Cases:
+    """Cases that follow each other."""
+    number = np.arange(CASES)[which]
+    columns = {name: x[which] for name, x in load_held_out().items()}
+    group = number % len(GROUPS)
+    layouts, start = _begin(columns, number, group)
+    return Cases(NAME, number, np.array(GROUPS)[group], layouts, start)
+
+
+@functools.partial(jax.jit)
+def _begin(columns: Any, number: jax.Array, group: jax.Array) -> Any:
+    return jax.vmap(_case)(columns, number, group)
+
+
+def _case(columns: Any, number: jax.Array, group: jax.Array) -> Any:
+    """The layout and the start of a case."""
+    case = {
+        name: x * jnp.asarray(unit(name, x.shape[0]), jnp.float32)
+        for name, x in columns.items()
+    }
+
+    def single(name: str) -> jax.Array:
+        return case[name][0]
+
+    key = jax.random.key(number)
+    layout = aisle_lot(single("aisle"), columns["absent"][0])
+    present = [
+        jnp.isin(group, jnp.array([GROUPS.index(x) for x in names]))
+        for names in (BY_PERSON, BY_BOX, ("crowded_aisle",))
+    ]
+    names = ("direction", "distance", "speed", "slowing", "pause", "trigger")
+    script = Script(
+        start=case["start"],
+        **{name: single(name) for name in names},
+        returns=single("returns") > 0,
+        size=case["size"],
+        present=present[0],
+        clock=jnp.float32(WAITS),
+        velocity=jnp.zeros(2),
+    )
+    crowd = CROWD.init(jax.random.fold_in(key, 1), layout)
+    away = norm(crowd.xy - case["pose"][:2]) > CLEAR
+    movers = (
+        script,
+        dataclasses.replace(script, present=present[1]),
+        dataclasses.replace(crowd, present=crowd.present & away & present[2]),
+    )
+    options = ResetOptions(pose=case["pose"][None], goal=columns["goal"])
+    return layout, CaseStart(key, options, movers)
+
+
+EXTRA_LEVELS.register(
+    NAME,
+    ExtraLevel(range(CASES), SHA256, pick, busy_env),
+)

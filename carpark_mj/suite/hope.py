@@ -1,0 +1,358 @@
+"""Cases of graded difficulty: HOPE's levels normal, complex and extreme.
+
+Numbers are those of HOPE's program (Jiang et al. 2024, arXiv 2405.20579; repository
+jiamiya/HOPE, `configs.py` and `env/parking_map_normal.py` of July 2024). One car starts
+in an aisle and parks between two obstacles in front of a wall. Sizes are relative to
+the car, so that a level exists for any car.
+
+Deviations: HOPE's solid obstacles are quadrilaterals, ours boxes with the same face
+towards the bay; its obstacles beyond the aisle have corners moved by up to 0.5 m, ours
+are up to 0.5 m longer and wider; and the bay, which reaches 0.1 m beyond the parked car
+on all sides, is free of them and of the start.
+HOPE counts a car as parked that covers 95 % of the goal; our parked rules apply.
+"""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config import (
+    EpisodeConfig,
+    FleetConfig,
+    JitterConfig,
+    LayoutConfig,
+    RandomizationConfig,
+    RayConfig,
+    SensorConfig,
+    SpawnConfig,
+    register_layout,
+)
+from carpark_mj.extensions import Entry
+from carpark_mj.geometry import box_corners, box_distance, boxes_overlap, move_forward
+from carpark_mj.layouts.build import assemble, bays, spawns, walls
+from carpark_mj.layouts.standards import (
+    DesignCar,
+    Level,
+    Orientation,
+    TightBay,
+    tight_bay,
+)
+from carpark_mj.layouts.types import Layout, WallKind
+from carpark_mj.observations import ContinuousObservation
+from carpark_mj.registry import ANYWHERE, ENVIRONMENTS
+from carpark_mj.suite.tpcap import START, TPCAP_CAR
+from carpark_mj.training.ppo.parts import PRESET_ENTRIES
+
+MARGIN = 0.1  # m from the parked car to the nearest obstacle, and to the bay's lines
+SOLID = 0.5  # share of the sides with a solid obstacle instead of parked cars
+FARTHER = 0.7  # share of the places beyond the next parked car that are taken
+WALLED = 0.2  # share of the aisles with a wall opposite instead of scattered boxes
+TILT = (math.pi / 36, math.pi / 12)  # rad, of parked cars: deviation and its bound
+SETBACK = (0.4, 0.2, 0.8)  # m from the wall behind: mean, deviation and bound
+SCATTERED = {"normal": 3, "complex": 5, "extreme": 8}  # boxes beyond the aisle
+SCATTER = (2.0, 6.0, 8.0)  # m beyond the aisle: first and last centre, last edge
+START_HEADING = math.pi / 6  # rad, deviation from the aisle's direction
+START_ROOM = 1.0  # m between the start's rear axle and the aisle's edges
+FACE = 0.1  # m, thickness of a solid obstacle's slanted face
+WALL = 1.0  # m, thickness of the wall behind the bays
+OPPOSITE = 0.1  # m, thickness of the wall opposite
+ROUNDING = 2e-3  # m, room for start and bay beyond that: cases may be kept in mm
+
+
+@dataclasses.dataclass(frozen=True)
+class HopeConfig(LayoutConfig):
+    """A level of difficulty; lengths [m].
+
+    Attributes:
+        level: how much room there is, see `standards.tight_bay`.
+        orientation: of the bay to the aisle; `extreme` exists for `parallel` only.
+        car: the design car of the case; by default HOPE's and TPCAP's.
+        family: fixed.
+    """
+
+    level: Level = "normal"
+    orientation: Orientation = "perpendicular"
+    car: DesignCar = TPCAP_CAR
+    family: str = "hope"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.room
+
+    @property
+    def room(self) -> TightBay:
+        """The room that the level leaves; an unknown name is a ValueError."""
+        return tight_bay(self.orientation, self.level, self.car)
+
+    @property
+    def is_enclosed(self) -> bool:
+        """Cars can leave; no walls stand around the lot."""
+        return False
+
+    @property
+    def min_bays(self) -> int:
+        """One, the goal."""
+        return 1
+
+    @property
+    def half_length(self) -> float:
+        """Half the length of the wall behind the bays [m]."""
+        return 15.0 if self.orientation == "perpendicular" else 18.0
+
+    @property
+    def depth(self) -> float:
+        """How far parked cars can reach from the wall behind them [m]."""
+        return math.hypot(*self.car.size) + SETBACK[2] + MARGIN
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a case; the bay lies below the aisle, which runs along x."""
+        room_key, above_key, start_key = jax.random.split(key, 3)
+        size = jnp.array(self.car.size, float)
+        bay = size + 2 * MARGIN
+        goal, room = _until(lambda key: _draw_room(self, key), room_key)
+        corners = box_corners(room.pose, room.size)[..., 1]
+        edge = jnp.max(jnp.where(room.mask[:, None], corners, 0.0)) + MARGIN
+        above = _draw_above(self, edge, above_key)
+        obstacles = _join(room, above)
+
+        def draw_start(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+            pose = _draw_start(self, edge, key)
+            on_bay = boxes_overlap(pose, size + START + ROUNDING, goal, bay)
+            return ~(obstacles.meet(pose, size + START + ROUNDING) | on_bay), pose
+
+        start = _until(draw_start, start_key)
+        if self.orientation == "parallel":  # the goal faces the way the car starts
+            turned = jnp.where(jnp.cos(start[2]) < 0, jnp.pi, 0.0)
+            goal = goal.at[2].add(turned)
+        top = self.depth + self.room.aisle + SCATTER[2]
+        middle = jnp.array([0.0, (top - WALL) / 2, 0.0])
+        return assemble(
+            (self.half_length + self.car.length, (top + WALL) / 2),
+            bays((goal - middle)[None], bay),
+            walls(
+                obstacles.pose - middle, obstacles.size, WallKind.ISLAND, obstacles.mask
+            ),
+            spawns((start - middle)[None], (START, START), 0.0),
+        )
+
+
+# The levels that HOPE has.
+register_layout("hope_normal_perpendicular", HopeConfig())
+register_layout("hope_normal_parallel", HopeConfig("normal", "parallel"))
+register_layout("hope_complex_perpendicular", HopeConfig("complex"))
+register_layout("hope_complex_parallel", HopeConfig("complex", "parallel"))
+register_layout("hope_extreme_parallel", HopeConfig("extreme", "parallel"))
+
+
+class _Boxes(NamedTuple):
+    """Obstacles: poses (n, 3), sizes (n, 2), masks (n,)."""
+
+    pose: jax.Array
+    size: jax.Array
+    mask: jax.Array
+
+    def meet(self, pose: jax.Array, size: jax.Array) -> jax.Array:
+        """() bool, whether a box overlaps any of them."""
+        return (boxes_overlap(pose, size, self.pose, self.size) & self.mask).any()
+
+
+def _until(draw, key: jax.Array):
+    """Draws `(valid, value)` from fresh keys until valid; returns the value."""
+
+    def again(carry):
+        key, own = jax.random.split(carry[0])
+        return key, *draw(own)
+
+    return jax.lax.while_loop(lambda carry: ~carry[1], again, again((key,)))[2]
+
+
+def _join(*parts: _Boxes) -> _Boxes:
+    return _Boxes(*(jnp.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _normal(key: jax.Array, shape: tuple[int, ...], spread: float, bound: float):
+    """Normal numbers about 0, clipped."""
+    # In double precision where that is enabled, see `held_out`.
+    return jnp.clip(spread * jax.random.normal(key, shape, float), -bound, bound)
+
+
+def _stand(config: HopeConfig, x: jax.Array, tilt: jax.Array, setback: jax.Array):
+    """Poses (..., 3) of cars with the rear axle at x, so far from the wall at y = 0."""
+    car, along = config.car, config.orientation == "parallel"
+    yaw = tilt + (0.0 if along else jnp.pi / 2)
+    cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+    reach = (car.length * jnp.abs(sin) + car.width * jnp.abs(cos)) / 2
+    x = x + car.centre_offset * cos
+    return jnp.stack([x, reach + MARGIN + setback, yaw], axis=-1)
+
+
+def _setback(key: jax.Array) -> jax.Array:
+    mean, spread, bound = SETBACK
+    return jnp.clip(mean + spread * jax.random.normal(key, (), float), 0.0, bound)
+
+
+def _draw_room(config: HopeConfig, key: jax.Array):
+    """The goal and its surroundings: (whether it is a case, (goal, boxes))."""
+    tilt_key, setback_key, left_key, right_key = jax.random.split(key, 4)
+    size = jnp.array(config.car.size, float)
+    low, high = config.room.excess
+    goal = _stand(
+        config, jnp.zeros(()), _normal(tilt_key, (), *TILT), _setback(setback_key)
+    )
+    least = low if config.orientation == "parallel" else high
+    left = _draw_side(config, goal, -1, (least / 5, high * 4 / 5), left_key)
+
+    def gap(side: _Boxes) -> jax.Array:
+        return jnp.where(
+            side.mask, box_distance(goal, size, side.pose, side.size), jnp.inf
+        ).min()
+
+    at_left = gap(left)
+    rest = [jnp.maximum(x - at_left, 0.0) + MARGIN for x in (low, high)]
+    right = _draw_side(config, goal, 1, (rest[0], rest[1]), right_key)
+    at_right = gap(right)
+    behind = _Boxes(
+        jnp.array([[0.0, -WALL / 2, 0.0]]),
+        jnp.array([[2 * config.half_length, WALL]]),
+        jnp.ones(1, bool),
+    )
+    room = _join(behind, left, right)
+    total = at_left + at_right
+    bay = size + 2 * MARGIN + ROUNDING
+    valid = (total >= low) & (total <= high) & ~room.meet(goal, bay)
+    return valid & (jnp.minimum(at_left, at_right) >= MARGIN), (goal, room)
+
+
+def _draw_side(
+    config: HopeConfig,
+    goal: jax.Array,
+    way: int,
+    gap: tuple[jax.Array | float, jax.Array | float],
+    key: jax.Array,
+) -> _Boxes:
+    """Obstacles left (way -1) or right (1) of the goal, at a gap from a range."""
+    solid_key, block_key, cars_key = jax.random.split(key, 3)
+    solid = jax.random.bernoulli(solid_key, SOLID)
+    block = _draw_block(config, goal, way, gap, block_key)
+    cars = _draw_cars(config, way, gap, cars_key)
+    block = block._replace(mask=block.mask & solid)
+    return _join(block, cars._replace(mask=cars.mask & ~solid))
+
+
+def _draw_block(config, goal, way, gap, key: jax.Array) -> _Boxes:
+    """A solid obstacle: a slanted face, and a box from there to the wall's end."""
+    angle_key, radius_key = jax.random.split(key)
+    # The goal's corners on this side, the one at the aisle first.
+    if config.orientation == "parallel":
+        pick = (1, 2) if way < 0 else (0, 3)
+    else:
+        pick = (0, 1) if way < 0 else (3, 2)
+    corner = box_corners(goal, jnp.array(config.car.size, float))[jnp.array(pick)]
+    low, high = gap
+    spread = jax.random.normal(radius_key, (2,), float) * (high - low) / 4
+    radius = jnp.clip((low + high) / 2 + spread, low, high)
+    angle = _normal(angle_key, (2,), math.pi / 24, math.pi / 12)
+    step = jnp.stack([way * jnp.cos(angle), jnp.sin(angle)], axis=-1)
+    top, bottom = corner + radius[:, None] * step
+    along = top - bottom
+    length = jnp.linalg.norm(along)
+    outwards = way * jnp.array([along[1], -along[0]]) / length
+    face = jnp.append(
+        (top + bottom + FACE * outwards) / 2, jnp.arctan2(along[1], along[0])
+    )
+    inner = jnp.maximum(way * top[0], way * bottom[0])
+    width = jnp.maximum(config.half_length - inner, FACE)
+    box = jnp.stack([way * (inner + width / 2), top[1] / 2, jnp.zeros_like(width)])
+    return _Boxes(
+        jnp.stack([face, box]),
+        jnp.array([[length, FACE], [width, top[1]]]),
+        jnp.ones(2, bool),
+    )
+
+
+def _draw_cars(config, way, gap, key: jax.Array) -> _Boxes:
+    """Parked cars: one next to the goal, perhaps others beyond it."""
+    gap_key, tilt_key, setback_key, shift_key, taken_key = jax.random.split(key, 5)
+    parallel = config.orientation == "parallel"
+    count = 3 if parallel else 4
+    pitch = config.car.length if parallel else config.car.width
+    low, high = gap
+    gaps = low + (high - low) * jax.random.uniform(gap_key, (count,), float)
+    gaps = gaps + MARGIN * (jnp.arange(count) > 0)
+    shift = _normal(shift_key, (count,), 0.05, 0.1).at[0].set(0.0)
+    pose = _stand(
+        config,
+        way * jnp.cumsum(pitch + gaps),
+        _normal(tilt_key, (count,), *TILT),
+        _setback(setback_key) + jnp.cumsum(shift),
+    )
+    taken = jax.random.bernoulli(taken_key, FARTHER, (count,)).at[0].set(True)
+    size = jnp.broadcast_to(jnp.array(config.car.size, float), (count, 2))
+    return _Boxes(pose, size, taken)
+
+
+def _draw_above(config: HopeConfig, edge: jax.Array, key: jax.Array) -> _Boxes:
+    """Obstacles beyond the aisle, whose near edge is at y = `edge`."""
+    wall_key, centre_key, yaw_key, size_key = jax.random.split(key, 4)
+    walled = jax.random.bernoulli(wall_key, WALLED)
+    count, far = SCATTERED[config.level], edge + config.room.aisle
+    half, (first, last, end) = config.half_length, SCATTER
+    wall = jnp.array([[0.0, MARGIN + OPPOSITE / 2, 0.0]]) + far * jnp.array([0, 1, 0])
+    wall = _Boxes(wall, jnp.array([[2 * half, OPPOSITE]]), walled[None])
+    share = jax.random.uniform(centre_key, (count, 2), float)
+    x = (half - 2.0) * (2 * share[:, 0] - 1)
+    y = far + first + (last - first) * share[:, 1]
+    yaw = 2 * jnp.pi * jax.random.uniform(yaw_key, (count,), float)
+    pose = jnp.stack([x, y, yaw], axis=-1)
+    larger = 0.5 * jax.random.uniform(size_key, (count, 2), float)
+    size = jnp.array(config.car.size, float) + larger
+    corners = box_corners(pose, size)
+    inside = (jnp.abs(corners[..., 0]) <= half) & (corners[..., 1] >= far)
+    mask = (inside & (corners[..., 1] <= far + end)).all(axis=1)
+    for row in range(1, count):  # those drawn first stay
+        before = _Boxes(pose[:row], size[:row], mask[:row])
+        mask = mask.at[row].set(mask[row] & ~before.meet(pose[row], size[row]))
+    return _join(wall, _Boxes(pose, size, mask & ~walled))
+
+
+def _draw_start(config: HopeConfig, edge: jax.Array, key: jax.Array) -> jax.Array:
+    """Pose (3,) of the footprint's centre, anywhere in the aisle near the goal."""
+    place_key, yaw_key, back_key = jax.random.split(key, 3)
+    share = jax.random.uniform(place_key, (2,), float)
+    x = config.half_length / 2 * (2 * share[0] - 1)
+    y = edge + START_ROOM + (config.room.aisle - 2 * START_ROOM) * share[1]
+    yaw = _normal(yaw_key, (), START_HEADING, jnp.pi / 2)
+    yaw = yaw + jnp.where(jax.random.bernoulli(back_key), jnp.pi, 0.0)
+    return move_forward(jnp.stack([x, y, yaw]), config.car.centre_offset)
+
+
+# HOPE's levels (docs/hard_cases.md): one car without noise among boxes, seen by rays.
+HOPE = dataclasses.replace(
+    ANYWHERE,
+    layout="hope_normal_perpendicular,hope_normal_parallel,hope_complex_perpendicular,"
+    "hope_complex_parallel,hope_extreme_parallel",
+    vehicle="tpcap",
+    num_agents=1,
+    min_agents=None,
+    num_parked_cars=0,
+    occupancy=None,
+    fleet=FleetConfig(),
+    jitter=JitterConfig(),
+    spawn=SpawnConfig(close_ratio=0.0),
+    episode=EpisodeConfig(max_steps=500),  # 100 s, as in the suite
+    observation=ContinuousObservation(
+        tracked_agents=0,
+        tracked_parked_cars=0,
+        own_car=True,
+        lines=True,
+        rays=RayConfig(72, near=1.0),
+    ),
+    randomization=RandomizationConfig(),
+    sensors=SensorConfig(),
+)
+
+ENVIRONMENTS.register("hope", HOPE)
+PRESET_ENTRIES.register("hope", Entry("carpark_mj.suite.presets:HOPE"))

@@ -1,0 +1,397 @@
+"""Results of the suite as files: for other processes, for others to check.
+
+`cases.csv` has a row for each episode, with its rule and the versions of packages;
+`worst.npz` has the driven paths of the worst ones.
+
+`suite.json` has a result for each policy and level. Its `outcomes` have a string for
+each seed with a letter for each case, in order: p parked, c crashed, t timed out, d
+diverged. Rates follow from them. Results known from a table alone have `rates` instead.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from carpark_mj.config import find_rules
+from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
+from carpark_mj.evaluation.catalogue import metrics
+from carpark_mj.files import write_atomically, write_csv, write_json
+from carpark_mj.reading import (
+    TEXT,
+    Archive,
+    ArrayForm,
+    CsvRow,
+    read_csv,
+    read_object,
+    require_entries,
+)
+from carpark_mj.suite.evaluation import MOVING_CAR, Drives, has_moving_car
+from carpark_mj.suite.levels import (
+    EXTRA_LEVELS,
+    LEVELS,
+    case_numbers,
+    fingerprint,
+    in_order,
+    require_alike,
+    require_level,
+)
+from carpark_mj.types import ENDINGS
+
+CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
+_TEXT = ("policy", "rule", "held_out", "made_with", "level", "kind")
+_WHOLE = ("seed", "case")
+_NEEDED = (
+    *(*ENDINGS, "hit_agent", "length", "path", "gear_changes", "time_to_park"),
+    *("final_distance", "final_heading", "ms / decision"),
+)
+_PLANNED = ("planned", "planned_path", "planning_seconds")  # of the planner alone
+_LARGEST = 1e15  # of a number; sums of them are finite
+
+Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
+
+
+def key_of(row: Row) -> Key:
+    """Key of a row's episode."""
+    return row["policy"], row["level"], row["seed"], row["case"]
+
+
+def write_run(
+    folder: Path, episodes: Sequence[Row], drives: Mapping[Key, Drives]
+) -> list[Path]:
+    """Writes both files; returns them.
+
+    Args:
+        folder: where.
+        episodes: all of them; numbers that one lacks are left empty.
+        drives: of some of them, n = 1 each.
+    """
+    columns = list(dict.fromkeys(name for row in episodes for name in row))
+    cases = folder / CASES_FILE
+    write_csv(cases, [{n: row.get(n, "") for n in columns} for row in episodes])
+    policy, level, seed, case = (list(part) for part in zip(*drives, strict=True))
+    length = max(drive.speed.shape[1] for drive in drives.values())
+    arrays = {
+        name: np.concatenate([_pad(x, length) for x in parts])
+        for name, parts in zip(
+            Drives._fields, zip(*drives.values(), strict=True), strict=True
+        )
+    }
+    arrays |= {"policy": np.array(policy), "level": np.array(level)}
+    arrays |= {"seed": np.array(seed), "case": np.array(case)}
+    worst = folder / WORST_FILE
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+
+    write_atomically(worst, write)
+    return [cases, worst]
+
+
+def _pad(array: np.ndarray, length: int) -> np.ndarray:
+    more = [(0, 0)] * array.ndim
+    more[1] = (0, length - array.shape[1])
+    return np.pad(array, more)
+
+
+def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
+    """Reads and combines what `write_run` wrote into folders.
+
+    Raises:
+        ValueError: a file is malformed, repeats an episode, or has other cases than
+            this version; or rules, moving cars or a policy's versions of packages
+            differ.
+        OSError: a file cannot be read.
+    """
+    episodes: dict[Key, Row] = {}
+    drives: dict[Key, Drives] = {}
+    for folder in folders:
+        for row in _read_cases(folder / CASES_FILE):
+            key = key_of(row)
+            if key in episodes:
+                policy, level, seed, case = key
+                raise ValueError(
+                    f"{folder / CASES_FILE} repeats case {case} of {level} by {policy} "
+                    f"with seed {seed}, which a folder before it has"
+                )
+            episodes[key] = row
+        worst = folder / WORST_FILE
+        for key, drive in _read_worst(worst).items():
+            if key not in episodes or drive.speed.shape[1] < episodes[key]["length"]:
+                raise ValueError(
+                    f"{worst} has drives that are not those of {CASES_FILE}"
+                )
+            drives[key] = drive
+    if len({row.get(MOVING_CAR, 0) for row in episodes.values()}) > 1:
+        raise ValueError("results with and without a moving car do not mix")
+    require_alike({row["level"] for row in episodes.values()})
+    rules = sorted({row["rule"] for row in episodes.values()})
+    if len(rules) > 1:
+        raise ValueError(f"results under different rules do not mix: {rules}")
+    for policy in {row["policy"] for row in episodes.values()}:
+        own = [row for row in episodes.values() if row["policy"] == policy]
+        if len({frozenset(row.keys() - {*_PLANNED}) for row in own}) > 1:
+            raise ValueError(f"results of {policy} with different columns do not mix")
+        # Devices may differ: what stands before the first comma.
+        versions = sorted({row["made_with"].partition(", ")[2] for row in own})
+        if len(versions) > 1:
+            raise ValueError(
+                f"results of {policy} with different versions do not mix: {versions}"
+            )
+    order = sorted(episodes.values(), key=lambda row: (row["seed"], row["case"]))
+    return order, drives
+
+
+def _read_cases(path: Path) -> list[Row]:
+    rows = [_parse(row) for row in read_csv(path, *_TEXT, *_WHOLE, *_NEEDED)]
+    if not rows:
+        raise ValueError(f"{path} holds no episode")
+    for row in rows:
+        if row["held_out"] != fingerprint(row["level"]):
+            raise ValueError(
+                f"{path} is about other held-out cases, {row['held_out']!r}, not "
+                f"{fingerprint(row['level'])}"
+            )
+    return rows
+
+
+def _parse(row: CsvRow) -> Row:
+    parsed: Row = {}
+    for name, text in row.cells.items():
+        if name in _TEXT:
+            parsed[name] = text
+        elif name in (*_WHOLE, MOVING_CAR):
+            parsed[name] = row.whole(name)
+        elif text or name not in _PLANNED:
+            parsed[name] = row.number(name)
+            if abs(parsed[name]) > _LARGEST:
+                raise ValueError(f"{row.place}: {name} is too large, {text}")
+    level, case = parsed["level"], parsed["case"]
+    known = level in LEVELS or level in EXTRA_LEVELS
+    if not known or case not in case_numbers(level):
+        raise ValueError(f"{row.place}: there is no case {case} of level {level!r}")
+    ends = [parsed[name] for name in ENDINGS]
+    if not {*ends} <= {0.0, 1.0} or not any(ends):
+        raise ValueError(f"{row.place}: {', '.join(ENDINGS)} must be 0 or 1, and one 1")
+    for name in ("length", "ms / decision"):
+        if not parsed[name] > 0:
+            raise ValueError(
+                f"{row.place}: {name} must be positive, not {parsed[name]}"
+            )
+    for metric in metrics():
+        parts = {*(metric.ratio or ())} if metric.pool == "steps" else set[str]()
+        if metric.name in parsed and (missing := parts - {*parsed}):
+            raise ValueError(f"{row.place}: {metric.name} needs {sorted(missing)}")
+    return parsed
+
+
+def _read_worst(path: Path) -> dict[Key, Drives]:
+    try:
+        data = Archive(path).read(_FORMS)
+    except ValueError as error:
+        raise ValueError(f"{path} has no drives of the suite: {error}") from None
+    columns = (data[name].tolist() for name in ("policy", "level", "seed", "case"))
+    keys = zip(*columns, strict=True)
+    return {
+        key: Drives(*(data[name][[index]] for name in Drives._fields))
+        for index, key in enumerate(keys)
+    }
+
+
+_NUMBER = np.dtype(np.float32)
+_FORMS = {
+    "pose_w": ArrayForm(_NUMBER, ("drives", "steps", "agents", "poses", 3)),
+    "steering": ArrayForm(_NUMBER, ("drives", "steps", "agents")),
+    "speed": ArrayForm(_NUMBER, ("drives", "steps", "agents")),
+    "policy": ArrayForm(TEXT, ("drives",)),
+    "level": ArrayForm(TEXT, ("drives",)),
+    "seed": ArrayForm(np.dtype(np.int64), ("drives",)),
+    "case": ArrayForm(np.dtype(np.int64), ("drives",)),
+}
+
+
+FORMAT = "carpark_mj suite 1"
+SUITE_FILE = "suite.json"
+RATES = ("parked", "crashed", "timed_out")
+MEANS = ("gear_changes", "path", "time_to_park")  # over parked episodes
+_LETTERS = {name[0]: name for name in ENDINGS}
+_ENTRY = {"policy": str, "level": str, "held_out": str, "made_with": str}
+
+
+class Result(NamedTuple):
+    """A policy in the cases of a level.
+
+    Attributes:
+        entry: of the file: policy, level, seeds and means.
+        rates: shares of episodes, by `RATES`.
+        cases: how many of the level were driven; further seeds do not add cases.
+        checked: whether the rates are counted from outcomes.
+    """
+
+    entry: dict[str, Any]
+    rates: dict[str, float]
+    cases: int
+    checked: bool
+
+    @property
+    def complete(self) -> bool:
+        """Whether every case of the level was driven."""
+        return self.cases == len(case_numbers(self.entry["level"]))
+
+
+def write_submission(folder: Path, episodes: Sequence[Row]) -> Path:
+    """Writes episodes of the suite, under one rule, as `suite.json`; returns it."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in episodes:
+        found.setdefault((row["policy"], row["level"]), []).append(row)
+    path = folder / SUITE_FILE
+    results = [_entry(found[key]) for key in sorted(found)]
+    rules = {"rule": episodes[0]["rule"], "moving_car": has_moving_car(episodes)}
+    write_json(path, {"format": FORMAT, **rules, "results": results})
+    return path
+
+
+def _entry(rows: list[Row]) -> dict[str, Any]:
+    rows = sorted(rows, key=lambda row: (row["seed"], row["case"]))
+    seeds, means = sorted({row["seed"] for row in rows}), summarize(rows)
+    return {
+        **{name: rows[0][name] for name in _ENTRY},
+        "seeds": seeds,
+        "outcomes": [
+            "".join(
+                next(letter for letter, name in _LETTERS.items() if row[name])
+                for row in rows
+                if row["seed"] == seed
+            )
+            for seed in seeds
+        ],
+        **{name: None if math.isnan(means[name]) else means[name] for name in MEANS},
+    }
+
+
+def read_submission(path: Path) -> list[Result]:
+    """Reads and checks a file of results.
+
+    Raises:
+        ValueError: it is malformed, has other cases than this version, or its numbers
+            contradict each other.
+        OSError: it cannot be read.
+    """
+    what = str(path)
+    found = read_object(path, format=str, rule=str, moving_car=bool, results=list)
+    if found["format"] != FORMAT:
+        raise ValueError(f"{what}: format must be {FORMAT!r}, not {found['format']!r}")
+    find_rules(found["rule"])
+    results: list[Result] = []
+    for number, entry in enumerate(found["results"], 1):
+        place = f"{what}, result {number}"
+        if not isinstance(entry, dict):
+            raise ValueError(f"{place} is not a JSON object")
+        which = {name: found[name] for name in ("rule", "moving_car")}
+        results.append(_result(place, which | entry))
+    if not results:
+        raise ValueError(f"{what} has no result")
+    return results
+
+
+def _result(place: str, entry: dict[str, Any]) -> Result:
+    def refuse(told: str) -> NoReturn:
+        raise ValueError(f"{place}: {told}")
+
+    require_entries(entry, place, **_ENTRY, seeds=list)
+    level, seeds = entry["level"], entry["seeds"]
+    try:
+        require_level(level)
+    except ValueError as error:
+        refuse(str(error))
+    if entry["held_out"] != fingerprint(level):
+        refuse(f"held_out must be {fingerprint(level)!r}, not {entry['held_out']!r}")
+    whole = all(type(seed) is int for seed in seeds)
+    if not seeds or not whole or len({*seeds}) < len(seeds):
+        refuse(f"seeds must be different whole numbers, not {seeds}")
+    for name in MEANS:
+        value = entry.get(name)
+        if value is not None and not _is_number(value, 0.0, math.inf):
+            refuse(f"{name} must be a number of at least 0, or null, not {value!r}")
+    if ("outcomes" in entry) == ("rates" in entry):
+        refuse("outcomes or rates must be given, not both")
+    known = len(case_numbers(level))
+    if "rates" in entry:
+        rates = entry["rates"]
+        if not isinstance(rates, dict) or sorted(rates) != sorted(RATES):
+            refuse(f"rates must be an object of {', '.join(RATES)}, not {rates!r}")
+        if not all(_is_number(rate, 0.0, 1.0) for rate in rates.values()):
+            refuse(f"rates must lie in [0, 1], not {rates}")
+        # Each is rounded to three digits.
+        if not math.isclose(math.fsum(rates.values()), 1.0, abs_tol=0.0015):
+            refuse(f"rates must add up to 1, not {math.fsum(rates.values()):g}")
+        return Result(entry, rates, known, checked=False)
+    outcomes = entry["outcomes"]
+    if not isinstance(outcomes, list) or len(outcomes) != len(seeds):
+        refuse("outcomes must have a string for each seed")
+    if not all(isinstance(x, str) and {*x} <= {*_LETTERS} for x in outcomes):
+        refuse(f"outcomes must be strings of the letters {', '.join(_LETTERS)}")
+    lengths = {len(letters) for letters in outcomes}
+    if len(lengths) > 1 or not 1 <= max(lengths) <= known:
+        refuse(f"outcomes must have 1 to {known} letters, as many for each seed")
+    letters = "".join(outcomes)
+    rates = {name: letters.count(name[0]) / len(letters) for name in RATES}
+    return Result(entry, rates, max(lengths), checked=True)
+
+
+def _is_number(value: Any, low: float, high: float) -> bool:
+    return type(value) in (int, float) and low <= value <= high and value < math.inf
+
+
+def check_submission(path: Path) -> list[Result]:
+    """Reads an entry of the leaderboard: outcomes of every case of a level.
+
+    Raises:
+        ValueError: see `read_submission`; or outcomes are missing.
+        OSError: it cannot be read.
+    """
+    results = read_submission(path)
+    for result in results:
+        policy, level = result.entry["policy"], result.entry["level"]
+        if not result.checked:
+            raise ValueError(f"{path}: {policy} has no outcomes in level {level}")
+        if not result.complete:
+            raise ValueError(
+                f"{path}: {policy} drove {result.cases} of the "
+                f"{len(case_numbers(level))} cases of level {level}"
+            )
+    return results
+
+
+def leaderboard(results: Iterable[Result]) -> str:
+    """The results as a Markdown table, by level and then by parked rate."""
+    lines = [
+        "| level | policy | rule | parked [%] | crashed [%] | timed out [%] "
+        "| gear changes | path [m] | time [s] | seeds |",
+        "|---|---|---|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    results = list(results)
+    order = in_order(result.entry["level"] for result in results)
+    for result in sorted(
+        results, key=lambda r: (order.index(r.entry["level"]), -r.rates["parked"])
+    ):
+        entry, rates = result.entry, result.rates
+        low, high = wilson_interval(rates["parked"] * result.cases, result.cases)
+        rule = f"{entry['rule']}{', moving car' * entry['moving_car']}"
+        interval = f"({100 * low:.1f} … {100 * high:.1f})"
+        cells = [
+            *(entry["level"], f"`{entry['policy']}`{' †' * (not result.checked)}"),
+            *(rule, f"{100 * rates['parked']:.1f} {interval}"),
+            *(f"{100 * rates[name]:.1f}" for name in RATES[1:]),
+            *(_shown(entry.get(name)) for name in MEANS),
+            str(len(entry["seeds"])),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _shown(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f}"

@@ -1,0 +1,371 @@
+"""Cases of the Trajectory Planning Competition for Automated Parking (TPCAP), as CSV.
+
+A file is one flat vector, over one or several lines: start pose x0, y0, theta0, goal
+pose xf, yf, thetaf, the number of obstacles n, n vertex counts, then the vertices x, y
+of one obstacle after the other; metres and radians, poses of the rear axle's centre.
+
+Conversion: the goal is the only bay, a little larger than the car; the start is
+a spawn region of 2 cm. A rectangle becomes one wall. Of any other polygon, convex or
+not, the edges become walls 2 cm thick on its inner side: from outside that is the
+polygon to within 2 cm, and no car gets inside without crossing an edge. There are no
+lanes and no outer walls. The case is moved so that the lot's centre is the origin, in
+double precision: published cases lie up to 1e10 m from theirs.
+
+The 20 published cases are in the package as they were published, with their sources
+(`tpcap_cases/README.md`). The car `tpcap` has the competition's and HOPE's limits on
+the chassis of `sedan_fwd`.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config import LayoutConfig, register_layout
+from carpark_mj.config.layouts import LAYOUT_FORMATS
+from carpark_mj.geometry import boxes_overlap
+from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
+from carpark_mj.layouts.json_file import FARTHEST
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.types import Layout
+from carpark_mj.reading import read_text
+from carpark_mj.vehicle import PRESETS, register_vehicle
+from carpark_mj.vehicle.parameters import kerb_to_kerb
+
+# The competition's car: 0.96 m and 0.929 m beyond a wheelbase of 2.8 m, 1.942 m wide,
+# full lock 0.75 rad (Li et al., Online competition of trajectory planning for automated
+# parking, 2022).
+TPCAP_CAR = DesignCar(
+    length=0.929 + 2.8 + 0.96,
+    width=1.942,
+    wheelbase=2.8,
+    rear_overhang=0.929,
+    max_steering=0.75,
+)
+BAY_MARGIN = 0.2  # m on every side of the goal footprint, less where obstacles are near
+SHARES = (1.0, 0.75, 0.5, 0.25)  # of it: the first that is free; else none
+EDGE = 0.02  # m, thickness of the walls along the edges of a polygon
+TOUCHING = 0.01  # m by which a car may stand in an obstacle, for rounded coordinates
+START = 0.02  # m, side of the spawn region
+PADDED = 256  # walls, to multiples of which
+LEAST_AREA = 1e-4  # m², of an obstacle
+FARTHEST_ORIGIN = 1e10  # m; float64 resolves 2e-6 m there
+MOST_HEADING = 4 * math.pi  # rad; published ones reach 6.1, larger are degrees
+RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
+
+
+def read_tpcap(path: Path) -> Layout:
+    """Reads a TPCAP case, whose poses are of the rear axle of `TPCAP_CAR`.
+
+    Args:
+        path: the CSV file.
+
+    Raises:
+        ValueError: no such file, or a fault in it; the message names the line.
+    """
+    numbers, lines = _numbers(path)
+    if len(numbers) < 7:
+        raise ValueError(
+            f"{path}, line {lines[-1] if lines else 1}: a case begins with start, goal "
+            f"and the number of obstacles (7 numbers), not {len(numbers)}"
+        )
+    count = _whole(path, lines[6], "number of obstacles", numbers[6], 0)
+    if len(numbers) < 7 + count:
+        raise ValueError(
+            f"{path}, line {lines[-1]}: {count} obstacles need {count} vertex counts, "
+            f"there are {len(numbers) - 7}"
+        )
+    sizes = [
+        _whole(path, lines[k], f"vertex count of obstacle {k - 7}", numbers[k], 3)
+        for k in range(7, 7 + count)
+    ]
+    expected = 7 + count + 2 * sum(sizes)
+    if len(numbers) != expected:
+        raise ValueError(
+            f"{path}, line {lines[-1]}: {count} obstacles with {sum(sizes)} vertices "
+            f"make {expected} numbers, not {len(numbers)}"
+        )
+    _require_near(path, numbers, lines, (0, 1, 3, 4, *range(7 + count, expected)))
+    for k in (2, 5):
+        if abs(numbers[k]) > MOST_HEADING:
+            raise ValueError(
+                f"{path}, line {lines[k]}: a heading must be at most "
+                f"{MOST_HEADING:.4g} rad either way, not {numbers[k]:g}"
+            )
+    vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
+    polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
+    for k, polygon in enumerate(polygons):
+        if abs(_area(polygon)) < LEAST_AREA:
+            line = lines[7 + count + 2 * sum(sizes[:k])]
+            raise ValueError(
+                f"{path}, line {line}: obstacle {k} has no area, its {sizes[k]} "
+                "vertices lie on a line or its edges cross"
+            )
+    try:
+        return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons)
+    except _BlockedError as error:
+        raise ValueError(f"{path}, line {lines[error.first]}: {error}") from None
+
+
+class _BlockedError(ValueError):
+    """A car at an impossible pose."""
+
+    def __init__(self, first: int, what: str) -> None:
+        super().__init__(f"a car at the {what} would stand in an obstacle")
+        self.first = first  # number with which its pose begins
+
+
+def _numbers(path: Path) -> tuple[list[float], list[int]]:
+    """The numbers of a file and the line of each."""
+    try:
+        text = read_text(path)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+    numbers, lines = [], []
+    for line, row in enumerate(text.splitlines(), 1):
+        for cell in row.split(","):
+            if not cell.strip():
+                continue
+            try:
+                number = float(cell)
+            except ValueError:
+                number = math.nan
+            if not math.isfinite(number):
+                raise ValueError(
+                    f"{path}, line {line}: {cell.strip()!r} is not a number"
+                )
+            numbers.append(number)
+            lines.append(line)
+    return numbers, lines
+
+
+def _whole(path: Path, line: int, what: str, value: float, least: int) -> int:
+    if value != int(value) or value < least:
+        raise ValueError(
+            f"{path}, line {line}: {what} must be a whole number of at least {least}, "
+            f"not {value:g}"
+        )
+    return int(value)
+
+
+def _require_near(
+    path: Path, numbers: list[float], lines: list[int], coordinates: Sequence[int]
+) -> None:
+    """Refuses a case that is too large, or too far from its origin to be resolved."""
+    for k, number in enumerate(coordinates):
+        value, place = numbers[number], f"{path}, line {lines[number]}: a coordinate"
+        if abs(value) > FARTHEST_ORIGIN:
+            raise ValueError(
+                f"{place} must be at most {FARTHEST_ORIGIN:g} m, not {value:g}"
+            )
+        away = abs(value - numbers[k % 2])  # start, goal and vertices: x, y in turn
+        if away > FARTHEST:
+            raise ValueError(
+                f"{place} must be at most {FARTHEST:g} m from the start's, not "
+                f"{away:g} m"
+            )
+
+
+def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> Layout:
+    car = TPCAP_CAR
+
+    def centred(pose: np.ndarray) -> np.ndarray:
+        step = car.centre_offset * np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
+        return pose + step
+
+    start, goal = centred(start), centred(goal)
+    reach = math.hypot(*car.size)
+    around = [goal[:2] - reach, goal[:2] + reach, start[:2] - reach, start[:2] + reach]
+    points = np.concatenate([np.array(around), *polygons])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = np.append((low + high) / 2, 0.0)
+    boxes = [box for polygon in polygons for box in _boxes(polygon - middle[:2])]
+    pose = np.array([pose for pose, _ in boxes]).reshape(-1, 3)
+    size = np.array([size for _, size in boxes]).reshape(-1, 2)
+    start, goal = start - middle, goal - middle
+    # Padded while JAX has them: cases would each be compiled on their own.
+    padding = [(0, -len(boxes) % PADDED), (0, 0)]
+    solid = walls(
+        np.pad(pose, padding),
+        np.pad(size, padding),
+        mask=np.arange(len(boxes) + padding[0][1]) < len(boxes),
+    )
+    margins = np.array([-TOUCHING, *(share * BAY_MARGIN for share in SHARES)])
+    sizes = np.array(car.size) + 2 * margins[:, None]
+    blocked = _is_blocked(
+        np.stack([start, goal, *[goal] * len(SHARES)]),
+        sizes[[0, *range(len(sizes))]],
+        solid,
+    )
+    for first, what, number in ((0, "start", 0), (3, "goal", 1)):
+        if blocked[number]:
+            raise _BlockedError(first, what)
+    free = sizes[1:][~blocked[2:]]
+    bay_size = free[0] if len(free) else np.array(car.size)
+    layout = assemble(
+        (high - low) / 2,
+        bays(goal[None], bay_size),
+        solid,
+        spawns(start[None], (START, START), 0.0),
+    )
+    kept = {name: np.asarray(rows)[: len(boxes)] for name, rows in solid.items()}
+    return dataclasses.replace(layout, **jax.tree.map(jnp.asarray, kept))
+
+
+@jax.jit
+def _is_blocked(pose: jax.Array, size: jax.Array, solid: Group) -> jax.Array:
+    """(n,) bool, whether boxes (n, 3), (n, 2) overlap a wall."""
+    meets = boxes_overlap(
+        pose[:, None], size[:, None], solid["wall_pose"], solid["wall_size"]
+    )
+    return (meets & solid["wall_mask"]).any(axis=-1)
+
+
+def _area(polygon: np.ndarray) -> float:
+    """Area of a polygon (n, 2) [m²], negative if its vertices run clockwise."""
+    x, y = (polygon - polygon[0]).T
+    return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
+
+
+def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Centre poses and sizes of the walls that represent a polygon (n, 2)."""
+    ahead = np.roll(polygon, -1, axis=0) - polygon
+    length = np.linalg.norm(ahead, axis=1)
+    kept = length > 0  # a repeated vertex has no edge
+    polygon, ahead, length = polygon[kept], ahead[kept], length[kept]
+    unit = ahead / length[:, None]
+    if len(polygon) == 4:
+        corners = np.abs(np.sum(unit * np.roll(unit, -1, axis=0), axis=1))
+        if corners.max() < RIGHT_ANGLE:
+            yaw = math.atan2(unit[0, 1], unit[0, 0])
+            pose = np.append(polygon.mean(axis=0), yaw)
+            return [(pose, length[:2])]
+    inwards = np.sign(_area(polygon)) * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    middle = polygon + ahead / 2 + inwards * EDGE / 2
+    yaw = np.arctan2(unit[:, 1], unit[:, 0])
+    return [
+        (np.append(m, a), np.array([n, EDGE]))
+        for m, a, n in zip(middle, yaw, length, strict=True)
+    ]
+
+
+LAYOUT_FORMATS.register("csv", read_tpcap)
+
+
+FOLDER = Path(__file__).with_name("tpcap_cases")
+# Of the texts of the files in the order of their numbers.
+SHA256 = "7ea190e8b7b5a0639d7681d573e9712b1967a77864932a7a8ca18923de95dfb3"
+NUMBERS = range(1, 21)
+
+
+@dataclasses.dataclass(frozen=True)
+class TpcapConfig(LayoutConfig):
+    """A published case of TPCAP.
+
+    Attributes:
+        case: its number, 1 to 20; None = any of them.
+        family: fixed.
+    """
+
+    case: int | None = None
+    family: str = "tpcap"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        known = type(self.case) is int and self.case in NUMBERS  # True is 1, too
+        if self.case is not None and not known:
+            raise ValueError(
+                f"case must be {NUMBERS[0]} to {NUMBERS[-1]}, not {self.case!r}"
+            )
+
+    @property
+    def is_enclosed(self) -> bool:
+        """Cars can leave; no walls stand around the lot."""
+        return False
+
+    @property
+    def min_bays(self) -> int:
+        """One, the goal."""
+        return 1
+
+    @property
+    def is_random(self) -> bool:
+        """Whether the case depends on the key."""
+        return self.case is None
+
+    def generate(self, key: jax.Array) -> Layout:
+        """The layout of a case; of any, padded alike, if none is named."""
+        if self.case is not None:
+            return jax.tree.map(jnp.asarray, _read(self.case))
+        pick = jax.random.randint(key, (), 0, len(NUMBERS))
+        return jax.tree.map(lambda rows: jnp.asarray(rows)[pick], load_tpcap())
+
+
+register_layout("tpcap", TpcapConfig())
+for number in NUMBERS:
+    register_layout(f"tpcap_{number}", TpcapConfig(number))
+
+
+@functools.cache
+def load_tpcap() -> Layout:
+    """All cases, (20, ...) and padded alike, as numpy arrays.
+
+    Raises:
+        ValueError: the files in the package are not the published ones.
+    """
+
+    def stack(*parts: np.ndarray) -> np.ndarray:
+        most = max(len(part) for part in parts)
+        # As `pad_layout` does, which would be compiled for each case.
+        more = [[(0, most - len(part)), *[(0, 0)] * (part.ndim - 1)] for part in parts]
+        return np.stack(list(map(np.pad, parts, more)))
+
+    return jax.tree.map(stack, *map(_read, NUMBERS))
+
+
+@functools.cache
+def _read(number: int) -> Layout:
+    with jax.ensure_compile_time_eval():  # also while a program is traced
+        return jax.device_get(read_tpcap(published_files()[number]))
+
+
+@functools.cache
+def published_files() -> dict[int, Path]:
+    """The files by number, once they have been compared with the published ones."""
+    files = {number: FOLDER / f"case{number}.csv" for number in NUMBERS}
+    texts = [file.read_text(encoding="utf-8") for file in files.values()]
+    if (found := hashlib.sha256("".join(texts).encode()).hexdigest()) != SHA256:
+        raise ValueError(
+            f"{FOLDER} has other cases than the published ones: their SHA-256 is "
+            f"{found}, not {SHA256}"
+        )
+    return files
+
+
+_CHASSIS = PRESETS["sedan_fwd"]
+register_vehicle(
+    "tpcap",
+    dataclasses.replace(
+        _CHASSIS,
+        length=TPCAP_CAR.length,
+        width=TPCAP_CAR.width,
+        wheelbase=TPCAP_CAR.wheelbase,
+        rear_overhang=TPCAP_CAR.rear_overhang,
+        turning_circle=kerb_to_kerb(
+            TPCAP_CAR.wheelbase,
+            _CHASSIS.track_width,
+            _CHASSIS.tyre_width,
+            TPCAP_CAR.max_steering,
+        ),
+        max_acceleration=1.0,
+        max_speed=2.5,
+        max_reverse_speed=2.5,
+        steering_rate=0.5,
+    ),
+)

@@ -1,0 +1,191 @@
+"""The cells of the junction's tables, the trainings behind them, and their outcomes."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from carpark_mj.reading import read_csv, read_object
+from carpark_papers.cederle.junction.config import CarModel
+from carpark_papers.cederle.training.config import (
+    Algorithm,
+    JunctionPreset,
+    ScenarioName,
+)
+from carpark_papers.cederle.training.families import presets_of
+from carpark_papers.jobs import Job
+
+SCENARIOS: dict[str, ScenarioName] = dict(
+    zip(("6.1", "6.2", "6.3", "6.4"), get_args(ScenarioName), strict=True)
+)
+DQN: tuple[Algorithm, ...] = ("idqn", "double", "dueling", "double-dueling")
+CENTRAL: tuple[Algorithm, ...] = ("maddpg", "vdn", "qmix")
+BESIDE: tuple[Algorithm, ...] = ("ippo", "mappo")
+
+
+@dataclasses.dataclass(frozen=True)
+class Published:
+    """The published result of a single run.
+
+    Attributes:
+        solved: whether an evaluation reached the scenario's threshold.
+        converged_at: "speed" [control steps]; None = did not converge to a value that
+            solves.
+    """
+
+    solved: bool
+    converged_at: int | None
+
+    @property
+    def converged(self) -> bool:
+        """Whether it converged to a value that solves."""
+        return self.converged_at is not None
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """An algorithm in a scenario.
+
+    Attributes:
+        table: number in the thesis.
+        algorithm: which.
+        cars: `path` or `mjx`.
+        published: None = not in the thesis.
+    """
+
+    table: str
+    algorithm: Algorithm
+    cars: CarModel = "path"
+    published: Published | None = None
+
+    @property
+    def scenario(self) -> ScenarioName:
+        """Of the table."""
+        return SCENARIOS[self.table]
+
+    @property
+    def name(self) -> str:
+        """The algorithm, and the cars unless they are `path`."""
+        return self.algorithm + ("" if self.cars == "path" else f"-{self.cars}")
+
+
+# Tables 6.1, 6.2, 6.3, 6.4: thousand steps to converge; "solved" without convergence.
+_NEITHER, _SOLVED = "neither", "solved"
+_TABLES: dict[Algorithm, tuple[int | str, ...]] = {
+    "idqn": (100, 160, 100, 210),
+    "double": (110, 170, 100, 200),
+    "dueling": (100, 140, 80, 200),
+    "double-dueling": (90, 140, 90, 150),
+    "maddpg": (_SOLVED, _SOLVED, _NEITHER, _NEITHER),
+    "vdn": (180, _SOLVED, _NEITHER, _NEITHER),
+    "qmix": (_SOLVED, _SOLVED, _NEITHER, _NEITHER),
+}
+
+
+def _published(entry: int | str) -> Published:
+    if isinstance(entry, str):
+        return Published(entry == _SOLVED, None)
+    return Published(True, 1000 * entry)
+
+
+CELLS = tuple(
+    cell
+    for k, table in enumerate(SCENARIOS)
+    for cell in (
+        *(
+            Cell(table, algorithm, published=_published(entries[k]))
+            for algorithm, entries in _TABLES.items()
+        ),
+        *(Cell(table, name, cars) for cars in ("path", "mjx") for name in BESIDE),
+    )
+)
+
+
+def cells_of(table: str) -> tuple[Cell, ...]:
+    """The cells of a table."""
+    if table not in SCENARIOS:
+        raise ValueError(f"unknown table {table!r}; choose from {', '.join(SCENARIOS)}")
+    return tuple(cell for cell in CELLS if cell.table == table)
+
+
+# Of the steps, at the end of a curve: the last eleven of the study's 62 points.
+TAIL = 1 / 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """A finished run.
+
+    Attributes:
+        solved_at: control steps; infinity = not solved.
+        converged_at: the same to convergence.
+        final_return: mean over the last sixth of the steps.
+        unrest: standard deviation of the return over the second half of the steps.
+        crashed: share of the last evaluation's episodes in which an agent crashed.
+        completed: share in which all arrived.
+        curve: steps and returns of the evaluations.
+    """
+
+    solved_at: float
+    converged_at: float
+    final_return: float
+    unrest: float
+    crashed: float
+    completed: float
+    curve: tuple[Sequence[float], Sequence[float]]
+
+
+def make_job(cell: Cell, preset: JunctionPreset, seed: int, folder: Path) -> Job:
+    """The training of a cell with a seed, in a folder below `folder`.
+
+    Algorithms without the preset use `parallel`.
+    """
+    known = preset if preset in presets_of(cell.algorithm) else "parallel"
+    name = f"{known}-{cell.scenario}-{cell.name}-{seed}"
+    flags = ("--algorithm", cell.algorithm, "--scenario", cell.scenario)
+    flags += ("--cars", cell.cars, "--preset", known, "--seed", str(seed))
+    flags += ("--name", name, "--runs-dir", str(folder), "--video-episodes", "0")
+    return Job("junction", folder / name, flags, is_finished)
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a run has been evaluated after its last step."""
+    path = folder / "evaluation.json"  # rewritten at every evaluation
+    if not path.exists():
+        return False
+    config = read_object(folder / "config.json", config=dict)["config"]
+    return read_object(path, last=dict)["last"]["env_steps"] >= config["total_steps"]
+
+
+def read_outcome(folder: Path) -> Outcome:
+    """Reads a finished run."""
+    found = read_object(folder / "evaluation.json", last=dict)
+    rows = [
+        (row.number("env_steps"), row.number("return"))
+        for row in read_csv(folder / "evaluations.csv", "env_steps", "return")
+    ]
+    steps, returns = zip(*rows, strict=True)
+    return Outcome(
+        solved_at=_steps(found["solved_at"]),
+        converged_at=_steps(found["converged_at"]),
+        final_return=float(np.mean(tail(steps, returns, TAIL))),
+        unrest=float(np.std(tail(steps, returns, 0.5))),
+        crashed=found["last"]["crashed"],
+        completed=found["last"]["completed"],
+        curve=(steps, returns),
+    )
+
+
+def tail(steps: Sequence[float], values: Sequence[float], share: float) -> list[float]:
+    """Values of the last `share` of the steps."""
+    length = steps[-1] * share
+    return [
+        v for step, v in zip(steps, values, strict=True) if steps[-1] - step <= length
+    ]
+
+
+def _steps(found: float | None) -> float:
+    return math.inf if found is None else float(found)

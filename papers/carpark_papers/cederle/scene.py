@@ -1,0 +1,67 @@
+"""Writes the junction as MJCF that drives in the MuJoCo viewer, or opens it there.
+
+carpark_mj study junction_scene --scenario 3av-hd --out junction.xml
+"""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from carpark_mj.cli.common import run_command
+from carpark_mj.cli.driver import command_help
+from carpark_mj.cli.scene import SceneOutput, complete, require_view, show_scene
+from carpark_mj.evaluation.keys import require_seed
+from carpark_mj.scene.export import scene_xml
+from carpark_mj.vehicle import preset
+from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
+from carpark_papers.cederle.junction.cars import road_car
+from carpark_papers.cederle.junction.scene import HALF, drivable_junction
+
+
+@dataclasses.dataclass(frozen=True)
+class JunctionSceneConfig(SceneOutput):
+    """Settings of `carpark_mj study junction_scene`.
+
+    Attributes:
+        out: MJCF file to write; it needs no other file and no carpark_mj.
+        view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
+            a page on this machine for a browser.
+        port: port of the browser page.
+        scenario: `2av`, `2av-hd`, `3av` or `3av-hd`, all cars to drive.
+        vehicle: preset or file of all cars.
+        seed: random seed of the starts.
+    """
+
+    scenario: str = "2av"
+    vehicle: str = JunctionConfig.vehicle
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_seed(self.seed)
+
+
+def main(config: JunctionSceneConfig) -> None:
+    """Writes and shows."""
+    require_view(config)
+    env = JunctionEnv(JunctionConfig(config.scenario))
+    state, _ = env.reset(jax.random.key(config.seed))
+    car = road_car(preset(config.vehicle))
+    spec = drivable_junction(car, np.asarray(state.motion.pose_w))
+    text = scene_xml(spec, car, "road junction")
+    show_scene(config, spec, np.array([HALF, HALF]), text)
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit code."""
+    return run_command("junction_scene", lambda: _run(arguments))
+
+
+def _run(arguments: Sequence[str] | None) -> None:
+    from carpark_mj.cli.flags import read_flags
+
+    words = complete(sys.argv[1:] if arguments is None else arguments)
+    main(read_flags(JunctionSceneConfig, words, description=command_help(__doc__)))

@@ -1,0 +1,54 @@
+"""Trains one car to park in slots with SAC and hindsight replay, phase by phase.
+
+    carpark_mj study sac                              # vertical slots, runs/slots-0
+    carpark_mj study sac --phases slots:60000 slots_diagonal:60000  # what is forgotten?
+    carpark_mj study sac --phases slots,slots_diagonal,slots_parallel:400000
+    carpark_mj study sac --phases slots:150episodes slots_diagonal:150episodes
+    carpark_mj study sac --preset pandita             # the settings of Pandita 2022
+    carpark_mj study sac --resume runs/slots-0        # continues where it stopped
+    carpark_mj study sac --help-all                   # every setting
+
+It needs `pip install ".[train,sb3]"`. After every phase the policy is deployed on all
+kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at once.
+"""
+
+from collections.abc import Sequence
+
+from carpark_mj.cli.common import (
+    enable_output_fusion,
+    keep_compiled_programs,
+)
+from carpark_mj.rendering.gl import choose_gl
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Trains."""
+    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
+    enable_output_fusion()
+    keep_compiled_programs()
+    from carpark_mj.training.settings import read_settings
+    from carpark_papers.pandita.sac.config import (
+        RUN_SETTINGS,
+        SAC_PRESETS,
+        SAC_SUMMARIES,
+    )
+
+    config = read_settings(
+        SAC_PRESETS["slots"],
+        SAC_PRESETS,
+        arguments,
+        __doc__,
+        RUN_SETTINGS,
+        SAC_SUMMARIES,
+    )
+    try:
+        from carpark_papers.pandita.sac.train import train_run
+    except ModuleNotFoundError as error:
+        if error.name not in ("sbx", "stable_baselines3", "torch"):
+            raise
+        raise ValueError(f'{error}: pip install ".[sb3]"') from None
+    folder, done = train_run(config)
+    if done:
+        print(f"done: {folder}")
+    else:
+        print(f"stopped; continue with: carpark_mj study sac --resume {folder}")

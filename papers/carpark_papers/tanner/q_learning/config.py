@@ -1,0 +1,110 @@
+"""Settings and presets of Q-learning in Tanner 2022."""
+
+import dataclasses
+from typing import Literal
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import require_at_least, require_ratio
+from carpark_mj.training.run_folder import RunConfig
+from carpark_papers.tanner.environments import (
+    TANNER_QLEARNING,
+    TANNER_QLEARNING_RECORDED,
+    TANNER_QLEARNING_RINGS,
+)
+
+QLearningPreset = Literal[
+    "tanner-qlearning", "tanner-qlearning-recorded", "tanner-qlearning-rings"
+]
+
+# What the short help lists.
+RUN_SETTINGS = (
+    "preset",
+    "name",
+    "runs_dir",
+    "resume",
+    "time_limit",
+    "seed",
+    "num_seeds",
+    "num_lots",
+    "episodes",
+    "eval_episodes",
+    "checkpoint_minutes",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class QLearningConfig(RunConfig):
+    """Settings of `carpark_mj study q_learning`; every field is a flag.
+
+    The settings of `RunConfig` come first. The rates are those of Tanner 2022, section
+    5.1.1; names follow its table C.6.
+
+    Attributes:
+        preset: experiment that sets the defaults: `tanner-qlearning`, figure 5.1 by the
+            study's tables; `tanner-qlearning-recorded`, figure 5.1 as recorded;
+            `tanner-qlearning-rings`, figure 5.2.
+        num_seeds: independent trainings in parallel, each with its own table.
+        num_lots: lots that share a table; 1 as in the study, more is faster.
+        episodes: training episodes per seed, over which the rates decay.
+        eval_episodes: further episodes without random actions, still learning.
+        alpha: learning rate at the start.
+        alpha_min: learning rate at the end of the training episodes.
+        gamma: discount factor per control step.
+        epsilon: share of random actions at the start.
+        epsilon_min: share of random actions at the end of the training episodes.
+        bootstrap_terminals: bootstrap after parking and crashing too, as the reference
+            implementation does by mistake.
+        window: episodes over which the plot and the table of metrics average.
+        env: the environment.
+    """
+
+    preset: QLearningPreset = "tanner-qlearning"
+    num_seeds: int = 5
+    num_lots: int = 1
+    episodes: int = 2000
+    eval_episodes: int = 1000
+    alpha: float = 0.1
+    alpha_min: float = 0.1
+    gamma: float = 0.9
+    epsilon: float = 0.3
+    epsilon_min: float = 0.001
+    bootstrap_terminals: bool = False
+    window: int = 500
+    env: EnvConfig = TANNER_QLEARNING
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_at_least(self, 1, "num_seeds", "num_lots", "episodes", "window")
+        require_at_least(self, 0, "eval_episodes")
+        require_ratio(self, "alpha", "alpha_min", "gamma", "epsilon", "epsilon_min")
+
+    @property
+    def total_episodes(self) -> int:
+        """Episodes of each seed, training and evaluation."""
+        return self.episodes + self.eval_episodes
+
+
+Q_PRESETS: dict[str, QLearningConfig] = {
+    "tanner-qlearning": QLearningConfig(),
+    "tanner-qlearning-recorded": QLearningConfig(
+        preset="tanner-qlearning-recorded",
+        bootstrap_terminals=True,
+        env=TANNER_QLEARNING_RECORDED,
+    ),
+    "tanner-qlearning-rings": QLearningConfig(
+        preset="tanner-qlearning-rings",
+        episodes=300_000,
+        eval_episodes=150_000,
+        window=5000,
+        env=TANNER_QLEARNING_RINGS,
+    ),
+}
+
+Q_SUMMARIES = {
+    name: f"{figure}, {Q_PRESETS[name].total_episodes:,} episodes"
+    for name, figure in (
+        ("tanner-qlearning", "figure 5.1"),
+        ("tanner-qlearning-recorded", "figure 5.1 as recorded"),
+        ("tanner-qlearning-rings", "figure 5.2"),
+    )
+}

@@ -1,0 +1,135 @@
+"""The experiments in slots: their data, their jobs and their verdicts."""
+
+import pytest
+
+from carpark_papers.pandita.experiments.report import (
+    KINDS,
+    draw_curves,
+    final_success,
+    verdict,
+    write_curves,
+    write_report,
+)
+from carpark_papers.pandita.experiments.slots import (
+    EXPERIMENTS,
+    Claim,
+    make_job,
+    slots_experiment,
+)
+from carpark_papers.pandita.sac.config import SACConfig
+
+
+def test_the_twelve_are_there_and_all_can_be_trained():
+    names = [experiment.name for experiment in EXPERIMENTS]
+    assert names[:12] == [str(number) for number in range(1, 13)]
+    assert len({*names}) == len(names)
+    for experiment in EXPERIMENTS:
+        config = SACConfig(phases=experiment.phases(1.0), replay=experiment.replay)
+        assert {*config.kinds} <= {*KINDS}
+        assert bool(experiment.claims) == experiment.name.isdigit()
+
+
+def test_budgets_are_episodes_of_150_steps_times_the_scale():
+    assert slots_experiment("10").phases(1.0) == ("slots:18750", "slots_diagonal:18750")
+    assert slots_experiment("2").phases(0.1) == ("slots:1500",)
+
+
+def test_experiments_that_train_alike_share_a_run(tmp_path):
+    def folder(name, seed=0):
+        return make_job(slots_experiment(name), "study", 1.0, seed, tmp_path).folder
+
+    assert folder("2") == folder("4")
+    assert folder("7") == folder("9")
+    others = [folder(name) for name in ("2", "7", "10", "rehearsal-5", "clear")]
+    assert len({*others, folder("2", seed=1)}) == 6
+
+
+def test_runs_of_other_presets_and_scales_are_other_runs(tmp_path):
+    folders = {
+        make_job(slots_experiment("2"), preset, scale, 0, tmp_path).folder
+        for preset in ("study", "pandita")
+        for scale in (1.0, 2.0)
+    }
+    assert len(folders) == 4
+
+
+def test_every_run_has_a_log_of_its_own(tmp_path):
+    jobs = {
+        make_job(slots_experiment(name), "study", 1.0, seed, tmp_path)
+        for name in ("10", "rehearsal-5", "rehearsal-20")
+        for seed in (0, 1)
+    }
+    assert len({job.log for job in jobs}) == len(jobs) == 6
+
+
+def test_a_job_begins_a_run_and_then_continues_it(tmp_path):
+    job = make_job(slots_experiment("clear"), "study", 1.0, 3, tmp_path)
+    begin = job.command(2.5)
+    assert begin[-2:] == ["--time-limit", "2.50"]
+    assert begin[begin.index("--seed") + 1] == "3"
+    assert begin[begin.index("--at-switch") + 1] == "clear"
+    assert "--resume" not in begin
+    job.folder.mkdir()
+    (job.folder / "config.json").touch()
+    program = begin.index("sac") + 1
+    assert job.command(1.0)[program:] == [
+        *("--resume", str(job.folder), "--time-limit", "1.00")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("claims", "vertical", "expected"),
+    [
+        ([Claim("slots", True)], [1, 1, 1, 1, 0], "agrees"),
+        ([Claim("slots", True)], [1, 1, 0, 1, 0], "differs: slots mixed"),
+        ([Claim("slots", False)], [1, 1, 1, 1, 1], "differs: slots parks"),
+        ([Claim("slots", False)], [0, 0, 0, 0, 0], "agrees"),
+        ([Claim("slots", True)], [0, 0, 0, 0, 0], "differs: slots fails"),
+        ([Claim("slots", True)], [1, 1, 1], "not decided: 3 seeds"),
+        ([], [1, 1, 1], "not tried in the thesis"),
+    ],
+)
+def test_verdicts_need_seeds_that_agree(claims, vertical, expected):
+    assert verdict(claims, {"slots": vertical}) == expected
+
+
+def test_the_table_has_what_is_left_after_the_last_phase(tmp_path):
+    def row(phase, kind, policy, success):
+        return {"phase": phase, "kind": kind, "policy": policy, "success": success}
+
+    run = [
+        row(phase, kind, policy, float(kind == ("", *KINDS)[phase]))
+        for phase in range(3)
+        for kind in KINDS
+        for policy in ("deterministic", "sampled")
+    ]
+    assert final_success([run], "sampled") == dict(
+        zip(KINDS, ([0.0], [1.0], [0.0]), strict=True)
+    )
+    path = tmp_path / "report.md"
+    write_report(path, {slots_experiment("10"): [run] * 5})
+    line = path.read_text().splitlines()[2]
+    assert "| 100% (57% to 100%), sampled 100% |" in line
+    assert line.endswith("| -1.00 | agrees |")
+
+
+def test_curves_have_a_line_for_each_run_and_the_ends_of_phases(tmp_path):
+    runs = {}
+    for name, count in (("2", 2), ("10", 1)):
+        runs[slots_experiment(name)] = [tmp_path / f"{name}-{k}" for k in range(count)]
+    header = "update,env_steps,episodes,episode/success"
+    for folder in [folder for folders in runs.values() for folder in folders]:
+        folder.mkdir()
+        # Nothing ended in the first update; its rate is not a rate.
+        rows = ["1,1000,0,0.5", "2,2000,10,0.0", "3,4000,30,0.4"]
+        (folder / "metrics.csv").write_text("\n".join([header, *rows, ""]))
+    panels = draw_curves(runs).axes
+    assert [len(axes.lines) for axes in panels[:2]] == [2, 1 + 1]
+    for line in panels[0].lines:
+        assert list(line.get_xdata()) == [2.0, 4.0]
+        assert list(line.get_ydata()) == pytest.approx([0.0, 0.3])  # by episodes
+    assert [axes.axison for axes in panels] == [True, True, False, False]
+    switch = panels[1].lines[-1].get_xdata()
+    assert list(switch) == [2.0, 2.0]  # half of the steps each
+    path = write_curves(tmp_path / "curves.png", runs)
+    assert path.read_bytes().startswith(b"\x89PNG")

@@ -1,0 +1,108 @@
+"""What the pages of the papers say is what the code declares."""
+
+import re
+import shlex
+
+import pytest
+from helpers.pages import PAGES, PAPERS, ROOT, calls, cells, is_importable, section
+from test_docs import check_command, commands
+
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config import LAYOUTS, REWARDS
+from carpark_mj.observations import make_fields, markdown_table
+from carpark_mj.programs import STUDY_PROGRAMS
+from carpark_mj.registry import ENVIRONMENTS
+from carpark_mj.training.settings import named
+from carpark_papers.cederle.experiments.program import JunctionStudyConfig
+from carpark_papers.cederle.scene import JunctionSceneConfig
+from carpark_papers.cederle.speed import JunctionSpeedConfig
+from carpark_papers.cederle.training.families import presets_of
+from carpark_papers.pandita.experiments.program import SlotsStudyConfig
+from carpark_papers.pandita.sac.config import SAC_PRESETS, SACConfig
+from carpark_papers.tanner.environments import TANNER_FIXED
+from carpark_papers.tanner.experiments.program import StudyConfig
+from carpark_papers.tanner.q_learning.config import Q_PRESETS, QLearningConfig
+
+START = "carpark_mj study "
+PAGES = [*PAGES, ROOT / "papers" / "README.md"]
+CONFIGS = {
+    "junction_scene": JunctionSceneConfig,
+    "junction_speed": JunctionSpeedConfig,
+    "junction_tables": JunctionStudyConfig,
+    "q_learning": QLearningConfig,
+    "sac": SACConfig,
+    "slots": SlotsStudyConfig,
+    "tanner": StudyConfig,
+}
+PRESETS = {"q_learning": Q_PRESETS, "sac": SAC_PRESETS}
+LINES = sorted(
+    {
+        line.removeprefix(START)
+        for page in PAGES
+        for line in calls(page.read_text())
+        if line.startswith(START)
+    }
+)
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_a_command_of_a_paper_exists_and_takes_its_flags(line):
+    name, *words = shlex.split(
+        re.sub(r"\[.*?\]|\.\.\.", "", line).replace("RUN", "runs/x")
+    )
+    if name == "NAME":
+        return
+    assert name in STUDY_PROGRAMS
+    if words and words[0] in ("--help", "--help-all"):
+        return
+    if name == "junction":  # its flags depend on the algorithm
+        presets = presets_of(named(words, "algorithm") or "double-dueling")
+        start = presets[named(words, "preset") or "parallel"]
+        read_flags(type(start), words, start)
+        return
+    preset = named(words, "preset")
+    read_flags(CONFIGS[name], words, PRESETS.get(name, {}).get(preset))
+
+
+@pytest.mark.parametrize("page", PAPERS, ids=lambda page: page.name)
+def test_commands_of_the_core_on_these_pages_take_their_flags(page):
+    for line in commands(page.read_text()):
+        check_command(line)
+
+
+def test_the_environments_of_papers_are_all_named():
+    page = (ROOT / "docs" / "mdp.md").read_text()
+    ours, papers = (
+        {row[0] for row in cells(page, name)}
+        for name in ("environments", "environments of papers")
+    )
+    assert papers == {*ENVIRONMENTS} - ours
+
+
+def test_the_table_of_slots_layouts_is_that_of_the_code():
+    rows = cells((ROOT / "docs" / "layouts.md").read_text(), "layouts of papers")
+    assert {row[0]: row[1:3] for row in rows} == {
+        name: [type(config).__name__, str(config.min_bays)]
+        for name, config in LAYOUTS.items()
+        if name.startswith("slots")
+    }
+
+
+def test_the_observation_table_of_tanner_is_the_generated_one():
+    page = (ROOT / "docs" / "mdp.md").read_text()
+    expected = markdown_table(make_fields(TANNER_FIXED))
+    assert section(page, "tanner observation table") == expected, expected
+
+
+def test_the_weights_of_tanner_s_reward_are_those_of_the_table():
+    page = (ROOT / "docs" / "mdp.md").read_text()
+    found = {row[0]: row[2] for row in cells(page, "reward terms")}
+    weights = {name: getattr(REWARDS["tanner"], name, 0) for name in found}
+    weights |= REWARDS["tanner"].extra
+    assert found == {name: f"{weight:g}" for name, weight in weights.items()}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_names_of_the_papers_package_exist(page):
+    for name in re.findall(r"`(carpark_papers(?:\.\w+)+)", page.read_text()):
+        assert is_importable(name), name

@@ -1,0 +1,44 @@
+"""Policies with random weights, to be exported as ONNX models."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.mdp.actions import action_spec
+from carpark_mj.observations import cardinalities, make_fields, observation_size
+from carpark_mj.policy.loading import LoadedPolicy
+from carpark_mj.policy.networks import (
+    NetworkConfig,
+    make_networks,
+    make_policy,
+    network_inputs,
+)
+from carpark_mj.policy.normalizer import init_normalizer, update_normalizer
+from carpark_mj.policy.onnx_export import random_observations
+from carpark_mj.policy.q_table import make_table_policy
+
+
+def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPolicy:
+    """A policy with random weights, whose statistics are those of random numbers."""
+    size, keys = observation_size(env), jax.random.split(jax.random.key(seed), 3)
+    if env.observation.encoding == "indices":
+        sizes, choices = cardinalities(env), env.physics_config.choices
+        table = jax.random.normal(keys[0], (np.prod(sizes), np.prod(choices)))
+        policy = make_table_policy(table, sizes, choices)
+        return LoadedPolicy(env, policy, 0, Path("none"))
+    config = NetworkConfig((16,), (16,), encoder)
+    fields = make_fields(env)
+    networks = make_networks(config, fields, action_spec(env))
+    inputs = network_inputs(config, fields)
+    seen = 0.3 + 0.5 * jax.random.normal(keys[1], (100, size))
+    normalizer = update_normalizer(inputs, init_normalizer(inputs), seen)
+    weights = networks.policy_network.init(keys[2])
+    policy = make_policy(networks, normalizer, weights, deterministic=True)
+    return LoadedPolicy(env, policy, 0, Path("none"))
+
+
+def observations(env: EnvConfig, count: int = 10_000) -> np.ndarray:
+    typical = np.random.default_rng(0).normal(0.3, 0.5, (count, observation_size(env)))
+    return random_observations(env, typical, seed=1)

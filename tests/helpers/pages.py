@@ -1,0 +1,51 @@
+"""What pages say: tables between markers, blocks of code, commands, names."""
+
+import importlib
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+# Pages of carpark_papers, whose commands need it.
+PAPERS = [
+    ROOT / "docs" / f"{name}.md"
+    for name in ("study", "q_learning", "slots", "junction", "environments/slots")
+]
+
+
+def section(page, name):
+    """What stands between two markers."""
+    return page.split(f"<!-- {name} -->\n")[1].split(f"\n<!-- end of {name} -->")[0]
+
+
+def cells(page, name):
+    """The rows of a table between markers, less its two head lines."""
+    rows = section(page, name).splitlines()[2:]
+    return [[cell.strip().strip("`") for cell in row[1:-1].split("|")] for row in rows]
+
+
+def code(page, language):
+    """The blocks of code of a page in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+
+
+def calls(page):
+    """Lines of blocks, without comments, and quotes of a page: commands, if any."""
+    blocks = "\n".join(re.findall(r"^```\w*\n(.*?)^```", page, re.M | re.S))
+    text = re.sub(r"^```\w*\n.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
+    quoted = [" ".join(q.split()) for q in re.findall(r"`([^`]+)`", text)]
+    return [line.split("#")[0].strip() for line in blocks.splitlines()] + quoted
+
+
+def is_importable(name):
+    """Whether a dotted name is a module, or something in one."""
+    try:
+        importlib.import_module(name)
+    except ImportError:
+        module, _, attribute = name.rpartition(".")
+        return hasattr(importlib.import_module(module), attribute)
+    return True

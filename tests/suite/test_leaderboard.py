@@ -1,0 +1,142 @@
+"""Files of results that others can check, and the table of the leaderboard's page."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from carpark_mj.evaluation.aggregation import wilson_interval
+from carpark_mj.suite.command import SuiteConfig, main
+from carpark_mj.suite.levels import case_numbers, fingerprint
+from carpark_mj.suite.results import (
+    check_submission,
+    leaderboard,
+    read_submission,
+    write_submission,
+)
+
+DOCS = Path(__file__).parents[3] / "docs"
+MEANS = {"gear_changes": 2.0, "path": 9.0, "time_to_park": 30.0}
+
+
+def episode(case, end, seed=0):
+    which = {"policy": "x", "rule": "strict", "made_with": "cpu", "seed": seed}
+    which |= {"level": "tpcap", "held_out": fingerprint("tpcap"), "case": case}
+    ends = dict.fromkeys(("parked", "crashed", "timed_out", "diverged"), 0.0)
+    return which | ends | {end: 1.0} | MEANS
+
+
+def episodes(seeds=(0,)):
+    """Every case of a level: the first ones crash, as many as the seed says and 2."""
+    return [
+        episode(case, "crashed" if n < 2 + seed else "parked", seed)
+        for seed in seeds
+        for n, case in enumerate(case_numbers("tpcap"))
+    ]
+
+
+def test_rates_are_counted_from_what_was_written(tmp_path, capsys):
+    rows = episodes((0, 1))
+    path = write_submission(tmp_path, rows[::-1])  # in any order
+    [result] = check_submission(path)
+    assert result.rates == {"parked": 35 / 40, "crashed": 5 / 40, "timed_out": 0.0}
+    assert result.cases == 20
+    assert result.entry["outcomes"][1].startswith("cccp")
+    assert main(SuiteConfig(check=str(path))) == []
+    low, high = wilson_interval(17.5, 20)  # another seed is not another case
+    shown = f"| 87.5 ({100 * low:.1f} … {100 * high:.1f}) | 12.5 |"
+    assert shown in capsys.readouterr().out
+
+
+def test_the_leaderboard_takes_every_case_and_outcomes_only(tmp_path):
+    path = write_submission(tmp_path, episodes()[:-1])
+    assert not read_submission(path)[0].complete
+    with pytest.raises(ValueError, match="x drove 19 of the 20 cases of level tpcap"):
+        check_submission(path)
+    data = json.loads(path.read_text())
+    del data["results"][0]["outcomes"]
+    rates = {"parked": 0.9, "crashed": 0.1, "timed_out": 0.0}
+    data["results"][0]["rates"] = rates
+    path.write_text(json.dumps(data))
+    assert read_submission(path)[0].rates == rates
+    with pytest.raises(ValueError, match="x has no outcomes in level tpcap"):
+        check_submission(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"level": "hard"}, "level must be one of normal, .* not 'hard'"),
+        ({"held_out": "0"}, "held_out must be '.*', not '0'"),
+        ({"policy": 3}, "no 'policy' of str"),
+        ({"seeds": [0, 0]}, r"seeds must be different whole numbers, not \[0, 0\]"),
+        ({"seeds": [True]}, "seeds must be different whole numbers"),
+        ({"path": -1.0}, "path must be a number of at least 0, or null, not -1"),
+        ({"path": float("nan")}, "path must be a number"),
+        ({"rates": {}}, "outcomes or rates must be given, not both"),
+        ({"outcomes": []}, "outcomes must have a string for each seed"),
+        ({"outcomes": ["px"]}, "outcomes must be strings of the letters p, c, t, d"),
+        ({"outcomes": [[]]}, "outcomes must be strings"),
+        ({"outcomes": ["p" * 21]}, "outcomes must have 1 to 20 letters"),
+        (
+            {"seeds": [0, 1], "outcomes": ["pp", "p"]},
+            "outcomes must have 1 to 20 letters, as many for each seed",
+        ),
+    ],
+)
+def test_results_that_contradict_themselves_are_refused(changes, message, tmp_path):
+    path = write_submission(tmp_path, episodes())
+    data = json.loads(path.read_text())
+    data["results"][0] |= changes
+    path.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=f"suite.json, result 1.*{message}"):
+        read_submission(path)
+
+
+@pytest.mark.parametrize(
+    ("rates", "message"),
+    [
+        ((0.9, 0.2, 0.0), "rates must add up to 1, not 1.1"),
+        ((1.5, -0.5, 0.0), r"rates must lie in \[0, 1\]"),
+        ((0.9, 0.1), "rates must be an object of parked, crashed, timed_out"),
+    ],
+)
+def test_rates_of_a_table_are_shares(rates, message, tmp_path):
+    path = write_submission(tmp_path, episodes())
+    data = json.loads(path.read_text())
+    del data["results"][0]["outcomes"]
+    names = ("parked", "crashed", "timed_out")
+    data["results"][0]["rates"] = dict(zip(names, rates, strict=False))
+    path.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=message):
+        read_submission(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "x 2"}, "format must be 'carpark_mj suite 1', not 'x 2'"),
+        ({"rule": "lenient"}, "lenient"),
+        ({"results": []}, "has no result"),
+        ({"results": [1]}, "result 1 is not a JSON object"),
+    ],
+)
+def test_another_file_is_refused(change, message, tmp_path):
+    path = write_submission(tmp_path, episodes())
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(ValueError, match=message):
+        read_submission(path)
+
+
+def test_a_check_drives_nothing():
+    with pytest.raises(ValueError, match=r"policies .* no effect with --check"):
+        SuiteConfig(policies=("hope",), check="suite.json")
+
+
+def test_the_leaderboard_is_that_of_its_files():
+    page = (DOCS / "leaderboard.md").read_text()
+    found = page.split("<!-- suite -->\n")[1].split("\n<!-- end of suite -->")[0]
+    files = sorted((DOCS / "leaderboard").glob("*.json"))
+    assert files
+    table = leaderboard([r for path in files for r in read_submission(path)])
+    assert found == table, f"paste this:\n{table}"

@@ -1,0 +1,269 @@
+"""The suite: one episode in every case, and what its table says of them."""
+
+import dataclasses
+import math
+import re
+
+import jax
+import numpy as np
+import pytest
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import make_layout
+from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.registry import ANYWHERE
+from carpark_mj.suite.command import SuiteConfig
+from carpark_mj.suite.evaluation import (
+    CaseEvaluator,
+    suite_env,
+    table_rows,
+    worst_first,
+)
+from carpark_mj.suite.levels import load_held_out, pick_cases
+from carpark_mj.suite.report import (
+    Video,
+    header,
+    print_rows,
+    shown_cells,
+    write_results,
+)
+
+PARKED = {"parked": 1.0, "crashed": 0.0, "timed_out": 0.0, "diverged": 0.0}
+MISSED = {"parked": 0.0, "crashed": 1.0, "timed_out": 0.0, "diverged": 0.0}
+HITS = {"hit_agent": 0.0, "hit_parked_car": 0.0, "hit_wall": 0.0}
+
+
+def episode(number, kind, ends, path=10.0, **more):
+    numbers = {"gear_changes": 2.0, "path": path, "final_distance": 0.05}
+    numbers |= {"final_heading": math.radians(2.0), "time_to_park": 30.0}
+    numbers |= {"ms / decision": 2.0, "length": 150.0, **HITS, **ends, **more}
+    which = {"policy": "x", "rule": "strict", "seed": 0, "made_with": "cpu"}
+    return {**which, "level": "normal", "case": number, "kind": kind, **numbers}
+
+
+def test_every_case_gives_one_row_from_its_own_start():
+    config = suite_env(ANYWHERE, "precise")
+    assert config.episode.max_steps * config.sim.ctrl_dt == pytest.approx(100.0)
+    short = dataclasses.replace(config.episode, max_steps=3)
+    env = ParkingEnv(dataclasses.replace(config, episode=short))
+    evaluator, policy = CaseEvaluator(env), zero_policy(env.action_spec)
+    programs = evaluator._reset, evaluator._chunk, evaluator._choose_action
+    evaluator._choose_action.clear_cache()  # other files have their programs in it
+    rows, drives = evaluator.drive(policy, pick_cases("complex", 4), seed=0)
+    assert [row["case"] for row in rows] == [0, 1, 2, 3]
+    assert [row["kind"] for row in rows] == ["perpendicular", "parallel"] * 2
+    assert [row["timed_out"] for row in rows] == [1.0] * 4
+    # A car that stands still ends where the case starts.
+    layouts = load_held_out("complex").layouts
+    start = np.asarray(layouts.spawn_pose)[:4, 0]
+    np.testing.assert_allclose(drives.pose_w[:, 2, 0, -1], start, atol=2e-3)
+    gap = np.asarray(layouts.spawn_pose - layouts.bay_pose)[:4, 0, :2]
+    expected = np.hypot(*gap.T)
+    ends = [row["final_distance"] for row in rows]
+    np.testing.assert_allclose(ends, expected, atol=2e-3)
+    # Another level and another seed take the same programs, and so does a decision.
+    assert evaluator.decision_time(policy, pick_cases("complex", 4)) > 0
+    others, _ = evaluator.drive(policy, pick_cases("extreme", 4), seed=1)
+    assert [row["level"] for row in others] == ["extreme"] * 4
+    assert [program._cache_size() for program in programs] == [1, 1, 1]
+
+
+def test_a_part_of_a_level_has_the_cases_of_the_level():
+    whole, part = pick_cases("complex", 1000), pick_cases("complex", 3, first=501)
+    assert part.number.tolist() == [501, 502, 503]
+    assert part.kind.tolist() == ["parallel", "perpendicular", "parallel"]
+    expected = jax.tree.map(lambda x: x[501:504], whole.layouts)
+    jax.tree.map(np.testing.assert_array_equal, part.layouts, expected)
+
+
+def test_the_header_says_which_cases_were_driven():
+    numbers = [0, 1, 2, 7, 250, 251]
+    _, told, *_ = header([episode(n, "parallel", PARKED) for n in numbers])
+    assert "6 of normal (0 to 2, 7, 250 to 251);" in told
+    published = {**episode(7, "published", PARKED), "level": "tpcap"}
+    _, told, *_ = header([episode(3, "parallel", PARKED), published])
+    assert re.search(
+        r"version 1 \(SHA-256 773f\w+\): 1 of normal \(3\); "
+        r"TPCAP's cases \(SHA-256 7ea1\w+\): 1 of tpcap \(7\); seed 0",
+        told,
+    )
+
+
+def test_cases_of_all_levels_have_the_same_shapes():
+    shapes = [
+        jax.tree.map(lambda x: x.shape, pick_cases(level, 2).layouts)
+        for level in ("normal", "complex", "extreme")
+    ]
+    assert shapes[0] == shapes[1] == shapes[2]
+    assert shapes[0].wall_mask[1] < 30  # TPCAP's have up to 206
+
+
+def test_tpcap_s_cases_go_by_their_published_numbers():
+    part = pick_cases("tpcap", 3, first=6)
+    assert part.number.tolist() == [7, 8, 9]
+    lot = jax.device_get(make_layout("tpcap_8"))
+    count = len(lot.wall_mask)
+    assert part.layouts.wall_mask[1].sum() == count == lot.wall_mask.sum()
+    np.testing.assert_allclose(
+        part.layouts.wall_pose[1, :count], lot.wall_pose, atol=1e-6
+    )
+    np.testing.assert_allclose(part.layouts.bay_pose[1], lot.bay_pose, atol=1e-6)
+
+
+def test_the_table_counts_by_kind_and_compares_paths_with_the_planners():
+    rows = [
+        episode(0, "perpendicular", PARKED, 12.0),
+        episode(1, "parallel", MISSED, 3.0),
+        episode(2, "perpendicular", PARKED, 8.0),
+        episode(3, "parallel", PARKED, 9.0),
+    ]
+    for number, length in enumerate((10.0, 10.0, 10.0, math.nan)):
+        own = episode(number, "?", PARKED, planned_path=length)
+        rows.append({**own, "policy": "planner"})
+    table = {row["kind"]: row for row in table_rows("x", rows)}
+    assert list(table) == ["parallel", "perpendicular", "all"]
+    assert table["all"]["cases"] == 4
+    assert table["all"]["parked"] == 0.75
+    # Wilson, 3 of 4.
+    assert table["all"]["low"] == pytest.approx(0.3006, abs=1e-4)
+    assert table["parallel"]["crashed"] == 0.5
+    assert table["perpendicular"]["path / planned"] == pytest.approx(1.0)
+    assert math.isnan(table["parallel"]["path / planned"])
+    assert table["all"]["off by [deg]"] == pytest.approx(2.0)
+    assert table["all"]["decisions/s"] == 500.0
+
+
+def test_seeds_add_episodes_and_not_cases():
+    rows = [episode(n, "parallel", PARKED) for n in range(4)]
+    rows += [episode(n, "parallel", MISSED, seed=1) for n in range(4)]
+    # With this seed the planner found a path of another length.
+    rows.append({**rows[0], "policy": "planner", "planned_path": 5.0})
+    rows.append({**rows[4], "policy": "planner", "planned_path": 1.0})
+    (row,) = table_rows("x", rows)
+    assert (row["cases"], row["seeds"]) == (4, 2)
+    assert (row["parked"], row["by seed"]) == (0.5, [1.0, 0.0])
+    assert row["path / planned"] == pytest.approx(2.0)
+    # Wilson, 2 of 4.
+    assert row["low"] == pytest.approx(0.1500, abs=1e-4)
+
+
+def test_the_table_says_that_a_car_moves_and_how_often_it_was_hit():
+    moving = {"moving_car": 1}
+    rows = [episode(n, "parallel", PARKED, **moving) for n in range(3)]
+    rows.append(episode(3, "parallel", MISSED, hit_agent=1.0, **moving))
+    rows.append(episode(4, "parallel", MISSED, hit_wall=1.0, **moving))
+    (row,) = table_rows("x", rows)
+    assert (row["crashed"], row["hit moving car"]) == (0.4, 0.2)
+    assert shown_cells(row)["hit moving car [%]"] == "20.0"
+    assert header(rows)[0] == "Hard cases, strict rule, one moving car"
+    alone = [episode(0, "parallel", PARKED)]
+    assert "hit moving car" not in table_rows("x", alone)[0]
+    assert header(alone)[0] == "Hard cases, strict rule"
+
+
+def test_the_table_says_what_cars_hit_how_fast_and_what_they_nearly_hit():
+    among = {"hit_person": 0.0, "hit_mover": 0.0, "near_miss": 0.0, "least_gap": 2.0}
+    among |= {"contact_speed": 0.0, "level": "busy"}
+    rows = [episode(0, "cart", PARKED, **among)]
+    rows.append(episode(1, "cart", PARKED, **{**among, "near_miss": 1.0}))
+    hit = {"hit_person": 1.0, "contact_speed": 1.5, "least_gap": 0.0}
+    rows.append(episode(2, "cart", MISSED, **{**among, **hit}))
+    hit = {"hit_mover": 1.0, "contact_speed": 0.5, "least_gap": 0.0}
+    rows.append(episode(3, "cart", MISSED, **{**among, **hit}))
+    (row,) = table_rows("x", rows)
+    assert (row["hit person"], row["hit mover"], row["near miss"]) == (0.25,) * 3
+    assert (row["fastest contact [m/s]"], row["least gap [m]"]) == (1.5, 1.0)
+    assert shown_cells(row)["hit person [%]"] == "25.0"
+    assert "4 of busy (0 to 3)" in header(rows)[1]
+
+
+def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
+    late = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
+    rows = [
+        episode(0, "parallel", PARKED),
+        episode(1, "parallel", PARKED, length=300.0),
+        episode(2, "parallel", late, length=500.0),
+        episode(3, "parallel", MISSED, length=20.0),
+        episode(4, "parallel", MISSED, length=90.0),
+    ]
+    assert [row["case"] for row in worst_first(rows)] == [4, 3, 2, 1, 0]
+
+
+def test_policies_are_printed_by_the_names_they_have(capsys):
+    rows = table_rows("x[/red]", [episode(0, "parallel", PARKED, policy="x[/red]")])
+    print_rows(rows, "a title")
+    assert "x[/red]" in capsys.readouterr().out
+
+
+def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
+    episodes = [episode(0, "parallel", PARKED), episode(7, "parallel", MISSED)]
+    (row,) = table_rows("x", episodes)
+    videos = [Video(episodes[1], tmp_path / "videos" / "x.mp4")]
+    files = write_results(tmp_path, header(episodes), [row], episodes, [], videos)
+    assert [path.name for path in files] == ["suite.md", "suite.csv", "suite.html"]
+    page = files[0].read_text()
+    assert "2 of normal (0, 7); seed 0; on cpu." in page
+    assert "| x | normal | parallel | 2 | 1 | 50.0 (9.5 … 90.5) | – |" in page
+    html = files[2].read_text()
+    assert html.index("<td>7</td>") < html.index("<td>0</td>")
+    assert '<video src="videos/x.mp4"' in html
+    assert "case 7, seed 0: crashed" in html
+    assert shown_cells(row)["path found [%]"] == "–"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"policies": ()}, "at least one policy"),
+        ({"policies": ("planner", "planner")}, "policies must differ"),
+        (
+            {"policies": ("zero",), "cases": 0},
+            "cases must be 1 to 1000 from case 0 on, not 0",
+        ),
+        ({"policies": ("zero",), "cases": 1001}, "cases must be 1 to 1000"),
+        ({"policies": ("zero",), "first_case": 1000}, "first_case must be 0 to 999"),
+        ({"policies": ("zero",), "first_case": -1}, "to 999, not -1"),
+        (
+            {"policies": ("zero",), "first_case": 750, "cases": 251},
+            "cases must be 1 to 250 from case 750 on, not 251",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("normal", "tpcap"), "cases": 21},
+            "cases must be 1 to 20 from case 0 on, not 21: level tpcap has 20",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("tpcap",), "first_case": 20},
+            "first_case must be 0 to 19, not 20: level tpcap has the cases 1 to 20",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("tpcap",), "moving_car": True},
+            "moving_car needs an aisle.* level tpcap",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("busy",), "moving_car": True},
+            "moving_car drives in HOPE's levels only, not in busy",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("busy", "normal")},
+            "level busy must be driven alone, not with normal",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("busy",), "videos": 1},
+            "videos show levels .* only, not busy",
+        ),
+        (
+            {"policies": ("zero",), "levels": ("easy",)},
+            "level must be one of normal, .*busy, not 'easy'",
+        ),
+        ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
+        ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),
+        ({"policies": ("zero",), "seeds": (-1,)}, "seed must lie in"),
+        ({"combine": ("a",), "moving_car": True}, "moving_car True has no effect"),
+        ({"combine": ("a",), "rule": "precise"}, "'precise' has no effect with --co"),
+        ({"policies": ("zero",), "videos": 11}, "videos must be 0 to 10, not 11"),
+        ({"policies": ("zero",), "combine": ("a",)}, "not both"),
+    ],
+)
+def test_impossible_settings_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        SuiteConfig(**settings)

@@ -1,0 +1,211 @@
+"""Results of the suite that several processes have written, read together."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from helpers.disks import no_printing
+from helpers.mutating import damaged
+from rich.console import Console
+
+from carpark_mj.rendering.gl import choose_gl
+from carpark_mj.suite import report as suite_videos
+from carpark_mj.suite.command import SuiteConfig, main
+from carpark_mj.suite.evaluation import Drives
+from carpark_mj.suite.levels import SHA256, load_held_out
+from carpark_mj.suite.report import FASTER, make_videos, recording_of
+from carpark_mj.suite.results import (
+    CASES_FILE,
+    WORST_FILE,
+    key_of,
+    read_runs,
+    write_run,
+)
+from carpark_mj.suite.tpcap import load_tpcap
+
+
+def episode(case, seed=0, rule="strict", **more):
+    which = {"policy": "x", "rule": rule, "held_out": SHA256[:16], "made_with": "cpu"}
+    which |= {"seed": seed, "level": "extreme", "case": case, "kind": "parallel"}
+    ends = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
+    drive = {"hit_agent": 0.0, "length": 4.0 + case, "path": 9.0, "gear_changes": 1.0}
+    drive |= {"time_to_park": 30.0, "final_distance": 0.1, "final_heading": 0.1}
+    return {**which, **ends, **drive, "ms / decision": 2.0, **more}
+
+
+def drives(length, agents=1):
+    shape = (1, length, agents)
+    pose = np.broadcast_to(np.array([1.0, 2.0, 3.0], np.float32), (*shape, 2, 3))
+    return Drives(pose, np.ones(shape, np.float32), np.ones(shape, np.float32))
+
+
+def write(folder, *rows):
+    folder.mkdir()
+    kept = rows[-1]
+    key = kept["policy"], kept["level"], kept["seed"], kept["case"]
+    write_run(folder, rows, {key: drives(round(kept["length"]))})
+    return folder
+
+
+def test_what_processes_wrote_is_read_together(tmp_path):
+    planned = episode(1, policy="planner", planned=1.0, planned_path=float("nan"))
+    first = [episode(0), planned]
+    folders = [write(tmp_path / "a", *first), write(tmp_path / "b", episode(3, 1))]
+    episodes, kept = read_runs(folders)
+    assert episodes[0] == first[0]  # what a row lacks it lacks again
+    assert episodes[1] == pytest.approx(first[1], nan_ok=True)
+    assert [(row["seed"], row["case"]) for row in episodes] == [(0, 0), (0, 1), (1, 3)]
+    assert list(kept) == [("planner", "extreme", 0, 1), ("x", "extreme", 1, 3)]
+    for mine, read in zip(drives(7), kept["x", "extreme", 1, 3], strict=True):
+        np.testing.assert_array_equal(read, mine)
+    # Together again: the shorter drive is filled up, and what follows means nothing.
+    (tmp_path / "c").mkdir()
+    write_run(tmp_path / "c", episodes, kept)
+    again, both = read_runs([tmp_path / "c"])
+    assert [row["case"] for row in again] == [0, 1, 3]
+    assert both["planner", "extreme", 0, 1].speed.shape == (1, 7, 1)
+    recording = recording_of(again[1], both["planner", "extreme", 0, 1])
+    assert recording.pose_w.shape == (5, 2, 1, 3)
+    assert recording.timed_out[:, 0].tolist() == [False] * 4 + [True]
+    layout = load_held_out("extreme").layouts
+    np.testing.assert_array_equal(recording.layout.bay_pose, layout.bay_pose[1])
+    assert recording.goal[-1].tolist() == [0]
+
+
+def test_a_recording_of_a_tpcap_case_is_in_its_lot():
+    recording = recording_of(episode(8, level="tpcap"), drives(12))
+    lots = load_tpcap()
+    np.testing.assert_array_equal(recording.layout.bay_pose, lots.bay_pose[8 - 1])
+
+
+def test_runs_with_a_moving_car_are_read_together(tmp_path):
+    rows = [episode(case, moving_car=1) for case in (0, 3)]
+    folders = [
+        write(tmp_path / name, row) for name, row in zip("ab", rows, strict=True)
+    ]
+    assert read_runs(folders)[0] == rows
+    recording = recording_of(rows[1], drives(7, agents=2))
+    assert recording.pose_w.shape == (7, 2, 2, 3)
+    # The outcome is that of the car that parks; each has its own goal.
+    assert recording.timed_out[-1].tolist() == [True, False]
+    assert recording.goal[-1].tolist() == [0, 1]
+    assert recording.layout.bay_mask.tolist() == [True, True]
+
+
+def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
+    folders = [
+        write(tmp_path / "a", episode(0), episode(1)),
+        write(tmp_path / "b", episode(0, 1, parked=1.0, timed_out=0.0), episode(1, 1)),
+    ]
+    # Another device is no other version.
+    second = folders[1] / CASES_FILE
+    second.write_text(second.read_text().replace("cpu", "gpu"))
+    out = tmp_path / "out"
+    config = SuiteConfig(combine=tuple(map(str, folders)), out=str(out))
+    with monkeypatch.context() as terminal:
+        terminal.setattr(Console, "print", no_printing)
+        with pytest.raises(BrokenPipeError):
+            main(config)
+    names = {"cases.csv", "worst.npz", "suite.md", "suite.csv", "suite.html"}
+    names |= {"suite.json"}
+    assert {path.name for path in out.iterdir()} == names  # before it is printed
+    (row,) = main(config)
+    assert (row["cases"], row["seeds"], row["parked"]) == (2, 2, 0.25)
+    assert row["by seed"] == [0.0, 0.5]
+    assert "seeds 0, 1" in (out / "suite.md").read_text()
+    assert len(read_runs([out])[0]) == 4
+    assert "suite.html" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="must not be one of the combined"):
+        main(SuiteConfig(combine=(str(out),), out=str(out)))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([episode(0)], "repeats case 0 of extreme by x with seed 0"),
+        ([episode(1, rule="precise")], "different rules"),
+        ([episode(1, moving_car=1)], "with and without a moving car"),
+        ([episode(1, made_with="cpu, jax 0")], r"x with different versions .*'jax 0'"),
+        ([episode(1, held_out="0")], "other held-out cases, '0'"),
+        ([episode(1, crashed="often")], "line 2: crashed must be .*'often'"),
+        ([episode(1000)], "line 2: there is no case 1000 of level 'extreme'"),
+        ([episode(0, level="tpcap")], "line 2: there is no case 0 of level 'tpcap'"),
+        ([episode(1, level="tpcap")], f"other held-out cases, '{SHA256[:16]}', not "),
+        ([episode(2), episode(1, length="")], "line 3: length must be .*''"),
+    ],
+)
+def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):
+    rows, last = [*rows[:-1]], rows[-1]
+    good = write(tmp_path / "good", episode(0))
+    bad = write(tmp_path / "bad", *rows, episode(9))
+    write_run(bad, [*rows, last], {key_of(last): drives(1004)})
+    with pytest.raises(ValueError, match=message):
+        read_runs([good, bad])
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    (tmp_path / CASES_FILE).write_text("policy,seed\nx,0\n")
+    with pytest.raises(ValueError, match=r"cases\.csv lacks the columns case, crashed"):
+        read_runs([tmp_path])
+    folder = write(tmp_path / "a", episode(0))
+    (folder / "worst.npz").write_bytes(b"PK")
+    with pytest.raises(ValueError, match=r"worst\.npz has no drives of the suite"):
+        read_runs([folder])
+
+
+def test_damaged_results_are_results_or_refused(tmp_path, capsys):
+    folder = write(tmp_path / "a", episode(0), episode(1, parked=1.0, timed_out=0.0))
+    out = str(tmp_path / "out")
+    for name in (CASES_FILE, WORST_FILE):
+        data = (folder / name).read_bytes()
+        for seed in range(150):
+            (folder / name).write_bytes(damaged(data, seed))
+            with contextlib.suppress(ValueError):
+                (row,) = main(SuiteConfig(combine=(str(folder),), out=out))
+                assert row["cases"] in (1, 2)
+        (folder / name).write_bytes(data)
+    assert capsys.readouterr().out  # some were harmless
+
+
+def test_a_column_that_the_table_needs_may_not_be_missing(tmp_path):
+    folder = write(tmp_path / "a", episode(0))
+    lines = (folder / CASES_FILE).read_text().splitlines()
+    lines = [line.split(",") for line in lines]  # no cell has a comma here
+    for column, name in enumerate(lines[0]):
+        rows = [",".join(row[:column] + row[column + 1 :]) for row in lines]
+        (folder / CASES_FILE).write_text("\n".join(rows) + "\n")
+        with pytest.raises(ValueError, match=f"lacks the columns {name}"):
+            read_runs([folder])
+
+
+def test_results_without_an_episode_are_refused(tmp_path):
+    folder = write(tmp_path / "a", episode(0))
+    header = (folder / CASES_FILE).read_text().splitlines()[0]
+    (folder / CASES_FILE).write_text(header + "\n")
+    with pytest.raises(ValueError, match=r"cases\.csv holds no episode"):
+        read_runs([folder])
+
+
+def test_a_video_is_faster_than_driving(tmp_path):
+    import imageio_ffmpeg
+
+    assert choose_gl() is None, "this machine cannot render"
+    row = episode(0, length=40.0)  # 8 s, and then the last picture for 1 s
+    (video,) = make_videos(tmp_path, [row], {("x", "extreme", 0, 0): drives(40)})
+    assert video.path == tmp_path / "videos" / "x-extreme-0-0.mp4"
+    data = next(imageio_ffmpeg.read_frames(str(video.path)))
+    assert data["duration"] == pytest.approx(8.0 / FASTER + 1.0, abs=0.2)
+
+
+def test_runs_whose_folders_have_the_same_name_have_videos_of_their_own(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        suite_videos, "_write", lambda path, _: path.write_text("video")
+    )
+    names = ("runs/a/best", "runs/b/best", "runs/b-best")
+    rows = [episode(0, policy=name, length=4.0) for name in names]
+    kept = {(name, "extreme", 0, 0): drives(4) for name in names}
+    videos = make_videos(tmp_path, rows, kept)
+    assert len({video.path for video in videos}) == 3
+    assert all(video.path.read_text() == "video" for video in videos)
