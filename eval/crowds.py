@@ -72,14 +72,12 @@ def move(
     aim: social_force.Aim,
     borders: jax.Array,
     length: float,
-    radius: float = RADIUS,
     dt: float = DT,
 ) -> tuple[jax.Array, jax.Array]:
     """Places and velocities (n, 2) after a control step, as pedestrians move."""
     offset = functools.partial(apart, length=length)
     end, after = social_force.walk(xy, velocity, aim, offset, [borders], dt)
-    radii = jnp.full(xy.shape[0], radius)
-    rooms = [room_among(offset(xy), radii, dt), room_to(xy, radii, borders)]
+    rooms = [room_among(offset(xy), aim.radius), room_to(xy, aim.radius, borders)]
     moved = go_round(rooms, end - xy)
     return xy + moved, after + (xy + moved - end) / dt
 
@@ -141,7 +139,8 @@ def walk(key: jax.Array, pushes: bool) -> tuple[jax.Array, ...]:
     way = jax.random.permutation(way_key, way)
     heading = jnp.stack([way, jnp.zeros(WALKERS)], axis=-1)
     speed, nobody = paces(speed_key, WALKERS), jnp.zeros(WALKERS, bool)
-    aim = social_force.Aim(speed[:, None] * heading, heading, speed, nobody)
+    radii = jnp.full(WALKERS, RADIUS)
+    aim = social_force.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
     borders = corridor(length, width)
 
     def step(carry, _):
@@ -172,13 +171,13 @@ def one_way(key: jax.Array, density: float, radius: float, dt: float) -> jax.Arr
     place_key, speed_key = jax.random.split(key)
     xy, speed = spread(place_key, count, ONE_WAY), paces(speed_key, count)
     heading = jnp.tile(jnp.array([1.0, 0.0]), (count, 1))
-    nobody = jnp.zeros(count, bool)
-    aim = social_force.Aim(speed[:, None] * heading, heading, speed, nobody)
+    nobody, radii = jnp.zeros(count, bool), jnp.full(count, radius)
+    aim = social_force.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
     borders = corridor(length, width)
 
     def step(carry, _):
         xy, velocity = carry
-        after, velocity = move(xy, velocity, aim, borders, length, radius, dt)
+        after, velocity = move(xy, velocity, aim, borders, length, dt)
         pace = (after - xy)[:, 0].mean() / dt
         return (after.at[:, 0].set(after[:, 0] % length), velocity), pace
 
@@ -198,6 +197,7 @@ def leave(key: jax.Array, speed: jax.Array) -> jax.Array:
         (ROOM, ROOM + WALL, middle + half, ROOM),
     )
     nobody, speeds = jnp.zeros(LEAVERS, bool), jnp.full(LEAVERS, speed)
+    radii = jnp.full(LEAVERS, RADIUS)
 
     def step(carry, _):
         xy, velocity = carry
@@ -206,7 +206,7 @@ def leave(key: jax.Array, speed: jax.Array) -> jax.Array:
         beyond = jnp.where(xy[:, 0] > ROOM - RADIUS, 1e3, ROOM)
         to_go = jnp.stack([beyond, inward], axis=-1) - xy
         heading = to_go / jnp.maximum(norm(to_go), 1e-3)[:, None]
-        aim = social_force.Aim(speed * heading, heading, speeds, nobody)
+        aim = social_force.Aim(speed * heading, heading, speeds, nobody, radii)
         xy, velocity = move(xy, velocity, aim, borders, 1e9)
         return (xy, velocity), (xy[:, 0] > ROOM).sum()
 

@@ -15,7 +15,6 @@ from carpark_mj.geometry import norm
 from carpark_mj.movers.outlines import columns, offsets
 
 SPARE = 1e-3  # m that is left between bodies
-CLOSING = 0.2  # s, in which each may use half of a gap, however short control periods
 TINY = 1e-8  # m², keeps quotients finite where people coincide
 STRAIGHT = 0.1  # share of a move aside, below which whoever is stopped goes right
 
@@ -38,21 +37,18 @@ class Room(NamedTuple):
         return move[:, :1] * self.x + move[:, 1:] * self.y
 
 
-def room_among(
-    offset: tuple[jax.Array, jax.Array], radius: jax.Array, dt: float
-) -> Room:
-    """Room of people to each other: half of the gaps, in short periods a share of it.
+def room_among(offset: tuple[jax.Array, jax.Array], radius: jax.Array) -> Room:
+    """Room of people to each other: half of the gaps.
 
     Args:
         offset: x and y (n, n) from the second to the first [m]; far for themselves.
         radius: (n,) [m].
-        dt: control period [s].
     """
     x, y = offset
     square = x * x + y * y + TINY
     by_distance = jax.lax.rsqrt(square)
     gap = square * by_distance - (radius[:, None] + radius)
-    free = jnp.maximum((gap - SPARE) / 2, 0.0) * min(dt / CLOSING, 1.0)
+    free = jnp.maximum((gap - SPARE) / 2, 0.0)
     return Room(-x * by_distance, -y * by_distance, free)
 
 
@@ -72,25 +68,32 @@ def go_round(rooms: Sequence[Room], move: jax.Array) -> jax.Array:
     Whoever is stopped goes aside instead, as far as there is room.
     """
     room = Room(*(jnp.concatenate(part, axis=1) for part in zip(*rooms, strict=True)))
-    length = norm(move)
-    for goes_aside in (True, False):
-        beyond = room.along(move) - room.free
-        worst = beyond.max(axis=1, keepdims=True)
-        chosen = (beyond == worst) & (worst > 0.0)
-        x = jnp.where(chosen, room.x, 0.0).sum(axis=1)
-        y = jnp.where(chosen, room.y, 0.0).sum(axis=1)
-        move = move - jnp.maximum(worst, 0.0) * columns(x, y)
-        if goes_aside:  # by what is lost ahead; to the right if straight on
-            aside = columns(y, -x)
-            lost = jnp.sqrt(jnp.maximum(length**2 - norm(move) ** 2, 0.0))
-            left = (move * aside).sum(axis=1) < -STRAIGHT * length
-            move = move + jnp.where(left, -lost, lost)[:, None] * aside
-    along = room.along(move)
+    beyond = room.along(move) - room.free
+    worst = beyond.max(axis=1, keepdims=True)
+    chosen = (beyond == worst) & (worst > 0.0)
+    x = jnp.where(chosen, room.x, 0.0).sum(axis=1)
+    y = jnp.where(chosen, room.y, 0.0).sum(axis=1)
+    cut = move - jnp.maximum(worst, 0.0) * columns(x, y)
+    # Aside they go by what they lose ahead; to the right if they go straight on.
+    aside = columns(y, -x)
+    lost = jnp.sqrt(jnp.maximum(norm(move) ** 2 - norm(cut) ** 2, 0.0))
+    left = (cut * aside).sum(axis=1) < -STRAIGHT * norm(move)
+    cut = cut + jnp.where(left, -lost, lost)[:, None] * aside
+    along = room.along(cut)
     share = jnp.where(along > room.free, room.free / jnp.maximum(along, TINY), 1.0)
-    return move * share.min(axis=1, keepdims=True)
+    return cut * share.min(axis=1, keepdims=True)
 
 
-def is_clear(rooms: Sequence[Room], move: jax.Array) -> jax.Array:
+def is_clear(room: Room, move: jax.Array) -> jax.Array:
     """(n,) bool, whether moves (n, 2) end within the room."""
-    clear = [(room.along(move) <= room.free + SPARE / 4).all(axis=1) for room in rooms]
-    return jnp.stack(clear).all(axis=0)
+    return (room.along(move) <= room.free + SPARE / 4).all(axis=1)
+
+
+def meets(
+    xy: jax.Array, move: jax.Array, radius: jax.Array, boxes: jax.Array
+) -> jax.Array:
+    """(n,) bool, whether moves (n, 2) of discs end in boxes (6, k), and nearer."""
+    x, y = offsets((xy + move)[:, None], boxes[:, None])
+    after = x * x + y * y
+    x, y = offsets(xy[:, None], boxes[:, None])
+    return ((after < radius[:, None] ** 2) & (after < x * x + y * y)).any(axis=1)

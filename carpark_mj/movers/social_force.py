@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import norm
+from carpark_mj.movers.bodies import go_round, room_among
 from carpark_mj.movers.outlines import columns, offsets
 
 RELAXATION = 0.5  # s, tau
@@ -23,7 +24,8 @@ STEP_TIME = 2.0  # s, Delta t: how far ahead others are taken to step
 SIGHT = -0.17364818  # cos of 100°: half the angle of sight
 UNSEEN = 0.5  # c, weight of what is behind
 SPEED_LIMIT = 1.3  # largest speed over the desired one
-SUBSTEP = 0.1  # s, longest; shorter ones change nothing that could be seen
+SUBSTEP = 0.1  # s, longest
+CLOSING = 0.25  # s, in which people use at most half of the gap to who is ahead
 TINY = 1e-8  # m², keeps quotients finite where people coincide
 
 Pair = tuple[jax.Array, jax.Array]  # x and y
@@ -37,12 +39,14 @@ class Aim(NamedTuple):
         heading: (n, 2) desired directions, unit vectors.
         speed: (n,) desired speeds that limit theirs [m/s].
         straight: (n,) bool, on whom no forces act.
+        radius: (n,) of their bodies [m].
     """
 
     wanted: jax.Array
     heading: jax.Array
     speed: jax.Array
     straight: jax.Array
+    radius: jax.Array
 
 
 def walk(
@@ -70,7 +74,8 @@ def walk(
 
     def step(_: int, carry: tuple[jax.Array, jax.Array]):
         xy, velocity = carry
-        fx, fy = push(apart(xy), norm(velocity), aim.heading)
+        offset = apart(xy)
+        fx, fy = push(offset, norm(velocity), aim.heading)
         x, y = fx.sum(axis=1), fy.sum(axis=1)
         for boxes in borders:
             border_x, border_y = border_push(offsets(xy[:, None], boxes))
@@ -80,6 +85,9 @@ def walk(
         force = jnp.where(aim.straight[:, None], 0.0, columns(x, y))
         velocity = advance(velocity, aim.wanted, force, share)
         velocity = limit(velocity, aim.speed)
+        room = room_among(offset, aim.radius)
+        room = room._replace(free=room.free / CLOSING)
+        velocity = go_round([room], velocity)
         return xy + share * velocity, velocity
 
     return jax.lax.fori_loop(0, steps, step, (xy, velocity))

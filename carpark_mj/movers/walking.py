@@ -14,7 +14,13 @@ import jax.numpy as jnp
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import norm
 from carpark_mj.movers import social_force
-from carpark_mj.movers.bodies import go_round, is_clear, room_among, room_to
+from carpark_mj.movers.bodies import (
+    go_round,
+    is_clear,
+    meets,
+    room_among,
+    room_to,
+)
 from carpark_mj.movers.outlines import (
     AWAY,
     columns,
@@ -75,21 +81,21 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     straight = people.straight | (people.child & ~rests)
     straight = straight | (people.phase != ACROSS)
     borders = [people.near, things[:, None], _boxes(cars)[:, None]]
-    aim = social_force.Aim(wanted, heading, speed, straight)
+    aim = social_force.Aim(wanted, heading, speed, straight, people.radius)
     apart = functools.partial(_apart, people)
     end, velocity = social_force.walk(
         people.xy, people.velocity, aim, apart, borders, dt
     )
     wish = end - people.xy
     everything = jnp.concatenate([_parked(lot), people.places.walls, things], axis=1)
-    others = room_among(apart(people.xy), people.radius, dt)
+    others = room_among(apart(people.xy), people.radius)
     near = [room_to(people.xy, people.radius, boxes) for boxes in borders[:2]]
     move = go_round([others, *near], wish)
     kept = keep_off(people.xy, move, waypoint, people.radius, enter, stop)
     # Nobody is pushed out of the lot.
     stays = (jnp.abs(people.xy + kept) < lot.layout.extent).all(axis=-1)
-    bodies = room_to(people.xy, people.radius, everything[:, None])
-    stays = stays & people.present & is_clear([others, bodies], kept)
+    stays = stays & people.present & is_clear(others, kept)
+    stays = stays & ~meets(people.xy, kept, people.radius, everything)
     move = jnp.where(stays[:, None], kept, 0.0)
     xy = people.xy + move
     left = norm(waypoint - xy)
