@@ -28,11 +28,11 @@ from carpark_mj.movers import social_force
 from carpark_mj.movers.bodies import go_round, room_among, room_to
 from carpark_mj.movers.outlines import outlines
 
-DT = 0.05  # s
+DT = 0.2  # s, the control period
 RADIUS = 0.3  # m
 CORRIDOR = (30.0, 10.0)  # m, its ends are joined
 ONE_WAY = (12.0, 4.0)  # m, of a corridor in which all walk one way, ends joined
-ONE_WAY_TIME = 30.0  # s
+ONE_WAY_TIME = 20.0  # s
 # Persons per square metre, and radii [m]; four of 0.3 m would cover more than there is.
 CROWDED = ((1.0, 0.2), (2.0, 0.2), (4.0, 0.2), (1.0, 0.3), (2.0, 0.3))
 PERIODS = (0.2, 0.02)  # s, control periods
@@ -266,7 +266,7 @@ def run(config: CrowdsConfig) -> None:
         print(f"{what}: {np.mean(values):.2f} ± {np.std(values):.2f} {unit}")
 
 
-def draw(path: Path, walks: dict[float, tuple], flows: np.ndarray) -> None:
+def draw(path: Path, walks: dict[bool, tuple], flows: np.ndarray) -> None:
     """The figure: a corridor first and last, lanes over time, flows by speed."""
     import matplotlib
 

@@ -116,7 +116,10 @@ def overlaps(state: State) -> dict[str, tuple[jax.Array, jax.Array]]:
             rows = found.setdefault(f"{one.kind.label} in {kind.label}", [])
             rows.append((jnp.stack(deepest).max(axis=0), there))
     return {
-        name: tuple(map(jnp.concatenate, zip(*rows, strict=True)))
+        name: (
+            jnp.concatenate([deep for deep, _ in rows]),
+            jnp.concatenate([there for _, there in rows]),
+        )
         for name, rows in found.items()
     }
 

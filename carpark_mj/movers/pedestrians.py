@@ -77,7 +77,7 @@ class Pedestrians(Mover):
     def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> People:
         """Everybody stands at a place of their own."""
         (least, n), places = _bounds(self.number), make_places(layout)
-        others = group_outlines(others)
+        bodies = group_outlines(others)
         room = self.radius[1] + SPARE
         *keys, attention_key = jax.random.split(key, 12)
         keys = iter(keys)
@@ -89,7 +89,7 @@ class Pedestrians(Mover):
         # Of places too near to each other the last in order counts.
         near = norm(places.edge[:, None] - places.edge) < 2.0 * room
         near = near & (order > order[:, None]) & places.mask
-        good = places.mask & ~near.any(axis=1) & _is_free(places.edge, room, others)
+        good = places.mask & ~near.any(axis=1) & _is_free(places.edge, room, bodies)
         order = jnp.argsort(jnp.where(good, order, 2.0))[:n]
         start = jnp.pad(order, (0, n - order.shape[0]))
         rank, number_key = jnp.arange(n), next(keys)
@@ -108,7 +108,7 @@ class Pedestrians(Mover):
         beside = 2.0 * room * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
         # Beside the leader, if there is room, clear of all others.
         tried = places.edge[jnp.roll(start, 1)] + beside
-        walls = jnp.concatenate([others, places.walls], axis=1)
+        walls = jnp.concatenate([bodies, places.walls], axis=1)
         away = norm(tried[:, :, None] - places.edge[start]) > 2.0 * room - SPARE
         away = (away | (rank[:, None] == rank)).all(axis=-1)
         free = _is_free(tried, room, walls) & away

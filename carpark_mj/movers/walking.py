@@ -97,6 +97,9 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     stays = stays & people.present & is_clear(others, kept)
     stays = stays & ~meets(people.xy, kept, people.radius, everything)
     move = jnp.where(stays[:, None], kept, 0.0)
+    # What is cut of a move is lost speed.
+    velocity = velocity + (move - wish) / dt
+    velocity = jnp.where((norm(move) > 0.0)[:, None], velocity, 0.0)
     xy = people.xy + move
     left = norm(waypoint - xy)
     halted = ~rests | _by_waiting(people.xy, cars)
@@ -104,7 +107,7 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     people = dataclasses.replace(
         people,
         xy=xy,
-        velocity=velocity + (move - wish) / dt,
+        velocity=velocity,
         clock=people.clock + dt,
         halted=jnp.maximum(people.halted + jnp.where(halted, dt, -dt), 0.0),
     )

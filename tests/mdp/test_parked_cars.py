@@ -13,8 +13,10 @@ from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 
 from carpark_mj.config import EnvConfig, RingConfig, SpawnConfig
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local, to_world
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.bays import free_bays, shuffled_bays
 from carpark_mj.mdp.parked_cars import (
@@ -193,6 +195,19 @@ def test_agents_in_one_list_with_parked_cars_take_their_places_in_it():
     # In a list of their own they track the two at 10 and 20.
     moved = relocations(random_rule(2), state, [0]) == 0
     np.testing.assert_allclose(moved.mean(axis=0), [0, 0, 0.5, 0.5], atol=0.08)
+
+
+def test_no_car_moves_to_where_a_mover_is():
+    # An agent has parked in bay 0; then somebody stands there, or in the bay beside.
+    state = row_of([0, 5], [1, 3, 4], [0, 48])
+    for bay, radius in ((0, 0.3), (2, 0.3)):
+        there = ROW.bay_pose[bay : bay + 1, :2] + 0.4
+        person = Discs(there, jnp.array([radius]), kind=ObstacleKind.PERSON)
+        driver = Boxes(ROW.bay_pose[bay : bay + 1], jnp.array([[4.0, 1.8]]))
+        for group in (person, driver):
+            among = state.replace(movers=Movers((), ((group,),)))
+            after = relocated(FURTHEST, among, [0])
+            assert bool((after.bay == state.parked_cars.bay).all()) == (bay == 0)
 
 
 RULES = {

@@ -89,7 +89,9 @@ def test_a_turned_lot_looks_the_same_also_with_those_who_stand(angle):
             pose = pose.at[:, 2].add(angle)
         return group.replace(pose_w=pose, velocity_w=rotate(group.velocity_w, angle))
 
-    turned = see(4, movers=(turn(PEOPLE), turn(CART)), facing=FACING + [0, 0, angle])
+    turned = see(
+        4, movers=(turn(PEOPLE), turn(CART)), facing=np.add(FACING, [0, 0, angle])
+    )
     for row, other in zip(see(4), turned, strict=True):
         for name, value in row.items():
             np.testing.assert_allclose(other[name], value, atol=1e-5, err_msg=name)
