@@ -37,7 +37,12 @@ from carpark_mj.mdp.spawning.placing import (
     start_placing,
 )
 from carpark_mj.observations import sensors
-from carpark_mj.obstacles import begin_movers, step_movers, trace_still
+from carpark_mj.obstacles import (
+    begin_movers,
+    lot_obstacles,
+    step_movers,
+    trace_still,
+)
 from carpark_mj.physics.base import Physics, RollingStarts, where_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, PhysicsState, State
 from carpark_mj.vehicle import Vehicle, VehicleParameters
@@ -128,9 +133,12 @@ class Episodes:
         if num_present is not None:
             present = jnp.arange(num_agents) < num_present
         key, vehicle_key, sensor_key = self._split(key)
-        key, movers = self._begin_movers(layout, key)
+        mover_key = key
+        if self._movers:
+            key, mover_key = jax.random.split(key)
         key, start_key, spawn_key = jax.random.split(key, 3)
         start = self._fleet.start(layout, start_key, present, options)
+        movers = self._begin_movers(layout, start.parked_cars, mover_key)
         vehicles = randomize_all(config.randomization, start.vehicles, vehicle_key)
         inputs = self._spawn_inputs(
             layout, start.parked_cars, movers, vehicles, vehicles
@@ -294,12 +302,14 @@ class Episodes:
         vehicles = randomize_all(config.randomization, nominal, key)
         return kind if self._fleet.mixed else None, vehicles
 
-    def _begin_movers(self, layout: Layout, key: jax.Array) -> tuple[jax.Array, Movers]:
-        """The lot's next key, and its movers if there are any."""
+    def _begin_movers(
+        self, layout: Layout, parked_cars: ParkedCars, key: jax.Array
+    ) -> Movers:
+        """The movers of a lot; `key` is consumed if there are any."""
         if not self._movers:
-            return key, NO_MOVERS
-        key, mover_key = jax.random.split(key)
-        return key, begin_movers(self._movers, layout, mover_key)
+            return NO_MOVERS
+        others = lot_obstacles(layout, None, parked_cars)
+        return begin_movers(self._movers, layout, key, others)
 
     def step_movers(self, state: State, keys: StepKeys) -> Movers:
         """The movers after a control step; `state` is before it."""

@@ -79,20 +79,30 @@ def lot_obstacles(
     return (*groups, *movers.groups)
 
 
-def begin_movers(movers: Sequence[Mover], layout: Layout, key: jax.Array) -> Movers:
+def begin_movers(
+    movers: Sequence[Mover],
+    layout: Layout,
+    key: jax.Array,
+    others: Sequence[Group] = (),
+) -> Movers:
     """Movers of a lot that begins, not traced yet.
+
+    Each keeps clear of the others and of the movers before it.
 
     Args:
         movers: which.
         layout: the lot.
         key: consumed.
+        others: what stands in the lot.
 
     Raises:
         ValueError: obstacles are not groups of boxes and discs.
     """
-    keys = jax.random.split(key, len(movers))
-    pairs = zip(movers, keys, strict=True)
-    return place_movers(movers, [mover.init(key, layout) for mover, key in pairs])
+    states, others = [], list(others)
+    for mover, own_key in zip(movers, jax.random.split(key, len(movers)), strict=True):
+        states.append(_strong(mover.begin(own_key, layout, others)))
+        others += _groups(mover, states[-1])
+    return place_movers(movers, states)
 
 
 def mover_shapes(movers: Sequence[Mover], layout: Layout) -> tuple[Group, ...]:
@@ -132,6 +142,9 @@ def step_movers(
 ) -> Movers:
     """Movers after a control step.
 
+    One moves after the other. Each sees where the others are by then, so that none
+    moves to where another is.
+
     Args:
         movers: which.
         state: of the lot before the step.
@@ -142,16 +155,18 @@ def step_movers(
         ValueError: the shapes of the state or the obstacles have changed.
     """
     old, num_traces = state.movers, state.motion.trace_w.shape[-2]
-    keys, states, obstacles = jax.random.split(key, len(movers)), [], []
-    rows = zip(movers, old.states, old.obstacles, keys, strict=True)
-    for mover, before, there, own_key in rows:
-        after = _strong(mover.step(own_key, before, state, dt))
+    keys, states, obstacles = jax.random.split(key, len(movers)), [], [*old.obstacles]
+    for number, mover in enumerate(movers):
+        before, there = old.states[number], old.obstacles[number]
+        others = Movers((), (*obstacles[:number], *obstacles[number + 1 :]))
+        lot = dataclasses.replace(state, movers=others)
+        after = _strong(mover.step(keys[number], before, lot, dt))
         _require_same(mover, "state", before, after)
         groups = _groups(mover, after)
         _require_same(mover, "obstacles", tuple(map(_untraced, there)), groups)
         pairs = zip(there, groups, strict=True)
         states.append(after)
-        obstacles.append(tuple(_trace(*pair, num_traces) for pair in pairs))
+        obstacles[number] = tuple(_trace(*pair, num_traces) for pair in pairs)
     return Movers(tuple(states), tuple(obstacles))
 
 

@@ -1,4 +1,4 @@
-"""The social force model against its published behaviour: lanes, and a door.
+"""The social force model against published behaviour: speeds, lanes, and a door.
 
 python eval/crowds.py
 python eval/crowds.py --out runs/people
@@ -12,6 +12,8 @@ if __name__ == "__main__":  # before the imports, which take seconds
     enter("crowds", "crowds:main")
 
 import dataclasses
+import functools
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,14 +25,21 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.files import require_writable, write_atomically, write_csv
 from carpark_mj.geometry import norm
 from carpark_mj.movers import social_force
-from carpark_mj.movers.walking import BODY
+from carpark_mj.movers.bodies import go_round, room_among, room_to
+from carpark_mj.movers.outlines import outlines
 
-DT = 0.05  # s
+DT = 0.2  # s, the control period
 RADIUS = 0.3  # m
 CORRIDOR = (30.0, 10.0)  # m, its ends are joined
+ONE_WAY = (12.0, 4.0)  # m, of a corridor in which all walk one way, ends joined
+ONE_WAY_TIME = 20.0  # s
+# Persons per square metre, and radii [m]; four of 0.3 m would cover more than there is.
+CROWDED = ((1.0, 0.2), (2.0, 0.2), (4.0, 0.2), (1.0, 0.3), (2.0, 0.3))
+PERIODS = (0.2, 0.02)  # s, control periods
 WALKERS = 60  # half of them each way
 WALK_TIME = 120.0  # s
 ROOM, DOOR = 12.0, 2.0  # m, of a square room and the door in the middle of a wall
+WALL = 0.2  # m, how thick it is
 LEAVERS = 100
 LEAVE_TIME = 180.0  # s
 SPEEDS = (0.8, 1.34, 2.0, 3.0, 4.5)  # m/s, desired at the door
@@ -50,27 +59,27 @@ class CrowdsConfig:
     out: str = "docs/people"
 
 
-def forces(
-    xy: jax.Array, velocity: jax.Array, heading: jax.Array, length: float
-) -> jax.Array:
-    """Forces (n, 2) of people on each other; x repeats after a length [m]."""
-    count = xy.shape[0]
+def apart(xy: jax.Array, length: float) -> social_force.Pair:
+    """X and y (n, n) [m] from the second people to the first; x repeats."""
     x = xy[:, :1] - xy[:, 0]
-    x = x - length * jnp.round(x / length) + 1e6 * jnp.eye(count)
-    y = xy[:, 1:] - xy[:, 1]
-    fx, fy = social_force.push((x, y), norm(velocity), heading)
-    distance = jnp.sqrt(x * x + y * y)
-    part = BODY * jnp.maximum(2 * RADIUS / distance - 1.0, 0.0)
-    return jnp.stack([(fx + part * x).sum(1), (fy + part * y).sum(1)], axis=-1)
+    x = x - length * jnp.round(x / length) + 1e6 * jnp.eye(xy.shape[0])
+    return x, xy[:, 1:] - xy[:, 1]
 
 
 def move(
-    xy: jax.Array, velocity: jax.Array, wanted: jax.Array, force: jax.Array
+    xy: jax.Array,
+    velocity: jax.Array,
+    aim: social_force.Aim,
+    borders: jax.Array,
+    length: float,
+    dt: float = DT,
 ) -> tuple[jax.Array, jax.Array]:
-    """Places and velocities (n, 2) after a step."""
-    velocity = social_force.advance(velocity, wanted, force, DT)
-    velocity = social_force.limit(velocity, norm(wanted))
-    return xy + DT * velocity, velocity
+    """Places and velocities (n, 2) after a control step, as pedestrians move."""
+    offset = functools.partial(apart, length=length)
+    end, after = social_force.walk(xy, velocity, aim, offset, [borders], dt)
+    rooms = [room_among(offset(xy), aim.radius), room_to(xy, aim.radius, borders)]
+    moved = go_round(rooms, end - xy)
+    return xy + moved, after + (xy + moved - end) / dt
 
 
 def order(xy: jax.Array, way: jax.Array) -> jax.Array:
@@ -89,66 +98,116 @@ def order(xy: jax.Array, way: jax.Array) -> jax.Array:
     return jnp.where(others > 0, alike, 0.0).sum() / jnp.maximum((others > 0).sum(), 1)
 
 
-def walk(key: jax.Array, pushes: float) -> tuple[jax.Array, ...]:
+def spread(key: jax.Array, count: int, size: tuple[float, float]) -> jax.Array:
+    """Places (count, 2) [m] about those of a grid in a rectangle from the origin."""
+    columns = math.ceil(math.sqrt(count * size[0] / size[1]))
+    rows = math.ceil(count / columns)
+    number = jnp.arange(count)
+    x, y = number % columns, number // columns
+    x = x + 0.5 * (y % 2)  # in a hexagonal pattern
+    cell = jnp.array([size[0] / columns, size[1] / rows])
+    jitter = jax.random.uniform(key, (count, 2), minval=-0.1, maxval=0.1)
+    places = jnp.stack([x + 0.25, y + 0.5], axis=-1) * cell
+    return places + jitter * jnp.maximum(cell - 2 * RADIUS, 0.0)
+
+
+def walls(*boxes: tuple[float, float, float, float]) -> jax.Array:
+    """Outlines (6, 1, k) of rectangles, from x to x and from y to y [m]."""
+    low_x, high_x, low_y, high_y = jnp.array(boxes).T
+    pose = jnp.stack([(low_x + high_x) / 2, (low_y + high_y) / 2, 0 * low_x], axis=-1)
+    size = jnp.stack([high_x - low_x, high_y - low_y], axis=-1)
+    return outlines(pose, size, jnp.ones(len(boxes), bool))[:, None]
+
+
+def corridor(length: float, width: float) -> jax.Array:
+    """The walls of a corridor, longer than it is."""
+    ends = -length, 2 * length
+    return walls((*ends, -1.0, 0.0), (*ends, width, width + 1.0))
+
+
+def paces(key: jax.Array, count: int) -> jax.Array:
+    """Desired speeds (count,) [m/s] of Weidmann."""
+    return 1.34 + 0.26 * jax.random.truncated_normal(key, -2, 2, (count,))
+
+
+def walk(key: jax.Array, pushes: bool) -> tuple[jax.Array, ...]:
     """Places (n, 2) first and last, directions (n,), and the order over time."""
     length, width = CORRIDOR
-    place_key, speed_key = jax.random.split(key)
-    size = jnp.array([length, width - 2 * RADIUS])
-    xy = jax.random.uniform(place_key, (WALKERS, 2)) * size
-    xy = xy + jnp.array([0.0, RADIUS])
+    place_key, speed_key, way_key = jax.random.split(key, 3)
+    xy = spread(place_key, WALKERS, CORRIDOR)
     way = jnp.where(jnp.arange(WALKERS) % 2 == 0, 1.0, -1.0)
-    speed = 1.34 + 0.26 * jax.random.truncated_normal(speed_key, -2, 2, (WALKERS,))
+    way = jax.random.permutation(way_key, way)
     heading = jnp.stack([way, jnp.zeros(WALKERS)], axis=-1)
+    speed, nobody = paces(speed_key, WALKERS), jnp.zeros(WALKERS, bool)
+    radii = jnp.full(WALKERS, RADIUS)
+    aim = social_force.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
+    borders = corridor(length, width)
 
     def step(carry, _):
         xy, velocity = carry
-        y = xy[:, 1]
-        below = social_force.border_push((jnp.zeros(WALKERS), y))[1]
-        above = social_force.border_push((jnp.zeros(WALKERS), y - width))[1]
-        force = pushes * forces(xy, velocity, heading, length)
-        force = force.at[:, 1].add(below + above)
-        xy, velocity = move(xy, velocity, speed[:, None] * heading, force)
-        xy = jnp.stack([xy[:, 0] % length, jnp.clip(xy[:, 1], 0.0, width)], axis=-1)
+        if pushes:
+            xy, velocity = move(xy, velocity, aim, borders, length)
+        else:
+            xy = xy + DT * velocity
+        xy = xy.at[:, 0].set(xy[:, 0] % length)
         return (xy, velocity), order(xy, way)
 
-    start = xy, speed[:, None] * heading
-    (last, _), orders = jax.lax.scan(step, start, length=round(WALK_TIME / DT))
+    steps = round(WALK_TIME / DT)
+    (last, _), orders = jax.lax.scan(step, (xy, aim.wanted), length=steps)
     return xy, last, way, orders
+
+
+def one_way(key: jax.Array, density: float, radius: float, dt: float) -> jax.Array:
+    """Mean speed () [m/s] of people who walk one way, in the second half of the time.
+
+    Args:
+        key: consumed.
+        density: people per square metre.
+        radius: of their bodies [m].
+        dt: control period [s].
+    """
+    length, width = ONE_WAY
+    count = round(density * length * width)
+    place_key, speed_key = jax.random.split(key)
+    xy, speed = spread(place_key, count, ONE_WAY), paces(speed_key, count)
+    heading = jnp.tile(jnp.array([1.0, 0.0]), (count, 1))
+    nobody, radii = jnp.zeros(count, bool), jnp.full(count, radius)
+    aim = social_force.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
+    borders = corridor(length, width)
+
+    def step(carry, _):
+        xy, velocity = carry
+        after, velocity = move(xy, velocity, aim, borders, length, dt)
+        pace = (after - xy)[:, 0].mean() / dt
+        return (after.at[:, 0].set(after[:, 0] % length), velocity), pace
+
+    steps = round(ONE_WAY_TIME / dt)
+    pace = jax.lax.scan(step, (xy, 0.3 * aim.wanted), length=steps)[1]
+    return pace[steps // 2 :].mean()
 
 
 def leave(key: jax.Array, speed: jax.Array) -> jax.Array:
     """How many have left a room through its door, over time."""
-    xy = jax.random.uniform(key, (LEAVERS, 2), minval=0.5, maxval=ROOM - 0.5)
-    door = jnp.array([ROOM, ROOM / 2])
-    posts = door + jnp.array([[0.0, DOOR / 2], [0.0, -DOOR / 2]])
+    xy, middle, half = spread(key, LEAVERS, (ROOM, ROOM)), ROOM / 2, DOOR / 2
+    borders = walls(
+        (-1.0, 0.0, -1.0, ROOM + 1.0),
+        (-1.0, ROOM + WALL, -1.0, 0.0),
+        (-1.0, ROOM + WALL, ROOM, ROOM + 1.0),
+        (ROOM, ROOM + WALL, 0.0, middle - half),
+        (ROOM, ROOM + WALL, middle + half, ROOM),
+    )
+    nobody, speeds = jnp.zeros(LEAVERS, bool), jnp.full(LEAVERS, speed)
+    radii = jnp.full(LEAVERS, RADIUS)
 
     def step(carry, _):
         xy, velocity = carry
-        out = xy[:, 0] > ROOM
-        inward = jnp.clip(xy[:, 1], ROOM / 2 - DOOR / 4, ROOM / 2 + DOOR / 4)
-        aim = jnp.stack([jnp.full(LEAVERS, ROOM + 1.0), inward], axis=-1)
-        aim = jnp.where((xy[:, :1] > ROOM - 0.3), aim, door)
-        to_go = aim - xy
+        # Through the door, and then far away, so that nobody blocks it.
+        inward = jnp.clip(xy[:, 1], middle - half / 2, middle + half / 2)
+        beyond = jnp.where(xy[:, 0] > ROOM - RADIUS, 1e3, ROOM)
+        to_go = jnp.stack([beyond, inward], axis=-1) - xy
         heading = to_go / jnp.maximum(norm(to_go), 1e-3)[:, None]
-        heading = jnp.where(out[:, None], jnp.array([1.0, 0.0]), heading)
-        # Those who are through walk away: far off, so that they block nobody.
-        force = forces(xy, velocity, heading, 1e9)
-        x, y = xy[:, 0], xy[:, 1]
-        zero = jnp.zeros(LEAVERS)
-        walls = [(x, zero), (zero, y), (zero, y - ROOM)]
-        at_door = jnp.abs(y - ROOM / 2) < DOOR / 2
-        front = jnp.where(at_door, 1e3, x - ROOM)
-        walls += [(front, zero), *((x - post[0], y - post[1]) for post in posts)]
-        force += (
-            sum(
-                jnp.stack(social_force.border_push(offset), axis=-1) for offset in walls
-            )
-            * ~out[:, None]
-        )
-        xy, velocity = move(xy, velocity, speed * heading, force)
-        kept = jnp.minimum(xy[:, 0], ROOM - 0.05)
-        shut = ~out & (jnp.abs(xy[:, 1] - ROOM / 2) >= DOOR / 2)
-        xy = xy.at[:, 0].set(jnp.where(shut, kept, xy[:, 0]))
+        aim = social_force.Aim(speed * heading, heading, speeds, nobody, radii)
+        xy, velocity = move(xy, velocity, aim, borders, 1e9)
         return (xy, velocity), (xy[:, 0] > ROOM).sum()
 
     start = xy, jnp.zeros((LEAVERS, 2))
@@ -170,15 +229,25 @@ def run(config: CrowdsConfig) -> None:
     require_writable(out / "crowds.csv", new_folders=True)
     jax.config.update("jax_platforms", "cpu")
     keys = jax.random.split(jax.random.key(0), SEEDS)
-    many = jax.jit(jax.vmap(walk, (0, None)))
-    walks = {pushes: jax.device_get(many(keys, pushes)) for pushes in (1.0, 0.0)}
+    many = jax.jit(jax.vmap(walk, (0, None)), static_argnums=1)
+    walks = {pushes: jax.device_get(many(keys, pushes)) for pushes in (True, False)}
+    speeds = jax.jit(jax.vmap(one_way, (0, None, None, None)), static_argnums=(1, 2, 3))
     leaving = jax.jit(jax.vmap(jax.vmap(leave, (0, None)), (None, 0)))
     left = np.asarray(leaving(keys, jnp.array(SPEEDS)))
     flows = np.array([[flow(one) for one in row] for row in left])
     end = round(20.0 / DT)
     rows = [
-        ("order of lanes, last 20 s", "", *walks[1.0][3][:, -end:].mean(axis=1)),
-        ("the same without forces", "", *walks[0.0][3][:, -end:].mean(axis=1)),
+        *(
+            (
+                f"speed at {density:g} 1/m2, radius {radius:g} m, steps of {dt:g} s",
+                "m/s",
+                *np.asarray(speeds(keys, density, radius, dt)),
+            )
+            for density, radius in CROWDED
+            for dt in PERIODS
+        ),
+        ("order of lanes, last 20 s", "", *walks[True][3][:, -end:].mean(axis=1)),
+        ("the same without forces", "", *walks[False][3][:, -end:].mean(axis=1)),
         *(
             (f"flow through the door at {v:g} m/s", "1/s", *row)
             for v, row in zip(SPEEDS, flows, strict=True)
@@ -197,7 +266,7 @@ def run(config: CrowdsConfig) -> None:
         print(f"{what}: {np.mean(values):.2f} ± {np.std(values):.2f} {unit}")
 
 
-def draw(path: Path, walks: dict[float, tuple], flows: np.ndarray) -> None:
+def draw(path: Path, walks: dict[bool, tuple], flows: np.ndarray) -> None:
     """The figure: a corridor first and last, lanes over time, flows by speed."""
     import matplotlib
 
@@ -206,7 +275,7 @@ def draw(path: Path, walks: dict[float, tuple], flows: np.ndarray) -> None:
 
     figure = plt.figure(figsize=(10, 5.6), layout="constrained")
     grid = figure.add_gridspec(3, 2, height_ratios=[1, 1, 1.8])
-    first, last, way, orders = walks[1.0]
+    first, last, way, orders = walks[True]
     for row, (places, name) in enumerate(((first, "0 s"), (last, f"{WALK_TIME:g} s"))):
         axes = figure.add_subplot(grid[row, :])
         for sign, colour in ((1.0, "tab:blue"), (-1.0, "tab:orange")):
@@ -215,7 +284,7 @@ def draw(path: Path, walks: dict[float, tuple], flows: np.ndarray) -> None:
         axes.set_title(f"corridor at {name}", fontsize=9)
     axes = figure.add_subplot(grid[2, 0])
     time = DT * np.arange(1, orders.shape[1] + 1)
-    for pushes, label in ((1.0, "social force"), (0.0, "no forces between people")):
+    for pushes, label in ((True, "social force"), (False, "no forces between people")):
         axes.plot(time, walks[pushes][3].mean(axis=0), label=label)
     axes.set(xlabel="time [s]", ylabel="order of lanes")
     axes.legend(fontsize=8)

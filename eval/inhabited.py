@@ -1,10 +1,11 @@
-"""Runs inhabited lots for long and looks for states that are not finite.
+"""Runs inhabited lots for long: what is not finite, and what stands in what.
 
 python eval/inhabited.py
-python eval/inhabited.py --num-lots 64 --agent-steps 200000
+python eval/inhabited.py --environment considerate --layout lot --overlaps
 
 Cars hold random controls for a second. Seed and round determine everything, so a round
-that fails can be repeated with `--seed` and `--first-round`.
+that fails can be repeated with `--seed` and `--first-round`. `--overlaps` runs one
+round and prints how often movers overlap each other and what stands.
 """
 
 from carpark_mj.cli.process import enter
@@ -13,6 +14,7 @@ if __name__ == "__main__":  # before the imports, which take seconds
     enter("inhabited", "inhabited:main")
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -22,12 +24,18 @@ import jax.numpy as jnp
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.config.checks import require_count
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
+from carpark_mj.geometry import norm, to_local
+from carpark_mj.geometry.obstacles import Boxes, Discs, Group
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.registry import environment
+from carpark_mj.types import State
 
 HOLD = 5  # control steps of the same controls
 FOUND = ("not finite", "diverged", "crashed", "hit a person", "parked")
+DEEP = (1e-3, 0.05, 0.2)  # m, overlaps that are told apart
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +50,8 @@ class InhabitedConfig:
         round_steps: control steps of a round, after which lots begin anew.
         first_round: number of the first round.
         seed: of everything that is drawn.
+        layout: of the lots; "" = that of the environment.
+        overlaps: whether to count overlaps, in one round.
     """
 
     environment: str = "square"
@@ -51,12 +61,87 @@ class InhabitedConfig:
     round_steps: int = 1000
     first_round: int = 0
     seed: int = 0
+    layout: str = ""
+    overlaps: bool = False
 
     def __post_init__(self) -> None:
         for name in ("agent_steps", "num_lots", "round_steps"):
             require_count(name, getattr(self, name), 1)
         require_count("first_round", self.first_round, 0)
         require_seed(self.seed)
+
+
+def depth(one: Group, other: Group) -> jax.Array:
+    """Depths (n, m) [m] of overlaps of obstacles with others; negative where apart."""
+    if isinstance(one, Discs) and isinstance(other, Discs):
+        gap = norm(one.pose_w[:, None] - other.pose_w)
+        return one.size[:, None] + other.size - gap
+    if isinstance(one, Discs):
+        return depth(other, one).T
+    half = one.size[:, None] / 2
+    if isinstance(other, Discs):
+        centre = jnp.pad(other.pose_w, ((0, 0), (0, 1)))
+        out = jnp.abs(to_local(one.pose_w[:, None], centre)[..., :2]) - half
+        outside, inside = norm(jnp.maximum(out, 0.0)), jnp.minimum(out.max(-1), 0.0)
+        return other.size - outside - inside
+    local = to_local(one.pose_w[:, None], other.pose_w)
+    back = to_local(other.pose_w, one.pose_w[:, None])
+    cos, sin = jnp.abs(jnp.cos(local[..., 2])), jnp.abs(jnp.sin(local[..., 2]))
+    turn = jnp.stack([jnp.stack([cos, sin], -1), jnp.stack([sin, cos], -1)], -2)
+    reach = half + jnp.einsum("...ij,...j->...i", turn, other.size / 2)
+    least = (reach - jnp.abs(local[..., :2])).min(axis=-1)
+    reach = other.size / 2 + jnp.einsum("...ij,...j->...i", turn, half)
+    return jnp.minimum(least, (reach - jnp.abs(back[..., :2])).min(axis=-1))
+
+
+def overlaps(state: State) -> dict[str, tuple[jax.Array, jax.Array]]:
+    """Depths (n,) [m] of movers of a kind in what is of another, and who is there."""
+    obstacles = lot_obstacles(state.layout, None, state.parked_cars)
+    groups = [*state.movers.groups, *obstacles]
+    agents = Boxes(state.motion.pose_w, state.motion.size, mask=state.active)
+    groups.append(dataclasses.replace(agents, kind=ObstacleKind.AGENT))
+    found: dict[str, list[tuple[jax.Array, jax.Array]]] = {}
+    for one, kind in itertools.product(state.movers.groups, ObstacleKind):
+        there = jnp.ones(one.count, bool) if one.mask is None else one.mask
+        deepest = []
+        for other in groups:
+            if other.kind != kind or not other.count:
+                continue
+            counts = jnp.ones(other.count, bool) if other.mask is None else other.mask
+            deep = jnp.where(counts, depth(one, other), -1.0)
+            if other is one:
+                deep = deep - 1e6 * jnp.eye(one.count)
+            deepest.append(deep.max(axis=1))
+        if deepest:
+            rows = found.setdefault(f"{one.kind.label} in {kind.label}", [])
+            rows.append((jnp.stack(deepest).max(axis=0), there))
+    return {
+        name: (
+            jnp.concatenate([deep for deep, _ in rows]),
+            jnp.concatenate([there for _, there in rows]),
+        )
+        for name, rows in found.items()
+    }
+
+
+def tally(state: State) -> dict[str, jax.Array]:
+    """Counts (5,) for each pair of kinds: who is there, `DEEP`, and the deepest [m]."""
+
+    def count(deep: jax.Array, there: jax.Array) -> jax.Array:
+        deep = jnp.where(there, deep, -1.0)
+        counts = [there.sum(), *((deep > least).sum() for least in DEEP)]
+        return jnp.stack([*(x.astype(jnp.float32) for x in counts), deep.max()])
+
+    return {name: count(*row) for name, row in overlaps(state).items()}
+
+
+def _add(one: Any, other: Any) -> Any:
+    """Sums of tallies, of the deepest overlaps the larger."""
+
+    def add(a: jax.Array, b: jax.Array) -> jax.Array:
+        return jnp.append(a[:4] + b[:4], jnp.maximum(a[4], b[4]))
+
+    return jax.tree.map(add, one, other)
 
 
 def make_round(
@@ -101,10 +186,58 @@ def make_round(
     return jax.jit(run)
 
 
+def make_watch(
+    env: ParkingEnv, num_lots: int, num_steps: int
+) -> Callable[[jax.Array], Any]:
+    """Returns a compiled round `key -> tallies`, when lots begin and of all steps."""
+    shape = (num_lots, env.num_agents, env.action_spec.size)
+
+    def count(state: State) -> dict[str, jax.Array]:
+        rows = jax.vmap(tally)(state)
+        return {
+            k: jnp.append(x[:, :4].sum(axis=0), x[:, 4].max()) for k, x in rows.items()
+        }
+
+    def step(carry: Any, key: jax.Array) -> tuple[Any, None]:
+        state, action, total, number = carry
+        new = jax.random.uniform(key, shape, minval=-1.0)
+        action = jnp.where(number % HOLD == 0, new, action)
+        state, _ = jax.vmap(env.step)(state, action)
+        return (state, action, _add(total, count(state)), number + 1), None
+
+    def run(key: jax.Array) -> Any:
+        start_key, drive_key = jax.random.split(key)
+        state, _ = jax.vmap(env.reset)(jax.random.split(start_key, num_lots))
+        first = count(state)
+        nothing = {k: jnp.zeros(5).at[4].set(-1.0) for k in first}
+        begin = state, jnp.zeros(shape), nothing, jnp.int32(0)
+        keys = jax.random.split(drive_key, num_steps)
+        return first, jax.lax.scan(step, begin, keys)[0][2]
+
+    return jax.jit(run)
+
+
+def watch(env: ParkingEnv, config: InhabitedConfig) -> int:
+    """Prints a table of overlaps."""
+    key = jax.random.fold_in(jax.random.key(config.seed), config.first_round)
+    names = "first", "steps"
+    rounds = make_watch(env, config.num_lots, config.round_steps)(key)
+    print(f"overlaps of more than {', '.join(f'{x:g}' for x in DEEP)} m; deepest")
+    for name, counts in zip(names, jax.device_get(rounds), strict=True):
+        for kinds, (there, *over, deepest) in counts.items():
+            shares = " ".join(f"{100 * x / max(there, 1):7.3f} %" for x in over)
+            deep = f"{deepest:.2f} m" if deepest > 0 else "–"
+            print(f"{name} {kinds:24} of {there:.0f}: {shares}  {deep}")
+    return 0
+
+
 def run(config: InhabitedConfig) -> int:
     """Runs the rounds and prints what was found; 1 if a state was not finite."""
     base = environment(config.environment)
-    env = ParkingEnv(dataclasses.replace(base, movers=config.movers))
+    layout: Any = config.layout or base.layout
+    env = ParkingEnv(dataclasses.replace(base, movers=config.movers, layout=layout))
+    if config.overlaps:
+        return watch(env, config)
     steps = -(-config.round_steps // HOLD) * HOLD
     size = steps * config.num_lots * env.num_agents
     rounds = -(-config.agent_steps // size)

@@ -49,6 +49,19 @@ class Mover(CheckedConfig, abc.ABC):
             layout: the lot, a `carpark_mj.layouts.Layout`.
         """
 
+    def begin(self, key: Any, layout: Any, others: Sequence[Any]) -> Any:
+        """Its state in a lot that begins, clear of what stands there already.
+
+        By default that of `init`, wherever the others are.
+
+        Args:
+            key: consumed.
+            layout: the lot, a `carpark_mj.layouts.Layout`.
+            others: groups of obstacles: parked cars, walls, and the movers before it.
+        """
+        del others
+        return self.init(key, layout)
+
     @abc.abstractmethod
     def step(self, key: Any, state: Any, lot: Any, dt: float) -> Any:
         """Its state after a control step, of the same shapes.
@@ -56,7 +69,8 @@ class Mover(CheckedConfig, abc.ABC):
         Args:
             key: consumed.
             state: before.
-            lot: everything else before, a `carpark_mj.types.State`.
+            lot: everything else, a `carpark_mj.types.State` before the step. Its movers
+                are the others: those before it in the lot's list have already moved.
             dt: control period [s].
         """
 

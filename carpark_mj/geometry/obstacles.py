@@ -135,6 +135,15 @@ class Discs(Group):
     _ray_distance = staticmethod(boxes.ray_disc_distance)
 
 
+def touches(pose: jax.Array, size: jax.Array, groups: Sequence[Group]) -> jax.Array:
+    """(n,) bool, whether boxes (n, 3), (n, 2) or (2,) overlap obstacles of groups."""
+    found = jnp.zeros(pose.shape[:1], bool)
+    size = jnp.broadcast_to(size, (*found.shape, 2))[:, None]
+    for group in groups:
+        found = found | (group.overlap(pose[:, None], size) & group.counts(1)).any(1)
+    return found
+
+
 def take(tree: Tree, index: Any) -> Tree:
     """Rows of a group: the arrays at an index."""
     return jax.tree.map(lambda x: x[index], tree)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.geometry import norm, point_box_distance
+from carpark_mj.geometry.obstacles import touches
 from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.bays import marked
 from carpark_mj.mdp.spawning.collision_course import (
@@ -189,8 +190,9 @@ class FixedGoals:
         in it moves to a vacant bay: one that is free, fits the car and is farther than
         `min_distance` from every other agent; the agent's last goal is preferred, the
         others are equally likely. Without a vacant bay only bays without parked cars
-        can be the goal. If no bay can be, the agent keeps its goal; a parked car that
-        was relocated there moves to any free bay, one that fits it if possible.
+        can be the goal. No mover stands in a vacant bay. If no bay can be, the agent
+        keeps its goal; a parked car that was relocated there moves to any free bay, one
+        that fits it if possible.
 
         Args:
             inputs: the lot and who fits where.
@@ -210,7 +212,8 @@ class FixedGoals:
 
         others_goal = (is_goal & (rows != old)) | ~layout.bay_mask
         candidate = layout.goal_mask & ~(others_goal if self._may_repeat else is_goal)
-        vacant = ~others_goal & ~has_car & (gap > self._config.min_distance)
+        taken = touches(layout.bay_pose, layout.bay_size, inputs.movers.groups)
+        vacant = ~others_goal & ~has_car & (gap > self._config.min_distance) & ~taken
         # The new goal is never vacant, as it has a parked car.
         can_move = vacant.any()
         if fits.parked_cars is not None:
@@ -225,6 +228,7 @@ class FixedGoals:
         score = jnp.where(rows == old, 2.0, scores[1])
         displaced = placing.parked_bay == goal
         free = layout.bay_mask & ~is_goal & ~has_car
+        free = jnp.where((free & ~taken).any(), free & ~taken, free)
         if fits.parked_cars is None:
             vacant = jnp.where(vacant.any(), vacant, free)
         else:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.geometry import norm, to_world
+from carpark_mj.geometry.obstacles import touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import fits
 from carpark_mj.observations.tracking import tracks_parked_cars
@@ -101,6 +102,8 @@ def relocate_parked_cars(
 ) -> ParkedCars:
     """Moves a parked car into every bay where an agent has just parked.
 
+    None moves to where a mover is.
+
     `SpawnConfig.relocation` says which: the car farthest from all agents, so that no
     agent observes the move (`furthest`), a random one that no agent tracks, if there is
     any (`random`), or a random one (`any`). A car moves at most once in a step, and
@@ -133,9 +136,15 @@ def relocate_parked_cars(
         else:
             score = distance
         able = ~moved & (bay != NO_BAY)
+        if movers := state.movers.groups:
+            there = poses_in_bays(
+                layout, dataclasses.replace(cars, bay=jnp.full_like(bay, goal))
+            )
+            able = able & ~touches(there, cars.size, movers)
         if parked_fits is not None:
             able = able & parked_fits[:, goal]
         car = jnp.argmax(jnp.where(able, score, -1.0))
+        # Without one that is able this is none.
         moves = able & (jnp.arange(bay.shape[0]) == car)
         left = waiting & (jnp.arange(waiting.shape[0]) != agent)
         return jnp.where(moves, goal, bay), moved | moves, left

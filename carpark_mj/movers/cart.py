@@ -1,6 +1,7 @@
 """A cart that somebody pushes now and then, and that rolls until it stands."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 from carpark_mj.config.checks import require_positive
 from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.geometry import move_forward
-from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.geometry.obstacles import Boxes, Group, touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.outlines import meet
 from carpark_mj.movers.places import Places, make_places
@@ -31,7 +32,7 @@ class CartState(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Cart(Mover):
-    """A cart. It stops at walls and bays, and where a car can no longer stop.
+    """A cart. It stops at walls, bays and movers, and where a car cannot stop.
 
     Attributes:
         speed: the largest with which it is pushed [m/s].
@@ -47,15 +48,22 @@ class Cart(Mover):
         super().__post_init__()
         require_positive(self, "speed", "pause")
 
-    def init(self, key: Any, layout: Layout) -> CartState:
+    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> CartState:
         """It stands at a place of the lot."""
         places = make_places(layout)
         place_key, yaw_key = jax.random.split(key)
         order = jax.random.uniform(place_key, places.mask.shape)
-        place = jnp.argmax(jnp.where(places.mask, order, -1.0))
         yaw = jax.random.uniform(yaw_key, (1,), maxval=2 * jnp.pi)
-        pose = jnp.concatenate([places.edge[place], yaw])
-        return CartState(pose, jnp.float32(0.0), places)
+        yaw = jnp.broadcast_to(yaw, (*order.shape, 1))
+        pose = jnp.concatenate([places.edge, yaw], axis=1)
+        # The best is a free place, else one that can be reached.
+        free = ~touches(pose, jnp.array(SIZE), others)
+        order = order + jnp.where(places.mask, 1.0 + free, 0.0)
+        return CartState(pose[jnp.argmax(order)], jnp.float32(0.0), places)
+
+    def begin(self, key: Any, layout: Layout, others: Sequence[Group]) -> CartState:
+        """Clear of others."""
+        return self.init(key, layout, others)
 
     def step(self, key: Any, state: CartState, lot: State, dt: float) -> CartState:
         """It rolls on, or is pushed anywhere."""

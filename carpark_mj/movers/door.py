@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from carpark_mj.config.checks import require_positive
 from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.geometry import boxes_overlap, to_world
-from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.geometry.obstacles import Boxes, touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.stopping import would_hit
 from carpark_mj.types import State
@@ -44,7 +44,7 @@ class DoorState(NamedTuple):
 class Door(Mover):
     """A door that opens, at another parked car each time.
 
-    It does not swing where a car can no longer stop.
+    It swings neither where a car can no longer stop nor into anybody.
 
     Attributes:
         pause: mean time that all doors are closed [s].
@@ -88,8 +88,10 @@ class Door(Mover):
         goal = jnp.clip(jnp.minimum(clock, 2 * SWING + OPEN - clock) / SWING, 0.0, 1.0)
         angle = WIDEST * goal
         at = _place(pose, size, side, angle)
-        # Who comes too near while it opens holds it; it closes whoever is near.
+        # Who comes too near while it opens holds it, and whoever it would touch.
         held = (angle > state.angle) & would_hit(lot, at, jnp.array(SIZE), dt)
+        at = at[None]
+        held = held | touches(at, jnp.array(SIZE), lot.movers.groups)[0] & ~closed
         angle, clock = (
             jnp.where(held, before, after)
             for before, after in ((state.angle, angle), (state.clock, clock))

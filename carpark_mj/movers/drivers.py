@@ -1,6 +1,7 @@
 """Drivers: cars that follow rules, drawn when a lot begins."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -9,12 +10,20 @@ import jax.numpy as jnp
 from carpark_mj.config.checks import Range, require_range, require_ratio, require_whole
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.geometry import move_forward, norm
-from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.geometry.obstacles import Boxes, Group, touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.driving import drive
 from carpark_mj.movers.planning import plan
 from carpark_mj.movers.tracks import make_tracks
-from carpark_mj.movers.traffic import AWAY, DRIVE, NOSE, SIZE, Traffic, track_path
+from carpark_mj.movers.traffic import (
+    AWAY,
+    DRIVE,
+    NOSE,
+    OFFSET,
+    SIZE,
+    Traffic,
+    track_path,
+)
 from carpark_mj.types import NO_BAY, State
 
 TRIES = 8  # places that are tried for a driver
@@ -60,7 +69,7 @@ class Drivers(Mover):
         require_range("headway", self.headway, 0.5, 5.0)
         require_range("stay", self.stay, 0.0, 3600.0)
 
-    def init(self, key: Any, layout: Layout) -> Traffic:
+    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> Traffic:
         """All stand in lanes, apart from each other."""
         n, tracks = self.number, make_tracks(layout)
         keys = jax.random.split(key, 6)
@@ -73,10 +82,12 @@ class Drivers(Mover):
         way = NOSE + jax.random.uniform(keys[1], shape) * usable[track]
         pose = move_forward(tracks.pose[track], way)
 
-        def place(taken: jax.Array, row: tuple[jax.Array, jax.Array]):
-            who, tried = row
-            free = (norm(tried[:, None, :2] - taken) > APART).all(axis=-1)
-            free = free & usable.any()
+        there = move_forward(pose, OFFSET).reshape(-1, 3)
+        clear = ~touches(there, SIZE, others).reshape(shape) & usable.any()
+
+        def place(taken: jax.Array, row: tuple[jax.Array, ...]):
+            who, tried, free = row
+            free = free & (norm(tried[:, None, :2] - taken) > APART).all(axis=-1)
             which = jnp.argmax(free)
             taken = jnp.where(
                 ((jnp.arange(n) == who) & free.any())[:, None], tried[which, :2], taken
@@ -84,7 +95,8 @@ class Drivers(Mover):
             return taken, (which, free.any())
 
         nowhere = jnp.full((n, 2), FAR)
-        _, (which, there) = jax.lax.scan(place, nowhere, (jnp.arange(n), pose))
+        rows = jnp.arange(n), pose, clear
+        _, (which, there) = jax.lax.scan(place, nowhere, rows)
         rows = jnp.arange(n)
         track, way, pose = track[rows, which], way[rows, which], pose[rows, which]
         low, high = self.aggressiveness
@@ -108,6 +120,10 @@ class Drivers(Mover):
             turn=jnp.int32(0),
             tracks=tracks,
         )
+
+    def begin(self, key: Any, layout: Layout, others: Sequence[Group]) -> Traffic:
+        """Clear of others."""
+        return self.init(key, layout, others)
 
     def step(self, key: Any, state: Traffic, lot: State, dt: float) -> Traffic:
         """They drive on, then one of them plans."""

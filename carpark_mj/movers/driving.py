@@ -10,7 +10,8 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry import move_forward, rotate
+from carpark_mj.geometry import boxes_overlap, move_forward, rotate
+from carpark_mj.geometry.obstacles import touches
 from carpark_mj.movers import idm
 from carpark_mj.movers.lookout import HARD, look
 from carpark_mj.movers.paths import turn_back
@@ -19,6 +20,7 @@ from carpark_mj.movers.traffic import (
     BACK_OUT,
     DRIVE,
     PARK,
+    SIZE,
     STAY,
     Traffic,
     choose,
@@ -73,7 +75,7 @@ def drive(
     faster = jnp.maximum(faster, jnp.maximum(speed - CITY.max_deceleration * dt, 0.0))
     moves = traffic.present & (traffic.phase != STAY)
     faster = jnp.where(moves, faster, 0.0)
-    traffic = _roll(traffic, target, faster, dt)
+    traffic = _halt(traffic, _roll(traffic, target, faster, dt), lot)
     stands = (traffic.speed < 0.2) | (traffic.phase == STAY) | (traffic.phase == AWAY)
     clock = jnp.where(stands, traffic.clock + dt, 0.0)
     return _go_on(key, dataclasses.replace(traffic, clock=clock), stays)
@@ -123,6 +125,21 @@ def _roll(traffic: Traffic, target: jax.Array, faster: jax.Array, dt: float) -> 
     way = jnp.where((way < path.straight) & (along < path.straight), along, way)
     return dataclasses.replace(
         traffic, pose=pose, speed=faster, steering=steering, way=way
+    )
+
+
+def _halt(before: Traffic, after: Traffic, lot: State) -> Traffic:
+    """Drivers after a step; who would touch a mover stays, also who does not look."""
+    pose, others = after.centre, ~jnp.eye(after.way.shape[0], dtype=bool)
+    hits = touches(pose, SIZE, lot.movers.groups)
+    for there in (before.centre, pose):
+        meets = boxes_overlap(pose[:, None], SIZE, there, SIZE)
+        hits = hits | (meets & others & before.present).any(axis=1)
+    return dataclasses.replace(
+        after,
+        pose=jnp.where(hits[:, None], before.pose, after.pose),
+        way=jnp.where(hits, before.way, after.way),
+        speed=jnp.where(hits, 0.0, after.speed),
     )
 
 

@@ -27,7 +27,6 @@ OUT = 3.0  # m of a way out of a bay with limited sight
 SIGHT = 1.5  # m to either side for each metre behind a bay
 SOON = 1.0  # s, where people will be
 PERSON = 0.3  # m of room about a person
-ITSELF = 0.5  # m, nobody else is as near
 
 
 class Rows(NamedTuple):
@@ -207,9 +206,7 @@ def _others(traffic: Traffic, lot: State) -> Rows | None:
         jnp.concatenate(column) for column in zip(*rows, strict=True)
     )
     blind = (_blind(traffic) < -1.0) & ~traffic.attentive
-    # A driver is among the movers, too.
-    other = norm(traffic.centre[:, None, :2] - pose[:, :2]) > ITSELF
-    seen = there & other & ~_hidden(traffic, pose) & ~blind[:, None]
+    seen = there & ~_hidden(traffic, pose) & ~blind[:, None]
     return Rows(pose, half, velocity, seen)
 
 

@@ -1,7 +1,11 @@
 """Outlines of boxes with their sines, computed once: people look at many of them."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
+
+from carpark_mj.geometry.obstacles import Discs, Group
 
 AWAY = 1e6  # m, where boxes are that do not count
 
@@ -16,6 +20,19 @@ def outlines(pose: jax.Array, size: jax.Array, mask: jax.Array) -> jax.Array:
     half_x, half_y = size.T / 2
     x, y = jnp.where(mask, x, AWAY), jnp.where(mask, y, AWAY)
     return jnp.stack([x, y, jnp.cos(yaw), jnp.sin(yaw), half_x, half_y])
+
+
+def group_outlines(groups: Sequence[Group]) -> jax.Array:
+    """Outlines (6, n) of groups, of discs as squares."""
+    rows = [jnp.zeros((6, 0))]
+    for group in groups:
+        pose, size = group.pose_w, group.size
+        if isinstance(group, Discs):
+            pose = jnp.pad(pose, ((0, 0), (0, 1)))
+            size = jnp.repeat(2.0 * size[:, None], 2, axis=1)
+        there = jnp.ones(group.count, bool) if group.mask is None else group.mask
+        rows.append(outlines(pose, size, there))
+    return jnp.concatenate(rows, axis=1)
 
 
 def offsets(xy: jax.Array, boxes: jax.Array) -> tuple[jax.Array, jax.Array]:

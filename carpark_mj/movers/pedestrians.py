@@ -1,6 +1,7 @@
 """Pedestrians: who walks in a lot, drawn when it begins."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -8,9 +9,10 @@ import jax.numpy as jnp
 
 from carpark_mj.config.checks import Range, require_count, require_range, require_ratio
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
-from carpark_mj.geometry.obstacles import Discs
+from carpark_mj.geometry import norm
+from carpark_mj.geometry.obstacles import Discs, Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.movers.outlines import AWAY
+from carpark_mj.movers.outlines import AWAY, group_outlines, offsets
 from carpark_mj.movers.people import People
 from carpark_mj.movers.places import make_places
 from carpark_mj.movers.walking import NEAR, REST, walk
@@ -20,7 +22,8 @@ Number = TypeVar("Number", int, float)
 
 CHILD = 0.25  # m, radius
 FIRST_REST = 10.0  # s, longest until somebody sets out when a lot begins
-BESIDE = 0.7  # m between those who walk together
+SPARE = 0.01  # m of room about people when a lot begins
+TRIES = 8  # places that are tried beside a leader
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,19 +74,23 @@ class Pedestrians(Mover):
         require_range("radius", self.radius, 0.2, 0.5)
         require_ratio(self, "groups", "standing", "straight", "children")
 
-    def init(self, key: Any, layout: Layout) -> People:
+    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> People:
         """Everybody stands at a place of their own."""
         (least, n), places = _bounds(self.number), make_places(layout)
+        bodies = group_outlines(others)
+        room = self.radius[1] + SPARE
         *keys, attention_key = jax.random.split(key, 12)
         keys = iter(keys)
 
         def share(probability: float | jax.Array) -> jax.Array:
             return jax.random.uniform(next(keys), (n,)) < probability
 
-        order = jnp.where(
-            places.mask, jax.random.uniform(next(keys), places.mask.shape), 2
-        )
-        order = jnp.argsort(order)[:n]
+        order = jax.random.uniform(next(keys), places.mask.shape)
+        # Of places too near to each other the last in order counts.
+        near = norm(places.edge[:, None] - places.edge) < 2.0 * room
+        near = near & (order > order[:, None]) & places.mask
+        good = places.mask & ~near.any(axis=1) & _is_free(places.edge, room, bodies)
+        order = jnp.argsort(jnp.where(good, order, 2.0))[:n]
         start = jnp.pad(order, (0, n - order.shape[0]))
         rank, number_key = jnp.arange(n), next(keys)
         wanted = jax.random.randint(number_key, (), least, n + 1)
@@ -97,17 +104,27 @@ class Pedestrians(Mover):
         follows = (
             share(2.0 * self.groups) & (rank % 2 == 1) & ~child & ~jnp.roll(child, 1)
         )
+        angle = jax.random.uniform(next(keys), (TRIES, n), maxval=2 * jnp.pi)
+        beside = 2.0 * room * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+        # Beside the leader, if there is room, clear of all others.
+        tried = places.edge[jnp.roll(start, 1)] + beside
+        walls = jnp.concatenate([bodies, places.walls], axis=1)
+        away = norm(tried[:, :, None] - places.edge[start]) > 2.0 * room - SPARE
+        away = (away | (rank[:, None] == rank)).all(axis=-1)
+        free = _is_free(tried, room, walls) & away
+        which = jnp.argmax(free, axis=0), rank
+        at, follows = tried[which], follows & free.any(axis=0)
+        meets = norm(at[:, None] - at) < 2.0 * room
+        meets = meets & follows & (rank < rank[:, None])
+        follows = follows & ~meets.any(axis=1)
         leader = jnp.where(follows, rank - 1, rank)
         start = start[leader]
-        angle = jax.random.uniform(next(keys), (n,), maxval=2 * jnp.pi)
-        offset = BESIDE * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-        offset = jnp.where(follows[:, None], offset, 0.0)
+        offset = jnp.where(follows[:, None], beside[which], 0.0)
         deviation = jax.random.truncated_normal(next(keys), -2.0, 2.0, (n,))
         low, high = self.speed
         speed = (low + high) / 2 + deviation * (high - low) / 4
         low, high = self.radius
         radius = jax.random.uniform(next(keys), (n,), minval=low, maxval=high)
-        # In the aisle: parked cars are not known yet.
         at = places.edge[start] + offset
         low, high = _bounds(self.attention)
         attention = jax.random.uniform(attention_key, minval=low, maxval=high)
@@ -116,7 +133,7 @@ class Pedestrians(Mover):
             velocity=jnp.zeros((n, 2)),
             speed=speed[leader],
             radius=jnp.where(child, CHILD, radius),
-            present=(rank < wanted) & (rank < places.mask.sum()),
+            present=(rank < wanted) & (rank < good.sum()),
             child=child,
             stands=share(self.standing)[leader] & ~child,
             straight=share(self.straight) & ~child,
@@ -137,6 +154,10 @@ class Pedestrians(Mover):
             places=places,
         )
 
+    def begin(self, key: Any, layout: Layout, others: Sequence[Group]) -> People:
+        """Clear of others."""
+        return self.init(key, layout, others)
+
     def step(self, key: Any, state: People, lot: State, dt: float) -> People:
         """They walk on."""
         return walk(key, state, lot, dt)
@@ -144,6 +165,12 @@ class Pedestrians(Mover):
     def obstacles(self, state: People) -> list[Discs]:
         """A disc each."""
         return [Discs(state.xy, state.radius, state.velocity, state.present)]
+
+
+def _is_free(xy: jax.Array, radius: float, boxes: jax.Array) -> jax.Array:
+    """(...) bool, whether discs at points (..., 2) overlap none of boxes (6, m)."""
+    x, y = offsets(xy[..., None, :], boxes)
+    return (x * x + y * y > radius**2).all(axis=-1)
 
 
 def _bounds(value: Number | tuple[Number, Number]) -> tuple[Number, Number]:

@@ -5,8 +5,9 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.geometry import norm, point_box_distance, rotate, to_world
+from carpark_mj.geometry.obstacles import Boxes, Discs
 from carpark_mj.layouts.types import Layout
-from carpark_mj.movers.outlines import meet, outlines
+from carpark_mj.movers.outlines import group_outlines, meet, outlines
 
 OUTSIDE = 0.6  # m from a bay's line into the aisle: a person and some room
 DEPTH = 1.2  # m from there into the gap between two cars
@@ -70,15 +71,9 @@ def make_places(layout: Layout) -> Places:
 
 def _walls(layout: Layout) -> jax.Array:
     """Outlines (6, k) of walls, and of discs as squares."""
-    pose = jnp.pad(layout.disc_centre, ((0, 0), (0, 1)))
-    size = jnp.repeat(2.0 * layout.disc_radius[:, None], 2, axis=1)
-    return jnp.concatenate(
-        [
-            outlines(layout.wall_pose, layout.wall_size, layout.wall_mask),
-            outlines(pose, size, layout.disc_mask),
-        ],
-        axis=1,
-    )
+    walls = Boxes(layout.wall_pose, layout.wall_size, mask=layout.wall_mask)
+    discs = Discs(layout.disc_centre, layout.disc_radius, mask=layout.disc_mask)
+    return group_outlines((walls, discs))
 
 
 def _of_bays(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:

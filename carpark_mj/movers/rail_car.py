@@ -1,6 +1,7 @@
 """A car that drives to and fro along the middle of a lane, as on a rail."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -9,14 +10,15 @@ import jax.numpy as jnp
 from carpark_mj.config.checks import require_positive
 from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.geometry import move_forward
-from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.geometry.obstacles import Boxes, Group, touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.lanes import draw_lane
 from carpark_mj.movers.stopping import would_hit
 from carpark_mj.types import State
 
 SIZE = (4.3, 1.8)  # m
-GAP = 0.5  # m that it keeps from where a car cannot stop
+GAP = 0.5  # m that it keeps from where a car cannot stop, and from other movers
+TRIES = 8  # places that are tried when a lot begins
 
 
 class RailState(NamedTuple):
@@ -57,14 +59,21 @@ class RailCar(Mover):
         super().__post_init__()
         require_positive(self, "speed")
 
-    def init(self, key: Any, layout: Layout) -> RailState:
-        """It stands somewhere on the rail."""
+    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> RailState:
+        """It stands somewhere on the rail; without room for it there is none."""
         lane_key, way_key = jax.random.split(key)
         pose, size, there = draw_lane(lane_key, layout, 10.0)
         half = jnp.maximum(size[0] / 2 - SIZE[0] / 2 - GAP, 0.0)
-        way = half * jax.random.uniform(way_key, minval=-1.0)
+        way = half * jax.random.uniform(way_key, (TRIES,), minval=-1.0)
+        tried = jnp.broadcast_to(pose, (TRIES, 3))
+        free = ~touches(move_forward(tried, way), jnp.array(SIZE), others)
+        way, there = way[jnp.argmax(free)], there & free.any()
         zero = jnp.float32(0.0)
         return RailState(pose, half, way, zero, jnp.float32(1.0), there)
+
+    def begin(self, key: Any, layout: Layout, others: Sequence[Group]) -> RailState:
+        """Clear of others."""
+        return self.init(key, layout, others)
 
     def step(self, key: Any, state: RailState, lot: State, dt: float) -> RailState:
         """It drives on if the way is free, and turns round at the ends."""

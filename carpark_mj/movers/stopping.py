@@ -12,7 +12,7 @@ from flax import struct
 
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import boxes_overlap, move_forward, norm, wrap_angle
-from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.geometry.obstacles import Boxes, Group, touches
 from carpark_mj.movers.outlines import AWAY, columns
 from carpark_mj.types import State
 from carpark_mj.vehicle.presets import CITY
@@ -175,11 +175,12 @@ def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Z
 
 
 def would_hit(lot: State, pose: jax.Array, size: jax.Array, dt: float) -> jax.Array:
-    """() bool, whether a box (3,), (2,) lies where a car of the lot cannot stop."""
+    """() bool, whether a box (3,), (2,) lies where a car cannot stop, or in a mover."""
     zones = stopping_zones(lot, dt)
     middle = move_forward(zones.pose, (zones.ahead - zones.behind) / 2)
     whole = jnp.stack([zones.ahead + zones.behind, 2.0 * zones.aside], axis=-1)
-    return boxes_overlap(pose, size, middle, whole).any()
+    hits = boxes_overlap(pose, size, middle, whole).any()
+    return hits | touches(pose[None], size, lot.movers.groups)[0]
 
 
 def keep_off(

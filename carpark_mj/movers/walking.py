@@ -2,17 +2,33 @@
 
 A walk leads out of the gap between two cars, straight to another place that can be
 seen, and perhaps into the gap there. In gaps and when they run, people go straight;
-elsewhere by the social force model.
+elsewhere by the social force model. Nobody steps into anybody or anything.
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import norm
 from carpark_mj.movers import social_force
-from carpark_mj.movers.outlines import AWAY, columns, meet, offsets, outlines
+from carpark_mj.movers.bodies import (
+    go_round,
+    is_clear,
+    meets,
+    room_among,
+    room_to,
+)
+from carpark_mj.movers.outlines import (
+    AWAY,
+    columns,
+    group_outlines,
+    meet,
+    offsets,
+    outlines,
+)
 from carpark_mj.movers.people import People
 from carpark_mj.movers.stopping import (
     Cars,
@@ -35,7 +51,6 @@ SLOW = 0.2  # m/s, what is no headway
 WAITS = 0.1  # m/s, cars that are slower wait
 CLOSE = 1.5  # m from a car that waits: nobody rests there
 ASIDE = 0.5  # m, how far from a car's way those who give way step aside
-BODY = 15.0  # 1/s², parts two discs in about a step of 0.2 s
 NEAR = 4  # boxes whose forces act on a person
 ROUNDS = 8  # steps after which near boxes are looked up again
 CANDIDATES = 4  # targets that are looked at
@@ -46,6 +61,9 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     # All numbers of a step at once: every call for some would cost as much.
     chance = jax.random.uniform(key, (people.speed.shape[0] + CANDIDATES + 1,))
     cars, people = cars_of(lot, dt), _find_near(people, lot)
+    things = group_outlines(
+        [group for group in lot.movers.groups if group.kind != ObstacleKind.DRIVER]
+    )
     people = _set_out(chance[: CANDIDATES + 1], people, cars, lot)
     waypoint = _waypoint(people)
     to_go = waypoint - people.xy
@@ -60,16 +78,28 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     gives_way = people.attentive[:, None] * HEADWAY
     enter = stopping_zones(lot, dt, gives_way)
     wanted = pace[:, None] * heading + _step_aside(people, enter, stop)
-    forces = _forces(people, cars, heading)
     straight = people.straight | (people.child & ~rests)
     straight = straight | (people.phase != ACROSS)
-    force = jnp.where(straight[:, None], 0.0, forces)
-    velocity = social_force.advance(people.velocity, wanted, force, dt)
-    velocity = social_force.limit(velocity, speed)
-    move = keep_off(people.xy, velocity * dt, waypoint, people.radius, enter, stop)
+    borders = [people.near, things[:, None], _boxes(cars)[:, None]]
+    aim = social_force.Aim(wanted, heading, speed, straight, people.radius)
+    apart = functools.partial(_apart, people)
+    end, velocity = social_force.walk(
+        people.xy, people.velocity, aim, apart, borders, dt
+    )
+    wish = end - people.xy
+    everything = jnp.concatenate([_parked(lot), people.places.walls, things], axis=1)
+    others = room_among(apart(people.xy), people.radius)
+    near = [room_to(people.xy, people.radius, boxes) for boxes in borders[:2]]
+    move = go_round([others, *near], wish)
+    kept = keep_off(people.xy, move, waypoint, people.radius, enter, stop)
     # Nobody is pushed out of the lot.
-    stays = (jnp.abs(people.xy + move) < lot.layout.extent).all(axis=-1)
-    move = jnp.where((people.present & stays)[:, None], move, 0.0)
+    stays = (jnp.abs(people.xy + kept) < lot.layout.extent).all(axis=-1)
+    stays = stays & people.present & is_clear(others, kept)
+    stays = stays & ~meets(people.xy, kept, people.radius, everything)
+    move = jnp.where(stays[:, None], kept, 0.0)
+    # What is cut of a move is lost speed.
+    velocity = velocity + (move - wish) / dt
+    velocity = jnp.where((norm(move) > 0.0)[:, None], velocity, 0.0)
     xy = people.xy + move
     left = norm(waypoint - xy)
     halted = ~rests | _by_waiting(people.xy, cars)
@@ -77,7 +107,7 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     people = dataclasses.replace(
         people,
         xy=xy,
-        velocity=move / dt,
+        velocity=velocity,
         clock=people.clock + dt,
         halted=jnp.maximum(people.halted + jnp.where(halted, dt, -dt), 0.0),
     )
@@ -149,7 +179,9 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
     starts = jnp.broadcast_to(start, ends.shape)
     bodies = jnp.concatenate([_parked(lot), places.walls, boxes], axis=1)
     hidden = jnp.where(shut, meet(starts, ends, bodies), meet(starts, ends, blocks))
-    good = places.mask[found] & (found != here) & ~hidden
+    # Nobody stands there, or is on the way there.
+    taken = (people.target == found[:, None]) & people.present
+    good = places.mask[found] & ~taken.any(axis=1) & ~hidden
     good = good & ~_by_waiting(ends, cars)
     # The nearest of them, so that most walks are short.
     target = found[jnp.argmin(jnp.where(good, norm(ends - start), jnp.inf))]
@@ -201,22 +233,13 @@ def _find_near(people: People, lot: State) -> People:
     return dataclasses.replace(people, near=near, turn=(people.turn + 1) % ROUNDS)
 
 
-def _forces(people: People, cars: Cars, heading: jax.Array) -> jax.Array:
-    """Social forces (n, 2) [m/s²], and those that part overlapping discs."""
-    xy, count = people.xy, people.xy.shape[0]
-    # Nobody pushes themselves, nor do those who are not there.
-    gone = jnp.where(people.present, 0.0, AWAY)
-    x = xy[:, :1] - xy[:, 0] + gone + AWAY * jnp.eye(count)
-    y = xy[:, 1:] - xy[:, 1]
-    fx, fy = social_force.push((x, y), norm(people.velocity), heading)
-    by_distance = jax.lax.rsqrt(x * x + y * y + social_force.TINY)
-    overlap = (people.radius[:, None] + people.radius) * by_distance - 1.0
-    part = BODY * jnp.maximum(overlap, 0.0)
-    near_x, near_y = _border_force(xy, people.near)
-    car_x, car_y = _border_force(xy, _boxes(cars)[:, None])
-    x = (fx + part * x).sum(axis=1) + near_x.sum(axis=1) + car_x.sum(axis=1)
-    y = (fy + part * y).sum(axis=1) + near_y.sum(axis=1) + car_y.sum(axis=1)
-    return columns(x, y)
+def _apart(people: People, xy: jax.Array) -> social_force.Pair:
+    """X and y (n, n) [m] from the second people to the first; nobody meets themselves.
+
+    Nor does anybody meet those who are not there.
+    """
+    gone = jnp.where(people.present, 0.0, AWAY) + AWAY * jnp.eye(xy.shape[0])
+    return xy[:, :1] - xy[:, 0] + gone, xy[:, 1:] - xy[:, 1]
 
 
 def _boxes(cars: Cars) -> jax.Array:
@@ -228,13 +251,6 @@ def _by_waiting(xy: jax.Array, cars: Cars) -> jax.Array:
     x, y = offsets(xy[:, None], _boxes(cars))
     waits = jnp.abs(cars.speed) < WAITS
     return ((x * x + y * y < CLOSE**2) & waits).any(axis=1)
-
-
-def _border_force(xy: jax.Array, boxes: jax.Array) -> social_force.Pair:
-    """X and y (n, k) of the forces [m/s²] of boxes (6, n or 1, k) on people."""
-    x, y = social_force.border_push(offsets(xy[:, None], boxes))
-    cos, sin = boxes[2], boxes[3]
-    return cos * x - sin * y, sin * x + cos * y
 
 
 def _step_aside(people: People, enter: Zones, stop: Zones) -> jax.Array:

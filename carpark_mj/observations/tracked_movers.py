@@ -16,6 +16,7 @@ from carpark_mj.observations.fields import (
 from carpark_mj.observations.parts import Part, Sight
 
 PACE = 2.0  # m/s, scale of their velocities
+STANDS = 0.05  # m/s, below which a velocity has no direction
 _FIELDS = (
     *CAR_FIELDS,
     Field(
@@ -36,12 +37,16 @@ def movers_part(count: int, in_sight: bool) -> Part:
 
     def fill(sight: Sight) -> dict[str, jax.Array]:
         own, groups = sight.motion, sight.state.movers.groups
-        pose, size, velocity, there, person = _table(groups)
+        pose, size, velocity, there, person, round_ = _table(groups)
         mask = jnp.broadcast_to(there, (own.xy.shape[0], *there.shape))
         if in_sight:
             mask = mask & ~_hidden(sight, pose[:, :2])
         index, present = nearest(own.xy, pose[:, :2], mask, count)
-        values = localise(own.pose_w, pose[index], size[index], present)
+        # Whoever stands without a heading is told as heading as the observer does.
+        still = (norm(velocity) < STANDS) & round_
+        yaw = jnp.where(still[index], own.pose_w[:, None, 2], pose[index, 2])
+        seen = jnp.concatenate([pose[index, :2], yaw[..., None]], axis=-1)
+        values = localise(own.pose_w, seen, size[index], present)
         way = rotate(velocity[index], -own.pose_w[:, None, 2])
         more = {"velocity": way / PACE, "person": person[index][..., None]}
         more = {k: jnp.where(present[..., None], x, 0.0) for k, x in more.items()}
@@ -51,7 +56,7 @@ def movers_part(count: int, in_sight: bool) -> Part:
 
 
 def _table(groups: tuple[Group, ...]) -> tuple[jax.Array, ...]:
-    """Poses, sizes, velocities, masks and whether they are persons, (n, ...) each.
+    """Poses, sizes, velocities, masks, whether they are persons and discs, (n, ...).
 
     The heading of a disc is that of its velocity. Without movers one is absent.
     """
@@ -66,10 +71,11 @@ def _table(groups: tuple[Group, ...]) -> tuple[jax.Array, ...]:
             size = jnp.repeat(2.0 * size[:, None], 2, axis=1)
         there = jnp.ones(n, bool) if mask is None else mask
         person = jnp.full(n, float(group.kind == ObstacleKind.PERSON))
-        rows.append((pose, size, velocity, there, person))
+        disc = jnp.full(n, not isinstance(group, Boxes))
+        rows.append((pose, size, velocity, there, person, disc))
     if not rows:
         nobody = jnp.zeros((1, 3)), jnp.zeros((1, 2)), jnp.zeros((1, 2))
-        return *nobody, jnp.zeros(1, bool), jnp.zeros(1)
+        return *nobody, jnp.zeros(1, bool), jnp.zeros(1), jnp.zeros(1, bool)
     return tuple(jnp.concatenate(column) for column in zip(*rows, strict=True))
 
 

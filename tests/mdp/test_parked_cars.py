@@ -13,8 +13,10 @@ from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 
 from carpark_mj.config import EnvConfig, RingConfig, SpawnConfig
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local, to_world
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.bays import free_bays, shuffled_bays
 from carpark_mj.mdp.parked_cars import (
@@ -179,6 +181,19 @@ def test_any_car_may_move_whoever_tracks_it():
     moved = after != np.array([1, 2, 3, 4])
     assert (moved.sum(axis=1) == 1).all()
     np.testing.assert_allclose(moved.mean(axis=0), [0.25] * 4, atol=0.07)
+
+
+def test_no_car_moves_to_where_a_mover_is():
+    # An agent has parked in bay 0; then somebody stands there, or in the bay beside.
+    state = row_of([0, 5], [1, 3, 4], [0, 48])
+    for bay, radius in ((0, 0.3), (2, 0.3)):
+        there = ROW.bay_pose[bay : bay + 1, :2] + 0.4
+        person = Discs(there, jnp.array([radius]), kind=ObstacleKind.PERSON)
+        driver = Boxes(ROW.bay_pose[bay : bay + 1], jnp.array([[4.0, 1.8]]))
+        for group in (person, driver):
+            among = state.replace(movers=Movers((), ((group,),)))
+            after = relocated(FURTHEST, among, [0])
+            assert bool((after.bay == state.parked_cars.bay).all()) == (bay == 0)
 
 
 RULES = {

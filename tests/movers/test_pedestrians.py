@@ -104,7 +104,9 @@ def drive():
             faster = jnp.where(out, 0.0, faster)
             return (walked, after, faster, bend), (walked, hit, jnp.abs(speed))
 
-        people = PEOPLE.init(key, layout)
+        parked = parked_at(layout.bay_pose, 2 * half, layout.bay_mask & THIRD)
+        standing = Boxes(parked.pose_w, parked.size, mask=parked.present)
+        people = PEOPLE.begin(key, layout, [standing])
         begin = people, start + 100.0, jnp.zeros(2), jnp.zeros(2)
         keys = jax.random.split(key, STEPS)
         return jax.lax.scan(step, begin, keys)[1]
@@ -205,6 +207,21 @@ def test_people_walk_everywhere_but_never_through_walls(drive):
         assert {*np.unique(people.phase)} == {0, 1, 2, 3}
         speed = np.linalg.norm(people.velocity, axis=-1)
         assert 0.8 < np.median(speed[people.phase == 2]) < 1.9
+
+
+def test_nobody_stands_in_anybody_or_in_a_parked_car(drive):
+    bays = MANY.bay_mask & THIRD
+    for people, _, _ in drive:
+        xy, radius = people.xy[:, ::3], people.radius[:, ::3]
+        gap = np.linalg.norm(xy[:, :, :, None] - xy[:, :, None], axis=-1)
+        gap = gap - radius[:, :, :, None] - radius[:, :, None]
+        there = people.present[:, ::3]
+        pairs = there[:, :, :, None] & there[:, :, None] & ~np.eye(15, dtype=bool)
+        assert gap[pairs].min() > -1e-4
+        pose = MANY.bay_pose[:, None, :, None]
+        size = jnp.array([4.0, 1.8]) - 1e-3
+        over = box_disc_overlap(pose, size, xy[:, :, None], radius[:, :, None])
+        assert not (over & bays[:, None, :, None] & there[:, :, None]).any()
 
 
 def test_people_walk_round_a_car_that_stands(drive):

@@ -1,11 +1,14 @@
 """The social force model against cases worked out by hand."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import crowds
 from carpark_mj.movers import social_force as model
 
+WEIDMANN = {1.0: 1.06, 2.0: 0.61}  # m/s at persons/m², of one-way flow
 EAST = jnp.array([[1.0, 0.0]])
 
 
@@ -67,3 +70,13 @@ def test_what_is_behind_counts_less_and_coinciding_people_stay_finite():
     assert np.isfinite(model.push(zero, jnp.ones(1), EAST)).all()
     assert np.isfinite(model.border_push(zero)).all()
     assert np.linalg.norm(model.limit(9.0 * EAST, jnp.ones(1))) == pytest.approx(1.3)
+
+
+@pytest.mark.parametrize("density", WEIDMANN)
+def test_crowds_walk_as_fast_as_published_at_any_period(density, monkeypatch):
+    monkeypatch.setattr(crowds, "ONE_WAY", (8.0, 3.0))
+    monkeypatch.setattr(crowds, "ONE_WAY_TIME", 12.0)
+    walk = jax.jit(crowds.one_way, static_argnums=(1, 2, 3))
+    slow, fast = (walk(jax.random.key(0), density, 0.2, dt) for dt in (0.2, 0.04))
+    assert float(slow) == pytest.approx(WEIDMANN[density], rel=0.25)
+    assert float(fast) == pytest.approx(float(slow), rel=0.25)

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import cars, polygons
-from helpers.states import parked_in, state_of
+from helpers.states import parked_at, parked_in, state_of
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.config.obstacles import ObstacleKind, make_movers
 from carpark_mj.geometry.obstacles import Boxes, Movers
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Barrier, Cart, Door, RailCar
 from carpark_mj.movers.cart import ROLLING
 from carpark_mj.movers.door import SIZE, WIDEST
+from carpark_mj.obstacles import begin_movers, lot_obstacles, step_movers, trace_still
+from inhabited import overlaps
 
 DT, STEPS = 0.2, 400
 STREET: Any = layout_config("street")
@@ -123,6 +125,49 @@ def test_nothing_moves_to_where_a_car_cannot_stop(mover):
     moved = np.abs(np.diff(boxes.pose_w[:, 0], axis=0)).max(axis=1) > 1e-4
     moved = moved & mask[1:] & mask[:-1]
     assert (gaps(boxes, pose)[1:][moved] > 0.0).all()
+
+
+KINDS = make_movers(
+    (
+        "pedestrians:number=20,children=0.3",
+        *("cart:pause=2", "rail_car", "barrier", "door:pause=2", "drivers:number=3"),
+    )
+)
+
+
+def test_nothing_begins_or_moves_into_anything_else():
+    lots = jax.jit(jax.vmap(STREET.generate))(jax.random.split(jax.random.key(3), 6))
+    motion = cars([AWAY], size=(4.0, 1.8))
+
+    def deepest(state):
+        found = overlaps(state)
+        names = "person in", "driver in", "mover in mover", "mover in person"
+        chosen = [found[name] for name in found if name.startswith(names)]
+        return jnp.stack([jnp.where(there, x, -1).max() for x, there in chosen]).max()
+
+    @jax.jit
+    @jax.vmap
+    def run(layout, key):
+        keys = jax.random.split(key, 201)
+        bays = layout.bay_mask & (jnp.arange(layout.num_bays) % 2 == 0)
+        parked = parked_at(layout.bay_pose, (4.0, 1.8), bays)
+        others = lot_obstacles(layout, None, parked)
+        movers = begin_movers(KINDS, layout, keys[0], others)
+        movers = trace_still(movers, motion.trace_w.shape[-2])
+        state = state_of(layout, motion, 0, parked_cars=parked, movers=movers)
+
+        def step(state, key):
+            state = state.replace(movers=step_movers(KINDS, state, DT, key))
+            return state, (deepest(state), state.movers.groups[0].pose_w)
+
+        deep, xy = jax.lax.scan(step, state, keys[1:])[1]
+        return deepest(state), deep, xy
+
+    first, deep, xy = jax.device_get(run(lots, jax.random.split(jax.random.key(4), 6)))
+    assert first.max() < 1e-3
+    assert deep.max() < 2e-3
+    walked = np.linalg.norm(np.diff(xy, axis=1), axis=-1).sum(axis=1)
+    assert np.median(walked) > 5.0  # m, for all that, in 40 s
 
 
 REFUSED = {

@@ -11,6 +11,7 @@ from helpers.states import parked_at, state_of
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry import rotate
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.parts import Sight
@@ -18,7 +19,7 @@ from carpark_mj.observations.sets import observation_sets
 from carpark_mj.observations.tracked_movers import PACE, movers_part
 from carpark_mj.policy.encoder import SetEncoder
 
-FACING = [(0.0, 0.0, np.pi / 2)]  # north
+FACING = np.array([(0.0, 0.0, np.pi / 2)])  # north
 PEOPLE = Discs(
     jnp.array([[0.0, 6.0], [8.0, 0.0], [-3.0, 0.0], [0.0, 4.0]]),
     jnp.full(4, 0.3),
@@ -31,11 +32,13 @@ CART = Boxes(
 )
 
 
-def see(count, in_sight=False, walls=(), parked=(), movers=(PEOPLE, CART)):
+def see(
+    count, in_sight=False, walls=(), parked=(), movers=(PEOPLE, CART), facing=FACING
+):
     """Rows (count, k) of fields by name, and the fields' names, of one car."""
     state = state_of(
         lot([(30.0, 0.0, 0.0)], walls),
-        cars(FACING),
+        cars(facing),
         0,
         parked_cars=parked_at(parked),
         movers=Movers((), tuple((group,) for group in movers)),
@@ -76,6 +79,22 @@ def test_the_nearest_come_first_in_the_own_frame_and_padding_is_zero():
     assert all((value == 0).all() for row in rows[4:] for value in row.values())
     assert places(see(2)) == [(0, 3), (6, 0)]
     assert places(see(2, movers=())) == []
+
+
+@pytest.mark.parametrize("angle", [0.7, 2.5])
+def test_a_turned_lot_looks_the_same_also_with_those_who_stand(angle):
+    def turn(group):
+        pose = group.pose_w.at[:, :2].set(rotate(group.pose_w[:, :2], angle))
+        if isinstance(group, Boxes):
+            pose = pose.at[:, 2].add(angle)
+        return group.replace(pose_w=pose, velocity_w=rotate(group.velocity_w, angle))
+
+    turned = see(
+        4, movers=(turn(PEOPLE), turn(CART)), facing=np.add(FACING, [0, 0, angle])
+    )
+    for row, other in zip(see(4), turned, strict=True):
+        for name, value in row.items():
+            np.testing.assert_allclose(other[name], value, atol=1e-5, err_msg=name)
 
 
 def test_what_stands_behind_a_car_or_a_wall_is_hidden_if_sight_is_asked_for():

@@ -107,6 +107,37 @@ def test_it_is_hit_at_any_traced_instant_and_by_its_kind(monkeypatch, crowded):
     assert hits["wall"].all()
 
 
+@dataclasses.dataclass(frozen=True)
+class Follower(Mover):
+    """Stands 2 m beyond the last obstacle that it sees of others."""
+
+    mover: str = "follower"
+
+    def init(self, key, layout):
+        return jnp.zeros(())
+
+    def begin(self, key, layout, others):
+        return jnp.float32(2.0) + others[-1].pose_w[0, 0]
+
+    def step(self, key, state, lot, dt):
+        [other] = lot.movers.groups
+        return jnp.float32(2.0) + other.pose_w[0, 0]
+
+    def obstacles(self, state):
+        return [Discs(jnp.stack([state, 0.0 * state])[None], jnp.array([0.3]))]
+
+
+def test_each_sees_the_others_where_they_are_by_then():
+    wall = Boxes(jnp.array([[5.0, 0.0, 0.0]]), jnp.ones((1, 2)))
+    movers = [Follower(), Follower()]
+    begun = begin_movers(movers, LOT, KEY, [wall])
+    assert [float(group.pose_w[0, 0]) for group in begun.groups] == [7.0, 9.0]
+    motion = cars(np.zeros((1, 3)), trace=np.zeros((1, 4, 3)))
+    state = state_of(LOT, motion, 0, movers=trace_still(begun, 4))
+    after = step_movers(movers, state, 0.2, KEY)
+    assert [float(group.pose_w[0, 0]) for group in after.groups] == [11.0, 13.0]
+
+
 BOX = Boxes(jnp.zeros((1, 3)), jnp.ones((1, 2)))
 REFUSED = {
     "nothing": (("obstacles", lambda _: ()), "'hands'.*at least one group"),

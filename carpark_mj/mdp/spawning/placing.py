@@ -5,7 +5,6 @@ that overlaps an obstacle is rejected: an agent without a free start waits.
 """
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,7 +15,7 @@ import numpy as np
 from flax import struct
 
 from carpark_mj.geometry import box_distance, boxes_overlap, norm
-from carpark_mj.geometry.obstacles import NO_MOVERS, Group, Movers
+from carpark_mj.geometry.obstacles import NO_MOVERS, Group, Movers, touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import in_bays
@@ -163,19 +162,11 @@ class Surroundings:
         """(n,) bool, whether the car at poses (n, 3) would overlap any but agents."""
         if self.size is None:
             return jnp.zeros(pose.shape[:1], bool)
-        return _overlaps(pose, self.size, self.movers if self.clear else self.obstacles)
+        return touches(pose, self.size, self.movers if self.clear else self.obstacles)
 
     def blocks(self, pose: jax.Array, size: jax.Array) -> jax.Array:
         """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps `obstacles`."""
-        return _overlaps(pose, size, self.obstacles)
-
-
-def _overlaps(pose: jax.Array, size: jax.Array, groups: tuple[Group, ...]) -> jax.Array:
-    hits = [
-        (group.overlap(pose[:, None], size) & group.counts(1)).any(axis=1)
-        for group in groups
-    ]
-    return functools.reduce(jnp.logical_or, hits)
+        return touches(pose, size, self.obstacles)
 
 
 def surroundings(
