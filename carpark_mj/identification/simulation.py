@@ -31,6 +31,7 @@ WARM_UP = 1.0  # s, in which tyres and brakes forget how they began
 PIECE = 5.0  # s
 MOST_PIECES = 40
 STOP = 1.0  # rad, the steering's of a car whose steering wheel is measured
+STAND = 0.5  # s, what is slow for so long stops or stands
 REST = 0.15  # m/s, what is slower at the beginning of a piece stands
 FREE = 1e3  # m/s or rad/s, beyond every limit
 
@@ -46,6 +47,9 @@ class Sought(NamedTuple):
         cornering_stiffness: of the tyres, per load [1/rad].
         max_acceleration: drive at full pedal [m/s^2].
         max_deceleration: brake at full pedal [m/s^2].
+        rolling_resistance: of the tyres, force per load.
+        drive_lag: time constant of the drive torque [s].
+        lateral_relaxation: relaxation length of the tyres' lateral force [m].
     """
 
     steering_delay: Any
@@ -55,6 +59,9 @@ class Sought(NamedTuple):
     cornering_stiffness: Any
     max_acceleration: Any
     max_deceleration: Any
+    rolling_resistance: Any
+    drive_lag: Any
+    lateral_relaxation: Any
 
 
 class Recording(NamedTuple):
@@ -112,24 +119,27 @@ class Replay:
             *(0.0, 0.0, 15.0 if wheel else 1.0, 0.0, params.tyre.cornering_stiffness),
             params.max_acceleration,
             params.max_deceleration,
+            params.tyre.rolling_resistance,
+            params.drive_lag,
+            params.tyre.lateral_relaxation,
         )
         self._scale = np.array(full) / [
             params.max_acceleration,
             params.max_deceleration,
         ]
-        begin = _beginnings(log.time, np.abs(log.speed))
-        piece = np.searchsorted(begin + WARM_UP, log.time, "right") - 1
-        before = piece < 0  # the first piece's measurements
+        stands = _stands(log.time, log.speed)
+        begin, piece = _pieces(log.time, np.abs(log.speed), stands)
+        unmeasured = piece < 0
         self.recording = Recording(
             log.time - log.time[0],
             log.steering,
-            _pedal(log, full),
+            _released(_pedal(log, full), log.speed, stands),
             begin - log.time[0],
             np.maximum(piece, 0),
-            np.where(before, 0.0, log.time - begin[piece]),
+            np.where(unmeasured, 0.0, log.time - begin[piece]),
         )
         measured = np.stack([log.measured[name] for name in self.channels])
-        self.measured = np.where(before, np.nan, measured)
+        self.measured = np.where(unmeasured, np.nan, measured)
         self._ahead, self._sim_dt = ahead, sim_dt
         self.starts = self._guess(begin)
         # In whole seconds, so that logs of one length share a compiled program.
@@ -149,7 +159,7 @@ class Replay:
         """What would be measured.
 
         Args:
-            sought: (cars, 7) in the order of `Sought`.
+            sought: (cars, p) in the order of `Sought`.
             starts: (cars, pieces, 4).
 
         Returns:
@@ -173,17 +183,58 @@ class Replay:
             return np.stack([np.asarray(seen[name]) for name in self.channels], axis=1)
 
 
-def _beginnings(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """When the simulations of pieces begin (pieces,) [s]: where the car is fast."""
-    lasts = time[-1] - time[0] - WARM_UP
-    pieces = min(max(round(lasts / PIECE), 1), MOST_PIECES)
-    length = lasts / pieces
-    begin = []
-    for k in range(pieces):
-        middle = time[0] + k * length
-        near = (time >= middle) & (time <= middle + (k > 0) * length / 2)
-        begin.append(time[near][speed[near].argmax()])
-    return np.array(begin)
+def _stands(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Where the car is about to stop or stands (n,), for at least `STAND`."""
+    slow = np.abs(speed) < drive.HOLD_SPEED
+    edges = np.flatnonzero(np.diff(slow, prepend=~slow[0], append=~slow[-1]))
+    for first, after in zip(edges[:-1], edges[1:], strict=True):
+        if time[after - 1] - time[first] < STAND:
+            slow[first:after] = False
+    return slow
+
+
+def _pieces(
+    time: np.ndarray, speed: np.ndarray, stands: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """When the simulations of pieces begin (pieces,) [s], and rows' pieces (n,).
+
+    A piece begins at rest or else where the car is fast. Rows of piece -1 are not
+    compared: those that come before a warm-up ends, and where the car stands.
+    """
+    length = max(PIECE, (time[-1] - time[0]) / MOST_PIECES)
+    begin, piece = [], np.full(len(time), -1)
+    edges = np.flatnonzero(np.diff(stands, prepend=True, append=True))
+    for first, after in zip(edges[::2], edges[1::2], strict=True):
+        end, rested = time[after - 1], first > 0
+        measured = time[first] + (0.0 if rested else WARM_UP)
+        lasts = end - measured
+        if lasts < WARM_UP:
+            continue
+        begin.append(time[first])
+        if rested:
+            before = np.flatnonzero((time >= measured - WARM_UP) & (time < measured))
+            rests = before[speed[before] < max(REST, speed[before].min())]
+            begin[-1] = time[[*rests, before[-1]][0]]
+        piece[first:after][time[first:after] >= measured] = len(begin) - 1
+        for k in range(1, max(round(lasts / length), 1)):
+            middle = measured + k * lasts / max(round(lasts / length), 1)
+            near = (time >= middle) & (time <= middle + length / 2)
+            near &= time <= end - 2 * WARM_UP
+            begin.append(time[near][speed[near].argmax()])
+            piece[(time >= begin[-1] + WARM_UP) & (time <= end)] = len(begin) - 1
+    return np.array(begin), piece
+
+
+def _released(pedal: np.ndarray, speed: np.ndarray, stands: np.ndarray) -> np.ndarray:
+    """The pedal (n,) without the foot on the brake of a car that stands.
+
+    Against the way in which the car moves off, or, at the end, in which it came, it
+    would drive a car of `vehicle.drive` the other way.
+    """
+    moving = np.flatnonzero(~stands)
+    next_one = np.minimum(np.searchsorted(moving, np.arange(len(pedal))), len(moving) - 1)
+    way = np.sign(speed[moving[next_one]])
+    return np.where(stands & (pedal * way < 0), 0.0, pedal)
 
 
 def _full(log: DriveLog, params: VehicleParameters) -> tuple[float, float]:
@@ -240,11 +291,15 @@ def _simulate(
         steering_offset=sought.steering_offset,
         max_acceleration=sought.max_acceleration,
         max_deceleration=sought.max_deceleration,
+        drive_lag=sought.drive_lag,
         tyres=dataclasses.replace(
             tyres,
-            lateral_stiffness=sought.cornering_stiffness[..., None]
-            * tyres.static_load
-            / tyres.lateral_relaxation,
+            rolling_resistance=sought.rolling_resistance,
+            lateral_relaxation=sought.lateral_relaxation,
+            lateral_stiffness=(sought.cornering_stiffness / sought.lateral_relaxation)[
+                ..., None
+            ]
+            * tyres.static_load,
         ),
     )
     wheels, masses = wheels_of(vehicle), mass_properties(vehicle)
