@@ -1,9 +1,9 @@
 """Least squares of a test drive: values, intervals, and what the log cannot tell.
 
 The unknowns are the parameters sought and the start of every piece of the drive, in
-units of what is known of them before (`Parameter.doubt`), which counts as a measurement.
-Residuals are divided by their standard deviation in the last fit; derivatives are
-central differences in float64.
+units of what is known of them before (`Parameter.doubt`), which counts as a
+measurement. Residuals are divided by their standard deviation in the last fit;
+derivatives are central differences in float64.
 
 Two estimates make an interval, the wider counts. The inverse of Fisher's information,
 with (1 + r) / (1 - r) times the variance where successive residuals correlate by r,
@@ -79,6 +79,9 @@ PARAMETERS = {
     ),
     "lateral_relaxation": Parameter(
         "m", True, 0.1, 0.1, 0.5, 0.25, "quick steering at 2.5 m/s or more"
+    ),
+    "patch_radius": Parameter(
+        "m", True, 0.0, 0.1, 0.5, 0.5, "large steering angles below 1 m/s"
     ),
 }
 _START_STEPS = np.array([1e-2, 1e-2, 5e-3, 2e-2])  # m, m, rad, m/s
@@ -213,7 +216,9 @@ class _Problem:
         both, size = np.where(self._there, both, 0.0), len(both)
         piece = self.replay.recording.piece
         parts = (both[..., piece == k] for k in range(len(self.replay.starts)))
-        rows = (np.append(x.reshape(size, -1).T, np.zeros((size, size)), 0) for x in parts)
+        rows = (
+            np.append(x.reshape(size, -1).T, np.zeros((size, size)), 0) for x in parts
+        )
         return np.array([np.linalg.qr(x, mode="r") for x in rows])
 
     def _simulated(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

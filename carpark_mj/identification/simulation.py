@@ -8,6 +8,7 @@ brakes and drive do next to standstill depends on how it came there.
 
 import dataclasses
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -50,6 +51,7 @@ class Sought(NamedTuple):
         rolling_resistance: of the tyres, force per load.
         drive_lag: time constant of the drive torque [s].
         lateral_relaxation: relaxation length of the tyres' lateral force [m].
+        patch_radius: of the tyres, as their scrub torque has it [m].
     """
 
     steering_delay: Any
@@ -62,6 +64,7 @@ class Sought(NamedTuple):
     rolling_resistance: Any
     drive_lag: Any
     lateral_relaxation: Any
+    patch_radius: Any
 
 
 class Recording(NamedTuple):
@@ -122,6 +125,7 @@ class Replay:
             params.tyre.rolling_resistance,
             params.drive_lag,
             params.tyre.lateral_relaxation,
+            params.tyre.patch_radius,
         )
         self._scale = np.array(full) / [
             params.max_acceleration,
@@ -170,6 +174,7 @@ class Replay:
             scaled = columns._replace(
                 max_acceleration=columns.max_acceleration * self._scale[0],
                 max_deceleration=columns.max_deceleration * self._scale[1],
+                patch_radius=columns.patch_radius / self.own.patch_radius,
             )
             seen = _simulate(
                 self._vehicle,
@@ -187,7 +192,7 @@ def _stands(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Where the car is about to stop or stands (n,), for at least `STAND`."""
     slow = np.abs(speed) < drive.HOLD_SPEED
     edges = np.flatnonzero(np.diff(slow, prepend=~slow[0], append=~slow[-1]))
-    for first, after in zip(edges[:-1], edges[1:], strict=True):
+    for first, after in pairwise(edges):
         if time[after - 1] - time[first] < STAND:
             slow[first:after] = False
     return slow
@@ -232,7 +237,9 @@ def _released(pedal: np.ndarray, speed: np.ndarray, stands: np.ndarray) -> np.nd
     would drive a car of `vehicle.drive` the other way.
     """
     moving = np.flatnonzero(~stands)
-    next_one = np.minimum(np.searchsorted(moving, np.arange(len(pedal))), len(moving) - 1)
+    next_one = np.minimum(
+        np.searchsorted(moving, np.arange(len(pedal))), len(moving) - 1
+    )
     way = np.sign(speed[moving[next_one]])
     return np.where(stands & (pedal * way < 0), 0.0, pedal)
 
@@ -300,6 +307,7 @@ def _simulate(
                 ..., None
             ]
             * tyres.static_load,
+            torsion_stiffness=sought.patch_radius[..., None] * tyres.torsion_stiffness,
         ),
     )
     wheels, masses = wheels_of(vehicle), mass_properties(vehicle)
