@@ -7,9 +7,9 @@ derivatives are central differences in float64.
 
 Two estimates make an interval, the wider counts. The inverse of Fisher's information,
 with (1 + r) / (1 - r) times the variance where successive residuals correlate by r,
-knows noise. The jackknife, which leaves out one piece at a time, also knows errors of
-the model that last: slopes, wind, other tyres (the CR3 covariance of clusters, Bell and
-McCaffrey 2002, with Student's t of as many pieces).
+knows noise. The jackknife, which leaves out half a piece at a time, also knows errors
+of the model that last: slopes, wind, other tyres (the CR3 covariance of clusters, Bell
+and McCaffrey 2002, with Student's t).
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from scipy.stats import t as student
 
 from carpark_mj.geometry.se2 import wrap_angle
 from carpark_mj.identification.log import DriveLog
-from carpark_mj.identification.simulation import SIM_DT, Replay, Sought
+from carpark_mj.identification.simulation import SIM_DT, Replay
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 RANK = 1e-4  # eigenvalue of the scaled information that derivatives can make of none
@@ -75,15 +75,16 @@ PARAMETERS = {
         "", True, 0.0, 0.1, 0.5, 0.5, "coasting for several seconds"
     ),
     "drive_lag": Parameter(
-        "s", False, 0.0, 0.02, 0.1, 0.05, "a pedal pressed and released quickly"
+        "s", False, 0.0, 0.02, 0.1, 0.1, "a pedal pressed and released quickly"
     ),
     "lateral_relaxation": Parameter(
-        "m", True, 0.1, 0.1, 0.5, 0.25, "quick steering at 2.5 m/s or more"
+        "m", True, 0.1, 0.1, 0.5, 0.5, "quick steering at 2.5 m/s or more"
     ),
     "patch_radius": Parameter(
         "m", True, 0.0, 0.1, 0.5, 0.5, "large steering angles below 1 m/s"
     ),
 }
+HALVES = 2  # blocks of a piece that the jackknife leaves out
 _START_STEPS = np.array([1e-2, 1e-2, 5e-3, 2e-2])  # m, m, rad, m/s
 _START_DOUBTS = np.array([3.0, 3.0, 0.5, 1.0])  # of the log's own guess, likewise
 # Of sensors, before residuals tell them.
@@ -114,7 +115,7 @@ class Identification:
     """What a log tells.
 
     Attributes:
-        estimates: by name, as `Sought`.
+        estimates: by name, as `PARAMETERS`.
         residuals: root mean square by the quantity measured, in SI units.
     """
 
@@ -142,26 +143,22 @@ def identify(
         unknown = least_squares(
             lambda x: problem.look(x)[:, -1],
             unknown,
-            lambda x: problem.look(x)[:, :-1],
+            lambda x: problem.look(x)[:, :-1],  # pyright: ignore[reportArgumentType]
             (problem.least, np.inf),
-            ftol=_ENOUGH / problem.rows,
+            ftol=_ENOUGH / problem.measured.sum(),
             max_nfev=_LOOKS,
         ).x
         before, problem.noise = problem.noise, problem.spread(unknown)
         if np.abs(np.log(problem.noise / before)).max() < 0.02:
             break
-    values = problem.own + unknown[: problem.sought] * problem.scaled("doubt")
-    errors = problem.scaled("doubt") * problem.errors(unknown)
+    own, doubt = problem.own, problem.scaled("doubt")
+    values = own + unknown[: len(own)] * doubt
+    errors = doubt * problem.errors(unknown)
     told = errors <= problem.scaled("widest", values)
-    estimates = {
-        name: Estimate(float(v if t else own), float(error), bool(t))
-        for name, v, own, error, t in zip(
-            Sought._fields, values, problem.own, errors, told, strict=True
-        )
-    }
-    spread = problem.noise.tolist()
+    rows = np.where(told, values, own).tolist(), errors.tolist(), told.tolist()
     return Identification(
-        estimates, dict(zip(problem.replay.channels, spread, strict=True))
+        {k: Estimate(*row) for k, *row in zip(PARAMETERS, *rows, strict=True)},
+        dict(zip(problem.replay.channels, problem.noise.tolist(), strict=True)),
     )
 
 
@@ -170,39 +167,35 @@ class _Problem:
 
     Attributes:
         replay: the replay.
+        measured: (channels, n) where it is.
         own: (p,) the vehicle's values.
-        sought: p.
         least: (p + 4 pieces,) bounds of the unknowns.
-        rows: number of measurements.
         noise: (channels,) standard deviations of what is measured.
     """
 
     def __init__(self, replay: Replay) -> None:
-        self.replay = replay
+        self.replay, self.measured = replay, np.isfinite(replay.measured)
         self.own = np.array([float(x) for x in replay.own])
-        self.sought = len(self.own)
         least = (self.scaled("least") - self.own) / self.scaled("doubt")
         self.least = np.append(least, np.full(replay.starts.size, -np.inf))
-        self._there = np.isfinite(replay.measured)
-        self.rows = int(self._there.sum())
         self.noise = np.array([_NOISE[name] for name in replay.channels])
         self._last = (np.empty(0),) * 3
 
     def scaled(self, what: str, values: np.ndarray | None = None) -> np.ndarray:
         """A quantity (p,) of `PARAMETERS`, absolute: shares are of `own` by default."""
         of = self.own if values is None else values
-        return np.where(_absolute(), 1.0, of) * [
-            getattr(p, what) for p in PARAMETERS.values()
-        ]
+        rows = zip(PARAMETERS.values(), of, strict=True)
+        return np.array([getattr(p, what) * (x if p.relative else 1) for p, x in rows])
 
     def look(self, unknown: np.ndarray) -> np.ndarray:
         """Derivatives (rows, unknowns) at a point and, as last column, residuals.
 
         Triangles stand for the measurements, with the same squares and products.
         """
-        p, s, n = self.sought, len(_START_STEPS), len(unknown)
+        p, s, n = len(self.own), len(_START_STEPS), len(unknown)
         rows = [np.column_stack([np.eye(n), unknown])]
         for k, triangle in enumerate(self._triangles(unknown, self.noise)):
+            triangle = triangle.reshape(-1, p + s + 1)
             part = np.zeros((len(triangle), n + 1))
             part[:, :p], part[:, -1] = triangle[:, :p], triangle[:, -1]
             part[:, p + s * k : p + s * (k + 1)] = triangle[:, p:-1]
@@ -210,94 +203,93 @@ class _Problem:
         return np.concatenate(rows)
 
     def _triangles(self, unknown: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Of each piece's derivatives and residuals (pieces, p + 5, p + 5), by QR."""
+        """Of derivatives and residuals, by QR: (pieces, halves, p + 5, p + 5)."""
         residual, slope = self._simulated(unknown)
         both = np.append(slope, residual[None], axis=0) / noise[:, None]
-        both, size = np.where(self._there, both, 0.0), len(both)
-        piece = self.replay.recording.piece
-        parts = (both[..., piece == k] for k in range(len(self.replay.starts)))
-        rows = (
-            np.append(x.reshape(size, -1).T, np.zeros((size, size)), 0) for x in parts
-        )
-        return np.array([np.linalg.qr(x, mode="r") for x in rows])
+        both, size = np.where(self.measured, both, 0.0), len(both)
+        found = []
+        for k in range(len(self.replay.starts)):
+            rows = np.flatnonzero(self.replay.recording.piece == k)
+            for half in np.array_split(rows, HALVES):
+                part = both[..., half].reshape(size, -1).T
+                full = np.append(part, np.zeros((size, size)), axis=0)
+                found.append(np.linalg.qr(full, mode="r"))
+        return np.reshape(found, (-1, HALVES, size, size))
 
     def _simulated(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (channels, n) and their derivatives (p + 4, channels, n)."""
-        if np.array_equal(unknown, self._last[0]):
-            return self._last[1:]
-        p, s = self.sought, len(_START_STEPS)
-        steps = np.append(
-            self.scaled("step") / self.scaled("doubt"), _START_STEPS / _START_DOUBTS
-        )
-        least = np.append(self.least[:p], np.full(s, -np.inf))
-        sought = np.append(unknown[:p], np.zeros(s))
-        up = np.diag(steps)
-        down = np.diag(np.maximum(sought - steps, least) - sought)
-        shifts = np.concatenate([np.zeros((1, p + s)), up, down])
-        starts = unknown[p:].reshape(-1, s) + shifts[:, None, p:]
-        seen = self.replay.simulate(
-            self.own + self.scaled("doubt") * (unknown[:p] + shifts[:, :p]),
-            self.replay.starts + _START_DOUBTS * starts,
-        )
-        residual = seen[0] - self.replay.measured
-        if "yaw" in self.replay.channels:
-            yaw = self.replay.channels.index("yaw")
-            residual[yaw] = np.asarray(wrap_angle(residual[yaw]))
-        apart = np.diag(up - down)[:, None, None]
-        slope = (seen[1 : 1 + p + s] - seen[1 + p + s :]) / apart
-        self._last = unknown.copy(), residual, slope
-        return residual, slope
+        if not np.array_equal(unknown, self._last[0]):
+            p, s, doubt = len(self.own), len(_START_STEPS), self.scaled("doubt")
+            steps = np.append(self.scaled("step") / doubt, _START_STEPS / _START_DOUBTS)
+            below = np.append(unknown[:p] - self.least[:p], np.full(s, np.inf))
+            up, down = np.diag(steps), -np.diag(np.minimum(steps, below))
+            shifts = np.concatenate([np.zeros((1, p + s)), up, down])
+            starts = unknown[p:].reshape(-1, s) + shifts[:, None, p:]
+            seen = self.replay.simulate(
+                self.own + doubt * (unknown[:p] + shifts[:, :p]),
+                self.replay.starts + _START_DOUBTS * starts,
+            )
+            residual = seen[0] - self.replay.measured
+            if "yaw" in self.replay.channels:
+                yaw = self.replay.channels.index("yaw")
+                residual[yaw] = np.asarray(wrap_angle(residual[yaw]))
+            apart = np.diag(up - down)[:, None, None]
+            slope = (seen[1 : 1 + p + s] - seen[1 + p + s :]) / apart
+            self._last = unknown.copy(), residual, slope
+        return self._last[1], self._last[2]
 
     def spread(self, unknown: np.ndarray) -> np.ndarray:
         """Standard deviations (channels,) of the residuals."""
-        residual = np.where(self._there, self._simulated(unknown)[0], 0.0)
+        residual = np.where(self.measured, self._simulated(unknown)[0], 0.0)
         # Numbers fitted, shared among the quantities.
-        fitted = len(unknown) / len(residual)
-        free = np.maximum(self._there.sum(axis=1) - fitted, 1)
+        free = self.measured.sum(axis=1) - len(unknown) / len(residual)
         least = [_LEAST_NOISE * _NOISE[name] for name in self.replay.channels]
-        return np.maximum(np.sqrt(np.sum(residual**2, axis=1) / free), least)
+        squares = np.sum(residual**2, axis=1)
+        return np.maximum(np.sqrt(squares / np.maximum(free, 1)), least)
 
     def errors(self, unknown: np.ndarray) -> np.ndarray:
         """Half the 95 % intervals (p,), in units of the doubts."""
-        p, pieces = self.sought, len(self.replay.starts)
-        gradients, own = self._by_piece(unknown, self.noise)
-        known = np.eye(p)
-        total = own.sum(axis=0) + known
-        moved = np.linalg.solve(total - own, gradients[..., None])[..., 0]
-        jackknife = np.sqrt((pieces - 1) / pieces * np.sum(moved**2, axis=0))
+        p, known = len(self.own), np.eye(len(self.own))
+        starts = unknown[p:].reshape(len(self.replay.starts), 1, -1)
+        triangles = self._triangles(unknown, self.noise)
+        squares = np.einsum("khri,khrj->khij", triangles, triangles)
+        piece = squares.sum(axis=1, keepdims=True)
+        whole = _without_starts(piece, starts)
+        others = whole.sum(axis=0) + np.column_stack([known, unknown[:p]])
+        others = others - whole + _without_starts(piece - squares, starts)
+        moved = np.linalg.solve(others[..., :p], others[..., p:])
+        count = squares.shape[0] * HALVES
+        jackknife = np.sqrt((count - 1) / count * np.sum(moved**2, axis=(0, 1, 3)))
 
-        noise = self.noise * np.sqrt(self._redundancy(unknown))
-        information = self._by_piece(unknown, noise)[1].sum(axis=0)
+        triangles = self._triangles(unknown, self.noise * self._redundancy(unknown))
+        piece = np.einsum("khri,khrj->kij", triangles, triangles)
+        information = _without_starts(piece, starts[:, 0]).sum(axis=0)[:, :p]
         size = np.sqrt(np.maximum(np.diag(information), 1e-300))
         values, vectors = np.linalg.eigh(information / np.outer(size, size))
         values[values < RANK] = 0.0
         information = (vectors * values) @ vectors.T * np.outer(size, size)
         fisher = np.sqrt(np.diag(np.linalg.inv(information + known)))
-        within = student.ppf(0.975, max(pieces - 1, 1))
-        return np.maximum(1.96 * fisher, within * jackknife)
-
-    def _by_piece(
-        self, unknown: np.ndarray, noise: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (pieces, p) and information (pieces, p, p) for the best starts."""
-        triangles, p = self._triangles(unknown, noise), self.sought
-        starts = unknown[p:].reshape(len(triangles), -1)
-        square = np.einsum("kri,krj->kij", triangles, triangles)
-        square[:, p:-1, p:-1] += np.eye(starts.shape[1])
-        square[:, p:-1, -1] += starts
-        across = np.linalg.solve(square[:, p:-1, p:-1], square[:, p:-1, :])
-        left = square[:, :p] - square[:, :p, p:-1] @ across
-        return left[..., -1], left[..., :p]
+        quantiles = student.ppf(0.975, [np.inf, count - 1])
+        return np.maximum(quantiles[0] * fisher, quantiles[1] * jackknife)
 
     def _redundancy(self, unknown: np.ndarray) -> np.ndarray:
-        """Residuals (channels,) that tell as much as an independent one."""
-        ratio = []
-        for row, there in zip(self._simulated(unknown)[0], self._there, strict=True):
-            row = row[there]
-            r = np.sum(row[1:] * row[:-1]) / max(np.sum(row * row), 1e-300)
-            ratio.append((1 + max(r, 0.0)) / max(1 - r, 1e-3))
-        return np.array(ratio)
+        """Factor (channels,) on the noise, as successive residuals correlate."""
+        rows = zip(self._simulated(unknown)[0], self.measured, strict=True)
+        r = np.array([_correlation(row[there]) for row, there in rows]).clip(0.0, 0.999)
+        return np.sqrt((1 + r) / (1 - r))
 
 
-def _absolute() -> np.ndarray:
-    return np.array([not p.relative for p in PARAMETERS.values()])
+def _without_starts(squares: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Information and, as last column, gradient for the best starts (..., p, p + 1)."""
+    count = starts.shape[-1]
+    p, squares = squares.shape[-1] - 1 - count, squares.copy()
+    squares[..., p:-1, p:-1] += np.eye(count)
+    squares[..., p:-1, -1] += starts
+    across = np.linalg.solve(squares[..., p:-1, p:-1], squares[..., p:-1, :])
+    left = squares[..., :p, :] - squares[..., :p, p:-1] @ across
+    return np.delete(left, np.s_[p:-1], axis=-1)
+
+
+def _correlation(row: np.ndarray) -> float:
+    """Of successive values."""
+    return np.sum(row[1:] * row[:-1]) / max(np.sum(row * row), 1e-300)

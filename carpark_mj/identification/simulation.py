@@ -3,12 +3,12 @@
 A piece begins `WARM_UP` before its measurements, with the steering where the log has
 it, in a steady turn. Its start is sought too, so that errors do not add up over the
 drive: noise of the pedal, a slope, wind. Pieces begin where the car is fast, for what
-brakes and drive do next to standstill depends on how it came there.
+brakes and drive do next to standstill depends on how it came there; where it stops and
+stands nothing is compared, and the next piece begins at rest.
 """
 
 import dataclasses
 from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -30,7 +30,6 @@ from carpark_mj.vehicle.wheel import wheels_of
 SIM_DT = 0.0025  # s; at 0.01 the tyres would seem a tenth softer than they are
 WARM_UP = 1.0  # s, in which tyres and brakes forget how they began
 PIECE = 5.0  # s
-MOST_PIECES = 40
 STOP = 1.0  # rad, the steering's of a car whose steering wheel is measured
 STAND = 0.5  # s, what is slow for so long stops or stands
 REST = 0.15  # m/s, what is slower at the beginning of a piece stands
@@ -188,11 +187,16 @@ class Replay:
             return np.stack([np.asarray(seen[name]) for name in self.channels], axis=1)
 
 
+def _runs(there: np.ndarray) -> list[list[int]]:
+    """First rows of the runs of a mask (n,), and the rows after them."""
+    edges = np.flatnonzero(np.diff(there, prepend=False, append=False))
+    return edges.reshape(-1, 2).tolist()
+
+
 def _stands(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Where the car is about to stop or stands (n,), for at least `STAND`."""
     slow = np.abs(speed) < drive.HOLD_SPEED
-    edges = np.flatnonzero(np.diff(slow, prepend=~slow[0], append=~slow[-1]))
-    for first, after in pairwise(edges):
+    for first, after in _runs(slow):
         if time[after - 1] - time[first] < STAND:
             slow[first:after] = False
     return slow
@@ -204,29 +208,29 @@ def _pieces(
     """When the simulations of pieces begin (pieces,) [s], and rows' pieces (n,).
 
     A piece begins at rest or else where the car is fast. Rows of piece -1 are not
-    compared: those that come before a warm-up ends, and where the car stands.
+    compared: those before a warm-up ends, and those where the car stands.
     """
-    length = max(PIECE, (time[-1] - time[0]) / MOST_PIECES)
     begin, piece = [], np.full(len(time), -1)
-    edges = np.flatnonzero(np.diff(stands, prepend=True, append=True))
-    for first, after in zip(edges[::2], edges[1::2], strict=True):
-        end, rested = time[after - 1], first > 0
-        measured = time[first] + (0.0 if rested else WARM_UP)
-        lasts = end - measured
-        if lasts < WARM_UP:
+    for first, after in _runs(~stands):
+        end, begins, rows = time[after - 1], time[first], np.arange(first, after)
+        if first > 0:  # at rest, a warm-up before it moves or as long as it stood
+            before = (time >= begins - WARM_UP) & (time < begins) & stands
+            slowest = max(REST, speed[before].min())
+            measured, begins = begins, time[before & (speed <= slowest)][0]
+        else:
+            measured = begins + WARM_UP
+        if end - measured < WARM_UP:
             continue
-        begin.append(time[first])
-        if rested:
-            before = np.flatnonzero((time >= measured - WARM_UP) & (time < measured))
-            rests = before[speed[before] < max(REST, speed[before].min())]
-            begin[-1] = time[[*rests, before[-1]][0]]
-        piece[first:after][time[first:after] >= measured] = len(begin) - 1
-        for k in range(1, max(round(lasts / length), 1)):
-            middle = measured + k * lasts / max(round(lasts / length), 1)
-            near = (time >= middle) & (time <= middle + length / 2)
-            near &= time <= end - 2 * WARM_UP
+        begin.append(begins)
+        piece[rows[time[rows] >= measured]] = len(begin) - 1
+        count = max(round(float(end - measured) / PIECE), 1)
+        for middle in np.linspace(measured, end, count, endpoint=False)[1:]:
+            latest = min(middle + PIECE / 2, end - 2 * WARM_UP)
+            near = (time >= middle) & (time <= latest)
             begin.append(time[near][speed[near].argmax()])
-            piece[(time >= begin[-1] + WARM_UP) & (time <= end)] = len(begin) - 1
+            piece[rows[time[rows] >= begin[-1] + WARM_UP]] = len(begin) - 1
+    if not begin:
+        raise ValueError(f"the car must move for at least {2 * WARM_UP:g} s on end")
     return np.array(begin), piece
 
 
@@ -234,14 +238,11 @@ def _released(pedal: np.ndarray, speed: np.ndarray, stands: np.ndarray) -> np.nd
     """The pedal (n,) without the foot on the brake of a car that stands.
 
     Against the way in which the car moves off, or, at the end, in which it came, it
-    would drive a car of `vehicle.drive` the other way.
+    would drive the car of `vehicle.drive` backwards.
     """
     moving = np.flatnonzero(~stands)
-    next_one = np.minimum(
-        np.searchsorted(moving, np.arange(len(pedal))), len(moving) - 1
-    )
-    way = np.sign(speed[moving[next_one]])
-    return np.where(stands & (pedal * way < 0), 0.0, pedal)
+    after = np.searchsorted(moving, np.arange(len(pedal))).clip(max=len(moving) - 1)
+    return np.where(stands & (pedal * speed[moving[after]] < 0), 0.0, pedal)
 
 
 def _full(log: DriveLog, params: VehicleParameters) -> tuple[float, float]:

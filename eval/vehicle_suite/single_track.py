@@ -1,8 +1,8 @@
-"""Logs of test drives with a single-track car in NumPy, which shares no code with ours.
+"""Logs of test drives of a single-track car in NumPy, which shares no code with ours.
 
-Lateral tyre forces follow their slip angles with a relaxation length, drive and brakes
-their pedal with a lag, the road wheels the steering wheel with a lag. It stands where
-the brakes have stopped it. The brakes of a car like ours act at once.
+Lateral tyre forces follow their slip angles with a relaxation length, the drive its
+pedal with a lag, the road wheels the steering wheel with a lag. The car stands where
+the brakes have stopped it.
 """
 
 import dataclasses
@@ -11,19 +11,26 @@ from collections.abc import Sequence
 import numpy as np
 
 from carpark_mj.identification.log import POSE, RATES, DriveLog
+from vehicle_suite.logs import LOG_DT, NOISE
 
 G = 9.81  # m/s^2
-NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003, "speed": 0.03, "yaw_rate": 0.005}
 SLOW = 0.5  # m/s, below it the wheels roll without slip
 
 
 @dataclasses.dataclass(frozen=True)
 class SingleTrack:
-    """The car, whose defaults are near the compact preset's. SI units.
+    """The car, in all else near the compact preset. SI units.
 
     Attributes:
-        rotating: mass that the wheels' inertia adds to the car's, a share of it.
-        max_acceleration: of the drive's force over the mass, likewise the brakes'.
+        steering_delay: of the steering; names as in `Sought`.
+        steering_lag: time constant, as of our steering servo.
+        wheelbase: between the axles.
+        to_front: centre of gravity behind the front axle.
+        arm: radius of gyration about the vertical.
+        rotating: what the wheels' inertia adds to the mass, a share of it.
+        front_drive: share of the drive along the steered wheels, the rest is along the
+            car.
+        front_brake: likewise of the brakes.
     """
 
     steering_delay: float = 0.08
@@ -35,12 +42,12 @@ class SingleTrack:
     max_deceleration: float = 3.5
     rolling_resistance: float = 0.015
     drive_lag: float = 0.12
-    steering_lag: float = 0.0
-    brake_lag: float = 0.0
-    relaxation: float = 0.4
+    lateral_relaxation: float = 0.4
+    patch_radius: float = 0.0
+    steering_lag: float = 0.014
     wheelbase: float = 2.637
     to_front: float = 1.05
-    yaw_inertia_arm: float = 1.28
+    arm: float = 1.277
     rotating: float = 0.029
     front_drive: float = 1.0
     front_brake: float = 0.68
@@ -51,17 +58,19 @@ def drive(
     seed: int,
     stops: bool,
     measured: Sequence[str] = POSE,
-    seconds: float = 60.0,
+    seconds: float = 40.0,
+    noise: float = 1.0,
     dt: float = 0.001,
 ) -> DriveLog:
-    """A drive that alternates drive, coasting and brakes, in long curves.
+    """Drives, coasts and brakes in turn, in curves, between 1 and 4 m/s.
 
     Args:
         car: the car.
         seed: of the driver and the noise.
-        stops: whether the brakes stop it in every cycle, with the foot on them.
+        stops: whether the brakes stop it in every cycle; the foot stays on them.
         measured: quantities in the log.
         seconds: how long.
+        noise: factor on `NOISE`.
         dt: step of the integration [s].
     """
     dice = np.random.default_rng(seed)
@@ -69,9 +78,10 @@ def drive(
     phases, (wide, fast) = dice.uniform(0, 6, 2), dice.uniform([0.2, 0.1], [0.3, 0.15])
     angle = wide * np.sin(0.5 * time + phases[0]) + fast * np.sin(2 * time + phases[1])
     path, pedal = _simulate(car, time, angle, _Driver(dice, stops), dt)
-    every = round(0.02 / dt)
+    every = round(LOG_DT / dt)
     rows = {
-        name: values[::every] + dice.normal(0.0, NOISE[name], len(time[::every]))
+        name: values[::every]
+        + dice.normal(0.0, noise * NOISE[name], len(time[::every]))
         for name, values in zip((*POSE, *RATES), path.T, strict=True)
         if name in measured
     }
@@ -113,7 +123,7 @@ def _simulate(car, time, angle, driver, dt) -> tuple[np.ndarray, np.ndarray]:
     loads = G * np.array([rear, front]) / car.wheelbase  # per mass
     stiff = car.cornering_stiffness * loads
     drives, brakes = (np.array([x, 1 - x]) for x in (car.front_drive, car.front_brake))
-    x = y = yaw = v = across = rate = drive = brake = 0.0
+    x = y = yaw = v = across = rate = drive = 0.0
     slips, delta, out = np.zeros(2), steer[0], []
     for k, wanted in enumerate(steer):
         pedals[k] = driver.pedal(time[k], v, dt)
@@ -121,10 +131,10 @@ def _simulate(car, time, angle, driver, dt) -> tuple[np.ndarray, np.ndarray]:
         delta = _lagged(delta, wanted, car.steering_lag, dt)
         turned = delta + car.steering_offset
         drive = _lagged(drive, max(p, 0.0) * car.max_acceleration, car.drive_lag, dt)
-        brake = _lagged(brake, max(-p, 0.0) * car.max_deceleration, car.brake_lag, dt)
+        brake = max(-p, 0.0) * car.max_deceleration
         ends = np.array([across + front * rate, across - rear * rate])
         aims = np.arctan2(ends, max(v, 0.1)) - [turned, 0.0]
-        slips += dt * max(v, 0.1) / car.relaxation * (aims - slips)
+        slips += dt * max(v, 0.1) / car.lateral_relaxation * (aims - slips)
         force = -stiff * slips
         resists = brake * brakes + car.rolling_resistance * loads
         along = drive * drives - resists * (v > 0 or drive > resists.sum())
@@ -140,7 +150,7 @@ def _simulate(car, time, angle, driver, dt) -> tuple[np.ndarray, np.ndarray]:
             ahead = force[0] * cos + along[0] * sin
             across += dt * (ahead + force[1] - v * rate)
             moment = front * ahead - rear * force[1]
-            rate += dt * moment / car.yaw_inertia_arm**2
+            rate += dt * moment / car.arm**2
         out.append((x, y, yaw, v, rate))
         left = across - rear * rate
         x += dt * (v * np.cos(yaw) - left * np.sin(yaw))
