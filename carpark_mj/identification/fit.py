@@ -1,32 +1,30 @@
 """Least squares of a test drive: values, intervals, and what the log cannot tell.
 
-The residuals are those of a simulation with the parameters sought and, of every piece
-of the drive, its start. Levenberg-Marquardt minimises their squares, each over the
-variance of its quantity, which is that of the residuals of the last fit. Derivatives
-are central differences in float64; the starts are eliminated piece by piece.
+The unknowns are the parameters sought and the start of every piece of the drive, in
+units of what is known of them before (`Parameter.doubt`), which counts as a
+measurement. Residuals are divided by their standard deviation in the last fit;
+derivatives are central differences in float64.
 
-The covariance of the parameters is the inverse of what the normal equations leave for
-them without the starts (Fisher's information); combinations whose share of it is within
-the precision of the derivatives have none. Where successive residuals of a quantity
-correlate by r, its variance counts (1 + r) / (1 - r) times: errors of the model and
-slow errors of sensors do not average out as white noise does.
-
-The vehicle's own values count as measurements with wide errors (`Parameter.doubt`), so
-that the intervals of the others include what an untold one may do to them.
+Two estimates make an interval, the wider counts. The inverse of Fisher's information,
+with (1 + r) / (1 - r) times the variance where successive residuals correlate by r,
+knows noise. The jackknife, which leaves out half a piece at a time, also knows errors
+of the model that last: slopes, wind, other tyres (the CR3 covariance of clusters, Bell
+and McCaffrey 2002, with Student's t).
 """
 
 import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import t as student
 
 from carpark_mj.geometry.se2 import wrap_angle
 from carpark_mj.identification.log import DriveLog
-from carpark_mj.identification.simulation import SIM_DT, Replay, Sought
+from carpark_mj.identification.simulation import SIM_DT, Replay
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 RANK = 1e-4  # eigenvalue of the scaled information that derivatives can make of none
-QUANTILE = 1.96  # standard deviations, 95 % of a normal distribution
 
 
 class Parameter(NamedTuple):
@@ -35,6 +33,7 @@ class Parameter(NamedTuple):
     Attributes:
         unit: its unit.
         relative: whether the others are shares.
+        least: it can have.
         step: for derivatives, which moves events, such as the closing of the holding
             brake, by several substeps; less would take them for fixed.
         doubt: standard deviation of the vehicle's value.
@@ -45,6 +44,7 @@ class Parameter(NamedTuple):
 
     unit: str
     relative: bool
+    least: float
     step: float
     doubt: float
     widest: float
@@ -53,36 +53,46 @@ class Parameter(NamedTuple):
 
 PARAMETERS = {
     "steering_delay": Parameter(
-        "s", False, 0.02, 0.3, 0.1, "steering to and fro at 1 m/s or more"
+        "s", False, -1.0, 0.02, 0.3, 0.1, "steering to and fro at 1 m/s or more"
     ),
     "pedal_delay": Parameter(
-        "s", False, 0.02, 0.3, 0.1, "a pedal pressed and released several times"
+        "s", False, -1.0, 0.02, 0.3, 0.1, "a pedal pressed and released several times"
     ),
     "steering_ratio": Parameter(
-        "", True, 1e-2, 0.5, 0.1, "small and large steering angles"
+        "", True, 0.05, 1e-2, 0.5, 0.1, "small and large steering angles"
     ),
     "steering_offset": Parameter(
-        "rad", False, 5e-3, 0.05, 0.01, "steering to both sides, or straight on"
+        "rad", False, -1.0, 5e-3, 0.05, 0.01, "steering to both sides, or straight on"
     ),
     "cornering_stiffness": Parameter(
-        "1/rad", True, 5e-2, 0.5, 0.25, "tight turns at 2.5 m/s or more"
+        "1/rad", True, 0.05, 5e-2, 0.5, 0.25, "tight turns at 2.5 m/s or more"
     ),
-    "max_acceleration": Parameter("m/s^2", True, 1e-2, 0.5, 0.1, "starts"),
+    "max_acceleration": Parameter("m/s^2", True, 0.05, 1e-2, 0.5, 0.1, "starts"),
     "max_deceleration": Parameter(
-        "m/s^2", True, 1e-2, 0.5, 0.1, "braking from 1 m/s or more"
+        "m/s^2", True, 0.05, 1e-2, 0.5, 0.1, "braking from 1 m/s or more"
+    ),
+    "rolling_resistance": Parameter(
+        "", True, 0.0, 0.1, 0.5, 0.5, "coasting for several seconds"
+    ),
+    "drive_lag": Parameter(
+        "s", False, 0.0, 0.02, 0.1, 0.1, "a pedal pressed and released quickly"
+    ),
+    "lateral_relaxation": Parameter(
+        "m", True, 0.1, 0.1, 0.5, 0.5, "quick steering at 2.5 m/s or more"
+    ),
+    "patch_radius": Parameter(
+        "m", True, 0.0, 0.1, 0.5, 0.5, "large steering angles below 1 m/s"
     ),
 }
-_LIMITS = 0.05, 20.0  # of what is relative
+HALVES = 2  # blocks of a piece that the jackknife leaves out
 _START_STEPS = np.array([1e-2, 1e-2, 5e-3, 2e-2])  # m, m, rad, m/s
-# The log's own guess of a start is at most some of these off.
-_START_ERRORS = np.array([3.0, 3.0, 0.5, 1.0])  # m, m, rad, m/s
-_START_LONGEST = _START_ERRORS / 5  # a step
+_START_DOUBTS = np.array([3.0, 3.0, 0.5, 1.0])  # of the log's own guess, likewise
 # Of sensors, before residuals tell them.
 _NOISE = {"x": 0.05, "y": 0.05, "yaw": 0.01, "speed": 0.05, "yaw_rate": 0.01}
 _LEAST_NOISE = 1e-4  # of these
-_ROUNDS, _ITERATIONS = 6, 40
-_LONGEST = 2.0  # a step, in `Parameter.widest`
-_ENOUGH = 0.1  # what the sum of squares falls by when it has converged
+_ROUNDS, _LOOKS = 4, 30
+_WITHIN = 0.2  # doubts, how far within its bounds the search begins
+_ENOUGH = 0.2  # what the sum of squares falls by when it has converged
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,7 +115,7 @@ class Identification:
     """What a log tells.
 
     Attributes:
-        estimates: by name, as `Sought`.
+        estimates: by name, as `PARAMETERS`.
         residuals: root mean square by the quantity measured, in SI units.
     """
 
@@ -127,200 +137,159 @@ def identify(
         ahead: of the rear axle, the point whose positions are in the log [m].
         sim_dt: substep of the simulation [s].
     """
-    fit = _Fit(Replay(log, params, ahead, sim_dt))
-    fit.converge()
-    errors = fit.errors()
-    estimates = {
-        name: Estimate(float(value if told else own), float(error), bool(told))
-        for name, value, own, error, told in zip(
-            Sought._fields,
-            fit.sought,
-            fit.own,
-            errors,
-            errors <= fit.scaled("widest", fit.sought),
-            strict=True,
-        )
-    }
-    spread = fit.spread().tolist()
+    problem = _Problem(Replay(log, params, ahead, sim_dt))
+    unknown = np.maximum(0.0, problem.least + _WITHIN)
+    for _ in range(_ROUNDS):
+        unknown = least_squares(
+            lambda x: problem.look(x)[:, -1],
+            unknown,
+            lambda x: problem.look(x)[:, :-1],  # pyright: ignore[reportArgumentType]
+            (problem.least, np.inf),
+            ftol=_ENOUGH / problem.measured.sum(),
+            max_nfev=_LOOKS,
+        ).x
+        before, problem.noise = problem.noise, problem.spread(unknown)
+        if np.abs(np.log(problem.noise / before)).max() < 0.02:
+            break
+    own, doubt = problem.own, problem.scaled("doubt")
+    values = own + unknown[: len(own)] * doubt
+    errors = doubt * problem.errors(unknown)
+    told = errors <= problem.scaled("widest", values)
+    rows = np.where(told, values, own).tolist(), errors.tolist(), told.tolist()
     return Identification(
-        estimates, dict(zip(fit.replay.channels, spread, strict=True))
+        {k: Estimate(*row) for k, *row in zip(PARAMETERS, *rows, strict=True)},
+        dict(zip(problem.replay.channels, problem.noise.tolist(), strict=True)),
     )
 
 
-class _Normal(NamedTuple):
-    """Sums of squares about a point: their value, gradient and curvature."""
-
-    cost: float
-    gradient: np.ndarray  # (p,)
-    curvature: np.ndarray  # (p, p)
-    mixed: np.ndarray  # (pieces, 4, p)
-    start_gradient: np.ndarray  # (pieces, 4)
-    start_curvature: np.ndarray  # (pieces, 4, 4)
-
-
-class _Fit:
-    """Levenberg-Marquardt on a replay.
+class _Problem:
+    """Residuals of a replay, and their derivatives.
 
     Attributes:
         replay: the replay.
+        measured: (channels, n) where it is.
         own: (p,) the vehicle's values.
-        sought: (p,) the values.
-        starts: (pieces, 4) the starts.
+        least: (p + 4 pieces,) bounds of the unknowns.
         noise: (channels,) standard deviations of what is measured.
     """
 
     def __init__(self, replay: Replay) -> None:
-        self.replay = replay
+        self.replay, self.measured = replay, np.isfinite(replay.measured)
         self.own = np.array([float(x) for x in replay.own])
-        self.sought, self.starts = self.own.copy(), replay.starts.copy()
+        least = (self.scaled("least") - self.own) / self.scaled("doubt")
+        self.least = np.append(least, np.full(replay.starts.size, -np.inf))
         self.noise = np.array([_NOISE[name] for name in replay.channels])
-        self._residual, self._normal = self._look(self.sought, self.starts)
+        self._last = (np.empty(0),) * 3
 
     def scaled(self, what: str, values: np.ndarray | None = None) -> np.ndarray:
         """A quantity (p,) of `PARAMETERS`, absolute: shares are of `own` by default."""
-        relative = np.array([p.relative for p in PARAMETERS.values()])
         of = self.own if values is None else values
-        return np.where(relative, of, 1.0) * [
-            getattr(p, what) for p in PARAMETERS.values()
-        ]
+        rows = zip(PARAMETERS.values(), of, strict=True)
+        return np.array([getattr(p, what) * (x if p.relative else 1) for p, x in rows])
 
-    def converge(self) -> None:
-        """Fits until the noise of the quantities is that of their residuals."""
-        for _ in range(_ROUNDS):
-            self._minimise()
-            before, self.noise = self.noise, self.spread()
-            self._residual, self._normal = self._look(self.sought, self.starts)
-            if np.abs(np.log(self.noise / before)).max() < 0.02:
-                break
+    def look(self, unknown: np.ndarray) -> np.ndarray:
+        """Derivatives (rows, unknowns) at a point and, as last column, residuals.
 
-    def spread(self) -> np.ndarray:
+        Triangles stand for the measurements, with the same squares and products.
+        """
+        p, s, n = len(self.own), len(_START_STEPS), len(unknown)
+        rows = [np.column_stack([np.eye(n), unknown])]
+        for k, triangle in enumerate(self._triangles(unknown, self.noise)):
+            triangle = triangle.reshape(-1, p + s + 1)
+            part = np.zeros((len(triangle), n + 1))
+            part[:, :p], part[:, -1] = triangle[:, :p], triangle[:, -1]
+            part[:, p + s * k : p + s * (k + 1)] = triangle[:, p:-1]
+            rows.append(part)
+        return np.concatenate(rows)
+
+    def _triangles(self, unknown: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Of derivatives and residuals, by QR: (pieces, halves, p + 5, p + 5)."""
+        residual, slope = self._simulated(unknown)
+        both = np.append(slope, residual[None], axis=0) / noise[:, None]
+        both, size = np.where(self.measured, both, 0.0), len(both)
+        found = []
+        for k in range(len(self.replay.starts)):
+            rows = np.flatnonzero(self.replay.recording.piece == k)
+            for half in np.array_split(rows, HALVES):
+                part = both[..., half].reshape(size, -1).T
+                full = np.append(part, np.zeros((size, size)), axis=0)
+                found.append(np.linalg.qr(full, mode="r"))
+        return np.reshape(found, (-1, HALVES, size, size))
+
+    def _simulated(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (channels, n) and their derivatives (p + 4, channels, n)."""
+        if not np.array_equal(unknown, self._last[0]):
+            p, s, doubt = len(self.own), len(_START_STEPS), self.scaled("doubt")
+            steps = np.append(self.scaled("step") / doubt, _START_STEPS / _START_DOUBTS)
+            below = np.append(unknown[:p] - self.least[:p], np.full(s, np.inf))
+            up, down = np.diag(steps), -np.diag(np.minimum(steps, below))
+            shifts = np.concatenate([np.zeros((1, p + s)), up, down])
+            starts = unknown[p:].reshape(-1, s) + shifts[:, None, p:]
+            seen = self.replay.simulate(
+                self.own + doubt * (unknown[:p] + shifts[:, :p]),
+                self.replay.starts + _START_DOUBTS * starts,
+            )
+            residual = seen[0] - self.replay.measured
+            if "yaw" in self.replay.channels:
+                yaw = self.replay.channels.index("yaw")
+                residual[yaw] = np.asarray(wrap_angle(residual[yaw]))
+            apart = np.diag(up - down)[:, None, None]
+            slope = (seen[1 : 1 + p + s] - seen[1 + p + s :]) / apart
+            self._last = unknown.copy(), residual, slope
+        return self._last[1], self._last[2]
+
+    def spread(self, unknown: np.ndarray) -> np.ndarray:
         """Standard deviations (channels,) of the residuals."""
-        found = np.isfinite(self._residual)
-        counts = found.sum(axis=1)
+        residual = np.where(self.measured, self._simulated(unknown)[0], 0.0)
         # Numbers fitted, shared among the quantities.
-        fitted = (self.sought.size + self.starts.size) / len(counts)
-        squares = np.nansum(self._residual**2, axis=1)
+        free = self.measured.sum(axis=1) - len(unknown) / len(residual)
         least = [_LEAST_NOISE * _NOISE[name] for name in self.replay.channels]
-        return np.maximum(np.sqrt(squares / np.maximum(counts - fitted, 1)), least)
+        squares = np.sum(residual**2, axis=1)
+        return np.maximum(np.sqrt(squares / np.maximum(free, 1)), least)
 
-    def errors(self) -> np.ndarray:
-        """Half the 95 % intervals (p,)."""
-        noise = self.noise
-        self.noise = noise * np.sqrt(self._redundancy())
-        _, normal = self._look(self.sought, self.starts)
-        self.noise = noise
-        _, curvature, _ = _without_starts(normal, 0.0)
-        known = np.diag(self.scaled("doubt") ** -2.0)
-        information = curvature - known
+    def errors(self, unknown: np.ndarray) -> np.ndarray:
+        """Half the 95 % intervals (p,), in units of the doubts."""
+        p, known = len(self.own), np.eye(len(self.own))
+        starts = unknown[p:].reshape(len(self.replay.starts), 1, -1)
+        triangles = self._triangles(unknown, self.noise)
+        squares = np.einsum("khri,khrj->khij", triangles, triangles)
+        piece = squares.sum(axis=1, keepdims=True)
+        whole = _without_starts(piece, starts)
+        others = whole.sum(axis=0) + np.column_stack([known, unknown[:p]])
+        others = others - whole + _without_starts(piece - squares, starts)
+        moved = np.linalg.solve(others[..., :p], others[..., p:])
+        count = squares.shape[0] * HALVES
+        jackknife = np.sqrt((count - 1) / count * np.sum(moved**2, axis=(0, 1, 3)))
+
+        triangles = self._triangles(unknown, self.noise * self._redundancy(unknown))
+        piece = np.einsum("khri,khrj->kij", triangles, triangles)
+        information = _without_starts(piece, starts[:, 0]).sum(axis=0)[:, :p]
         size = np.sqrt(np.maximum(np.diag(information), 1e-300))
         values, vectors = np.linalg.eigh(information / np.outer(size, size))
         values[values < RANK] = 0.0
         information = (vectors * values) @ vectors.T * np.outer(size, size)
-        return QUANTILE * np.sqrt(np.diag(np.linalg.inv(information + known)))
+        fisher = np.sqrt(np.diag(np.linalg.inv(information + known)))
+        quantiles = student.ppf(0.975, [np.inf, count - 1])
+        return np.maximum(quantiles[0] * fisher, quantiles[1] * jackknife)
 
-    def _redundancy(self) -> np.ndarray:
-        """Residuals (channels,) that tell as much as an independent one."""
-        ratio = []
-        for row in self._residual:
-            row = row[np.isfinite(row)]
-            r = np.sum(row[1:] * row[:-1]) / max(np.sum(row * row), 1e-300)
-            ratio.append((1 + max(r, 0.0)) / max(1 - r, 1e-3))
-        return np.array(ratio)
-
-    def _minimise(self) -> None:
-        damping, relative = 1e-3, np.array([p.relative for p in PARAMETERS.values()])
-        for _ in range(_ITERATIONS):
-            longest = _LONGEST * self.scaled("widest")
-            change, start_change = _step(self._normal, damping, longest)
-            sought = self.sought + change
-            within = np.clip(sought, *np.outer(_LIMITS, self.own))
-            sought = np.where(relative, within, sought)
-            starts = self.starts + start_change
-            residual, normal = self._look(sought, starts)
-            gain = self._normal.cost - normal.cost
-            if gain > 0:
-                self.sought, self.starts = sought, starts
-                self._residual, self._normal = residual, normal
-                damping = max(damping / 10, 1e-9)
-            else:
-                damping *= 10
-            if damping > 1e3 or 0 <= gain < _ENOUGH:
-                break
-
-    def _look(
-        self, sought: np.ndarray, starts: np.ndarray
-    ) -> tuple[np.ndarray, _Normal]:
-        """Residuals (channels, n) at a point, and the sums of their squares."""
-        p, s = len(sought), starts.shape[-1]
-        own_steps = self.scaled("step")
-        moved = np.concatenate([np.diag(own_steps), np.zeros((s, p))])
-        moved_starts = np.concatenate([np.zeros((p, s)), np.diag(_START_STEPS)])
-        shifts = np.concatenate([np.zeros((1, p)), moved, -moved])
-        start_shifts = np.concatenate([np.zeros((1, s)), moved_starts, -moved_starts])
-        seen = self.replay.simulate(sought + shifts, starts + start_shifts[:, None])
-        residual = seen[0] - self.replay.measured
-        if "yaw" in self.replay.channels:
-            yaw = self.replay.channels.index("yaw")
-            residual[yaw] = np.asarray(wrap_angle(residual[yaw]))
-        steps = np.concatenate([own_steps, _START_STEPS])[:, None, None]
-        slope = (seen[1 : 1 + p + s] - seen[1 + p + s :]) / (2 * steps)
-        weight = np.where(np.isfinite(residual), 1 / self.noise[:, None], 0.0)
-        normal = self._sums(
-            np.nan_to_num(residual) * weight, slope * weight, sought, starts
-        )
-        return residual, normal
-
-    def _sums(
-        self,
-        residual: np.ndarray,
-        slope: np.ndarray,
-        sought: np.ndarray,
-        starts: np.ndarray,
-    ) -> _Normal:
-        """Sums of squares of weighted residuals and of what is known before."""
-        p, piece = len(sought), self.replay.recording.piece
-        off = (sought - self.own) / self.scaled("doubt")
-        start_off = (starts - self.replay.starts) / _START_ERRORS
-        by_sought, by_start = slope[:p], slope[p:]
-        mixed, gradient, curvature = [], [], []
-        for k in range(len(starts)):
-            rows = piece == k
-            mine = by_start[..., rows].reshape(len(by_start), -1)
-            theirs = by_sought[..., rows].reshape(p, -1)
-            mixed.append(mine @ theirs.T)
-            gradient.append(mine @ residual[:, rows].ravel())
-            curvature.append(mine @ mine.T + np.diag(_START_ERRORS**-2.0))
-        flat = by_sought.reshape(p, -1)
-        return _Normal(
-            float(sum(np.sum(part**2) for part in (residual, off, start_off))),
-            flat @ residual.ravel() + off / self.scaled("doubt"),
-            flat @ flat.T + np.diag(self.scaled("doubt") ** -2.0),
-            np.array(mixed),
-            np.array(gradient) + start_off / _START_ERRORS,
-            np.array(curvature),
-        )
+    def _redundancy(self, unknown: np.ndarray) -> np.ndarray:
+        """Factor (channels,) on the noise, as successive residuals correlate."""
+        rows = zip(self._simulated(unknown)[0], self.measured, strict=True)
+        r = np.array([_correlation(row[there]) for row, there in rows]).clip(0.0, 0.999)
+        return np.sqrt((1 + r) / (1 - r))
 
 
-def _without_starts(
-    normal: _Normal, damping: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gradient and curvature for the best starts; damped inverses of the starts'."""
-    diagonal = np.einsum("kii->ki", normal.start_curvature)
-    damped = normal.start_curvature + damping * diagonal[..., None] * np.eye(4)
-    inverse = np.linalg.inv(damped)
-    across = np.einsum("kij,kip,kjq->pq", inverse, normal.mixed, normal.mixed)
-    pull = np.einsum("kij,kip,kj->p", inverse, normal.mixed, normal.start_gradient)
-    return normal.gradient - pull, normal.curvature - across, inverse
+def _without_starts(squares: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Information and, as last column, gradient for the best starts (..., p, p + 1)."""
+    count = starts.shape[-1]
+    p, squares = squares.shape[-1] - 1 - count, squares.copy()
+    squares[..., p:-1, p:-1] += np.eye(count)
+    squares[..., p:-1, -1] += starts
+    across = np.linalg.solve(squares[..., p:-1, p:-1], squares[..., p:-1, :])
+    left = squares[..., :p, :] - squares[..., :p, p:-1] @ across
+    return np.delete(left, np.s_[p:-1], axis=-1)
 
 
-def _step(
-    normal: _Normal, damping: float, longest: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The damped step of the numbers sought (p,) and of the starts (pieces, 4)."""
-    gradient, curvature, inverse = _without_starts(normal, damping)
-    damped = curvature + damping * np.diag(np.diag(normal.curvature))
-    change = -np.linalg.solve(damped, gradient)
-    change /= max(1.0, np.max(np.abs(change) / longest))
-    pull = normal.start_gradient + normal.mixed @ change
-    moved = -np.einsum("kij,kj->ki", inverse, pull)
-    return change, np.clip(moved, -_START_LONGEST, _START_LONGEST)
+def _correlation(row: np.ndarray) -> float:
+    """Of successive values."""
+    return np.sum(row[1:] * row[:-1]) / max(np.sum(row * row), 1e-300)

@@ -3,7 +3,8 @@
 A piece begins `WARM_UP` before its measurements, with the steering where the log has
 it, in a steady turn. Its start is sought too, so that errors do not add up over the
 drive: noise of the pedal, a slope, wind. Pieces begin where the car is fast, for what
-brakes and drive do next to standstill depends on how it came there.
+brakes and drive do next to standstill depends on how it came there; where it stops and
+stands nothing is compared, and the next piece begins at rest.
 """
 
 import dataclasses
@@ -29,8 +30,8 @@ from carpark_mj.vehicle.wheel import wheels_of
 SIM_DT = 0.0025  # s; at 0.01 the tyres would seem a tenth softer than they are
 WARM_UP = 1.0  # s, in which tyres and brakes forget how they began
 PIECE = 5.0  # s
-MOST_PIECES = 40
 STOP = 1.0  # rad, the steering's of a car whose steering wheel is measured
+STAND = 0.5  # s, what is slow for so long stops or stands
 REST = 0.15  # m/s, what is slower at the beginning of a piece stands
 FREE = 1e3  # m/s or rad/s, beyond every limit
 
@@ -46,6 +47,10 @@ class Sought(NamedTuple):
         cornering_stiffness: of the tyres, per load [1/rad].
         max_acceleration: drive at full pedal [m/s^2].
         max_deceleration: brake at full pedal [m/s^2].
+        rolling_resistance: of the tyres, force per load.
+        drive_lag: time constant of the drive torque [s].
+        lateral_relaxation: relaxation length of the tyres' lateral force [m].
+        patch_radius: of the tyres, as their scrub torque has it [m].
     """
 
     steering_delay: Any
@@ -55,6 +60,10 @@ class Sought(NamedTuple):
     cornering_stiffness: Any
     max_acceleration: Any
     max_deceleration: Any
+    rolling_resistance: Any
+    drive_lag: Any
+    lateral_relaxation: Any
+    patch_radius: Any
 
 
 class Recording(NamedTuple):
@@ -112,24 +121,28 @@ class Replay:
             *(0.0, 0.0, 15.0 if wheel else 1.0, 0.0, params.tyre.cornering_stiffness),
             params.max_acceleration,
             params.max_deceleration,
+            params.tyre.rolling_resistance,
+            params.drive_lag,
+            params.tyre.lateral_relaxation,
+            params.tyre.patch_radius,
         )
         self._scale = np.array(full) / [
             params.max_acceleration,
             params.max_deceleration,
         ]
-        begin = _beginnings(log.time, np.abs(log.speed))
-        piece = np.searchsorted(begin + WARM_UP, log.time, "right") - 1
-        before = piece < 0  # the first piece's measurements
+        stands = _stands(log.time, log.speed)
+        begin, piece = _pieces(log.time, np.abs(log.speed), stands)
+        unmeasured = piece < 0
         self.recording = Recording(
             log.time - log.time[0],
             log.steering,
-            _pedal(log, full),
+            _released(_pedal(log, full), log.speed, stands),
             begin - log.time[0],
             np.maximum(piece, 0),
-            np.where(before, 0.0, log.time - begin[piece]),
+            np.where(unmeasured, 0.0, log.time - begin[piece]),
         )
         measured = np.stack([log.measured[name] for name in self.channels])
-        self.measured = np.where(before, np.nan, measured)
+        self.measured = np.where(unmeasured, np.nan, measured)
         self._ahead, self._sim_dt = ahead, sim_dt
         self.starts = self._guess(begin)
         # In whole seconds, so that logs of one length share a compiled program.
@@ -149,7 +162,7 @@ class Replay:
         """What would be measured.
 
         Args:
-            sought: (cars, 7) in the order of `Sought`.
+            sought: (cars, p) in the order of `Sought`.
             starts: (cars, pieces, 4).
 
         Returns:
@@ -160,6 +173,7 @@ class Replay:
             scaled = columns._replace(
                 max_acceleration=columns.max_acceleration * self._scale[0],
                 max_deceleration=columns.max_deceleration * self._scale[1],
+                patch_radius=columns.patch_radius / self.own.patch_radius,
             )
             seen = _simulate(
                 self._vehicle,
@@ -173,17 +187,62 @@ class Replay:
             return np.stack([np.asarray(seen[name]) for name in self.channels], axis=1)
 
 
-def _beginnings(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """When the simulations of pieces begin (pieces,) [s]: where the car is fast."""
-    lasts = time[-1] - time[0] - WARM_UP
-    pieces = min(max(round(lasts / PIECE), 1), MOST_PIECES)
-    length = lasts / pieces
-    begin = []
-    for k in range(pieces):
-        middle = time[0] + k * length
-        near = (time >= middle) & (time <= middle + (k > 0) * length / 2)
-        begin.append(time[near][speed[near].argmax()])
-    return np.array(begin)
+def _runs(there: np.ndarray) -> list[list[int]]:
+    """First rows of the runs of a mask (n,), and the rows after them."""
+    edges = np.flatnonzero(np.diff(there, prepend=False, append=False))
+    return edges.reshape(-1, 2).tolist()
+
+
+def _stands(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Where the car is about to stop or stands (n,), for at least `STAND`."""
+    slow = np.abs(speed) < drive.HOLD_SPEED
+    for first, after in _runs(slow):
+        if time[after - 1] - time[first] < STAND:
+            slow[first:after] = False
+    return slow
+
+
+def _pieces(
+    time: np.ndarray, speed: np.ndarray, stands: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """When the simulations of pieces begin (pieces,) [s], and rows' pieces (n,).
+
+    A piece begins at rest or else where the car is fast. Rows of piece -1 are not
+    compared: those before a warm-up ends, and those where the car stands.
+    """
+    begin, piece = [], np.full(len(time), -1)
+    for first, after in _runs(~stands):
+        end, begins, rows = time[after - 1], time[first], np.arange(first, after)
+        if first > 0:  # at rest, a warm-up before it moves or as long as it stood
+            before = (time >= begins - WARM_UP) & (time < begins) & stands
+            slowest = max(REST, speed[before].min())
+            measured, begins = begins, time[before & (speed <= slowest)][0]
+        else:
+            measured = begins + WARM_UP
+        if end - measured < WARM_UP:
+            continue
+        begin.append(begins)
+        piece[rows[time[rows] >= measured]] = len(begin) - 1
+        count = max(round(float(end - measured) / PIECE), 1)
+        for middle in np.linspace(measured, end, count, endpoint=False)[1:]:
+            latest = min(middle + PIECE / 2, end - 2 * WARM_UP)
+            near = (time >= middle) & (time <= latest)
+            begin.append(time[near][speed[near].argmax()])
+            piece[rows[time[rows] >= begin[-1] + WARM_UP]] = len(begin) - 1
+    if not begin:
+        raise ValueError(f"the car must move for at least {2 * WARM_UP:g} s on end")
+    return np.array(begin), piece
+
+
+def _released(pedal: np.ndarray, speed: np.ndarray, stands: np.ndarray) -> np.ndarray:
+    """The pedal (n,) without the foot on the brake of a car that stands.
+
+    Against the way in which the car moves off, or, at the end, in which it came, it
+    would drive the car of `vehicle.drive` backwards.
+    """
+    moving = np.flatnonzero(~stands)
+    after = np.searchsorted(moving, np.arange(len(pedal))).clip(max=len(moving) - 1)
+    return np.where(stands & (pedal * speed[moving[after]] < 0), 0.0, pedal)
 
 
 def _full(log: DriveLog, params: VehicleParameters) -> tuple[float, float]:
@@ -240,11 +299,16 @@ def _simulate(
         steering_offset=sought.steering_offset,
         max_acceleration=sought.max_acceleration,
         max_deceleration=sought.max_deceleration,
+        drive_lag=sought.drive_lag,
         tyres=dataclasses.replace(
             tyres,
-            lateral_stiffness=sought.cornering_stiffness[..., None]
-            * tyres.static_load
-            / tyres.lateral_relaxation,
+            rolling_resistance=sought.rolling_resistance,
+            lateral_relaxation=sought.lateral_relaxation,
+            lateral_stiffness=(sought.cornering_stiffness / sought.lateral_relaxation)[
+                ..., None
+            ]
+            * tyres.static_load,
+            torsion_stiffness=sought.patch_radius[..., None] * tyres.torsion_stiffness,
         ),
     )
     wheels, masses = wheels_of(vehicle), mass_properties(vehicle)

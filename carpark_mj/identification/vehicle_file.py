@@ -44,7 +44,7 @@ def vehicle_text(name: str, sheet: Sheet, found: Identification, log: DriveLog) 
         if place(key, log) != "vehicle file":
             lines.append(f"# {key} {_told(key, estimate)}: {place(key, log)}")
             continue
-        full = "tyre.cornering_stiffness" if key == "cornering_stiffness" else key
+        full = f"tyre.{key}" if f"tyre.{key}" in tyre else key
         if estimate.told:
             (tyre if full in tyre else values)[full] = estimate.value
             origins[full] = f"identified, {_told(key, estimate)}"

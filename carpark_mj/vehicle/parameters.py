@@ -33,6 +33,7 @@ PLAUSIBLE = {
     (0.5, 5.0, "m"): ("width", "height", "track_width"),
     (0.1, 1.0, "m"): ("wheel_radius",),
     (50.0, 60_000.0, "kg"): ("mass",),
+    (1e3, 2e6, "W"): ("max_power",),
     (0.1, 100.0, "m/s"): ("max_speed", "max_reverse_speed"),
     (0.1, 30.0, "m/s^2"): ("max_acceleration", "max_deceleration"),
 }

@@ -1,21 +1,24 @@
 """A car from the quantities of a data sheet; missing quantities are estimated.
 
-A quantity is a parameter of `VehicleParameters`, in its unit, or a quantity of data
-sheets that replaces one (`SHEET`). Estimates are fits to `presets.PRESETS`: from
-outline, wheelbase, mass, drive and wheel they give a preset's other sizes and inertias
-within 15 %, its wheels' masses, springs, torque and power within 35 %.
+A quantity is a parameter of `VehicleParameters` or a quantity of data sheets that
+replaces one (`SHEET`): a number in SI units, or text with a unit, "4,584 mm". Estimates
+are fits to `presets.PRESETS`: from outline, wheelbase, mass, drive and wheel they give
+a preset's other sizes and inertias within 15 %, its wheels' masses, springs, torque and
+power within 35 %.
 """
 
 import dataclasses
+import difflib
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from carpark_mj.config.checks import is_finite, require_within
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import (
+    LENGTHS,
     PLAUSIBLE,
     TyreParameters,
     VehicleParameters,
@@ -26,19 +29,49 @@ REQUIRED = ("length", "width", "wheelbase")
 # Quantities of data sheets that are no parameters, with what they are.
 SHEET = {
     "front_overhang": "front axle to front bumper [m]",
+    "track_front": "distance between the front wheels [m]",
+    "track_rear": "distance between the rear wheels [m]",
+    "kerb_weight": "mass without driver [kg]",
     "front_axle_load": "load of the front axle [kg]",
     "rear_axle_load": "load of the rear axle [kg]",
     "tyre_size": "as on its side, 205/55 R16",
+    "tyre_front": "size of the front tyres",
+    "tyre_rear": "size of the rear tyres",
+    "power": "of the engine [W]",
     "drive": "front, rear or all",
     "steering_ratio": "angle of the steering wheel over that of the front wheels",
     "steering_turns": "turns of the steering wheel from lock to lock",
+    "rear_steering": "largest angle of the rear wheels, against the front ones [rad]",
 }
 DRIVES = {"front": 1.0, "rear": 0.0, "all": 0.5}  # share of the front axle
 _PARAMETERS = tuple(field.name for field in dataclasses.fields(VehicleParameters))
 _TYRE = tuple(field.name for field in dataclasses.fields(TyreParameters))
-_TEXTS = ("tyre_size", "drive")
+_TEXTS = ("tyre_size", "tyre_front", "tyre_rear", "drive")
 _MAY_BE_ZERO = ("ackermann", "front_drive", "steering_lag", "drive_lag")
-_TYRE_SIZE = re.compile(r"(\d{3})/(\d{2}) ?Z?R ?(\d{2}(?:\.5)?) ?C?")
+# Width, aspect and rim, perhaps with load and speed: 235/45 R18 98 Y XL.
+_TYRE_SIZE = re.compile(r"(\d{3})/(\d{2}) ?Z?R ?(\d{2}(?:\.5)?) ?C?(?: .*)?")
+DRIVER = 75.0  # kg, what European kerb masses include
+# Units of texts in SI units, and the quantities that have them.
+_UNITS = (
+    (
+        {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048},
+        (*LENGTHS, "front_overhang", "track_front", "track_rear"),
+    ),
+    (
+        {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
+        ("mass", "kerb_weight", "front_axle_load", "rear_axle_load", "wheel_mass"),
+    ),
+    ({"W": 1.0, "kW": 1e3, "PS": 735.5, "hp": 745.7}, ("power", "max_power")),
+    ({"N m": 1.0, "Nm": 1.0}, ("max_drive_torque",)),
+    (
+        {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704},
+        ("max_speed", "max_reverse_speed"),
+    ),
+    ({"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}, ("rear_steering",)),
+)
+# A number and a unit; "150 kW (204 PS)" says it twice.
+_TEXT = re.compile(r"(\d[\d.,'  ]*?)\s*([^\W\d].*?|°)?\s*(?:\(.*\))?")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}(,\d{3})+(\.\d+)?")
 _INCH = 25.4  # mm
 _LOCK = 0.61  # rad; the presets have 0.58 to 0.62
 
@@ -94,9 +127,9 @@ def car_of_sheet(quantities: Mapping[str, Any]) -> Sheet:
         ValueError: a quantity is missing, unknown, impossible or contradicts another.
     """
     given = _checked(dict(quantities))
-    for convert in (_overhangs, _axle_loads, _tyre_size, _drive):
+    for convert in (_overhangs, _track, _masses, _tyre_sizes, _power, _drive):
         convert(given)
-    tyre = given.pop("tyre", {})
+    tyre, rear_steering = given.pop("tyre", {}), given.pop("rear_steering", None)
     steering = {name: given.pop(name, None) for name in SHEET if name in given}
     values, estimated = dict(given), []
     for name, estimate in _ESTIMATES.items():
@@ -109,15 +142,15 @@ def car_of_sheet(quantities: Mapping[str, Any]) -> Sheet:
         if name not in tyre:
             tyre[name] = estimate(values)
             estimated.append(f"tyre.{name}")
+    if rear_steering is not None:
+        _steer_rear(values, rear_steering, "turning_circle" in estimated)
     params = VehicleParameters(**values, tyre=TyreParameters(**tyre))
     chassis_inertial(params)  # refuses wheels that are heavier than the car
     return Sheet(params, tuple(estimated))
 
 
 def _checked(given: dict[str, Any]) -> dict[str, Any]:
-    known = (*_PARAMETERS, *SHEET)
-    if unknown := sorted(str(name) for name in given if name not in known):
-        raise ValueError(f"unknown {unknown}; a car has {sorted(known)}")
+    _refuse_unknown(given, (*_PARAMETERS, *SHEET), "a car")
     if missing := [name for name in REQUIRED if name not in given]:
         raise ValueError(
             f"{', '.join(missing)} missing: a car needs {', '.join(REQUIRED)}"
@@ -125,8 +158,7 @@ def _checked(given: dict[str, Any]) -> dict[str, Any]:
     tyre = given.pop("tyre", {})
     if not isinstance(tyre, dict):
         raise ValueError(f"tyre must be an object of {[*_TYRE]}, not {tyre!r}")
-    if unknown := sorted(str(name) for name in tyre if name not in _TYRE):
-        raise ValueError(f"unknown {unknown} of tyre; it has {sorted(_TYRE)}")
+    _refuse_unknown(tyre, _TYRE, "a tyre")
     tyre = {name: _number(f"tyre.{name}", value) for name, value in tyre.items()}
     for name, value in given.items():
         if name not in _TEXTS:
@@ -144,11 +176,40 @@ def _checked(given: dict[str, Any]) -> dict[str, Any]:
     return {**given, "tyre": tyre}
 
 
+def _refuse_unknown(given: Mapping[str, Any], known: Sequence[str], what: str) -> None:
+    """Names the known keys that come nearest, or all."""
+    if unknown := sorted(str(name) for name in given if name not in known):
+        near = dict.fromkeys(
+            key
+            for name in unknown
+            for key in difflib.get_close_matches(name.lower(), known, cutoff=0.5)
+        )
+        has = f"perhaps {', '.join(near)}" if near else f"{what} has {sorted(known)}"
+        raise ValueError(f"unknown {unknown} of {what}; {has}")
+
+
 def _number(name: str, value: Any, zero: bool = False) -> float:
-    if not is_finite(value) or not (value > 0 or (zero and value == 0)):
+    units = next((units for units, names in _UNITS if name in names), {})
+    number = _in_si(value, units) if isinstance(value, str) else value
+    if not is_finite(number) or not (number > 0 or (zero and number == 0)):
         least = "of at least 0" if zero else "above 0"
-        raise ValueError(f"{name} must be a number {least}, not {value!r}")
-    return float(value)
+        also = f", also as text with {', '.join(units)}" * bool(units)
+        raise ValueError(f"{name} must be a number {least}{also}, not {value!r}")
+    return float(number)
+
+
+def _in_si(text: str, units: Mapping[str, float]) -> float:
+    """The number of a text as "1,650 kg"; NaN if it is none."""
+    found = _TEXT.fullmatch(text.strip())
+    if found is None or found[2] not in (None, *units):
+        return math.nan
+    digits = re.sub(r"[ ' ]", "", found[1])
+    comma = "" if _THOUSANDS.fullmatch(digits) else "."
+    try:
+        number = float(digits.replace(",", comma)) * units.get(found[2], 1.0)
+        return float(f"{number:.12g}")  # 4584 mm are 4.584 m
+    except ValueError:
+        return math.nan
 
 
 def _agree(name: str, value: float, other: float, within: float, told: str) -> None:
@@ -181,6 +242,32 @@ def _overhangs(given: dict[str, Any]) -> None:
     )
 
 
+def _track(given: dict[str, Any]) -> None:
+    """One track for both axles: their mean."""
+    tracks = [
+        given.pop(name) for name in ("track_front", "track_rear") if name in given
+    ]
+    if tracks:
+        mean = sum(tracks) / len(tracks)
+        track = given.setdefault("track_width", mean)
+        _agree("track_width", track, mean, 0.05, "tracks of the axles")
+
+
+def _masses(given: dict[str, Any]) -> None:
+    kerb = given.pop("kerb_weight", None)
+    if kerb is None:
+        return _axle_loads(given)
+    if "mass" in given:
+        raise ValueError(
+            f"mass {given['mass']:g}, which is with a driver, repeats kerb_weight: "
+            "leave one of them out"
+        )
+    given["mass"] = kerb
+    _axle_loads(given)
+    given["mass"] += DRIVER
+    return None
+
+
 def _axle_loads(given: dict[str, Any]) -> None:
     front = given.pop("front_axle_load", None)
     rear = given.pop("rear_axle_load", None)
@@ -208,24 +295,34 @@ def _axle_loads(given: dict[str, Any]) -> None:
     given["cg_to_front_axle"] = given["wheelbase"] * rear / (front + rear)
 
 
-def _tyre_size(given: dict[str, Any]) -> None:
-    size = given.pop("tyre_size", None)
-    if size is None:
+def _tyre_sizes(given: dict[str, Any]) -> None:
+    """One radius and width for all wheels: the mean of those of both axles."""
+    names = [n for n in ("tyre_size", "tyre_front", "tyre_rear") if n in given]
+    if "tyre_size" in names and len(names) > 1:
+        raise ValueError(f"tyre_size repeats {names[1]}: leave one of them out")
+    sizes = [_tyre_size(name, given.pop(name)) for name in names]
+    if not sizes:
         return
+    told = f"the {' and '.join(names)}"
+    radius, width = (sum(x) / len(x) for x in zip(*sizes, strict=True))
+    for one in (*(r for r, _ in sizes), given.setdefault("wheel_radius", radius)):
+        _agree("wheel_radius", one, radius, 0.06, told)
+    _agree("tyre_width", given.setdefault("tyre_width", width), width, 0.1, told)
+
+
+def _tyre_size(name: str, size: str) -> tuple[float, float]:
+    """Radius and width [m]."""
     found = _TYRE_SIZE.fullmatch(size.strip().upper())
     if found is None:
-        raise ValueError(f"tyre_size must be as in 205/55 R16, not {size!r}")
+        raise ValueError(f"{name} must be as in 205/55 R16, not {size!r}")
     width, aspect, rim = map(float, found.groups())
-    radius = (rim * _INCH / 2 + width * aspect / 100) / 1000
-    told = f"the tyre size {size!r}"
-    _agree("wheel_radius", given.setdefault("wheel_radius", radius), radius, 0.06, told)
-    _agree(
-        "tyre_width",
-        given.setdefault("tyre_width", width / 1000),
-        width / 1000,
-        0.1,
-        told,
-    )
+    return (rim * _INCH / 2 + width * aspect / 100) / 1000, width / 1000
+
+
+def _power(given: dict[str, Any]) -> None:
+    if (power := given.pop("power", None)) is not None:
+        most = given.setdefault("max_power", power)
+        _agree("max_power", most, power, 0.3, "the engine's power")
 
 
 def _drive(given: dict[str, Any]) -> None:
@@ -271,3 +368,26 @@ def _steering(
     circle = _circle(values, lock)
     given = values.setdefault("turning_circle", circle)
     _agree("turning_circle", given, circle, 0.15, "steering ratio and turns")
+
+
+def _steer_rear(values: dict[str, Any], rear: float, unpublished: bool) -> None:
+    """The car without rear steering that turns as one with it.
+
+    Rear wheels that turn against the front ones, in proportion, move the point about
+    which the car turns ahead by L tan(rear) / (tan(front) + tan(rear)). A rear axle
+    there, with fixed wheels, leads the body on the same path. The published turning
+    circle gives the radius R of its middle: ahead by R tan(rear), and
+    (L - R tan(rear))^2 + (R + track / 2)^2 is the square of the outer front wheel's.
+    """
+    if unpublished or not rear < math.pi / 6:
+        raise ValueError(
+            f"rear_steering {rear:g} rad must be less than 30 deg and needs the "
+            "turning_circle with it"
+        )
+    base, half, tan = values["wheelbase"], values["track_width"] / 2, math.tan(rear)
+    outer = (values["turning_circle"] - values["tyre_width"]) / 2
+    middle, square = half - base * tan, 1 + tan**2
+    root = math.sqrt(middle**2 - square * (base**2 + half**2 - outer**2))
+    ahead = tan * (root - middle) / square
+    values["wheelbase"] -= ahead
+    values["rear_overhang"] += ahead

@@ -19,7 +19,9 @@ from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from carpark_mj.vehicle.vehicle import make_vehicle
 
-DriveName = Literal["full", "slow", "no braking", "straight", "circle"]
+DriveName = Literal[
+    "full", "slow", "no braking", "straight", "circle", "stops", "rolling"
+]
 CYCLE = 10.0  # s: start, hold, brake, stand
 # Standard deviations: satellites with corrections, wheel speeds, gyroscope.
 NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003, "speed": 0.03, "yaw_rate": 0.005}
@@ -32,7 +34,7 @@ class Drive:
 
     Attributes:
         true: parameters of the car.
-        kind: what the driver does.
+        kind: what the driver does; `stops` and `rolling` are of `single_track`.
         params: the car in all else.
         seed: of the driver's amplitudes and of the noise.
         seconds: how long it lasts.
@@ -49,13 +51,15 @@ class Drive:
     @property
     def car(self) -> VehicleParameters:
         """The true car: no speed limit, wheels that turn as fast as the driver."""
-        tyre = dataclasses.replace(
-            self.params.tyre, cornering_stiffness=float(self.true.cornering_stiffness)
-        )
+        true = {name: float(value) for name, value in self.true._asdict().items()}
+        names = {field.name for field in dataclasses.fields(self.params.tyre)}
+        tyre = {name: true[name] for name in names & {*true}}
+        tyre = dataclasses.replace(self.params.tyre, **tyre)
         return dataclasses.replace(
             self.params,
-            max_acceleration=float(self.true.max_acceleration),
-            max_deceleration=float(self.true.max_deceleration),
+            max_acceleration=true["max_acceleration"],
+            max_deceleration=true["max_deceleration"],
+            drive_lag=true["drive_lag"],
             steering_rate=5.0,
             max_speed=90.0,
             max_reverse_speed=90.0,

@@ -14,9 +14,12 @@ from carpark_mj.identification.log import read_log
 from carpark_mj.identification.simulation import Replay, Sought
 from carpark_mj.vehicle import COMPACT, preset
 from vehicle_suite.logs import Drive, record
+from vehicle_suite.single_track import SingleTrack, drive
 
-TRUE = Sought(0.12, 0.2, 16.0, 0.015, 9.0, 1.7, 3.4)
+TRUE = Sought(0.12, 0.2, 16.0, 0.015, 9.0, 1.7, 3.4, 0.015, 0.1, 0.4, 0.07)
 SECONDS, SIM_DT = 21.0, 0.01
+# A car whose drive and brakes push along its axis and not along its steered wheels.
+ALONG = {"front_drive": 0.0, "front_brake": 0.0}
 OTHERS = {"gear": 1, "remark": "none"}
 
 
@@ -59,13 +62,25 @@ def read_log_of(tmp_path, rows):
 def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
     found = identify(logs["full"], COMPACT, 0.0, SIM_DT)
     for name, estimate in found.estimates.items():
-        assert estimate.told, name
-        # Twice half an interval of 95 %, four standard deviations.
-        assert abs(estimate.value - getattr(TRUE, name)) < 2 * estimate.error, name
+        assert estimate.told or name in ("lateral_relaxation", "patch_radius"), name
+        if estimate.told:  # within twice half an interval, four standard deviations
+            assert abs(estimate.value - getattr(TRUE, name)) < 2 * estimate.error, name
         assert estimate.error > 0
     # The residuals are the noise of the sensors.
     assert found.residuals["x"] == pytest.approx(0.02, rel=0.1)
     assert found.residuals["yaw"] == pytest.approx(0.003, rel=0.1)
+
+
+@pytest.mark.parametrize(("stops", "car"), [(True, {}), (False, ALONG)], ids=str)
+def test_intervals_cover_a_car_of_other_equations(stops, car):
+    true = SingleTrack(**car)
+    found = identify(drive(true, 1, stops, seconds=30.0), COMPACT, 0.0, SIM_DT)
+    told = {name: e for name, e in found.estimates.items() if e.told}
+    assert {"pedal_delay", "steering_ratio", "rolling_resistance"} <= {*told}
+    missed = [
+        name for name, e in told.items() if abs(e.value - getattr(true, name)) > e.error
+    ]
+    assert len(missed) <= 1, missed  # of about eight, at 95 %
 
 
 def test_what_a_constant_steering_angle_does_not_tell_keeps_the_vehicle_s_value(
@@ -156,7 +171,7 @@ REFUSED = {
     "too short": (lambda rows: rows[:300], "must last 10 to 300 s, not 5.98"),
     "a gap": (lambda rows: rows[:300] + rows[400:], "at most 0.25 s apart, not 2.02"),
     "few poses": (with_value("x", "", slice(9, None)), "x must have at least 2 values"),
-    "a jump": (with_value("x", 1e300, slice(500, 501)), "60 m/s, not 6.18e+299 (at 9."),
+    "a jump": (with_value("x", 1e300, slice(500, 501)), "to 60 m/s, not "),
     "standing": (
         lambda rows: [row | {"x": 0, "y": 0} for row in rows],
         "must reach 0.5 to 60 m/s, not 0 ",

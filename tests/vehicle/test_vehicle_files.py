@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import random
 import re
 from pathlib import Path
@@ -118,6 +119,47 @@ def test_estimates_come_near_the_presets(name):
         assert getattr(mine, part) == pytest.approx(getattr(its, part), rel=within)
 
 
+def test_a_sheet_may_be_given_as_it_is_printed():
+    car, estimated = car_of_sheet(
+        {
+            "length": "4,584 mm",
+            "width": "1.80 m",
+            "wheelbase": "2,70 m",
+            "kerb_weight": "1,650 kg",
+            "power": "150 kW (204 PS)",
+            "max_speed": "18 km/h",
+            "track_front": "1540 mm",
+            "track_rear": "155 cm",
+            "tyre_front": "225/45 R18 95 Y",
+            "tyre_rear": "235/45 R18",
+            "turning_circle": 11.2,
+        }
+    )
+    assert (car.length, car.width, car.wheelbase) == (4.584, 1.8, 2.7)
+    assert car.mass == 1650 + 75  # and a driver
+    assert (car.max_power, car.max_speed) == (150e3, 5.0)
+    assert car.track_width == pytest.approx(1.545)
+    assert car.tyre_width == pytest.approx(0.230)
+    assert car.wheel_radius == pytest.approx(0.2286 + 0.45 * 0.230)
+    assert not {"mass", "max_power", "track_width", "tyre_width"} & {*estimated}
+
+
+def test_steered_rear_wheels_turn_the_body_as_they_do_in_the_real_car():
+    base, front, rear = 3.1, math.radians(35), math.radians(8)
+    track, tyre = 1.55, 0.2
+    # The car turns about the point where the lines through both axles' wheels meet.
+    radius = base / (math.tan(front) + math.tan(rear))
+    behind = radius * math.tan(rear)  # the real rear axle, of that point
+    outer = math.hypot(base - behind, radius + track / 2)
+    sheet = {"length": 5.1, "width": 1.9, "wheelbase": base, "rear_overhang": 1.0}
+    sheet |= {"track_width": track, "tyre_width": tyre, "rear_steering": rear}
+    car = car_of_sheet(sheet | {"turning_circle": 2 * outer + tyre}).params
+    assert car.turning_radius == pytest.approx(radius)
+    assert car.max_steering == pytest.approx(front)
+    assert car.rear_overhang == pytest.approx(1.0 + behind)
+    assert car.front_overhang == pytest.approx(1.0)
+
+
 def test_a_steering_ratio_gives_rate_and_circle():
     car = car_of_sheet(SIZE | {"steering_ratio": 16.0, "steering_turns": 3.0}).params
     # Of the steering wheel: a turn a second, 1.5 turns to either side.
@@ -130,9 +172,18 @@ def test_a_steering_ratio_gives_rate_and_circle():
     [
         ({"wheelbase": None}, "wheelbase missing"),
         ({"seats": 5}, r"unknown \['seats'\]"),
-        ({"mass": "heavy"}, "mass must be a number above 0, not 'heavy'"),
-        ({"mass": True}, "mass must be a number above 0, not True"),
-        ({"mass": -3}, "mass must be a number above 0, not -3"),
+        ({"wheel_base": 2.7}, r"unknown \['wheel_base'\] of a car; perhaps wheelbase"),
+        ({"curb_weight": 1.4}, "perhaps kerb_weight"),
+        ({"mass": "heavy"}, "mass must be a number above 0, .* not 'heavy'"),
+        ({"length": "4.28 kg"}, "text with m, cm, mm, in, ft, not '4.28 kg'"),
+        ({"mass": "1.420 kg"}, r"mass must lie within .* kg"),
+        ({"power": 150}, r"max_power must lie within .* W"),
+        ({"kerb_weight": 1400, "mass": 1475}, "repeats kerb_weight"),
+        ({"tyre_size": "205/55 R16", "tyre_rear": "225/50 R16"}, "repeats tyre_rear"),
+        ({"tyre_front": "205/55 R16", "tyre_rear": "255/55 R18"}, "contradicts"),
+        ({"rear_steering": "5 deg"}, "needs the turning_circle"),
+        ({"mass": True}, "mass must be a number above 0, .* not True"),
+        ({"mass": -3}, "mass must be a number above 0, .* not -3"),
         ({"mass": 1.4}, r"mass must lie within .* kg"),
         ({"length": 428}, r"length must lie within .* m"),
         ({"wheelbase": 4.5}, "wheelbase must be less than the length"),
@@ -163,7 +214,7 @@ def test_a_steering_ratio_gives_rate_and_circle():
         ),
         ({"turning_circle": 5.0}, "turning_circle must be more than"),
         ({"tyre": "205/55 R16"}, "tyre must be an object"),
-        ({"tyre": {"grip": 1.0}}, r"unknown \['grip'\] of tyre"),
+        ({"tyre": {"grip": 1.0}}, r"unknown \['grip'\] of a tyre"),
         ({"tyre": {"friction": 0}}, "tyre.friction must be a number above 0"),
         ({"wheel_mass": 400.0}, "leave no possible chassis"),
         ({"name": 5}, "name must be text, not 5"),
