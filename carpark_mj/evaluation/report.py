@@ -128,7 +128,7 @@ def print_table(summary: dict[str, Any], title: str) -> None:
     console.print(table)
     touched = sum(summary[name]["count"] for name in hits)
     if more := touched - summary["crashed"]["count"]:
-        console.print(f"{more:.0f} more hits than crashes: several obstacles in the same step")
+        console.print(f"{more:.0f} more hits: several obstacles in the same step")
     share = summary.get("wrong_way_share", math.nan)
     if not math.isnan(share):
         console.print(f"{share:.1%} of the distance driven against the lanes")

@@ -56,14 +56,23 @@ def from_dict(cls: Any, data: Any) -> Any:
     unknown = sorted(set(data) - names)
     if unknown:
         raise ValueError(f"{cls.__name__} has no {unknown}")
-    values = {name: _value(name, hints[name], value) for name, value in data.items()}
+    values = {name: from_json(name, hints[name], value) for name, value in data.items()}
     for name, value in values.items():
         require_type(name, value, _WIDER.get(hints[name], hints[name]))
     return cls(**values)
 
 
-def _value(name: str, hint: Any, value: Any) -> Any:
-    """Rebuilds the value of a field from its JSON value."""
+def from_json(name: str, hint: Any, value: Any) -> Any:
+    """Rebuilds a value from its JSON; other values stay as they are.
+
+    Args:
+        name: of the value, for messages.
+        hint: its type.
+        value: as `dataclasses.asdict` and JSON leave it.
+
+    Raises:
+        ValueError: see `from_dict`.
+    """
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value)
     if hint is ExtraTerms and isinstance(value, dict):

@@ -44,6 +44,7 @@ DEFAULTS = {
     "parked_cars": CONFIG.num_parked_cars,
     "vehicle": CONFIG.vehicle,
     "rule": CONFIG.episode.parked_rule,
+    "max_episode_steps": CONFIG.episode.max_steps,
     "reward": next(name for name, set_ in REWARDS.items() if set_ == CONFIG.reward),
     "physics": CONFIG.physics,
 }
@@ -52,6 +53,7 @@ SLOTS = {
     "config": "pandita",
     "layout": PANDITA.layout,
     "parked_cars": PANDITA.num_parked_cars,
+    "max_episode_steps": PANDITA.episode.max_steps,
 }
 CONTROLS = (
     ("steer", "target of the road-wheel angle over its limit, left positive"),

@@ -15,6 +15,7 @@ from carpark_mj.studies.cederle.junction.steered_car import road_car
 from carpark_mj.studies.cederle.junction.types import State
 from carpark_mj.studies.cederle.rendering.stage import JunctionStage
 from carpark_mj.vehicle import VehicleParameters, preset
+from carpark_mj.wrappers.options import require_options
 from carpark_mj.wrappers.screen import Screen
 
 
@@ -29,9 +30,7 @@ def junction_env(**options: Any) -> JunctionEnv:
         ValueError: impossible value.
     """
     known = {field.name for field in dataclasses.fields(JunctionConfig)} - {"respawn"}
-    for name in options:
-        if name not in known:
-            raise TypeError(f"unknown option {name!r}; choose from {sorted(known)}")
+    require_options(options, known)
     config = JunctionConfig(**options, respawn=False)
     return _shared_env(config, preset(config.vehicle))
 
