@@ -177,8 +177,7 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     """Saves a training state and removes all but the last two.
 
     Checkpoints of later steps are removed too: the run resumed from an older one and
-    must not be evaluated or resumed from the abandoned steps. So are unfinished files
-    of killed processes, because only one process trains in a folder.
+    must not be evaluated or resumed from the abandoned steps.
     """
     folder = run / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
@@ -186,7 +185,6 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     checkpoints.save(path, tree, {"config_version": CONFIG_VERSION, **header})
     files = checkpoint_files(run)
     end = files.index(path) + 1
-    unfinished = [*folder.glob(".step_*.npz")]
-    for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:] + unfinished:
+    for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:]:
         old.unlink(missing_ok=True)
     return path

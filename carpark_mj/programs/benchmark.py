@@ -5,7 +5,7 @@ carpark_mj benchmark --what env --batches 512 4096
 carpark_mj benchmark --what env --layouts lot --num-agents 1 4 16
 carpark_mj benchmark --what ppo --preset tanner-fixed --runs 1 4 16
 carpark_mj benchmark --against main~1 --out benchmark.csv
-carpark_mj benchmark --peer highway-env --batches 1024  # pip install ".[sb3,peers]"
+carpark_mj benchmark --peer highway-env --batches 1024   # "carpark_mj[sb3,peers]"
 
 `env` counts agent steps of the whole environment under random actions, `ppo` those of
 training end to end, `physics` substeps of cars alone: on brush tyres, on the same by

@@ -10,6 +10,7 @@ from gymnasium.vector.utils import batch_space
 
 from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import NumpyBatch, Seeds, require_shape
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, TimeLimited, one_agent
 from carpark_mj.wrappers.gymnasium_spaces import (
@@ -104,15 +105,27 @@ class ParkVectorEnv(TimeLimited, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyr
             ValueError: see `ParkEnv.reset`, or a wrong number of dictionaries.
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
+        given = self.read_options(options)
+        no = np.zeros(self.num_envs, bool)
+        return self._by_env(self._batch.reset_numpy(seed, given)), _infos(no, no, ~no)
+
+    def read_options(
+        self, options: dict[str, Any] | list[dict[str, Any]] | None
+    ) -> ResetOptions | None:
+        """Options of `reset` as arrays; None if all are empty.
+
+        Raises:
+            TypeError: not dictionaries.
+            ValueError: a wrong number of dictionaries, an unknown key or an impossible
+                value.
+        """
         each = options if isinstance(options, list) else [options] * self.num_envs
         if len(each) != self.num_envs:
             raise ValueError(
                 "options must be a dictionary, or one for each of the "
                 f"{self.num_envs} environments, not {len(each)}"
             )
-        given = as_reset_options(each, self._batch.action_shape[:2])
-        no = np.zeros(self.num_envs, bool)
-        return self._by_env(self._batch.reset_numpy(seed, given)), _infos(no, no, ~no)
+        return as_reset_options(each, self._batch.action_shape[:2])
 
     def step(
         self, actions: np.ndarray

@@ -33,7 +33,7 @@ CLASSES = config_classes(EnvConfig, {TannerObservation, IndexObservation})
 CLASSES |= {JunctionConfig, RasterConfig, RewardRules, ParkedRule}
 CLASSES |= {*FAMILIES.values()} - {FromFileConfig}
 CLASSES |= {NetworkConfig, CurriculumConfig, PPOConfig, QLearningConfig, SACConfig}
-JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
+JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3), 10**400)
 
 
 @pytest.mark.parametrize("cls", sorted(CLASSES, key=lambda cls: cls.__name__))

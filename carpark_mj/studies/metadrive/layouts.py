@@ -18,6 +18,7 @@ import jax
 import numpy as np
 
 from carpark_mj.config import LayoutConfig, register_layout
+from carpark_mj.config.checks import require_whole
 from carpark_mj.layouts.build import assemble, bays, lanes, spawns, two_lanes, walls
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
 
@@ -48,10 +49,9 @@ class MetaDriveConfig(LayoutConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if type(self.spaces) is not int or self.spaces < 4 or self.spaces % 2:
-            raise ValueError(
-                f"spaces must be an even number from 4 on, not {self.spaces!r}"
-            )
+        require_whole(self, 4, "spaces")
+        if self.spaces % 2:
+            raise ValueError(f"spaces must be an even number, not {self.spaces}")
 
     @property
     def min_bays(self) -> int:

@@ -8,10 +8,11 @@
     carpark_mj study junction --algorithm vdn --help-all      # every setting of vdn
 
 Independent Q-learning (idqn, double, dueling, double-dueling) needs
-`pip install ".[train,junction]"`, the algorithms of BenchMARL (ippo, mappo, maddpg,
-vdn, qmix) `pip install ".[train,torchrl]"`. In `runs/<name>/` lie `config.json`,
-checkpoints, `metrics.csv`, `evaluations.csv`, `evaluation.json`, `learning_curve.png`
-and `video.mp4`. Ctrl-C saves a checkpoint and stops; a second one stops at once.
+`pip install "carpark_mj[train,junction]"`, the algorithms of BenchMARL (ippo, mappo,
+maddpg, vdn, qmix) `pip install "carpark_mj[train,torchrl]"`. In `runs/<name>/` lie
+`config.json`, checkpoints, `metrics.csv`, `evaluations.csv`, `evaluation.json`,
+`learning_curve.png` and `video.mp4`. Ctrl-C saves a checkpoint and stops; a second one
+stops at once.
 """
 
 import sys
