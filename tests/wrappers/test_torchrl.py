@@ -1,5 +1,6 @@
 """A batch of lots as TorchRL sees it."""
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -8,6 +9,7 @@ pytest.importorskip("torchrl")
 import torch
 from gymnasium.error import ResetNeeded
 from tensordict import TensorDict
+from torchrl.envs import GymEnv, GymWrapper
 from torchrl.envs.utils import check_env_specs
 
 from carpark_mj.config import EnvConfig, SensorConfig
@@ -15,6 +17,7 @@ from carpark_mj.studies.tanner.environments import TANNER_DYNAMIC
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
 SMALL = {"agents": 2, "parked_cars": 2, "physics": "bicycle"}
+PARK = "carpark_mj/Park-v0"
 LOTS = 8
 MAX_STEPS = EnvConfig().episode.max_steps
 
@@ -184,3 +187,12 @@ def test_a_picture_of_a_lot_can_be_drawn(env):
     assert picture.ndim == 3
     assert picture.dtype == np.uint8
     assert picture.std() > 5
+
+
+def test_torchrls_own_gymnasium_wrappers_drive_it():
+    options = {"physics": "bicycle", "parked_cars": 2}
+    single = GymEnv(PARK, **options)
+    many = GymWrapper(gymnasium.make_vec(PARK, 3, **options))
+    for env, shape in ((single, (4, 1)), (many, (3, 4, 1))):
+        check_env_specs(env)
+        assert env.rollout(4)["next", "reward"].shape == shape
