@@ -6,10 +6,13 @@ import errno
 import io
 import json
 import os
+import re
 import secrets
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+_RANDOM = 16  # hexadecimal digits in the name of a temporary file
 
 
 @contextlib.contextmanager
@@ -19,7 +22,7 @@ def _temporary(path: Path, folder: Path | None = None) -> Generator[Path]:
     It has the suffix of `path`. Nobody can have laid a link in its place: its name is
     random, and it is created only where nothing has that name.
     """
-    name = f".{path.stem}.{secrets.token_hex(8)}{path.suffix}"
+    name = f".{path.stem}.{secrets.token_hex(_RANDOM // 2)}{path.suffix}"
     temporary = (folder or path.parent) / name
     with naming(path, temporary):
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
@@ -27,6 +30,13 @@ def _temporary(path: Path, folder: Path | None = None) -> Generator[Path]:
             yield temporary
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def remove_temporary(folder: Path) -> None:
+    """Removes the temporary files that killed processes have left in a folder."""
+    for path in folder.glob(".*"):
+        if re.fullmatch(rf"\..+\.[0-9a-f]{{{_RANDOM}}}(\.\w+)?", path.name):
+            path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

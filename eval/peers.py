@@ -76,7 +76,7 @@ def subjects(peer: Peer, lots: int) -> Generator[list[Subject]]:
             yield core(lots, stack) if peer == "core" else highway(lots, stack)
         except ModuleNotFoundError as error:
             raise ValueError(
-                f'peer {peer} needs {error.name}: pip install ".[sb3,peers]"'
+                f'peer {peer} needs {error.name}: pip install "carpark_mj[sb3,peers]"'
             ) from None
 
 

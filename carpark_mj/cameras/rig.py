@@ -32,6 +32,8 @@ class Seen(enum.IntEnum):
     OWN_CAR = 9
 
 
+MOST_PIXELS = 1920 * 1080  # of a picture, full HD; the rays of all are kept
+
 # Cars as cameras see them: blocks from, to (half lengths ahead of the centre), half as
 # wide (half widths), low and high (heights). The body has the footprint; the cabin is
 # fitted to the meshes of the shipped cars by eye.
@@ -109,6 +111,11 @@ class Rig(CheckedConfig):
         super().__post_init__()
         require_whole(self, 1, "width", "height")
         require_positive(self, "reach")
+        if self.width * self.height > MOST_PIXELS:
+            raise ValueError(
+                f"width x height must be at most {MOST_PIXELS} pixels, not "
+                f"{self.width} x {self.height}"
+            )
         if not self.cameras:
             raise ValueError("cameras must be at least one, not ()")
         _ = self.directions  # refuses lenses that have no ray for some pixels

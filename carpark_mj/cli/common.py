@@ -65,7 +65,7 @@ def _for_the_user(error: Exception) -> str | None:
 
 def _missing_extra(error: ModuleNotFoundError) -> str | None:
     extra = EXTRAS.get((error.name or "").partition(".")[0])
-    return extra and f'{error}: pip install ".[{extra}]"'
+    return extra and f'{error}: pip install "carpark_mj[{extra}]"'
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.files import write_atomically
+from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.fleet.checks import has_exits
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
@@ -193,11 +193,14 @@ def main(config: SceneConfig) -> None:
 
 
 def require_view(output: SceneOutput) -> None:
-    """Refuses, before the work, what cannot be shown; a file is written all the same.
+    """Refuses, before the work, what cannot be shown or written.
 
     Raises:
-        OSError: there is no display, or no browser view.
+        OSError: the file cannot be written, there is no browser view, or no display and
+            no file to write instead.
     """
+    if output.out:
+        require_writable(Path(output.out), new_folders=True)
     missing = missing_display() if output.view == "window" else None
     if missing and not output.out:
         raise OSError(f"{missing}: {WITHOUT_DISPLAY}")

@@ -309,6 +309,8 @@ def _is_of(value: Any, hint: Any) -> bool:
             return False
         items = parts[:1] * len(value) if parts[-1] is ... else parts
         return len(value) == len(items) and all(map(_is_of, value, items))
+    if hint is float and isinstance(value, numbers.Integral) and not is_finite(value):
+        return False  # Python does not convert it
     kind: Any = _NUMBERS.get(hint, origin or hint)
     return isinstance(value, kind) and (hint is bool or type(value) is not bool)
 
@@ -332,7 +334,10 @@ def _kind_names(kind: Any) -> str:
 
 
 def is_finite(value: Any) -> bool:
-    """Whether a value is a finite number."""
+    """Whether a value is a finite number, also as a float."""
     if type(value) is bool or not isinstance(value, numbers.Real):
         return False
-    return isinstance(value, numbers.Integral) or math.isfinite(value)
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number of hundreds of digits
+        return False

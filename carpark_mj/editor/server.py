@@ -12,12 +12,13 @@ from carpark_mj.editor.document import Draft
 from carpark_mj.editor.picture import Picture
 from carpark_mj.layouts.json_file import choices
 from carpark_mj.reading import parse_object
-from carpark_mj.rendering.local_pages import HOST, refusal
+from carpark_mj.rendering.local_pages import HOST, NO_FRAMES, refusal
 
 PAGE = Path(__file__).parent / "page"
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 MOST_BYTES = 2**23  # of a document
-POLICY = "default-src 'self'; img-src 'self' data:"  # no foreign requests
+# No foreign requests.
+POLICY = f"default-src 'self'; img-src 'self' data:; {NO_FRAMES}"
 
 
 class EditorServer(ThreadingHTTPServer):

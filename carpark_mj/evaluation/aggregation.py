@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.config.metrics import Metric
-from carpark_mj.config.obstacles import ObstacleKind, hit_kinds
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.evaluation.catalogue import START_STEPS, metrics
 from carpark_mj.types import ENDINGS
 
-HITS = tuple(f"hit_{kind.label}" for kind in hit_kinds(()))
+HITS = tuple(f"hit_{kind.label}" for kind in ObstacleKind)
 
 Row = dict[str, Any]  # an episode: its metrics, and which it is, by name
 

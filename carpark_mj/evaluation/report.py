@@ -114,17 +114,21 @@ def print_table(summary: dict[str, Any], title: str) -> None:
     table = Table(title=f"{escape(title)}: {summary['episodes']} episodes")
     for column in ("outcome", "rate", "95 % interval", "episodes"):
         table.add_column(column, justify="left" if column == "outcome" else "right")
-    for name in ENDINGS + HITS:
+    hits = [name for name in HITS if name in summary]
+    for name in (*ENDINGS, *hits):
         row = summary[name]
         label = name.replace("_", " ")
         table.add_row(
-            f"  {label}" if name in HITS else label,
+            f"  {label}" if name in hits else label,
             f"{row['rate']:.1%}",
             f"{row['low']:.1%} … {row['high']:.1%}",
             f"{row['count']:.0f}",
         )
     console = Console()
     console.print(table)
+    touched = sum(summary[name]["count"] for name in hits)
+    if more := touched - summary["crashed"]["count"]:
+        console.print(f"{more:.0f} more hits: several obstacles in the same step")
     share = summary.get("wrong_way_share", math.nan)
     if not math.isnan(share):
         console.print(f"{share:.1%} of the distance driven against the lanes")

@@ -203,10 +203,13 @@ def _require_entry(
     if not entries or any(entry.least(car) <= entry.aisle for entry in entries):
         return
     entry = min(entries, key=lambda entry: entry.least(car) - entry.aisle)
+    least, bay = entry.least(car), f"a bay {entry.bay_width:.2f} m wide"
+    if math.isinf(least):
+        raise ValueError(f"the {name}, {car.width:.2f} m wide, cannot turn into {bay}")
     raise ValueError(
-        f"the {name} needs an aisle of {entry.least(car):.2f} m to turn into a bay "
-        f"{entry.bay_width:.2f} m wide (carpark_mj.layouts.turning), the lot's aisles "
-        f"are up to {entry.aisle:.2f} m wide"
+        f"the {name} needs an aisle of {least:.2f} m to turn into {bay} "
+        f"(carpark_mj.layouts.turning), the lot's aisles are up to {entry.aisle:.2f} m "
+        "wide"
     )
 
 

@@ -143,7 +143,9 @@ def _ompl() -> Any:
     try:
         from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]
     except ImportError:
-        raise ValueError('the planner needs OMPL: pip install ".[planner]"') from None
+        raise ValueError(
+            'the planner needs OMPL: pip install "carpark_mj[planner]"'
+        ) from None
     util.setLogLevel(util.LogLevel.LOG_NONE)
     return base, geometric, util
 

@@ -24,7 +24,7 @@ from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.normalizer import MIN_STD
 
 OUTPUT = "action"
-MISSING = 'ONNX export needs jax2onnx and onnxruntime: pip install ".[export]"'
+MISSING = 'ONNX export needs jax2onnx and onnxruntime: pip install "carpark_mj[export]"'
 
 
 @dataclasses.dataclass(frozen=True)

@@ -54,14 +54,23 @@ def from_dict(cls: Any, data: Any) -> Any:
     names = {field.name for field in dataclasses.fields(cls)}
     for unknown in sorted(set(data) - names):
         raise ValueError(unknown_name(f"{cls.__name__} setting", unknown, names))
-    values = {name: _value(name, hints[name], value) for name, value in data.items()}
+    values = {name: from_json(name, hints[name], value) for name, value in data.items()}
     for name, value in values.items():
         require_type(name, value, _WIDER.get(hints[name], hints[name]))
     return cls(**values)
 
 
-def _value(name: str, hint: Any, value: Any) -> Any:
-    """Rebuilds the value of a field from its JSON value."""
+def from_json(name: str, hint: Any, value: Any) -> Any:
+    """Rebuilds a value from its JSON; other values stay as they are.
+
+    Args:
+        name: of the value, for messages.
+        hint: its type.
+        value: as `dataclasses.asdict` and JSON leave it.
+
+    Raises:
+        ValueError: see `from_dict`.
+    """
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value)
     if hint is ExtraTerms and isinstance(value, dict):
@@ -166,8 +175,7 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     """Saves a training state and removes all but the last two.
 
     Checkpoints of later steps are removed too: the run resumed from an older one and
-    must not be evaluated or resumed from the abandoned steps. So are unfinished files
-    of killed processes, because only one process trains in a folder.
+    must not be evaluated or resumed from the abandoned steps.
     """
     folder = run / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
@@ -175,7 +183,6 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     checkpoints.save(path, tree, {"config_version": CONFIG_VERSION, **header})
     files = checkpoint_files(run)
     end = files.index(path) + 1
-    unfinished = [*folder.glob(".step_*.npz")]
-    for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:] + unfinished:
+    for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:]:
         old.unlink(missing_ok=True)
     return path

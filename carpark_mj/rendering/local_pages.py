@@ -3,6 +3,8 @@
 import re
 from collections.abc import Sequence
 
+# No other page may frame ours, where it could direct clicks.
+NO_FRAMES = "frame-ancestors 'none'"
 HOST, PORT = "localhost", 8080
 LAST_PORT = 65_535
 LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)

@@ -12,7 +12,7 @@ from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from carpark_mj.rendering.local_pages import refusal
+from carpark_mj.rendering.local_pages import NO_FRAMES, refusal
 
 LOG = logging.getLogger(__name__)
 
@@ -35,8 +35,15 @@ class LocalServer(viser.ViserServer):
         with _checking() as servers:
             super().__init__(host, port, label, verbose=False)
         if len(servers) != 1:
-            self.stop()
+            super().stop()
             raise OSError(f"viser {viser.__version__} cannot be served to local pages")
+        self._serving = servers[0].server
+
+    def stop(self) -> None:
+        """Stops without waiting for the idle connections that browsers keep open."""
+        for connection in [*self._serving.handlers]:
+            self._serving.loop.call_soon_threadsafe(connection.transport.abort)
+        super().stop()
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Opens no tunnel."""
@@ -60,7 +67,10 @@ def _checking() -> Generator[list[Any]]:
             hosts, origins = map(request.headers.get_all, ("Host", "Origin"))
             if reason := refusal(hosts, origins, "Upgrade" not in request.headers):
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
-            return answer(connection, request)
+            response = answer(connection, request)
+            if response is not None:
+                response.headers["Content-Security-Policy"] = NO_FRAMES
+            return response
 
         async def handle(connection: ServerConnection) -> None:
             try:

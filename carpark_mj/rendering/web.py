@@ -15,7 +15,7 @@ from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
 from carpark_mj.scene.materials import ASPHALT, agent_colour
 from carpark_mj.scene.parts import GROUND, VERGE_GAP
 
-MISSING_WEB = 'the browser view needs mjviser: pip install ".[web]"'
+MISSING_WEB = 'the browser view needs mjviser: pip install "carpark_mj[web]"'
 DAYLIGHT = 0.5  # of the environment
 GAMMA = 2.2  # of screens
 _SLAB = 0.05  # m, thickness of the asphalt in the browser

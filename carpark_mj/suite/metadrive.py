@@ -13,6 +13,7 @@ arms lie to both sides of the road [inferred from the numbers of its entrances].
 
 import dataclasses
 import math
+from typing import Annotated
 
 import jax
 import numpy as np
@@ -25,6 +26,7 @@ from carpark_mj.config import (
     SpawnConfig,
     register_layout,
 )
+from carpark_mj.config.checks import Bounds
 from carpark_mj.layouts.build import assemble, bays, lanes, spawns, two_lanes, walls
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
 from carpark_mj.registry import ENVIRONMENTS
@@ -51,15 +53,13 @@ class MetaDriveConfig(LayoutConfig):
         family: fixed.
     """
 
-    spaces: int = 8
+    spaces: Annotated[int, Bounds(ge=4, le=1000)] = 8
     family: str = "metadrive"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if type(self.spaces) is not int or self.spaces < 4 or self.spaces % 2:
-            raise ValueError(
-                f"spaces must be an even number from 4 on, not {self.spaces!r}"
-            )
+        if self.spaces % 2:
+            raise ValueError(f"spaces must be an even number, not {self.spaces}")
 
     @property
     def min_bays(self) -> int:

@@ -21,7 +21,7 @@ from carpark_mj.config.checks import (
     Positive,
 )
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.files import write_json
+from carpark_mj.files import remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 
@@ -89,6 +89,8 @@ def open_run(config: RunConfig) -> Generator[Path]:
     """
     folder = Path(config.resume) if config.resume else _new_folder(config)
     with _lock(folder):
+        for part in (folder, folder / "checkpoints"):
+            remove_temporary(part)
         try:
             if not config.resume:
                 write_json(folder / "config.json", describe(config))

@@ -91,8 +91,10 @@ class GoalParking(ParkingEnv):
         """Rewards (...) of features (..., 6) at a step's end; `crashed` (...) bool."""
         reward = self.config.reward
         parameters = POSE.parameters | reward.parameters("pose")
-        norm = pose_norm(achieved, desired, **parameters)
-        return -reward.extra["pose"] * norm - reward.crash * crashed
+        # In double precision: sums of one row and of many may round differently.
+        norm = pose_norm(np.float64(achieved), np.float64(desired), **parameters)
+        paid = -reward.extra["pose"] * norm - reward.crash * crashed
+        return paid.astype(np.float32)
 
     def reset_to_layout(
         self,

@@ -1,11 +1,14 @@
 """One agent in one lot as a Gymnasium environment: `carpark_mj/Park-v0`."""
 
 import dataclasses
+import inspect
+from types import FrameType
 from typing import Any, Unpack
 
 import gymnasium
 import jax
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
 from carpark_mj.config import EnvConfig
@@ -22,7 +25,25 @@ from carpark_mj.wrappers.screen import RENDER_MODES, Screen
 ONE_AGENT = tuple(name for name in OPTIONS if name != "agents")
 
 
-class ParkEnv(gymnasium.Env[Any, np.ndarray]):
+class TimeLimited:
+    """A spec that says after how many steps episodes are truncated."""
+
+    _batch: NumpyBatch
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How to make the environment; Gymnasium sets it without the time limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec.max_episode_steps = self._batch.env.config.episode.max_steps
+        self._spec = spec
+
+
+class ParkEnv(TimeLimited, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """One agent parks.
 
     - observation: (size,) float32, the fields of `docs/mdp.md`; with cameras a
@@ -59,6 +80,8 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
                 f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}, or "
                 "'rgb_array_list' in gymnasium.make"
             )
+        if (steps := _asked_steps(inspect.currentframe())) is not None:
+            options["max_episode_steps"] = steps
         self._batch = NumpyBatch(self._make(options), 1, restart=False)
         env = self._batch.env
         self.render_mode = render_mode
@@ -83,7 +106,7 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
                 see `carpark_mj.wrappers.reset_options`.
 
         Returns:
-            What the agent observes, and an empty info.
+            What the agent observes, and the info.
 
         Raises:
             ValueError: a seed out of range, an unknown option, or an impossible start,
@@ -94,7 +117,7 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
         observation = self._batch.reset_numpy(seed, given)
         self._running = True
         self._show()
-        return _alone(observation), {}
+        return _alone(observation), {"is_success": False, "crashed": False}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by a control step; see the class.
@@ -134,6 +157,21 @@ class ParkEnv(gymnasium.Env[Any, np.ndarray]):
 def _alone(observation: Any) -> Any:
     """The observation of the only agent of the only lot."""
     return jax.tree.map(lambda x: x[0, 0], observation)
+
+
+def _asked_steps(frame: FrameType | None) -> int | None:
+    """`max_episode_steps` of `gymnasium.make`, if that called the frame.
+
+    Gymnasium gives it to `TimeLimit` alone, which cannot make episodes longer and does
+    not know of rewards that are shares of the time limit.
+    """
+    caller = frame and frame.f_back
+    if caller is None or caller.f_code is not gymnasium.make.__code__:
+        return None
+    steps = caller.f_locals["max_episode_steps"]
+    if steps is None:
+        steps = caller.f_locals["env_spec"].max_episode_steps
+    return None if steps == -1 else steps  # -1 is no `TimeLimit`
 
 
 def one_agent(config: EnvConfig) -> EnvConfig:

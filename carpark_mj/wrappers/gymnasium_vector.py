@@ -10,8 +10,9 @@ from gymnasium.vector.utils import batch_space
 
 from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import NumpyBatch, Seeds, require_shape
-from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, one_agent
+from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, TimeLimited, one_agent
 from carpark_mj.wrappers.gymnasium_spaces import (
     action_space,
     observation_space,
@@ -21,7 +22,7 @@ from carpark_mj.wrappers.reset_options import as_reset_options
 from carpark_mj.wrappers.screen import Screen
 
 
-class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
+class ParkVectorEnv(TimeLimited, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """`carpark_mj/Park-v0` many times; every environment is a lot with one agent.
 
     Environment i reset with a seed gives the episodes of `ParkEnv` reset with seed + i.
@@ -29,9 +30,10 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
     hold the end of the episode, as in Gymnasium's `SyncVectorEnv`.
     """
 
+    autoreset_mode = AutoresetMode.SAME_STEP  # TorchRL reads it, Gymnasium the next
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"],
-        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "autoreset_mode": autoreset_mode,
     }
 
     def __init__(
@@ -97,20 +99,33 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
                 for each. They apply to the episodes that begin now only.
 
         Returns:
-            Observations (num_envs, ...), and empty infos.
+            Observations (num_envs, ...), and infos as `step` returns them.
 
         Raises:
             ValueError: see `ParkEnv.reset`, or a wrong number of dictionaries.
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
+        given = self.read_options(options)
+        no = np.zeros(self.num_envs, bool)
+        return self._by_env(self._batch.reset_numpy(seed, given)), _infos(no, no, ~no)
+
+    def read_options(
+        self, options: dict[str, Any] | list[dict[str, Any]] | None
+    ) -> ResetOptions | None:
+        """Options of `reset` as arrays; None if all are empty.
+
+        Raises:
+            TypeError: not dictionaries.
+            ValueError: a wrong number of dictionaries, an unknown key or an impossible
+                value.
+        """
         each = options if isinstance(options, list) else [options] * self.num_envs
         if len(each) != self.num_envs:
             raise ValueError(
                 "options must be a dictionary, or one for each of the "
                 f"{self.num_envs} environments, not {len(each)}"
             )
-        given = as_reset_options(each, self._batch.action_shape[:2])
-        return self._by_env(self._batch.reset_numpy(seed, given)), {}
+        return as_reset_options(each, self._batch.action_shape[:2])
 
     def step(
         self, actions: np.ndarray
@@ -126,12 +141,10 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         step = self._batch.step_numpy(actions.reshape(self._batch.action_shape))
         terminated, truncated = step.terminated.ravel(), step.truncated.ravel()
         crashed = step.crashed.ravel()
-        info = {"is_success": terminated & ~crashed, "crashed": crashed}
-        done = terminated | truncated
-        infos = {name: value & ~done for name, value in info.items()}
-        infos |= {f"_{name}": ~done for name in info}
+        success, done = terminated & ~crashed, terminated | truncated
+        infos = _infos(success & ~done, crashed & ~done, np.ones_like(done))
         if done.any():
-            infos["final_info"] = info | {f"_{name}": done for name in info}
+            infos["final_info"] = _infos(success, crashed, done)
             infos["final_obs"] = self._final_observations(step.final_observation, done)
             infos["_final_info"] = infos["_final_obs"] = done
         observation = self._by_env(step.observation)
@@ -161,6 +174,15 @@ class ParkVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         for index in np.flatnonzero(done):
             final[index] = jax.tree.map(lambda x: x[index], each)  # noqa: B023
         return final
+
+
+def _infos(
+    success: np.ndarray, crashed: np.ndarray, known: np.ndarray
+) -> dict[str, Any]:
+    """Infos (num_envs,), and for which environments they are known."""
+    infos = {"is_success": success, "crashed": crashed}
+    infos |= {f"_{name}": known for name in infos}
+    return {name: values.copy() for name, values in infos.items()}
 
 
 class ParkManyVectorEnv(ParkVectorEnv):

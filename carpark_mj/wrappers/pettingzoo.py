@@ -143,7 +143,9 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         active = self._by_agent(np.asarray(self._lots.state.active))
         self.agents = [agent for agent, drives in active.items() if drives]
         self._show()
-        return self._by_agent(observation), {agent: {} for agent in self.agents}
+        nothing = {"is_success": False, "crashed": False}
+        infos = {agent: nothing.copy() for agent in self.agents}
+        return self._by_agent(observation), infos
 
     def step(self, actions: dict[str, Any]) -> Results:
         """Steps all agents that are still driving.

@@ -63,6 +63,18 @@ class ParkVecEnv(VecEnv):
         self._reset_options()
         return observation
 
+    def set_options(
+        self, options: list[dict[str, Any]] | dict[str, Any] | None = None
+    ) -> None:
+        """Sets the options of the next `reset`.
+
+        Raises:
+            TypeError: not dictionaries.
+            ValueError: see `ParkVectorEnv.read_options`.
+        """
+        self._env.read_options(options)
+        super().set_options(options)
+
     def step_async(self, actions: np.ndarray) -> None:
         """Takes the actions (num_envs, size) of the next step."""
         self._actions = actions

@@ -86,22 +86,16 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
     """An element of `action_space` as the vector (size,) that the environment takes.
 
     Raises:
-        AssertionError: another shape, NaN or infinity, or not numbers.
+        AssertionError: not of that space, but for numbers out of range.
     """
-    parts = action if isinstance(action, tuple) else (action,)
     try:
-        arrays = [np.asarray(part) for part in parts]
-        if not all(map(is_real, arrays)):
-            raise TypeError
-        flat = np.concatenate(arrays, axis=-1, dtype=np.float32)
+        parts = [np.asarray(x) for x in (action if type(action) is tuple else [action])]
+        flat = np.concatenate(parts, axis=-1, dtype=np.float32)
+        good = all(map(is_real, parts)) and flat.shape == (spec.size,)
     except (TypeError, ValueError):
+        flat, good = np.zeros(0), False
+    if not (good and np.isfinite(flat).all()):
         raise AssertionError(
-            f"an action must be of shape ({spec.size},), not {action!r}"
-        ) from None
-    if flat.shape != (spec.size,):
-        raise AssertionError(
-            f"an action must be of shape ({spec.size},), not {flat.shape}"
+            f"an action must be of {action_space(spec)}, not {action!r}"
         )
-    if not np.isfinite(flat).all():
-        raise AssertionError(f"an action must be finite, not {flat}")
     return flat.astype(spec.dtype)

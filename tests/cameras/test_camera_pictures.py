@@ -186,6 +186,7 @@ REFUSED = [
     (lambda: Rig((), 4, 4), "at least one"),
     (lambda: Rig((Camera((1.2, 0.0, 0.5)),), 0, 4), "width must be at least 1"),
     (lambda: Rig((Camera((1.2, 0.0, 0.5)),), 4, 0), "height must be at least 1"),
+    (lambda: Rig((Camera((1.2, 0.0, 0.5)),), 10**6, 4), "at most .*, not 1000000 x 4"),
     (lambda: Lens("fisheye", math.radians(361.0)), "at most 360 degrees, not 361"),
     (lambda: Lens("pinhole", math.pi), "less than 180 degrees"),
     (lambda: Lens("pinhole", 0.0), "more than 0"),

@@ -149,7 +149,7 @@ def test_without_its_packages_every_command_says_what_to_install():
     )
     said = re.sub("'(matplotlib|tensorboardX)'", "'tyro'", done.stderr)
     expected = [
-        f"{name}: No module named 'tyro': pip install \".[train,eval]\"\n2\n"
+        f"{name}: No module named 'tyro': pip install \"carpark_mj[train,eval]\"\n2\n"
         for name in names
     ]
     assert said == "".join(expected)
@@ -192,7 +192,9 @@ def test_a_missing_package_is_in_the_extra_to_install(package, capsys):
         raise ModuleNotFoundError("missing", name=package)
 
     assert run_command("any", command) == 2
-    [extras] = re.findall(r"pip install \"\.\[(.+)\]\"", capsys.readouterr().err)
+    [extras] = re.findall(
+        r"pip install \"carpark_mj\[(.+)\]\"", capsys.readouterr().err
+    )
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     installed = " ".join(
         " ".join(project["optional-dependencies"][extra]) for extra in extras.split(",")

@@ -26,7 +26,7 @@ def config_classes(cls, found):
 CLASSES = config_classes(EnvConfig, {ParkedRule})
 CLASSES |= {*FAMILIES.values()} - {FromFileConfig}
 CLASSES |= {NetworkConfig, CurriculumConfig, PPOConfig}
-JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3))
+JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),), np.zeros(2), range(3), 10**400)
 
 
 @pytest.mark.parametrize("cls", sorted(CLASSES, key=lambda cls: cls.__name__))

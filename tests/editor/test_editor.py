@@ -117,6 +117,14 @@ def ask(server, method, path, body=None, **headers):
     return answer.status, json.loads(text) if is_json else text
 
 
+def test_no_page_may_frame_it(server):
+    connection = http.client.HTTPConnection("localhost", server.server_port, timeout=60)
+    connection.request("GET", "/")
+    policy = connection.getresponse().headers["Content-Security-Policy"]
+    connection.close()
+    assert "frame-ancestors 'none'" in policy
+
+
 def test_a_lot_is_kept_while_drawn_and_saved_when_it_is_sound(server):
     out, kept = server.draft.out, server.draft.kept
     wrong = FAULTS["bays overlap"][0]

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,9 @@ from rich.console import Console
 
 from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.aggregation import summarize
+from carpark_mj.evaluation.aggregation import complete_row, summarize
 from carpark_mj.evaluation.report import (
     print_groups,
     print_metrics,
@@ -72,6 +74,27 @@ def test_the_first_table_tells_outcomes_and_how_parked_episodes_went(
     ):
         assert text in printed
     assert "3.7% of the distance driven against the lanes" in printed
+
+
+def test_every_crash_stands_in_a_row_of_what_was_hit(capsys):
+    hits = [f"hit_{kind.label}" for kind in ObstacleKind]
+    nothing = {"length": 10.0, **dict.fromkeys((*ENDINGS, *hits), 0.0)}
+    rows = [
+        complete_row(nothing | {"crashed": 1.0, hit: 1.0}, 0.2)
+        for k, hit in enumerate(hits)
+        for _ in range(k + 1)
+    ]
+    print_table(summarize(rows), "crowded")
+    printed = capsys.readouterr().out
+    found = re.findall(r"│ +(hit [a-z ]+?) +│.* (\d+) │", printed)
+    assert {name: int(n) for name, n in found} == {
+        hit.replace("_", " "): k + 1 for k, hit in enumerate(hits)
+    }
+    assert sum(int(n) for _, n in found) == len(rows)
+    assert "more hits" not in printed
+    both = nothing | {"crashed": 1.0, "hit_wall": 1.0, "hit_person": 1.0}
+    print_table(summarize([*rows, complete_row(both, 0.2)]), "crowded")
+    assert "1 more hits" in capsys.readouterr().out
 
 
 def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(

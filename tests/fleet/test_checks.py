@@ -25,6 +25,7 @@ from carpark_mj.layouts import LotConfig, layout_config, mixture
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.vehicle import COMPACT, PRESETS
+from carpark_mj.vehicle.file import parameters_text
 
 OWN_CAR = ContinuousObservation(own_car=True)
 
@@ -45,6 +46,7 @@ NARROW = LotConfig(
     bay_length=(5.2, 5.2),
     extra_aisle=(-3.0, -2.69),
 )
+WIDE = dataclasses.replace(COMPACT, width=2.9, track_width=2.6)
 BAD_ENVIRONMENTS = [
     (
         {"fleet": FleetConfig(("lorry",)), "observation": OWN_CAR},
@@ -74,6 +76,10 @@ BAD_ENVIRONMENTS = [
             "observation": OWN_CAR,
         },
         r"the van needs an aisle of 4.74 m .* 2.40 m wide .* up to 4.63 m wide",
+    ),
+    (
+        {"layout": "street", "vehicle": parameters_text("float", WIDE)},
+        r"the float, 2.90 m wide, cannot turn into a bay 2.74 m wide",
     ),
     ({"occupancy": (0.1, 0.9)}, r"needs num_parked_cars of at least 32, not 16"),
     (

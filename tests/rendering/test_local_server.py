@@ -1,6 +1,8 @@
 """Who may drive in the browser: pages of this machine, and no other site's."""
 
+import contextlib
 import http.client
+import socket
 import time
 
 import pytest
@@ -56,6 +58,25 @@ def page(server, origin):
 )
 def test_the_page_is_for_who_calls_the_machine_by_its_own_name(server, headers, code):
     assert status(server, **headers) == code
+
+
+def test_no_page_may_frame_it(server):
+    connection = http.client.HTTPConnection(HOST, server.get_port(), timeout=10)
+    connection.request("GET", "/")
+    policy = connection.getresponse().headers["Content-Security-Policy"]
+    connection.close()
+    assert "frame-ancestors 'none'" in policy
+
+
+def test_it_stops_beside_a_connection_that_sends_nothing():
+    server = LocalServer(HOST, 8781, "a lot")
+    with socket.create_connection((HOST, server.get_port())) as idle:
+        while not server._serving.handlers:
+            time.sleep(0.01)
+        server.stop()
+        with contextlib.suppress(ConnectionError):
+            assert idle.recv(1) == b""
+    assert not server._serving.handlers  # viser gave up waiting for them
 
 
 def test_the_websocket_is_for_the_page_alone(server):

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+from helpers.disks import no_printing
 
 from carpark_mj.cli.scene import SceneConfig, default_env, main, make_scene
 from carpark_mj.env import ParkingEnv
@@ -202,6 +203,15 @@ def test_impossible_scenes_are_one_sentence(tmp_path):
     with pytest.raises(ValueError, match="unknown vehicle 'tank'"):
         main(SceneConfig(out=str(tmp_path / "a.xml"), vehicle="tank"))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr("carpark_mj.cli.scene.make_scene", no_printing)
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError):
+        main(SceneConfig(out=str(tmp_path / "file" / "scene.xml")))
 
 
 @pytest.mark.parametrize("layout", ["metadrive", "tpcap_3", "lot", "street"])

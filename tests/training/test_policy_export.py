@@ -167,7 +167,7 @@ def test_without_its_packages_a_model_is_refused_and_a_checkpoint_is_not(
 ):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert exit_code(export, [str(trained), "--out", str(tmp_path / "a.onnx")]) == 2
-    assert 'pip install ".[export]"' in told(capsys)
+    assert 'pip install "carpark_mj[export]"' in told(capsys)
     assert exit_code(export, [str(trained), "--out", str(tmp_path / "a.npz")]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
     assert loading.load_policy(tmp_path / "a.npz").env == TINY.env

@@ -20,8 +20,21 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.run_folder import LOCK, open_run, read_header
 from carpark_mj.training.settings import read_config
 
+LEFT = ".step_000000000064.0123456789abcdef.npz"  # by a process that was killed
 TRAINERS = (PPOConfig,)
 NAMES = ("../../x", "/tmp/x", "a/b", "a\\b", "..", ".", " ", "\t", "a\nb", "a\0b")
+
+
+def test_a_run_that_goes_on_begins_without_unfinished_files(tmp_path):
+    with open_run(PPOConfig(name="a", runs_dir=str(tmp_path))) as folder:
+        save_checkpoint(folder, {}, {}, 1)
+    left = [folder / LEFT, folder / "checkpoints" / LEFT]
+    kept = [folder / ".notes.npz", *folder.rglob("step_*.npz"), folder / LOCK]
+    for path in (*left, kept[0]):
+        path.touch()
+    with open_run(PPOConfig(resume=str(folder))):
+        assert not any(path.exists() for path in left)
+        assert all(path.exists() for path in kept)
 
 
 @pytest.mark.parametrize("name", NAMES)

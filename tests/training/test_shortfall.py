@@ -153,11 +153,18 @@ def test_a_run_whose_lots_were_drawn_by_family_alone_cannot_go_on(tmp_path):
     assert "\n" not in str(refusal.value)
 
 
-def test_a_layout_that_is_no_mixture_and_lots_kept_for_ever_are_refused():
-    with pytest.raises(
-        ValueError, match=r"target_rate 0.9 needs a mixture .* 'street'"
-    ):
-        make_families(0.9, layout_config("street"), range(1, 9))
+def test_one_family_is_drawn_by_the_shortfall_of_its_numbers_of_agents():
+    def probabilities(counts, rates):
+        families = make_families(0.9, layout_config("street"), counts)
+        return families.probabilities(jnp.array(rates))
+
+    np.testing.assert_allclose(probabilities(range(1, 2), [0.5]), [1.0])
+    # Half uniform, half by shortfalls of 0.1 and 0.3.
+    many = probabilities(range(1, 3), [0.8, 0.6])
+    np.testing.assert_allclose(many, [0.25 + 0.125, 0.25 + 0.375], rtol=1e-5)
+
+
+def test_lots_kept_for_ever_and_impossible_rates_are_refused():
     with pytest.raises(
         ValueError, match=r"target_rate 0.9 needs lot_life of at least 1"
     ):

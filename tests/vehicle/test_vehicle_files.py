@@ -232,6 +232,10 @@ def test_contradictions_are_refused_with_file_value_and_what_is_allowed(
     assert "\n" not in str(refusal.value)
 
 
+SIZES = "length: 4.28\nwidth: 1.79\nwheelbase: 2.64\n"
+HUGE = 10**400  # more than a float holds
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
@@ -243,6 +247,12 @@ def test_contradictions_are_refused_with_file_value_and_what_is_allowed(
         ("car.yaml", "- [" * 3000, "not YAML|nested too deeply"),
         ("car.yaml", "when: 2026-99-99", "not YAML|unknown"),
         ("car.yaml", "a: &a [*a]", "unknown"),
+        ("car.yaml", f"{SIZES}tyre: {{vertical_damping: {HUGE}}}", "vertical_damping "),
+        (
+            "car.json",
+            f'{{"length": {HUGE}, "width": 2, "wheelbase": 2}}',
+            "length must",
+        ),
         ("car.json", "{", "is damaged"),
         ("car.json", "[]", "is not a JSON object"),
         ("car.toml", "", r"must end in one of \.json, \.yaml, \.yml, not"),
@@ -252,6 +262,7 @@ def test_files_that_are_none_are_refused_in_one_sentence(name, text, message, tm
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=message) as refusal:
         preset(str(tmp_path / name))
+    assert name in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
 

@@ -28,6 +28,7 @@ DEFAULTS = {
     "parked_cars": CONFIG.num_parked_cars,
     "vehicle": CONFIG.vehicle,
     "rule": CONFIG.episode.parked_rule,
+    "max_episode_steps": CONFIG.episode.max_steps,
     "reward": next(name for name, set_ in REWARDS.items() if set_ == CONFIG.reward),
     "physics": CONFIG.physics,
 }

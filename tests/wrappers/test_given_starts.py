@@ -125,9 +125,13 @@ def test_stable_baselines_options_are_those_of_each_environment():
     env.set_options([{}, START])
     env.reset()
     assert_starts(begun(env._env, 1), [START["pose"]], [1.5], [7])
-    env.set_options({"bay": 3})
-    with pytest.raises(ValueError, match="unknown option 'bay'"):
-        env.reset()
+    for options, error, message in (
+        ({"bay": 3}, ValueError, "unknown option 'bay'"),
+        ([{}], ValueError, "each of the 2 environments, not 1"),
+        (3, TypeError, "options must be of Mapping or None, not 3"),
+    ):
+        with pytest.raises(error, match=message):
+            env.set_options(options)
 
 
 def test_agents_of_pettingzoo_have_options_by_name():

@@ -1,5 +1,6 @@
 """The Gymnasium environments: Gymnasium's own checks, and one as many."""
 
+import itertools
 import os
 import subprocess
 import sys
@@ -9,20 +10,27 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import AddRenderObservation
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, SensorConfig
-from carpark_mj.layouts import mixture
+from carpark_mj.config import (
+    PHYSICS,
+    EnvConfig,
+    EpisodeConfig,
+    RewardConfig,
+    SensorConfig,
+)
+from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.observations import make_fields
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.wrappers import screen
-from carpark_mj.wrappers.gymnasium_env import ParkEnv
+from carpark_mj.wrappers.gymnasium_env import ParkEnv, one_agent
 from carpark_mj.wrappers.spaces import observation_space
 
 PARK, GOAL, SLOTS, MANY = ENTRY_POINTS  # SLOTS has a file of its own, too
@@ -74,10 +82,10 @@ def test_each_of_many_has_the_episodes_of_one(name):
     assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     singles = [make(name, config=SHORT) for _ in range(count)]
     seen, infos = vector.reset(seed=4)
-    assert infos == {}
+    assert {*infos} == {"is_success", "crashed", "_is_success", "_crashed"}
     for index, env in enumerate(singles):
         first, info = env.reset(seed=4 + index)
-        assert info == {}
+        assert info == {key: infos[key][index] for key in ("is_success", "crashed")}
         assert_close([leaf[index] for leaf in leaves(seen)], leaves(first))
     vector.action_space.seed(0)
     for _ in range(12):  # two ends of time and more
@@ -122,6 +130,45 @@ def test_agents_of_many_share_lots_and_begin_alone():
     vector.step(np.zeros((6, 2), np.float32))
 
 
+def until_end(env):
+    """Steps of an episode of a car that stands."""
+    env.reset(seed=0)
+    return next(n for n in itertools.count(1) if env.step(0.0 * AHEAD)[3])
+
+
+def test_max_episode_steps_is_the_time_limit():
+    options = {"max_episode_steps": 7, "config": SHORT, "physics": "bicycle"}
+    env = gymnasium.make(PARK, **options)
+    assert until_end(env) == env.spec.max_episode_steps == 7  # and not 5
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    vector = gymnasium.make_vec(PARK, 2, **options)
+    assert again.spec.max_episode_steps == vector.spec.max_episode_steps == 7
+    # One environment, whose rewards may be shares of the time limit.
+    lots = env.unwrapped._batch.env
+    assert lots is again.unwrapped._batch.env is vector._batch.env
+
+
+def test_without_max_episode_steps_it_is_that_of_the_config():
+    for options in ({}, {"max_episode_steps": -1}):  # -1: no `TimeLimit`
+        env = gymnasium.make(PARK, config=SHORT, **options)
+        assert env.spec.max_episode_steps == 5
+        assert env.unwrapped._batch.env.config.episode == one_agent(SHORT).episode
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_a_spec_with_configs_survives_json(name):
+    options = {"config": SHORT, "layout": mixture(["lot", StreetConfig()], [2, 1])}
+    if name == PARK:
+        reward = RewardConfig(extra={"person": 2.0})
+        options |= {"reward": reward, "physics": PHYSICS["bicycle"]}
+    env = gymnasium.make(name, **options)
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped._batch.env is env.unwrapped._batch.env
+    vector = gymnasium.make_vec(name, 2, **options)
+    again = gymnasium.make_vec(EnvSpec.from_json(vector.spec.to_json()))
+    assert again.unwrapped._batch.env is vector._batch.env
+
+
 def test_an_ended_episode_needs_a_reset():
     env = make(config=SHORT)
     with pytest.raises(ResetNeeded, match="call reset"):
@@ -157,7 +204,8 @@ def test_impossible_actions_are_refused(action, message):
 @pytest.mark.parametrize(
     ("name", "options", "error", "message"),
     [
-        (PARK, {"agents": 2}, TypeError, "unknown option 'agents'"),
+        # TorchRL's GymEnv looks for these words, and goes on without `frameskip`.
+        (PARK, {"frameskip": 1}, TypeError, "unexpected keyword argument 'frameskip'"),
         (GOAL, {"reward": "shaped"}, ValueError, "of the terms pose and crash alone"),
         (PARK, {"render_mode": "ansi"}, ValueError, "unknown render_mode 'ansi'"),
         (PARK, {"camera": 3}, ValueError, "unknown camera 3; choose topdown"),

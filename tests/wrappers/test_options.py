@@ -40,7 +40,7 @@ def test_options_change_a_config_or_a_named_environment():
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"agent": 2}, TypeError, "unknown option 'agent'; choose from .*'agents'"),
+        ({"agent": 2}, TypeError, "keyword argument 'agent'; choose from .*'agents'"),
         ({"layout": "mars"}, ValueError, "unknown layout 'mars'; choose from"),
         ({"rule": "near"}, ValueError, "unknown parked rule 'near'; choose from"),
         ({"reward": "none"}, ValueError, "unknown reward 'none'; choose from"),

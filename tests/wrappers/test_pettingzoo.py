@@ -11,7 +11,9 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import carpark_mj
 from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.rendering.renderer import RenderingError
+from carpark_mj.wrappers.spaces import flat_action
 
 SMALL = {"agents": 3, "parked_cars": 2, "physics": "bicycle"}
 
@@ -102,13 +104,13 @@ def test_torchrls_own_wrapper_drives_to_the_end_of_the_lot():
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (np.zeros(3), r"shape \(2,\), not \(3,\)"),
-        (np.zeros((1, 2)), r"shape \(2,\), not \(1, 2\)"),
-        (np.array([np.nan, 0]), "finite"),
-        (np.array([0, -np.inf]), "finite"),
-        (None, r"shape \(2,\), not None"),
-        ("left", r"shape \(2,\), not 'left'"),
-        (np.zeros(2, complex), "not array"),
+        (np.zeros(3), r"Box\(-1.0, 1.0, \(2,\), float32\), not array"),
+        (np.zeros((1, 2)), r"Box\(.*, not array\(\[\["),
+        (np.array([np.nan, 0]), r"Box\(.*, not array\(\[nan"),
+        (np.array([0, -np.inf]), r"Box\(.*, not array\(.*-inf"),
+        (None, r"Box\(.*, not None"),
+        ("left", r"Box\(.*, not 'left'"),
+        (np.zeros(2, complex), r"Box\(.*, not array"),
     ],
 )
 def test_wrong_shapes_nan_and_infinity_are_refused(env, action, message):
@@ -139,7 +141,7 @@ def test_a_step_after_the_last_agent_has_left_warns_and_does_nothing(env, caplog
 
 
 def test_unknown_options_and_values_are_refused_in_one_sentence():
-    with pytest.raises(TypeError, match="unknown option 'cars'; choose from"):
+    with pytest.raises(TypeError, match="keyword argument 'cars'; choose from"):
         carpark_mj.parallel_env(cars=3)
     with pytest.raises(ValueError, match="unknown layout 'moon'"):
         carpark_mj.parallel_env(layout="moon")
@@ -160,6 +162,17 @@ def test_dynamic_goals_have_their_own_action_space():
         for _ in range(2):
             space = env.action_space("agent_0")
             env.step({agent: space.sample() for agent in env.agents})
+
+
+@pytest.mark.parametrize(
+    "action", [0, (np.zeros(2),), (np.zeros(2), np.zeros(1), np.zeros(1)), np.zeros(2)]
+)
+def test_an_action_of_another_form_is_told_the_tuple_s_parts(action):
+    spec = ActionSpec(2, (3,))
+    good = (np.zeros(2, np.float32), np.array([2]))
+    np.testing.assert_array_equal(flat_action(good, spec), [0.0, 0.0, 2.0])
+    with pytest.raises(AssertionError, match=r"of Tuple\(Box\(.*MultiDiscrete\(\[3\]"):
+        flat_action(action, spec)
 
 
 def test_a_picture_shows_the_agents(env):

@@ -79,7 +79,7 @@ def test_a_step_before_the_first_reset_is_refused():
     ("name", "options", "error", "message"),
     [
         ("CartPole-v1", {}, ValueError, "'CartPole-v1' is not an environment of"),
-        (PARK, {"agents": 2}, TypeError, "unknown option 'agents'"),
+        (PARK, {"agents": 2}, TypeError, "keyword argument 'agents'"),
     ],
 )
 def test_impossible_environments_are_refused(name, options, error, message):

@@ -107,15 +107,5 @@ class Families:
 
 
 def make_families(target: float, layout: LayoutConfig, counts: range) -> Families:
-    """The members of a layout's config, if their lots are drawn by shortfall.
-
-    Raises:
-        ValueError: there is a target, but the layout is no mixture.
-    """
-    shares = member_shares(layout) if target else {}
-    if len(shares) == 1:
-        raise ValueError(
-            f"curriculum.target_rate {target} needs a mixture of layouts, not "
-            f"{next(iter(shares))!r} alone"
-        )
-    return Families(target, shares, counts)
+    """The members of a layout's config, if their lots are drawn by shortfall."""
+    return Families(target, member_shares(layout) if target else {}, counts)

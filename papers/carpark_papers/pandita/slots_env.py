@@ -8,7 +8,7 @@ from carpark_mj.wrappers.gymnasium_env import one_agent
 from carpark_mj.wrappers.gymnasium_goal import ParkGoalEnv, ParkGoalVectorEnv
 from carpark_mj.wrappers.options import Options, configure
 
-SLOTS_OPTIONS = ("config", "layout", "parked_cars")
+SLOTS_OPTIONS = ("config", "layout", "parked_cars", "max_episode_steps")
 
 
 def slots_config(options: Options) -> EnvConfig:

@@ -74,7 +74,7 @@ def test_a_batch_of_images_restarts_when_asked():
 
 
 def test_bad_input_is_refused_in_one_sentence():
-    with pytest.raises(TypeError, match="unknown option 'respawn'; choose from"):
+    with pytest.raises(TypeError, match="keyword argument 'respawn'; choose from"):
         junction_env(respawn=True)
     with pytest.raises(ValueError, match="unknown scenario '9av'"):
         junction_env(scenario="9av")

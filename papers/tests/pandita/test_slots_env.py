@@ -198,7 +198,7 @@ def test_a_car_that_drives_straight_on_stays_in_the_observation_space(pedal):
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"rule": "strict"}, TypeError, "unknown option 'rule'; choose from"),
+        ({"rule": "strict"}, TypeError, "keyword argument 'rule'; choose from"),
         ({"parked_cars": 12}, ValueError, "num_parked_cars must be at most 11 .* 12"),
         ({"layout": "slot"}, ValueError, "unknown layout 'slot'; choose from"),
     ],

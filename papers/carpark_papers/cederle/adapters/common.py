@@ -11,6 +11,7 @@ from gymnasium import spaces
 from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import VehicleParameters, preset
+from carpark_mj.wrappers.options import require_options
 from carpark_mj.wrappers.screen import Screen
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
 from carpark_papers.cederle.junction.cars import road_car
@@ -29,9 +30,7 @@ def junction_env(**options: Any) -> JunctionEnv:
         ValueError: impossible value.
     """
     known = {field.name for field in dataclasses.fields(JunctionConfig)} - {"respawn"}
-    for name in options:
-        if name not in known:
-            raise TypeError(f"unknown option {name!r}; choose from {sorted(known)}")
+    require_options(options, known)
     config = JunctionConfig(**options, respawn=False)
     return _shared_env(config, preset(config.vehicle))
 

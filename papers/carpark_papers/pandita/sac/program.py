@@ -8,8 +8,8 @@
     carpark_mj study sac --resume runs/slots-0        # continues where it stopped
     carpark_mj study sac --help-all                   # every setting
 
-It needs `pip install ".[train,sb3]"`. After every phase the policy is deployed on all
-kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at once.
+It needs `pip install "carpark_mj[train,sb3]"`. After every phase the policy is deployed
+on all kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at once.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
     except ModuleNotFoundError as error:
         if error.name not in ("sbx", "stable_baselines3", "torch"):
             raise
-        raise ValueError(f'{error}: pip install ".[sb3]"') from None
+        raise ValueError(f'{error}: pip install "carpark_mj[sb3]"') from None
     folder, done = train_run(config)
     if done:
         print(f"done: {folder}")
