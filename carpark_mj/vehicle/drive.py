@@ -8,9 +8,10 @@ against the motion it brakes; below `SWITCH_SPEED` it drives either way. Pedals 
 
 The holding brake closes where a car slower than `HOLD_SPEED` is not driven along its
 motion, and stays closed until the pedal drives the car along its motion: a car that
-slides on locked wheels keeps them locked. It closes gradually and eases off as the car
-comes to rest, as a driver stops a car: without a jerk, and without rocking on the
-tyres. From `SWITCH_SPEED` up, a stronger pedal against the motion always brakes at
+slides on locked wheels keeps them locked. It opens as soon as the car moves, so that
+the shortest drive ends on a hold that closes anew. It closes gradually and eases off as
+the car comes to rest, as a driver stops a car: without a jerk, and without rocking on
+the tyres. From `SWITCH_SPEED` up, a stronger pedal against the motion always brakes at
 least as hard. A released pedal does not close it where `Vehicle.creep` is given: that
 car creeps until a pedal against the motion brakes it. Steering and drive may follow
 late and with a first-order lag. All functions are
@@ -33,11 +34,14 @@ if TYPE_CHECKING:  # only cars with delays load it
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
 HOLD_SPEED = 0.3  # m/s, below it the holding brake begins to close
+# m/s, above it a pedal along the motion opens the hold. A car let go on a slope rocks
+# by less; one that the hold stops at once from less jerks by less than 10 m/s^3.
+OPEN_SPEED = 0.012
 # The hold's, [est]: no stop rebounds above 0.03 m/s or jerks above 10 m/s^3.
-HOLD_TIME = 0.6  # s, in which the closing of the hold becomes e times as fast
-HOLD_START = 0.15  # m/s^2 per `HOLD_TIME`, how fast the hold begins to close
+HOLD_TIME = 0.5  # s, in which the closing of the hold becomes e times as fast
+HOLD_START = 0.125  # m/s^2 per `HOLD_TIME`, how fast the hold begins to close
 HOLD_RAMP = 14.0  # times `Actuators.hold` is what brakes a car that still rolls
-HOLD_EASE = 4.0  # m/s^3, the jerk with which the hold brings a car to rest
+HOLD_EASE = 3.0  # m/s^3, the jerk with which the hold brings a car to rest
 CREEP_SPEED = 1.7  # m/s, of the driven wheels: 800 rpm of idling through 15:1 [est]
 SPINNING = 0.5  # m/s of the driven wheels above the car's speed: they spin
 _TINY = 1e-12  # m^2/s^4, keeps the slope of a square root at rest finite
@@ -138,7 +142,7 @@ def close_hold(
     """
     strength = jnp.minimum(jnp.abs(pedal), 1.0)
     driven = strength >= HOLD_PEDAL
-    released = driven & (jnp.sign(pedal) * speed >= SWITCH_SPEED)
+    released = driven & (jnp.sign(pedal) * speed >= OPEN_SPEED)
     idle = ~driven if vehicle.creep is None else ~driven & (hold > 0.0)
     wanted = idle | (pedal * speed < 0.0)
     closes = wanted & ((jnp.abs(speed) < HOLD_SPEED) | (hold > 0.0))

@@ -197,6 +197,14 @@ def creep(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> St
     driver = Driver(facing * pedal)
     time, _, speed = drive_pedals(cars, grade, np.zeros(len(runs)), facing, driver)
     late = time >= SECONDS / 2
+    study.row(
+        f"rolling back before a weak drive holds, {100 * grade:g} % slope",
+        "0, the fastest",
+        "m/s",
+        max(float(-(speed * facing).min()), 0.0),
+        0.0,
+        0.06,
+    )
     down = GRAVITY * (math.sin(tilt) - params.tyre.rolling_resistance * math.cos(tilt))
     for k, weak in enumerate(WEAK):
         expected = SWITCH_SPEED * (down - weak * params.max_acceleration)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import SimConfig
+from carpark_mj.config import SimConfig, Surface
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import HOLD_PEDAL, HOLD_SPEED
@@ -22,10 +22,19 @@ RELEASES = (0.0, -0.06, -0.1, -0.15, -0.2)  # pedals against the motion, after a
 ROLLING = 0.35  # m/s, above `HOLD_SPEED`
 STOPS = (-0.06, -0.1, -0.2, -0.3)
 WALK = (1.2, 1.3, 1.4, 1.5, 1.6)  # m/s
+TAPS, TAP_PEDALS = (10, 20, 30), (0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # instants
 SMOOTH = 5  # instants over which an acceleration is averaged, a fifth of a rocking
-GRADE, SLOW, GAIN = 0.03, 0.2, 2.5  # rise over run, m/s, pedal per m/s
+GRADE, SLOW = 0.03, 0.2  # rise over run, m/s
+# Pedal per m/s, by the rate of the controller [Hz]. The brake, 4 m/s^2 at full pedal,
+# allows 2.5 at 5 Hz: a greater gain brakes away more than twice what is too fast.
+GAINS = {5: 2.5, 10: 4.0, 50: 2.5}
 PEDAL_STEPS = 20  # of a random drive
 TIME_STEPS = (0.01, 0.001)  # s
+# Tolerances of the median, the 90 % quantile and the worst of random drives.
+REVERSING: dict[Surface, tuple[float, float, float]] = {
+    "dry": (3.0, 6.0, 25.0),
+    "ice": (6.0, 15.0, 30.0),
+}
 
 
 def coast_after_release(
@@ -79,23 +88,54 @@ def stop_from_a_walk(
     driver = Driver(pedal, release=HOLD_SPEED, period=STEP)
     cars = [make_vehicle(params)]
     _, _, speed = drive_pedals(cars, 0.0, start, np.ones(len(runs)), driver)
+    rebounds, jerks = (x.reshape(-1, len(WALK)).max(1) for x in _rocking(speed))
+    for weak, rebound, hardest in zip(STOPS, rebounds, jerks, strict=True):
+        _rock_rows(study, f"stop from a walk, pedal {weak:g}", rebound, hardest)
+    return study
+
+
+def taps(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -> Study:
+    """A car at rest whose pedal is tapped and released: no rebound, no jerk."""
+    del quick
+    study = Study(name, bed.tyres)
+    runs = np.array(list(itertools.product(BOTH_WAYS, TAP_PEDALS, TAPS)))
+    way, pedal, end = runs.T
+    pressed = np.arange(SUBSTEPS)[:, None] < end
+    driver = Driver(np.where(pressed, way * pedal, 0.0))
+    cars = [make_vehicle(params)]
+    _, _, speed = drive_pedals(
+        cars, 0.0, np.zeros(len(runs)), np.ones(len(runs)), driver
+    )
+    rebounds, jerks = _rocking(way * speed, end.astype(int))
+    for tap in TAPS:
+        rows = end == tap
+        what = f"tap of {tap * DT:g} s on the pedal"
+        _rock_rows(study, what, rebounds[rows].max(), jerks[rows].max())
+    return study
+
+
+def _rocking(
+    speed: np.ndarray, start: np.ndarray | int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """How cars (T, n) [m/s] that drove forwards come to rest.
+
+    Returns:
+        Fastest speeds backwards (n,) [m/s], and the greatest jerks (n,) [m/s^3] below
+        0.05 m/s, from an instant (n,) on.
+    """
     kernel = np.ones(SMOOTH) / SMOOTH
     acceleration = np.diff(speed, axis=0) / DT
     smooth = np.array([np.convolve(a, kernel, "valid") for a in acceleration.T]).T
-    jerk = np.diff(smooth, axis=0) / DT
+    jerk = np.abs(np.diff(smooth, axis=0) / DT)
     middle = (SMOOTH + 1) // 2  # of the instants that a jerk is computed from
-    at_rest = np.abs(speed[middle : middle + len(jerk)]) < 0.05
-    rows = zip(*(x.reshape(-1, len(WALK)).T for x in (
-        -speed.min(0), np.where(at_rest, np.abs(jerk), 0.0).max(0)
-    )), strict=True)  # fmt: skip
-    rebounds, jerks = (np.max(x, axis=0) for x in zip(*rows, strict=True))
-    for weak, rebound, hardest in zip(STOPS, rebounds, jerks, strict=True):
-        what = f"stop from a walk, pedal {weak:g}"
-        study.row(f"{what}, rebound", "0", "m/s", float(max(rebound, 0.0)), 0.0, 0.03)
-        study.row(
-            f"{what}, jerk below 0.05 m/s", "0", "m/s^3", float(hardest), 0.0, 10.0
-        )
-    return study
+    counts = np.abs(speed[middle : middle + len(jerk)]) < 0.05
+    counts &= np.arange(len(jerk))[:, None] >= start
+    return np.maximum(-speed.min(0), 0.0), np.where(counts, jerk, 0.0).max(0)
+
+
+def _rock_rows(study: Study, what: str, rebound: float, jerk: float) -> None:
+    study.row(f"{what}, rebound", "0", "m/s", float(rebound), 0.0, 0.03)
+    study.row(f"{what}, jerk below 0.05 m/s", "0", "m/s^3", float(jerk), 0.0, 10.0)
 
 
 def speed_control(
@@ -105,15 +145,15 @@ def speed_control(
     del quick
     study = Study(name, bed.tyres)
     facing, cars = np.array(BOTH_WAYS), [grip_on(params, "dry")]
-    for rate, period in ((5, STEP), (50, 2)):
-        driver = Driver(0.0, target=SLOW, gain=GAIN, period=period)
+    for rate, gain in GAINS.items():
+        driver = Driver(0.0, target=SLOW, gain=gain, period=round(1 / (rate * DT)))
         time, _, speed = drive_pedals(cars, GRADE, np.zeros(2), facing, driver)
         late = speed[time > 3.0]
         for k, where in enumerate(("uphill", "downhill")):
             tilt = math.atan(GRADE) * facing[k]
             load = math.sin(tilt) + params.tyre.rolling_resistance * math.cos(tilt)
             most = params.max_acceleration if load > 0 else params.max_deceleration
-            expected = SLOW - GRAVITY * load / (GAIN * most)
+            expected = SLOW - GRAVITY * load / (gain * most)
             what = f"speed control at {SLOW:g} m/s, {rate} Hz, 3 % {where}"
             mean, least = float(late[:, k].mean()), float(late[:, k].min())
             formula = "v - g (sin a + c_rr cos a) / (K a_pedal)"
@@ -131,35 +171,39 @@ def reversing(bed: Testbed, name: str, params: VehicleParameters, quick: bool) -
         coarse, exact = (_random_drives(params, pedals, dt) for dt in TIME_STEPS)
     length = np.abs(np.diff(exact, axis=0)).sum(0)
     error = 100 * np.abs(coarse - exact).max(0) / length
-    for share, most in ((0.5, 3.0), (0.9, 6.0)):
-        study.row(
-            f"time-step error, 10 against 1 ms, random reversing, quantile {share:g}",
-            "0",
-            "% of the path",
-            float(np.quantile(error, share)),
-            0.0,
-            most,
-        )
+    for surface, errors in zip(REVERSING, error, strict=True):
+        for share, most in zip((0.5, 0.9, 1.0), REVERSING[surface], strict=True):
+            study.row(
+                "time-step error, 10 against 1 ms, random reversing, "
+                f"{surface}, quantile {share:g}",
+                "0",
+                "% of the path",
+                float(np.quantile(errors, share)),
+                0.0,
+                most,
+            )
     return study
 
 
 def _random_drives(
     params: VehicleParameters, pedals: np.ndarray, dt: float
 ) -> np.ndarray:
-    """Ways (steps, n) [m] of cars with pedals (steps, n), at every 0.1 s."""
+    """Ways (T, surfaces, n) [m] of cars with pedals (steps, n), at every 0.1 s."""
     physics = MjxPhysics(SimConfig(sim_dt=dt, trace_dt=0.1))
-    n = pedals.shape[1]
-    vehicle = make_vehicle(params)
-    cars = jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), vehicle)
+    shape = (len(REVERSING), pedals.shape[1])
+    grips = [grip_on(params, surface) for surface in REVERSING]
+    cars = jax.tree.map(lambda *x: jnp.repeat(jnp.stack(x), shape[1], axis=0), *grips)
 
     @jax.jit
     def drive(state, pedals):
         def step(state, pedal):
+            pedal = jnp.tile(pedal, shape[0])
             controls = jnp.stack([jnp.zeros_like(pedal), pedal], -1)
             state = physics.step(state, controls)
             return state, state.trace_w[..., 0]
 
         return jax.lax.scan(step, state, pedals)[1]
 
-    traces = drive(physics.init(jnp.zeros((n, 3)), cars), jnp.array(pedals))
-    return np.asarray(jnp.moveaxis(traces, 2, 1)).reshape(-1, n)
+    start = physics.init(jnp.zeros((math.prod(shape), 3)), cars)
+    traces = drive(start, jnp.array(pedals))
+    return np.asarray(jnp.moveaxis(traces, 2, 1)).reshape(-1, *shape)

@@ -50,6 +50,7 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         pedals.creep,
         standstill.coast_after_release,
         standstill.stop_from_a_walk,
+        standstill.taps,
         standstill.speed_control,
         standstill.reversing,
         options.delays,

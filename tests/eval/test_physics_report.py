@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import physics_report
-from carpark_mj.vehicle import COMPACT
+from carpark_mj.vehicle import COMPACT, PRESETS, preset
 from vehicle_suite import (
     braking,
     energy,
@@ -200,6 +200,11 @@ def check(study: Study) -> None:
 )
 def test_the_compact_passes(manoeuvre, bed: BrushTestbed):
     check(manoeuvre(bed, "compact", COMPACT, True))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_tap_on_the_pedal_ends_without_rocking(name: str, bed: BrushTestbed):
+    check(standstill.taps(bed, name, preset(name), True))
 
 
 def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):

@@ -137,7 +137,7 @@ def test_retarding_hardly_jumps_where_the_drive_takes_over(torques, hold: float)
     pedal = np.linspace(0.1, 1, 7)
     for speed in (SWITCH_SPEED * (1 - 1e-5), SWITCH_SPEED):
         drive, brake = torques(-pedal, speed, hold)
-        held = min(14 * hold, hold + np.sqrt(2 * 4.0 * SWITCH_SPEED))  # by hand
+        held = min(14 * hold, hold + np.sqrt(2 * 3.0 * SWITCH_SPEED))  # by hand
         expected = np.maximum(pedal * COMPACT.max_deceleration, held)
         jump = (hold + 1e-4) * FORCE_TO_TORQUE
         assert brake - drive == pytest.approx(expected * FORCE_TO_TORQUE, abs=jump)
