@@ -19,8 +19,8 @@ from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import GRAVITY
 
 # What brings a car's centre of gravity higher or nearer to its wheels, or brakes it.
-TIPPING = ("mass", "cg_height", "cg_x", "brake_gain")
-# Of the roll after a sudden turn; at 1.3 cars were seen to stay upright.
+TIPPING = ("mass", "cg_height", "cg_x", "brake_gain", "steering_offset")
+# Of the lean after a sudden turn or stop; at 1.3 cars were seen to stay upright.
 OVERSHOOT = 1.5
 
 
@@ -129,40 +129,47 @@ def _check_tipping(
     heaviest, lightest = (params.mass * config.mass[k] for k in (1, 0))
     grip = GRAVITY * params.tyre.friction * config.friction[1]
     slope = GRAVITY * grade / math.hypot(1.0, grade)
-    sideways = tip_limit(
-        heaviest, height, params.track_width / 2, roll_stiffness(params)
-    )
-    pitch = [
-        tip_limit(heaviest, height, arm, pitch_stiffness(params, cg_x))
-        for cg_x, arm in (
-            (cg_x, arm)
-            for cg_x in (params.cg_to_rear_axle * factor for factor in config.cg_x)
-            for arm in (cg_x, params.wheelbase - cg_x)
+    ahead = [params.cg_to_rear_axle * factor for factor in config.cg_x]
+    steering = params.max_steering + max(map(abs, config.steering_offset))
+    curvature = math.tan(steering) / params.wheelbase
+    turn = max(params.max_speed, params.max_reverse_speed) ** 2 * curvature
+    sideways = [
+        tip_limit(
+            heaviest,
+            height,
+            params.track_width / 2,
+            roll_stiffness(params, heaviest, (cg_x, height), turn * curvature * cg_x),
         )
+        for cg_x in ahead
+    ]
+    lengthways = [
+        tip_limit(heaviest, height, arm, pitch_stiffness(params, cg_x))
+        for cg_x in ahead
+        for arm in (cg_x, params.wheelbase - cg_x)
     ]
     # Torques do not change with the load.
     pedal = max(params.max_deceleration * config.brake_gain[1], params.max_acceleration)
-    asked = min(pedal * params.mass / lightest, grip)
-    turning = min(OVERSHOOT * turning_acceleration(params), grip)
+    asked = min(OVERSHOOT * pedal * params.mass / lightest, grip)
+    turning = min(OVERSHOOT * turn, grip)
     for limit, needed, way in (
-        (sideways, turning, "in turns"),
-        (min(pitch), asked, "on the brake"),
+        (min(sideways), turning, "in turns"),
+        (min(lengthways), asked, "on the brake"),
     ):
         if limit < needed + slope:
             up_to = ", ".join(f"{n} {config.ranges()[n][1]:.3g}" for n in TIPPING)
             raise ValueError(
-                f"randomization could overturn this car {way}: with {up_to} its wheels "
-                f"lift at {max(limit, 0.0):.2f} m/s^2, it must bear "
-                f"{needed + slope:.2f}; narrow these ranges"
+                f"randomization could overturn this car {way}: with {up_to} it tips "
+                f"at {max(limit, 0.0):.2f} m/s^2 and must bear {needed + slope:.2f}; "
+                "narrow these ranges"
             )
 
 
 def tip_limit(mass: float, height: float, arm: float, stiffness: float) -> float:
-    """Acceleration [m/s^2] at which a car's wheels lift; not positive if it falls over.
+    """Acceleration [m/s^2] at which a car tips; not positive if it falls over at rest.
 
-    Quasi-static. At acceleration a the load moves by m a h; the car leans by m a h over
-    (stiffness - m g h), which moves it by m g h times that again. The wheels on the
-    inside have lifted when all of m g arm has moved.
+    Quasi-static. At acceleration a the load moves by m a h; the car leans by m g arm /
+    stiffness until all of m g arm has moved, which brings its centre of gravity nearer
+    to the wheels about which it tips by h times the lean.
 
     Args:
         mass: of the car [kg].
@@ -173,9 +180,30 @@ def tip_limit(mass: float, height: float, arm: float, stiffness: float) -> float
     return GRAVITY * arm / height * (1.0 - mass * GRAVITY * height / stiffness)
 
 
-def roll_stiffness(params: VehicleParameters) -> float:
-    """Of the springs of all four corners against roll [N m/rad]."""
-    return params.tyre.vertical_stiffness * params.track_width**2
+def roll_stiffness(
+    params: VehicleParameters, mass: float, cg: tuple[float, float], braking: float
+) -> float:
+    """Of the springs against roll, a mean up to where a car tips [N m/rad].
+
+    A car with the same load on both axles rolls on four springs until both wheels of a
+    side lift. Otherwise the wheel of the lighter axle lifts first. The heavier axle,
+    with share s of the weight, rolls on alone until its wheel lifts at an angle of
+    s m g / (k track), 2 s times as far. Meanwhile the lighter axle rises by half a
+    track width times the roll. This pitch, and deceleration, add to the share.
+
+    Args:
+        params: of the car.
+        mass: [kg].
+        cg: of the centre of gravity, ahead of the rear axle and above the ground [m].
+        braking: deceleration of the centre of gravity [m/s^2]. A car turns about a
+            point beside its rear axle; what is ahead of it accelerates backwards.
+    """
+    cg_x, height = cg
+    rate, wheelbase = params.tyre.vertical_stiffness, params.wheelbase
+    share = max(cg_x, wheelbase - cg_x) / wheelbase
+    pitch = mass * GRAVITY * share / (2.0 * rate * wheelbase)
+    share += height / wheelbase * (pitch + braking / GRAVITY)
+    return rate * params.track_width**2 / (2.0 * min(share, 1.0))
 
 
 def pitch_stiffness(params: VehicleParameters, cg_to_rear_axle: float) -> float:
@@ -183,9 +211,3 @@ def pitch_stiffness(params: VehicleParameters, cg_to_rear_axle: float) -> float:
     to_front = params.wheelbase - cg_to_rear_axle
     arms = cg_to_rear_axle**2 + to_front**2
     return 2.0 * params.tyre.vertical_stiffness * arms
-
-
-def turning_acceleration(params: VehicleParameters) -> float:
-    """Lateral acceleration at top speed on full lock [m/s^2]."""
-    speed = max(params.max_speed, params.max_reverse_speed)
-    return speed**2 / params.turning_radius

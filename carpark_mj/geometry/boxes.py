@@ -197,6 +197,50 @@ def box_disc_overlap(
     return point_box_distance(centre, pose, size) < radius
 
 
+def box_passes_disc(
+    pose: jax.Array, size: jax.Array, centre: jax.Array, radius: jax.Array
+) -> jax.Array:
+    """Whether moving boxes meet discs before each of some instants.
+
+    A corner that swings inwards passes thin discs that overlap the box at no instant.
+    In the frame of the box discs move straight between instants, and before the first
+    with the change of velocity that they have after it.
+
+    Args:
+        pose: (..., k, 3) centre poses of the boxes at instants [m, m, rad].
+        size: (..., 1, 2) length and width [m].
+        centre: (..., k or 1, 2) of the discs [m]; broadcastable against `pose`.
+        radius: (..., 1) [m].
+
+    Returns:
+        (..., k) bool; all false for one instant.
+    """
+    there = rotate(centre - pose[..., :2], -pose[..., 2])
+    way = there[..., 1:, :] - there[..., :-1, :]
+    if not way.shape[-2]:
+        return jnp.zeros(there.shape[:-1], bool)
+    first, second = way[..., :1, :], way[..., 1:2, :]
+    if second.shape[-2]:
+        first = 2.0 * first - second
+    way = jnp.concatenate([first, way], axis=-2)
+    half = 0.5 * size
+    # The middles of discs: slabs, backwards from the end of the way.
+    tiny = jnp.where(jnp.abs(way) < 1e-9, 1e-9, way)
+    one, other = (there + half) / tiny, (there - half) / tiny
+    enter, leave = jnp.minimum(one, other), jnp.maximum(one, other)
+    enter = jnp.maximum(jnp.maximum(enter[..., 0], enter[..., 1]), 0.0)
+    leave = jnp.minimum(jnp.minimum(leave[..., 0], leave[..., 1]), 1.0)
+    # Their outlines: corners of the box.
+    corner = half[..., None, :] * jnp.array(_CORNER_SIGNS, dtype=pose.dtype)
+    to_corner = there[..., None, :] - corner
+    way = way[..., None, :]
+    length = jnp.sum(way * way, axis=-1)
+    back = jnp.sum(to_corner * way, axis=-1) / jnp.where(length > 0.0, length, 1.0)
+    nearest = to_corner - jnp.clip(back, 0.0, 1.0)[..., None] * way
+    near = (norm(nearest) < radius[..., None]).any(axis=-1)
+    return (enter < leave) | near
+
+
 def ray_box_distance(
     origin: jax.Array, direction: jax.Array, pose: jax.Array, size: jax.Array
 ) -> jax.Array:

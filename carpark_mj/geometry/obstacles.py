@@ -92,6 +92,13 @@ class Group:
         """Whether boxes (..., 3), (..., 2) overlap them; shapes broadcast."""
         return self._overlap(pose, size, self.pose_w, self.size)
 
+    def hit(self, trace: jax.Array, size: jax.Array) -> jax.Array:
+        """Whether boxes (..., k, 3), (..., 1, 2) hit these, traced, at k instants.
+
+        Boxes meet each other where they overlap at an instant, discs also in between.
+        """
+        return self.overlap(trace, size)
+
     def distance(self, pose: jax.Array, size: jax.Array) -> jax.Array:
         """Gaps [m] to boxes (..., 3), (..., 2); 0 where they overlap."""
         return self._distance(pose, size, self.pose_w, self.size)
@@ -133,6 +140,11 @@ class Discs(Group):
     _corners = staticmethod(lambda centre, radius: centre[..., None, :])
     _gaps = staticmethod(disc_gaps)
     _ray_distance = staticmethod(boxes.ray_disc_distance)
+
+    def hit(self, trace: jax.Array, size: jax.Array) -> jax.Array:
+        """See `Group.hit`: discs may be thinner than the way between two instants."""
+        passed = boxes.box_passes_disc(trace, size, self.pose_w, self.size)
+        return self.overlap(trace, size) | passed
 
 
 def touches(pose: jax.Array, size: jax.Array, groups: Sequence[Group]) -> jax.Array:

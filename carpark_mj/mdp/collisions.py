@@ -1,7 +1,8 @@
 """Collisions: the obstacles that each agent touched during a step.
 
 Physics with contacts reports them. Otherwise, and with movers in any case, footprints
-are tested for overlap at every traced instant; in crowded lots near pairs only.
+are tested for overlap at every traced instant, and in between with discs, which may be
+thin; in crowded lots near pairs only.
 """
 
 import dataclasses
@@ -70,11 +71,11 @@ def _add_hits(hits: _Hits, motion: Motion, groups: Sequence[Group]) -> _Hits:
 
 
 def _group_hits(motion: Motion, group: Group) -> jax.Array:
-    """Agents (num_agents,) bool that overlapped any of a group at a traced instant."""
+    """Agents (num_agents,) bool that hit any of a group."""
     own, own_size = motion.trace_w[:, None], motion.size[:, None, None]
-    overlap = group.traced.overlap(own, own_size)
+    hit = group.traced.hit(own, own_size)
     counts = group.counts(motion.size.shape[0])
-    return (overlap & counts[..., None]).any((1, 2))
+    return (hit & counts[..., None]).any((1, 2))
 
 
 def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Array]]:
@@ -87,8 +88,8 @@ def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Arr
 
     def test(hit: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
         own_size = motion.size[:, None, None]
-        overlap = take(traced, index).overlap(trace[:, None], own_size)
-        found = overlap.any(axis=-1) & valid
+        hits = take(traced, index).hit(trace[:, None], own_size)
+        found = hits.any(axis=-1) & valid
         of_kind = jnp.asarray(column)[index][..., None] == jnp.arange(len(kinds))
         return hit | jnp.any(found[..., None] & of_kind, axis=1)
 

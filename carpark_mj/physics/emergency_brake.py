@@ -11,10 +11,11 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from scipy.special import xlogy
 
 from carpark_mj.config import SimConfig
 from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry import move_forward
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.types import Motion, State
 from carpark_mj.vehicle.conditions import in_conditions
@@ -23,11 +24,16 @@ from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import Vehicle
 
 PROTECTED = (ObstacleKind.PERSON,)
-ASIDE = 0.15  # m, gap beside the swept area within which somebody is in danger [est]
+ASIDE = 0.15  # m, gap beside the swept area of danger, twice where cars slide [est]
 NEARER = 0.9  # of the present gap: what keeps more of it does not approach
 LEAST = 0.1  # m/s², assumed of brakes that do not hold the car on its slope
 WIDER = 0.8  # of the steering's curvature: cars turn wider the faster they are [est]
-PLACES, ARCS = 4, 3  # looked at along a way, and ways between two steering angles
+SLIPPING = 0.1  # m/s; slower cars are taken to move where they head
+ARCS = 3  # ways between two steering angles
+SHARE = np.array([1, 4, 9, 16], np.float32) / 16  # of a way, the places looked at
+# Of g T², the drift across a slope g of a car that slides for T to a stop, by the share
+# s of its way: friction opposes the velocity, so that dv/dt = g - v / (T - t).
+DRIFT = (SHARE + xlogy(1.0 - SHARE, 1.0 - SHARE)) / 4
 
 
 def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
@@ -44,7 +50,8 @@ def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
     with jax.named_scope("emergency_brake"):
         car = in_conditions(state.physics.vehicle, sim)
         pose, time = sweep(sim, car, state.motion, controls)
-        found = [endangered(state.motion, pose, time, group) for group in groups]
+        aside = jnp.where(sliding(car), 2.0 * ASIDE, ASIDE)
+        found = [endangered(state.motion, (pose, time), aside, g) for g in groups]
         stop = stopping_action(state.motion.speed)[:, 1]
         danger = jnp.stack(found).any(axis=0)
         held = state.motion.steering / car.max_steering
@@ -53,22 +60,36 @@ def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
         return jnp.stack([steer, pedal], axis=-1)
 
 
+def sliding(car: Vehicle) -> jax.Array:
+    """Whether full brakes lock the wheels of cars (...), which then slide."""
+    return car.max_deceleration * car.rated_mass / car.mass > _grip(car)
+
+
+def _grip(car: Vehicle) -> jax.Array:
+    """Deceleration (...) that tyres can give [m/s²]."""
+    return car.tyres.friction * GRAVITY
+
+
 def stopping_way(
-    sim: SimConfig, car: Vehicle, speed: jax.Array, pedal: jax.Array, limit: jax.Array
+    sim: SimConfig,
+    car: Vehicle,
+    drive: tuple[jax.Array, jax.Array, jax.Array],
+    climb: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Way (...) [m] and time (...) [s] of cars that obey for a step and then brake.
 
     Args:
-        sim: time steps, delays, slopes and the gap to keep, which is part of the way of
-            a car that moves.
+        sim: time steps, delays and the gap to keep, which is part of the way of a car
+            that moves.
         car: their parameters.
-        speed: in the direction looked at [m/s]; cars that move the other way stand.
-        pedal: in [-1, 1], positive in that direction.
-        limit: speed up to which the pedal drives [m/s].
+        drive: speed in the direction looked at [m/s], where cars that move the other
+            way stand; pedal in [-1, 1], positive in that direction; speed up to which
+            it drives [m/s].
+        climb: acceleration of the slope in that direction [m/s²].
     """
-    by_load, climb = car.rated_mass / car.mass, GRAVITY * sim.steepest
-    grip = car.tyres.friction * GRAVITY
-    decel = jnp.minimum(car.max_deceleration * by_load, grip) - climb
+    speed, pedal, limit = drive
+    by_load = car.rated_mass / car.mass
+    decel = jnp.minimum(car.max_deceleration * by_load, _grip(car)) - climb
     decel = jnp.maximum(decel, LEAST)
     idle = 0.0 if car.creep is None else car.creep
     push = jnp.maximum(pedal * car.max_acceleration, idle) * by_load + climb
@@ -84,17 +105,31 @@ def stopping_way(
 def sweep(
     sim: SimConfig, car: Vehicle, motion: Motion, controls: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Where cars (n,) come until they stand, on arcs between two steering angles.
+    """Where cars (n,) come until they stand, between two steering angles.
 
     The angles are the present one and that of the next step, when the steering is held.
+    Cars drive on arcs. Wheels that lock do not steer: their cars slide straight on from
+    the velocity that their centre has, drift down the slope, and turn on or not.
 
     Returns:
         Poses (n, k, 3) of their centres and the times (n, k) at which they are there
         [s].
     """
     steer, pedal = controls[:, 0], controls[:, 1]
-    ahead = stopping_way(sim, car, motion.speed, pedal, car.max_speed)
-    behind = stopping_way(sim, car, -motion.speed, -pedal, car.max_reverse_speed)
+    slides = sliding(car)
+    side = motion.velocity_b[:, 1] + motion.yaw_rate * car.centre_offset
+    gear = jnp.where(motion.speed < 0.0, -1.0, 1.0)
+    speed = gear * jnp.hypot(motion.speed, jnp.where(slides, side, 0.0))
+    slip = jnp.arctan2(gear * side, jnp.maximum(jnp.abs(motion.speed), SLIPPING))
+    grade = max(sim.grade_x, sim.grade_x + sim.ramp[2], key=abs)
+    down = -GRAVITY * grade * jnp.cos(motion.pose_w[:, 2] + slip)
+    # The way of a car that slides bends downhill: half of the steepest.
+    climb = [
+        jnp.where(slides, (GRAVITY * sim.steepest + x) / 2, GRAVITY * sim.steepest)
+        for x in (down, -down)
+    ]
+    ahead = stopping_way(sim, car, (speed, pedal, car.max_speed), climb[0])
+    behind = stopping_way(sim, car, (-speed, -pedal, car.max_reverse_speed), climb[1])
     forwards = ahead[0] >= behind[0]
     way = jnp.where(forwards, ahead[0], -behind[0])
     duration = jnp.where(forwards, ahead[1], behind[1])
@@ -105,26 +140,37 @@ def sweep(
     now = jnp.tan(motion.steering) / car.wheelbase
     soon = jnp.tan(motion.steering + turn) / car.wheelbase
     low, high = jnp.minimum(now, soon), jnp.maximum(now, soon)
-    low, high = jnp.minimum(low, WIDER * low), jnp.maximum(high, WIDER * high)
+    wider = jnp.where(slides, 0.0, WIDER)
+    low, high = jnp.minimum(low, wider * low), jnp.maximum(high, wider * high)
     part = jnp.linspace(0.0, 1.0, ARCS)
-    curvature = low[:, None] + (high - low)[:, None] * part
-    share = (jnp.arange(PLACES) + 1.0) / PLACES
-    along = way[:, None, None] * share
-    half_turn = along * curvature[..., None] / 2
-    axle = move_forward(motion.pose_w, -car.centre_offset)[:, None, None]
-    # The chord of an arc, to the third order.
-    chord = along * (1.0 - half_turn * half_turn / 6.0)
-    yaw = axle[..., 2] + half_turn
-    x, y = axle[..., 0] + chord * jnp.cos(yaw), axle[..., 1] + chord * jnp.sin(yaw)
-    pose = jnp.stack([x, y, yaw + half_turn], axis=-1)
-    pose = move_forward(pose, car.centre_offset[:, None, None])
-    time = jnp.broadcast_to(duration[:, None, None] * share, half_turn.shape)
+    curvature = (low[:, None] + (high - low)[:, None] * part)[..., None]
+    slides, slip, way, offset, speed, duration = (
+        x[:, None, None]
+        for x in (slides, slip, way, car.centre_offset, speed, duration)
+    )
+    along = way * SHARE
+    half_turn = along * curvature / 2
+    # The centre is on a circle about a point beside the rear axle. The chord of its
+    # arc, to the third order.
+    slant = offset * curvature
+    chord = along * jnp.sqrt(1.0 + slant * slant) * (1.0 - half_turn * half_turn / 6.0)
+    # A car that slides has followed its steering for a step.
+    straight = slip + curvature * speed * sim.ctrl_dt
+    bend = jnp.where(slides, straight, jnp.arctan(slant) + half_turn)
+    chord = jnp.where(slides, along, chord)
+    x, y, yaw = (motion.pose_w[:, k, None, None] for k in range(3))
+    cos, sin = jnp.cos(yaw + bend), jnp.sin(yaw + bend)
+    pull = jnp.where(slides, GRAVITY * grade, 0.0)
+    drift = pull * sin * duration * duration * DRIFT
+    x, y = x + chord * cos - drift * sin, y + chord * sin + drift * cos
+    pose = jnp.stack([x, y, yaw + 2.0 * half_turn], axis=-1)
+    time = jnp.broadcast_to(duration * SHARE, half_turn.shape)
     count = way.shape[0]
     return pose.reshape(count, -1, 3), time.reshape(count, -1)
 
 
 def endangered(
-    motion: Motion, pose: jax.Array, time: jax.Array, group: Group
+    motion: Motion, swept: tuple[jax.Array, jax.Array], aside: jax.Array, group: Group
 ) -> jax.Array:
     """Whether cars (n,) bool would come too near to one of a group.
 
@@ -132,15 +178,18 @@ def endangered(
 
     Args:
         motion: of the cars, as they are.
-        pose: (n, k, 3) where they would come.
-        time: (n, k) when [s].
+        swept: poses (n, k, 3) where they would come and times (n, k) when [s].
+        aside: (n,) gap within which somebody is in danger [m].
         group: obstacles (m,).
     """
+    pose, time = swept
     here, size = motion.pose_w[:, None, None], motion.size[:, None, None]
 
     def near(others: Group) -> jax.Array:
         gap = others.distance(pose[:, :, None], size)
-        return (gap < ASIDE) & (gap < NEARER * others.distance(here, size))
+        return (gap < aside[:, None, None]) & (
+            gap < NEARER * others.distance(here, size)
+        )
 
     found = near(group)
     if group.velocity_w is not None:

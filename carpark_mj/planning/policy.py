@@ -18,6 +18,8 @@ from carpark_mj.planning.search import Search, SearchConfig, require_ompl
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.types import State
 
+SLOW = 0.7  # of an episode, for which a path is slow: more are searched for
+
 
 class Planner:
     """Drives all agents of some lots; remembers their paths from step to step.
@@ -89,7 +91,11 @@ def planner_policy(
             obey a pedal.
     """
     require_plannable(env)
-    planner = Planner(env.config.sim.ctrl_dt, seed, config)
+    dt = env.config.sim.ctrl_dt
+    seconds = env.config.episode.max_steps * dt
+    # A path that takes most of an episode leaves no time to wait or to plan again.
+    slow = min(SearchConfig.slow, SLOW * seconds)
+    planner = Planner(dt, seed, config or SearchConfig(slow=slow))
     return StatePolicy(_callback(planner.act)), planner
 
 

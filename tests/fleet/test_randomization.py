@@ -1,5 +1,7 @@
 import dataclasses
+import itertools
 import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -194,8 +196,15 @@ def test_a_steering_lag_may_be_lowered_as_far_as_the_car_has_one():
     [
         ("van", {"mass": (2.9, 3.0), "cg_height": (2.3, 2.6)}, 0.0, "in turns"),
         ("van", {"mass": (2.9, 3.0)}, 0.0, None),
-        ("compact", {"cg_height": (2.3, 2.6)}, 0.0, None),
-        ("compact", {"cg_height": (2.3, 2.6)}, 0.2, "in turns"),
+        ("compact", {"cg_height": (2.3, 2.5)}, 0.0, None),
+        ("compact", {"cg_height": (1.0, 2.5), "cg_x": (0.4, 1.0)}, 0.0, "in turns"),
+        (
+            "compact",
+            {"cg_height": (1.0, 2.5), "steering_offset": (-0.2, 0.0)},
+            0.0,
+            "in turns",
+        ),
+        ("compact", {"cg_height": (2.3, 2.5)}, 0.2, "in turns"),
         ("compact", {"cg_x": (1.0, 1.4)}, 0.0, None),
         ("compact", {"brake_gain": (1.0, 2.0)}, 0.0, None),
         (
@@ -219,35 +228,48 @@ def test_ranges_that_overturn_a_car_only_together_are_refused(name, change, grad
     assert "\n" not in str(refusal.value)
 
 
-def tallest(name: str, mass: float) -> float:
-    """The largest factor on the height of the centre of gravity that is accepted."""
+class Loaded(NamedTuple):
+    """A preset, its mass as a factor, its load on the front axle and its steering."""
 
-    def accepted(factor: float) -> bool:
-        config = RandomizationConfig(mass=(mass, mass), cg_height=(factor, factor))
-        try:
-            check_randomization(config, PRESETS[name])
-        except ValueError:
-            return False
-        return True
+    name: str
+    mass: float
+    share: float
+    offset: float
 
-    factors = np.arange(1.0, 3.0, 0.05)
-    return float(max(factor for factor in factors if accepted(factor)))
+    def vehicle(self, scale: float) -> Vehicle:
+        """The car with the accepted height of the centre of gravity times a scale."""
+        params = PRESETS[self.name]
+        ahead = self.share * params.wheelbase
+        cg_x, off = (ahead / params.cg_to_rear_axle,) * 2, (-self.offset, self.offset)
+        mass, accepted = (self.mass,) * 2, []
+        for height in np.arange(0.5, 3.0, 0.05):
+            config = RandomizationConfig(
+                mass, cg_x, cg_height=(height, height), steering_offset=off
+            )
+            try:
+                check_randomization(config, params)
+            except ValueError:
+                break
+            accepted.append(height * params.cg_height)
+        car = make_vehicle(params)
+        cg = jnp.array([ahead, 0.0, scale * accepted[-1]])
+        offset = jnp.asarray(self.offset, car.mass.dtype)
+        car = dataclasses.replace(car, steering_offset=offset)
+        return with_mass(car, self.mass * car.mass, cg)
 
 
 def test_the_tallest_cars_accepted_stay_upright_and_taller_ones_end_on_their_side():
     """Full steps of wheel and pedal; a car on its side is put back and flagged."""
-    cases = [(name, mass) for name in ("city", "van") for mass in (1.0, 2.0, 3.0)]
-    cars, runs = [], 8
-    for scale in (1.0, 2.0):
-        for name, mass in cases:
-            car = make_vehicle(PRESETS[name])
-            height = car.cg * jnp.array([1.0, 1.0, scale * tallest(name, mass)])
-            cars += [with_mass(car, mass * car.mass, height)] * runs
-    vehicle = jax.tree.map(lambda *x: jnp.stack(x), *cars)
-    physics, half = MjxPhysics(SimConfig()), len(cases) * runs
+    grid = list(itertools.product(("city", "van"), (1.0, 2.0, 3.0), (0.2, 0.5, 0.8)))
+    cases = [Loaded(*car, offset) for offset in (0.0, 0.2) for car in grid]
+    runs, taller = 8, [case for case in cases if case.share == 0.5 > case.offset]
+    cars = [case.vehicle(1.0) for case in cases]
+    cars += [case.vehicle(2.0) for case in taller]
+    vehicle = jax.tree.map(lambda *x: jnp.repeat(jnp.stack(x), runs, axis=0), *cars)
+    physics, accepted = MjxPhysics(SimConfig()), len(cases) * runs
     rng = np.random.default_rng(0)
-    steps = np.repeat(rng.choice([-1.0, 1.0], (12, half, 2)), 5, axis=0)
-    controls = jnp.asarray(np.concatenate([steps, steps], axis=1), jnp.float32)
+    steps = np.repeat(rng.choice([-1.0, 1.0], (12, runs, 2)), 5, axis=0)
+    controls = jnp.asarray(np.tile(steps, (1, len(cars), 1)), jnp.float32)
 
     @jax.jit
     def drive(state):
@@ -258,11 +280,11 @@ def test_the_tallest_cars_accepted_stay_upright_and_taller_ones_end_on_their_sid
 
         return jax.lax.scan(step, state, controls)[1]
 
-    state = physics.init(jnp.zeros((2 * half, 3)), vehicle)
+    state = physics.init(jnp.zeros((len(cars) * runs, 3)), vehicle)
     finite, up = map(np.asarray, drive(state))
-    assert finite[:, :half].all()
-    assert up[:, :half].min() > np.cos(np.radians(30.0))
-    over = ~finite[:, half:].reshape(-1, len(cases), runs).all(axis=0)
+    assert finite[:, :accepted].all()
+    assert up[:, :accepted].min() > np.cos(np.radians(30.0))
+    over = ~finite[:, accepted:].reshape(-1, len(taller), runs).all(axis=0)
     assert over.any(axis=1).all()
     assert up.min() > 0.5  # it never lies there
 

@@ -20,6 +20,7 @@ from helpers.scenes import (
 from helpers.states import any_hit, parked_at, parked_in, state_of
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, ObstacleKind, SimConfig
+from carpark_mj.geometry import box_corners, box_disc_distance, point_box_distance
 from carpark_mj.geometry.obstacles import NO_MOVERS, Discs, Movers
 from carpark_mj.layouts import WallKind, build, make_layout
 from carpark_mj.mdp.collisions import find_hits
@@ -109,6 +110,43 @@ def test_discs_are_hit_where_shapely_says_and_only_if_they_count():
             np.asarray(run(pose, layout))[certain, 0], expected[certain]
         )
     assert 0.2 < (gap < 0).any(axis=1).mean() < 0.8
+
+
+def test_turning_cars_hit_thin_poles_wherever_in_a_step():
+    """Poles about a corner's way; the oracle looks every millisecond."""
+    rng, count = np.random.default_rng(4), 3000
+    speed, curvature = rng.uniform((-3.0, -0.3), (3.0, 0.3), (count, 2)).T[..., None]
+    time = np.linspace(0.0, 0.2, 201)
+    yaw = speed * time * curvature  # of the rear axle, on an arc
+    x = np.sin(yaw) / curvature + 1.3 * np.cos(yaw)
+    y = (1.0 - np.cos(yaw)) / curvature + 1.3 * np.sin(yaw)
+    pose = np.float32(np.stack([x, y, yaw], axis=-1))
+    size = np.float32(CAR)
+    corner = box_corners(pose[np.arange(count), rng.integers(201, size=count)], size)
+    pole = corner[np.arange(count), rng.integers(4, size=count)]
+    pole = pole + rng.uniform(-0.05, 0.05, (count, 2))
+    radius = 0.025
+
+    def deepest(pose):
+        gap = box_disc_distance(pose, size, pole[:, None], radius).min(axis=1)
+        inside = point_box_distance(pole[:, None], pose, size).min(axis=1)
+        return np.asarray(gap), radius - np.asarray(inside)
+
+    before = deepest(pose[:, :1])[0] == 0.0  # seen in the step before
+    pose, pole, count = pose[~before], pole[~before], (~before).sum()
+    gap, depth = deepest(pose)
+    template = lot([(30.0, 0.0, 0.0)], discs=[(0.0, 0.0, radius)])
+
+    def hit(trace, pole):
+        motion = dataclasses.replace(cars(trace[-1:]), trace_w=trace[None])
+        return hits_of(template.replace(disc_centre=pole[None]), motion)["wall"][0]
+
+    trace = pose[:, 50::50]
+    got = np.asarray(jax.vmap(hit)(trace, pole))
+    assert got[depth > 0.002].all(), np.sort(depth[~got])[-5:]
+    assert not got[gap > 0.002].any(), np.sort(gap[got])[-5:]
+    unseen = (deepest(trace)[0] > 0.0) & (depth > 0.002)
+    assert unseen.mean() > 0.02  # at the instants alone
 
 
 def test_the_parked_cars_of_a_full_tanner_lot_hit_no_wall_and_not_each_other():

@@ -204,6 +204,43 @@ def test_who_drives_at_people_hits_them_without_it_and_nobody_with_it(drive):
     assert ((speed > 1.0).mean(axis=(0, 1)) > 0.1).all()  # it drives for all that
 
 
+def test_cars_that_slide_down_an_icy_slope_stop_before_people():
+    """On locked wheels cars leave their arcs, and drift across the slope."""
+    count, people = 64, 8
+    sim = dataclasses.replace(SIM, surface="ice", grade_x=0.05)
+    physics, vehicle = MjxPhysics(sim), jax.tree.map(lambda x: x[None], VEHICLE)
+    turn, away = jax.random.uniform(jax.random.key(2), (2, count, people))
+    away, angle = 4.0 + 5.0 * away, 2.0 * jnp.pi * turn
+    place = jnp.stack([away * jnp.cos(angle), away * jnp.sin(angle)], axis=-1)
+
+    def one(yaw, gear, place):
+        discs = Discs(
+            place,
+            jnp.full(people, RADIUS),
+            jnp.zeros((people, 2)),
+            kind=ObstacleKind.PERSON,
+        )
+        wanted = jnp.stack([0.6 * gear, gear])[None]
+
+        def step(moving, _):
+            motion = physics.read(moving)
+            state = state_of(PLACE, motion, 0, movers=Movers((), ((discs,),)))
+            state = dataclasses.replace(state, physics=moving)
+            moving = physics.step(moving, override(sim, state, wanted))
+            after = physics.read(moving)
+            hit = discs.overlap(after.trace_w[0][:, None], after.size[0]).any()
+            return moving, (hit, motion.speed[0])
+
+        start = jnp.stack([0.0 * yaw, 0.0 * yaw, yaw])[None]
+        return jax.lax.scan(step, physics.init(start, vehicle), length=40)[1]
+
+    yaw = jnp.linspace(-jnp.pi, jnp.pi, count)
+    gear = jnp.where(jnp.arange(count) % 4 == 0, -1.0, 1.0)
+    hit, speed = jax.device_get(jax.jit(jax.vmap(one))(yaw, gear, place))
+    assert not hit.any()
+    assert (np.abs(speed) > 1.0).mean() > 0.1  # they drive for all that
+
+
 @pytest.mark.parametrize("gap", [0.0, GAP])
 def test_the_program_of_a_step_brakes_only_where_asked_to(gap):
     sim, people = SimConfig(emergency_brake=gap), ("pedestrians:number=1",)
