@@ -30,11 +30,17 @@ class ImportConfig:
         out: layout file to write.
         crop: x and y of two opposite corners [m] of the part to take, in the frame of
             the whole lot.
+        level: of a car park with several, as the map names it; the one with most spots
+            by default.
+        crs: coordinate reference system of a GeoJSON file that does not name its own,
+            such as EPSG:25832.
     """
 
     map: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     out: str
     crop: tuple[float, float, float, float] | None = None
+    level: str | None = None
+    crs: str | None = None
 
     def __post_init__(self) -> None:
         if not self.out.endswith(".json"):
@@ -47,7 +53,7 @@ def make(config: ImportConfig) -> None:
     try:
         from carpark_mj.maps.importing import import_map
 
-        layout, report = import_map(Path(config.map))
+        layout, report = import_map(Path(config.map), config.level, config.crs)
     except ImportError as error:  # each format imports its own
         raise ValueError(
             f"maps need {error.name}: pip install 'carpark_mj[maps]'"

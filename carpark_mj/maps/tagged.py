@@ -25,13 +25,17 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
         plan.unknown[f"tag={tag}"] += 1
     elif tag == "lane":
         road = {"highway": "service", "width": tags.get("width")}
+        road["level"] = tags.get("level")
         road["oneway"] = "yes" if tags.get("one_way") else "no"
         add_by_tags(plan, name, road, shape)
     else:
         if not shape.area and tag in ("wall", "kerb", "pillar"):
             shape = shape.buffer(LINE_THICKNESS / 2)
         if shape.area:
-            plan.features.append(Feature(tag, shapely.make_valid(shape), name))
+            level = str(tags.get("level") or "")
+            plan.features.append(
+                Feature(tag, shapely.make_valid(shape), name, level=level)
+            )
         elif tag == "bay":
             plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
         else:
