@@ -69,10 +69,14 @@ class Report:
             f"turned by {np.degrees(self.turned):.1f} deg to its rows",
             *self.notes,
         ]
-        for why in dict.fromkeys(self.lost.values()):
-            names = [name for name, other in self.lost.items() if other == why]
-            told = ", ".join(names[:NAMED]) + " ..." * (len(names) > NAMED)
-            lines.append(f"{len(names)} spots left out, {why}: {told}")
+        left: dict[str, list[str]] = {}
+        for name, why in self.lost.items():
+            kind, _, detail = why.partition(": ")
+            told = f"{name} ({detail})" if detail else name
+            left.setdefault(kind, []).append(told)
+        for kind, names in left.items():
+            told = ", ".join(names[:NAMED]) + ", ..." * (len(names) > NAMED)
+            lines.append(f"left out, {kind}: {len(names)} spots, {told}")
         if self.stretched:
             lines.append(
                 f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "
@@ -234,13 +238,13 @@ def _bays(
         size = free.size if free else (0.0, 0.0)
         if free is None or size[0] < least[0] or size[1] < least[1]:
             report.lost[one.name] = (
-                f"{size[0]:.2f} x {size[1]:.2f} m, smaller than the car of "
-                f"{least[0]:g} x {least[1]:g} m"
+                f"smaller than the car of {least[0]:g} x {least[1]:g} m: "
+                f"{size[0]:.2f} x {size[1]:.2f} m"
             )
             continue
         if max(size) > PLAUSIBLE_BAY[1]:
             report.lost[one.name] = (
-                f"{size[0]:.1f} m long, more than {PLAUSIBLE_BAY[1]:g} m"
+                f"longer than {PLAUSIBLE_BAY[1]:g} m: {size[0]:.1f} m"
             )
             continue
         report.errors.append(float(shapely.hausdorff_distance(one.shape, free.shape)))

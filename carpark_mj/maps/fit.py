@@ -217,13 +217,31 @@ def _line(x: float, y: float, yaw: float, reach: float, both: bool = False) -> A
 def cut_free(box: Box, others: Iterable[Any], gap: float = 0.002) -> Box | None:
     """The rectangle less its overlap with other shapes; None if it vanishes.
 
-    Each shape costs the side that loses the least area.
+    Each shape costs the side that loses the least area. If more is left so, the shapes
+    along each long side cost that side together.
 
     Args:
         box: to cut.
         others: shapely polygons.
         gap: left between the rectangle and the shapes [m].
     """
+    others = list(others)
+    found = [_cut_each(box, others, gap)]
+    whole = shapely.box(*np.divide([-box.length, -box.width, *box.size], 2))
+    hits = [box.local(other).intersection(whole) for other in others]
+    rows = np.array([hit.bounds for hit in hits if hit.area > 1e-9]).reshape(-1, 4)
+    left = rows[:, 1].min(initial=box.width / 2, where=rows[:, 1] > 0)
+    right = rows[:, 3].max(initial=-box.width / 2, where=rows[:, 3] < 0)
+    if left - right < box.width - 2 * gap > 0:
+        part = box.part(*np.divide([-box.length, box.length], 2), right, left)
+        part = dataclasses.replace(part, width=part.width - 2 * gap)
+        if part.width > 0:
+            found.append(_cut_each(part, others, gap))
+    clear = [one for one in found if one]
+    return max(clear, key=lambda one: one.length * one.width, default=None)
+
+
+def _cut_each(box: Box, others: list[Any], gap: float) -> Box | None:
     back, front = -box.length / 2, box.length / 2
     right, left = -box.width / 2, box.width / 2
     for other in others:

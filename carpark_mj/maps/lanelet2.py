@@ -35,6 +35,15 @@ _TAGS: dict[str, Tag] = {
     "parking_access": "drivable",
     "junction": "drivable",
 }
+# Subtypes of lanelets that are not driven along.
+_ON_FOOT = (
+    "crosswalk",
+    "walkway",
+    "shared_walkway",
+    "stairs",
+    "pedestrian_lane",
+    "bicycle_lane",
+)
 TURN = np.radians(30.0)  # a lanelet that bends more ...
 SHORT = 15.0  # ... over fewer metres joins lanes that cross, and is none itself
 BEND = 0.5  # m between a curved lane and its straight parts
@@ -67,6 +76,9 @@ def lanelet2_features(osm: OsmXml) -> Plan:
             (role, osm.ways[way]) for role, way in relation.members if way in osm.ways
         ]
         if relation.tags.get("type") == "lanelet":
+            if (kind := relation.tags.get("subtype", "road")) in _ON_FOOT:
+                plan.unknown[f"lanelet {kind}"] += 1
+                continue
             one_way = relation.tags.get("one_way", "yes") != "no"
             borders = {role: way.points for role, way in ways}
             level = relation.tags.get("level", "")

@@ -111,7 +111,7 @@ def _add_parking(
         if is_spot:
             plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
         elif count:
-            plan.lost[name] = f"a point for {count} spots"
+            plan.lost[name] = f"a point for several spots: {count}"
         return
     if is_spot and shape.area and count <= 1:
         plan.features.append(Feature("bay", shape, name, kind, level=level))

@@ -93,8 +93,11 @@ def read_osm(root: Any) -> OsmXml:
             continue
         points = np.stack([nodes[ref][0] for ref in steps])
         # Programs also close a way with a second node in the first one's place.
+        tags_of_way = _tags(way)
         closed = len(steps) > 3 and bool(np.ptp(points[[0, -1]], axis=0).max() < 1e-3)
-        ways[way.get("id", "")] = Way(points, _tags(way), closed)
+        # Autoware's polygons do not come back to their first node.
+        closed = closed or (len(steps) > 2 and tags_of_way.get("area") == "yes")
+        ways[way.get("id", "")] = Way(points, tags_of_way, closed)
     relations = {
         relation.get("id", ""): Relation(
             [

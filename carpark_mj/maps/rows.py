@@ -51,13 +51,12 @@ def lay_out(plan: Plan) -> Plan:
         if pieces:
             notes.append(f"{group.name}: {len(pieces)} of {count} spots laid out")
         elif group.count:
-            why = f"its {count} spots fit no row and no aisle"
-            lost[group.name] = f"{group.orientation or 'an area'}: {why}"
+            lost[group.name] = f"an area without a row or aisles for its spots: {count}"
     beside = _across_roads(points, roads)
     for group, shape in zip(points, beside, strict=True):
         if shape is None or group.count > 1:
             lost[group.name] = (
-                f"a point for {group.count} spots"
+                f"a point for several spots: {group.count}"
                 if group.count > 1
                 else f"a point, more than {NEAREST_ROAD:g} m from a road"
             )
