@@ -104,7 +104,7 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
     found = Counter(feature.tag for feature in plan.features)
     report.spots = found["bay"] + len(plan.lost)
     if not found["bay"]:
-        raise ValueError("the map has no parking spot with an outline")
+        raise ValueError(f"the map has no parking spot{_reasons(report)}")
     if found["bay"] > MOST_BAYS:
         raise ValueError(f"the map has {found['bay']} spots; at most {MOST_BAYS}")
     features = _turned(plan.features, report)
@@ -117,8 +117,7 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
         report.notes.append("the map has no ground to drive on: taken around its spots")
     bays = _bays(features, drivable, report)
     if not bays:
-        reasons = "; ".join(sorted(set(report.lost.values()))[:3])
-        raise ValueError(f"no spot of the map can be a bay ({reasons})")
+        raise ValueError(f"no spot of the map can be a bay{_reasons(report)}")
     taken = [box.shape for box, _ in bays]
     ground = shapely.union_all([drivable, *taken])
     solids, discs = _solids(features, ground, taken, report)
@@ -141,7 +140,8 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
         free = free_starts(drivable, [*taken, *standing])
         free = [box for box in free if _room(box).min() > LEAST_START]
         starts = [turned for box in free for turned in (box, box.turned())]
-        report.notes.append("no lane has room for a car: cars start on free ground")
+        why = "no lane has room for a car" if lanes else "the map has no lane"
+        report.notes.append(f"{why}: cars start on free ground")
     if not starts:
         raise ValueError("the map has no room for a car to start in")
     if closed := walled_off([box for box, _ in bays], starts, standing):
@@ -153,6 +153,12 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
     if faults := describe_faults(layout):
         raise ValueError(f"no valid layout comes of the map: {'; '.join(faults)}")
     return layout, report
+
+
+def _reasons(report: Report) -> str:
+    """Why spots were left out, in brackets; empty if none was."""
+    reasons = "; ".join(sorted(set(report.lost.values()))[:3])
+    return f" ({reasons})" if reasons else ""
 
 
 def _ground(feature: Feature) -> Any:
@@ -215,7 +221,7 @@ def _bays(
         if (error := fits[0][1]) > WORST_FIT:
             report.lost[one.name] = f"no rectangle: {error:.2f} m off the best one"
             continue
-        box = _facing([box for box, _ in fits], goals)
+        box = _facing([box for box, _ in fits], goals, found[-1][0].yaw if found else 0)
         short = box.length < least[0] < box.length + STRETCH
         if short:  # what stands behind it stays
             back, side = -box.length / 2, box.width / 2
@@ -264,14 +270,18 @@ def _led_out(free: Box | None, box: Box, others: list[Any]) -> Box | None:
     return cut_free(free.part(back, back + length, -side, side), others)
 
 
-def _facing(found: list[Box], goals: list[Any]) -> Box:
-    """The rectangle, and the end of it in front, that leads to the first goals."""
+def _facing(found: list[Box], goals: list[Any], yaw: float) -> Box:
+    """The rectangle, and the end of it in front, that leads to the first goals.
+
+    Where neither end is nearer to them, it is the one in the direction `yaw`.
+    """
 
     def away(box: Box) -> list[float]:
         reach = box.length / 2 + AHEAD
         x, y = box.x + reach * np.cos(box.yaw), box.y + reach * np.sin(box.yaw)
         # Less than a decimetre is no difference between the ends of a spot.
-        return [round(goal.distance(shapely.Point(x, y)), 1) for goal in goals]
+        gaps = [round(goal.distance(shapely.Point(x, y)), 1) for goal in goals]
+        return [*gaps, -round(float(np.cos(box.yaw - yaw)), 3)]
 
     return min([turned for box in found for turned in (box, box.turned())], key=away)
 

@@ -122,5 +122,10 @@ def on_level(plan: Plan, level: str | None = None) -> Plan:
     return Plan(kept, unknown, lost, groups, notes)
 
 
+def on_same_level(road: Feature, group: Group) -> bool:
+    """Whether a road is on a group's level; on the ground if the map does not say."""
+    return bool({*_levels(road, "0")} & {*_levels(group, "0")})
+
+
 def _levels(one: Feature | Group, default: str) -> list[str]:
     return [name.strip() for name in (one.level or default).split(";")]

@@ -137,7 +137,8 @@ def best_fits(polygon: Any) -> list[tuple[Box, float]]:
         return [(box, float(error)) for box in found]
     box = around(polygon)
     scale = math.sqrt(polygon.area / max(box.length * box.width, 1e-12))
-    box = Box(*centre, box.yaw, box.length * scale, box.width * scale)
+    x, y = centre
+    box = Box(x, y, box.yaw, box.length * scale, box.width * scale)
     return [(box, float(shapely.hausdorff_distance(polygon, box.shape)))]
 
 
@@ -148,7 +149,8 @@ def _between(centre: Any, along: np.ndarray, aside: np.ndarray) -> Box:
     width = abs(float(ahead[0] * aside[1] - ahead[1] * aside[0]))
     within = side - abs(float(ahead @ aside))
     length = max(within, min(side, STALL))
-    return Box(*centre, math.atan2(ahead[1], ahead[0]), length, width)
+    x, y = centre
+    return Box(x, y, math.atan2(ahead[1], ahead[0]), length, width)
 
 
 def boxes(polygon: Any, depth: int = 0) -> Iterator[Box]:
@@ -233,7 +235,8 @@ def cut_free(box: Box, others: Iterable[Any], gap: float = 0.002) -> Box | None:
     left = rows[:, 1].min(initial=box.width / 2, where=rows[:, 1] > 0)
     right = rows[:, 3].max(initial=-box.width / 2, where=rows[:, 3] < 0)
     if left - right < box.width - 2 * gap > 0:
-        part = box.part(*np.divide([-box.length, box.length], 2), right, left)
+        half = box.length / 2
+        part = box.part(-half, half, right, left)
         part = dataclasses.replace(part, width=part.width - 2 * gap)
         if part.width > 0:
             found.append(_cut_each(part, others, gap))

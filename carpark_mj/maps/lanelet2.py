@@ -114,9 +114,7 @@ def _add(plan: Plan, name: str, tags: Tags, shape: Any) -> None:
         plan.unknown[f"{kind} that closes no polygon"] += 1
     else:
         level = tags.get("level", "")
-        plan.features.append(
-            Feature(tag, shapely.make_valid(shape), name, level=level)
-        )
+        plan.features.append(Feature(tag, shapely.make_valid(shape), name, level=level))
 
 
 def _shape(way: Way) -> Any:

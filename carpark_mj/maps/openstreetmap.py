@@ -116,21 +116,17 @@ def _add_parking(
     if is_spot and shape.area and count <= 1:
         plan.features.append(Feature("bay", shape, name, kind, level=level))
         return
-    if tags.get("parking") in _COVERED:
+    if tags.get("parking") in _COVERED and not level:
         plan.features.append(Feature("drivable", shape, name))
         if count:
             where = f"{tags['parking']}, its {count} spots are not laid out"
             plan.notes.append(f"{name}: {where}")
         return
     is_row = is_spot or tags.get("parking") in _ROWS
-    plan.groups.append(
-        Group(name, shape, count, str(orientation), is_row, kind, level)
-    )
+    plan.groups.append(Group(name, shape, count, str(orientation), is_row, kind, level))
 
 
-def _lanes(
-    name: str, tags: Mapping[str, Any], line: Any, level: str
-) -> list[Feature]:
+def _lanes(name: str, tags: Mapping[str, Any], line: Any, level: str) -> list[Feature]:
     """The straight parts of a road."""
     oneway = str(tags.get("oneway", "no"))
     one_way = oneway in ("yes", "true", "1", "-1", "reverse", "True")

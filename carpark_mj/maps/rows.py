@@ -10,13 +10,15 @@ import numpy as np
 import shapely
 
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import Feature, Group, Plan
+from carpark_mj.maps.features import Feature, Group, Plan, on_same_level
 from carpark_mj.maps.fit import Box, leaning, parallelogram
 
 # Length and width [m] of bays across and along the road (`layouts.standards`, [rast]).
 ACROSS, ALONG = (5.0, 2.5), (6.0, 2.0)
 LONG, WIDE = (4.2, 7.5), (1.85, 4.2)  # m, of the pieces of a row
 NEAREST_ROAD = 12.0  # m from a road, for a spot drawn as a point
+NAMED = 5  # groups that a note names
+SURVEYED = 0.1  # of a spot that a row of full spots may lack
 WITHIN = 0.97  # share of a bay beside an aisle that must be in the car park
 SHARED = 0.3  # m2 that it may share with roads and other bays
 
@@ -30,28 +32,39 @@ def lay_out(plan: Plan) -> Plan:
     """
     features, lost, notes = list(plan.features), dict(plan.lost), list(plan.notes)
     roads = [one for one in plan.features if one.tag == "lane"]
+    ways = shapely.union_all([road.shape for road in roads])
+    walls = [
+        one.shape
+        for one in plan.features
+        if one.tag in ("wall", "kerb", "pillar") and not one.shape.intersects(ways)
+    ]
     points = [group for group in plan.groups if not group.shape.area]
     areas = [group for group in plan.groups if group.shape.area]
     drawn = [one.shape.centroid for one in features if one.tag == "bay"]
     drawn += [group.shape for group in points]
+    laid: list[str] = []
     # Smaller areas first: a row is often drawn inside its car park.
     for group in sorted(areas, key=lambda group: group.shape.area):
         if any(group.shape.covers(spot) for spot in drawn):
             features += [] if group.is_row else [_ground(group)]
             continue
-        pieces = [*divided(group)]
+        alone = group.is_row and group.count == 1
+        pieces = [group.shape] if alone else [*divided(group)]
         if not pieces and not group.is_row:
             features.append(_ground(group))
             others = [one.shape for one in features if one.tag == "bay"]
-            aisles = beside_aisles(group.shape, roads, others)
+            near = [road for road in roads if on_same_level(road, group)]
+            aisles = beside_aisles(group.shape, near, [*others, *walls])
             pieces = [*itertools.islice(aisles, group.count or None)]
         drawn += [piece.centroid for piece in pieces]
         features += [_bay(group, piece, k) for k, piece in enumerate(pieces)]
-        count = group.count or "an unknown number of"
-        if pieces:
-            notes.append(f"{group.name}: {len(pieces)} of {count} spots laid out")
-        elif group.count:
-            lost[group.name] = f"an area without a row or aisles for its spots: {count}"
+        if pieces and not alone:
+            told = f"{len(pieces)} of {group.count or '?'} in {group.name}"
+            laid.append(told)
+        elif not pieces and group.count:
+            lost[group.name] = (
+                f"an area without a row or aisles for its spots: {group.count}"
+            )
     beside = _across_roads(points, roads)
     for group, shape in zip(points, beside, strict=True):
         if shape is None or group.count > 1:
@@ -62,9 +75,14 @@ def lay_out(plan: Plan) -> Plan:
             )
         else:
             features.append(_bay(group, shape, 0))
+    if laid:
+        told = ", ".join(laid[:NAMED]) + ", ..." * (len(laid) > NAMED)
+        notes.append(f"spots laid out that are not drawn: {told}")
     if points:
         notes.append(f"{len(points)} spots are points: bays across the nearest road")
-    return dataclasses.replace(plan, features=features, lost=lost, groups=[], notes=notes)
+    return dataclasses.replace(
+        plan, features=features, lost=lost, groups=[], notes=notes
+    )
 
 
 def _ground(group: Group) -> Feature:
@@ -92,7 +110,7 @@ def divided(group: Group) -> Iterator[Any]:
                 continue
             length, width = ACROSS if across else ALONG
             pace = width if across else length
-            each = math.ceil(group.count / rows) or int(run / pace + 0.1)
+            each = math.ceil(group.count / rows) or int(run / pace + SURVEYED)
             if not each:
                 continue
             long, wide = (deep, run / each) if across else (run / each, deep)
@@ -123,7 +141,7 @@ def beside_aisles(area: Any, roads: list[Feature], taken: list[Any]) -> Iterator
                 continue
             first, last = np.asarray(part.coords)[[0, -1]]
             ahead = (last - first) / part.length
-            count = int(part.length / width)
+            count = int(part.length / width + SURVEYED)
             spare = (part.length - count * width) / 2
             for side, place in itertools.product((1.0, -1.0), range(count)):
                 out = side * np.array([-ahead[1], ahead[0]])
