@@ -11,13 +11,14 @@ import shapely
 
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.maps.features import Feature, Group, Plan, on_same_level
-from carpark_mj.maps.fit import Box, leaning, parallelogram
+from carpark_mj.maps.fit import Box, around, leaning, parallelogram
 
 # Length and width [m] of bays across and along the road (`layouts.standards`, [rast]).
 ACROSS, ALONG = (5.0, 2.5), (6.0, 2.0)
 LONG, WIDE = (4.2, 7.5), (1.85, 4.2)  # m, of the pieces of a row
 NEAREST_ROAD = 12.0  # m from a road, for a spot drawn as a point
 NAMED = 5  # groups that a note names
+FILLED = 0.8  # share of the rectangle around a row with other than four corners
 SURVEYED = 0.1  # of a spot that a row of full spots may lack
 WITHIN = 0.97  # share of a bay beside an aisle that must be in the car park
 SHARED = 0.3  # m2 that it may share with roads and other bays
@@ -27,8 +28,8 @@ def lay_out(plan: Plan) -> Plan:
     """Turns groups of spots into spots with outlines; notes say what was assumed.
 
     A point becomes a bay across the nearest road, a row is divided into its number of
-    spots, and in the rest of a car park bays stand on both sides of its aisles. Where
-    spots are drawn inside a group, they count alone.
+    spots, and in the rest of a car park bays stand on both sides of its aisles. Spots
+    drawn inside a group stay, and are all of it if it has no number.
     """
     features, lost, notes = list(plan.features), dict(plan.lost), list(plan.notes)
     roads = [one for one in plan.features if one.tag == "lane"]
@@ -45,26 +46,29 @@ def lay_out(plan: Plan) -> Plan:
     laid: list[str] = []
     # Smaller areas first: a row is often drawn inside its car park.
     for group in sorted(areas, key=lambda group: group.shape.area):
-        if any(group.shape.covers(spot) for spot in drawn):
-            features += [] if group.is_row else [_ground(group)]
-            continue
+        inside = sum(bool(group.shape.covers(spot)) for spot in drawn)
         alone = group.is_row and group.count == 1
         pieces = [group.shape] if alone else [*divided(group)]
-        if not pieces and not group.is_row:
-            features.append(_ground(group))
-            others = [one.shape for one in features if one.tag == "bay"]
+        is_row = group.is_row or bool(pieces)
+        features += [] if is_row else [_ground(group)]
+        if inside and not (group.count or group.is_row):
+            continue
+        others = [one.shape for one in features if one.tag == "bay"]
+        if is_row:
+            pieces = [piece for piece in pieces if _has_room(piece, others)]
+        else:
             near = [road for road in roads if on_same_level(road, group)]
-            aisles = beside_aisles(group.shape, near, [*others, *walls])
-            pieces = [*itertools.islice(aisles, group.count or None)]
+            pieces = beside_aisles(group.shape, near, [*others, *walls])
+        most = max(group.count - inside, 0) if group.count else None
+        pieces = [*itertools.islice(pieces, most)]
         drawn += [piece.centroid for piece in pieces]
         features += [_bay(group, piece, k) for k, piece in enumerate(pieces)]
         if pieces and not alone:
             told = f"{len(pieces)} of {group.count or '?'} in {group.name}"
             laid.append(told)
-        elif not pieces and group.count:
-            lost[group.name] = (
-                f"an area without a row or aisles for its spots: {group.count}"
-            )
+        elif not (pieces or inside) and (group.count or group.is_row):
+            count = group.count or "?"
+            lost[group.name] = f"an area without a row or aisles for its spots: {count}"
     beside = _across_roads(points, roads)
     for group, shape in zip(points, beside, strict=True):
         if shape is None or group.count > 1:
@@ -99,7 +103,7 @@ def divided(group: Group) -> Iterator[Any]:
 
     A row without a count has as many as have room.
     """
-    sides = parallelogram(group.shape)
+    sides = parallelogram(group.shape) or _bent(group.shape)
     if not sides or not (group.count or group.is_row or group.orientation):
         return
     centre, best, found = np.array(group.shape.centroid.coords[0]), math.inf, None
@@ -128,6 +132,19 @@ def divided(group: Group) -> Iterator[Any]:
         yield leaning(middle, row / each, depth / rows)
 
 
+def _bent(shape: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    """The sides of the rectangle around a shape that nearly fills it; else None."""
+    box = around(shape)
+    if shape.area < FILLED * box.length * box.width:
+        return None
+    ahead = np.array([math.cos(box.yaw), math.sin(box.yaw)])
+    return box.length * ahead, box.width * np.array([-ahead[1], ahead[0]])
+
+
+def _has_room(spot: Any, others: list[Any]) -> bool:
+    return all(spot.intersection(other).area <= SHARED for other in others)
+
+
 def beside_aisles(area: Any, roads: list[Feature], taken: list[Any]) -> Iterator[Any]:
     """Bays across the roads of a car park, on both sides, where they have room."""
     ground = shapely.union_all(
@@ -148,10 +165,8 @@ def beside_aisles(area: Any, roads: list[Feature], taken: list[Any]) -> Iterator
                 along = first + ahead * (spare + (place + 0.5) * width)
                 x, y = along + out * (road.width + length) / 2
                 bay = Box(x, y, math.atan2(out[1], out[0]), length, width).shape
-                met = [ground, *taken]
-                if bay.intersection(area).area > WITHIN * bay.area and not any(
-                    bay.intersection(other).area > SHARED for other in met
-                ):
+                in_area = bay.intersection(area).area > WITHIN * bay.area
+                if in_area and _has_room(bay, [ground, *taken]):
                     taken.append(bay)
                     yield bay
 

@@ -6,9 +6,17 @@ import math
 
 import numpy as np
 import pytest
-import shapely
-from helpers.map_texts import BAYS, COUNT, LANE, LENGTH, WIDTH, geojson, osm_xml, write
-from helpers.map_texts import rectangle
+from helpers.map_texts import (
+    BAYS,
+    COUNT,
+    LANE,
+    LENGTH,
+    WIDTH,
+    geojson,
+    osm_xml,
+    rectangle,
+    write,
+)
 
 from carpark_mj.cli.layouts import main
 
@@ -42,8 +50,16 @@ def leaning(angle, side, near, up=1, count=COUNT):
     step = WIDTH / math.sin(angle)
     x, y = side * math.cos(angle), side * math.sin(angle)
     return [
-        [(a, up * near), (b, up * near), (b + x, up * (near + y))]
-        + [(a + x, up * (near + y)), (a, up * near)]
+        [
+            (u, up * v)
+            for u, v in (
+                (a, near),
+                (b, near),
+                (b + x, near + y),
+                (a + x, near + y),
+                (a, near),
+            )
+        ]
         for a, b in itertools.pairwise(step * k for k in range(count + 1))
     ]
 
