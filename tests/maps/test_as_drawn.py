@@ -13,6 +13,7 @@ from helpers.map_texts import (
     LENGTH,
     WIDTH,
     geojson,
+    lanelet2,
     osm_xml,
     rectangle,
     write,
@@ -122,6 +123,23 @@ def test_spots_beside_aisles_fill_a_car_park(imported):
     assert len(drawn) == report.spots == 1
 
 
+def test_a_spot_drawn_in_a_row_takes_its_place(imported):
+    # As in Bratislava: a row beside the street, one of its spots drawn as accessible.
+    row = {"amenity": "parking", "parking": "street_side", "capacity": "6"}
+    shapes = [(rectangle(0, 3, 15, 8), row), (BAYS[2], SPOT | {"wheelchair": "yes"})]
+    bays, _, report = imported([*shapes, (LANE, ROAD)])
+    assert len(bays) == report.spots == COUNT
+
+
+def test_spots_below_the_ground_are_not_laid_out_along_its_roads(imported):
+    # As in Wil: an underground car park on a layer of its own below a bus station.
+    below = {"amenity": "parking", "parking": "underground", "capacity": "40"}
+    shapes = [(rectangle(-20, -20, 40, 30), below | {"layer": "-1"}), (LANE, ROAD)]
+    bays, _, report = imported([*shapes, *((bay, SPOT) for bay in BAYS)], level="0")
+    assert len(bays) == COUNT
+    assert "level -1" in str(report)
+
+
 def test_a_capacity_that_cannot_be_laid_out_is_told(imported):
     shapes = [(bay, SPOT) for bay in BAYS] + [(LANE, ROAD)]
     shapes += [(rectangle(40, 40, 70, 70), {"amenity": "parking", "capacity": "50"})]
@@ -223,9 +241,20 @@ def test_spots_behind_walls_are_told(tmp_path, capsys):
     assert "3 of 5 bays" in capsys.readouterr().out
 
 
-def test_lanelets_on_foot_are_no_lanes(tmp_path):
-    from helpers.map_texts import lanelet2
+def test_polygons_of_autoware_close(imported):
+    # A `parking_lot` does not come back to its first node, a `parking_space` is a line.
+    area = {"type": "parking_lot", "area": "yes"}
+    spot = {"type": "parking_space", "width": WIDTH}
+    spots = [
+        ([(WIDTH * (k + 0.5), 8), (WIDTH * (k + 0.5), 3)], spot) for k in (0, 1, 2)
+    ]
+    bays, starts, report = imported([(rectangle(-5, -5, 20, 9)[:-1], area), *spots])
+    assert np.allclose([box.size for box in bays], (LENGTH, WIDTH), atol=0.02)
+    assert starts
+    assert "around its spots" not in str(report)
 
+
+def test_lanelets_on_foot_are_no_lanes(tmp_path):
     text = lanelet2()
     lane = text[text.index("<relation id='0'>") : text.index("</osm>")]
     foot = lane.replace("id='0'", "id='-5'").replace(
