@@ -209,7 +209,10 @@ def _bays(
     near = drivable.buffer(NEAR)
     spots = [one.shape for one in features if one.tag == "bay"]
     roads = shapely.union_all([one.shape for one in features if one.tag == "lane"])
-    open_ground = drivable.difference(shapely.union_all(spots))
+    # Without strips that are too narrow for a car, as between two rows.
+    half = least[1] / 2
+    open_ground = drivable.difference(shapely.union_all(spots)).buffer(-half)
+    open_ground = open_ground.buffer(half, join_style="mitre")
     goals = [part for part in (open_ground, roads) if not part.is_empty]
     tree = shapely.STRtree(spots)
     found: list[tuple[Box, BayKind]] = []
