@@ -13,7 +13,7 @@ from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
-from carpark_mj.maps.features import Feature, Plan
+from carpark_mj.maps.features import Feature, Plan, commonest
 from carpark_mj.maps.fit import Box, around, best_fit, boxes, cut_free
 from carpark_mj.maps.lanes import joined_lanes
 
@@ -27,6 +27,7 @@ STRETCH = 0.1  # m by which a spot may be too short for the car
 SLIVER = 0.08  # m, thinner walls are dropped
 THINNEST = 0.02  # m, of a wall
 LEAST_START = 0.05  # m that a start is long and wide
+ROUND = 0.75  # of a column's radius that bays must leave, for it to be a disc
 MARGIN = 1.0  # m around everything
 
 
@@ -73,8 +74,7 @@ class Report:
             ("not understood", self.unknown),
         ):
             if counts:
-                listed = ", ".join(f"{n} {name}" for name, n in counts.most_common())
-                lines.append(f"{what}: {listed}")
+                lines.append(f"{what}: {commonest(counts)}")
         return "\n".join(lines)
 
 
@@ -233,9 +233,12 @@ def _solids(
         shape = one.shape.intersection(within)
         if shape.is_empty:
             report.outside[one.tag] += 1
-        elif one.tag == "pillar" and not shape.intersects(occupied):
+            continue
+        radius = float(np.sqrt(one.shape.area / np.pi))
+        room = one.shape.centroid.distance(occupied)
+        if one.tag == "pillar" and room > ROUND * radius:
             x, y = one.shape.centroid.coords[0]
-            discs.append((x, y, float(np.sqrt(one.shape.area / np.pi))))
+            discs.append((x, y, min(radius, room)))
         else:
             kind = WallKind.KERB if one.tag == "kerb" else WallKind.WALL
             kept[kind].append(shape)

@@ -1,5 +1,6 @@
 """A layout of a map file."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.layouts.types import Layout
@@ -9,21 +10,28 @@ from carpark_mj.maps.features import Plan
 FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
 
 
-def import_map(path: Path) -> tuple[Layout, Report]:
+def import_map(
+    path: Path, *, layers: Sequence[str] = (), unit: str = ""
+) -> tuple[Layout, Report]:
     """Reads a map: Lanelet2, OpenStreetMap, CommonRoad, GeoJSON, or DXF.
+
+    Args:
+        path: of the file.
+        layers: of a drawing, see `dxf.dxf_features`.
+        unit: of a drawing, in the place of its own.
 
     Raises:
         ValueError: no such map, or no valid lot in it; the message names the file.
     """
     try:
-        return assemble(read_plan(path))
+        return assemble(read_plan(path, layers=layers, unit=unit))
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-def read_plan(path: Path) -> Plan:
+def read_plan(path: Path, *, layers: Sequence[str] = (), unit: str = "") -> Plan:
     """The features of a map.
 
     Raises:
@@ -33,6 +41,8 @@ def read_plan(path: Path) -> Plan:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"a map must end in one of {', '.join(FORMATS)}")
+    if suffix != ".dxf" and (layers or unit):
+        raise ValueError("only drawings (.dxf) take --layer and --unit")
     if suffix in (".geojson", ".json"):
         from carpark_mj.maps.geojson import geojson_features
 
@@ -40,7 +50,7 @@ def read_plan(path: Path) -> Plan:
     if suffix == ".dxf":
         from carpark_mj.maps.dxf import dxf_features
 
-        return dxf_features(path)
+        return dxf_features(path, layers, unit)
     from carpark_mj.maps.commonroad import commonroad_features
     from carpark_mj.maps.lanelet2 import is_lanelet2, lanelet2_features
     from carpark_mj.maps.openstreetmap import osm_features

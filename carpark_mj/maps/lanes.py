@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import shapely
@@ -51,8 +52,9 @@ def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
             back, front = low[joined].min(), high[joined].max()
         free &= ~joined
         mean = float(np.average(width[joined], weights=length[joined]))
-        whole = Box(*middle[first], yaw[first], length[first], mean)
-        lanes.append(whole.part(back, front, -mean / 2, mean / 2))
+        x, y = (float(value) for value in middle[first])
+        whole = Box(x, y, float(yaw[first]), float(length[first]), mean)
+        lanes.append(whole.part(float(back), float(front), -mean / 2, mean / 2))
         with_it = np.cos(yaw[joined] - yaw[first]) >= 0
         one_way.append(bool((only[joined] & with_it).all()))
     return list(zip(_reaching(lanes), one_way, strict=True))
@@ -66,7 +68,7 @@ def _reaching(lanes: list[Box]) -> list[Box]:
     out = np.concatenate([ahead, -ahead])
     ends = np.tile(np.stack([x, y], axis=-1), (2, 1))
     ends = ends + out * np.tile(length / 2, 2)[:, None]
-    rays = shapely.linestrings(np.stack([ends, ends + GAP * out], axis=1))
+    rays: Any = shapely.linestrings(np.stack([ends, ends + GAP * out], axis=1))
     shapes = np.array([lane.shape for lane in lanes])
     ray, other = shapely.STRtree(shapes).query(rays, "intersects")
     ray, other = np.stack([ray, other])[:, ray % len(lanes) != other]

@@ -6,6 +6,7 @@ from typing import Any, get_args
 import shapely
 
 from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, Tag
+from carpark_mj.maps.fit import boxes
 from carpark_mj.maps.openstreetmap import add_by_tags
 
 
@@ -23,6 +24,8 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
         add_by_tags(plan, name, tags, shape)
     elif tag not in get_args(Tag):
         plan.unknown[f"tag={tag}"] += 1
+    elif tag == "lane" and shape.area:
+        _add_aisle(plan, name, shapely.make_valid(shape), bool(tags.get("one_way")))
     elif tag == "lane":
         road = {"highway": "service", "width": tags.get("width")}
         road["oneway"] = "yes" if tags.get("one_way") else "no"
@@ -36,3 +39,15 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
             plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
         else:
             plan.unknown[f"{tag} that is no area"] += 1
+
+
+def _add_aisle(plan: Plan, name: str, ground: Any, one_way: bool) -> None:
+    """Adds the ground of an aisle, and lanes along the rectangles that cover it."""
+    plan.features.append(Feature("drivable", ground, name))
+    for box in boxes(ground):
+        middle = box.part(-box.length / 2, box.length / 2, 0.0, 0.0)
+        corners = shapely.get_coordinates(middle.shape)
+        line = shapely.LineString(corners[:2])
+        plan.features.append(
+            Feature("lane", line, name, width=box.width, one_way=one_way)
+        )
