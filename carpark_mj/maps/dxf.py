@@ -117,7 +117,7 @@ def _add_bays(plan: Plan, dividers: list[Any]) -> None:
     for number, shape in enumerate(found):
         plan.features.append(Feature("bay", shape, f"between lines {number + 1}"))
     if idle := sum(
-        not bool(shapely.dwithin(line, np.array([*drawn, *found]), 0.1).any())
+        not shapely.dwithin(line, np.array([*drawn, *found], object), 0.1).any()
         for line in dividers
     ):
         plan.unknown["lines of bays between which there is none"] += idle

@@ -65,7 +65,7 @@ def bays_between(lines: Sequence[Any], taken: Sequence[Any] = ()) -> list[Any]:
 def _segments(lines: Sequence[Any]) -> np.ndarray:
     """The straight parts of lines."""
     pairs = [np.zeros((0, 2, 2))]
-    for line in shapely.get_parts(shapely.simplify(np.array(lines), STRAIGHT)):
+    for line in shapely.get_parts(shapely.simplify(np.array(lines, object), STRAIGHT)):
         points = shapely.get_coordinates(line)
         pairs.append(np.stack([points[:-1], points[1:]], axis=1))
     segments: Any = shapely.linestrings(np.concatenate(pairs))
@@ -121,7 +121,7 @@ def _between(
 
 def _apart(shapes: list[Any], taken: Sequence[Any]) -> list[Any]:
     """The shapes that overlap none before them and none of `taken`."""
-    every = np.array([*taken, *shapes])
+    every = np.array([*taken, *shapes], object)
     later, earlier = shapely.STRtree(every).query(every, "intersects")
     later, earlier = np.stack([later, earlier])[:, earlier < later]
     common = shapely.area(shapely.intersection(every[later], every[earlier]))

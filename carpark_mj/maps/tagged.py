@@ -1,5 +1,6 @@
 """Shapes that name what they are by a tag of ours."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, get_args
 
@@ -45,9 +46,8 @@ def _add_aisle(plan: Plan, name: str, ground: Any, one_way: bool) -> None:
     """Adds the ground of an aisle, and lanes along the rectangles that cover it."""
     plan.features.append(Feature("drivable", ground, name))
     for box in boxes(ground):
-        middle = box.part(-box.length / 2, box.length / 2, 0.0, 0.0)
-        corners = shapely.get_coordinates(middle.shape)
-        line = shapely.LineString(corners[:2])
+        dx, dy = (box.length / 2 * f(box.yaw) for f in (math.cos, math.sin))
+        line = shapely.LineString([(box.x - dx, box.y - dy), (box.x + dx, box.y + dy)])
         plan.features.append(
             Feature("lane", line, name, width=box.width, one_way=one_way)
         )
