@@ -18,7 +18,8 @@ UNEVEN = 0.75  # of the sides of a bay, the shorter to the longer
 STAGGER = 1.8  # of the sides to the width: bays at 30 deg or more to the aisle
 SHARED = 0.2  # of a bay, by which it may overlap another
 STRAIGHT = 0.05  # m, smaller bends of a line are none
-MOST_LINES = 5_000
+MOST_LINES = 3_000
+MOST_PAIRS = 10_000  # of lines with room for a bay between them
 
 
 def is_bay_sized(polygon: Any) -> bool:
@@ -84,7 +85,10 @@ def _between(
     """
     length = shapely.length(lines)
     lines = lines[(length >= side[0]) & (length <= 2 * side[1])]
-    first, second = shapely.STRtree(lines).query(lines, "dwithin", apart[1])
+    low_x, low_y, high_x, high_y = shapely.bounds(lines).T
+    far = apart[1]
+    near = shapely.box(low_x - far, low_y - far, high_x + far, high_y + far)
+    first, second = shapely.STRtree(lines).query(near)
     first, second = np.stack([first, second])[:, first < second]
     ends = shapely.get_coordinates(lines).reshape(-1, 2, 2)
     step, middle = ends[:, 1] - ends[:, 0], ends.mean(axis=1)
@@ -102,6 +106,8 @@ def _between(
         & (width <= apart[1])
         & (shift <= np.minimum(STAGGER * width, long / 2 + side[0] / 2))
     )
+    if kept.sum() > MOST_PAIRS:
+        raise ValueError(f"more than {MOST_PAIRS} pairs of lines may bound bays")
     order = np.argsort(width + SHARED * shift, kind="stable")
     found: list[Any] = []
     for pair in order[kept[order]]:

@@ -10,6 +10,9 @@ from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, Tag
 from carpark_mj.maps.fit import boxes
 from carpark_mj.maps.openstreetmap import add_by_tags
 
+NARROW = 2.0  # m, less of an aisle is no lane
+BEND = 0.25  # m, smaller bends of an aisle are straightened
+
 
 def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> None:
     """Adds a shape by its `tag`, or by the tags of OpenStreetMap if it has none.
@@ -45,7 +48,10 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
 def _add_aisle(plan: Plan, name: str, ground: Any, one_way: bool) -> None:
     """Adds the ground of an aisle, and lanes along the rectangles that cover it."""
     plan.features.append(Feature("drivable", ground, name))
-    for box in boxes(ground):
+    # Without its narrow corners and small bends.
+    wide = ground.buffer(-NARROW / 2, join_style="mitre")
+    wide = wide.buffer(NARROW / 2, join_style="mitre").simplify(BEND)
+    for box in boxes(wide):
         dx, dy = (box.length / 2 * f(box.yaw) for f in (math.cos, math.sin))
         line = shapely.LineString([(box.x - dx, box.y - dy), (box.x + dx, box.y + dy)])
         plan.features.append(

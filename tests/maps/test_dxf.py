@@ -91,6 +91,13 @@ def test_lines_that_bound_no_bay_give_none():
     assert bays_between(comb(), [shapely.box(-1, -1, 20, 6)]) == []
 
 
+def test_lines_without_number_are_refused():
+    with pytest.raises(ValueError, match="lines divide bays"):
+        bays_between(comb(pitch=9.0, count=3000))
+    with pytest.raises(ValueError, match="pairs of lines"):
+        bays_between(comb(pitch=0.02, count=300))
+
+
 def drawing(units=6):
     """An empty drawing in metres, and its model space."""
     new = ezdxf.new("R2010", units=units)
