@@ -98,7 +98,13 @@ def dxf_features(path: Path, layers: Sequence[str] = (), unit: str = "") -> Plan
     except ValueError as error:
         raise ValueError(f"{error}, or give its --unit") from None
     dividers: list[Any] = []
+    drawn: set[Any] = set()
     for name, points, tags in found:
+        # A hatch has its outline beside it.
+        corners = frozenset(map(tuple, np.round(points - middle, 2).tolist()))
+        if (tags["tag"], corners) in drawn:
+            continue
+        drawn.add((tags["tag"], corners))
         closed = len(points) > 3 and np.ptp(points[[0, -1]], axis=0).max() < 1e-3
         kind = shapely.Polygon if closed else shapely.LineString
         shape = kind(points - middle)

@@ -169,6 +169,15 @@ def test_any_entity_may_be_on_a_known_layer(tmp_path):
     assert dict(plan.unknown) == {"TEXT on layer stall": 1}
 
 
+def test_a_hatch_and_its_outline_are_one_stall(tmp_path):
+    new, model = drawing()
+    outline = [(0, 0), (WIDTH, 0), (WIDTH, LENGTH), (0, LENGTH)]
+    model.add_lwpolyline(outline, close=True, dxfattribs={"layer": "stall"})
+    hatch = model.add_hatch(dxfattribs={"layer": "stall"})
+    hatch.paths.add_polyline_path(outline[2:] + outline[:2])
+    assert len(read_plan(saved(tmp_path, new)).features) == 1
+
+
 def test_the_ground_of_an_aisle_gives_its_lanes(tmp_path):
     new, model = drawing()
     draw_lines(model, comb(), "PARKING")
