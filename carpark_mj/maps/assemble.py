@@ -14,7 +14,7 @@ from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
 from carpark_mj.maps.access import free_starts, ground_around, walled_off
-from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan
+from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, commonest
 from carpark_mj.maps.fit import Box, around, best_fits, boxes, cut_free
 from carpark_mj.maps.lanes import joined_lanes
 
@@ -32,6 +32,7 @@ NAMED = 5  # spots of a kind that the report names
 LEANING = 0.02  # share of a bay outside the outline of a spot that leans
 NOSE = 0.3  # m to spare in a bay that is led out into the aisle
 AHEAD = 1.0  # m in front of a spot, where its aisle is
+ROUND = 0.75  # of a column's radius that bays must leave, for it to be a disc
 MARGIN = 1.0  # m around everything
 
 
@@ -88,8 +89,7 @@ class Report:
             ("not understood", self.unknown),
         ):
             if counts:
-                listed = ", ".join(f"{n} {name}" for name, n in counts.most_common())
-                lines.append(f"{what}: {listed}")
+                lines.append(f"{what}: {commonest(counts)}")
         return "\n".join(lines)
 
 
@@ -318,9 +318,12 @@ def _solids(
         shape = shape.intersection(within)
         if shape.is_empty:
             report.outside[one.tag] += 1
-        elif one.tag == "pillar" and not shape.intersects(occupied):
+            continue
+        radius = float(np.sqrt(one.shape.area / np.pi))
+        room = one.shape.centroid.distance(occupied)
+        if one.tag == "pillar" and room > ROUND * radius:
             x, y = one.shape.centroid.coords[0]
-            discs.append((x, y, float(np.sqrt(one.shape.area / np.pi))))
+            discs.append((x, y, min(radius, room)))
         else:
             kind = WallKind.KERB if one.tag == "kerb" else WallKind.WALL
             kept[kind].append(shape)

@@ -8,6 +8,7 @@ from carpark_mj.layouts.types import BayKind
 
 Tag = Literal["bay", "lane", "wall", "kerb", "pillar", "drivable", "start"]
 
+MOST_KINDS = 10  # named in a message
 LINE_THICKNESS = 0.2  # m of walls and kerbs drawn as lines
 
 
@@ -129,3 +130,12 @@ def on_same_level(road: Feature, group: Group) -> bool:
 
 def _levels(one: Feature | Group, default: str) -> list[str]:
     return [name.strip() for name in (one.level or default).split(";")]
+
+
+def commonest(counts: Counter[str]) -> str:
+    """The commonest kinds with their numbers, and how many others there are."""
+    named = [f"{number} {kind}" for kind, number in counts.most_common(MOST_KINDS)]
+    if more := len(counts) - len(named):
+        rest = counts.total() - sum(n for _, n in counts.most_common(MOST_KINDS))
+        named.append(f"{rest} of {more} other kinds")
+    return ", ".join(named)

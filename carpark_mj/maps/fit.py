@@ -16,6 +16,7 @@ ALIKE = 0.75  # ... if its sides have at least this ratio
 SLACK = 0.5  # m by which the rectangle of a wall may be thicker than the wall
 EPSILON = 1e-4  # m by which a cut reaches beyond the polygon
 DEEPEST = 16  # cuts of one polygon within each other
+MOST_CORNERS = 150  # of a polygon that is cut at its corners, each of which is tried
 REFLEX = math.radians(5.0)  # beyond 180 deg, of a corner worth a cut
 
 
@@ -156,7 +157,8 @@ def _between(centre: Any, along: np.ndarray, aside: np.ndarray) -> Box:
 def boxes(polygon: Any, depth: int = 0) -> Iterator[Box]:
     """Rectangles that cover a polygon and reach at most `SLACK` beyond it.
 
-    It is cut where it has a hole or a reflex corner, and else across its length.
+    It is cut where it has a hole or a reflex corner, and else across its length, as
+    long as it has many corners too.
     """
     if polygon.geom_type != "Polygon":
         for part in getattr(polygon, "geoms", ()):
@@ -170,7 +172,8 @@ def boxes(polygon: Any, depth: int = 0) -> Iterator[Box]:
         yield box
         return
     across = _line(box.x, box.y, box.yaw + math.pi / 2, 2 * box.length, both=True)
-    for cut in (*_cuts(polygon), across):
+    plain = shapely.get_num_coordinates(polygon) <= MOST_CORNERS
+    for cut in (*(_cuts(polygon) if plain else ()), across):
         parts = ops.split(polygon, cut).geoms
         if len(parts) > 1:
             for part in parts:

@@ -13,6 +13,7 @@ from carpark_mj.maps.frame import require_near, to_metres
 from carpark_mj.reading import read_bytes
 
 Tags = dict[str, str]
+MOST_PIECES = 500  # lines that form a polygon together
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,13 +149,13 @@ def _places(elements: list[Any], tags: list[Tags]) -> np.ndarray:
 
 
 def joined(pieces: list[Any]) -> Any:
-    """The polygon that lines form together; None if they do not form one.
+    """The polygon that lines form together; None if they do not, or are too many.
 
     Args:
         pieces: shapely lines and polygons.
     """
     lines = [getattr(piece, "exterior", piece) for piece in pieces]
-    if not lines:
+    if not 0 < len(lines) <= MOST_PIECES:
         return None
     rings: Any = shapely.polygonize([shapely.union_all(lines)]).geoms
     # What closes rings within each other is one polygon without holes.

@@ -10,6 +10,7 @@ SHAPES = {
     "L": shapely.box(0, 0, 10, 1).union(shapely.box(0, 0, 1, 8)),
     "ring": shapely.box(0, 0, 10, 8).difference(shapely.box(1, 1, 9, 7)),
     "arc": shapely.Point(0, 0).buffer(10).boundary.buffer(0.5),
+    "fine arc": shapely.Point(0, 0).buffer(10, quad_segs=150).boundary.buffer(0.5),
     "triangle": shapely.Polygon([(0, 0), (10, 0), (0, 5)]),
 }
 
