@@ -3,6 +3,7 @@
 carpark_mj layouts --plot lots.png
 carpark_mj layouts --check 1000 --run 20
 carpark_mj layouts street my_lot.json --check 1000
+carpark_mj layouts my_lot.json --check 1 --paths 20
 carpark_mj layouts lot --seed 3 --save lot.json
 carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
 carpark_mj layouts import car_park.osm --out lot.json
@@ -125,6 +126,32 @@ def check(
     return found
 
 
+def check_paths(
+    layout: LayoutConfig | str, num_keys: int, seed: int, paths: int, vehicle: str = ""
+) -> list[str]:
+    """Bays that the planner finds no path to, a sentence for each lot with any.
+
+    Args:
+        layout: a name, a file or a config.
+        num_keys: how many lots.
+        seed: of the keys, the bays drawn and the searches.
+        paths: bays of each lot, drawn at random if it has more.
+        vehicle: a preset or file; `compact` by default.
+    """
+    from carpark_mj.planning.reach import unreached
+    from carpark_mj.vehicle import preset
+
+    found = []
+    for number, drawn in enumerate(draw(layout, num_keys, seed)):
+        tried, missed = unreached(drawn, preset(vehicle or "compact"), paths, seed)
+        if missed:
+            found.append(
+                f"key {number}: no path found to {len(missed)} of {len(tried)} bays: "
+                f"{', '.join(map(str, missed))}"
+            )
+    return found
+
+
 def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
     """MuJoCo's warnings while the scenes of `num_keys` keys run, a sentence each."""
     return [
@@ -156,6 +183,8 @@ class LayoutsConfig:
         plot: picture to write, with two lots of each random layout named, or one of
             every family.
         check: number of lots of each layout to check.
+        paths: number of bays of each checked lot, drawn at random, to which the planner
+            must find a path; it needs the extra `planner`.
         vehicle: preset or file of the car that must fit into bays and spawn regions of
             the checked lots; by default their design car.
         run: number of scenes of each layout to run.
@@ -169,6 +198,7 @@ class LayoutsConfig:
     ] = ()
     plot: str = ""
     check: int = 0
+    paths: int = 0
     vehicle: str = ""
     run: int = 0
     save: str = ""
@@ -176,11 +206,9 @@ class LayoutsConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("check", "run"):
-            if not 0 <= getattr(self, name) <= MAX_LOTS:
-                raise ValueError(
-                    f"--{name} takes 0 to {MAX_LOTS} lots, not {getattr(self, name)}"
-                )
+        for name, what in (("check", "lots"), ("run", "lots"), ("paths", "bays")):
+            if not 0 <= (number := getattr(self, name)) <= MAX_LOTS:
+                raise ValueError(f"--{name} takes 0 to {MAX_LOTS} {what}, not {number}")
         require_seed(self.seed)
         if not (self.plot or self.check or self.run or self.save):
             raise ValueError(
@@ -188,7 +216,7 @@ class LayoutsConfig:
                 "(N > 0)"
             )
         if not self.check:
-            require_unset(self, "without --check", "vehicle")
+            require_unset(self, "without --check", "vehicle", "paths")
         if not self.save:
             require_unset(self, "without --save", "crop")
         if self.plot and Path(self.plot).suffix not in PICTURES:
@@ -232,8 +260,10 @@ def look(config: LayoutsConfig) -> bool:
     sound = True
     for name, layout in shown.items():
         checked = partial(check, vehicle=config.vehicle)
+        reached = partial(check_paths, paths=config.paths, vehicle=config.vehicle)
         inspections = (
             (checked, config.check, "problems"),
+            (reached, config.check if config.paths else 0, "with bays out of reach"),
             (run, config.run, "warnings"),
         )
         for inspect, number, what in inspections:

@@ -2,6 +2,7 @@
 
 carpark_mj layouts import car_park.osm --out lot.json
 carpark_mj layouts import car_park.geojson --out part.json --crop -20 -10 20 10
+carpark_mj layouts import plan.dxf --out lot.json --unit mm --layer stall=STELLPLATZ
 """
 
 import dataclasses
@@ -30,11 +31,27 @@ class ImportConfig:
         out: layout file to write.
         crop: x and y of two opposite corners [m] of the part to take, in the frame of
             the whole lot.
+        level: of a car park with several, as the map names it; the one with most spots
+            by default.
+        crs: coordinate reference system of a GeoJSON file that does not name its own,
+            such as EPSG:25832.
+        layer: of a drawing, WORD=TEXT: the layers whose names contain the text hold
+            stalls, aisles, walls, kerbs, columns, drivable ground or starts; may be
+            repeated.
+        unit: of a drawing without one, or with a wrong one: mm, cm, m, in or ft.
     """
 
     map: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     out: str
     crop: tuple[float, float, float, float] | None = None
+    level: str | None = None
+    crs: str | None = None
+    layer: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="WORD=TEXT"),
+    ] = ()
+    unit: str = ""
 
     def __post_init__(self) -> None:
         if not self.out.endswith(".json"):
@@ -47,7 +64,13 @@ def make(config: ImportConfig) -> None:
     try:
         from carpark_mj.maps.importing import import_map
 
-        layout, report = import_map(Path(config.map))
+        layout, report = import_map(
+            Path(config.map),
+            level=config.level,
+            crs=config.crs,
+            layers=config.layer,
+            unit=config.unit,
+        )
     except ImportError as error:  # each format imports its own
         raise ValueError(
             f"maps need {error.name}: pip install 'carpark_mj[maps]'"

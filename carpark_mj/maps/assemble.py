@@ -13,8 +13,9 @@ from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
-from carpark_mj.maps.features import Feature, Plan
-from carpark_mj.maps.fit import Box, around, best_fit, boxes, cut_free
+from carpark_mj.maps.access import free_starts, ground_around, walled_off
+from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, commonest
+from carpark_mj.maps.fit import Box, around, best_fits, boxes, cut_free
 from carpark_mj.maps.lanes import joined_lanes
 
 MOST_BAYS = 500
@@ -27,6 +28,11 @@ STRETCH = 0.1  # m by which a spot may be too short for the car
 SLIVER = 0.08  # m, thinner walls are dropped
 THINNEST = 0.02  # m, of a wall
 LEAST_START = 0.05  # m that a start is long and wide
+NAMED = 5  # spots of a kind that the report names
+LEANING = 0.02  # share of a bay outside the outline of a spot that leans
+NOSE = 0.3  # m to spare in a bay that is led out into the aisle
+AHEAD = 1.0  # m in front of a spot, where its aisle is
+ROUND = 0.75  # of a column's radius that bays must leave, for it to be a disc
 MARGIN = 1.0  # m around everything
 
 
@@ -43,6 +49,7 @@ class Report:
         stretched: names of spots lengthened into the aisle to hold the car, and left to
             parked cars.
         turned: angle by which the map was turned to the rows of its bays [rad].
+        notes: sentences on what was assumed.
     """
 
     spots: int = 0
@@ -52,6 +59,7 @@ class Report:
     errors: list[float] = dataclasses.field(default_factory=list)
     stretched: list[str] = dataclasses.field(default_factory=list)
     turned: float = 0.0
+    notes: list[str] = dataclasses.field(default_factory=list)
 
     def __str__(self) -> str:
         """The report as lines of text."""
@@ -60,8 +68,16 @@ class Report:
             f"{len(self.errors)} of {self.spots} spots imported; their rectangles are "
             f"off by {mean:.2f} m on average, {worst:.2f} m at most",
             f"turned by {np.degrees(self.turned):.1f} deg to its rows",
-            *(f"spot {name} left out: {why}" for name, why in self.lost.items()),
+            *self.notes,
         ]
+        left: dict[str, list[str]] = {}
+        for name, why in self.lost.items():
+            kind, _, detail = why.partition(": ")
+            told = f"{name} ({detail})" if detail else name
+            left.setdefault(kind, []).append(told)
+        for kind, names in left.items():
+            told = ", ".join(names[:NAMED]) + ", ..." * (len(names) > NAMED)
+            lines.append(f"left out, {kind}: {len(names)} spots, {told}")
         if self.stretched:
             lines.append(
                 f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "
@@ -73,8 +89,7 @@ class Report:
             ("not understood", self.unknown),
         ):
             if counts:
-                listed = ", ".join(f"{n} {name}" for name, n in counts.most_common())
-                lines.append(f"{what}: {listed}")
+                lines.append(f"{what}: {commonest(counts)}")
         return "\n".join(lines)
 
 
@@ -82,25 +97,27 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
     """Makes a layout of a map, its middle at the origin and its rows along x or y.
 
     Raises:
-        ValueError: no spot that a car can reach, too many of them, or nowhere to start.
+        ValueError: no spot can be a bay, there are too many, or nowhere is room to
+            start.
     """
-    report = Report(lost=dict(plan.lost), unknown=plan.unknown)
+    report = Report(lost=dict(plan.lost), unknown=plan.unknown, notes=[*plan.notes])
     found = Counter(feature.tag for feature in plan.features)
     report.spots = found["bay"] + len(plan.lost)
     if not found["bay"]:
-        raise ValueError("the map has no parking spot with an outline")
+        raise ValueError(f"the map has no parking spot{_reasons(report)}")
     if found["bay"] > MOST_BAYS:
         raise ValueError(f"the map has {found['bay']} spots; at most {MOST_BAYS}")
-    if not found["lane"] + found["start"]:
-        raise ValueError("the map has no lane, aisle or start, so cars have no way in")
     features = _turned(plan.features, report)
+    spots = [one.shape for one in features if one.tag == "bay"]
     drivable = shapely.union_all(
         [_ground(one) for one in features if one.tag in ("lane", "drivable", "start")]
     )
+    if drivable.is_empty:
+        drivable = ground_around(spots)
+        report.notes.append("the map has no ground to drive on: taken around its spots")
     bays = _bays(features, drivable, report)
     if not bays:
-        reasons = "; ".join(sorted(set(report.lost.values()))[:3])
-        raise ValueError(f"no spot of the map can be a bay ({reasons})")
+        raise ValueError(f"no spot of the map can be a bay{_reasons(report)}")
     taken = [box.shape for box, _ in bays]
     ground = shapely.union_all([drivable, *taken])
     solids, discs = _solids(features, ground, taken, report)
@@ -118,10 +135,30 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
     starts = [_start(one) for one in features if one.tag == "start"]
     starts += [lane for lane, _ in lanes]
     starts += [lane.turned() for lane, one_way in lanes if not one_way]
+    starts = [box for box in starts if _room(box).min() > LEAST_START]
+    if not starts:
+        free = free_starts(drivable, [*taken, *standing])
+        free = [box for box in free if _room(box).min() > LEAST_START]
+        starts = [turned for box in free for turned in (box, box.turned())]
+        why = "no lane has room for a car" if lanes else "the map has no lane"
+        report.notes.append(f"{why}: cars start on free ground")
+    if not starts:
+        raise ValueError("the map has no room for a car to start in")
+    if closed := walled_off([box for box, _ in bays], starts, standing):
+        report.notes.append(
+            f"warning: walls keep cars that start in the lot from {len(closed)} of "
+            f"{len(bays)} bays"
+        )
     layout = _layout(bays, solids, discs, lanes, starts)
     if faults := describe_faults(layout):
         raise ValueError(f"no valid layout comes of the map: {'; '.join(faults)}")
     return layout, report
+
+
+def _reasons(report: Report) -> str:
+    """Why spots were left out, in brackets; empty if none was."""
+    reasons = "; ".join(sorted(set(report.lost.values()))[:3])
+    return f" ({reasons})" if reasons else ""
 
 
 def _ground(feature: Feature) -> Any:
@@ -135,6 +172,17 @@ def _start(feature: Feature) -> Box:
     box = around(feature.shape)
     against = feature.yaw is not None and np.cos(box.yaw - feature.yaw) < 0
     return box.turned() if against else box
+
+
+def _room(box: Box) -> np.ndarray:
+    """Length and width (2,) in which the centre of a starting car may lie [m]."""
+    car, spread = DesignCar(), build.LANE_SPREAD
+    ahead, aside = np.cos(spread), np.sin(spread)
+    swept = (
+        car.length * ahead + car.width * aside,
+        car.width * ahead + car.length * aside,
+    )
+    return np.subtract(box.size, swept)
 
 
 def _turned(features: list[Feature], report: Report) -> list[Feature]:
@@ -159,16 +207,24 @@ def _bays(
     """Rectangles of the spots, heading out into the aisle."""
     least = DesignCar().size
     near = drivable.buffer(NEAR)
+    spots = [one.shape for one in features if one.tag == "bay"]
+    roads = shapely.union_all([one.shape for one in features if one.tag == "lane"])
+    # Without strips that are too narrow for a car, as between two rows.
+    half = least[1] / 2
+    open_ground = drivable.difference(shapely.union_all(spots)).buffer(-half)
+    open_ground = open_ground.buffer(half, join_style="mitre")
+    goals = [part for part in (open_ground, roads) if not part.is_empty]
+    tree = shapely.STRtree(spots)
     found: list[tuple[Box, BayKind]] = []
     taken: list[Any] = []
     for one in features:
         if one.tag != "bay":
             continue
-        box, error = best_fit(one.shape)
-        if error > WORST_FIT:
+        fits = best_fits(one.shape)
+        if (error := fits[0][1]) > WORST_FIT:
             report.lost[one.name] = f"no rectangle: {error:.2f} m off the best one"
             continue
-        box = _facing(box, drivable)
+        box = _facing([box for box, _ in fits], goals, found[-1][0].yaw if found else 0)
         short = box.length < least[0] < box.length + STRETCH
         if short:  # what stands behind it stays
             back, side = -box.length / 2, box.width / 2
@@ -184,16 +240,20 @@ def _bays(
             report.lost[one.name] = "covered by another spot"
             continue
         free = cut_free(box, others)
+        met = [spots[k] for k in tree.query(box.shape) if spots[k] is not one.shape]
+        if box.shape.difference(one.shape).area > LEANING * box.shape.area:
+            # It leans: it ends at the spots behind it, and a car's nose stands out.
+            free = _led_out(cut_free(box, [*met, *others]), box, others)
         size = free.size if free else (0.0, 0.0)
         if free is None or size[0] < least[0] or size[1] < least[1]:
             report.lost[one.name] = (
-                f"{size[0]:.2f} x {size[1]:.2f} m, smaller than the car of "
-                f"{least[0]:g} x {least[1]:g} m"
+                f"smaller than the car of {least[0]:g} x {least[1]:g} m: "
+                f"{size[0]:.2f} x {size[1]:.2f} m"
             )
             continue
         if max(size) > PLAUSIBLE_BAY[1]:
             report.lost[one.name] = (
-                f"{size[0]:.1f} m long, more than {PLAUSIBLE_BAY[1]:g} m"
+                f"longer than {PLAUSIBLE_BAY[1]:g} m: {size[0]:.1f} m"
             )
             continue
         report.errors.append(float(shapely.hausdorff_distance(one.shape, free.shape)))
@@ -204,15 +264,29 @@ def _bays(
     return found
 
 
-def _facing(box: Box, drivable: Any) -> Box:
-    """The rectangle with the end in front that is nearer to the drivable ground."""
-    half = box.length / 2
-    ends = [
-        shapely.Point(box.x + s * np.cos(box.yaw), box.y + s * np.sin(box.yaw))
-        for s in (half + 1.0, -half - 1.0)
-    ]
-    ahead, behind = (end.distance(drivable) for end in ends)
-    return box.turned() if behind < ahead else box
+def _led_out(free: Box | None, box: Box, others: list[Any]) -> Box | None:
+    """What is left of a rectangle, lengthened in front to hold the car again."""
+    length = min(box.length, DesignCar().length + NOSE)
+    if free is None or free.length >= length:
+        return free
+    back, side = -free.length / 2, free.width / 2
+    return cut_free(free.part(back, back + length, -side, side), others)
+
+
+def _facing(found: list[Box], goals: list[Any], yaw: float) -> Box:
+    """The rectangle, and the end of it in front, that leads to the first goals.
+
+    Where neither end is nearer to them, it is the one in the direction `yaw`.
+    """
+
+    def away(box: Box) -> list[float]:
+        reach = box.length / 2 + AHEAD
+        x, y = box.x + reach * np.cos(box.yaw), box.y + reach * np.sin(box.yaw)
+        # Less than a decimetre is no difference between the ends of a spot.
+        gaps = [round(goal.distance(shapely.Point(x, y)), 1) for goal in goals]
+        return [*gaps, -round(float(np.cos(box.yaw - yaw)), 3)]
+
+    return min([turned for box in found for turned in (box, box.turned())], key=away)
 
 
 _Disc = tuple[float, float, float]
@@ -227,15 +301,29 @@ def _solids(
     tree = shapely.STRtree(taken)
     kept: dict[WallKind, list[Any]] = {WallKind.WALL: [], WallKind.KERB: []}
     discs: list[_Disc] = []
+    roads = [one for one in features if one.tag == "lane"]
     for one in features:
         if one.tag not in ("wall", "kerb", "pillar"):
             continue
-        shape = one.shape.intersection(within)
+        shape = one.shape
+        if one.tag != "pillar":
+            if len(tree.query(shape, "contains")):
+                # What stands around spots is drawn by its outline.
+                shape = shape.boundary.buffer(LINE_THICKNESS / 2)
+                report.notes.append(f"{one.tag} {one.name} is an outline around spots")
+            for road in roads:
+                if len(shapely.get_parts(road.shape.difference(shape))) > 1:
+                    way = road.shape.intersection(shape)
+                    shape = shape.difference(way.buffer(road.width / 2))
+        shape = shape.intersection(within)
         if shape.is_empty:
             report.outside[one.tag] += 1
-        elif one.tag == "pillar" and not shape.intersects(occupied):
+            continue
+        radius = float(np.sqrt(one.shape.area / np.pi))
+        room = one.shape.centroid.distance(occupied)
+        if one.tag == "pillar" and room > ROUND * radius:
             x, y = one.shape.centroid.coords[0]
-            discs.append((x, y, float(np.sqrt(one.shape.area / np.pi))))
+            discs.append((x, y, min(radius, room)))
         else:
             kind = WallKind.KERB if one.tag == "kerb" else WallKind.WALL
             kept[kind].append(shape)
@@ -275,16 +363,8 @@ def _layout(
         pose = np.array([box.pose for box in found]).reshape(-1, 3) - middle
         return pose, np.array([box.size for box in found]).reshape(-1, 2)
 
-    pose, size = placed(starts)
-    car, spread = DesignCar(), build.LANE_SPREAD
-    swept = (
-        car.length * np.cos(spread) + car.width * np.sin(spread),
-        car.width * np.cos(spread) + car.length * np.sin(spread),
-    )
-    room = size - swept
-    fits = (room > LEAST_START).all(axis=1)
-    if not fits.any():
-        raise ValueError("no lane of the map has room for a car to start in")
+    pose, _ = placed(starts)
+    room = np.array([_room(box) for box in starts])
     rows = np.array(discs).reshape(-1, 3)
 
     def columns(found: list[tuple[Box, Any]], part: str, kind: type) -> dict[str, Any]:
@@ -302,6 +382,6 @@ def _layout(
             "walls": columns(solids, "kind", int),
             "discs": {"centre": rows[:, :2] - middle[:2], "radius": rows[:, 2]},
             "lanes": columns(lanes, "one_way", bool),
-            "spawns": {"pose": pose[fits], "size": room[fits], "spread": spread},
+            "spawns": {"pose": pose, "size": room, "spread": build.LANE_SPREAD},
         },
     )

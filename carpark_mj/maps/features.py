@@ -8,6 +8,7 @@ from carpark_mj.layouts.types import BayKind
 
 Tag = Literal["bay", "lane", "wall", "kerb", "pillar", "drivable", "start"]
 
+MOST_KINDS = 10  # named in a message
 LINE_THICKNESS = 0.2  # m of walls and kerbs drawn as lines
 
 
@@ -23,6 +24,7 @@ class Feature:
         width: of a lane [m].
         one_way: whether a lane is driven along its line only.
         yaw: heading of a start that has one [rad].
+        level: floors that it belongs to, separated by semicolons; all if empty.
     """
 
     tag: Tag
@@ -32,6 +34,31 @@ class Feature:
     width: float = 0.0
     one_way: bool = False
     yaw: float | None = None
+    level: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Spots that are given by their number or place instead of their outlines.
+
+    Attributes:
+        name: its name in the map.
+        shape: a shapely polygon around the spots and maybe their aisles, or the point
+            of one spot [m].
+        count: of spots; 0 if the map does not say.
+        orientation: `parallel`, `perpendicular` or `diagonal` to the road, or empty.
+        is_row: whether the polygon holds spots alone, without an aisle.
+        kind: of the spots.
+        level: as of `Feature`.
+    """
+
+    name: str
+    shape: Any
+    count: int = 0
+    orientation: str = ""
+    is_row: bool = False
+    kind: BayKind = BayKind.STANDARD
+    level: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,8 +69,73 @@ class Plan:
         features: in the map's order, metres.
         unknown: numbers of unknown elements by kind.
         lost: spots that cannot become shapes, with the reason, by their names.
+        groups: spots without outlines, which `rows.lay_out` turns into features.
+        notes: sentences on what was assumed.
     """
 
     features: list[Feature] = dataclasses.field(default_factory=list)
     unknown: Counter[str] = dataclasses.field(default_factory=Counter)
     lost: dict[str, str] = dataclasses.field(default_factory=dict)
+    groups: list[Group] = dataclasses.field(default_factory=list)
+    notes: list[str] = dataclasses.field(default_factory=list)
+
+
+def on_level(plan: Plan, level: str | None = None) -> Plan:
+    """The part of a plan on one level: by default the one with most spots.
+
+    Spots without a level are on the ground, level 0; all else without one is on every
+    level.
+
+    Raises:
+        ValueError: no spot is on the level.
+    """
+    spots = [one for one in plan.features if one.tag == "bay"]
+    counts = Counter[str]()
+    for spot in spots:
+        counts.update(_levels(spot, "0"))
+    for group in plan.groups:
+        for found in _levels(group, "0"):
+            counts[found] += max(group.count, 1)
+    if level is not None and counts and level not in counts:
+        raise ValueError(
+            f"no spot is on level {level}; there are {', '.join(sorted(counts))}"
+        )
+    chosen = level or max(counts, key=lambda name: counts[name], default="0")
+    ground = {id(one) for one in spots}
+    kept, lost, unknown = [], dict(plan.lost), plan.unknown.copy()
+    for one in plan.features:
+        if chosen in _levels(one, "0" if id(one) in ground else chosen):
+            kept.append(one)
+        elif one.tag == "bay":
+            lost[one.name] = f"on level {one.level or 0}, not {chosen}"
+        else:
+            unknown[f"{one.tag} on another level"] += 1
+    groups = []
+    for group in plan.groups:
+        if chosen in _levels(group, "0"):
+            groups.append(group)
+        elif group.count or not group.shape.area:
+            lost[group.name] = f"on level {group.level or 0}, not {chosen}"
+    notes = list(plan.notes)
+    if len(counts) > 1:
+        told = ", ".join(f"{name or '?'} ({n})" for name, n in counts.most_common())
+        notes.append(f"level {chosen} of these, by their spots: {told}; see --level")
+    return Plan(kept, unknown, lost, groups, notes)
+
+
+def on_same_level(road: Feature, group: Group) -> bool:
+    """Whether a road is on a group's level; on the ground if the map does not say."""
+    return bool({*_levels(road, "0")} & {*_levels(group, "0")})
+
+
+def _levels(one: Feature | Group, default: str) -> list[str]:
+    return [name.strip() for name in (one.level or default).split(";")]
+
+
+def commonest(counts: Counter[str]) -> str:
+    """The commonest kinds with their numbers, and how many others there are."""
+    named = [f"{number} {kind}" for kind, number in counts.most_common(MOST_KINDS)]
+    if more := len(counts) - len(named):
+        rest = counts.total() - sum(n for _, n in counts.most_common(MOST_KINDS))
+        named.append(f"{rest} of {more} other kinds")
+    return ", ".join(named)

@@ -9,9 +9,14 @@ import numpy as np
 import shapely
 from shapely import affinity, ops
 
+STALL = 5.0  # m, length that a leaning spot shorter than its sides may have
+CORNER = 0.15  # m by which a corner of a spot stands out
+LEAN = 0.3  # cosine between sides (73 deg) below which a spot may be a rhombus ...
+ALIKE = 0.75  # ... if its sides have at least this ratio
 SLACK = 0.5  # m by which the rectangle of a wall may be thicker than the wall
 EPSILON = 1e-4  # m by which a cut reaches beyond the polygon
 DEEPEST = 16  # cuts of one polygon within each other
+MOST_CORNERS = 150  # of a polygon that is cut at its corners, each of which is tried
 REFLEX = math.radians(5.0)  # beyond 180 deg, of a corner worth a cut
 
 
@@ -82,28 +87,78 @@ def around(polygon: Any) -> Box:
     return Box(x, y, yaw, float(length), float(width))
 
 
-def best_fit(polygon: Any) -> tuple[Box, float]:
-    """The rectangle of a polygon's own area, and how far their outlines differ [m].
+def parallelogram(polygon: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    """The mean sides (2,) and (2,) [m] of a polygon of four corners, the longer first.
 
-    It has the centre and the directions of the smallest rectangle around the polygon,
-    shrunk alike on all sides.
+    Corners that stand out by less than `CORNER` do not count. None for other polygons.
     """
+    ring = np.asarray(polygon.convex_hull.exterior.coords)[:-1]
+    # The ring begins at a real corner, because its first point is always kept.
+    start = np.hypot(*(ring - ring.mean(axis=0)).T).argmax()
+    ring = np.roll(ring, -start, axis=0)
+    ring = shapely.LinearRing(ring).simplify(CORNER)
+    corners = np.asarray(ring.coords)[:-1]
+    if len(corners) != 4:
+        return None
+    one, two = corners[1] - corners[0], corners[2] - corners[1]
+    sides = (one + corners[2] - corners[3]) / 2, (two + corners[3] - corners[0]) / 2
+    long, short = sorted(sides, key=lambda side: -float(np.hypot(*side)))
+    return long, short
+
+
+def leaning(centre: Any, along: np.ndarray, aside: np.ndarray) -> Any:
+    """The parallelogram with a centre (2,) and two sides (2,) [m]."""
+    corners = [
+        np.asarray(centre) + (a * along + b * aside) / 2
+        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
+    return shapely.Polygon(corners)
+
+
+def best_fits(polygon: Any) -> list[tuple[Box, float]]:
+    """Rectangles of a spot, the likeliest first, and the errors of their outlines [m].
+
+    The rectangle of a spot with four corners lies between its long sides, around its
+    centre. Where the spot leans, the rectangle is the longest one within it, or as long
+    as the sides but at most `STALL` if that is longer. If the spot leans so much that
+    both pairs of sides may be those of a car's length, there are two rectangles. Any
+    other polygon has the rectangle of its own area in the directions of the smallest
+    one around it.
+
+    The error is the distance to the best parallelogram, or else to the rectangle.
+    """
+    centre = polygon.centroid.coords[0]
+    if sides := parallelogram(polygon):
+        error = shapely.hausdorff_distance(polygon, leaning(centre, *sides))
+        found = [_between(centre, *sides)]
+        long, short = (float(np.hypot(*side)) for side in sides)
+        lean = abs(float(sides[0] @ sides[1])) / (long * short)
+        if lean > LEAN and short > ALIKE * long:
+            found.append(_between(centre, *sides[::-1]))
+        return [(box, float(error)) for box in found]
     box = around(polygon)
     scale = math.sqrt(polygon.area / max(box.length * box.width, 1e-12))
-    box = dataclasses.replace(
-        box,
-        x=polygon.centroid.x,
-        y=polygon.centroid.y,
-        length=box.length * scale,
-        width=box.width * scale,
-    )
-    return box, float(shapely.hausdorff_distance(polygon, box.shape))
+    x, y = centre
+    box = Box(x, y, box.yaw, box.length * scale, box.width * scale)
+    return [(box, float(shapely.hausdorff_distance(polygon, box.shape)))]
+
+
+def _between(centre: Any, along: np.ndarray, aside: np.ndarray) -> Box:
+    """The rectangle between the sides `along` of a parallelogram."""
+    side = float(np.hypot(*along))
+    ahead = along / side
+    width = abs(float(ahead[0] * aside[1] - ahead[1] * aside[0]))
+    within = side - abs(float(ahead @ aside))
+    length = max(within, min(side, STALL))
+    x, y = centre
+    return Box(x, y, math.atan2(ahead[1], ahead[0]), length, width)
 
 
 def boxes(polygon: Any, depth: int = 0) -> Iterator[Box]:
     """Rectangles that cover a polygon and reach at most `SLACK` beyond it.
 
-    It is cut where it has a hole or a reflex corner, and else across its length.
+    It is cut where it has a hole or a reflex corner, and else across its length, as
+    long as it has many corners too.
     """
     if polygon.geom_type != "Polygon":
         for part in getattr(polygon, "geoms", ()):
@@ -117,7 +172,8 @@ def boxes(polygon: Any, depth: int = 0) -> Iterator[Box]:
         yield box
         return
     across = _line(box.x, box.y, box.yaw + math.pi / 2, 2 * box.length, both=True)
-    for cut in (*_cuts(polygon), across):
+    plain = shapely.get_num_coordinates(polygon) <= MOST_CORNERS
+    for cut in (*(_cuts(polygon) if plain else ()), across):
         parts = ops.split(polygon, cut).geoms
         if len(parts) > 1:
             for part in parts:
@@ -166,13 +222,32 @@ def _line(x: float, y: float, yaw: float, reach: float, both: bool = False) -> A
 def cut_free(box: Box, others: Iterable[Any], gap: float = 0.002) -> Box | None:
     """The rectangle less its overlap with other shapes; None if it vanishes.
 
-    Each shape costs the side that loses the least area.
+    Each shape costs the side that loses the least area. If more is left so, the shapes
+    along each long side cost that side together.
 
     Args:
         box: to cut.
         others: shapely polygons.
         gap: left between the rectangle and the shapes [m].
     """
+    others = list(others)
+    found = [_cut_each(box, others, gap)]
+    whole = shapely.box(*np.divide([-box.length, -box.width, *box.size], 2))
+    hits = [box.local(other).intersection(whole) for other in others]
+    rows = np.array([hit.bounds for hit in hits if hit.area > 1e-9]).reshape(-1, 4)
+    left = rows[:, 1].min(initial=box.width / 2, where=rows[:, 1] > 0)
+    right = rows[:, 3].max(initial=-box.width / 2, where=rows[:, 3] < 0)
+    if left - right < box.width - 2 * gap > 0:
+        half = box.length / 2
+        part = box.part(-half, half, right, left)
+        part = dataclasses.replace(part, width=part.width - 2 * gap)
+        if part.width > 0:
+            found.append(_cut_each(part, others, gap))
+    clear = [one for one in found if one]
+    return max(clear, key=lambda one: one.length * one.width, default=None)
+
+
+def _cut_each(box: Box, others: list[Any], gap: float) -> Box | None:
     back, front = -box.length / 2, box.length / 2
     right, left = -box.width / 2, box.width / 2
     for other in others:

@@ -33,7 +33,8 @@ def to_metres(coordinates: np.ndarray, system: str = WGS84) -> np.ndarray:
         if crs.is_geographic and not (abs(lon) <= 180 and abs(lat) <= 90):
             raise ValueError(
                 f"longitude and latitude must lie within ±180° and ±90°, not "
-                f"{middle[0]:g} and {middle[1]:g}"
+                f"{middle[0]:g} and {middle[1]:g}; if these are projected, name their "
+                f"system: --crs EPSG:..."
             )
         local = f"+proj=tmerc +lon_0={lon} +lat_0={lat} +datum=WGS84 +units=m"
         project = pyproj.Transformer.from_crs(crs, local, always_xy=True)

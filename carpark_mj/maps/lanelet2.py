@@ -1,5 +1,6 @@
 """Lanelet2 maps in OSM XML: lanelets, parking spots, walls, kerbs and columns."""
 
+import dataclasses
 import itertools
 from collections import Counter
 from collections.abc import Mapping
@@ -34,6 +35,15 @@ _TAGS: dict[str, Tag] = {
     "parking_access": "drivable",
     "junction": "drivable",
 }
+# Subtypes of lanelets that are not driven along.
+_ON_FOOT = (
+    "crosswalk",
+    "walkway",
+    "shared_walkway",
+    "stairs",
+    "pedestrian_lane",
+    "bicycle_lane",
+)
 TURN = np.radians(30.0)  # a lanelet that bends more ...
 SHORT = 15.0  # ... over fewer metres joins lanes that cross, and is none itself
 BEND = 0.5  # m between a curved lane and its straight parts
@@ -58,62 +68,62 @@ def _tag(tags: Tags) -> Tag | None:
 
 
 def lanelet2_features(osm: OsmXml) -> Plan:
-    """The features of a map on the level that has most spots."""
+    """The features of a map."""
     plan = Plan(unknown=Counter(osm.faults))
-    levels = Counter(
-        element.tags.get("level", "")
-        for element in (*osm.relations.values(), *osm.ways.values())
-        if _tag(element.tags) == "bay"
-    )
-    level = levels.most_common(1)[0][0] if levels else ""
     used: set[str] = set()
     for name, relation in osm.relations.items():
         ways = [
             (role, osm.ways[way]) for role, way in relation.members if way in osm.ways
         ]
         if relation.tags.get("type") == "lanelet":
+            if (kind := relation.tags.get("subtype", "road")) in _ON_FOOT:
+                plan.unknown[f"lanelet {kind}"] += 1
+                continue
             one_way = relation.tags.get("one_way", "yes") != "no"
             borders = {role: way.points for role, way in ways}
-            lanelet = lanelet_features(name, borders, one_way)
+            level = relation.tags.get("level", "")
+            lanelet = [
+                dataclasses.replace(one, level=level)
+                for one in lanelet_features(name, borders, one_way)
+            ]
             plan.features.extend(lanelet)
             if not lanelet:
                 plan.unknown["lanelet without two borders"] += 1
         elif _tag(relation.tags) in ("bay", "drivable"):
             used.update(way for _, way in relation.members)
             shape = joined([way.shape for role, way in ways if role != "inner"])
-            _add(plan, name, relation.tags, shape, level)
+            _add(plan, name, relation.tags, shape)
         else:
             kind = relation.tags.get("subtype") or relation.tags.get("type", "")
             plan.unknown[f"relation {kind or 'without a type'}"] += 1
     for name, way in osm.ways.items():
         if name in used or not (way.tags.get("type") or way.tags.get("subtype")):
             continue  # a piece of a spot or a border of a lanelet
-        _add(plan, name, way.tags, _shape(way), level)
+        _add(plan, name, way.tags, _shape(way))
     return plan
 
 
-def _add(plan: Plan, name: str, tags: Tags, shape: Any, level: str) -> None:
+def _add(plan: Plan, name: str, tags: Tags, shape: Any) -> None:
     tag = _tag(tags)
     kind = tags.get("subtype") or tags.get("type", "")
     if tag is None:
         plan.unknown[kind] += 1
-    elif tags.get("level", level) != level:
-        if tag == "bay":
-            plan.lost[name] = f"on level {tags['level']}, not {level}"
-        plan.unknown[f"{kind} on another level"] += 1
     elif shape is None or not shape.area:
         if tag == "bay":
             plan.lost[name] = "its lines close no polygon"
         plan.unknown[f"{kind} that closes no polygon"] += 1
     else:
-        plan.features.append(Feature(tag, shapely.make_valid(shape), name))
+        level = tags.get("level", "")
+        plan.features.append(Feature(tag, shapely.make_valid(shape), name, level=level))
 
 
 def _shape(way: Way) -> Any:
     """The polygon of a way; a line has its own width, or that of a wall."""
+    tag, shape = _tag(way.tags), way.shape
     if way.closed:
-        return way.shape
-    tag = _tag(way.tags)
+        if tag not in ("wall", "kerb") or way.tags.get("type", "area") == "area":
+            return shape
+        shape = shape.exterior  # a closed line surrounds its ground
     try:
         width = float(way.tags["width"])
     except (KeyError, ValueError):
@@ -121,7 +131,7 @@ def _shape(way: Way) -> Any:
             return None
         width = LINE_THICKNESS
     width = width if 0 < width < 100 else LINE_THICKNESS
-    return way.shape.buffer(width / 2, cap_style="flat", join_style="mitre")
+    return shape.buffer(width / 2, cap_style="flat", join_style="mitre")
 
 
 def lanelet_features(

@@ -1,6 +1,8 @@
 """Lanes of a map, joined to the long straight ones that layouts have."""
 
+import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import shapely
@@ -19,67 +21,67 @@ def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
     Lanes in line are joined. Two opposite lanes on the same ground become one two-way
     lane.
     """
-    rest = sorted(
-        ((_box(one), one.one_way) for one in features if one.shape.length > 0.1),
-        key=lambda lane: -lane[0].length,
-    )
-    found = []
-    while rest:
-        (first, one_way), *rest = rest
-        back, front, widths = -first.length / 2, first.length / 2, [first.size]
-        grown = True
-        while grown:
-            grown, others = False, []
-            for lane, only in rest:
-                ends = _ends(first, lane)
-                if (
-                    abs(math.sin(lane.yaw - first.yaw)) > math.sin(ALIGNED)
-                    or np.abs(ends[:, 1]).max() > ASIDE
-                    or ends[:, 0].min() > front + GAP
-                    or ends[:, 0].max() < back - GAP
-                ):
-                    others.append((lane, only))
-                    continue
-                back = min(back, ends[:, 0].min())
-                front = max(front, ends[:, 0].max())
-                widths.append(lane.size)
-                against = math.cos(lane.yaw - first.yaw) < 0
-                one_way = one_way and only and not against
-                grown = True
-            rest = others
-        lengths, wide = np.array(widths).T
-        width = float(np.average(wide, weights=lengths))
-        whole = Box(first.x, first.y, first.yaw, first.length, width)
-        found.append((whole.part(back, front, -width / 2, width / 2), one_way))
-    return [(_reaching(lane, found), one_way) for lane, one_way in found]
+    features = [one for one in features if one.shape.length > 0.1]
+    if not features:
+        return []
+    ends = np.array([np.asarray(one.shape.coords)[[0, -1]] for one in features])
+    step = ends[:, 1] - ends[:, 0]
+    length, yaw = np.hypot(*step.T), np.arctan2(step[:, 1], step[:, 0])
+    middle = ends.mean(axis=1)
+    width = np.array([one.width for one in features])
+    only = np.array([one.one_way for one in features])
+    free = np.full(len(features), True)
+    lanes, one_way = [], []
+    for first in np.argsort(-length, kind="stable"):
+        if not free[first]:
+            continue
+        cosine, sine = math.cos(yaw[first]), math.sin(yaw[first])
+        local = (ends - middle[first]) @ np.array([[cosine, -sine], [sine, cosine]])
+        in_line = (np.abs(np.sin(yaw - yaw[first])) <= math.sin(ALIGNED)) & (
+            np.abs(local[..., 1]).max(axis=1) <= ASIDE
+        )
+        low, high = local[..., 0].min(axis=1), local[..., 0].max(axis=1)
+        back, front = -length[first] / 2, length[first] / 2
+        joined = np.arange(len(features)) == first
+        while True:
+            within = (low <= front + GAP) & (high >= back - GAP)
+            more = free & in_line & within & ~joined
+            if not more.any():
+                break
+            joined |= more
+            back, front = low[joined].min(), high[joined].max()
+        free &= ~joined
+        mean = float(np.average(width[joined], weights=length[joined]))
+        x, y = (float(value) for value in middle[first])
+        whole = Box(x, y, float(yaw[first]), float(length[first]), mean)
+        lanes.append(whole.part(float(back), float(front), -mean / 2, mean / 2))
+        with_it = np.cos(yaw[joined] - yaw[first]) >= 0
+        one_way.append(bool((only[joined] & with_it).all()))
+    return list(zip(_reaching(lanes), one_way, strict=True))
 
 
-def _reaching(lane: Box, lanes: list[tuple[Box, bool]]) -> Box:
-    """A lane lengthened at either end to the next one ahead, within `GAP`."""
-    others = [other.shape for other, _ in lanes if other is not lane]
-    ends: list[float] = []
-    for side in (-1.0, 1.0):
-        start = side * lane.length / 2
-        ahead = shapely.LineString([(start, 0.0), (start + side * GAP, 0.0)])
-        gaps = [
-            hit.distance(shapely.Point(start, 0.0))
-            for other in others
-            if not (hit := lane.local(other).intersection(ahead)).is_empty
-        ]
-        ends.append(start + side * min(gaps, default=0.0))
-    back, front = ends
-    return lane.part(back, front, -lane.width / 2, lane.width / 2)
-
-
-def _box(feature: Feature) -> Box:
-    start, end = np.asarray(feature.shape.coords)[[0, -1]]
-    (x, y), (dx, dy) = (start + end) / 2, end - start
-    return Box(x, y, math.atan2(dy, dx), math.hypot(dx, dy), feature.width)
-
-
-def _ends(frame: Box, lane: Box) -> np.ndarray:
-    """The ends (2, 2) of a lane's centre line in the frame of another."""
-    step = np.array([math.cos(lane.yaw), math.sin(lane.yaw)]) * lane.length / 2
-    delta = np.array([lane.x - frame.x, lane.y - frame.y]) + np.array([step, -step])
-    cosine, sine = math.cos(frame.yaw), math.sin(frame.yaw)
-    return delta @ np.array([[cosine, -sine], [sine, cosine]])
+def _reaching(lanes: list[Box]) -> list[Box]:
+    """Lanes lengthened at either end to the next one ahead, within `GAP`."""
+    x, y, yaw, length, _ = np.array([dataclasses.astuple(lane) for lane in lanes]).T
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    # Ends of all lanes in their headings, and then their other ends.
+    out = np.concatenate([ahead, -ahead])
+    ends = np.tile(np.stack([x, y], axis=-1), (2, 1))
+    ends = ends + out * np.tile(length / 2, 2)[:, None]
+    rays: Any = shapely.linestrings(np.stack([ends, ends + GAP * out], axis=1))
+    shapes = np.array([lane.shape for lane in lanes])
+    ray, other = shapely.STRtree(shapes).query(rays, "intersects")
+    ray, other = np.stack([ray, other])[:, ray % len(lanes) != other]
+    hits = shapely.intersection(rays[ray], shapes[other])
+    gaps = np.full(len(rays), np.inf)
+    np.minimum.at(gaps, ray, shapely.distance(hits, shapely.points(ends[ray])))
+    front, back = np.where(np.isfinite(gaps), gaps, 0.0).reshape(2, -1)
+    return [
+        lane.part(
+            -lane.length / 2 - before,
+            lane.length / 2 + after,
+            -lane.width / 2,
+            lane.width / 2,
+        )
+        for lane, before, after in zip(lanes, back, front, strict=True)
+    ]

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from carpark_mj.layouts.types import BayKind
-from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan
+from carpark_mj.maps.features import LINE_THICKNESS, Feature, Group, Plan
 from carpark_mj.maps.osm_xml import OsmXml, joined
 
 # Widths [m] of aisles that have none in the map, driven both ways and one way: the
@@ -24,6 +24,9 @@ _KINDS = {
     "reserved": BayKind.RESERVED,
 }
 _ROADS = ("service", "residential", "unclassified", "living_street", "track")
+# Values of `parking`: beside a road without an aisle, and on several floors.
+_ROWS = ("street_side", "lane", "on_kerb", "half_on_kerb", "shoulder")
+_COVERED = ("underground", "multi-storey", "rooftop", "sheds", "garage_boxes")
 _PLAIN = {"source", "name", "note", "created_by", "ref", "layer", "level", "type"}
 
 
@@ -62,34 +65,68 @@ def add_by_tags(plan: Plan, name: str, tags: Mapping[str, Any], shape: Any) -> N
             plan.lost[name] = "its lines close no polygon"
         return
     is_area = bool(shape.area)
-    if tags.get("amenity") == "parking_space":
-        if not is_area:
-            plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
-            return
-        use = str(tags.get("parking_space", ""))
-        kind = _KINDS.get(use, BayKind.STANDARD)
-        if tags.get("wheelchair") == "designated" or tags.get("capacity:disabled"):
-            kind = BayKind.ACCESSIBLE
-        plan.features.append(Feature("bay", shapely.make_valid(shape), name, kind))
-    elif tags.get("amenity") == "parking" and is_area:
-        plan.features.append(Feature("drivable", shapely.make_valid(shape), name))
+    level = str(tags.get("level") or tags.get("layer") or "")
+    if tags.get("amenity") in ("parking_space", "parking"):
+        _add_parking(plan, name, tags, shape, level)
     elif tags.get("highway") in _ROADS and not is_area:
-        plan.features.extend(_lanes(name, tags, shape))
+        plan.features.extend(_lanes(name, tags, shape, level))
     elif barrier := tags.get("barrier"):
         if barrier not in _OPEN:
             tag = _BARRIERS.get(str(barrier), "wall")
+            # A closed line surrounds its ground unless it is said to be an area.
+            if is_area and tag != "pillar" and tags.get("area") != "yes":
+                shape, is_area = shape.boundary, False
             radius = LINE_THICKNESS / 2 if shape.length else BOLLARD_RADIUS
             solid = shapely.make_valid(shape) if is_area else shape.buffer(radius)
-            plan.features.append(Feature(tag, solid, name))  # pyright: ignore
+            plan.features.append(Feature(tag, solid, name, level=level))  # pyright: ignore
     elif tags.get("building", "no") != "no" and is_area:
-        # The ground floor of a multi-storey car park is no wall.
-        tag = "drivable" if tags["building"] in ("parking", "carport") else "wall"
-        plan.features.append(Feature(tag, shapely.make_valid(shape), name))
+        shape = shapely.make_valid(shape)
+        if tags["building"] in ("parking", "carport"):
+            # The ground floor of a multi-storey car park is no wall.
+            plan.features.append(Feature("drivable", shape, name))
+        elif tags["building"] != "roof":  # cars drive and park below
+            plan.features.append(Feature("wall", shape, name))
     elif left := sorted(set(tags) - _PLAIN):
         plan.unknown[f"{left[0]}={tags[left[0]]}"] += 1
 
 
-def _lanes(name: str, tags: Mapping[str, Any], line: Any) -> list[Feature]:
+def _add_parking(
+    plan: Plan, name: str, tags: Mapping[str, Any], shape: Any, level: str
+) -> None:
+    """Adds a spot, or a group of spots that have no outlines of their own."""
+    is_spot = tags["amenity"] == "parking_space"
+    kind = _KINDS.get(str(tags.get("parking_space", "")), BayKind.STANDARD)
+    if tags.get("wheelchair") == "designated" or (
+        is_spot and tags.get("capacity:disabled", "no") not in ("no", "0")
+    ):
+        kind = BayKind.ACCESSIBLE
+    try:
+        count = max(int(str(tags.get("capacity", ""))), 0)
+    except ValueError:
+        count = 0
+    orientation = tags.get("orientation") or tags.get("parking:orientation") or ""
+    if shape.area:
+        shape = shapely.make_valid(shape)
+    elif shape.length or not is_spot:
+        if is_spot:
+            plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
+        elif count:
+            plan.lost[name] = f"a point for several spots: {count}"
+        return
+    if is_spot and shape.area and count <= 1:
+        plan.features.append(Feature("bay", shape, name, kind, level=level))
+        return
+    if tags.get("parking") in _COVERED and not level:
+        plan.features.append(Feature("drivable", shape, name))
+        if count:
+            where = f"{tags['parking']}, its {count} spots are not laid out"
+            plan.notes.append(f"{name}: {where}")
+        return
+    is_row = is_spot or tags.get("parking") in _ROWS
+    plan.groups.append(Group(name, shape, count, str(orientation), is_row, kind, level))
+
+
+def _lanes(name: str, tags: Mapping[str, Any], line: Any, level: str) -> list[Feature]:
     """The straight parts of a road."""
     oneway = str(tags.get("oneway", "no"))
     one_way = oneway in ("yes", "true", "1", "-1", "reverse", "True")
@@ -103,7 +140,14 @@ def _lanes(name: str, tags: Mapping[str, Any], line: Any) -> list[Feature]:
         width = ONE_WAY_AISLE if one_way else AISLE
     points = shapely.get_coordinates(line.simplify(0.5))
     return [
-        Feature("lane", shapely.LineString(part), name, width=width, one_way=one_way)
+        Feature(
+            "lane",
+            shapely.LineString(part),
+            name,
+            width=width,
+            one_way=one_way,
+            level=level,
+        )
         for part in itertools.pairwise(points)
         if np.ptp(part, axis=0).max() > 0
     ]

@@ -13,6 +13,7 @@ from carpark_mj.maps.frame import require_near, to_metres
 from carpark_mj.reading import read_bytes
 
 Tags = dict[str, str]
+MOST_PIECES = 500  # lines that form a polygon together
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,8 +94,11 @@ def read_osm(root: Any) -> OsmXml:
             continue
         points = np.stack([nodes[ref][0] for ref in steps])
         # Programs also close a way with a second node in the first one's place.
+        tags_of_way = _tags(way)
         closed = len(steps) > 3 and bool(np.ptp(points[[0, -1]], axis=0).max() < 1e-3)
-        ways[way.get("id", "")] = Way(points, _tags(way), closed)
+        # Autoware's polygons do not come back to their first node.
+        closed = closed or (len(steps) > 2 and tags_of_way.get("area") == "yes")
+        ways[way.get("id", "")] = Way(points, tags_of_way, closed)
     relations = {
         relation.get("id", ""): Relation(
             [
@@ -145,13 +149,13 @@ def _places(elements: list[Any], tags: list[Tags]) -> np.ndarray:
 
 
 def joined(pieces: list[Any]) -> Any:
-    """The polygon that lines form together; None if they do not form one.
+    """The polygon that lines form together; None if they do not, or are too many.
 
     Args:
         pieces: shapely lines and polygons.
     """
     lines = [getattr(piece, "exterior", piece) for piece in pieces]
-    if not lines:
+    if not 0 < len(lines) <= MOST_PIECES:
         return None
     rings: Any = shapely.polygonize([shapely.union_all(lines)]).geoms
     # What closes rings within each other is one polygon without holes.

@@ -35,15 +35,21 @@ def geographic(points):
 
 
 def osm_xml(shapes):
-    """OSM XML of (points, tags, pieces): a shape in pieces is joined by a relation."""
+    """OSM XML of (points, tags, pieces): a shape in pieces is joined by a relation.
+
+    One point is a node with tags.
+    """
     nodes, ways, relations = [], [], []
     for points, tags, pieces in shapes:
         rows = "".join(f"<tag k='{k}' v='{v}'/>" for k, v in tags.items())
         first = len(nodes) + 1
+        inner = rows if len(points) == 1 else ""
         nodes += [
-            f"<node id='{first + k}' lon='{lon!r}' lat='{lat!r}'/>"
+            f"<node id='{first + k}' lon='{lon!r}' lat='{lat!r}'>{inner}</node>"
             for k, (lon, lat) in enumerate(geographic(points))
         ]
+        if len(points) == 1:
+            continue
         refs = [*range(first, len(nodes) + 1)]
         cut = len(refs) - 2
         parts = [refs[: cut + 1], refs[cut:]] if pieces else [refs]

@@ -10,6 +10,7 @@ SHAPES = {
     "L": shapely.box(0, 0, 10, 1).union(shapely.box(0, 0, 1, 8)),
     "ring": shapely.box(0, 0, 10, 8).difference(shapely.box(1, 1, 9, 7)),
     "arc": shapely.Point(0, 0).buffer(10).boundary.buffer(0.5),
+    "fine arc": shapely.Point(0, 0).buffer(10, quad_segs=150).boundary.buffer(0.5),
     "triangle": shapely.Polygon([(0, 0), (10, 0), (0, 5)]),
 }
 
@@ -35,3 +36,12 @@ def test_a_rectangle_cut_free_keeps_the_most_that_it_can():
     assert free is not None
     assert free.shape.area == pytest.approx(9 * 3.5, rel=0.01)
     assert cut_free(box, [shapely.box(-1, -1, 11, 5)]) is None
+
+
+def test_a_row_along_a_rectangle_costs_one_side():
+    # Corners of six leaning bays that reach into a lane.
+    [lane] = boxes(shapely.box(0, 0, 40, 6))
+    corners = [shapely.box(x, 5.2, x + 1.0, 7) for x in range(2, 38, 6)]
+    free = cut_free(lane, corners)
+    assert free is not None
+    assert free.size == pytest.approx((40.0, 5.2), abs=0.01)

@@ -131,11 +131,6 @@ BROKEN = {
     ),
     "no scenario": ("a.xml", "<commonRoad/>", "no parking spot"),
     "no spot": ("a.osm", openstreetmap([]), "no parking spot"),
-    "no lane": (
-        "a.osm",
-        openstreetmap().replace("service", "footway"),
-        "no lane, aisle or start",
-    ),
     "too many spots": ("a.osm", openstreetmap(BAYS * 84), "504 spots; at most 500"),
     "too large": (
         "a.osm",
@@ -150,8 +145,18 @@ BROKEN = {
     "no collection": ("a.geojson", "{}", "features"),
     "no geometry": (
         "a.geojson",
+        json.dumps({"features": [{"properties": {}, "geometry": {"type": "Line"}}]}),
+        "features[0] must have a geometry",
+    ),
+    "no geometry at all": (
+        "a.geojson",
         json.dumps({"features": [{"properties": {}, "geometry": None}]}),
-        "geometry",
+        "no feature with a geometry",
+    ),
+    "projected without a system": (
+        "a.geojson",
+        json.dumps({"type": "Point", "coordinates": [691000.0, 5334000.0]}),
+        "--crs",
     ),
     "unknown system": (
         "a.geojson",
