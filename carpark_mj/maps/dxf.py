@@ -42,6 +42,7 @@ PARKING = {"parking", "prkg"}  # bays, where none of `WORDS` is in the name
 MOST_SHAPES = 20_000
 MOST_ENTITIES = 100_000  # of blocks, each time that they are inserted
 MOST_POINTS = 5_000  # of a shape
+ISLAND = 6.0  # m², smaller outlines within the ground are markings
 DEEPEST = 32  # blocks within each other
 FLATNESS = 0.02  # m between a curve and its straight parts
 FARTHEST = 1e8  # m from the drawing's origin, beyond any projected system
@@ -98,6 +99,7 @@ def dxf_features(path: Path, layers: Sequence[str] = (), unit: str = "") -> Plan
     except ValueError as error:
         raise ValueError(f"{error}, or give its --unit") from None
     dividers: list[Any] = []
+    grounds: dict[tuple[Tag, bool], list[Any]] = {}
     drawn: set[Any] = set()
     for name, points, tags in found:
         # A hatch has its outline beside it.
@@ -110,10 +112,32 @@ def dxf_features(path: Path, layers: Sequence[str] = (), unit: str = "") -> Plan
         shape = kind(points - middle)
         if tags["tag"] == "bay" and not (shape.area and is_bay_sized(shape)):
             dividers.append(shapely.LineString(points - middle))
+        elif tags["tag"] in ("lane", "drivable") and shape.area:
+            key = tags["tag"], tags["one_way"]
+            grounds.setdefault(key, []).append(shapely.make_valid(shape))
         else:
             add_tagged(plan, name, shape, tags)
+    for (tag, one_way), outlines in grounds.items():
+        for part in shapely.get_parts(_nested(outlines)):
+            add_tagged(plan, f"{tag} ground", part, {"tag": tag, "one_way": one_way})
     _add_bays(plan, dividers)
     return plan
+
+
+def _nested(outlines: list[Any]) -> Any:
+    """The ground of outlines: what lies within another one is an island in it."""
+    shapes = np.array(outlines, object)
+    inner, outer = shapely.STRtree(shapes).query(shapes, "covered_by")
+    depth = np.bincount(inner[inner != outer], minlength=len(shapes))
+    ground: Any = shapely.Polygon()
+    for level in range(depth.max() + 1):
+        here = shapes[depth == level]
+        if level % 2:  # and not an arrow on the ground
+            here = here[shapely.area(here) > ISLAND]
+            ground = ground.difference(shapely.union_all(here))
+        else:
+            ground = ground.union(shapely.union_all(here))
+    return ground
 
 
 def _add_bays(plan: Plan, dividers: list[Any]) -> None:

@@ -169,6 +169,28 @@ def test_any_entity_may_be_on_a_known_layer(tmp_path):
     assert dict(plan.unknown) == {"TEXT on layer stall": 1}
 
 
+def test_outlines_within_the_ground_are_islands(tmp_path):
+    # Road plates around two rows, as a hatch and its outlines, with an arrow on them.
+    new, model = drawing()
+
+    def corners(*bounds):
+        return shapely.get_coordinates(shapely.box(*bounds))[:-1]
+
+    rings = [corners(0, 0, 60, 36), corners(6, 6, 54, 15), corners(6, 21, 54, 30)]
+    hatch = model.add_hatch(dxfattribs={"layer": "aisle"})
+    for ring in rings:
+        model.add_lwpolyline(ring, close=True, dxfattribs={"layer": "aisle"})
+        hatch.paths.add_polyline_path(ring)
+    arrow = corners(20, 2, 23, 3)
+    model.add_lwpolyline(arrow, close=True, dxfattribs={"layer": "aisle"})
+    plan = read_plan(saved(tmp_path, new))
+    ground = shapely.union_all([f.shape for f in plan.features if f.tag == "drivable"])
+    assert ground.area == pytest.approx(60 * 36 - 2 * 48 * 9)
+    lanes = joined_lanes([one for one in plan.features if one.tag == "lane"])
+    assert len(lanes) >= 5
+    assert np.allclose([lane.width for lane, _ in lanes], 6.0, atol=0.05)
+
+
 def test_a_hatch_and_its_outline_are_one_stall(tmp_path):
     new, model = drawing()
     outline = [(0, 0), (WIDTH, 0), (WIDTH, LENGTH), (0, LENGTH)]
