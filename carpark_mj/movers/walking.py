@@ -54,6 +54,7 @@ ASIDE = 0.5  # m, how far from a car's way those who give way step aside
 NEAR = 4  # boxes whose forces act on a person
 ROUNDS = 8  # steps after which near boxes are looked up again
 CANDIDATES = 4  # targets that are looked at
+TAKEN = 1e3  # m, added to the distance of places that are taken
 
 
 def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
@@ -179,12 +180,12 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
     starts = jnp.broadcast_to(start, ends.shape)
     bodies = jnp.concatenate([_parked(lot), places.walls, boxes], axis=1)
     hidden = jnp.where(shut, meet(starts, ends, bodies), meet(starts, ends, blocks))
-    # Nobody stands there, or is on the way there.
-    taken = (people.target == found[:, None]) & people.present
-    good = places.mask[found] & ~taken.any(axis=1) & ~hidden
-    good = good & ~_by_waiting(ends, cars)
-    # The nearest of them, so that most walks are short.
-    target = found[jnp.argmin(jnp.where(good, norm(ends - start), jnp.inf))]
+    good = places.mask[found] & (found != here) & ~hidden & ~_by_waiting(ends, cars)
+    # The nearest of them, so that most walks are short; a place that is somebody's only
+    # where no other is left, or in a full lot whoever is in the way would stay there.
+    taken = ((people.target == found[:, None]) & people.present).any(axis=1)
+    distance = norm(ends - start) + jnp.where(taken, TAKEN, 0.0)
+    target = found[jnp.argmin(jnp.where(good, distance, jnp.inf))]
     goes = due[who] & good.any()
     goes_in = people.child[who] | (chance[0] < GOES_IN)
     inner = places.inner[target]
