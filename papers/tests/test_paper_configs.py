@@ -39,7 +39,7 @@ def test_no_field_takes_a_value_of_another_type(cls):
 
 
 @pytest.mark.parametrize("cls", TRAINERS)
-def test_trainers_refuse_folders_seeds_and_numbers_that_cannot_be(cls):
+def test_trainers_refuse_impossible_names_seeds_and_numbers(cls):
     for name in ("../../x", "a/b", "..", " ", "a\nb"):
         with pytest.raises(ValueError, match="name must be the name of one folder"):
             cls(name=name)

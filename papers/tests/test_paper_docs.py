@@ -65,7 +65,7 @@ def test_a_command_of_a_paper_exists_and_takes_its_flags(line):
 
 
 @pytest.mark.parametrize("page", PAPERS, ids=lambda page: page.name)
-def test_commands_of_the_core_on_these_pages_take_their_flags(page):
+def test_core_commands_on_these_pages_take_their_flags(page):
     for line in commands(page.read_text()):
         check_command(line)
 

@@ -51,12 +51,12 @@ def test_only_public_names_of_the_core_are_imported():
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_a_program_runs(name, tmp_path, monkeypatch, capsys):
+def test_a_program_runs(name, tmp_path, monkeypatch):
     needed, flags = RUNS[name]
     for package in needed:
         pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
-    assert exit_code(study, [name, *flags]) == 0, capsys.readouterr().err
+    assert exit_code(study, [name, *flags]) == 0
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,7 @@ def test_a_choice_is_made_before_the_step_and_judged_with_it():
         state.tracked_bays[0, 0],
         state.tracked_bays[1, 2],
     ]
-    assert timestep.reward_terms["park"][1] == 1.0
+    assert timestep.reward_terms["park"][1] == CONFIG.reward.park
     assert after.goal[1] == NO_BAY  # the new episode explores
     assert state.tracked_bays[1, 2] in after.parked_cars.bay
     named = timestep.metrics

@@ -15,7 +15,7 @@ from carpark_mj.suite.results import (
     write_submission,
 )
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 MEANS = {"gear_changes": 2.0, "path": 9.0, "time_to_park": 30.0}
 
 

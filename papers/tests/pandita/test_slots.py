@@ -215,6 +215,7 @@ def test_reserved_bays_are_no_goals_of_more_agents():
         num_agents=7,
         min_agents=1,
         num_parked_cars=11,
+        occupancy=(0.2, 0.8),
         physics="bicycle",
     )
     reset = jax.jit(ParkingEnv(config).reset)

@@ -3,7 +3,9 @@
 import subprocess
 import sys
 
+import gymnasium
 import pytest
+from gymnasium.utils.env_checker import check_env
 from helpers import environment_pages as pages
 
 from carpark_papers.pandita.slots_env import SLOTS_OPTIONS, SlotsEnv
@@ -34,6 +36,10 @@ def test_a_table_of_slots_is_the_generated_one(marker, expected):
 def test_the_page_of_slots_lists_all_arguments():
     listed = {option: repr(DEFAULTS.get(option)) for option in SLOTS_OPTIONS}
     pages.assert_arguments(TEXT, SlotsEnv, listed)
+
+
+def test_gymnasium_finds_no_fault_in_slots():
+    check_env(gymnasium.make(NAME).unwrapped, skip_render_check=True)
 
 
 def test_the_example_of_slots_runs():

@@ -235,7 +235,9 @@ def test_a_negative_spacing_of_starts_is_refused():
 
 
 def test_indices_are_whole_numbers_within_their_cardinalities():
-    config = config_of(IndexObservation(RingConfig((4.0, 9.0), cars=True)))
+    config = config_of(
+        IndexObservation(RingConfig((4.0, 9.0), cars=True)), physics="grid"
+    )
     rng = np.random.default_rng(0)
     motion = cars(
         rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (6, 3)), rng.uniform(-2, 3, 6)

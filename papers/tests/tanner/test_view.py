@@ -80,7 +80,7 @@ def test_the_nearest_are_tracked_in_one_list_of_all_cars():
     def matrices(observation, present=True):
         parked = parked_at([(0.0, 2.0, 0.0), (50.0, 0.0, 0.0)], present=[present, True])
         state = state_of(BAYS, motion, 0, parked_cars=parked)
-        config = config_of(observation)
+        config = config_of(observation, physics="grid")
         return tracks(config, state), tracks_parked_cars(config, state)
 
     # With one list of one car agent 0 tracks the parked car, 1 and 2 an agent.

@@ -15,8 +15,6 @@ from carpark_mj.config.goals import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.registry import DYNAMIC as DYNAMIC_ENV
-from carpark_mj.registry import SQUARE
 from carpark_mj.training.metrics_log import read_metrics
 from carpark_mj.training.ppo.arguments import MAX_SEEDS, parse_seeds, read_runs
 from carpark_mj.training.ppo.config import PPOConfig
@@ -25,6 +23,7 @@ from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.state import TrainingState
 from carpark_mj.training.ppo.train import MAX_SKIPPED, load_or_init, train
 from carpark_mj.training.settings import list_settings
+from carpark_papers.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
 
 FIXED = PPOConfig(
     num_steps=4 * 2 * 2 * 8,  # four updates
@@ -35,18 +34,17 @@ FIXED = PPOConfig(
     checkpoint_minutes=1e-9,  # after every update
     curriculum=dataclasses.replace(PPOConfig().curriculum, discount_end=0.995),
     networks=NetworkConfig((16,), (16,), encoder="flat"),
-    env=dataclasses.replace(SQUARE, physics="bicycle", num_agents=2, num_parked_cars=4),
+    env=dataclasses.replace(TANNER_FIXED, num_agents=2, num_parked_cars=4),
 )
 # No weight of the rewards that can differ is 0.
 DYNAMIC = dataclasses.replace(
     FIXED,
     env=dataclasses.replace(
-        DYNAMIC_ENV,
-        physics="bicycle",
+        TANNER_DYNAMIC,
         num_agents=2,
         num_parked_cars=4,
         observation=dataclasses.replace(
-            DYNAMIC_ENV.observation, global_information=True
+            TANNER_DYNAMIC.observation, global_information=True
         ),
         giving_way=GivingWayConfig("G,G,A", bad_goal=-0.2),
         reward=RewardConfig(
