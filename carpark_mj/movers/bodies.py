@@ -5,6 +5,7 @@ other moves. The room towards a convex body is a half-plane: whoever stays withi
 of them touches nothing at the end of a step.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ from carpark_mj.movers.outlines import columns, offsets
 SPARE = 1e-3  # m that is left between bodies
 TINY = 1e-8  # m², keeps quotients finite where people coincide
 STRAIGHT = 0.1  # share of a move aside, below which whoever is stopped goes right
+
+Beyond = tuple[jax.Array, jax.Array, jax.Array]
 
 
 class Room(NamedTuple):
@@ -45,20 +48,20 @@ def room_among(offset: tuple[jax.Array, jax.Array], radius: jax.Array) -> Room:
         radius: (n,) [m].
     """
     x, y = offset
-    square = x * x + y * y + TINY
-    by_distance = jax.lax.rsqrt(square)
-    gap = square * by_distance - (radius[:, None] + radius)
+    distance = jnp.sqrt(x * x + y * y + TINY)
+    towards = -1.0 / distance
+    gap = distance - (radius[:, None] + radius)
     free = jnp.maximum((gap - SPARE) / 2, 0.0)
-    return Room(-x * by_distance, -y * by_distance, free)
+    return Room(x * towards, y * towards, free)
 
 
 def room_to(xy: jax.Array, radius: jax.Array, boxes: jax.Array) -> Room:
     """Room of discs (n, 2), (n,) to outlines (6, n or 1, k); any to who is inside."""
     x, y = offsets(xy[:, None], boxes)
-    square = x * x + y * y
-    by_distance = -jax.lax.rsqrt(square + TINY)
-    free = jnp.maximum(jnp.sqrt(square) - radius[:, None] - SPARE, 0.0)
-    x, y, cos, sin = x * by_distance, y * by_distance, boxes[2], boxes[3]
+    distance = jnp.sqrt(x * x + y * y + TINY)
+    towards = -1.0 / distance
+    free = jnp.maximum(distance - radius[:, None] - SPARE, 0.0)
+    x, y, cos, sin = x * towards, y * towards, boxes[2], boxes[3]
     return Room(cos * x - sin * y, sin * x + cos * y, free)
 
 
@@ -67,21 +70,37 @@ def go_round(rooms: Sequence[Room], move: jax.Array) -> jax.Array:
 
     Whoever is stopped goes aside instead, as far as there is room.
     """
-    room = Room(*(jnp.concatenate(part, axis=1) for part in zip(*rooms, strict=True)))
-    beyond = room.along(move) - room.free
-    worst = beyond.max(axis=1, keepdims=True)
-    chosen = (beyond == worst) & (worst > 0.0)
-    x = jnp.where(chosen, room.x, 0.0).sum(axis=1)
-    y = jnp.where(chosen, room.y, 0.0).sum(axis=1)
-    cut = move - jnp.maximum(worst, 0.0) * columns(x, y)
+    beyond, x, y = functools.reduce(_further, (_nearest(room, move) for room in rooms))
+    x, y = jnp.where(beyond > 0.0, x, 0.0), jnp.where(beyond > 0.0, y, 0.0)
+    cut = move - jnp.maximum(beyond, 0.0)[:, None] * columns(x, y)
     # Aside they go by what they lose ahead; to the right if they go straight on.
     aside = columns(y, -x)
     lost = jnp.sqrt(jnp.maximum(norm(move) ** 2 - norm(cut) ** 2, 0.0))
     left = (cut * aside).sum(axis=1) < -STRAIGHT * norm(move)
     cut = cut + jnp.where(left, -lost, lost)[:, None] * aside
-    along = room.along(cut)
+    shares = [_share(room, cut) for room in rooms]
+    return cut * functools.reduce(jnp.minimum, shares)[:, None]
+
+
+def _further(a: Beyond, b: Beyond) -> Beyond:
+    """The one whose move goes further beyond the room."""
+    first = a[0] >= b[0]
+    x, y, z = (jnp.where(first, *both) for both in zip(a, b, strict=True))
+    return x, y, z
+
+
+def _nearest(room: Room, move: jax.Array) -> Beyond:
+    """How far moves (n, 2) end beyond the room [m], and the body's direction, (n,)."""
+    # One reduction of all three, which is faster than one each on a CPU.
+    beyond = room.along(move) - room.free, room.x, room.y
+    return jax.lax.reduce(beyond, (-jnp.inf, 0.0, 0.0), _further, (1,))
+
+
+def _share(room: Room, move: jax.Array) -> jax.Array:
+    """Shares (n,) of moves (n, 2) that end within the room."""
+    along = room.along(move)
     share = jnp.where(along > room.free, room.free / jnp.maximum(along, TINY), 1.0)
-    return cut * share.min(axis=1, keepdims=True)
+    return share.min(axis=1, initial=1.0)
 
 
 def is_clear(room: Room, move: jax.Array) -> jax.Array:

@@ -127,9 +127,8 @@ def border_push(offset: Pair) -> Pair:
         offset: x and y (...) from the nearest points of the borders to people [m].
     """
     x, y = offset
-    square = x * x + y * y + TINY
-    by_distance = jax.lax.rsqrt(square)
-    size = jnp.exp(-square * by_distance / BORDER_RANGE) * by_distance
+    distance = jnp.sqrt(x * x + y * y + TINY)
+    size = jnp.exp(-distance / BORDER_RANGE) / distance
     size = BORDER_STRENGTH / BORDER_RANGE * size
     return size * x, size * y
 
