@@ -49,7 +49,8 @@ class Bounds(NamedTuple):
         """Whether a number, or every number of a tuple, lies within the bounds."""
         if isinstance(value, tuple):
             return all(map(self.admit, value))
-        return self.ge <= value <= self.le and self.gt < value < self.lt
+        within = self.ge <= value <= self.le and self.gt < value < self.lt
+        return within and is_finite(value)
 
     def __str__(self) -> str:
         return f"{self._words()} {self.unit}".rstrip()
@@ -222,12 +223,12 @@ def require_bounds(config: Any) -> None:
         value = getattr(config, name)
         if value is None:
             continue
-        if not _fits(value):
-            raise ValueError(f"{name} must be finite and fit 32 bits, not {value!r}")
         rises = hint != Range or value[0] <= value[1]
         if not (bounds.admit(value) and rises):
             order = "be a range (low, high) and " * (hint == Range)
             raise ValueError(f"{name} must {order}{bounds}, not {value!r}")
+        if not _fits(value):
+            raise ValueError(f"{name} must fit 32 bits, not {value!r}")
 
 
 def _fits(value: Any) -> bool:

@@ -312,7 +312,7 @@ BAD = {
     "too many lots": (("--num-lots", "100000000"), "GiB of memory at least"),
     "lots beyond counting": (
         ("--num-lots", str(2 * 10**30)),
-        "num_lots must be at most",
+        "num_lots must fit 32 bits",
     ),
     "too wide networks": (
         ("--networks.policy-layers", "1000000000"),

@@ -104,7 +104,7 @@ def test_an_encoder_is_read_back_by_its_name(speedometer):
     data = json.loads(json.dumps(dataclasses.asdict(config)))
     assert from_dict(EnvConfig, data) == config
     data["observation"]["reach"] = 1.0
-    with pytest.raises(ValueError, match=r"Speedometer has no \['reach'\]"):
+    with pytest.raises(ValueError, match="Speedometer setting 'reach'"):
         from_dict(EnvConfig, data)
     data["observation"] = {"encoding": "images"}
     with pytest.raises(ValueError, match="unknown observation encoding 'images'"):

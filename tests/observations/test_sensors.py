@@ -367,11 +367,11 @@ def test_an_agent_observes_its_own_past_and_a_fresh_start_after_a_respawn():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"position_noise": -0.1}, "position_noise must be at least 0.0"),
-        ({"speed_noise": np.nan}, "speed_noise must be at least 0.0"),
-        ({"odometry_veer": -1e-3}, "odometry_veer must be at least 0.0, not -0.001"),
+        ({"position_noise": -0.1}, "position_noise must"),
+        ({"speed_noise": np.nan}, "speed_noise must"),
+        ({"odometry_veer": -1e-3}, "odometry_veer must .* not -0.001"),
         ({"delay_min": -1}, "delay_min must be at least 0"),
-        ({"delay_min": 3, "delay_max": 2}, "delay_max must be at least 3, not 2"),
+        ({"delay_min": 3, "delay_max": 2}, "delay_max must .* not 2"),
     ],
 )
 def test_impossible_sensors_are_refused(change, message):

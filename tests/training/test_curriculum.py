@@ -121,8 +121,8 @@ def test_at_a_scale_of_one_the_rewards_are_the_environment_s(unrolls):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"crash_scale": -1.0}, "crash_scale must be at least 0.0, not -1"),
-        ({"neighbour_share": -0.5}, "neighbour_share must be at least 0.0, not -0.5"),
+        ({"crash_scale": -1.0}, "crash_scale must .* not -1"),
+        ({"neighbour_share": -0.5}, "neighbour_share must .* not -0.5"),
         ({"crash_until": 1.5}, r"crash_until must lie in \[0, 1\], not 1.5"),
         ({"discount_end": 1.0}, r"discount_end must lie in \[0, 1\), not 1.0"),
         ({"conflict_ratio": 2.0}, r"conflict_ratio must lie in \[0, 1\], not 2.0"),

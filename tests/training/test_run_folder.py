@@ -69,7 +69,7 @@ def test_no_setting_is_larger_than_jax_can_hold():
     for name in ("num_steps", "critic_steps", "num_epochs", "num_lots", "lot_life"):
         with pytest.raises(ValueError, match=rf"^{name} must .*, not 1{'0' * 30}$"):
             PPOConfig(**{name: 10**30})
-    with pytest.raises(ValueError, match=r"learning_rate must be at least 1\.18e-38"):
+    with pytest.raises(ValueError, match="learning_rate must"):
         PPOConfig(learning_rate=1e-50)
     assert PPOConfig(num_steps=10**11).num_updates < 2**31
 
