@@ -10,9 +10,13 @@ Environments are stepped with random actions for fixed keys; those with tyres on
 steppers of the physics. `--only` names some of them.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("fingerprints", "fingerprints:main")
+
 import dataclasses
 import hashlib
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -115,7 +119,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return compare(read_flags(FingerprintsConfig, arguments, description=__doc__))
 
     return run_command("fingerprints", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,13 +7,17 @@ All are compiled first. Then they take turns, so that other work on the machine 
 all of them alike; the best turn of each counts.
 """
 
+from carpark_mj.cli.process import enter
+
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("peers", "peers:main")
+
 # Extras that the type checker does without.
 # pyright: reportMissingImports=false
 
 import contextlib
 import dataclasses
 import os
-import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from typing import Annotated, Any, Literal
@@ -225,7 +229,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(comparison(take_turns(found, config.rounds)))
 
     return run_command("peers", command)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,6 +5,7 @@ import dataclasses
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -154,6 +155,8 @@ def run_job(job: Job) -> Measurement:
     message = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
     if done.returncode == 2:
         raise ValueError(message[0])
+    if done.returncode == -signal.SIGINT:  # the process was interrupted first
+        raise KeyboardInterrupt
     if done.returncode < 0:  # its stderr does not explain the signal
         message = [f"killed by signal {-done.returncode}, possibly out of memory"]
     raise WorkerError(

@@ -80,7 +80,7 @@ def test_wheels_of_a_live_lot_roll_and_steer_with_the_car(lot):
 def test_without_the_extra_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "mjviser", None)
     for settings in ({}, {"policy": "runs/none"}):
-        with pytest.raises(OSError, match=r'pip install "\.\[web\]"'):
+        with pytest.raises(OSError, match=r'pip install "carpark_mj\[web\]"'):
             main(SceneConfig(view="web", **settings))
 
 

@@ -75,5 +75,5 @@ def test_more_spaces_make_a_longer_lot():
     assert lot.num_bays == MetaDriveConfig(spaces=12).min_bays == 15
     assert float(lot.extent[0]) == pytest.approx((57.75 + 2 * 3.5) / 2 + 0.3)
     for spaces in (7, 2, True):
-        with pytest.raises(ValueError, match=f"spaces must be .*, not {spaces}"):
+        with pytest.raises(ValueError, match=f"spaces must .*, not {spaces}"):
             MetaDriveConfig(spaces=spaces)
