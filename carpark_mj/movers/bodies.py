@@ -17,6 +17,7 @@ from carpark_mj.movers.outlines import columns, offsets
 
 SPARE = 1e-3  # m that is left between bodies
 TINY = 1e-8  # m², keeps quotients finite where people coincide
+ROUNDING = 1e-6  # m or m/s, of moves along a body that is touched
 STRAIGHT = 0.1  # share of a move aside, below which whoever is stopped goes right
 
 Beyond = tuple[jax.Array, jax.Array, jax.Array]
@@ -99,7 +100,8 @@ def _nearest(room: Room, move: jax.Array) -> Beyond:
 def _share(room: Room, move: jax.Array) -> jax.Array:
     """Shares (n,) of moves (n, 2) that end within the room."""
     along = room.along(move)
-    share = jnp.where(along > room.free, room.free / jnp.maximum(along, TINY), 1.0)
+    beyond = along > room.free + ROUNDING
+    share = jnp.where(beyond, room.free / jnp.maximum(along, TINY), 1.0)
     return share.min(axis=1, initial=1.0)
 
 

@@ -24,8 +24,8 @@ STEP_TIME = 2.0  # s, Delta t: how far ahead others are taken to step
 SIGHT = -0.17364818  # cos of 100°: half the angle of sight
 UNSEEN = 0.5  # c, weight of what is behind
 SPEED_LIMIT = 1.3  # largest speed over the desired one
-SUBSTEP = 0.1  # s, longest
-CLOSING = 0.25  # s, in which people use at most half of the gap to who is ahead
+SUBSTEP = 0.05  # s, longest
+CLOSING = 0.3  # s, in which people use at most half of the gap to who is ahead
 TINY = 1e-8  # m², keeps quotients finite where people coincide
 
 Pair = tuple[jax.Array, jax.Array]  # x and y

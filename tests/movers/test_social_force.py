@@ -7,6 +7,7 @@ import pytest
 
 import crowds
 from carpark_mj.movers import social_force as model
+from carpark_mj.movers.bodies import Room, go_round
 
 WEIDMANN = {1.0: 1.06, 2.0: 0.61}  # m/s at persons/m², of one-way flow
 EAST = jnp.array([[1.0, 0.0]])
@@ -80,3 +81,13 @@ def test_crowds_walk_as_fast_as_published_at_any_period(density, monkeypatch):
     slow, fast = (walk(jax.random.key(0), density, 0.2, dt) for dt in (0.2, 0.04))
     assert float(slow) == pytest.approx(WEIDMANN[density], rel=0.25)
     assert float(fast) == pytest.approx(float(slow), rel=0.25)
+
+
+def test_person_who_touches_a_body_slides_along_it():
+    angle = jnp.linspace(0.0, 2 * jnp.pi, 200)
+    ahead = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+    right = jnp.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
+    room = Room(ahead[:, :1], ahead[:, 1:], jnp.zeros((200, 1)))
+    move = jax.jit(go_round)([room], 0.12 * ahead + 0.16 * right)
+    assert (move * right).sum(axis=1).min() > 0.16
+    np.testing.assert_allclose((move * ahead).sum(axis=1), 0.0, atol=1e-6)
