@@ -202,6 +202,14 @@ def require_unset(config: Any, where: str, *names: str) -> None:
             )
 
 
+def data(default: Any) -> Any:
+    """A field of a config whose number only enters into arithmetic.
+
+    Runs side by side may differ in it, see `carpark_mj.config.is_data`.
+    """
+    return dataclasses.field(default=default, metadata={"data": True})
+
+
 class CheckedConfig:
     """Base of configs: every field is of its declared type and within its `Bounds`.
 

@@ -12,19 +12,21 @@ from carpark_mj.config.checks import (
     require_bounds,
     require_types,
 )
-from carpark_mj.config.fleet import FleetConfig, JitterConfig
-from carpark_mj.config.giving_way import GivingWayConfig
-from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
-from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import ENCODERS, ObservationConfig, SensorConfig
 from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.config.physics import SimConfig
-from carpark_mj.config.randomization import RandomizationConfig
-from carpark_mj.config.rewards import RewardConfig
-from carpark_mj.config.spawning import SpawnConfig
-from carpark_mj.config.terminations import EpisodeConfig, find_rules
 from carpark_mj.config.vehicles import with_parameters
+from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig
+from carpark_mj.mdp.metrics import MetricsConfig
+from carpark_mj.mdp.rewards import RewardConfig
+from carpark_mj.mdp.terminations import EpisodeConfig, find_rules
+from carpark_mj.spawning.config import (
+    FleetConfig,
+    JitterConfig,
+    RandomizationConfig,
+    SpawnConfig,
+)
 
 
 @dataclasses.dataclass(frozen=True)

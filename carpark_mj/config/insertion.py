@@ -5,19 +5,10 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from carpark_mj.config.reward_terms import ExtraTerms, is_fixed
 from carpark_mj.extensions import unknown_name
+from carpark_mj.mdp.rewards import ExtraTerms
 
 Config = TypeVar("Config")
-_DATA = "data"
-
-
-def data(default: Any) -> Any:
-    """A field of a config whose number only enters into arithmetic.
-
-    Runs side by side may differ in it, see `is_data`.
-    """
-    return dataclasses.field(default=default, metadata={_DATA: True})
 
 
 def is_data(config: Any, path: str) -> bool:
@@ -38,9 +29,9 @@ def is_data(config: Any, path: str) -> bool:
         name, _, rest = path.partition(".")
         if not rest:
             [field] = [x for x in dataclasses.fields(config) if x.name == name]
-            return _DATA in field.metadata
+            return "data" in field.metadata
         config, path = getattr(config, name), rest
-    return not is_fixed(path)
+    return not config.is_fixed(path)
 
 
 def setting(config: Any, path: str) -> Any:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from carpark_mj.config.metrics import Metric
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.evaluation.catalogue import START_STEPS, metrics
+from carpark_mj.mdp.metrics import Metric
 from carpark_mj.types import ENDINGS
 
 HITS = tuple(f"hit_{kind.label}" for kind in ObstacleKind)

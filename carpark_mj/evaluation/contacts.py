@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from carpark_mj.config.metrics import Metric
 from carpark_mj.evaluation.aggregation import Row, pool
+from carpark_mj.mdp.metrics import Metric
 
 MOVED = 0.1  # m, the path of a car that has moved
 SPEEDS = (0.0, 0.5, 1.0, 2.0)  # m/s, where classes begin; the last has no end

@@ -3,13 +3,16 @@
 Jitted code cannot raise, so NaN and numbers out of range are replaced and counted.
 """
 
+from __future__ import annotations
+
 import dataclasses
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
 
 @dataclasses.dataclass(frozen=True)

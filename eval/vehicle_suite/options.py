@@ -13,11 +13,11 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import move_forward
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.kerbs import HEIGHT
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.mdp.collisions import HEIGHT
 from carpark_mj.observations.odometry import reckon
 from carpark_mj.physics.gravity import grade_at
 from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import Motion, Odometry
 from carpark_mj.vehicle import VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import CREEP_SPEED

@@ -19,11 +19,11 @@ from carpark_mj.config import (
     JitterConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.checks import check_cars
-from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import LotConfig, layout_config, mixture
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.spawning.checks import check_cars
+from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.file import parameters_text
 

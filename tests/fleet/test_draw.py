@@ -21,13 +21,13 @@ from carpark_mj.config import (
     SimConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.randomization import randomize_all
 from carpark_mj.geometry import box_inside
 from carpark_mj.layouts import build
 from carpark_mj.mdp.parked_cars import AWAY, relocate_parked_cars
 from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
+from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import (
     PRESETS,

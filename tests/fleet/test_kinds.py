@@ -10,8 +10,8 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.draw import Fleet
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.vehicle import COMPACT, VEHICLES, preset, register_vehicle
 
 

@@ -13,9 +13,9 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, RandomizationConfig, SimConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.randomization import check_randomization, randomize
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.policy.runs import from_dict
+from carpark_mj.spawning.randomization import check_randomization, randomize
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.conditions import SURFACES, on_surface, with_mass
 from carpark_mj.vehicle.mjcf import car_model

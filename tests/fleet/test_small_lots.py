@@ -11,11 +11,11 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig, RayConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
-from carpark_mj.fleet.checks import check_room
 from carpark_mj.layouts import StreetConfig, layout_config, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.baselines import random_policy
+from carpark_mj.spawning.checks import check_room
 from carpark_mj.types import NO_BAY
 
 MOST, LOTS = 7, 48

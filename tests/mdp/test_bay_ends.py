@@ -34,16 +34,20 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.json_file import layout_text, read_json
 from carpark_mj.layouts.plot import plot_layouts
-from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.parked_cars import poses_in_bays
+from carpark_mj.mdp.parked_cars import BayFits, poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.misaligned import misaligned_pose, misaligned_shapes
-from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surroundings
-from carpark_mj.mdp.spawning.reverse import parked_right, paths_out, reverse_shapes
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _poses_in_bay
+from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.spawning.special_starts import (
+    misaligned_pose,
+    misaligned_shapes,
+    parked_right,
+    paths_out,
+    reverse_shapes,
+)
+from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.tasks.goal_pose import goal_features
 from carpark_mj.vehicle import COMPACT, make_vehicle
 

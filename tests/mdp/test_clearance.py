@@ -10,9 +10,9 @@ from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry.broad_phase import is_crowded
 from carpark_mj.geometry.obstacles import Boxes, Discs
-from carpark_mj.mdp import clearance
-from carpark_mj.mdp.clearance import RANGE, agent_clearance, clearances
+from carpark_mj.mdp import safety as clearance
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.mdp.safety import RANGE, agent_clearance, clearances
 from carpark_mj.obstacles import lot_obstacles
 
 LOTS, AGENTS, PARKED, WALLS, DISCS, TRACES = 60, 4, 5, 3, 4, 3

@@ -23,8 +23,13 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, ObstacleKind, SimConfig
 from carpark_mj.geometry import box_corners, box_disc_distance, point_box_distance
 from carpark_mj.geometry.obstacles import NO_MOVERS, Discs, Movers
 from carpark_mj.layouts import WallKind, build, make_layout
-from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.kerbs import HEIGHT, find_hits_and_kerbs, low_obstacles, stops
+from carpark_mj.mdp.collisions import (
+    HEIGHT,
+    find_hits,
+    find_hits_and_kerbs,
+    low_obstacles,
+    stops,
+)
 
 
 @jax.jit

@@ -9,12 +9,11 @@ from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 
 from carpark_mj.config import EnvConfig, SpawnConfig
-from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import BayKind, Maxima, make_layout, pad_layout
-from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.fixed_goals import FixedGoals
-from carpark_mj.mdp.parked_cars import relocate_parked_cars
-from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
+from carpark_mj.mdp.parked_cars import BayFits, relocate_parked_cars
+from carpark_mj.spawning.fleet import Fleet
+from carpark_mj.spawning.goals import FixedGoals
+from carpark_mj.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.vehicle import COMPACT
 
 MIN_DISTANCE = 7.38  # m

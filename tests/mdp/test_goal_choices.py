@@ -12,7 +12,7 @@ from helpers.states import parked_in, state_of
 from helpers.transitions import CHOICES, no_events
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, GoalConfig
-from carpark_mj.mdp.dynamic_goals import DynamicGoals, taken_by_others, untracked
+from carpark_mj.mdp.goals import DynamicGoals, taken_by_others, untracked
 from carpark_mj.types import NO_BAY
 
 # Five bays in a row, 4 m apart, and agents in front of it.

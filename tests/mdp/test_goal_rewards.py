@@ -19,8 +19,8 @@ from carpark_mj.config import (
     RewardConfig,
 )
 from carpark_mj.layouts import Maxima, pad_layout
+from carpark_mj.mdp.goals import target_bay
 from carpark_mj.mdp.rewards import dynamic_progress, reward_terms, term_weights
-from carpark_mj.mdp.tracked_bays import target_bay
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.types import NO_BAY
 

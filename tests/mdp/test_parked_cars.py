@@ -18,18 +18,19 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local, to_world
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.bays import free_bays, shuffled_bays
 from carpark_mj.mdp.parked_cars import (
     AWAY,
+    free_bays,
     in_bays,
     poses_in_bays,
     relocate_parked_cars,
     stand_in_bay,
+    tracks_parked_cars,
 )
-from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.fields import FAR
-from carpark_mj.observations.tracking import tracks_parked_cars
+from carpark_mj.spawning.fleet import shuffled_bays
+from carpark_mj.spawning.starts import pick
 from carpark_mj.types import NO_BAY
 
 COUNT = 3000

@@ -20,9 +20,9 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayKind
-from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.physics.base import FactoredPhysics
+from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.types import NO_BAY
 
 NAN = float("nan")

@@ -9,7 +9,7 @@ from helpers.scenes import cars, lot
 from helpers.states import parked_in, state_of
 
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.tracked_bays import target_bay, track_bays, update_tracked_bays
+from carpark_mj.mdp.goals import target_bay, track_bays, update_tracked_bays
 from carpark_mj.types import NO_BAY
 
 # Five bays in a row, 4 m apart, and as many bays' worth of padding.

@@ -12,7 +12,6 @@ from helpers.scenes import polygons
 
 from carpark_mj.config import LAYOUTS, EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.checks import check_room
 from carpark_mj.layouts import (
     BayKind,
     layout_config,
@@ -22,8 +21,9 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.json_file import layout_text
-from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.spawning.checks import check_room
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_papers.pandita.layouts import SlotsConfig, centre_lines
 
 NAMES = [name for name in LAYOUTS if name.startswith("slots")]

@@ -11,7 +11,7 @@ from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at
 
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
-from carpark_mj.mdp.metrics.safety import HORIZON, collision_times
+from carpark_mj.mdp.safety import HORIZON, collision_times
 from carpark_mj.obstacles import lot_obstacles
 
 PAIRS = 400

@@ -7,13 +7,14 @@ from helpers.scenes import cars, lot
 from helpers.transitions import no_goal_events, no_terms, transition
 
 from carpark_mj.config import EnvConfig, GoalConfig
-from carpark_mj.mdp.metrics import init_stats, update_stats
-from carpark_mj.mdp.metrics.tallies import (
+from carpark_mj.mdp.metrics import (
     CHANGES,
     CONTEXTS,
     COUNTS,
     count_goals,
+    init_stats,
     is_nearer_to_any,
+    update_stats,
 )
 from carpark_mj.types import NO_BAY
 

@@ -16,10 +16,8 @@ from helpers.states import parked_at
 from helpers.transitions import no_terms, transition
 
 from carpark_mj.config import EnvConfig, MetricsConfig, SimConfig
-from carpark_mj.mdp.clearance import RANGE
-from carpark_mj.mdp.metrics import init_stats, update_stats
-from carpark_mj.mdp.metrics.safety import HORIZON
-from carpark_mj.mdp.metrics.tallies import fold_tallies
+from carpark_mj.mdp.metrics import fold_tallies, init_stats, update_stats
+from carpark_mj.mdp.safety import HORIZON, RANGE
 from carpark_mj.types import NO_BAY
 
 DT = SimConfig().ctrl_dt

@@ -16,13 +16,13 @@ from helpers.spawning import meetings, meets, surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.spawning.collision_course import (
+from carpark_mj.spawning.special_starts import (
     CourseDraws,
     Targets,
     course_pose,
     course_shapes,
 )
-from carpark_mj.mdp.spawning.draws import draw_uniform
+from carpark_mj.spawning.starts import draw_uniform
 
 COURSE = SpawnConfig(close_ratio=0.0, conflict_ratio=1.0)
 SPACED = dataclasses.replace(COURSE, spacing=WORLD_UNIT / 16)

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import SpawnConfig
-from carpark_mj.mdp.fixed_goals import place_shapes
-from carpark_mj.mdp.spawning.draws import draw_uniform, pick, pick_weighted
+from carpark_mj.spawning.goals import place_shapes
+from carpark_mj.spawning.starts import draw_uniform, pick, pick_weighted
 
 KEYS = jax.random.split(jax.random.key(0), 4000)
 LARGEST = np.float32(1 - 2**-23)  # of `jax.random.uniform`

@@ -12,9 +12,9 @@ from helpers.states import parked_in
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.spawning.exploring import first_goals, place_exploring
-from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.mdp.parked_cars import BayFits
+from carpark_mj.spawning.goals import first_goals, place_exploring
+from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.types import NO_BAY
 
 HALF = 21 * WORLD_UNIT

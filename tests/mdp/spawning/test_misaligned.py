@@ -12,17 +12,17 @@ from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, GoalConfig, SpawnConfig
-from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.misaligned import (
+from carpark_mj.mdp.parked_cars import BayFits
+from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.spawning.goals import FixedGoals, place_shapes
+from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.spawning.special_starts import (
     FARTHEST,
     MARGIN,
     misaligned_pose,
     misaligned_shapes,
 )
-from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surroundings
-from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 MISALIGNED = SpawnConfig(close_ratio=0.0, misaligned_ratio=1.0)

@@ -11,20 +11,19 @@ from helpers.spawning import meetings, meets
 from helpers.states import parked_at, parked_in, state_of
 
 from carpark_mj.config import WORLD_UNIT, EnvConfig, SpawnConfig
-from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import build, make_layout
-from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.dynamic_goals import DynamicGoals
-from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.placing import (
+from carpark_mj.mdp.goals import DynamicGoals
+from carpark_mj.mdp.parked_cars import BayFits
+from carpark_mj.spawning.fleet import Fleet
+from carpark_mj.spawning.goals import FixedGoals, place_shapes
+from carpark_mj.spawning.placing import (
     SpawnInputs,
     place_waiting,
     start_placing,
     surroundings,
 )
-from carpark_mj.mdp.spawning.poses import draw_kind, spawn_pose
+from carpark_mj.spawning.starts import draw_kind, draw_uniform, spawn_pose
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT, PRESETS
 

@@ -10,9 +10,9 @@ from helpers.spawning import surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.poses import (
+from carpark_mj.spawning.starts import (
     draw_kind,
+    draw_uniform,
     random_pose,
     spawn_pose,
     spawn_shapes,

@@ -12,8 +12,7 @@ from helpers.spawning import surroundings_of
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.poses import redraw, spawn_pose, spawn_shapes
+from carpark_mj.spawning.starts import draw_uniform, redraw, spawn_pose, spawn_shapes
 
 # One candidate a round, and others in three corners of the square of 23.6 m.
 ONE = SpawnConfig(close_ratio=0.0, num_candidates=1, min_distance=16.0)

@@ -19,17 +19,17 @@ from carpark_mj.layouts import (
     make_layout,
     pad_layout,
 )
-from carpark_mj.mdp.bays import BayFits, fits, shuffled_bays
-from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
-from carpark_mj.mdp.parked_cars import poses_in_bays
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.placing import (
+from carpark_mj.mdp.parked_cars import BayFits, fits, poses_in_bays
+from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.spawning.fleet import shuffled_bays
+from carpark_mj.spawning.goals import FixedGoals, place_shapes
+from carpark_mj.spawning.placing import (
     SpawnInputs,
     place_waiting,
     start_placing,
     surroundings,
 )
-from carpark_mj.mdp.spawning.reverse import (
+from carpark_mj.spawning.special_starts import (
     ARCS,
     LONGEST,
     MARGIN,
@@ -38,7 +38,7 @@ from carpark_mj.mdp.spawning.reverse import (
     reverse_pose,
     reverse_shapes,
 )
-from carpark_mj.mdp.terminations import is_parked
+from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.types import NO_BAY, ParkedCars
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 

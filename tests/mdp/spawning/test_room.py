@@ -14,8 +14,8 @@ from helpers.states import parked_at
 from carpark_mj.config import EnvConfig, EpisodeConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import SquareConfig, make_layout
-from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.spawning.placing import (
+from carpark_mj.mdp.parked_cars import BayFits
+from carpark_mj.spawning.placing import (
     FREE,
     Patience,
     SpawnInputs,

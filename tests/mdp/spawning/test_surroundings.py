@@ -11,12 +11,11 @@ from helpers.states import any_hit, parked_in
 
 from carpark_mj.config import EnvConfig, RayConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surroundings
-from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
+from carpark_mj.mdp.parked_cars import BayFits
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.spawning.starts import draw_uniform, random_pose, spawn_shapes
 from carpark_mj.vehicle import preset
 
 

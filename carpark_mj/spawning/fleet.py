@@ -14,9 +14,8 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.vehicles import READ, is_name
 from carpark_mj.layouts import Layout
-from carpark_mj.mdp.bays import Wanted, draw_bays, fits, free_bays, shuffled_bays
-from carpark_mj.mdp.parked_cars import poses_in_bays
-from carpark_mj.mdp.reset_options import ResetOptions, given_goals, kept_clear
+from carpark_mj.mdp.parked_cars import fits, free_bays, poses_in_bays
+from carpark_mj.spawning.reset_options import ResetOptions, given_goals, kept_clear
 from carpark_mj.types import NO_BAY, ParkedCars
 from carpark_mj.vehicle import (
     VEHICLES,
@@ -35,14 +34,13 @@ class Start(NamedTuple):
         goal: (num_agents,) int32 goals, `NO_BAY` where agents choose them.
         parked_cars: the parked cars, in their bays.
         vehicles: nominal parameters of the agents' cars (num_agents,).
-        kind: (num_agents,) int32 which of the fleet's kinds they are; None if it has
-            one.
+        kind: (num_agents,) int32 which of the fleet's kinds they are.
     """
 
     goal: jax.Array
     parked_cars: ParkedCars
     vehicles: Vehicle
-    kind: jax.Array | None = None
+    kind: jax.Array
 
 
 class Fleet:
@@ -53,6 +51,7 @@ class Fleet:
         agents: their parameters.
         parked_names: the same for parked cars.
         parked_cars: their parameters.
+        mixed: whether agents drive cars of several kinds, drawn at every spawn.
     """
 
     def __init__(self, config: EnvConfig, vehicle: VehicleParameters) -> None:
@@ -63,11 +62,14 @@ class Fleet:
         """
         self._config = config
         names = config.fleet
-        own_name = _name(vehicle, config.vehicle)
+        own_name = _known_as(config.vehicle)
+        if vehicle != preset(config.vehicle):
+            own_name = VEHICLES.name_of(vehicle) or "custom car"
         self.agent_names = tuple(map(_known_as, names.agents)) or (own_name,)
         self.parked_names = tuple(map(_known_as, names.parked_cars)) or (own_name,)
         self.agents = tuple(map(preset, names.agents)) or (vehicle,)
         self.parked_cars = tuple(map(preset, names.parked_cars)) or (vehicle,)
+        self.mixed = bool(names.agents)
         kinds = [make_vehicle(params) for params in self.agents]
         self._kinds: Vehicle = jax.tree.map(lambda *x: jnp.stack(x), *kinds)
         self._size = make_vehicle(vehicle).size
@@ -75,11 +77,6 @@ class Fleet:
         self._weights = jnp.array(weights, jnp.float32)
         weights = names.parked_weights or (1.0,) * len(self.parked_cars)
         self._parked_weights = jnp.array(weights, jnp.float32)
-
-    @property
-    def mixed(self) -> bool:
-        """Whether agents drive cars of several kinds, drawn at every spawn."""
-        return bool(self._config.fleet.agents)
 
     def start(
         self,
@@ -96,37 +93,27 @@ class Fleet:
             present: (num_agents,) bool, agents that are in the lot; None = all.
             options: starts that are given.
         """
-        if self._config.varies:
+        config = self._config
+        if config.varies:
             return self._start_varied(layout, key, present, options)
-        n, m = self._config.num_agents, self._config.num_parked_cars
-        goals = 0 if self._config.goals.dynamic else n
+        n, m = config.num_agents, config.num_parked_cars
+        goals = 0 if config.goals.dynamic else n
         order = shuffled_bays(layout, key)
-        goal = order[:goals] if goals else self._no_goals()
-        size = jnp.broadcast_to(self._size, (m, 2))
+        goal = order[:goals] if goals else jnp.full(n, NO_BAY, jnp.int32)
         bay = order[goals : goals + m]
-        if options is not None:
-            goal, bay = self._around_given(layout, order, options)
+        if options is not None:  # drawn goals and parked cars keep clear of given ones
+            clear = kept_clear(layout, options, self._size)
+            order = order[jnp.argsort(clear[order], stable=True)]  # these last
+            goal = given_goals(options, n)
+            drawn = (goal == NO_BAY) & (not config.goals.dynamic)
+            goal = jnp.where(drawn, order[jnp.cumsum(drawn) - 1], goal)
+            place = jnp.sum(drawn) + jnp.arange(m)
+            free = place < jnp.sum(layout.bay_mask & ~clear)
+            bay = jnp.where(free, order[place], NO_BAY)
+        size = jnp.broadcast_to(self._size, (m, 2))
         parked = _in_bays(layout, ParkedCars(bay, jnp.zeros((m, 3)), size))
-        return Start(goal, parked, self.of_kind(jnp.zeros(n, jnp.int32)))
-
-    def _around_given(
-        self, layout: Layout, order: jax.Array, options: ResetOptions
-    ) -> tuple[jax.Array, jax.Array]:
-        """Goals (num_agents,) and bays (num_parked_cars,) int32 around given starts.
-
-        Args:
-            layout: of the lot.
-            order: (bays,) int32 in which bays are assigned.
-            options: starts that are given.
-        """
-        clear = kept_clear(layout, options, self._size)
-        order = order[jnp.argsort(clear[order], stable=True)]  # those kept clear last
-        goal = given_goals(options, self._config.num_agents)
-        drawn = (goal == NO_BAY) & (not self._config.goals.dynamic)
-        goal = jnp.where(drawn, order[jnp.cumsum(drawn) - 1], goal)
-        place = jnp.sum(drawn) + jnp.arange(self._config.num_parked_cars)
-        free = place < jnp.sum(layout.bay_mask & ~clear)
-        return goal, jnp.where(free, order[place], NO_BAY)
+        kind = jnp.zeros(n, jnp.int32)
+        return Start(goal, parked, self.of_kind(kind), kind)
 
     def _start_varied(
         self,
@@ -135,6 +122,7 @@ class Fleet:
         present: jax.Array | None,
         options: ResetOptions | None,
     ) -> Start:
+        """`start` where the number, kinds, poses or sizes of parked cars vary."""
         config = self._config
         n, m = config.num_agents, config.num_parked_cars
         goal_key, count_key, scale_key, place_key, offset_key = jax.random.split(key, 5)
@@ -142,11 +130,11 @@ class Fleet:
             self._goal_bays(layout), (n, len(self.agents), layout.num_bays)
         )
         clear = jnp.zeros(layout.num_bays, bool)
+        given = given_goals(options, n)
         if options is not None:
             clear = kept_clear(layout, options, self._kinds.size.max(axis=0))
-            given = given_goals(options, n)[:, None]
-            own = jnp.arange(layout.num_bays) == given
-            usable = jnp.where(given == NO_BAY, ~clear, own)
+            own = jnp.arange(layout.num_bays) == given[:, None]
+            usable = jnp.where(given[:, None] == NO_BAY, ~clear, own)
             goal_bays = goal_bays & usable[:, None]
         agents = Wanted(
             fits=goal_bays,
@@ -156,10 +144,9 @@ class Fleet:
         )
         kind, goal = draw_bays(agents, layout.bay_mask, goal_key)
         if options is not None:
-            given = given_goals(options, n)
             goal = jnp.where(given == NO_BAY, goal, given)
         if config.goals.dynamic:
-            goal = self._no_goals()
+            goal = jnp.full(n, NO_BAY, jnp.int32)
         sizes = jnp.array([[p.length, p.width] for p in self.parked_cars])
         sizes = sizes * _uniform(config.jitter.scale, scale_key, (m, 1, 1))
         parked = Wanted(
@@ -195,6 +182,10 @@ class Fleet:
         kind = jax.random.categorical(kind_key, logits, shape=shape)
         return kind.astype(jnp.int32), key
 
+    def of_kind(self, kind: jax.Array) -> Vehicle:
+        """Nominal parameters of cars of kinds (...) int32."""
+        return jax.tree.map(lambda x: x[kind], self._kinds)
+
     def parked_vehicles(self, cars: ParkedCars) -> list[VehicleParameters]:
         """The presets, scaled, of parked cars."""
         lengths = np.asarray(cars.size, float)[:, 0]
@@ -204,13 +195,6 @@ class Fleet:
             scaled(car, length / car.length)
             for car, length in zip(presets, lengths, strict=True)
         ]
-
-    def _no_goals(self) -> jax.Array:
-        return jnp.full(self._config.num_agents, NO_BAY, jnp.int32)
-
-    def of_kind(self, kind: jax.Array) -> Vehicle:
-        """Nominal parameters of cars of kinds (...) int32."""
-        return jax.tree.map(lambda x: x[kind], self._kinds)
 
     def _goal_bays(self, layout: Layout) -> jax.Array:
         """Bays (kinds, bays) bool that can be goals of each kind of car."""
@@ -233,13 +217,6 @@ class Fleet:
         return jnp.minimum(count, most)
 
 
-def _name(vehicle: VehicleParameters, named: str) -> str:
-    """The name of a car: its preset's, `named` if it is that one."""
-    if vehicle == preset(named):
-        return _known_as(named)
-    return VEHICLES.name_of(vehicle) or "custom car"
-
-
 def _known_as(vehicle: str) -> str:
     """The name of a car that a config names or describes."""
     return vehicle if is_name(vehicle) else READ.load()(vehicle)[0]
@@ -254,3 +231,63 @@ def _uniform(
 ) -> jax.Array:
     low, high = bounds
     return jax.random.uniform(key, shape, jnp.float32, low, high)
+
+
+def shuffled_bays(layout: Layout, key: jax.Array) -> jax.Array:
+    """Indices (bays,) int32 in random order: bays for goals, reserved ones, padding."""
+    score = jax.random.uniform(key, layout.bay_mask.shape)
+    score = jnp.where(layout.goal_mask, score, score + 1.0)
+    return jnp.argsort(jnp.where(layout.bay_mask, score, 3.0)).astype(jnp.int32)
+
+
+class Wanted(NamedTuple):
+    """Cars of several kinds that need bays.
+
+    Attributes:
+        fits: (cars, kinds, bays) bool.
+        weights: (kinds,) > 0, how often each kind is drawn, in proportion.
+        cars: (cars,) bool, the cars that need one.
+        anywhere: whether a car that fits nowhere still gets a free bay.
+    """
+
+    fits: jax.Array
+    weights: jax.Array
+    cars: jax.Array
+    anywhere: bool
+
+
+def draw_bays(
+    wanted: Wanted, free: jax.Array, key: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Draws kinds of cars and distinct bays for them, one car after the other.
+
+    A kind is drawn by weight among those that fit into a bay still free, and then one
+    of these bays.
+
+    Args:
+        wanted: the cars.
+        free: (bays,) bool, bays to choose from.
+        key: consumed.
+
+    Returns:
+        (cars,) int32 kinds and (cars,) int32 bays, `NO_BAY` where there is none.
+    """
+    num_bays = free.shape[0]
+
+    def draw(free: jax.Array, car: tuple[jax.Array, jax.Array, jax.Array]):
+        fits, wants, key = car
+        kind_key, bay_key = jax.random.split(key)
+        possible = (fits & free).any(axis=1)
+        logits = jnp.log(wanted.weights)
+        logits = jnp.where(possible | ~possible.any(), logits, -jnp.inf)
+        kind = jax.random.categorical(kind_key, logits)
+        good = free & fits[kind]
+        if wanted.anywhere:
+            good = jnp.where(good.any(), good, free)
+        score = jax.random.uniform(bay_key, (num_bays,))
+        bay = jnp.argmax(jnp.where(good, score, -1.0))
+        bay = jnp.where(wants & good.any(), bay, NO_BAY).astype(jnp.int32)
+        return free & (jnp.arange(num_bays) != bay), (kind.astype(jnp.int32), bay)
+
+    keys = jax.random.split(key, wanted.cars.shape[0])
+    return jax.lax.scan(draw, free, (wanted.fits, wanted.cars, keys))[1]

@@ -1,19 +1,61 @@
 """Where an agent starts: at random in the spawn regions, or close to its goal.
 
-Other starts are in `collision_course`, `reverse` and `misaligned`.
+The random numbers of a start are drawn all at once, as one call of the generator is one
+loop: a start lists the shapes of its uniform numbers in [0, 1) as a tree. Other kinds
+of starts are in `special_starts`.
 """
 
 import itertools
-from typing import Any, NamedTuple
+import math
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.geometry import norm, rotate, wrap_angle
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.spawning.draws import draw_uniform, pick_weighted
-from carpark_mj.mdp.spawning.placing import Surroundings
+from carpark_mj.mdp.terminations import WORLD_UNIT
+from carpark_mj.spawning.config import SpawnConfig
+from carpark_mj.spawning.placing import Surroundings
+
+Draws = TypeVar("Draws")
+
+
+def draw_uniform(shapes: Draws, key: jax.Array) -> Draws:
+    """Independent uniform numbers in [0, 1), arrays in place of their shapes.
+
+    Args:
+        shapes: tree (of named tuples and lists) whose leaves are shapes, plain tuples.
+        key: consumed.
+    """
+    leaves, tree = jax.tree.flatten(shapes, is_leaf=lambda node: type(node) is tuple)
+    ends = np.cumsum([math.prod(shape) for shape in leaves])
+    numbers = jnp.split(jax.random.uniform(key, (int(ends[-1]),)), ends[:-1])
+    parts = [x.reshape(shape) for x, shape in zip(numbers, leaves, strict=True)]
+    return jax.tree.unflatten(tree, parts)
+
+
+def pick(mask: jax.Array, scores: jax.Array) -> jax.Array:
+    """A random index () int32 among those where a mask (n,) is true, if any is.
+
+    Args:
+        mask: (n,) bool.
+        scores: (n,) uniform numbers in [0, 1), of which the largest wins.
+    """
+    return jnp.argmax(jnp.where(mask, scores, -1.0)).astype(jnp.int32)
+
+
+def pick_weighted(weights: jax.Array, number: jax.Array) -> jax.Array:
+    """Random indices (...) in proportion to their weights.
+
+    Args:
+        weights: (n,) >= 0, not all 0.
+        number: (...) uniform in [0, 1).
+    """
+    ends = jnp.cumsum(weights)
+    # 1 - 2**-23 is the largest number drawn, so the product stays below the total.
+    return jnp.argmax(number[..., None] * ends[-1] < ends, axis=-1)
 
 
 class SpawnDraws(NamedTuple):
@@ -34,6 +76,19 @@ class SpawnDraws(NamedTuple):
     walk: Any
 
 
+def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
+    """Shapes of the numbers of a start, for `draw_uniform`."""
+    n = config.num_candidates
+    walks = 1 if config.spacing else n
+    return SpawnDraws((), (n,), (n, 2), (n,), (walks, walk_numbers(config)))
+
+
+def at_random_after(tries: jax.Array, draws: SpawnDraws) -> SpawnDraws:
+    """The numbers of a start, which is random after rejected `tries` ()."""
+    # Above all ratios, see `draw_kind`: at random a start can be anywhere.
+    return draws._replace(kind=jnp.where(tries > 0, 2.0, draws.kind))
+
+
 class SpawnKind(NamedTuple):
     """Kind of a start; random if it is none of these. (...) bool each.
 
@@ -50,30 +105,11 @@ class SpawnKind(NamedTuple):
     misaligned: jax.Array
 
 
-def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
-    """Shapes of the numbers of a start, for `draw_uniform`."""
-    n = config.num_candidates
-    walks = 1 if config.spacing else n
-    return SpawnDraws((), (n,), (n, 2), (n,), (walks, walk_numbers(config)))
-
-
-def at_random_after(tries: jax.Array, draws: SpawnDraws) -> SpawnDraws:
-    """The numbers of a start, which is random after rejected `tries` ()."""
-    # Above all ratios, see `draw_kind`: at random a start can be anywhere.
-    return draws._replace(kind=jnp.where(tries > 0, 2.0, draws.kind))
-
-
 def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
     """Kinds of starts (...), at most one each; `number` (...) decides."""
-    ratios = (
-        config.close_ratio,
-        config.conflict_ratio,
-        config.reverse_ratio,
-        config.misaligned_ratio,
-    )
-    ends = jnp.asarray(list(itertools.accumulate(ratios)), jnp.float32)
+    ends = jnp.asarray(list(itertools.accumulate(config.ratios)), jnp.float32)
     kind = (number[..., None] >= ends).sum(-1)
-    return SpawnKind(*(kind == k for k in range(len(ratios))))
+    return SpawnKind(*(kind == k for k in range(len(config.ratios))))
 
 
 def spawn_pose(
@@ -141,14 +177,8 @@ def redraw(
 ) -> jax.Array:
     """Draws a start pose (3,) again, at random, until it keeps `min_distance`.
 
-    After `max_redraws` rounds of `num_candidates` it may still be too near.
-
-    Args:
-        config: spawning rules.
-        layout: the lot.
-        around: obstacles to keep away from.
-        pose: (3,) drawn so far.
-        key: consumed.
+    After `max_redraws` rounds of `num_candidates` it may still be too near. `key` is
+    consumed.
     """
     if not config.max_redraws:
         return pose

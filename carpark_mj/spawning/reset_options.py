@@ -14,8 +14,8 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_kind
 from carpark_mj.geometry import boxes_overlap, wrap_angle
 from carpark_mj.layouts.types import BayKind, Layout
-from carpark_mj.mdp.bays import bay_fits, marked
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.mdp.parked_cars import bay_fits, marked
 from carpark_mj.types import NO_BAY, State
 
 TOLERANCE = 1e-3  # m, rad or m/s by which a start may differ from what was asked for

@@ -9,32 +9,38 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.config.checks import Range
-from carpark_mj.fleet.draw import Fleet
 from carpark_mj.geometry import box_disc_overlap, boxes_overlap, to_world
 from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.turning import Entry
 from carpark_mj.layouts.types import BayKind
+from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.vehicle import VehicleParameters
 
 SAMPLED_LOTS = 4  # in which a random lot's bays are measured against the fleet
 
 
-def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
-    """Refuses more cars or tracked bays than the lot has bays for.
+def check_numbers(config: EnvConfig, lot: LayoutConfig) -> None:
+    """Refuses more cars or tracked bays than lots have bays for.
 
     Raises:
-        ValueError: naming the number and the maximum.
+        ValueError: naming the number and what is allowed.
     """
-    bays, agents = lot.min_bays, _num_goals(config)
+    bays, agents, parked = lot.min_bays, _num_goals(config), config.num_parked_cars
+    if config.occupancy is not None:
+        needed = parked_cars_needed(config.occupancy, lot)
+        if needed > parked:
+            raise ValueError(
+                f"occupancy of up to {config.occupancy[1]:g} of {bays} bays needs "
+                f"num_parked_cars of at least {needed}, not {parked}"
+            )
     if config.goals.dynamic:
-        free = bays - config.num_parked_cars
+        free = max(bays - parked, 0)
         if free < config.goals.num_tracked_bays:
             raise ValueError(
-                f"goals.num_tracked_bays must be at most {max(free, 0)} ({bays} bays "
-                f"less {config.num_parked_cars} parked cars), not "
-                f"{config.goals.num_tracked_bays}"
+                f"goals.num_tracked_bays must be at most {free} ({bays} bays less "
+                f"{parked} parked cars), not {config.goals.num_tracked_bays}"
             )
         return
     if agents > lot.min_goals:
@@ -42,20 +48,15 @@ def check_room(config: EnvConfig, lot: LayoutConfig) -> None:
         raise ValueError(
             f"{name} must be at most {lot.min_goals} (a goal bay each), not {agents}"
         )
-    free = bays - agents
-    if config.occupancy is None and config.num_parked_cars > free:
+    if config.occupancy is None and parked > bays - agents:
         raise ValueError(
-            f"num_parked_cars must be at most {free} ({bays} bays less {agents} "
-            f"agents' goals), not {config.num_parked_cars}"
+            f"num_parked_cars must be at most {bays - agents} ({bays} bays less "
+            f"{agents} agents' goals), not {parked}"
         )
 
 
 def check_exits(config: EnvConfig, lot: LayoutConfig) -> None:
     """Refuses `goals.drive_out` without exits, and exits without `goals.drive_out`.
-
-    Args:
-        config: of the environment.
-        lot: its layout's config.
 
     Raises:
         ValueError: naming the setting.
@@ -80,22 +81,6 @@ def has_exits(lot: LayoutConfig) -> bool:
     return True
 
 
-def check_occupancy(config: EnvConfig, lot: LayoutConfig) -> None:
-    """Refuses fewer parked cars than `EnvConfig.occupancy` requires.
-
-    Raises:
-        ValueError: naming the number needed.
-    """
-    if config.occupancy is None:
-        return
-    needed = parked_cars_needed(config.occupancy, lot)
-    if needed > config.num_parked_cars:
-        raise ValueError(
-            f"occupancy of up to {config.occupancy[1]:g} of {lot.min_bays} bays needs "
-            f"num_parked_cars of at least {needed}, not {config.num_parked_cars}"
-        )
-
-
 def parked_cars_needed(occupancy: Range, lot: LayoutConfig) -> int:
     """Number of parked cars for an occupancy; for random lots, in the smallest."""
     return math.floor(occupancy[1] * lot.min_bays + 1e-6)
@@ -118,45 +103,48 @@ def check_cars(
     Raises:
         ValueError: naming the car and what is allowed.
     """
-    for name, params in zip(fleet.agent_names, fleet.agents, strict=True):
+    agents = list(zip(fleet.agent_names, fleet.agents, strict=True))
+    for name, car in agents:
         if config.physics_config.steers:
-            _require_entry(name, params, lot.entries)
-        if layout is not None:
-            _require_start(name, params, lot, layout)
+            _require_entry(name, car, lot.entries)
+        if layout is not None and not is_made_for(lot, car):
+            _require_start(name, car, layout)
     one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
     if one_size and layout is None and is_made_for(lot, fleet.agents[0]):
         return
-    lots = [layout] if layout is not None else _sample(lot)
+    lots = [layout]
+    if layout is None:
+        keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
+        lots = [make_layout(lot, key) for key in keys]
     bays = [np.asarray(x.bay_size)[np.asarray(x.bay_mask)] for x in lots]
     if fleet.mixed:
-        rule = config.episode.parked_rule
-        slack = config.episode.slack
-        counts = [
-            _count_bays("fleet.agents", name, _size(params), slack, bays)
-            for name, params in zip(fleet.agent_names, fleet.agents, strict=True)
-        ]
-        goals = _num_goals(config)
-        if layout is not None and max(counts) < goals:
+        slack, goals = config.episode.slack, _num_goals(config)
+        most = max(
+            _count_bays("fleet.agents", name, _size(car), slack, bays)
+            for name, car in agents
+        )
+        if layout is not None and most < goals:
             raise ValueError(
-                f"fleet.agents find goals in only {max(counts)} bays of this lot under "
-                f"the {rule} rule, fewer than the {goals} agents of a lot"
+                f"fleet.agents find goals in only {most} bays of this lot under the "
+                f"{config.episode.parked_rule} rule, fewer than the {goals} agents of "
+                "a lot"
             )
     else:  # drawn without regard to its size
         used = bays
         if layout is not None and (config.varies or not config.num_parked_cars):
             used = [np.asarray(layout.bay_size)[np.asarray(layout.goal_mask)]]
-        (name,), (params,) = fleet.agent_names, fleet.agents
-        count = _count_bays("agents", name, _size(params), 0.0, used)
+        [(name, car)] = agents
+        count = _count_bays("agents", name, _size(car), 0.0, used)
         if layout is not None and count < len(used[0]):
             raise ValueError(
-                f"the {name}, {params.length:.2f} m x {params.width:.2f} m, fits in "
-                f"only {count} of the lot's {len(used[0])} bays; fleet.agents and "
+                f"the {name}, {car.length:.2f} m x {car.width:.2f} m, fits in only "
+                f"{count} of the lot's {len(used[0])} bays; fleet.agents and "
                 "fleet.parked_cars take presets and use only bays that these fit in"
             )
     if config.num_parked_cars and config.varies:
         scale = config.jitter.scale[1]
-        for name, params in zip(fleet.parked_names, fleet.parked_cars, strict=True):
-            _count_bays("parked cars", name, scale * _size(params), 0.0, bays)
+        for name, car in zip(fleet.parked_names, fleet.parked_cars, strict=True):
+            _count_bays("parked cars", name, scale * _size(car), 0.0, bays)
 
 
 def is_made_for(lot: LayoutConfig, car: VehicleParameters) -> bool:
@@ -180,30 +168,19 @@ def _num_goals(config: EnvConfig) -> int:
     return config.num_agents if config.occupancy is None else config.agent_counts.start
 
 
-def _size(params: VehicleParameters) -> np.ndarray:
-    return np.array([params.length, params.width])
+def _size(car: VehicleParameters) -> np.ndarray:
+    return np.array([car.length, car.width])
 
 
-def _sample(lot: LayoutConfig) -> list[Layout]:
-    keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
-    return [make_layout(lot, key) for key in keys]
-
-
-def _require_entry(
-    name: str, params: VehicleParameters, entries: Sequence[Entry]
-) -> None:
+def _require_entry(name: str, car: VehicleParameters, entries: Sequence[Entry]) -> None:
     """Refuses a car that cannot enter any bay of a lot, as families do."""
-    car = DesignCar(
-        params.length,
-        params.width,
-        params.wheelbase,
-        params.rear_overhang,
-        params.max_steering,
+    design = DesignCar(
+        car.length, car.width, car.wheelbase, car.rear_overhang, car.max_steering
     )
-    if not entries or any(entry.least(car) <= entry.aisle for entry in entries):
+    if not entries or any(entry.least(design) <= entry.aisle for entry in entries):
         return
-    entry = min(entries, key=lambda entry: entry.least(car) - entry.aisle)
-    least, bay = entry.least(car), f"a bay {entry.bay_width:.2f} m wide"
+    entry = min(entries, key=lambda entry: entry.least(design) - entry.aisle)
+    least, bay = entry.least(design), f"a bay {entry.bay_width:.2f} m wide"
     if math.isinf(least):
         raise ValueError(f"the {name}, {car.width:.2f} m wide, cannot turn into {bay}")
     raise ValueError(
@@ -213,26 +190,22 @@ def _require_entry(
     )
 
 
-def _require_start(
-    name: str, params: VehicleParameters, lot: LayoutConfig, layout: Layout
-) -> None:
+def _require_start(name: str, car: VehicleParameters, layout: Layout) -> None:
     """Refuses a car that touches an obstacle at every possible start."""
-    if is_made_for(lot, params):
-        return
     # Along, across and in heading, out to the bounds of every region.
     shares = jnp.linspace(-1.0, 1.0, 9)
     shares = jnp.stack(jnp.meshgrid(shares, shares, shares), axis=-1).reshape(-1, 3)
     bounds = jnp.column_stack([layout.spawn_size / 2, layout.spawn_spread])
     starts = to_world(layout.spawn_pose[:, None], shares * bounds[:, None])
     starts = starts[layout.spawn_mask].reshape(-1, 1, 3)
-    size = jnp.array([params.length, params.width])
+    size = jnp.array([car.length, car.width])
     walls = boxes_overlap(starts, size, layout.wall_pose, layout.wall_size)
     discs = box_disc_overlap(starts, size, layout.disc_centre, layout.disc_radius)
     touches = (walls & layout.wall_mask).any(1) | (discs & layout.disc_mask).any(1)
     if touches.all():
         raise ValueError(
-            f"the {name}, {params.length:.2f} m x {params.width:.2f} m, finds no start "
-            "in the lot: it touches a wall or disc wherever it could spawn"
+            f"the {name}, {car.length:.2f} m x {car.width:.2f} m, finds no start in "
+            "the lot: it touches a wall or disc wherever it could spawn"
         )
 
 
@@ -245,8 +218,8 @@ def _count_bays(
         longest, widest = np.concatenate(lots).max(axis=0)
         spare = f"with {slack:g} m to spare " if slack else ""
         raise ValueError(
-            f"{kind}: the {name}, {size[0]:.2f} m x {size[1]:.2f} m, fits {spare}"
-            f"in no bay of the lot: these are up to "
-            f"{longest:.2f} m long and {widest:.2f} m wide"
+            f"{kind}: the {name}, {size[0]:.2f} m x {size[1]:.2f} m, fits {spare}in no "
+            f"bay of the lot: these are up to {longest:.2f} m long and {widest:.2f} m "
+            "wide"
         )
     return count

@@ -11,8 +11,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import RandomizationConfig
-from carpark_mj.config.randomization import ADDED
+from carpark_mj.spawning.config import ADDED, RandomizationConfig
 from carpark_mj.vehicle import Vehicle, VehicleParameters
 from carpark_mj.vehicle.conditions import with_grip, with_mass
 from carpark_mj.vehicle.mjcf import chassis_inertial

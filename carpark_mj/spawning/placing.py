@@ -1,13 +1,12 @@
 """Places agents that begin an episode, one after the other, so that they stay apart.
 
-The loop is the same for fixed and dynamic goals; see `carpark_mj.mdp.goals`. A start
-that overlaps an obstacle is rejected: an agent without a free start waits.
+The loop is the same for fixed and dynamic goals; see `spawning.goals`. A start that
+overlaps an obstacle is rejected: an agent without a free start waits.
 """
 
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +16,7 @@ from flax import struct
 from carpark_mj.geometry import box_distance, boxes_overlap, norm
 from carpark_mj.geometry.obstacles import NO_MOVERS, Group, Movers, touches
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.parked_cars import in_bays
+from carpark_mj.mdp.parked_cars import BayFits, in_bays
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY, ParkedCars, Vehicle
 
@@ -40,6 +38,8 @@ class SpawnInputs:
         movers: where they are.
         clear: whether starts are clear of all that stands, so that only movers can be
             where an agent starts.
+        first: whether the lot begins: goals are given, and agents that have not been
+            placed yet are nowhere.
     """
 
     layout: Layout
@@ -50,6 +50,7 @@ class SpawnInputs:
     cars: Vehicle | None = None
     movers: Movers = NO_MOVERS
     clear: bool = struct.field(pytree_node=False, default=False)
+    first: bool = struct.field(pytree_node=False, default=False)
 
 
 @struct.dataclass
@@ -97,6 +98,28 @@ class Placing:
             old = getattr(self, name)
             changes[name] = jnp.where(own[:, None] if old.ndim > 1 else own, value, old)
         return dataclasses.replace(self, **changes)
+
+
+def start_placing(
+    goal: jax.Array,
+    parked_bay: jax.Array,
+    pose_w: jax.Array,
+    waiting: jax.Array,
+    waited: jax.Array | None = None,
+) -> Placing:
+    """Agents before any is placed; arguments as in `Placing`."""
+    zero = jnp.zeros(goal.shape, jnp.int32)
+    return Placing(
+        goal=goal,
+        parked_bay=parked_bay,
+        pose_w=pose_w,
+        waiting=waiting,
+        close_bay=jnp.full(goal.shape, NO_BAY, jnp.int32),
+        conflict=jnp.zeros(goal.shape, bool),
+        found=jnp.ones(goal.shape, bool),
+        waited=zero if waited is None else waited,
+        tries=zero,
+    )
 
 
 @struct.dataclass
@@ -170,14 +193,16 @@ class Surroundings:
 
 
 def surroundings(
-    inputs: SpawnInputs, placing: Placing, agent: jax.Array
+    inputs: SpawnInputs, placing: Placing, agent: jax.Array, placed_only: bool = False
 ) -> Surroundings:
-    """The obstacles of an agent's () start pose, all other agents included.
+    """The obstacles of an agent's () start pose.
 
     Args:
         inputs: the lot.
         placing: goals and parked cars as they will be.
         agent: () int32 index.
+        placed_only: without agents that are still to be placed, which otherwise count
+            where their last episodes ended.
     """
     size, outlines, parked = None, None, inputs.parked_cars
     if inputs.cars is not None:
@@ -189,9 +214,10 @@ def surroundings(
         size = jnp.where(found, inputs.size[agent], inputs.old_size[agent])
     if size is not None or inputs.cars is not None:
         parked = in_bays(inputs.layout, parked, placing.parked_bay)
+    others = jnp.arange(placing.goal.shape[0]) != agent
     return Surroundings(
         pose_w=placing.pose_w,
-        others=jnp.arange(placing.goal.shape[0]) != agent,
+        others=others & ~placing.waiting if placed_only else others,
         outlines=outlines,
         agent=agent,
         size=size,
@@ -201,46 +227,9 @@ def surroundings(
     )
 
 
-def start_placing(
-    goal: jax.Array,
-    parked_bay: jax.Array,
-    pose_w: jax.Array,
-    waiting: jax.Array,
-    waited: jax.Array | None = None,
-) -> Placing:
-    """Agents before any is placed; arguments as in `Placing`."""
-    zero = jnp.zeros(goal.shape, jnp.int32)
-    return Placing(
-        goal=goal,
-        parked_bay=parked_bay,
-        pose_w=pose_w,
-        waiting=waiting,
-        close_bay=jnp.full(goal.shape, NO_BAY, jnp.int32),
-        conflict=jnp.zeros(goal.shape, bool),
-        found=jnp.ones(goal.shape, bool),
-        waited=zero if waited is None else waited,
-        tries=zero,
-    )
-
-
 Place = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], Placing]
-
-
-class Patience(NamedTuple):
-    """How many starts are drawn until one is free.
-
-    Attributes:
-        tries: the maximum.
-        gives_up: whether an agent goes on waiting after the last try; otherwise it
-            takes the last start, free or not.
-    """
-
-    tries: int
-    gives_up: bool
-
-
-# In a lot with room for all (`mdp.spawning.room`) a quarter of all starts is free.
-SURE = Patience(1000, False)
+# In a lot with room for all (`has_room`) a quarter of all starts is free.
+MAX_TRIES = 1000
 
 
 def place_waiting(
@@ -248,18 +237,21 @@ def place_waiting(
     inputs: SpawnInputs,
     placing: Placing,
     key: jax.Array,
-    patience: Patience = SURE,
+    max_tries: int = MAX_TRIES,
+    accept_last: bool = True,
 ) -> Placing:
     """Places the waiting agents; the others continue their episodes.
 
     A start that is not free is rejected, with the goal and the car drawn for it.
 
     Args:
-        place: `Goals.place`, or `Goals.place_first` for a lot that begins.
+        place: draws goal and start pose of one agent.
         inputs: the lot.
         placing: before.
         key: consumed.
-        patience: how many starts are drawn.
+        max_tries: starts drawn for an agent at most.
+        accept_last: whether an agent takes the last of them, free or not; otherwise it
+            goes on waiting.
 
     Returns:
         The agents; those without a free start are still waiting.
@@ -268,7 +260,7 @@ def place_waiting(
     keys = jax.random.split(key, 2 * num_agents)
 
     def due(placing: Placing) -> jax.Array:
-        return placing.waiting & (placing.tries < patience.tries)
+        return placing.waiting & (placing.tries < max_tries)
 
     def one(placing: Placing) -> Placing:
         agent = jnp.argmax(jnp.where(due(placing), placing.waited, -1))
@@ -276,11 +268,10 @@ def place_waiting(
         again = jax.random.fold_in(keys[num_agents + agent], tries)
         key = jnp.where(tries == 0, keys[agent], again)
         placed = place(inputs, placing, agent, key).set(agent, waiting=False)
-        around = surroundings(inputs, placed, agent)
-        around = dataclasses.replace(around, others=around.others & ~placed.waiting)
+        around = surroundings(inputs, placed, agent, placed_only=True)
         made = around.free(placed.pose_w[agent][None])[0]
-        if not patience.gives_up:
-            made = made | (tries + 1 == patience.tries)
+        if accept_last:
+            made = made | (tries + 1 == max_tries)
         placing = jax.tree.map(lambda x, y: jnp.where(made, x, y), placed, placing)
         return placing.set(agent, tries=tries + 1)
 
