@@ -16,8 +16,7 @@ if TYPE_CHECKING:
         physics_config,
     )
     from carpark_mj.config.checks import data
-    from carpark_mj.config.env import EnvConfig
-    from carpark_mj.config.insertion import insert, is_data, setting
+    from carpark_mj.config.env import EnvConfig, insert, is_data, setting
     from carpark_mj.config.layouts import (
         LAYOUTS,
         LayoutChoice,
@@ -65,8 +64,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "config.back_ends": ("PHYSICS", "PhysicsChoice", "PhysicsConfig", "physics_config"),
     "config.checks": ("data",),
-    "config.env": ("EnvConfig",),
-    "config.insertion": ("insert", "is_data", "setting"),
+    "config.env": ("EnvConfig", "insert", "is_data", "setting"),
     "config.layouts": (
         *("LAYOUTS", "LayoutChoice", "LayoutConfig", "register_layout"),
         "require_layout",

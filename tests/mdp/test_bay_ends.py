@@ -41,9 +41,9 @@ from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _poses_in_bay
 from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
+    clamp_to_bay_end,
     misaligned_pose,
     misaligned_shapes,
-    parked_right,
     paths_out,
     reverse_shapes,
 )
@@ -177,12 +177,13 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
     draws = draw_uniform(shapes, jax.random.key(0))
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
-        nose_out = parked_right(layout, jnp.int32(end), draws.nose_out)
+        nose_out = clamp_to_bay_end(layout, jnp.int32(end), draws.nose_out)
         right = draws._replace(nose_out=nose_out)
         paths = paths_out(car, jnp.int32(0), jnp.zeros(3), right)
         assert set(np.round(np.cos(paths[:, 0, 2]), 5)) == facing
     np.testing.assert_array_equal(
-        parked_right(layout, jnp.int32(BayEnd.EITHER), draws.nose_out), draws.nose_out
+        clamp_to_bay_end(layout, jnp.int32(BayEnd.EITHER), draws.nose_out),
+        draws.nose_out,
     )
 
 

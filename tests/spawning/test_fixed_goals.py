@@ -12,7 +12,7 @@ from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.layouts import BayKind, Maxima, make_layout, pad_layout
 from carpark_mj.mdp.parked_cars import BayFits, relocate_parked_cars
 from carpark_mj.spawning.fleet import Fleet
-from carpark_mj.spawning.goals import FixedGoals
+from carpark_mj.spawning.goals import new_goal
 from carpark_mj.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.vehicle import COMPACT
 
@@ -28,14 +28,14 @@ def start_lot(layout, num_agents, num_parked_cars, key):
     return start.goal, start.parked_cars.bay
 
 
-def new_goal(layout, goal, parked_bay, agent, xy, key):
+def drawn_goal(layout, goal, parked_bay, agent, xy, key):
     """The lot when one agent has drawn a new goal; agents stand at xy."""
     pose = jnp.pad(xy, ((0, 0), (0, 1)))
     inputs = SpawnInputs(layout, parked_in(layout, parked_bay), None, None, BayFits())
     waiting = jnp.arange(goal.shape[0]) == agent
     placing = start_placing(goal, parked_bay, pose, waiting)
     scores = jax.random.uniform(key, (2, layout.num_bays))
-    return FixedGoals(CONFIG).new_goal(inputs, placing, agent, scores)
+    return new_goal(CONFIG, inputs, placing, agent, scores)
 
 
 def history(layout, num_agents, num_parked_cars, num_steps, seed=0, reach=20.0):
@@ -56,7 +56,7 @@ def history(layout, num_agents, num_parked_cars, num_steps, seed=0, reach=20.0):
         state = state_of(layout, motion, goal, parked_cars=parked_cars)
         events = no_events(num_agents, parked=parked)
         bay = relocate_parked_cars(CONFIG, state, events, keys[4]).bay
-        drawn = new_goal(layout, goal, bay, agent, xy, keys[3])
+        drawn = drawn_goal(layout, goal, bay, agent, xy, keys[3])
         carry = drawn.goal, drawn.parked_bay
         return carry, (*carry, agent)
 
@@ -141,7 +141,7 @@ def draws(goal, parked_bay, xy, count=400):
     keys = jax.random.split(jax.random.key(0), count)
 
     def draw(key):
-        return new_goal(ROW, goal, parked_bay, 0, jnp.array(xy), key)
+        return drawn_goal(ROW, goal, parked_bay, 0, jnp.array(xy), key)
 
     return jax.device_get(jax.jit(jax.vmap(draw))(keys))
 
@@ -213,7 +213,7 @@ def test_a_car_on_a_goal_that_is_kept_makes_way_even_near_another_agent():
     row = ROW.replace(bay_kind=kind)
     xy = jnp.array([[10.0, 0.0], [30.0, 5.0]])  # agent 1 is 5 m from the free bay
     goal, parked_bay = jnp.array([1, 5]), jnp.array([1, 0, 2, 4])
-    after = new_goal(row, goal, parked_bay, 0, xy, jax.random.key(0))
+    after = drawn_goal(row, goal, parked_bay, 0, xy, jax.random.key(0))
     assert after.goal.tolist() == [1, 5]
     assert after.parked_bay.tolist() == [3, 0, 2, 4]
 

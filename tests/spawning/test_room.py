@@ -1,6 +1,7 @@
 """Room for starts: nobody starts on top of another, and who finds no room waits."""
 
 import dataclasses
+import functools
 import itertools
 
 import jax
@@ -15,9 +16,9 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import SquareConfig, make_layout
 from carpark_mj.mdp.parked_cars import BayFits
+from carpark_mj.spawning.goals import place_agent
 from carpark_mj.spawning.placing import (
     FREE,
-    Patience,
     SpawnInputs,
     has_room,
     place_waiting,
@@ -176,22 +177,22 @@ def test_a_start_on_a_car_is_not_made_and_who_has_waited_longest_comes_first():
         y = jnp.where(agent == 3, 0.0, 10.0 * agent)
         return placing.set(agent, pose_w=jnp.stack([x, y, 0.0]), goal=7)
 
-    def placed(patience):
+    def placed(accept_last):
         waited = jnp.array([0, 0, 5, 2])
         placing = start_placing(
             jnp.arange(4), jnp.zeros(0, jnp.int32), pose, waiting, waited
         )
         return jax.device_get(
-            place_waiting(place, inputs, placing, jax.random.key(0), patience)
+            place_waiting(place, inputs, placing, jax.random.key(0), 3, accept_last)
         )
 
-    after = placed(Patience(3, gives_up=True))
+    after = placed(accept_last=False)
     np.testing.assert_array_equal(after.waiting, [False, False, False, True])
     np.testing.assert_array_equal(after.tries, [1, 0, 1, 3])
     np.testing.assert_array_equal(after.goal, [7, 1, 7, 3])
     assert after.pose_w[2, 0] < after.pose_w[0, 0]  # it had waited longer
     np.testing.assert_array_equal(after.pose_w[3], pose[3])
-    at_last = placed(Patience(3, gives_up=False))
+    at_last = placed(accept_last=True)
     assert not at_last.waiting.any()
     assert at_last.goal[3] == 7
 
@@ -200,7 +201,7 @@ def test_starts_after_a_first_try_are_at_random_even_if_all_are_to_be_close():
     """All close starts are blocked by a car beside the goal."""
     spawn = SpawnConfig(close_ratio=1.0, close_distance=0.1, min_distance=0.0)
     config = dataclasses.replace(CROWD, layout="square", num_agents=2, spawn=spawn)
-    env = ParkingEnv(config)
+    env, place = ParkingEnv(config), functools.partial(place_agent, config)
 
     def start(key):
         state, _ = env.reset(key)
@@ -212,10 +213,11 @@ def test_starts_after_a_first_try_are_at_random_even_if_all_are_to_be_close():
             None,
             BayFits(),
             state.physics.vehicle,
+            first=True,
         )
         goal, bay = jnp.array([0, 0]), state.parked_cars.bay
         placing = start_placing(goal, bay, jnp.zeros((2, 3)), jnp.ones(2, bool))
-        return place_waiting(env.goals.place_first, inputs, placing, key)
+        return place_waiting(place, inputs, placing, key)
 
     keys = jax.random.split(jax.random.key(0), 20)
     after = jax.device_get(jax.jit(jax.vmap(start))(keys))

@@ -22,7 +22,7 @@ from carpark_mj.layouts import (
 from carpark_mj.mdp.parked_cars import BayFits, fits, poses_in_bays
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.spawning.fleet import shuffled_bays
-from carpark_mj.spawning.goals import FixedGoals, place_shapes
+from carpark_mj.spawning.goals import place_agent, place_shapes
 from carpark_mj.spawning.placing import (
     SpawnInputs,
     place_waiting,
@@ -211,15 +211,15 @@ def test_a_start_is_free_and_the_way_back_ends_parked_in_the_bay(name):
 def ends_of(layout, spawn, agents=((0.0, 40.0, 0.0),), parked=None, count=1500):
     """Poses of agent 0, whose goal is bay 0, in a lot that begins around the others."""
     parked = parked_at() if parked is None else parked
-    goals = FixedGoals(EnvConfig(spawn=spawn))
+    config = EnvConfig(spawn=spawn)
     pose = jnp.asarray(agents, jnp.float32)
     waiting = jnp.arange(len(agents)) == 0
     compact = vehicles(["compact"] * len(agents))
-    inputs = inputs_of(layout, parked, compact)
+    inputs = inputs_of(layout, parked, compact).replace(first=True)
     placing = start_placing(jnp.arange(len(agents)), parked.bay, pose, waiting)
 
     def one(key):
-        return goals.place_first(inputs, placing, jnp.array(0), key).pose_w[0]
+        return place_agent(config, inputs, placing, jnp.array(0), key).pose_w[0]
 
     return np.asarray(jax.jit(jax.vmap(one))(keys_of(3, count)))
 
@@ -251,16 +251,14 @@ def test_parked_cars_count_where_they_stand_once_the_goal_is_drawn():
     """The new goal is bay 1, whose car makes way to bay 0, the old goal."""
     layout = lot([(10.0, 0.0, 0.0), (10.0, 3.0, 0.0)], spawn_size=(0.1, 0.1))
     parked, compact = parked_in(layout, [1]), vehicles(["compact"])
-    inputs, goals = (
-        inputs_of(layout, parked, compact),
-        FixedGoals(EnvConfig(spawn=REVERSE)),
-    )
+    inputs, config = inputs_of(layout, parked, compact), EnvConfig(spawn=REVERSE)
+    place = functools.partial(place_agent, config)
     placing = start_placing(
         jnp.array([0]), parked.bay, jnp.full((1, 3), 45.0), jnp.array([True])
     )
-    after = jax.jit(
-        jax.vmap(lambda key: place_waiting(goals.place, inputs, placing, key))
-    )(keys_of(4, 500))
+    after = jax.jit(jax.vmap(lambda key: place_waiting(place, inputs, placing, key)))(
+        keys_of(4, 500)
+    )
     assert (after.goal == 1).all()
     assert (after.parked_bay == 0).all()
     start = polygons(after.pose_w[:, 0], compact.size[0])
@@ -274,8 +272,9 @@ def test_parked_cars_count_where_they_stand_once_the_goal_is_drawn():
 
 def test_agents_of_a_lot_that_begins_do_not_overlap():
     layout = make_layout("square_compact")
-    goals, compact = FixedGoals(EnvConfig(spawn=REVERSE)), vehicles(["compact"] * 6)
-    inputs, waiting = inputs_of(layout, parked_at(), compact), jnp.ones(6, bool)
+    place = functools.partial(place_agent, EnvConfig(spawn=REVERSE))
+    compact, waiting = vehicles(["compact"] * 6), jnp.ones(6, bool)
+    inputs = inputs_of(layout, parked_at(), compact).replace(first=True)
 
     @jax.jit
     @jax.vmap
@@ -285,7 +284,7 @@ def test_agents_of_a_lot_that_begins_do_not_overlap():
         placing = start_placing(
             goal, jnp.zeros(0, jnp.int32), jnp.zeros((6, 3)), waiting
         )
-        return place_waiting(goals.place_first, inputs, placing, key).pose_w
+        return place_waiting(place, inputs, placing, key).pose_w
 
     boxes = polygons(begin(keys_of(5, 300)), compact.size[0])
     gaps = shapely.distance(boxes[:, :, None], boxes[:, None])

@@ -1,5 +1,6 @@
 """Starts as the environment makes them: agents placed one after the other."""
 
+import dataclasses
 import functools
 
 import jax
@@ -10,13 +11,12 @@ from helpers.scenes import cars, check_occupancy, lot
 from helpers.spawning import meetings, meets
 from helpers.states import parked_at, parked_in, state_of
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, SpawnConfig
+from carpark_mj.config import WORLD_UNIT, EnvConfig, GoalConfig, SpawnConfig
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.goals import DynamicGoals
 from carpark_mj.mdp.parked_cars import BayFits
 from carpark_mj.spawning.fleet import Fleet
-from carpark_mj.spawning.goals import FixedGoals, place_shapes
+from carpark_mj.spawning.goals import new_goal, place_agent, place_shapes
 from carpark_mj.spawning.placing import (
     SpawnInputs,
     place_waiting,
@@ -50,16 +50,20 @@ def lots(count, seed=1):
     return start.goal, start.parked_cars, jnp.asarray(pose, jnp.float32)
 
 
-def alike(parked_cars):
+def alike(parked_cars, first=False):
     """What agents are placed in when all cars are of one size."""
-    return SpawnInputs(LAYOUT, parked_cars, None, None, BayFits())
+    return SpawnInputs(LAYOUT, parked_cars, None, None, BayFits(), first=first)
+
+
+def placer(config):
+    return functools.partial(place_agent, config)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def place_lots(goals, goal, parked_cars, pose, done, keys):
+def place_lots(config, goal, parked_cars, pose, done, keys):
     def one(goal, parked_cars, pose, key):
         placing = start_placing(goal, parked_cars.bay, pose, done)
-        return place_waiting(goals.place, alike(parked_cars), placing, key)
+        return place_waiting(placer(config), alike(parked_cars), placing, key)
 
     return jax.vmap(one)(goal, parked_cars, pose, keys)
 
@@ -68,8 +72,7 @@ def placed(spawn, count=2000, done=FIRST):
     """Goals before, and the agents after those that are done have been placed."""
     goal, parked_cars, pose = lots(count)
     keys = jax.random.split(jax.random.key(2), count)
-    goals = FixedGoals(config_of(spawn))
-    after = place_lots(goals, goal, parked_cars, pose, done, keys)
+    after = place_lots(config_of(spawn), goal, parked_cars, pose, done, keys)
     assert not after.waiting.any()
     assert after.found.all()
     return np.asarray(goal), jax.device_get(after)
@@ -149,13 +152,13 @@ def test_a_start_that_is_not_on_course_is_a_new_goal_and_then_a_pose():
     spawn = SpawnConfig()
     goal, parked_cars, pose = lots(200)
     keys = jax.random.split(jax.random.key(2), 200)
-    goals = FixedGoals(config_of(spawn))
+    config = config_of(spawn)
 
     def by_hand(goal, parked_cars, pose, key):
         draws = first_draws(spawn, key)
         inputs, agent = alike(parked_cars), jnp.array(0)
         placing = start_placing(goal, parked_cars.bay, pose, FIRST)
-        drawn = goals.new_goal(inputs, placing, agent, draws.goal)
+        drawn = new_goal(config, inputs, placing, agent, draws.goal)
         around = surroundings(inputs, drawn, agent)
         goal_pose = LAYOUT.bay_pose[drawn.goal[0]]
         return drawn, spawn_pose(spawn, LAYOUT, around, goal_pose, draws.start)
@@ -169,12 +172,12 @@ def test_a_start_that_is_not_on_course_is_a_new_goal_and_then_a_pose():
 
 def test_at_a_reset_agents_start_on_course_for_those_placed_before_them():
     goal, parked_cars, _ = lots(300)
-    goals, everybody = FixedGoals(config_of(CONFLICT)), jnp.ones(AGENTS, bool)
+    first, everybody = placer(config_of(CONFLICT)), jnp.ones(AGENTS, bool)
     nowhere = jnp.zeros((AGENTS, 3))
 
     def place(goal, parked_cars, key):
         placing = start_placing(goal, parked_cars.bay, nowhere, everybody)
-        return place_waiting(goals.place_first, alike(parked_cars), placing, key)
+        return place_waiting(first, alike(parked_cars, True), placing, key)
 
     keys = jax.random.split(jax.random.key(5), 300)
     after = jax.device_get(jax.jit(jax.vmap(place))(goal, parked_cars, keys))
@@ -195,8 +198,8 @@ def test_who_chooses_goals_is_placed_exploring_and_nobody_else_is_touched():
     goal, parked_cars, pose = lots(200)
     done = np.isin(np.arange(AGENTS), (1, 4))
     keys = jax.random.split(jax.random.key(2), 200)
-    goals = DynamicGoals(config_of(MIXED))
-    after = jax.device_get(place_lots(goals, goal, parked_cars, pose, done, keys))
+    config = dataclasses.replace(config_of(MIXED), goals=GoalConfig(dynamic=True))
+    after = jax.device_get(place_lots(config, goal, parked_cars, pose, done, keys))
     assert (after.goal[:, done] == NO_BAY).all()
     np.testing.assert_array_equal(after.goal[:, ~done], goal[:, ~done])
     np.testing.assert_array_equal(after.parked_bay, parked_cars.bay)
@@ -232,7 +235,7 @@ def one_agent(goal, inputs, xy=(0.0, 0.0)):
 
 
 def test_a_new_goal_fits_and_cars_make_way_to_bays_they_fit_in():
-    goals = FixedGoals(EnvConfig(spawn=SpawnConfig(min_distance=5.0)))
+    config = EnvConfig(spawn=SpawnConfig(min_distance=5.0))
     keys = jax.random.split(jax.random.key(0), 300)
 
     def drawn(parked_bay, parked_fits):
@@ -241,7 +244,7 @@ def test_a_new_goal_fits_and_cars_make_way_to_bays_they_fit_in():
 
         def draw(key):
             scores = jax.random.uniform(key, (2, 5))
-            return goals.new_goal(inputs, placing, jnp.array(0), scores)
+            return new_goal(config, inputs, placing, jnp.array(0), scores)
 
         after = jax.device_get(jax.jit(jax.vmap(draw))(keys))
         assert after.found.all()
@@ -259,13 +262,13 @@ def test_a_new_goal_fits_and_cars_make_way_to_bays_they_fit_in():
 
 
 def test_an_agent_for_whose_new_car_there_is_no_bay_keeps_its_goal():
-    goals = FixedGoals(EnvConfig())
+    place = placer(EnvConfig())
 
     @jax.jit
     def placed(agent_fits):
         inputs = in_row(agent_fits, FITS, [1, 2])
         placing = one_agent(0, inputs)
-        return place_waiting(goals.place, inputs, placing, jax.random.key(0))
+        return place_waiting(place, inputs, placing, jax.random.key(0))
 
     nowhere = placed([True, False, False, False, False])
     np.testing.assert_array_equal(nowhere.goal, [0])
@@ -283,11 +286,11 @@ def test_a_car_that_has_come_to_a_goal_that_is_kept_makes_way(parked_bay, bays):
     """To a bay that it fits into, or to any if it fits into none that is free."""
     fits = jnp.concatenate([FITS, FITS[1:]])[: len(parked_bay)]
     only_old = [True, False, False, False, False]
-    inputs, goals = in_row(only_old, fits, parked_bay), FixedGoals(EnvConfig())
+    inputs, how = in_row(only_old, fits, parked_bay), placer(EnvConfig())
     placing = one_agent(0, inputs)
 
     def place(key):
-        return place_waiting(goals.place, inputs, placing, key)
+        return place_waiting(how, inputs, placing, key)
 
     keys = jax.random.split(jax.random.key(0), 100)
     after = jax.device_get(jax.jit(jax.vmap(place))(keys))
@@ -309,15 +312,14 @@ def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
         build.spawns(jnp.zeros((1, 3)), (60.0, 0.2), np.pi),
     )
     size = jnp.array([[PRESETS["van"].length, PRESETS["van"].width]])
-    goals, small = FixedGoals(EnvConfig()), jnp.array([[1.0, 1.0]])
-    first, later = goals.place_first, goals.place
+    place, small = placer(EnvConfig()), jnp.array([[1.0, 1.0]])
 
-    def share_touching(how, new, old, fits):
-        inputs = SpawnInputs(layout, parked_at(), new, old, BayFits(fits))
+    def share_touching(first, new, old, fits):
+        inputs = SpawnInputs(layout, parked_at(), new, old, BayFits(fits), first=first)
         placing = one_agent(0, inputs)
 
         def start(key):
-            return place_waiting(how, inputs, placing, key).pose_w[0]
+            return place_waiting(place, inputs, placing, key).pose_w[0]
 
         keys = jax.random.split(jax.random.key(0), 300)
         x, y, yaw = np.asarray(jax.jit(jax.vmap(start))(keys)).T
@@ -328,10 +330,10 @@ def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
 
     fits, nowhere = jnp.ones((1, 2), bool), jnp.zeros((1, 2), bool)
     # Of 16 headings each 31 % fit: 1 in 400 lots has none.
-    assert share_touching(first, size, size, fits) < 0.02
-    assert share_touching(later, size, small, fits) < 0.02
-    assert share_touching(later, small, size, nowhere) < 0.02
-    assert share_touching(later, size, small, nowhere) > 0.4
+    assert share_touching(True, size, size, fits) < 0.02
+    assert share_touching(False, size, small, fits) < 0.02
+    assert share_touching(False, small, size, nowhere) < 0.02
+    assert share_touching(False, size, small, nowhere) > 0.4
 
 
 def test_what_a_start_would_touch_is_what_the_judge_of_collisions_says():

@@ -14,7 +14,7 @@ from helpers.states import parked_at
 from carpark_mj.config import EnvConfig, EpisodeConfig, GoalConfig, SpawnConfig
 from carpark_mj.mdp.parked_cars import BayFits
 from carpark_mj.mdp.terminations import is_parked
-from carpark_mj.spawning.goals import FixedGoals, place_shapes
+from carpark_mj.spawning.goals import place_agent, place_shapes
 from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
     FARTHEST,
@@ -33,15 +33,15 @@ COUNT = 1500
 def starts(layout, spawn=MISALIGNED, parked=None):
     """Poses (COUNT, 3) of one car whose goal is bay 0, in a lot that begins."""
     parked = parked_at() if parked is None else parked
-    goals = FixedGoals(EnvConfig(spawn=spawn))
+    config = EnvConfig(spawn=spawn)
     car = jax.tree.map(lambda x: jnp.asarray(x)[None], make_vehicle(COMPACT))
-    inputs = SpawnInputs(layout, parked, None, None, BayFits(), car)
+    inputs = SpawnInputs(layout, parked, None, None, BayFits(), car, first=True)
     placing = start_placing(
         jnp.array([0]), parked.bay, jnp.zeros((1, 3)), jnp.array([True])
     )
 
     def one(key):
-        return goals.place_first(inputs, placing, jnp.array(0), key).pose_w[0]
+        return place_agent(config, inputs, placing, jnp.array(0), key).pose_w[0]
 
     return np.asarray(
         jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(3), COUNT))

@@ -14,7 +14,7 @@ from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from carpark_mj.mdp.parked_cars import BayFits
 from carpark_mj.spawning.goals import first_goals, place_exploring
-from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.types import NO_BAY
 
 HALF = 21 * WORLD_UNIT
@@ -31,8 +31,7 @@ POSE = jnp.array([[0.0, 0.0, 0.0], [-9.0, -9.0, 0.0], [9.0, 9.0, 0.0]])
 @functools.partial(jax.jit, static_argnums=0)
 def draw(config, inputs, placing, keys):
     def one(key):
-        around = surroundings(inputs, placing, jnp.array(0))
-        drawn = place_exploring(config, inputs, placing, around, key)
+        drawn = place_exploring(config, inputs, placing, jnp.array(0), key)
         others = (drawn.goal[1:], drawn.pose_w[1:], drawn.close_bay[1:])
         return drawn.pose_w[0], drawn.close_bay[0], drawn.conflict, others
 
