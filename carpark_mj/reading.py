@@ -162,7 +162,7 @@ def read_csv(path: Path, *columns: str, growing: bool = False) -> list[CsvRow]:
                 raise ValueError(f"{place}: not as many values as columns")
             rows.append(CsvRow(place, cells))
     except csv.Error as error:
-        raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
+        raise ValueError(f"{path}, line {reader.reader.line_num}: {error}") from None
     return rows
 
 
