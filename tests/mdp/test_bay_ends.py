@@ -14,12 +14,9 @@ import pytest
 from helpers.observing import observed
 from helpers.rules import LIMITS
 from helpers.scenes import cars
-from helpers.sliding import SlidePhysics
 from helpers.states import hand_cars, parked_at, parked_in, state_of
 
-from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.config import (
-    GoalConfig,
     RayConfig,
     RewardConfig,
     SpawnConfig,
@@ -33,7 +30,6 @@ from carpark_mj.layouts import (
     pad_layout,
 )
 from carpark_mj.layouts.json_file import layout_text, read_json
-from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.mdp.parked_cars import BayFits, poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.terminations import is_parked
@@ -98,18 +94,6 @@ def test_a_lot_without_ends_has_no_array_of_them():
     assert plain.bay_end is None
     assert '"end"' not in layout_text(plain)
     assert plain.parked_pose is plain.bay_pose
-
-
-def test_plans_of_such_lots_can_be_drawn(layout, tmp_path):
-    lots = [("ends", jax.device_get(layout))]
-    assert plot_layouts(lots, tmp_path / "ends.png").stat().st_size > 1000
-
-
-def test_an_unknown_end_is_refused(path, tmp_path):
-    text = path.read_text().replace("tail_first", "sideways")
-    (tmp_path / "bad.json").write_text(text)
-    with pytest.raises(ValueError, match="sideways"):
-        read_json(tmp_path / "bad.json")
 
 
 def test_groups_and_mixtures_with_and_without_ends_join(layout, path):
@@ -209,22 +193,3 @@ def test_misaligned_starts_stand_as_the_car_must_park(layout):
     assert 0.3 < nose_in[0].mean() < 0.7
     assert nose_in[1].all()
     assert not nose_in[2].any()
-
-
-@pytest.mark.parametrize("dynamic", [False, True])
-def test_an_environment_runs_on_such_a_lot(path, dynamic):
-    config = EnvConfig(
-        layout=str(path),
-        num_agents=1,
-        num_parked_cars=1,
-        goals=GoalConfig(dynamic=dynamic),
-    )
-    env = ParkingEnv(config, SlidePhysics())
-
-    def run(key):
-        state, _ = env.reset(key)
-        return env.step(state, jnp.zeros((1, env.action_spec.size)))
-
-    state, timestep = jax.eval_shape(run, jax.random.key(0))
-    assert state.layout.bay_end.shape == (3,)
-    assert timestep.reward.shape == (1,)

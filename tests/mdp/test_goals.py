@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from helpers.scenes import cars, lot
 from helpers.transitions import no_goal_events, no_terms, transition
 
@@ -13,10 +12,8 @@ from carpark_mj.mdp.metrics import (
     COUNTS,
     count_goals,
     init_stats,
-    is_nearer_to_any,
     update_stats,
 )
-from carpark_mj.types import NO_BAY
 
 PLAN = lot([(10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 10.0, 0.0)])
 CHOICES = (
@@ -41,19 +38,6 @@ def step(xy, tracked_bays, goal_events=None, **of_state):
     return transition(
         config(len(xy)), PLAN, before, after, of_state, goal_events=goal_events
     )
-
-
-def test_nearer_to_any_tracked_bay_asks_all_of_them_and_no_empty_slot():
-    tracked = [[0, 1], [0, NO_BAY], [NO_BAY, NO_BAY], [1, 2], [2, NO_BAY]]
-    # The third comes nearer to the last bay, which JAX reads for an empty slot.
-    xy = [(1.0, 0), (-1.0, 0), (0.0, 1.0), (0.0, 1.0), (5.0, 0.1)]
-    found = is_nearer_to_any(step(xy, tracked))
-    assert found.tolist() == [True, False, False, True, False]
-
-
-def test_with_fixed_goals_there_is_no_tracked_bay_to_come_nearer_to():
-    with pytest.raises(ValueError, match="agents track bays only where they choose"):
-        is_nearer_to_any(step([(1.0, 0.0)], None))
 
 
 def test_counts_of_an_episode_conserve_its_steps():

@@ -133,8 +133,3 @@ def test_runs_side_by_side_differ_in_a_term_as_far_as_it_says():
 def test_terms_that_cannot_be_are_refused(term, sentence):
     with pytest.raises(ValueError, match=sentence):
         RewardTerm(**term)
-
-
-def test_a_second_term_of_a_name_is_refused():
-    with pytest.raises(ValueError, match="there is a reward term 'hurry' already"):
-        REWARD_TERMS.register("hurry", RewardTerm(hurry))

@@ -192,13 +192,6 @@ def test_far_from_the_goal_the_way_is_straight_and_it_changes_steadily():
     assert np.abs(steps).max() < 5 * (x[1] - x[0])
 
 
-def test_a_time_out_costs_nothing_by_itself():
-    vehicle = cars([(0.0, 0.0, 0.0)])
-    plain = terms(PUBLISHED, vehicle, vehicle, GOAL)
-    timed_out = terms(PUBLISHED, vehicle, vehicle, GOAL, events(1, timed_out=[0]))
-    assert plain == timed_out
-
-
 @pytest.mark.parametrize("config", [SHAPED, PUBLISHED])
 def test_a_diverged_car_gets_nothing(config):
     before = cars([(0.0, 0.0, 0.0)] * 2)

@@ -10,7 +10,6 @@ import pytest
 from helpers.scenes import lot
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.cli.layouts import LayoutsConfig, check
 from carpark_mj.config import (
     EnvConfig,
     EpisodeConfig,
@@ -205,15 +204,6 @@ def test_a_car_needs_a_start_at_which_it_touches_nothing(tmp_path):
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 100))
     hits = jax.jit(jax.vmap(find_hits))(state)
     assert not hits["wall"].any()
-
-
-def test_the_layouts_command_checks_with_the_car_asked_for(tmp_path):
-    lot = drawn(tmp_path, (3.8, 2.0), (3.8, 2.0))
-    assert check(lot, 1, 0, "city") == []
-    for vehicle in ("", "van"):
-        assert any("smaller than the car" in told for told in check(lot, 1, 0, vehicle))
-    with pytest.raises(ValueError, match="vehicle 'van' has no effect without --check"):
-        LayoutsConfig((lot,), plot="lots.png", vehicle="van")
 
 
 def test_a_custom_car_has_no_name_but_its_own():

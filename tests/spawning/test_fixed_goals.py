@@ -122,15 +122,6 @@ def test_every_bay_becomes_every_agents_goal_and_none_stays_taken_for_ever():
     assert taken.any(axis=1).all()
 
 
-@pytest.mark.parametrize("num_agents", [1, 2, 7])
-def test_a_full_lot_keeps_its_invariants(num_agents):
-    layout = make_layout("square")
-    _, (goal, bay, _) = history(layout, num_agents, 36 - num_agents, 1500)
-    check_occupancy(goal, bay, np.broadcast_to(layout.bay_mask, (LOTS, 1500, 36)))
-    # Nevertheless goals change: the car in the new goal swaps with the old one.
-    assert (np.diff(goal, axis=1) != 0).any(axis=(1, 2)).all()
-
-
 # Six bays in a row, 10 m apart, on the x axis.
 ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(6)])
 

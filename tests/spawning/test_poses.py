@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import lot, moved, polygons
+from helpers.scenes import lot, polygons
 from helpers.spawning import surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
@@ -116,12 +116,6 @@ def test_the_farthest_candidate_is_taken_when_none_keeps_the_distance():
     assert gap.mean() == pytest.approx(sample.mean(), abs=0.02)
 
 
-def test_a_single_candidate_is_taken_whatever_its_distance():
-    config = SpawnConfig(close_ratio=0.0, num_candidates=1)
-    pose = draw(config, make_layout("square"), others=people((0.0, 0.0)))
-    assert (np.linalg.norm(pose[:, :2], axis=1) < config.min_distance).any()
-
-
 @pytest.mark.parametrize("goal", [(0.0, 18.0, 0.0), (18.0, -13.5, 0.0), (3.0, 2.0, 0)])
 def test_close_spawns_lie_within_close_distance_of_the_point_nearest_the_goal(goal):
     half = 21 * 0.5625
@@ -224,17 +218,6 @@ def test_headings_stray_from_the_regions_no_farther_than_its_spread(config):
         assert (np.abs(pose[:, 2]) <= np.pi + 1e-6).all()
 
 
-def test_spawns_move_with_the_lot():
-    layout, goal, motion = two_regions(), (8.0, 20.0, 0.0), (7.0, -3.0, 1.1)
-    there = layout.replace(spawn_pose=moved(layout.spawn_pose, motion))
-    for config in (RANDOM, CLOSE):
-        before = draw(config, layout, goal, count=500)[:, :2]
-        # Walks of close spawns are drawn in the region's frame, so they turn along.
-        after = draw(config, there, tuple(moved(goal, motion)), count=500)[:, :2]
-        expected = moved(np.c_[before, np.zeros(500)], motion)[:, :2]
-        np.testing.assert_allclose(after, expected, atol=2e-5)  # float32 at 20 m
-
-
 SPACED_CLOSE = SpawnConfig(close_ratio=1.0, spacing=WORLD_UNIT / 16)
 FAR = (0.0, 60.0, 0.0)  # a goal far above: walks begin in the middle of the upper edge
 
@@ -248,34 +231,6 @@ def test_on_a_grid_a_close_spawn_is_a_walk_of_unit_steps_within_the_region():
     # Ten units at most give walks of up to nine steps; some never leave.
     assert np.abs(np.round(steps)).sum(axis=1).max() <= 9
     assert (np.abs(steps) < 0.5).all(axis=1).any()
-
-
-def test_a_grid_walk_is_the_study_s():
-    """The same distribution as of a walk worked out one step after the other."""
-    rng = np.random.default_rng(0)
-    ends = np.zeros((20_000, 2))
-    for end in ends:
-        for _ in range(rng.integers(10)):
-            while True:
-                step = ((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
-                if end[1] + step[1] <= 0:
-                    break
-            end += step
-    side = 21 * WORLD_UNIT
-    pose = draw(SPACED_CLOSE, make_layout("square"), goal=FAR)[:, :2]
-    steps = (pose - [0.0, side]) / WORLD_UNIT
-    for axis in range(2):
-        bins = np.arange(-6.5, 7.5)
-        mine = np.histogram(steps[:, axis], bins)[0] / COUNT
-        study = np.histogram(ends[:, axis], bins)[0] / len(ends)
-        # Deviations of a share of 4,000 and of 20,000: 0.9 % at most; five of them.
-        np.testing.assert_allclose(mine, study, atol=0.045)
-    far = np.linalg.norm(ends, axis=1)
-    near = np.linalg.norm(steps, axis=1)
-    assert near.mean() == pytest.approx(far.mean(), abs=0.1)
-    straight = draw(CLOSE, make_layout("square"), goal=FAR)[:, :2] - [0.0, side]
-    # Without a grid the start is one straight step and lies farther off.
-    assert np.linalg.norm(straight, axis=1).mean() > 1.5 * near.mean() * WORLD_UNIT
 
 
 def test_on_a_grid_close_spawns_lie_on_its_points_in_a_turned_region_too():

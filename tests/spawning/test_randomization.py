@@ -14,7 +14,6 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig, RandomizationConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.policy.runs import from_dict
 from carpark_mj.spawning.randomization import check_randomization, randomize
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.conditions import SURFACES, on_surface, with_mass
@@ -299,16 +298,6 @@ def test_what_is_no_range_is_refused(name, value):
     with pytest.raises(ValueError, match=message) as refusal:
         RandomizationConfig(**{name: value})
     assert str(refusal.value).endswith(repr(value))
-
-
-@pytest.mark.parametrize("params", ROAD_CARS.values(), ids=ROAD_CARS)
-def test_every_preset_bears_the_randomization_of_the_tests(params):
-    check_randomization(EVERYTHING, params)
-
-
-def test_a_randomized_environment_survives_its_config_file():
-    config = EnvConfig(randomization=EVERYTHING)
-    assert from_dict(EnvConfig, dataclasses.asdict(config)) == config
 
 
 # In the environment
