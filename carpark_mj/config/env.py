@@ -234,12 +234,9 @@ class EnvConfig:
 
 
 def is_data(config: Any, path: str) -> bool:
-    """Whether a setting can have other values in one program.
+    """Whether a setting, as `reward.park`, can have other values in one program.
 
-    Args:
-        config: a dataclass.
-        path: of the setting, as in `reward.park`. It must be a number: None and truth
-            values decide what is computed.
+    It must be a number: None and truth values decide what is computed.
 
     Raises:
         ValueError: there is no such setting.
@@ -270,11 +267,7 @@ def setting(config: Any, path: str) -> Any:
 
 
 def insert(config: Config, values: Mapping[str, Any]) -> Config:
-    """A config with other values of some settings, which may be traced.
-
-    Args:
-        config: a dataclass; its checks are not made.
-        values: by the path of the setting, as in `env.reward.park`.
+    """A config with other values, which may be traced and are not checked, by path.
 
     Raises:
         ValueError: there is no such setting.

@@ -47,10 +47,8 @@ def find_hits(
 ) -> dict[str, jax.Array]:
     """What each agent touched during the step that led to a state.
 
-    Args:
-        state: of the lot at the end of the step.
-        hitbox_scale: () factor on all cars' lengths and widths. It has no effect in
-            physics with contacts.
+    `hitbox_scale` () multiplies all cars' lengths and widths; it has no effect in
+    physics with contacts.
 
     Returns:
         (num_agents,) bool by the labels of `ObstacleKind`; in a collision of two agents
@@ -181,11 +179,9 @@ def low_obstacles(config: EpisodeConfig, layout: Layout) -> Boxes:
 
 
 def wheel_boxes(state: State, pose_w: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Rectangles about the tyres at the height of a kerb.
+    """Rectangles about the tyres, at the height of a kerb, of cars at poses.
 
-    Args:
-        state: has the cars (num_agents,).
-        pose_w: (num_agents, ..., 3) poses of their footprints' centres.
+    Poses (num_agents, ..., 3) are of the footprints' centres.
 
     Returns:
         Poses (num_agents, ..., 3) and sizes (num_agents, 2).

@@ -147,11 +147,8 @@ def init_tracked_bays(config: EnvConfig) -> jax.Array | None:
 def choose_goals(config: EnvConfig, state: State, choice: jax.Array | None) -> State:
     """The state with goals as active agents (num_agents,) choose them.
 
-    Args:
-        config: the environment.
-        state: at the start of a step.
-        choice: (num_agents,) int, 0 = explore, k = the bay in slot k - 1; an empty
-            slot, and any other number, keeps the goal. None if goals are fixed.
+    `choice` is 0 = explore, k = the bay in slot k - 1; an empty slot, and any other
+    number, keeps the goal. None if goals are fixed.
     """
     if not config.goals.dynamic:
         return state
@@ -235,15 +232,7 @@ def update_goals(
 
 
 def taken_by_others(goal: jax.Array, parked: jax.Array) -> jax.Array:
-    """Agents whose goal is a bay where another agent has just parked.
-
-    Args:
-        goal: (num_agents,) int32.
-        parked: (num_agents,) bool, parked in this step.
-
-    Returns:
-        (num_agents,) bool.
-    """
+    """(num_agents,) bool, whose goal is a bay where another agent has just parked."""
     same = (goal[:, None] == goal) & ~jnp.eye(goal.shape[0], dtype=bool)
     return (same & parked).any(axis=1) & ~parked
 
@@ -277,20 +266,11 @@ def track_bays(config: EnvConfig, state: State) -> State:
 def nearest_bays(
     layout: Layout, xy: jax.Array, free: jax.Array, tracked_bays: jax.Array
 ) -> jax.Array:
-    """Finds the nearest free bays.
+    """Finds the free bays (bays,) or (num_agents, bays) nearest to agents at `xy`.
 
-    Bays that are still among them keep their slots. New bays take the slots that become
-    empty, the nearest bay the first slot.
-
-    Args:
-        layout: the lot.
-        xy: (num_agents, 2) centres of the agents [m].
-        free: (bays,) or (num_agents, bays) bool, the free bays.
-        tracked_bays: (num_agents, num_tracked_bays) int32 so far, `NO_BAY` in empty
-            slots.
-
-    Returns:
-        (num_agents, num_tracked_bays) int32, as `tracked_bays`.
+    Bays that are still among them keep their slots in `tracked_bays` (num_agents,
+    num_tracked_bays). New bays take the slots that become empty, the nearest bay the
+    first slot; a slot without a bay is `NO_BAY`.
     """
     num_agents, num_slots = tracked_bays.shape
     free = jnp.broadcast_to(free, (num_agents, layout.num_bays))
@@ -316,14 +296,9 @@ def tracks(config: EnvConfig, state: State) -> jax.Array:
 
 
 def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
-    """The goals of all agents as each agent sees them when it chooses.
+    """Goals (num_agents, num_agents), [i, j] that of agent j when agent i chooses.
 
-    Args:
-        before: (num_agents,) goals at the start of the step.
-        after: (num_agents,) goals chosen in it.
-
-    Returns:
-        (num_agents, num_agents), [i, j] the goal of agent j when agent i chooses.
+    `before` (num_agents,) are the goals at the start of the step, `after` those chosen.
     """
     number = jnp.arange(before.shape[0])
     return jnp.where(number < number[:, None], after, before)
@@ -332,17 +307,15 @@ def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
 def find_contexts(
     before: State, chosen: jax.Array, tracked: jax.Array
 ) -> dict[str, jax.Array]:
-    """Contexts of each agent, see the table above.
+    """Contexts (num_agents,) bool of each agent by name, see the table above.
 
-    Agents that have finished are in no context and cause none.
+    Agents that have finished are in no context and cause none; one that explored is in
+    none.
 
     Args:
         before: at the start of the step, goals not chosen yet.
         chosen: (num_agents,) int32 goals chosen.
         tracked: (num_agents, num_agents) bool, [i, j] whether agent i tracks agent j.
-
-    Returns:
-        (num_agents,) bool by context; an agent that was exploring is in none.
     """
     goal, active = before.goal, before.active
     aim = before.layout.bay_pose[jnp.minimum(goal, before.layout.num_bays - 1), :2]

@@ -160,16 +160,7 @@ def init_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
 def update_stats(
     config: EnvConfig, transition: Transition, terms: dict[str, jax.Array]
 ) -> EpisodeStats:
-    """Adds a step to the statistics of agents that were active in it.
-
-    Args:
-        config: says what to measure.
-        transition: the step.
-        terms: (num_agents,) its reward by term.
-
-    Raises:
-        ValueError: numbers of the step do not match those of `init_stats`.
-    """
+    """Adds a step, with its reward by term, for agents that were active in it."""
     before, motion = transition.before, transition.after.motion
     old, path = before.stats, _path(before.motion, motion)
     wrong_way = None
@@ -202,12 +193,7 @@ def episode_metrics(
 ) -> dict[str, jax.Array]:
     """Named metrics (num_agents,) float32 of episodes, valid where `events.done`.
 
-    Args:
-        transition: the step.
-        stats: of the episodes, this step included.
-
-    Raises:
-        ValueError: two metrics have the same name.
+    `stats` are those of the episodes, the step included.
     """
     pose_w, target = transition.after.motion.pose_w, transition.target_pose
     events = {
@@ -246,11 +232,7 @@ def _registered(config: EnvConfig) -> list[Metric]:
 
 
 def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
-    """Tallies (num_agents,) float32 at the start of an episode.
-
-    Raises:
-        ValueError: two metrics have the same name.
-    """
+    """Tallies (num_agents,) float32 at the start of an episode."""
     first = {f"return_{name}": 0.0 for name in term_weights(config)}
     if config.goals.dynamic:
         first |= dict.fromkeys(COUNTS, 0.0)
@@ -323,12 +305,7 @@ SUMS = (
 
 
 def measure_driving(ctrl_dt: float, transition: Transition) -> dict[str, jax.Array]:
-    """The numbers (num_agents,) of a step by the names of `SUMS`.
-
-    Args:
-        ctrl_dt: control period [s].
-        transition: the step; speeds and distances are those at its end.
-    """
+    """The numbers (num_agents,) of a step by the names of `SUMS`, at its end."""
     before, after = transition.before.motion, transition.after.motion
     has_goal = transition.goal != NO_BAY
     nearer = is_nearer(before.xy, after.xy, transition.target_pose[:, :2])

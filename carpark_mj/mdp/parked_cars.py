@@ -39,11 +39,7 @@ class BayFits(NamedTuple):
 
 
 def fits(bay_size: jax.Array, car_size: jax.Array, slack: float = 0.0) -> jax.Array:
-    """Whether cars (..., 2) fit into bays (bays, 2) with `slack` to spare [m].
-
-    Returns:
-        (..., bays) bool.
-    """
+    """(..., bays) bool, cars (..., 2) that fit into bays (bays, 2) with `slack` [m]."""
     return jnp.all(car_size[..., None, :] + slack <= bay_size, axis=-1)
 
 
@@ -52,13 +48,8 @@ def bay_fits(
 ) -> BayFits:
     """Bays that the cars of a lot can use; None where all cars are of one size.
 
-    Agents of several kinds need the slack of the parked rule in force.
-
-    Args:
-        config: the fleet and the parked rule.
-        layout: the lot.
-        agent_size: (num_agents, 2) [m].
-        parked_size: (num_parked_cars, 2) [m].
+    Agents of several kinds need the slack of the parked rule in force. Sizes are
+    (num_agents, 2) and (num_parked_cars, 2) [m].
     """
     if not config.varies:
         return BayFits()
@@ -84,16 +75,11 @@ def marked(layout: Layout, bay: jax.Array) -> jax.Array:
 def stand_in_bay(
     bay_pose: jax.Array, bay_size: jax.Array, size: jax.Array, offset: jax.Array
 ) -> jax.Array:
-    """Poses (..., 3) of cars with offsets from the middle of their bays.
+    """Poses (..., 3) of cars (..., 2) [m] in bays, off the middle by wished offsets.
 
     A car that fits into its bay stays within the lines: first its heading is clipped,
-    then its position. A car that does not fit is centred.
-
-    Args:
-        bay_pose: (..., 3).
-        bay_size: (..., 2) [m].
-        size: (..., 2) footprints of the cars [m].
-        offset: (..., 3) desired position and heading, bay frame [m, m, rad].
+    then its position. A car that does not fit is centred. Offsets (..., 3) are in the
+    bay's frame [m, m, rad].
     """
     # Turned by h, a box reaches r cos(h - phi) along and r sin(h + phi) across, with
     # its diagonal r and phi = atan(width / length).
@@ -163,13 +149,7 @@ def relocate_parked_cars(
     `SpawnConfig.relocation` says which: the car farthest from all agents, so that no
     agent observes the move (`furthest`), a random one that no agent tracks, if there is
     any (`random`), or a random one (`any`). A car moves at most once in a step, only
-    into a bay that it fits into, and never to where a mover is.
-
-    Args:
-        config: the rule, and how many parked cars an agent tracks.
-        state: at the end of the step, before new episodes begin.
-        events: of the step.
-        key: consumed.
+    into a bay that it fits into, and never to where a mover is. `key` is consumed.
     """
     cars, layout, rule = state.parked_cars, state.layout, config.spawn.relocation
     if cars.bay.shape[0] == 0:

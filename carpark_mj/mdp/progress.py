@@ -36,14 +36,8 @@ def goal_potential(
 
     Progress terms are undiscounted differences of it, so closed loops earn nothing. The
     misalignment with the bay's axis counts more the nearer the goal is; either way
-    round is right if either end may go in first.
-
-    Args:
-        weights: of distance and misalignment.
-        pose_w: (..., 3).
-        goal_pose: (..., 3).
-        distance: (...) distance to go [m]; None = straight.
-        one_way: (...) bool, see `Transition.one_way`.
+    round is right if either end may go in first, see `Transition.one_way`. Without a
+    `distance` (...) [m] the way to go is straight.
     """
     if distance is None:
         distance = norm(pose_w[..., :2] - goal_pose[..., :2])
@@ -60,15 +54,9 @@ def mix_in_maneuver(
     goal_pose: jax.Array,
     one_way: jax.Array | None = None,
 ) -> jax.Array:
-    """Distances to go (...) [m], near the goal those of Reeds-Shepp paths.
+    """Distances to go (...) [m], within `reach` of the goal those of Reeds-Shepp paths.
 
-    Args:
-        reach: `RewardConfig.reeds_shepp_reach`.
-        distance: (...) straight or along the lanes [m].
-        car: (...) parameters.
-        motion: (...) of the cars.
-        goal_pose: (..., 3).
-        one_way: (...) bool, see `Transition.one_way`.
+    See `RewardConfig.reeds_shepp_reach` and `Transition.one_way`.
     """
     radius = car.wheelbase / jnp.tan(car.max_steering)
     back = -car.centre_offset

@@ -94,10 +94,7 @@ REWARD_TERMS: Registry[RewardTerm] = Registry(
 
 
 def term_settings(name: str) -> dict[str, float | None]:
-    """Defaults of a registered term's settings by their names in `RewardConfig.extra`.
-
-    The weight, called as the term, has none.
-    """
+    """Defaults of a registered term's settings by name; its weight has none."""
     parameters = REWARD_TERMS[name].parameters.items()
     return {name: None, **{f"{name}.{key}": default for key, default in parameters}}
 
@@ -120,14 +117,7 @@ class ExtraTerms(dict[str, float]):
         return parameter in REWARD_TERMS[name].fixed
 
     def check(self, taken: Container[str]) -> None:
-        """Refuses settings of no registered term.
-
-        Args:
-            taken: names that terms of the library have.
-
-        Raises:
-            ValueError: naming the setting and what is allowed.
-        """
+        """Refuses settings of no registered term, or of those whose names are taken."""
         for key, value in self.items():
             name, _, parameter = key.partition(".")
             if name in taken:
@@ -182,9 +172,6 @@ class GoalRewards(CheckedConfig):
         """Raises unless the rewards satisfy Tanner's (3.5), and with it (3.6).
 
         The study asks for a negative `change_goal`, but publishes a run with 0.
-
-        Raises:
-            ValueError: naming the reward.
         """
         if self.continue_explore >= 0.0:
             raise ValueError(

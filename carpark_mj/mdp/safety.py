@@ -114,11 +114,7 @@ def collision_times(motion: Motion, obstacles: Sequence[Group]) -> dict[str, jax
 
 
 def first_safety(kinds: Sequence[ObstacleKind]) -> dict[str, float]:
-    """Names, and values at the start of an episode: at rest, no obstacle near.
-
-    Args:
-        kinds: what agents can hit.
-    """
+    """Names, and values at the start of an episode, of what agents can hit."""
     labels = [kind.label for kind in kinds]
     return {
         "acceleration_sum": 0.0,
@@ -133,12 +129,7 @@ def first_safety(kinds: Sequence[ObstacleKind]) -> dict[str, float]:
 
 
 def measure_safety(ctrl_dt: float, transition: Transition) -> dict[str, jax.Array]:
-    """The numbers (num_agents,) of a step by the names of `first_safety`.
-
-    Args:
-        ctrl_dt: control period [s].
-        transition: the step.
-    """
+    """The numbers (num_agents,) of a step by the names of `first_safety`."""
     after = transition.after
     motion = after.motion
     there = lot_obstacles(after.layout, motion, after.parked_cars, after.movers)

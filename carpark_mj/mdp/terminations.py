@@ -88,11 +88,7 @@ PARKED_RULES.register("metadrive", ParkedRule(from_end=5.0))
 
 
 def find_rules(names: str) -> tuple[ParkedRule, ...]:
-    """The parked rules of a comma-separated list.
-
-    Raises:
-        ValueError: an unknown name.
-    """
+    """The parked rules of a comma-separated list."""
     return tuple(PARKED_RULES[name] for name in names.split(","))
 
 
@@ -148,13 +144,8 @@ def is_parked(
 ) -> jax.Array:
     """Whether cars (...) stand parked in bays under a named rule, `PARKED_RULES`.
 
-    Args:
-        rule: its name.
-        motion: of the cars (...).
-        bay_pose: (..., 3) each car's goal.
-        bay_size: (..., 2) [m].
-        bay_end: (...) int32, `BayEnd`: the wrong way round no rule holds; None = either
-            end in all of them.
+    Bays have poses (..., 3), sizes (..., 2) [m] and ends (...) int32, `BayEnd`: the
+    wrong way round no rule holds; None = either end in all of them.
     """
     limits = PARKED_RULES[rule]
     parked = jnp.ones(motion.pose_w.shape[:-1], bool)
@@ -196,10 +187,6 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
     a timeout, unless the parked rule says otherwise (`ParkedRule.before_crash`,
     `before_timeout`). Parking requires a goal, and of two agents in a bay that is the
     goal of both only the first parks.
-
-    Args:
-        config: rules.
-        state: at the end of the step, which its `step` counts.
     """
     layout, goal, motion = state.layout, state.goal, state.motion
     if config.kerb_speed:

@@ -22,11 +22,7 @@ SAMPLED_LOTS = 4  # in which a random lot's bays are measured against the fleet
 
 
 def check_numbers(config: EnvConfig, lot: LayoutConfig) -> None:
-    """Refuses more cars or tracked bays than lots have bays for.
-
-    Raises:
-        ValueError: naming the number and what is allowed.
-    """
+    """Refuses more cars or tracked bays than lots have bays for."""
     bays, agents, parked = lot.min_bays, _num_goals(config), config.num_parked_cars
     if config.occupancy is not None:
         needed = parked_cars_needed(config.occupancy, lot)
@@ -56,11 +52,7 @@ def check_numbers(config: EnvConfig, lot: LayoutConfig) -> None:
 
 
 def check_exits(config: EnvConfig, lot: LayoutConfig) -> None:
-    """Refuses `goals.drive_out` without exits, and exits without `goals.drive_out`.
-
-    Raises:
-        ValueError: naming the setting.
-    """
+    """Refuses `goals.drive_out` without exits, and exits without `goals.drive_out`."""
     wanted = config.goals.drive_out
     for exits in map(has_exits, lot.parts):
         if exits != wanted:
@@ -92,13 +84,8 @@ def check_cars(
     """Refuses cars that cannot start, enter a bay from the aisle, or fit into one.
 
     A single kind of car must fit into all bays of a fixed lot, each car of a fleet into
-    at least one. Cars that do not steer need no room to turn into a bay.
-
-    Args:
-        config: of the environment.
-        fleet: its cars.
-        lot: its layout's config.
-        layout: its layout, None if that is random: then a few are drawn.
+    at least one. Cars that do not steer need no room to turn into a bay. Of a random
+    lot, `layout` None, a few are drawn.
 
     Raises:
         ValueError: naming the car and what is allowed.

@@ -85,13 +85,9 @@ class Fleet:
         present: jax.Array | None = None,
         options: ResetOptions | None = None,
     ) -> Start:
-        """Draws goals, parked cars and the agents' cars of a lot.
+        """Draws goals, parked cars and the agents' cars of a lot; `key` is consumed.
 
-        Args:
-            layout: of the lot.
-            key: consumed.
-            present: (num_agents,) bool, agents that are in the lot; None = all.
-            options: starts that are given.
+        `present` (num_agents,) are the agents in the lot, None = all.
         """
         config = self._config
         if config.varies:
@@ -261,13 +257,8 @@ def draw_bays(
 ) -> tuple[jax.Array, jax.Array]:
     """Draws kinds of cars and distinct bays for them, one car after the other.
 
-    A kind is drawn by weight among those that fit into a bay still free, and then one
-    of these bays.
-
-    Args:
-        wanted: the cars.
-        free: (bays,) bool, bays to choose from.
-        key: consumed.
+    A kind is drawn by weight among those that fit into a bay of `free` (bays,) left,
+    and then one of these bays. `key` is consumed.
 
     Returns:
         (cars,) int32 kinds and (cars,) int32 bays, `NO_BAY` where there is none.

@@ -69,15 +69,10 @@ def place_agent(
     agent: jax.Array,
     key: jax.Array,
 ) -> Placing:
-    """Draws goal and start pose of one agent that begins an episode.
+    """Draws goal and start pose of one agent () that begins; `key` is consumed.
 
-    Args:
-        config: the environment.
-        inputs: what stays the same for all agents of a step.
-        placing: all agents; of this one where its last episode ended, or its goal if
-            the lot begins.
-        agent: () int32 index.
-        key: consumed.
+    Before, `placing` has the agent where its last episode ended or, if the lot begins,
+    its goal.
     """
     if config.goals.dynamic:
         return place_exploring(config.spawn, inputs, placing, agent, key)
@@ -179,7 +174,7 @@ def new_goal(
     agent: jax.Array,
     scores: jax.Array,
 ) -> Placing:
-    """Draws a new goal for one agent.
+    """Draws a new goal for one agent ().
 
     The goal is uniform over `Layout.goal_mask` without the goals of other agents and,
     unless `GoalConfig.may_repeat`, without the agent's last one. A parked car in it
@@ -190,13 +185,8 @@ def new_goal(
     goal; a parked car that was relocated there moves to any free bay, one that fits it
     if possible.
 
-    Args:
-        config: rules of goals and starts.
-        inputs: the lot, and which cars fit where.
-        placing: before the draw.
-        agent: () int32 index.
-        scores: (2, bays) uniform numbers in [0, 1): the bay with the largest first
-            becomes the goal, that with the largest second takes its parked car.
+    Of `scores` (2, bays) in [0, 1) the largest first becomes the goal, the largest
+    second takes its parked car.
     """
     layout, fits = inputs.layout, inputs.fits
     rows = jnp.arange(layout.num_bays)
@@ -247,13 +237,8 @@ def goal_of_start(
     Uniform over the exits if it starts in a bay, any number of agents to each;
     otherwise over the bays that no other agent drives to; agents that are about to
     leave may stand in them. Over the exits, too, if there is no such bay. As in
-    MetaDrive's parking lot (Li et al. 2021), see `GoalConfig.drive_out`.
-
-    Args:
-        layout: with exits.
-        placing: all agents, this one at its start.
-        agent: () int32 index.
-        scores: (bays,) uniform numbers in [0, 1).
+    MetaDrive's parking lot (Li et al. 2021), see `GoalConfig.drive_out`. Of `scores`
+    (bays,) the largest wins.
     """
     is_exit = layout.bay_kind == BayKind.EXIT
     gap = point_box_distance(placing.xy[agent], layout.bay_pose, layout.bay_size)
@@ -338,14 +323,9 @@ def begin_goals(
     begun: jax.Array,
     key: jax.Array | None,
 ) -> State:
-    """Tracked bays and first goals of agents that choose theirs; others have theirs.
+    """Tracked bays and first goals of agents that begin, if they choose their goals.
 
-    Args:
-        config: the environment.
-        state: with all agents placed.
-        placing: how they were placed.
-        begun: (num_agents,) bool, agents that begin.
-        key: consumed; None = no agent begins with a goal.
+    `key` is consumed; None = no agent begins with a goal.
     """
     if state.tracked_bays is None:
         return state
@@ -369,14 +349,7 @@ def first_goals(
 
     After a close start it is the bay next to it with a probability of one half, if the
     agent tracks it; in conflict a random one of the tracked bays that are another
-    agent's goal, goals of close starts included. All others explore.
-
-    Args:
-        placing: how they were placed.
-        tracked_bays: (num_agents, num_tracked_bays) int32 from there.
-        goal: (num_agents,) int32 before; `NO_BAY` of those that begin.
-        begun: (num_agents,) bool, agents that begin.
-        key: consumed.
+    agent's goal, goals of close starts included. All others explore. `key` is consumed.
     """
     num_agents, num_slots = tracked_bays.shape
     draws = jax.random.uniform(key, (num_agents, 1 + num_slots))

@@ -195,14 +195,10 @@ class Surroundings:
 def surroundings(
     inputs: SpawnInputs, placing: Placing, agent: jax.Array, placed_only: bool = False
 ) -> Surroundings:
-    """The obstacles of an agent's () start pose.
+    """The obstacles of an agent's () start pose, goals and parked cars as in `placing`.
 
-    Args:
-        inputs: the lot.
-        placing: goals and parked cars as they will be.
-        agent: () int32 index.
-        placed_only: without agents that are still to be placed, which otherwise count
-            where their last episodes ended.
+    With `placed_only` without agents that are still to be placed, which otherwise count
+    where their last episodes ended.
     """
     size, outlines, parked = None, None, inputs.parked_cars
     if inputs.cars is not None:
@@ -242,19 +238,9 @@ def place_waiting(
 ) -> Placing:
     """Places the waiting agents; the others continue their episodes.
 
-    A start that is not free is rejected, with the goal and the car drawn for it.
-
-    Args:
-        place: draws goal and start pose of one agent.
-        inputs: the lot.
-        placing: before.
-        key: consumed.
-        max_tries: starts drawn for an agent at most.
-        accept_last: whether an agent takes the last of them, free or not; otherwise it
-            goes on waiting.
-
-    Returns:
-        The agents; those without a free start are still waiting.
+    A start that is not free is rejected, with the goal and the car drawn for it, and
+    drawn again up to `max_tries` times. The last is taken, free or not, if
+    `accept_last`; otherwise the agent goes on waiting. `key` is consumed.
     """
     num_agents = placing.goal.shape[0]
     keys = jax.random.split(key, 2 * num_agents)
@@ -288,14 +274,9 @@ def has_room(
     """Whether the last agent always finds a free start in the largest spawn region.
 
     Another car occupies the centres at which boxes would overlap it: their Minkowski
-    sum. That of two l x w boxes turned by t against each other has the area
-    2 l w + (l^2 + w^2) sin t + 2 l w cos t, and the perimeter 4 (l + w).
-
-    Args:
-        layout: the lot.
-        size: length and width of the largest of the cars [m].
-        num_agents: in the lot.
-        spacing: of the grid of start positions [m], see `SpawnConfig`.
+    sum. That of two l x w boxes turned by t against each other has the area 2 l w +
+    (l^2 + w^2) sin t + 2 l w cos t, and the perimeter 4 (l + w). `size` is that of the
+    largest car [m], `spacing` as in `SpawnConfig`.
     """
     length, width = size
     both, squares = 2 * length * width, length**2 + width**2

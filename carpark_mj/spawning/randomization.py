@@ -26,11 +26,7 @@ OVERSHOOT = 1.5
 def randomize(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> Vehicle:
     """Draws one car about a nominal one.
 
-    Args:
-        config: what varies.
-        vehicle: the nominal car.
-        key: consumed; each parameter has its own part of it, so that switching one
-            on changes no other.
+    Each parameter has its own part of `key`, so that switching one on changes no other.
     """
     ranges = config.ranges()
     keys = dict(zip(ranges, jax.random.split(key, len(ranges)), strict=True))
@@ -67,13 +63,7 @@ def randomize(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> 
 def randomize_all(
     config: RandomizationConfig, vehicles: Vehicle, key: jax.Array
 ) -> Vehicle:
-    """Draws cars about nominal ones (count,), which they are while nothing varies.
-
-    Args:
-        config: what varies.
-        vehicles: (count,) the nominal cars.
-        key: consumed.
-    """
+    """Draws cars (count,) about nominal ones, which they are while nothing varies."""
     if not config.is_on:
         return vehicles
     keys = jax.random.split(key, vehicles.mass.shape[0])
@@ -85,12 +75,8 @@ def check_randomization(
 ) -> None:
     """Refuses ranges from which an impossible car could be drawn.
 
-    Each range has bounds of its own; together they must not overturn the car.
-
-    Args:
-        config: the ranges.
-        params: the nominal car.
-        grade: of the ground, rise over run.
+    Each range has bounds of its own; together they must not overturn the car on ground
+    of a grade (rise over run).
 
     Raises:
         ValueError: naming the parameter, its range and what is allowed.
@@ -167,14 +153,9 @@ def tip_limit(mass: float, height: float, arm: float, stiffness: float) -> float
     """Acceleration [m/s^2] at which a car tips; not positive if it falls over at rest.
 
     Quasi-static. At acceleration a the load moves by m a h; the car leans by m g arm /
-    stiffness until all of m g arm has moved, which brings its centre of gravity nearer
-    to the wheels about which it tips by h times the lean.
-
-    Args:
-        mass: of the car [kg].
-        height: of its centre of gravity [m].
-        arm: from there to the wheels about which it tips, horizontally [m].
-        stiffness: against the lean [N m/rad].
+    stiffness [N m/rad] until all of m g arm has moved, which brings its centre of
+    gravity at a height [m] nearer to the wheels about which it tips, an arm [m] away,
+    by h times the lean.
     """
     return GRAVITY * arm / height * (1.0 - mass * GRAVITY * height / stiffness)
 
@@ -186,16 +167,11 @@ def roll_stiffness(
 
     A car with the same load on both axles rolls on four springs until both wheels of a
     side lift. Otherwise the wheel of the lighter axle lifts first. The heavier axle,
-    with share s of the weight, rolls on alone until its wheel lifts at an angle of
-    s m g / (k track), 2 s times as far. Meanwhile the lighter axle rises by half a
-    track width times the roll. This pitch, and deceleration, add to the share.
-
-    Args:
-        params: of the car.
-        mass: [kg].
-        cg: of the centre of gravity, ahead of the rear axle and above the ground [m].
-        braking: deceleration of the centre of gravity [m/s^2]. A car turns about a
-            point beside its rear axle; what is ahead of it accelerates backwards.
+    with share s of the weight, rolls on alone until its wheel lifts at an angle of s m
+    g / (k track), 2 s times as far. Meanwhile the lighter axle rises by half a track
+    width times the roll. This pitch, and deceleration `braking` [m/s^2], add to the
+    share: a car turns about a point beside its rear axle, and what is ahead of it
+    accelerates backwards. `cg` is ahead of the rear axle and above the ground [m].
     """
     cg_x, height = cg
     rate, wheelbase = params.tyre.vertical_stiffness, params.wheelbase

@@ -48,7 +48,6 @@ def read_reset_options(
     """Options of one lot as float32 and int32; None if nothing is given.
 
     Raises:
-        TypeError: `options` has another type.
         ValueError: an array has another shape, or goals are dynamic.
     """
     require_kind("options", options, ResetOptions | None)
@@ -96,10 +95,7 @@ def kept_clear(
 ) -> jax.Array:
     """(bays,) bool, bays that are given as goals or in which a given start stands.
 
-    Args:
-        layout: the lot.
-        options: of one lot.
-        size: (2,) footprint of the largest car [m].
+    `size` (2,) is the footprint of the largest car [m].
     """
     clear = jnp.zeros(layout.num_bays, bool)
     if options is None:

@@ -85,7 +85,7 @@ def course_pose(
     targets: Targets,
     draws: CourseDraws,
 ) -> tuple[jax.Array, jax.Array]:
-    """One attempt to start an agent on a collision course.
+    """One attempt to start an agent, whose goal is at (2,), on a collision course.
 
     The target is uniform among the agents that are `conflict_distance` or more from
     their goals. The two would meet at a point of the target's straight path, uniform
@@ -94,17 +94,8 @@ def course_pose(
     it. The first of `MEETINGS` points counts whose start lies in a spawn region, keeps
     `min_distance` to every other agent and touches nothing. The heading is random.
 
-    Args:
-        config: spawning rules.
-        layout: the lot.
-        around: obstacles to keep away from.
-        goal_xy: (2,) centre of the agent's goal [m].
-        targets: agents to collide with.
-        draws: random numbers.
-
     Returns:
-        (3,) pose of the footprint's centre, and () bool whether the attempt succeeded;
-        otherwise the pose is invalid.
+        (3,) pose of the footprint's centre, and () bool whether the attempt succeeded.
     """
     distances = norm(targets.xy - targets.goal_xy)
     able = targets.mask & (distances >= config.conflict_distance)
@@ -176,22 +167,14 @@ def reverse_pose(
     agent: jax.Array,
     draws: ReverseDraws,
 ) -> tuple[jax.Array, jax.Array]:
-    """Draws a start on a path out of the goal's bay for one agent.
+    """Draws a start on a path out of the goal's bay for one agent ().
 
     Every path ends before it touches anything, and the longest is taken. The start is
     uniform among those of its points that no rule calls parked and that leave `ROOM` to
     the other agents.
 
-    Args:
-        inputs: the lot, and the parameters of the cars.
-        placing: all agents; of this one the goal is drawn.
-        around: obstacles to keep away from, parked cars as they will stand.
-        agent: () int32 index.
-        draws: random numbers.
-
     Returns:
-        (3,) pose of the footprint's centre, and () bool whether there is one; otherwise
-        the pose is invalid.
+        (3,) pose of the footprint's centre, and () bool whether there is one.
     """
     assert inputs.cars is not None
     layout, goal = inputs.layout, placing.goal[agent]
@@ -232,19 +215,10 @@ def clamp_to_bay_end(layout: Layout, bay: jax.Array, nose_out: jax.Array) -> jax
 def paths_out(
     cars: Vehicle, agent: jax.Array, bay_pose: jax.Array, draws: ReverseDraws
 ) -> jax.Array:
-    """Paths out of a bay, as points `SPACING` apart.
+    """Paths (n, POINTS, 3) out of a bay of one agent's car, points `SPACING` apart.
 
     The rear axle of a kinematic bicycle moves on arcs whose chords are known, so all
-    points are computed at once.
-
-    Args:
-        cars: parameters (num_agents,).
-        agent: () int32 index of the car that drives.
-        bay_pose: (3,) where it stands at first, one way round or the other.
-        draws: random numbers of n paths.
-
-    Returns:
-        (n, POINTS, 3) poses of the footprint's centre.
+    points are computed at once. Poses are of the footprint's centre.
     """
     ahead = cars.centre_offset[agent]  # of the rear axle
     sharpest = jnp.tan(cars.max_steering[agent]) / cars.wheelbase[agent]

@@ -25,9 +25,7 @@ Draws = TypeVar("Draws")
 def draw_uniform(shapes: Draws, key: jax.Array) -> Draws:
     """Independent uniform numbers in [0, 1), arrays in place of their shapes.
 
-    Args:
-        shapes: tree (of named tuples and lists) whose leaves are shapes, plain tuples.
-        key: consumed.
+    The leaves of the tree are plain tuples; `key` is consumed.
     """
     leaves, tree = jax.tree.flatten(shapes, is_leaf=lambda node: type(node) is tuple)
     ends = np.cumsum([math.prod(shape) for shape in leaves])
@@ -37,22 +35,12 @@ def draw_uniform(shapes: Draws, key: jax.Array) -> Draws:
 
 
 def pick(mask: jax.Array, scores: jax.Array) -> jax.Array:
-    """A random index () int32 among those where a mask (n,) is true, if any is.
-
-    Args:
-        mask: (n,) bool.
-        scores: (n,) uniform numbers in [0, 1), of which the largest wins.
-    """
+    """A random index () int32 where a mask (n,) is true: the largest score wins."""
     return jnp.argmax(jnp.where(mask, scores, -1.0)).astype(jnp.int32)
 
 
 def pick_weighted(weights: jax.Array, number: jax.Array) -> jax.Array:
-    """Random indices (...) in proportion to their weights.
-
-    Args:
-        weights: (n,) >= 0, not all 0.
-        number: (...) uniform in [0, 1).
-    """
+    """Random indices (...) in proportion to weights (n,), by numbers (...) in [0, 1)."""
     ends = jnp.cumsum(weights)
     # 1 - 2**-23 is the largest number drawn, so the product stays below the total.
     return jnp.argmax(number[..., None] * ends[-1] < ends, axis=-1)
@@ -119,25 +107,15 @@ def spawn_pose(
     goal_pose: jax.Array,
     draws: SpawnDraws,
 ) -> jax.Array:
-    """Draws a start pose for one agent, random or close.
+    """Draws a start pose (3,) for one agent, random or close to the goal's pose (3,).
 
     Headings are uniform within the spread of the spawn region. A random spawn is
-    uniform over the spawn regions; a close one lies on a walk of up to
-    `close_distance` from the region's point nearest to the goal, or is random if other
-    agents leave no room there; with a spacing it has one walk only, as in the study.
-    The first of `num_candidates` draws that keeps `min_distance` to every other agent
-    is taken, else the one whose outline is farthest from theirs. Draws where the car
-    would touch something are taken only if there is no other.
-
-    Args:
-        config: spawning rules.
-        layout: the lot.
-        around: obstacles to keep away from.
-        goal_pose: (3,) pose of the agent's goal.
-        draws: random numbers.
-
-    Returns:
-        (3,) pose of the footprint's centre.
+    uniform over the spawn regions; a close one lies on a walk of up to `close_distance`
+    from the region's point nearest to the goal, or is random if other agents leave no
+    room there; with a spacing it has one walk only, as in the study. The first of
+    `num_candidates` draws that keeps `min_distance` to every other agent is taken, else
+    the one whose outline is farthest from theirs. Draws where the car would touch
+    something are taken only if there is no other.
     """
     random_xy, random_region = _random_points(config, layout, draws)
     close_xy, nearest = close_points(config, layout, goal_pose[:2], draws.walk)
@@ -224,25 +202,13 @@ def _keeps(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Ar
 
 
 def draw_heading(layout: Layout, region: jax.Array, number: jax.Array) -> jax.Array:
-    """Headings (...), uniform within the spreads of spawn regions (...).
-
-    Args:
-        layout: the lot.
-        region: (...) int indices.
-        number: (...) uniform in [0, 1).
-    """
+    """Headings (...) within the spreads of regions, by numbers (...) in [0, 1)."""
     stray = (2.0 * number - 1.0) * layout.spawn_spread[region]
     return wrap_angle(layout.spawn_pose[region, 2] + stray)
 
 
 def on_grid(config: SpawnConfig, local: jax.Array, size: jax.Array) -> jax.Array:
-    """Moves points (..., 2) to the nearest grid points of their regions, if spaced.
-
-    Args:
-        config: whose `spacing` it is.
-        local: in the regions' frames [m].
-        size: (..., 2) of the regions [m].
-    """
+    """Moves points (..., 2), in the frames of regions, to their grid if spaced."""
     if not config.spacing:
         return local
     edge = _edge(config, size)
@@ -268,12 +234,7 @@ def close_points(
     study's walk: fewer than `close_distance` unit steps along the region's axes, their
     number uniform; steps out of the region are redrawn. The study's starts lie nearer
     to the goal: the root mean square of ten units' walk is 2.1 units, of the step 5.8.
-
-    Args:
-        config: spawning rules.
-        layout: the lot.
-        goal_xy: (2,) [m].
-        walk: (n, walk_numbers) uniform in [0, 1).
+    The numbers (n, walk_numbers) are uniform in [0, 1).
     """
     local = rotate(goal_xy - layout.spawn_pose[:, :2], -layout.spawn_pose[:, 2])
     half = layout.spawn_size / 2
