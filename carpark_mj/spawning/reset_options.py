@@ -11,7 +11,6 @@ import numpy as np
 from flax import struct
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_kind
 from carpark_mj.geometry import boxes_overlap, wrap_angle
 from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.collisions import find_hits
@@ -50,7 +49,6 @@ def read_reset_options(
     Raises:
         ValueError: an array has another shape, or goals are dynamic.
     """
-    require_kind("options", options, ResetOptions | None)
     if options is None or not jax.tree.leaves(options):
         return None
     if options.goal is not None and config.goals.dynamic:

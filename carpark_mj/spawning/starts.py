@@ -40,7 +40,7 @@ def pick(mask: jax.Array, scores: jax.Array) -> jax.Array:
 
 
 def pick_weighted(weights: jax.Array, number: jax.Array) -> jax.Array:
-    """Random indices (...) in proportion to weights (n,), by numbers (...) in [0, 1)."""
+    """Random indices (...) in proportion to weights (n,), by numbers in [0, 1)."""
     ends = jnp.cumsum(weights)
     # 1 - 2**-23 is the largest number drawn, so the product stays below the total.
     return jnp.argmax(number[..., None] * ends[-1] < ends, axis=-1)
