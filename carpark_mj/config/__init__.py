@@ -3,7 +3,8 @@
 Settings live beside the code that reads them and are loaded on first use, as that code
 in turn names `EnvConfig`. Impossible settings raise a one-sentence `ValueError`.
 """
-# ruff: noqa: F401  # names for type checkers
+# ruff: noqa: F401
+# pyright: reportUnusedImport=false
 
 import importlib
 from typing import TYPE_CHECKING, Any

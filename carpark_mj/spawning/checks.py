@@ -99,10 +99,8 @@ def check_cars(
     one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
     if one_size and layout is None and is_made_for(lot, fleet.agents[0]):
         return
-    lots = [layout]
-    if layout is None:
-        keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
-        lots = [make_layout(lot, key) for key in keys]
+    keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
+    lots = [make_layout(lot, key) for key in keys] if layout is None else [layout]
     bays = [np.asarray(x.bay_size)[np.asarray(x.bay_mask)] for x in lots]
     if fleet.mixed:
         slack, goals = config.episode.slack, _num_goals(config)

@@ -82,7 +82,7 @@ def test_an_agent_gives_way_that_lets_go_of_its_goal_in_the_context():
         local_any=[True, True, True, True, False],
         global_any=[True] * 5,
     )
-    counts = count_goals(events, step([(1.0, 0.0)] * 5, [[0]] * 5))
+    counts = count_goals(step([(1.0, 0.0)] * 5, [[0]] * 5, events))
     assert tuple(counts) == COUNTS
     found = {name: np.asarray(count, float).tolist() for name, count in counts.items()}
     assert found["met_local_any"] == [1, 1, 1, 1, 0]

@@ -15,7 +15,7 @@ from carpark_mj.layouts import StreetConfig, layout_config, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.baselines import random_policy
-from carpark_mj.spawning.checks import check_room
+from carpark_mj.spawning.checks import check_numbers
 from carpark_mj.types import NO_BAY
 
 MOST, LOTS = 7, 48
@@ -106,9 +106,9 @@ def test_evaluation_counts_the_agents_that_lots_have(env):
 def test_more_agents_than_bays_need_an_occupancy_and_a_least_number(changes, message):
     config = dataclasses.replace(CONFIG, **changes)
     with pytest.raises(ValueError, match=message) as refusal:
-        check_room(config, layout_config(config.layout))
+        check_numbers(config, layout_config(config.layout))
     assert "\n" not in str(refusal.value)
-    check_room(CONFIG, layout_config(CONFIG.layout))
+    check_numbers(CONFIG, layout_config(CONFIG.layout))
 
 
 def test_a_fleet_in_a_fixed_lot_may_have_more_agents_than_bays_too():
