@@ -1,6 +1,5 @@
 """Cars of several kinds in one lot: they fit where they are, and drive as alone."""
 
-import dataclasses
 import math
 
 import jax
@@ -18,20 +17,16 @@ from carpark_mj.config import (
     FleetConfig,
     JitterConfig,
     RandomizationConfig,
-    SimConfig,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import box_inside
 from carpark_mj.layouts import build
 from carpark_mj.mdp.parked_cars import AWAY, relocate_parked_cars
 from carpark_mj.observations import ContinuousObservation, observation_size
-from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.policy.runs import from_dict
 from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import (
     PRESETS,
-    make_vehicle,
 )
 
 AGENTS, PARKED = ("city", "suv", "van"), ("city", "sedan", "van")
@@ -303,45 +298,6 @@ def test_a_collision_is_of_the_own_footprint(env, started, step):
     np.testing.assert_array_equal(timestep.events.hit_wall, driven > 0)
 
 
-@pytest.fixture(scope="module")
-def circles():
-    """Radius of the rear axle on full lock: a mixed batch, and each preset alone."""
-    physics = MjxPhysics(SimConfig())
-    names = list(PRESETS)
-    cars = [make_vehicle(PRESETS[name]) for name in names]
-
-    @jax.jit
-    def drive(fleet):
-        state = physics.init(jnp.zeros((len(names), 3)), fleet)
-        controls = jnp.tile(jnp.array([1.0, 0.25]), (len(names), 1))
-
-        def step(state, _):
-            state = physics.step(state, controls)
-            return state, physics.read(state)
-
-        _, motion = jax.lax.scan(step, state, None, length=30)
-        return motion.pose_w, motion.speed[-1] / motion.yaw_rate[-1]
-
-    def together(*members):
-        return jax.device_get(drive(jax.tree.map(lambda *x: jnp.stack(x), *members)))
-
-    mixed = together(*cars)
-    alone = [together(*[car] * len(names)) for car in cars]
-    return names, mixed, alone
-
-
-def test_cars_of_a_mixed_batch_turn_as_each_does_alone(circles):
-    names, mixed, alone = circles
-    for k, name in enumerate(names):
-        np.testing.assert_allclose(mixed[0][:, k], alone[k][0][:, 0], atol=1e-4)
-        assert mixed[1][k] == pytest.approx(alone[k][1][0], abs=1e-4), name
-        params = PRESETS[name]
-        # Tyres slip a little: 0.2 to 1.2 % of the kinematic radius were measured.
-        kinematic = params.wheelbase / math.tan(params.max_steering)
-        assert mixed[1][k] == pytest.approx(kinematic, rel=0.02), name
-    assert len(set(np.round(mixed[1], 2))) == len(names)
-
-
 def test_randomization_varies_about_each_agents_own_car(env):
     random = RandomizationConfig(mass=(0.9, 1.1))
     kind, key = env.fleet.draw_kinds(jax.random.key(1))
@@ -352,17 +308,3 @@ def test_randomization_varies_about_each_agents_own_car(env):
     assert len(set(ratio)) == 4
     assert (np.abs(ratio - 1.0) <= 0.1 + 1e-5).all()
     np.testing.assert_array_equal(cars.wheelbase, nominal.wheelbase)
-
-
-def test_a_fleet_has_flags_and_survives_its_config_file():
-    import tyro
-
-    flags = "--fleet.agents city suv --jitter.along -0.3 0.3 --occupancy 0.2 0.4"
-    flags += " --observation.own-car"
-    config = tyro.cli(EnvConfig, args=flags.split())
-    assert config.fleet.agents == ("city", "suv")
-    assert config.jitter.along == (-0.3, 0.3)
-    assert config.occupancy == (0.2, 0.4)
-    assert config.observation.own_car
-    for kept in (config, CONFIG):
-        assert from_dict(EnvConfig, dataclasses.asdict(kept)) == kept
