@@ -17,6 +17,8 @@ from carpark_mj.policy.onnx_car import make_car_model, make_session
 from carpark_mj.scene.export import scene_xml
 
 onnxruntime = pytest.importorskip("onnxruntime")
+
+pytestmark = pytest.mark.slow
 DEPLOY = Path(__file__).parents[1] / "examples" / "deploy"
 SEEDS = 4
 HEADER = "onnxruntime_cxx_api.h"

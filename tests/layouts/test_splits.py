@@ -58,11 +58,6 @@ def test_the_same_number_is_the_same_lot_under_any_default_generator():
         np.testing.assert_array_equal(jax.random.key_data(lot_key(5)), before)
 
 
-def test_an_unknown_split_is_refused():
-    with pytest.raises(ValueError, match=r"unknown split 'dev'; choose from \['test'"):
-        lot_number("dev", jax.random.key(0))  # type: ignore
-
-
 def test_an_environment_s_lots_are_those_of_the_split_asked_for(monkeypatch):
     config = EnvConfig(layout=STREET, num_agents=1, num_parked_cars=0)
     env, key = ParkingEnv(config, SlidePhysics()), jax.random.key(3)

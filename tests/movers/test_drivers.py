@@ -9,7 +9,6 @@ import pytest
 from helpers.scenes import cars
 from helpers.states import parked_in, state_of
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.config.layouts import LAYOUTS
 from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
 from carpark_mj.geometry import boxes_overlap
@@ -205,23 +204,6 @@ def test_they_do_all_that_drivers_do(traffic):
     in_lot = (phase[:, 1:] != AWAY) & (phase[:, :-1] != AWAY)
     assert moved[in_lot].max() < 4.0 * DT  # nobody jumps
     assert OFFSET > 0
-
-
-REFUSED = {
-    "drivers:number=0": "number must be at least 1, not 0",
-    "drivers:attention=2": r"attention must lie in \[0, 1\], not 2",
-    "drivers:aggressiveness=0..3": "aggressiveness must be",
-    "drivers:speed=0..3": "speed must be",
-    "drivers:headway=1": "headway must be a tuple",
-    "drivers:stay=5..2": "stay must be",
-    "drivers:colour=3": "'colour'.*number, aggressiveness",
-}
-
-
-@pytest.mark.parametrize("choice", REFUSED)
-def test_no_such_drivers(choice):
-    with pytest.raises(ValueError, match=REFUSED[choice]):
-        EnvConfig(movers=(choice,))
 
 
 def test_settings_follow_the_name():

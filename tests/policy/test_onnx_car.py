@@ -145,20 +145,3 @@ HEARS = ContinuousObservation(ultrasound=UltrasoundConfig(on=True))
 def test_what_a_car_outside_cannot_observe_is_refused(env, reason):
     with pytest.raises(ValueError, match=reason):
         require_outside(env)
-
-
-@pytest.mark.parametrize(
-    ("flags", "reason"),
-    [
-        ({"walls": 3}, "without --from-state"),
-        ({"from_state": True, "out": "a.npz"}, "on a checkpoint"),
-    ],
-)
-def test_flags_that_have_no_effect_are_refused(flags, reason):
-    with pytest.raises(ValueError, match=reason):
-        ExportConfig("square", **flags)
-
-
-def test_too_few_rows_are_refused():
-    with pytest.raises(ValueError, match=r"walls must be at least 8, .* not 3"):
-        environment_rows(load_policy("square").env, {"walls": 3})

@@ -28,18 +28,6 @@ def test_unknown_settings_are_named():
         runs.from_dict(EnvConfig, data)
 
 
-def test_impossible_settings_are_refused_on_reading():
-    data = dataclasses.asdict(EnvConfig())
-    data["sim"]["ctrl_dt"] = 0.015
-    with pytest.raises(ValueError, match=r"ctrl_dt.*0\.015"):
-        runs.from_dict(EnvConfig, data)
-
-
-def test_a_config_that_is_no_dictionary_is_refused():
-    with pytest.raises(ValueError, match="EnvConfig needs a dictionary"):
-        runs.from_dict(EnvConfig, [1])
-
-
 @dataclasses.dataclass(frozen=True)
 class Near:
     reach: float = 1.0
@@ -63,11 +51,6 @@ def test_of_a_union_the_tag_chooses_the_class(eye):
     for seeing in (Seeing(eye), Seeing(eye, Near(2.0))):
         text = json.dumps(dataclasses.asdict(seeing))
         assert runs.from_dict(Seeing, json.loads(text)) == seeing
-
-
-def test_a_tag_of_no_class_is_refused():
-    with pytest.raises(ValueError, match=r"eye must be one of .*near.*far.*blind"):
-        runs.from_dict(Seeing, {"eye": {"reach": 1.0, "kind": "blind"}})
 
 
 def test_a_checkpoint_of_an_older_version_is_refused_before_it_is_read(tmp_path):

@@ -99,13 +99,6 @@ def test_the_file_is_small_and_a_changed_one_is_refused(tmp_path, monkeypatch):
     load_held_out.cache_clear()
 
 
-def test_an_unknown_level_is_refused():
-    with pytest.raises(ValueError, match="unknown level 'easy'; choose from"):
-        load_held_out("easy")
-    with pytest.raises(ValueError, match="unknown level 'extreme' of perpendicular"):
-        HopeConfig(level="extreme")
-
-
 @pytest.mark.parametrize("name", [n for n in LAYOUTS if n.startswith("hope")])
 def test_levels_are_drawn_for_any_car_and_any_key(name):
     car = DesignCar()  # the compact

@@ -75,14 +75,6 @@ def test_what_is_done_is_not_run_again_and_new_values_are_added(tmp_path):
     assert sorted(calls(tmp_path)) == sorted(run.name for run in runs)
 
 
-def test_a_folder_keeps_to_one_kind_of_runs(tmp_path):
-    plan, runs = plan_runs("num_agents=1,2")
-    run_sweep(tmp_path, plan, runs, HERE, train)
-    other, runs = plan_runs("num_agents=1,2", "num_steps=5")
-    with pytest.raises(ValueError, match="another sweep, with another fixed"):
-        run_sweep(tmp_path, other, runs, HERE, train)
-
-
 def test_rows_of_earlier_values_and_seeds_stay_in_the_table(tmp_path):
     for text, repeats in (("num_agents=1,2", 2), ("num_agents=2,3", 1)):
         plan, runs = plan_runs(text, repeats=repeats)
@@ -216,26 +208,6 @@ def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypa
     assert not {job.job_id for _, job in again[1:]} & {*ids}
     known = json.loads((tmp_path / "logs" / "jobs.json").read_text())
     assert sorted(known) == sorted(names)
-
-
-def test_what_slurm_refuses_is_said_in_one_sentence(tmp_path, monkeypatch):
-    for name, text in (
-        ("srun", ""),
-        ("sbatch", "echo 'sbatch: no such gres' >&2\nexit 1"),
-    ):
-        (tmp_path / name).write_text(f"#!/bin/sh\n{text}\n")
-        (tmp_path / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    with pytest.raises(
-        ValueError, match=r"^Slurm refuses the jobs: sbatch: no such gres$"
-    ):
-        slurm_jobs(tmp_path)
-
-
-def test_without_slurm_there_is_one_sentence(tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ValueError, match="cluster slurm is not available"):
-        make_executor("slurm", tmp_path, 0, SlurmConfig(), "a")
 
 
 @pytest.mark.parametrize(

@@ -257,9 +257,3 @@ def test_the_mean_is_of_those_that_are_kept_where_some_present_are_dropped(monke
     share = together / own - 1.0
     np.testing.assert_allclose(share, share.round(), atol=1e-4)
     assert share.max() == pytest.approx(1.0)
-
-
-def test_a_share_without_other_agents_is_refused():
-    alone = EnvConfig(num_agents=1)
-    with pytest.raises(ValueError, match=r"neighbour_share 0\.5 needs env\.num_agents"):
-        PPOConfig(env=alone, curriculum=CurriculumConfig(neighbour_share=0.5))

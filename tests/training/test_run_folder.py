@@ -3,19 +3,16 @@
 import dataclasses
 import fcntl
 import json
-import math
 
 import pytest
 from jax.errors import JaxRuntimeError
 
-from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import (
     CONFIG_VERSION,
     latest_checkpoint,
     save_checkpoint,
 )
-from carpark_mj.training.memory import device_memory, require_memory
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.run_folder import LOCK, open_run, read_header
 from carpark_mj.training.settings import read_config
@@ -45,50 +42,12 @@ def test_a_name_is_that_of_one_folder(cls, name):
     assert cls(name="a b.c-2").name == "a b.c-2"
 
 
-FLOATS = [
-    (cls, field.name)
-    for cls in TRAINERS
-    for field in dataclasses.fields(cls)
-    if isinstance(field.default, float)
-]
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize(("cls", "name"), FLOATS)
-def test_no_setting_of_a_trainer_is_infinite_or_nan(cls, name, value):
-    with pytest.raises(ValueError, match=rf"^{name} must .*, not {value}$"):
-        cls(**{name: value})
-
-
-def test_no_setting_is_larger_than_jax_can_hold():
-    for cls, name in FLOATS:
-        with pytest.raises(ValueError, match=rf"{name} must .*, not 1e\+39$"):
-            cls(**{name: 1e39})
-        with pytest.raises(ValueError, match=f"{name} must "):
-            cls(**{name: 10**400})
-    for name in ("num_steps", "critic_steps", "num_epochs", "num_lots", "lot_life"):
-        with pytest.raises(ValueError, match=rf"^{name} must .*, not 1{'0' * 30}$"):
-            PPOConfig(**{name: 10**30})
-    with pytest.raises(ValueError, match="learning_rate must"):
-        PPOConfig(learning_rate=1e-50)
-    assert PPOConfig(num_steps=10**11).num_updates < 2**31
-
-
 @pytest.mark.parametrize("cls", TRAINERS)
 def test_a_seed_is_one_that_a_key_can_have(cls):
     assert cls(seed=2**32 - 1).seed
     for seed in (-1, 2**32):
         with pytest.raises(ValueError, match=f"seed must lie in .*, not {seed}"):
             cls(seed=seed)
-
-
-def test_what_follows_the_training_is_refused_before_it():
-    with pytest.raises(ValueError, match="eval_episodes must lie in"):
-        PPOConfig(eval_episodes=10**9)
-    with pytest.raises(ValueError, match="video_seconds must lie in"):
-        PPOConfig(video_seconds=1e6)
-    with pytest.raises(ValueError, match="episodes must be at least 1 and at most"):
-        EvaluateConfig(policy="zero", episodes=10**9)
 
 
 def test_a_folder_is_held_by_one_process_at_a_time(tmp_path):
@@ -224,9 +183,3 @@ def test_a_checkpoint_with_settings_of_nonsense_is_not_resumed_from(tmp_path):
     assert read_header(path, PPOConfig)["config"]["seed"] == 0
     with pytest.raises(CheckpointError, match="chunks"):
         read_header(path, PPOConfig, chunks=int)
-
-
-def test_sizes_beyond_the_memory_are_refused():
-    require_memory(device_memory())
-    with pytest.raises(ValueError, match=r"need .* GiB of memory at least"):
-        require_memory(device_memory() + 1)

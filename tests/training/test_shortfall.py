@@ -164,15 +164,6 @@ def test_one_family_is_drawn_by_the_shortfall_of_its_numbers_of_agents():
     np.testing.assert_allclose(many, [0.25 + 0.125, 0.25 + 0.375], rtol=1e-5)
 
 
-def test_lots_kept_for_ever_and_impossible_rates_are_refused():
-    with pytest.raises(
-        ValueError, match=r"target_rate 0.9 needs lot_life of at least 1"
-    ):
-        dataclasses.replace(CONFIG, lot_life=0)
-    with pytest.raises(ValueError, match=r"target_rate must lie in \[0, 1\], not 1.5"):
-        CurriculumConfig(target_rate=1.5)
-
-
 @functools.cache
 def learner():
     learner = Learner(CONFIG)

@@ -11,9 +11,7 @@ import pytest
 
 from carpark_mj.config import (
     EnvConfig,
-    GoalConfig,
     RayConfig,
-    RewardConfig,
     RingConfig,
 )
 from carpark_mj.env import ParkingEnv
@@ -95,29 +93,6 @@ def test_its_weight_falls_linearly_to_zero():
     progress = jnp.array([0.0, 0.125, 0.5, 0.9])
     found = jnp.stack([jnp.asarray(teacher_cost(config, x)) for x in progress])
     np.testing.assert_allclose(found, [4.0, 3.0, 0.0, 0.0], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("observation", "env", "message"),
-    [
-        (KNOWS, {"goals": GoalConfig(True, 1)}, "needs actions of numbers alone"),
-        (
-            dataclasses.replace(BLIND, rings=RingConfig((5.0,), history=2)),
-            {},
-            "curriculum.teacher somebody remembers",
-        ),
-        (
-            dataclasses.replace(BLIND, route=True),
-            {"reward": RewardConfig(route=False)},
-            "curriculum.teacher somebody observes routes",
-        ),
-    ],
-)
-def test_teachers_of_others_are_refused(monkeypatch, observation, env, message):
-    knows(monkeypatch, observation)
-    changed = dataclasses.replace(CONFIG.env, **env)
-    with pytest.raises(ValueError, match=message):
-        make_teacher(dataclasses.replace(CONFIG, env=changed))
 
 
 def test_the_loss_counts_the_distance_of_the_mode_where_steps_count():
