@@ -188,10 +188,7 @@ class _Problem:
         return np.array([getattr(p, what) * (x if p.relative else 1) for p, x in rows])
 
     def look(self, unknown: np.ndarray) -> np.ndarray:
-        """Derivatives (rows, unknowns) at a point and, as last column, residuals.
-
-        Triangles stand for the measurements, with the same squares and products.
-        """
+        """Derivatives (rows, unknowns) at a point and, as last column, residuals."""
         p, s, n = len(self.own), len(_START_STEPS), len(unknown)
         rows = [np.column_stack([np.eye(n), unknown])]
         for k, triangle in enumerate(self._triangles(unknown, self.noise)):

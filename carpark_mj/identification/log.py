@@ -89,13 +89,7 @@ def _filled(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def read_log(path: Path) -> DriveLog:
-    """Reads the log of a test drive; see `COLUMNS`.
-
-    Raises:
-        ValueError: a column is missing, given twice in two units, or of impossible
-            values.
-        OSError: the file cannot be read.
-    """
+    """Reads the log of a test drive; see `COLUMNS`."""
     rows = read_csv(path)
     if not rows:
         raise ValueError(f"{path} has no rows")

@@ -14,15 +14,19 @@ from helpers.sweeping import write_run
 from matplotlib.axes import Axes
 from rich.console import Console
 
-from carpark_mj.analysis.page import SHOWN_ROWS, table, videos
-from carpark_mj.analysis.plots import plot_metric
-from carpark_mj.analysis.points import group, run_rows, spread_rows
-from carpark_mj.analysis.runs import (
+from carpark_mj.analysis import (
+    SHOWN_ROWS,
     Record,
     flat_metrics,
+    group,
+    plot_metric,
     read_curve,
     read_run,
     run_folders,
+    run_rows,
+    spread_rows,
+    table,
+    videos,
 )
 from carpark_mj.cli.analysis import MAX_ROWS, analyse
 from carpark_mj.programs import analysis

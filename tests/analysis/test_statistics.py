@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from carpark_mj.analysis.statistics import interquartile_mean, outliers, spread
+from carpark_mj.analysis import interquartile_mean, outliers, spread
 
 RNG = np.random.default_rng(7)
 

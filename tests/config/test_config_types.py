@@ -9,8 +9,7 @@ from carpark_mj.config import EnvConfig, ParkedRule, RewardConfig, SimConfig
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts.from_file import FromFileConfig
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
 
 
 def config_classes(cls, found):

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from helpers.tiny_policy import CARD
 
-from carpark_mj.policy import checkpoints, pretrained
-from carpark_mj.policy.pretrained import find_policy, pretrained_names
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.runs import find_policy, pretrained_names
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -78,9 +78,7 @@ def test_a_fault_of_a_card_is_found(shipped, wrong, right, fault):
 
 
 def test_the_page_of_the_policies_shows_all_cards():
-    cards = [
-        (pretrained.FOLDER / f"{name}.md").read_text() for name in pretrained_names()
-    ]
+    cards = [(runs.FOLDER / f"{name}.md").read_text() for name in pretrained_names()]
     page = (DOCS / "policies.md").read_text()
     shown = page.split("<!-- cards -->\n")[1].split("\n<!-- end of cards -->")[0]
     expected = "\n".join(cards).rstrip()

@@ -17,15 +17,15 @@ from scipy import special, stats
 from carpark_mj.mdp.actions import ActionSpec, sanitize_indices
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import OWN
-from carpark_mj.policy.baselines import random_policy, zero_policy
 from carpark_mj.policy.distributions import action_distribution
+from carpark_mj.policy.named import random_policy, zero_policy
 from carpark_mj.policy.networks import (
     NetworkConfig,
+    init_normalizer,
     make_networks,
     make_policy,
     network_inputs,
 )
-from carpark_mj.policy.normalizer import init_normalizer
 
 GRID = ActionSpec(0, (5, 7, 3))
 MIXED = ActionSpec(2, (3,))

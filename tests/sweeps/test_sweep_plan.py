@@ -4,10 +4,16 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_mj.programs import sweep
-from carpark_mj.sweeps import manage
-from carpark_mj.sweeps.axes import Axis, read_axis
-from carpark_mj.sweeps.groups import groups
-from carpark_mj.sweeps.plan import Plan, checked_runs, runs, settings_of
+from carpark_mj.sweeps import (
+    Axis,
+    Plan,
+    checked_runs,
+    groups,
+    manage,
+    read_axis,
+    runs,
+    settings_of,
+)
 from carpark_mj.training.ppo.parts import PRESETS
 
 

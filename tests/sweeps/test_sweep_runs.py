@@ -18,13 +18,19 @@ from submitit.core.submission import process_job
 from submitit.helpers import DelayedSubmission
 from submitit.slurm.test_slurm import mocked_slurm
 
-from carpark_mj.sweeps import executor, slurm
-from carpark_mj.sweeps.environment import visible_gpus
-from carpark_mj.sweeps.executor import make_executor
-from carpark_mj.sweeps.manage import Where, run_sweep
-from carpark_mj.sweeps.outcomes import open_sweep, read_outcome
-from carpark_mj.sweeps.slurm import SlurmConfig, submit_all
-from carpark_mj.sweeps.work import Work
+from carpark_mj.sweeps import (
+    SlurmConfig,
+    Where,
+    Work,
+    executor,
+    make_executor,
+    open_sweep,
+    read_outcome,
+    run_sweep,
+    slurm,
+    submit_all,
+    visible_gpus,
+)
 
 HERE = Where("debug")
 TESTS = Path(__file__).parents[1]
@@ -121,7 +127,7 @@ SWEEP = """
 import sys
 from pathlib import Path
 from helpers.sweeping import plan_runs, train_slowly
-from carpark_mj.sweeps.manage import Where, run_sweep
+from carpark_mj.sweeps import Where, run_sweep
 plan, runs = plan_runs("num_agents=1..3")
 run_sweep(Path(sys.argv[1]), plan, runs, Where("debug"), train_slowly)
 """

@@ -8,14 +8,13 @@ import pytest
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy import checkpoints, runs
-from carpark_mj.training.metrics_log import read_metrics
+from carpark_mj.training.loop import read_metrics
+from carpark_mj.training.ppo.collect import TrainingState, no_steps
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import schedule
-from carpark_mj.training.ppo.forecast import announcement, estimate
+from carpark_mj.training.ppo.learn import schedule
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.state import TrainingState, no_steps
-from carpark_mj.training.ppo.train import train
+from carpark_mj.training.ppo.train import announcement, estimate, train
 
 CONFIG = PPOConfig(
     num_steps=64 * 100,  # 100 updates

@@ -6,9 +6,9 @@ import pytest
 from helpers.disks import largest_file
 from helpers.mutating import damaged
 
-from carpark_mj.analysis.runs import read_curve
+from carpark_mj.analysis import read_curve
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.training.metrics_log import MetricsLog, read_metrics
+from carpark_mj.training.loop import MetricsLog, read_metrics
 
 
 def test_tensorboard_reads_what_is_logged(tmp_path):

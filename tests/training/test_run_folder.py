@@ -6,6 +6,7 @@ import json
 import math
 
 import pytest
+from carpark_mj.training.memory import device_memory, require_memory
 from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -15,10 +16,8 @@ from carpark_mj.policy.runs import (
     latest_checkpoint,
     save_checkpoint,
 )
-from carpark_mj.training.memory import device_memory, require_memory
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.run_folder import LOCK, open_run, read_header
-from carpark_mj.training.settings import read_config
+from carpark_mj.training.run_folder import LOCK, open_run, read_config, read_header
 
 LEFT = ".step_000000000064.0123456789abcdef.npz"  # by a process that was killed
 TRAINERS = (PPOConfig,)

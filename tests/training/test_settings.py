@@ -9,8 +9,7 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.files import write_json
 from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS, summaries
-from carpark_mj.training.run_folder import describe
-from carpark_mj.training.settings import read_settings
+from carpark_mj.training.run_folder import describe, read_settings
 
 
 def read(*arguments):

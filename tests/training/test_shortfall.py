@@ -16,12 +16,15 @@ from carpark_mj.layouts.registry import mixture
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.training.ppo.collect import Totals
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
-from carpark_mj.training.ppo.families import MEMORY, Families, make_families
+from carpark_mj.training.ppo.collect import (
+    MEMORY,
+    Families,
+    Totals,
+    TrainingState,
+    make_families,
+)
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.state import TrainingState
 from carpark_mj.training.ppo.train import load_or_init
 from carpark_mj.wrappers.brax import BraxParking
 

@@ -16,10 +16,10 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from carpark_mj.config import insert, is_data
 from carpark_mj.evaluation.keys import training_key
+from carpark_mj.training.ppo.collect import AXIS, TrainingState, state_specs
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import COMPILER_OPTIONS, Learner, without_input
-from carpark_mj.training.ppo.state import AXIS, TrainingState, state_specs
-from carpark_mj.training.settings import list_settings
+from carpark_mj.training.run_folder import list_settings
 from carpark_mj.wrappers.brax import BraxParking
 
 RUNS = "runs"
@@ -72,11 +72,7 @@ def of_env(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_learner(configs: Sequence[PPOConfig]) -> Learner:
-    """The learner of one run, or of several side by side.
-
-    Raises:
-        ValueError: impossible lots, or runs that cannot be a group.
-    """
+    """The learner of one run, or of several side by side."""
     return Learner(configs[0]) if len(configs) == 1 else GroupLearner(configs)
 
 
@@ -84,11 +80,7 @@ class GroupLearner(Learner):
     """The learner of several runs, whose states have a leading dimension (runs,)."""
 
     def __init__(self, configs: Sequence[PPOConfig]) -> None:
-        """Sets up what the runs share.
-
-        Raises:
-            ValueError: they cannot be trained side by side.
-        """
+        """Sets up what the runs share."""
         _require_one_program(configs)
         super().__init__(configs[0])
         self._configs = tuple(configs)
@@ -158,11 +150,7 @@ class GroupLearner(Learner):
 
 
 def _require_one_program(configs: Sequence[PPOConfig]) -> None:
-    """Refuses what cannot be a group.
-
-    Raises:
-        ValueError: naming a setting that differs and must not, or too many hosts.
-    """
+    """Refuses what cannot be a group, naming a setting that differs and must not."""
     if jax.process_count() > 1:
         raise ValueError(f"runs side by side need one host, not {jax.process_count()}")
     first = dict(list_settings(program(configs[0])))

@@ -8,14 +8,20 @@ import pytest
 from helpers.programs import exit_code
 from helpers.sweeping import train
 
-from carpark_mj.analysis.points import group
-from carpark_mj.analysis.runs import Record
+from carpark_mj.analysis import Record, group
 from carpark_mj.evaluation.catalogue import metrics
-from carpark_mj.sweeps import manage, work
-from carpark_mj.sweeps.manage import run_sweep
-from carpark_mj.sweeps.outcomes import Outcome, open_sweep, write_outcome
-from carpark_mj.sweeps.plan import checked_runs, runs, settings_of
-from carpark_mj.training.settings import list_settings
+from carpark_mj.sweeps import (
+    Outcome,
+    checked_runs,
+    manage,
+    open_sweep,
+    run_sweep,
+    runs,
+    settings_of,
+    work,
+    write_outcome,
+)
+from carpark_mj.training.run_folder import list_settings
 from carpark_papers.tanner.experiments import program as study
 from carpark_papers.tanner.experiments.figures import (
     ELSEWHERE,
