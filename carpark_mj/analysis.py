@@ -343,10 +343,11 @@ def plot_metric(
     place = {value: value if numeric else i for i, value in enumerate(values)}
     sources = list(dict.fromkeys(point.source for point in points))
     series = list(dict.fromkeys((p.source, p.values[1:]) for p in points))
+    shades = list(dict.fromkeys(rest for _, rest in series))
     with _axes(path, title) as axes:
-        for number, (source, rest) in enumerate(series):
+        for source, rest in series:
             own = [p for p in points if (p.source, p.values[1:]) == (source, rest)]
-            colour = _colour(number, len(series))
+            colour = _colour(shades.index(rest), len(shades))
             names = [source] * (len(sources) > 1) + [show(value) for value in rest]
             x = [place[point.values[0]] for point in own]
             found = [spread([point.numbers(metric)]) for point in own]

@@ -12,6 +12,7 @@ import contextlib
 import dataclasses
 import functools
 import itertools
+import math
 import os
 import re
 import shutil
@@ -20,7 +21,7 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
@@ -49,13 +50,17 @@ from carpark_mj.config.checks import (
 from carpark_mj.extensions import unknown_name
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.policy.runs import checkpoint_files, from_dict
+from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.reading import read_csv, read_object
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS, summaries
-from carpark_mj.training.run_folder import RunConfig, list_settings, read_settings
+from carpark_mj.training.run_folder import (
+    RunConfig,
+    list_settings,
+    read_config,
+    read_settings,
+)
 
-MAX_VALUES = 10_000  # of a range; more are a slip of the keyboard
 MAX_RUNS = 100_000
 MAX_NAME = 200  # characters; file systems allow 255 bytes
 POLL_SECONDS = {"local": 0.5, "debug": 0.0, "slurm": 10.0}
@@ -91,37 +96,21 @@ def read_axis(text: str, config: PPOConfig) -> Axis:
 
     VALUES are separated by commas, or by semicolons where a value has commas itself;
     `1..7` is a range of whole numbers, both ends included.
-
-    Raises:
-        ValueError: an unknown setting, no values, or an empty range.
     """
     name, equals, values = text.partition("=")
     if not equals:
         raise ValueError(
             f"set takes FIELD=VALUES, for example num_agents=1..7, not {text!r}"
         )
-    field = _find_field(name.strip(), config)
-    separator = ";" if ";" in values else ","
-    parts = [part.strip() for part in values.split(separator)]
-    if separator == ";" and not parts[-1]:
-        parts.pop()  # `a,b;` is one value
-    words = [word for part in parts for word in _expand(field, part)]
-    if not all(words) or len({*words}) < len(words):
-        raise ValueError(f"{field} has an empty value, or one twice, in {text!r}")
+    field = _find_field(name.strip().replace("-", "_"), _settings(config))
+    words: list[str] = []
+    for part in values.removesuffix(";").split(";" if ";" in values else ","):
+        ends = re.fullmatch(r"\s*(-?\d+)\.\.(-?\d+)\s*", part)
+        first, last = map(int, ends.groups()) if ends else (0, -1)
+        words += map(str, range(first, last + 1)) if ends else [part.strip()]
+    if not all(words) or not words or len({*words}) < len(words):
+        raise ValueError(f"{field} has no values, or one twice, in {text!r}")
     return Axis((field,), tuple((word,) for word in words))
-
-
-def _expand(field: str, part: str) -> Sequence[str]:
-    """The values of one part, several of a range."""
-    ends = re.fullmatch(r"(-?\d+)\.\.(-?\d+)", part)
-    if not ends:
-        return (part,)
-    first, last = map(int, ends.groups())
-    if not 0 <= last - first < MAX_VALUES:
-        raise ValueError(
-            f"range {part} of {field} must have 1 to {MAX_VALUES} values, rising"
-        )
-    return [str(number) for number in range(first, last + 1)]
 
 
 def _settings(config: PPOConfig) -> dict[str, Any]:
@@ -131,19 +120,16 @@ def _settings(config: PPOConfig) -> dict[str, Any]:
     return extra | dict(list_settings(config))
 
 
-def _find_field(name: str, config: PPOConfig) -> str:
+def _find_field(name: str, known: Mapping[str, Any]) -> str:
     """The dotted name of a setting, given in full or by an unambiguous suffix."""
-    wanted, known = name.replace("-", "_"), _settings(config)
-    found = [path for path in known if f".{path}".endswith(f".{wanted}")]
-    if wanted in known:
-        found = [wanted]
+    found = [path for path in known if f".{path}".endswith(f".{name}")]
+    if name in known:
+        found = [name]
     if not found:
         last = {path.rpartition(".")[2] for path in known}
-        raise ValueError(unknown_name("setting", wanted, last))
+        raise ValueError(unknown_name("setting", name, last))
     if len(found) > 1:
-        raise ValueError(
-            f"{name!r} is several settings: give one of {', '.join(found)}"
-        )
+        raise ValueError(f"{name!r} is several settings: {', '.join(found)}")
     if found[0] in OWN_FIELDS:
         raise ValueError(f"{found[0]} is not swept: see the flags of the sweep")
     return found[0]
@@ -157,9 +143,9 @@ def _flags(settings: dict[str, str], config: PPOConfig) -> list[str]:
         *groups, last = field.replace("_", "-").split(".")
         parts = value.split()
         if isinstance(known[field], bool):
-            if value.lower() not in ("true", "false"):
+            if value not in ("true", "false"):
                 raise ValueError(f"{field} must be true or false, not {value!r}")
-            last, parts = last if value.lower() == "true" else f"no-{last}", []
+            last, parts = last if value == "true" else f"no-{last}", []
         if any(re.match(r"-[^\d.]", part) for part in parts):
             raise ValueError(f"{field} takes values, not flags, as in {value!r}")
         words += [f"--{'.'.join((*groups, last))}", *parts]
@@ -184,18 +170,14 @@ class Plan:
 
     def __post_init__(self) -> None:
         fields = [field for axis in self.axes for field in axis.fields]
-        for field in fields:
-            if fields.count(field) > 1:
-                raise ValueError(f"{field} is given twice")
+        if twice := {field for field in fields if fields.count(field) > 1}:
+            raise ValueError(f"{', '.join(twice)} is given twice")
         if len(self) > MAX_RUNS:
             raise ValueError(f"a sweep has at most {MAX_RUNS} runs, not {len(self)}")
 
     def __len__(self) -> int:
         """Number of runs."""
-        total = self.repeats
-        for axis in self.axes:
-            total *= len(axis.values)
-        return total
+        return self.repeats * math.prod(len(axis.values) for axis in self.axes)
 
     @property
     def definition(self) -> dict[str, Any]:
@@ -248,12 +230,7 @@ def runs(plan: Plan) -> Iterator[Run]:
 
 
 def checked_runs(plan: Plan) -> list[Run]:
-    """All runs, each with settings that can be trained.
-
-    Raises:
-        ValueError: a run is impossible, or repeats another one, as with 0.1 and 0.10;
-            the message names the run and the reason.
-    """
+    """All runs, each with settings that can be trained."""
     from carpark_mj.env import ParkingEnv
 
     possible: set[Any] = set()
@@ -279,10 +256,7 @@ def settings_of(run: Run) -> PPOConfig:
     """The trainer's settings of a run; no video unless the sweep asks for one."""
     settings = {"video_seconds": "0"} | dict(run.settings)
     words = ["--preset", run.base, "--seed", str(run.seed)]
-    return _read([*words, *_flags(settings, PRESETS[run.base])], run)
-
-
-def _read(words: list[str], run: Run) -> PPOConfig:
+    words += _flags(settings, PRESETS[run.base])
     return read_settings(PRESETS[run.base], PRESETS, words, None, (), summaries())
 
 
@@ -329,12 +303,7 @@ def run_folder(sweep: Path, run: Run) -> Path:
 
 
 def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
-    """Makes the folder of a sweep, or checks that it holds runs of the same kind.
-
-    Raises:
-        ValueError: it holds another sweep.
-        OSError: it cannot be written.
-    """
+    """Makes the folder of a sweep, or checks that it holds runs of the same kind."""
     definition = {**plan.definition, "stochastic": stochastic}
     path = folder / "sweep.json"
     if not path.exists():
@@ -349,21 +318,18 @@ def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
         )
 
 
-def _outcome_path(sweep: Path, run: Run) -> Path:
-    return sweep / "outcomes" / f"{run.name}.json"
-
-
 def read_outcome(sweep: Path, run: Run) -> Outcome:
     """The recorded outcome of a run."""
     try:
-        return from_dict(Outcome, read_object(_outcome_path(sweep, run)))
+        return Outcome(**read_object(sweep / "outcomes" / f"{run.name}.json"))
     except (FileNotFoundError, ValueError, TypeError):
         return Outcome("waiting")
 
 
 def write_outcome(sweep: Path, run: Run, outcome: Outcome) -> None:
     """Records the outcome of a run."""
-    write_json(_outcome_path(sweep, run), dataclasses.asdict(outcome))
+    path = sweep / "outcomes" / f"{run.name}.json"
+    write_json(path, dataclasses.asdict(outcome))
 
 
 def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
@@ -430,7 +396,8 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, tell: Tell) -> Non
     parts: dict[str, list[PPOConfig]] = {}
     for folder, run in by_folder.items():
         if files := checkpoint_files(folder):
-            config = _read(["--resume", str(folder)], run)
+            config = read_config(PPOConfig, folder)
+            config = dataclasses.replace(config, resume=str(folder))
         else:
             shutil.rmtree(folder, ignore_errors=True)  # killed before its first
             config = dataclasses.replace(
@@ -511,9 +478,9 @@ class SlurmConfig(CheckedConfig):
     """What is asked of Slurm for every run.
 
     Attributes:
-        partition: where; empty = the cluster's default.
-        account: that pays; empty = the user's own.
-        qos: quality of service; empty = the default.
+        partition: where; empty = the cluster's default, as with the next three.
+        account: that pays.
+        qos: quality of service.
         constraint: features that nodes must have.
         time: after which a job is queued again, to go on from its checkpoint [min].
         requeues: how often it may be.
@@ -531,15 +498,6 @@ class SlurmConfig(CheckedConfig):
     gpus_per_node: Natural = 1
     cpus_per_task: Count = 4
     mem_gb: NonNegative = 0.0
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """By submitit's names; what is not given is left out."""
-        names = ("partition", "account", "qos", "constraint")
-        asked: dict[str, Any] = {f"slurm_{name}": getattr(self, name) for name in names}
-        asked |= {"gpus_per_node": self.gpus_per_node, "mem_gb": self.mem_gb}
-        given = {name: value for name, value in asked.items() if value}
-        return given | {"timeout_min": self.time, "cpus_per_task": self.cpus_per_task}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -566,23 +524,30 @@ class Where(CheckedConfig):
 
 
 def make_executor(where: Where, folder: Path) -> submitit.AutoExecutor:
-    """The executor of a cluster; `folder` is for what jobs print.
-
-    Raises:
-        ValueError: there is no such cluster here.
-    """
-    slurm, name = where.slurm, folder.parent.name
-    is_slurm = where.cluster == "slurm"
-    options = {"slurm_max_num_timeout": slurm.requeues} if is_slurm else {}
+    """The executor of a cluster; `folder` is for what jobs print."""
+    asked: dict[str, Any] = {"timeout_min": ENDLESS}
+    options: dict[str, Any] = {}
+    if where.cluster == "slurm":
+        slurm = where.slurm
+        options = {"slurm_max_num_timeout": slurm.requeues}
+        asked = {
+            "slurm_array_parallelism": where.jobs or 1000,
+            "timeout_min": slurm.time,
+            "slurm_partition": slurm.partition,
+            "slurm_account": slurm.account,
+            "slurm_qos": slurm.qos,
+            "slurm_constraint": slurm.constraint,
+            "gpus_per_node": slurm.gpus_per_node,
+            "cpus_per_task": slurm.cpus_per_task,
+            "mem_gb": slurm.mem_gb,
+        }
     try:
         # Jobs may start elsewhere.
         executor = submitit.AutoExecutor(folder.resolve(), where.cluster, **options)
     except RuntimeError as error:
         raise ValueError(f"cluster {where.cluster} is not available: {error}") from None
-    asked = {"timeout_min": ENDLESS}
-    if is_slurm:
-        asked = {"slurm_array_parallelism": where.jobs or 1000, **slurm.parameters}
-    executor.update_parameters(name=name, **asked)
+    given = {name: value for name, value in asked.items() if value}
+    executor.update_parameters(name=folder.parent.name, **given)
     # Jobs inherit the environment, and import what this process can.
     paths = [str(Path(path).resolve()) for path in sys.path]
     os.environ["PYTHONPATH"] = os.pathsep.join(paths)
@@ -599,7 +564,7 @@ def run_works(
     waiting = list(works)
     running: dict[int, tuple[Work, submitit.Job[None]]] = {}  # by slot
     if executor.cluster == "slurm":
-        running = dict(enumerate(_submit_array(executor, waiting)))
+        running = dict(enumerate(submit_array(executor, waiting)))
         waiting = []
     try:
         while waiting or running:
@@ -610,8 +575,15 @@ def run_works(
                         gpus = visible_gpus(slot, jobs)
                         work = dataclasses.replace(work, gpus=gpus)
                     running[slot] = work, executor.submit(work)
-            queued = queued_jobs() if executor.cluster == "slurm" else set[str]()
-            ended = [s for s, (_, job) in running.items() if _has_ended(job, queued)]
+            # A debug job that is asked would run and, if it fails, start a debugger.
+            # Submitit's own query of Slurm needs accounting.
+            queued = queued_jobs() if executor.cluster == "slurm" else None
+            ended = [
+                slot
+                for slot, (_, job) in running.items()
+                if executor.cluster == "debug"
+                or (job.done() if queued is None else job.job_id not in queued)
+            ]
             for slot in ended:
                 work, job = running.pop(slot)
                 yield work, _reason(job)
@@ -633,17 +605,6 @@ def visible_gpus(slot: int, jobs: int) -> tuple[str, ...]:
     return tuple(devices)
 
 
-def _has_ended(job: submitit.Job[None], queued: set[str] | None) -> bool:
-    """Whether a job has ended, one of Slurm by its queue.
-
-    Submitit's own query of Slurm needs accounting. A debug job that is asked would run
-    and, if it fails, start a debugger.
-    """
-    if isinstance(job, submitit.SlurmJob):
-        return queued is not None and job.job_id not in queued
-    return isinstance(job, submitit.DebugJob) or job.done()
-
-
 def _reason(job: submitit.Job[None]) -> str:
     """Why a job that ended has failed; empty if it has not. A debug job runs now."""
     if isinstance(job, submitit.SlurmJob) and not job.paths.result_pickle.exists():
@@ -658,23 +619,26 @@ def _reason(job: submitit.Job[None]) -> str:
     return f"its process ended: {reason} (see {job.paths.stderr})"
 
 
-def _submit_array(
+def submit_array(
     executor: submitit.AutoExecutor, works: Sequence[Work]
 ) -> list[tuple[Work, submitit.Job[None]]]:
     """Submits to a cluster what does not stand in its queue from an earlier time."""
     record = executor.folder / "jobs.json"
     known: dict[str, str] = read_object(record) if record.exists() else {}
-    queued = queued_jobs() or set()
+    queued = queued_jobs()
     jobs: list[tuple[Work, submitit.Job[None]]] = []
     new: list[Work] = []
     for work in works:
-        ids = {run: known.get(run.name, "") for run in work.runs}
-        for job_id in sorted({*ids.values()} & queued):
-            own = tuple(run for run in work.runs if ids[run] == job_id)
-            job = submitit.SlurmJob[None](executor.folder, job_id)
-            jobs.append((dataclasses.replace(work, runs=own), job))
-        if left := tuple(run for run in work.runs if ids[run] not in queued):
-            new.append(dataclasses.replace(work, runs=left))
+        by_job: dict[str, list[Run]] = {}
+        for run in work.runs:
+            job_id = known.get(run.name, "")
+            by_job.setdefault(job_id * (job_id in queued), []).append(run)
+        for job_id, own in by_job.items():
+            part = dataclasses.replace(work, runs=tuple(own))
+            if job_id:
+                jobs.append((part, submitit.SlurmJob[None](executor.folder, job_id)))
+            else:
+                new.append(part)
     try:
         with executor.batch():
             submitted = [executor.submit(work) for work in new]
@@ -687,14 +651,14 @@ def _submit_array(
     return jobs
 
 
-def queued_jobs() -> set[str] | None:
-    """Numbers of the jobs in Slurm's queue; None if it does not answer."""
+def queued_jobs() -> set[str]:
+    """Numbers of the jobs in Slurm's queue."""
     command = ["squeue", "--noheader", "--array", "--format", "%i"]
-    try:
-        said = subprocess.run(command, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return {*said.stdout.split()}
+    while True:
+        asked = subprocess.run(command, capture_output=True, text=True, check=False)
+        if not asked.returncode:
+            return {*asked.stdout.split()}
+        time.sleep(POLL_SECONDS["slurm"])  # a busy controller does not answer
 
 
 def run_sweep(
@@ -708,10 +672,6 @@ def run_sweep(
 
     Returns:
         How many runs are done, stopped, failed.
-
-    Raises:
-        ValueError: the folder holds another sweep, or there is no such cluster.
-        OSError: the folder cannot be written.
     """
     executor = make_executor(where, folder / "logs")
     open_sweep(folder, plan, where.stochastic)
@@ -720,7 +680,7 @@ def run_sweep(
     done = len(runs) - len(left)
     say(f"{folder}: {len(runs)} runs, {done} of them done")
     for run in left:
-        _outcome_path(folder, run).unlink(missing_ok=True)
+        write_outcome(folder, run, Outcome("waiting"))
     write_table(folder, runs)
     works = [
         Work(
@@ -787,12 +747,11 @@ class SweepConfig(Where):
         axes = tuple(read_axis(text, base) for text in self.set)
         return Plan(self.base, axes, self.repeats, self.seed)
 
-
-def sweep_folder(config: SweepConfig) -> Path:
-    """The folder of a sweep."""
-    plan = config.plan
-    swept = [axis.fields[0].rpartition(".")[2] for axis in plan.axes if axis.is_swept]
-    return Path(config.runs_dir) / (config.name or "-".join((plan.base, *swept)))
+    @property
+    def folder(self) -> Path:
+        """Of the sweep."""
+        swept = [x.fields[0].rpartition(".")[2] for x in self.plan.axes if x.is_swept]
+        return Path(self.runs_dir) / (self.name or "-".join((self.base, *swept)))
 
 
 def prepare(cluster: str) -> None:

@@ -36,8 +36,7 @@ METRICS = ("parked", "crashed", "timed_out", "length")
 CURVES = ("episode/parked", "episode/crashed")
 METHOD = (
     "Interquartile means (iqm) with 95 % intervals from a bootstrap of runs within "
-    "each point; of three runs or fewer the iqm is the mean. Outliers are more than 5 "
-    "robust standard deviations from the median of their point."
+    "each point; of three runs or fewer the iqm is the mean."
 )
 
 

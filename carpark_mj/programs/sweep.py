@@ -20,5 +20,5 @@ def run(arguments: Sequence[str] | None = None) -> int:
     plan = config.plan
     sweeps.prepare(config.cluster)
     runs = sweeps.checked_runs(plan)
-    counts = sweeps.run_sweep(sweeps.sweep_folder(config), plan, runs, config)
+    counts = sweeps.run_sweep(config.folder, plan, runs, config)
     return 1 if counts["failed"] else 0

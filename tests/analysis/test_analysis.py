@@ -86,8 +86,7 @@ def test_the_tables_have_every_run_and_every_point():
     found = [(row["env.num_agents"], row["runs"], row["median"]) for row in rows]
     assert found == [("2", 3, 0.85), ("10", 3, 0.5), ("all", 6, pytest.approx(0.505))]
     each = run_rows(points, ["env.num_agents"], ["parked"])
-    assert [row["outlier"] for row in each] == ["", "", "parked", "", "", ""]
-    assert table(each).count('class="outlier"') == 1
+    assert [row["parked"] for row in each] == [0.9, 0.85, 0.1, 0.5, 0.49, 0.51]
 
 
 def test_a_long_table_is_folded_and_what_is_missing_is_a_dash():
@@ -233,7 +232,7 @@ def test_a_run_that_is_given_twice_counts_once(tmp_path):
         (
             "evaluation.json",
             '{"summary": {"parked": {"rate": "x"}}}',
-            "evaluation.json is damaged: could not convert",
+            "is damaged: could not convert",
         ),
     ],
 )
@@ -241,7 +240,9 @@ def test_a_damaged_run_is_named_and_left_out(file, text, said, tmp_path, capsys)
     runs = make_runs(tmp_path)
     (tmp_path / "a1-0" / file).write_text(text)
     assert exit_code(analysis, [*runs, "--out", str(tmp_path / "out")]) == 0
-    assert f"{tmp_path / 'a1-0' / said}" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"{tmp_path / 'a1-0'}" in told
+    assert said in told
 
 
 def test_links_lead_to_files_whatever_their_names(tmp_path):

@@ -16,6 +16,9 @@ from flax import struct
 from carpark_mj.training.ppo.collect import AXIS
 from carpark_mj.training.ppo.parts import VARIANTS
 
+if TYPE_CHECKING:
+    from carpark_mj.training.ppo.config import PPOConfig
+
 VALUE_COST = 0.25  # weight of the value's squared error, as in Brax
 
 
@@ -145,9 +148,6 @@ def describe_policy(drawn_from: Any) -> dict[str, jax.Array]:
         for statistic in ("mean", "max", "min")
     }
 
-
-if TYPE_CHECKING:
-    from carpark_mj.training.ppo.config import PPOConfig
 
 # Steps (time, agents, ...) to learn from, given actor and critic.
 Prepare = Callable[[Any], Any]

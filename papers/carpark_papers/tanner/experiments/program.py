@@ -78,7 +78,13 @@ class StudyConfig:
     @property
     def where(self) -> Where:
         """Settings of the executor; the study samples actions."""
-        return Where(self.cluster, self.jobs, self.side_by_side, self.slurm, True)
+        return Where(
+            cluster=self.cluster,
+            jobs=self.jobs,
+            side_by_side=self.side_by_side,
+            slurm=self.slurm,
+            stochastic=True,
+        )
 
 
 # NVIDIA H200, docs/study.md: 16 M steps of seven agents in 66 to 75 s; compiling and
