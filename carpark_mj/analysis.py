@@ -43,25 +43,15 @@ th { background: #f4f4f4; }
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """A run that was evaluated.
+    """A run that was evaluated."""
 
-    Attributes:
-        name: of its folder.
-        settings: dotted name to value, of all settings of the trainer.
-        metrics: name to number; a rate is one number, quantiles have their own names.
-        seed: random seed.
-        folder: of the run; None of a published one.
-        versions: of the packages that trained it.
-        device: what trained it.
-    """
-
-    name: str
-    settings: Mapping[str, Any]
-    metrics: Mapping[str, float]
+    name: str  # of its folder
+    settings: Mapping[str, Any]  # by dotted name, all settings of the trainer
+    metrics: Mapping[str, float]  # by name; a rate is one number
     seed: int = 0
-    folder: Path | None = None
+    folder: Path | None = None  # of the run; None of a published one
     versions: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    device: str = ""
+    device: str = ""  # what trained it
 
 
 # Whose runs, by name: ours, or published ones.
@@ -187,17 +177,11 @@ def read_curve(folder: Path, column: str) -> list[tuple[float, float]]:
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """The runs of one combination of settings.
+    """The runs of one combination of settings."""
 
-    Attributes:
-        source: whose runs.
-        values: of the settings that differ.
-        records: the runs.
-    """
-
-    source: str
-    values: tuple[Any, ...]
-    records: tuple[Record, ...]
+    source: str  # whose runs
+    values: tuple[Any, ...]  # of the settings that differ
+    records: tuple[Record, ...]  # the runs
 
     def numbers(self, metric: str) -> list[float]:
         """A metric of every run; NaN of a run without it."""
@@ -237,21 +221,13 @@ def show(value: Any) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """Several numbers of the same kind.
+    """Several numbers of the same kind."""
 
-    Attributes:
-        runs: how many.
-        median: their median.
-        iqm: mean of the middle half; of three or fewer the mean.
-        low: lower end of the interval of `iqm`; NaN of a single run.
-        high: upper end of the interval.
-    """
-
-    runs: int
-    median: float
-    iqm: float
-    low: float
-    high: float
+    runs: int  # how many
+    median: float  # their median
+    iqm: float  # mean of the middle half; of three or fewer the mean
+    low: float  # lower end of the interval of `iqm`; NaN of a single run
+    high: float  # upper end of the interval
 
 
 def spread(strata: Sequence[Sequence[float]]) -> Spread:

@@ -74,16 +74,10 @@ Status = Literal["done", "stopped", "failed", "waiting"]
 
 @dataclasses.dataclass(frozen=True)
 class Axis:
-    """Settings that change together.
+    """Settings that change together."""
 
-    Attributes:
-        fields: dotted names of settings, `env.num_agents`.
-        values: for every point of the axis the values of all fields, as words of the
-            command line.
-    """
-
-    fields: tuple[str, ...]
-    values: tuple[tuple[str, ...], ...]
+    fields: tuple[str, ...]  # dotted names of settings, `env.num_agents`
+    values: tuple[tuple[str, ...], ...]  # of all fields for every point, as words
 
     @property
     def is_swept(self) -> bool:
@@ -154,19 +148,12 @@ def _flags(settings: dict[str, str], config: PPOConfig) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """A sweep.
+    """A sweep."""
 
-    Attributes:
-        base: preset of all runs.
-        axes: varied settings; a single value is fixed across runs.
-        repeats: runs of every combination.
-        seed: of the first run of a combination; run i uses seed + i.
-    """
-
-    base: str
-    axes: tuple[Axis, ...]
-    repeats: int = 1
-    seed: int = 0
+    base: str  # preset of all runs
+    axes: tuple[Axis, ...]  # varied settings; a single value is fixed across runs
+    repeats: int = 1  # runs of every combination
+    seed: int = 0  # of the first run of a combination; run i uses seed + i
 
     def __post_init__(self) -> None:
         fields = [field for axis in self.axes for field in axis.fields]
@@ -194,21 +181,13 @@ class Plan:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """A run of a sweep.
+    """A run of a sweep."""
 
-    Attributes:
-        name: of its folder, made of what differs between runs.
-        base: preset.
-        settings: dotted names and values, of all axes.
-        swept: those of them that differ between runs.
-        seed: random seed.
-    """
-
-    name: str
-    base: str
-    settings: tuple[tuple[str, str], ...]
-    swept: tuple[str, ...]
-    seed: int
+    name: str  # of its folder, made of what differs between runs
+    base: str  # preset
+    settings: tuple[tuple[str, str], ...]  # dotted names and values, of all axes
+    swept: tuple[str, ...]  # those of them that differ between runs
+    seed: int  # random seed
 
 
 def runs(plan: Plan) -> Iterator[Run]:
@@ -283,18 +262,11 @@ def groups(runs: Sequence[Run], size: int) -> list[tuple[Run, ...]]:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Outcome of a run.
+    """Outcome of a run."""
 
-    Attributes:
-        status: `done`; `stopped` before its end, to be resumed; `failed`; or `waiting`,
-            not known yet.
-        error: reason of the failure, one sentence.
-        seconds: duration of the last attempt.
-    """
-
-    status: Status
-    error: str = ""
-    seconds: float = 0.0
+    status: Status  # `stopped`: to be resumed; `waiting`: not known yet
+    error: str = ""  # reason of the failure, one sentence
+    seconds: float = 0.0  # duration of the last attempt
 
 
 def run_folder(sweep: Path, run: Run) -> Path:
@@ -424,24 +396,16 @@ def _sentence(error: Exception) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """A job, as submitit pickles it.
+    """A job, as submitit pickles it."""
 
-    Attributes:
-        sweep: folder of the sweep.
-        runs: what to train.
-        train: how.
-        stochastic: evaluate sampled actions instead of the most likely ones.
-        gpus: `CUDA_VISIBLE_DEVICES` of the job, which submitit empties for local ones;
-            () = all there are, None = as it is, on a cluster.
-        own_process: whether JAX is still to be set up.
-    """
-
-    sweep: Path
+    sweep: Path  # folder of the sweep
     runs: tuple[Run, ...]
     train: Train
-    stochastic: bool = False
+    stochastic: bool = False  # evaluate sampled actions
+    # `CUDA_VISIBLE_DEVICES` of the job, which submitit empties for local ones; () = all
+    # there are, None = as it is, on a cluster.
     gpus: tuple[str, ...] | None = None
-    own_process: bool = True
+    own_process: bool = True  # whether JAX is still to be set up
 
     def __call__(self) -> None:
         """Trains what is left of the runs, and writes what becomes of each."""

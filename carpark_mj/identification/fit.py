@@ -98,30 +98,19 @@ _ENOUGH = 0.2  # what the sum of squares falls by when it has converged
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A number that was sought.
+    """A number that was sought."""
 
-    Attributes:
-        value: the best one, or the vehicle's if it is not identifiable.
-        error: half the 95 % interval.
-        identifiable: whether the log determines it.
-    """
-
-    value: float
-    error: float
-    identifiable: bool
+    value: float  # the best one, or the vehicle's if it is not identifiable
+    error: float  # half the 95 % interval
+    identifiable: bool  # whether the log determines it
 
 
 @dataclasses.dataclass(frozen=True)
 class Identification:
-    """Parameters of a car from a log.
+    """Parameters of a car from a log."""
 
-    Attributes:
-        estimates: by name, as `PARAMETERS`.
-        residuals: root mean square by the quantity measured, in SI units.
-    """
-
-    estimates: dict[str, Estimate]
-    residuals: dict[str, float]
+    estimates: dict[str, Estimate]  # by name, as `PARAMETERS`
+    residuals: dict[str, float]  # root mean square by quantity measured, in SI units
 
 
 def identify(

@@ -172,7 +172,11 @@ def _stands(time: np.ndarray, speed: np.ndarray) -> np.ndarray:
 def _pieces(
     time: np.ndarray, speed: np.ndarray, stands: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """When the simulations of pieces begin (pieces,) [s], and rows' pieces (n,)."""
+    """When the simulations of pieces begin (pieces,) [s], and rows' pieces (n,).
+
+    A piece begins at rest or else where the car is fast. Rows of piece -1 are not
+    compared: those before a warm-up ends, and those where the car stands.
+    """
     begin, piece = [], np.full(len(time), -1)
     for first, after in _runs(~stands):
         end, begins, rows = time[after - 1], time[first], np.arange(first, after)
@@ -198,7 +202,10 @@ def _pieces(
 
 
 def _released(pedal: np.ndarray, speed: np.ndarray, stands: np.ndarray) -> np.ndarray:
-    """The pedal (n,) without the foot on the brake of a car that stands."""
+    """The pedal (n,) without the foot on the brake of a car that stands.
+
+    It would drive the car of `vehicle.drive` the other way.
+    """
     moving = np.flatnonzero(~stands)
     after = np.searchsorted(moving, np.arange(len(pedal))).clip(max=len(moving) - 1)
     return np.where(stands & (pedal * speed[moving[after]] < 0), 0.0, pedal)
@@ -224,7 +231,10 @@ def _pedal(log: DriveLog, full: tuple[float, float]) -> np.ndarray:
 
 
 def _test_car(params: VehicleParameters, wheel: bool) -> Vehicle:
-    """The car without limits of its speed, which a driver does not have."""
+    """The car without limits of its speed, which a driver does not have.
+
+    Where the steering wheel was measured the limits of the steering lie before it.
+    """
     with jax.enable_x64(True):
         vehicle = make_vehicle(params)
         free = jnp.asarray(FREE)

@@ -66,35 +66,21 @@ def acts(policy: AnyPolicy) -> Act:
 
 
 class Carry(NamedTuple):
-    """A roll-out under way; all leaves (...), the shape of the batch of lots.
+    """A roll-out under way; all leaves (...), the shape of the batch of lots."""
 
-    Attributes:
-        state: of the lots.
-        observation: (..., num_agents, size) what their agents observe.
-        memory: of the policy between steps; None = none.
-    """
-
-    state: State
-    observation: jax.Array
-    memory: Any = None
+    state: State  # of the lots
+    observation: jax.Array  # (..., num_agents, size) what their agents observe
+    memory: Any = None  # of the policy between steps; None = none
 
 
 class Step(NamedTuple):
-    """A control step.
+    """A control step."""
 
-    Attributes:
-        before: the state in which the agents acted.
-        observation: their observation in it.
-        action: their action.
-        after: the next state, respawns included.
-        timestep: its time step.
-    """
-
-    before: State
-    observation: jax.Array
-    action: jax.Array
-    after: State
-    timestep: TimeStep
+    before: State  # the state in which the agents acted
+    observation: jax.Array  # their observation in it
+    action: jax.Array  # their action
+    after: State  # the next state, respawns included
+    timestep: TimeStep  # its time step
 
 
 def control_step(

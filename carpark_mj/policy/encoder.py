@@ -74,15 +74,10 @@ class SetEncoder(linen.Module):
 
 
 class _Layer(linen.Module):
-    """Parameters named and initialised as those of flax's `Dense` or `LayerNorm`.
+    """Parameters named and initialised as those of flax's `Dense` or `LayerNorm`."""
 
-    Attributes:
-        shape: of `first`; its last axis is that of the bias.
-        first: `kernel` or `scale`.
-    """
-
-    shape: tuple[int, ...]
-    first: str
+    shape: tuple[int, ...]  # of `first`; its last axis is that of the bias
+    first: str  # `kernel` or `scale`
 
     @linen.compact
     def __call__(self) -> tuple[jax.Array, jax.Array]:

@@ -17,17 +17,11 @@ EPSILON = 1e-6  # added to variances, as in flax's LayerNorm
 
 
 class EntityLayers(NamedTuple):
-    """Weights of dense layer, normalisation, swish and dense layer.
+    """Weights of dense layer, normalisation, swish and dense layer."""
 
-    Attributes:
-        first: kernel (size, features) and bias (features,).
-        norm: scale and bias (features,).
-        second: kernel (features, features) and bias (features,).
-    """
-
-    first: tuple[jax.Array, jax.Array]
-    norm: tuple[jax.Array, jax.Array]
-    second: tuple[jax.Array, jax.Array]
+    first: tuple[jax.Array, jax.Array]  # kernel (size, features), bias (features,)
+    norm: tuple[jax.Array, jax.Array]  # scale and bias (features,)
+    second: tuple[jax.Array, jax.Array]  # kernel (features, features) and bias
 
 
 def encode(layers: EntityLayers, entities: jax.Array) -> jax.Array:
@@ -44,15 +38,14 @@ def encode(layers: EntityLayers, entities: jax.Array) -> jax.Array:
 
 
 def largest(layers: EntityLayers, entities: jax.Array, present: jax.Array) -> jax.Array:
-    """The largest of each feature over the entities that are present.
+    """The largest of each feature (..., features) over the entities that are present.
+
+    0 where no entity is present.
 
     Args:
         layers: of this kind of entity.
         entities: (..., count, size), normalised.
         present: (..., count) bool.
-
-    Returns:
-        (..., features); 0 where no entity is present.
     """
     hidden = encode(layers, entities)
     found = jnp.max(jnp.where(present[..., None], hidden, -jnp.inf), axis=-2)

@@ -136,31 +136,19 @@ def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> Observatio
 
 @dataclasses.dataclass(frozen=True)
 class Arithmetic:
-    """How networks with a set encoder are computed; their parameters do not tell.
+    """How networks with a set encoder are computed; their parameters do not tell."""
 
-    Attributes:
-        in_kernel: whether sets are encoded in a GPU kernel.
-        dtype: of all layers but the sets' and the last.
-    """
-
-    in_kernel: bool = False
-    dtype: Any = jnp.float32
+    in_kernel: bool = False  # whether sets are encoded in a GPU kernel
+    dtype: Any = jnp.float32  # of all layers but the sets' and the last
 
 
 class SetNetwork(linen.Module):
-    """The set encoder and hidden layers.
+    """The set encoder and hidden layers."""
 
-    Attributes:
-        inputs: see `network_inputs`.
-        config: the encoder.
-        layers: sizes of the layers after it, the output included.
-        arithmetic: how they are computed.
-    """
-
-    inputs: ObservationSets
-    config: NetworkConfig
-    layers: tuple[int, ...]
-    arithmetic: Arithmetic
+    inputs: ObservationSets  # see `network_inputs`
+    config: NetworkConfig  # the encoder
+    layers: tuple[int, ...]  # sizes of the layers after it, the output included
+    arithmetic: Arithmetic  # how they are computed
 
     @linen.compact
     def __call__(
@@ -175,15 +163,10 @@ class SetNetwork(linen.Module):
 
 
 class _Layers(linen.Module):
-    """Brax's `MLP` with swish, whose hidden layers may have half precision.
+    """Brax's `MLP` with swish, whose hidden layers may have half precision."""
 
-    Attributes:
-        sizes: of the layers; the last has no activation, and float32.
-        dtype: of the others.
-    """
-
-    sizes: tuple[int, ...]
-    dtype: Any
+    sizes: tuple[int, ...]  # of the layers; the last has no activation, and float32
+    dtype: Any  # of the others
 
     @linen.compact
     def __call__(self, hidden: jax.Array) -> jax.Array:

@@ -38,15 +38,10 @@ MISSING = 'ONNX export needs onnx and onnxruntime: pip install "carpark_mj[expor
 
 @dataclasses.dataclass(frozen=True)
 class OnnxInput:
-    """An input of a model.
+    """An input of a model."""
 
-    Attributes:
-        name: of the field; of a repeated one without its index.
-        fields: the observation's fields that it holds, one for each entity.
-    """
-
-    name: str
-    fields: tuple[Field, ...]
+    name: str  # of the field; of a repeated one without its index
+    fields: tuple[Field, ...]  # that it holds, one for each entity
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -26,44 +26,26 @@ from carpark_mj.types import NO_BAY, Motion, ParkedCars, State
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
-    """How many rows inputs have, padding included; masks mark the valid rows.
+    """How many rows inputs have, padding included; masks mark the valid rows."""
 
-    Attributes:
-        others: other cars that drive.
-        parked: parked cars.
-        walls: walls and other boxes.
-        discs: pillars and other discs.
-        lanes: lanes.
-        bays: tracked bays, from which goals are chosen; 0 = goals are fixed.
-        bay_ends: whether there are bays that an end of the car must enter first.
-    """
-
-    others: int = 0
-    parked: int = 0
-    walls: int = 0
-    discs: int = 0
+    others: int = 0  # other cars that drive
+    parked: int = 0  # parked cars
+    walls: int = 0  # walls and other boxes
+    discs: int = 0  # pillars and other discs
     lanes: int = 0
-    bays: int = 0
-    bay_ends: bool = False
+    bays: int = 0  # tracked bays, from which goals are chosen; 0 = goals are fixed
+    bay_ends: bool = False  # whether some bays must be entered by an end of the car
 
 
 @dataclasses.dataclass(frozen=True)
 class PlainInput:
-    """An input array of a car outside.
-
-    Attributes:
-        name: of the input.
-        dims: its shape, names of `Rows` for numbers of rows; there is no batch.
-        unit: of its numbers; "" of indices and masks.
-        meaning: what they are.
-        dtype: `float32`, `int32` or `bool`.
-    """
+    """An input array of a car outside."""
 
     name: str
-    dims: tuple[int | str, ...]
-    unit: str
+    dims: tuple[int | str, ...]  # names of `Rows` for numbers of rows; no batch
+    unit: str  # "" of indices and masks
     meaning: str
-    dtype: str = "float32"
+    dtype: str = "float32"  # or `int32`, `bool`
 
     def shape(self, rows: Rows) -> tuple[int, ...]:
         """Its shape."""

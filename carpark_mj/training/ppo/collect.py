@@ -23,36 +23,20 @@ AXIS = "lots"
 
 @struct.dataclass
 class TrainingState:
-    """Everything an exact resume needs.
+    """Everything an exact resume needs."""
 
-    Attributes:
-        normalizer: running statistics of the observations.
-        policy: actor parameters.
-        average: their mean over the last updates, the policy that a run leaves.
-        value: critic parameters.
-        optimizer: Adam's moments, of all parameters as one vector.
-        key: randomness of acting and shuffling.
-        update: () int32 updates made.
-        steps: () agent steps made, of agents that were present.
-        skipped: () int32 updates dropped because they were not finite.
-        seconds: () float32 of `minutes` used, which the host sets; 0 without them.
-        family_rates: (pairs,) running rates of parked episodes by member of a mixture
-            and number of agents; (0,) while its lots are not drawn by shortfall.
-        env: the Brax state of all lots.
-    """
-
-    normalizer: Any
-    policy: Any
-    average: Any
-    value: Any
-    optimizer: Any
-    key: jax.Array
-    update: jax.Array
-    steps: UInt64
-    skipped: jax.Array
-    seconds: jax.Array
-    family_rates: jax.Array
-    env: Any
+    normalizer: Any  # running statistics of the observations
+    policy: Any  # actor parameters
+    average: Any  # their mean over the last updates, the policy that a run leaves
+    value: Any  # critic parameters
+    optimizer: Any  # Adam's moments, of all parameters as one vector
+    key: jax.Array  # randomness of acting and shuffling
+    update: jax.Array  # () int32 updates made
+    steps: UInt64  # () agent steps made, of agents that were present
+    skipped: jax.Array  # () int32 updates dropped because they were not finite
+    seconds: jax.Array  # () float32 of `minutes` used, set by the host; 0 without
+    family_rates: jax.Array  # see `Families`; (0,) without a target
+    env: Any  # the Brax state of all lots
 
 
 def state_specs() -> TrainingState:
@@ -80,48 +64,27 @@ Teacher = Callable[[Any], jax.Array]
 
 @struct.dataclass
 class Rollout:
-    """What an update learns from; arrays (time, agents, ...) unless stated.
+    """What an update learns from; arrays (time, agents, ...) unless stated."""
 
-    Attributes:
-        observation: what the agents saw before a step.
-        raw_action: actions as drawn, before tanh.
-        log_prob: their log-densities under the policy that drew them.
-        reward: of the step.
-        terminated: 1.0 where the step ended an episode for good.
-        truncated: 1.0 where it was cut off, by a timeout for instance.
-        final_observation: (agents, size) after the last step.
-        weight: 0.0 of steps that are not to be learned from, those of absent agents,
-            else 1.0; None = all 1.
-        advice: actions of a teacher; None = there is none.
-        near: (time, agents, agents of a lot) bool before the step, see `neighbours`;
-            None = not asked for.
-    """
-
-    observation: jax.Array
-    raw_action: jax.Array
-    log_prob: jax.Array
-    reward: jax.Array
-    terminated: jax.Array
-    truncated: jax.Array
-    final_observation: jax.Array
-    weight: jax.Array | None = None
-    advice: jax.Array | None = None
-    near: jax.Array | None = None
+    observation: jax.Array  # what the agents saw before a step
+    raw_action: jax.Array  # actions as drawn, before tanh
+    log_prob: jax.Array  # their log-densities under the policy that drew them
+    reward: jax.Array  # of the step
+    terminated: jax.Array  # 1.0 where the step ended an episode for good
+    truncated: jax.Array  # 1.0 where it was cut off, by a timeout for instance
+    final_observation: jax.Array  # (agents, size) after the last step
+    weight: jax.Array | None = None  # 0.0 of steps of absent agents; None = all 1.0
+    advice: jax.Array | None = None  # actions of a teacher, if there is one
+    near: jax.Array | None = None  # (time, agents, agents of a lot), see `neighbours`
 
 
 @struct.dataclass
 class Totals:
-    """Sums over the steps of a rollout, (agents,) each.
+    """Sums over the steps of a rollout, (agents,) each."""
 
-    Attributes:
-        episodes: episodes that ended.
-        episode_metrics: sums of their metrics, by name.
-        reward_terms: sums over all steps, by name.
-    """
-
-    episodes: jax.Array
-    episode_metrics: dict[str, jax.Array]
-    reward_terms: dict[str, jax.Array]
+    episodes: jax.Array  # episodes that ended
+    episode_metrics: dict[str, jax.Array]  # sums of their metrics, by name
+    reward_terms: dict[str, jax.Array]  # sums over all steps, by name
 
 
 def collect(

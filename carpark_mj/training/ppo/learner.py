@@ -304,7 +304,11 @@ class Learner:
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
     ) -> Any:
-        """Draws the lots that are due anew (one device's share)."""
+        """Draws the lots that are due anew (one device's share).
+
+        It happens between unrolls, where the value is bootstrapped anyway, so that
+        episodes cut off are truncated correctly; they do not count as ended.
+        """
         num_lots = self.config.num_lots // self.mesh.shape[AXIS]
         lots = due_lots(update, num_lots, self.config.lot_life)
         return self.env.renew(

@@ -24,41 +24,24 @@ VALUE_COST = 0.25  # weight of the value's squared error, as in Brax
 
 @struct.dataclass
 class Minibatch:
-    """Steps (..., size) to learn from, see `Rollout`.
-
-    Attributes:
-        observation: what the agents saw.
-        raw_action: what they did.
-        log_prob: its log-density when it was drawn.
-        advantage: of the action.
-        target: of the critic.
-        weight: 0.0 of steps that no loss counts, those of absent agents and truncated
-            ones, else 1.0.
-        advice: what a teacher would have done; None = there is none.
-    """
+    """Steps (..., size) to learn from, see `Rollout`."""
 
     observation: jax.Array
     raw_action: jax.Array
     log_prob: jax.Array
-    advantage: jax.Array
-    target: jax.Array
-    weight: jax.Array
-    advice: jax.Array | None = None
+    advantage: jax.Array  # of the action
+    target: jax.Array  # of the critic
+    weight: jax.Array  # 0.0 of steps of absent agents and truncated ones, else 1.0
+    advice: jax.Array | None = None  # what a teacher would have done
 
 
 @struct.dataclass
 class Weights:
-    """What of the loss changes during training; () each.
+    """What of the loss changes during training; () each."""
 
-    Attributes:
-        entropy_cost: weight of the entropy bonus.
-        clip: clipping of the probability ratio.
-        teacher_cost: weight of the distance to a teacher's actions.
-    """
-
-    entropy_cost: jax.Array
-    clip: jax.Array
-    teacher_cost: jax.Array | None = None
+    entropy_cost: jax.Array  # weight of the entropy bonus
+    clip: jax.Array  # clipping of the probability ratio
+    teacher_cost: jax.Array | None = None  # weight of the distance to a teacher
 
 
 def balance(weight: jax.Array) -> jax.Array:
