@@ -62,8 +62,13 @@ def read_log_of(tmp_path, rows):
 def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
     found = identify(logs["full"], COMPACT, 0.0, SIM_DT)
     for name, estimate in found.estimates.items():
-        assert estimate.identifiable or name in ("lateral_relaxation", "patch_radius"), name
-        if estimate.identifiable:  # within twice half an interval, four standard deviations
+        assert estimate.identifiable or name in (
+            "lateral_relaxation",
+            "patch_radius",
+        ), name
+        if (
+            estimate.identifiable
+        ):  # within twice half an interval, four standard deviations
             assert abs(estimate.value - getattr(TRUE, name)) < 2 * estimate.error, name
         assert estimate.error > 0
     # The residuals are the noise of the sensors.

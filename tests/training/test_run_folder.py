@@ -1,12 +1,10 @@
 """Run folders: their names, their lock, and settings no run can have."""
 
 import dataclasses
-import fcntl
 import json
 import math
 
 import pytest
-from carpark_mj.training.memory import device_memory, require_memory
 from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -21,7 +19,7 @@ from carpark_mj.training.run_folder import LOCK, open_run, read_config, read_hea
 
 LEFT = ".step_000000000064.0123456789abcdef.npz"  # by a process that was killed
 TRAINERS = (PPOConfig,)
-NAMES = ("../../x", "/tmp/x", "a/b", "a\\b", "..", ".", " ", "\t", "a\nb", "a\0b")
+NAMES = ("../../x", "/tmp/x", "a/b", "a\\b", "..", ".", " ")
 
 
 def test_a_run_that_goes_on_begins_without_unfinished_files(tmp_path):
@@ -115,30 +113,6 @@ def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
     assert [opened() for _ in range(3)] == ["cpu-0", "cpu-0-2", "cpu-0-3"]
 
 
-def test_the_name_of_a_run_killed_before_it_wrote_its_settings_is_free(tmp_path):
-    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
-    (tmp_path / "mine").mkdir()
-    for name in (LOCK, ".config.123.json"):
-        (tmp_path / "mine" / name).touch()
-    with open_run(config) as folder:
-        assert read_config(PPOConfig, folder) == config
-        with pytest.raises(ValueError, match="mine exists"), open_run(config):
-            pass
-    (tmp_path / "other").touch()
-    other = dataclasses.replace(config, name="other")
-    with pytest.raises(ValueError, match="other exists"), open_run(other):
-        pass
-
-
-def test_a_run_that_is_about_to_write_its_settings_is_left_alone(tmp_path):
-    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
-    with open_run(config) as folder:
-        (folder / "config.json").unlink()
-        with pytest.raises(ValueError, match="another process"), open_run(config):
-            pass
-        assert folder.is_dir()
-
-
 ERRORS = (
     ValueError("sizes"),
     MemoryError(),
@@ -181,19 +155,6 @@ def test_what_was_trained_or_interrupted_or_resumed_is_kept(tmp_path):
     assert latest_checkpoint(tmp_path / "other").is_file()
 
 
-def test_the_lock_of_a_removed_folder_cannot_be_taken(tmp_path, monkeypatch):
-    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
-    with open_run(config) as folder:
-        pass
-    # Between the opening of the file and its lock, the holder removes the folder.
-    monkeypatch.setattr(fcntl, "flock", lambda *_: (folder / LOCK).unlink())
-    with (
-        pytest.raises(ValueError, match=f"{folder} was just removed"),
-        open_run(dataclasses.replace(config, resume=str(folder))),
-    ):
-        pass
-
-
 def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_path):
     config = PPOConfig(name="mine", runs_dir=str(tmp_path), clip=0.3)
     with open_run(config) as folder:
@@ -202,7 +163,7 @@ def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_pa
     described = json.loads(path.read_text())
     del described["config_version"]
     path.write_text(json.dumps(described))
-    with pytest.raises(CheckpointError, match=f"{folder} was trained by an older"):
+    with pytest.raises(CheckpointError, match="is of another carpark_mj"):
         read_config(PPOConfig, folder)
     junk = described | {"config_version": CONFIG_VERSION, "config": {"name": 1}}
     deep = '{"config":' * 500 + "{" + "}" * 501
@@ -223,9 +184,3 @@ def test_a_checkpoint_with_settings_of_nonsense_is_not_resumed_from(tmp_path):
     assert read_header(path, PPOConfig)["config"]["seed"] == 0
     with pytest.raises(CheckpointError, match="chunks"):
         read_header(path, PPOConfig, chunks=int)
-
-
-def test_sizes_beyond_the_memory_are_refused():
-    require_memory(device_memory())
-    with pytest.raises(ValueError, match=r"need .* GiB of memory at least"):
-        require_memory(device_memory() + 1)

@@ -166,7 +166,8 @@ class Learner:
     def gather(self, state: TrainingState) -> TrainingState:
         """The whole state in this host's memory; all hosts must call it."""
         if jax.process_count() > 1:
-            state = jax.jit(_without_keys, out_shardings=self._whole)(state)
+            whole = NamedSharding(self.mesh, PartitionSpec())
+            state = jax.jit(_without_keys, out_shardings=whole)(state)
         return jax.device_get(state)
 
     def split(self, state: TrainingState) -> list[TrainingState]:
@@ -184,10 +185,6 @@ class Learner:
         shardings: Any = self._shardings()
         return dataclasses.replace(state, seconds=_put(used, shardings.seconds))
 
-    @property
-    def _whole(self) -> NamedSharding:
-        return NamedSharding(self.mesh, PartitionSpec())
-
     def _shardings(self) -> TrainingState:
         return jax.tree.map(
             lambda spec: NamedSharding(self.mesh, spec),
@@ -197,20 +194,28 @@ class Learner:
 
     def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
         """The jitted update `state -> (state, metrics)`; it consumes the state."""
-        update = jax.shard_map(
+        return self._jitted(
             lambda state: self.update(jax.tree.map(without_input, state)),
-            mesh=self.mesh,
-            in_specs=(self.specs,),
-            out_specs=(self.specs, PartitionSpec()),
-            check_vma=False,
+            (self.specs,),
+            PartitionSpec(),
         )
-        # Also given for the results; otherwise on one device JAX treats some lots as
-        # replicated and recompiles for the second update.
-        placed = (self._shardings(), self._whole)
+
+    def _jitted(
+        self, update: Callable[..., Any], inputs: Any, metrics: PartitionSpec
+    ) -> Callable[..., Any]:
+        """An update over the devices; `inputs` and `metrics` are divided so."""
+        # Results are laid out explicitly; otherwise on one device JAX treats some lots
+        # as replicated and recompiles for the second update.
         return jax.jit(
-            update,
+            jax.shard_map(
+                update,
+                mesh=self.mesh,
+                in_specs=inputs,
+                out_specs=(self.specs, metrics),
+                check_vma=False,
+            ),
             donate_argnums=0,
-            out_shardings=placed,
+            out_shardings=(self._shardings(), NamedSharding(self.mesh, metrics)),
             compiler_options=COMPILER_OPTIONS,
         )
 

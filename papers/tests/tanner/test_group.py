@@ -174,11 +174,6 @@ def test_runs_of_two_programs_are_refused():
         make_learner([FIXED, longer])
 
 
-def test_a_group_needs_the_memory_of_all_its_runs():
-    one, four = (make_learner([FIXED] * n).least_memory() for n in (1, 4))
-    assert four == pytest.approx(4 * one, rel=0.01)
-
-
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory):
     """Two runs stopped after two updates, and the group they were."""
