@@ -65,7 +65,7 @@ def read_run(folder: Path) -> Record:
         CheckpointError: there is no run, or it has no evaluation.
     """
     config = _read_json(folder / "config.json", config=dict)
-    described = {"device": "", "versions": {}} | config
+    described: dict[str, Any] = {"device": "", "versions": {}} | config
     settings = {"seed": 0} | dict(_flatten(described["config"]))
     summary = _read_json(folder / "evaluation.json", summary=dict)["summary"]
     try:

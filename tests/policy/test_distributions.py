@@ -178,7 +178,7 @@ def test_samples_are_as_frequent_as_their_probabilities_say(spec, draws):
 
 @pytest.mark.parametrize("spec", SPECS)
 def test_entropy_is_what_samples_say(spec, draws):
-    params, raw, log_prob = draws[spec]
+    params, _, log_prob = draws[spec]
     distribution = action_distribution(spec)
     keys = jax.random.split(jax.random.key(9), 20_000)
     entropies = jax.jit(jax.vmap(lambda key: distribution.entropy(params, key)))(keys)

@@ -100,7 +100,7 @@ def test_an_unknown_name_is_told_the_known_ones(shipped):
 def test_a_policy_of_another_version_or_a_damaged_one_is_refused(shipped, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(runs, "CONFIG_VERSION", 99)
-        with pytest.raises(CheckpointError, match=r"tiny\.npz was trained by another"):
+        with pytest.raises(CheckpointError, match=r"tiny\.npz is of another"):
             loading.load_policy("tiny")
     path = shipped / "tiny.npz"
     whole = path.read_bytes()

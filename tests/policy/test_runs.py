@@ -78,7 +78,7 @@ def test_a_checkpoint_of_an_older_version_is_refused_before_it_is_read(tmp_path)
             loading.load_policy(run)
     checkpoints.save(path, {"a": np.zeros(1)}, header)
     for run in (tmp_path / "x", path):
-        with pytest.raises(CheckpointError, match=r"x was trained by an older carpark"):
+        with pytest.raises(CheckpointError, match=r"is of another carpark"):
             loading.load_policy(run)
 
 
