@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 
 import pytest
 from jax.errors import JaxRuntimeError
@@ -42,32 +41,10 @@ def test_a_name_is_that_of_one_folder(cls, name):
     assert cls(name="a b.c-2").name == "a b.c-2"
 
 
-FLOATS = [
-    (cls, field.name)
-    for cls in TRAINERS
-    for field in dataclasses.fields(cls)
-    if isinstance(field.default, float)
-]
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize(("cls", "name"), FLOATS)
-def test_no_setting_of_a_trainer_is_infinite_or_nan(cls, name, value):
-    with pytest.raises(ValueError, match=rf"^{name} must .*, not {value}$"):
-        cls(**{name: value})
-
-
-def test_no_setting_is_larger_than_jax_can_hold():
-    for cls, name in FLOATS:
-        with pytest.raises(ValueError, match=rf"{name} must .*, not 1e\+39$"):
-            cls(**{name: 1e39})
-        with pytest.raises(ValueError, match=f"{name} must "):
-            cls(**{name: 10**400})
+def test_updates_are_counted_in_32_bits():
     for name in ("num_steps", "critic_steps", "num_epochs", "num_lots", "lot_life"):
         with pytest.raises(ValueError, match=rf"^{name} must .*, not 1{'0' * 30}$"):
             PPOConfig(**{name: 10**30})
-    with pytest.raises(ValueError, match="learning_rate must"):
-        PPOConfig(learning_rate=1e-50)
     assert PPOConfig(num_steps=10**11).num_updates < 2**31
 
 

@@ -28,7 +28,6 @@ from carpark_mj.training.run_folder import (
 )
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
-MEASURED_SECONDS = 10.0  # warm-up before throughput is reported
 
 # Whether a run came to its end, was stopped before, or kept coming out non-finite.
 Outcome = Literal["done", "stopped", "diverged"]
@@ -131,7 +130,7 @@ def train(
     skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
     diverged = np.zeros(count, bool)
     begun, at_begin = 0.0, count_steps(state)
-    leaving = reported = asked = False
+    leaving = asked = False
     progress = float(config.progress(done, used))
     with contextlib.ExitStack() as stack:
         stack.enter_context(loop.over(1.0, progress))
@@ -154,8 +153,7 @@ def train(
             steps, updates = count_steps(state), done - first - 1
             if not updates:  # the first update includes compilation
                 begun, at_begin = loop.seconds, steps
-            elapsed = max(loop.seconds - begun, 1e-9)
-            rates = (steps - at_begin) / elapsed
+            rates = (steps - at_begin) / max(loop.seconds - begun, 1e-9)
             in_a_row = np.where(values["skipped"] > skipped, in_a_row + 1, 0)
             skipped = values["skipped"]
             diverged |= in_a_row >= MAX_SKIPPED
@@ -173,10 +171,6 @@ def train(
                 asked = (callback is not None and callback(k, row)) or asked
             if callback is not None:
                 leaving = hosts.largest(asked or leaving)[0]
-            if not reported and updates and elapsed > MEASURED_SECONDS:
-                rate = updates * config.steps_per_update / elapsed
-                loop.say(estimate(config, done, seconds, rate))
-                reported = True
             pace = f"{rates.sum():>7,.0f} steps/s  " if updates else ""
             loop.show(
                 progress,
@@ -209,13 +203,7 @@ def _print_settings(learner: Learner, folders: Sequence[Path]) -> None:
 
 
 def announcement(config: PPOConfig, update: int, seconds: float) -> str:
-    """What a run is going to do, before it.
-
-    Args:
-        config: of the run.
-        update: updates made before, by the runs that it continues.
-        seconds: time they used [s].
-    """
+    """What a run is going to do, after the updates and seconds that it continues."""
     left = max(config.num_steps - update * config.steps_per_update, 0) / 1e6
     words = f"trains for {left:.3g} M steps"
     if config.minutes:
@@ -224,25 +212,6 @@ def announcement(config: PPOConfig, update: int, seconds: float) -> str:
     after = ["evaluates"] * bool(config.eval_episodes)
     after += ["renders"] * bool(config.video_seconds)
     return f"{words}, then {' and '.join(after)}" if after else words
-
-
-def estimate(config: PPOConfig, update: int, seconds: float, rate: float) -> str:
-    """When training ends at a rate.
-
-    Args:
-        config: of the run.
-        update: updates made.
-        seconds: time used [s].
-        rate: steps per second, `steps_per_update` an update.
-    """
-    made, total = update * config.steps_per_update, f"{config.num_steps / 1e6:.3g}"
-    budget = 60.0 * config.minutes
-    needed = seconds + max(config.num_steps - made, 0) / rate
-    end = f"{needed / 60.0:.1f} min, {total} M steps"
-    if budget and needed > budget:
-        reached = (made + rate * max(budget - seconds, 0.0)) / 1e6
-        end = f"{config.minutes:.3g} min, {reached:.3g} of {total} M steps"
-    return f"at {rate:,.0f} steps/s: {end}"
 
 
 def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
