@@ -28,7 +28,7 @@ from carpark_mj.analysis import (
     table,
     videos,
 )
-from carpark_mj.cli.analysis import MAX_ROWS, analyse
+from carpark_mj.cli.analysis import analyse
 from carpark_mj.programs import analysis
 from carpark_mj.training.ppo.parts import PRESETS
 
@@ -103,14 +103,6 @@ def test_an_analysis_is_written_before_it_is_printed(tmp_path, monkeypatch):
     assert {"report.html", "parked.png"} <= {path.name for path in tmp_path.iterdir()}
 
 
-def test_a_long_table_is_written_but_not_printed(tmp_path, capsys):
-    runs = [record(agents, 0, 0.5) for agents in range(MAX_ROWS)]
-    analyse({"ours": runs}, ["env.num_agents"], ["parked"], tmp_path, "long")
-    assert "env.num_agents" not in capsys.readouterr().out
-    # A header, and a row of all.
-    assert (tmp_path / "spread.csv").read_text().count("\n") == MAX_ROWS + 2
-
-
 def test_a_summary_becomes_one_number_per_name():
     summary = {"parked": {"rate": 0.5, "low": 0.4}, "length": 3, "jerk": {"p95": 2.0}}
     assert flat_metrics(summary) == {"parked": 0.5, "length": 3.0, "jerk_p95": 2.0}
@@ -183,10 +175,6 @@ def test_a_setting_has_one_colour_whoever_s_runs_they_are(tmp_path, monkeypatch)
     assert colours["ours, a"] == colours["theirs, a"]
     assert colours["ours, b"] == colours["theirs, b"] != colours["ours, a"]
     assert [dash for _, dash in lines.values()] == ["-", "-", "--", "--"]
-
-
-def test_no_video_is_no_list(tmp_path):
-    assert videos(tmp_path / "a.html", RECORDS) == ""
 
 
 def test_runs_without_an_evaluation_are_named(tmp_path, capsys):

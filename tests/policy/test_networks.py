@@ -165,23 +165,6 @@ def test_gradients_are_finite_where_a_set_is_empty(many):
             assert np.abs(x).max() == 0.0, path  # nothing was there to learn from
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"own_size": 0}, "own_size must be at least 1, not 0"),
-        ({"entity_size": -1}, "entity_size must be at least 1, not -1"),
-        ({"picture_size": 1}, "picture_size must be at least 2, not 1"),
-        ({"policy_layers": (8, 0)}, r"policy_layers must be .*, not \(8, 0\)"),
-        ({"encoder": "sets"}, "unknown encoder 'sets'"),
-        ({"min_std": 0.0}, "min_std must be positive, not 0.0"),
-    ],
-)
-def test_impossible_networks_are_refused(changes, message):
-    with pytest.raises(ValueError, match=message) as refusal:
-        NetworkConfig(**changes)
-    assert "\n" not in str(refusal.value)
-
-
 def test_arithmetic_of_training_changes_no_parameter(monkeypatch):
     calls = []
     kernel = functools.partial(entities.largest_in_kernel, interpret=True)

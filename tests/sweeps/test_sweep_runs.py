@@ -101,14 +101,6 @@ def test_rows_of_earlier_values_and_seeds_stay_in_the_table(tmp_path):
     assert {row["status"] for row in rows} == {"done"}
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]"])
-def test_a_damaged_sweep_is_refused_in_a_sentence(text, tmp_path):
-    plan, _ = plan_runs("num_agents=1,2")
-    (tmp_path / "sweep.json").write_text(text)
-    with pytest.raises(ValueError, match=r"sweep\.json is (damaged|not a JSON object)"):
-        open_sweep(tmp_path, plan, False)
-
-
 def test_failed_and_killed_jobs_stop_no_others_and_are_tried_again(tmp_path):
     plan, runs = plan_runs("num_agents=1..4")
     where = Where(jobs=2)
@@ -237,12 +229,6 @@ def test_what_slurm_refuses_is_said_in_one_sentence(tmp_path, monkeypatch):
         ValueError, match=r"^Slurm refuses the jobs: sbatch: no such gres$"
     ):
         slurm_jobs(tmp_path)
-
-
-def test_without_slurm_there_is_one_sentence(tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ValueError, match="cluster slurm is not available"):
-        make_executor(Where(cluster="slurm"), tmp_path)
 
 
 @pytest.mark.parametrize(

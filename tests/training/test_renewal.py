@@ -164,8 +164,3 @@ def test_lots_that_no_key_changes_or_with_no_end_of_life_stay(layout, life, expe
     env = dataclasses.replace(CONFIG.env, layout=layout)
     config = dataclasses.replace(CONFIG, env=env, lot_life=life)
     assert Learner(config).renews_lots is expected
-
-
-def test_a_negative_life_is_refused():
-    with pytest.raises(ValueError, match="lot_life must be at least 0, not -1"):
-        dataclasses.replace(CONFIG, lot_life=-1)

@@ -44,13 +44,6 @@ def test_agents_that_stay_put_are_refused():
         PPOConfig(env=still)
 
 
-def test_the_help_is_of_the_named_preset(capsys):
-    with pytest.raises(SystemExit) as stop:
-        read("--preset", "square", "--help")
-    assert stop.value.code == 0
-    assert "3700000000" in capsys.readouterr().out
-
-
 def test_the_short_help_lists_the_run_and_names_the_rest(capsys):
     for flag in ("--help", "-h"):
         with pytest.raises(SystemExit) as stop:
