@@ -497,14 +497,12 @@ def make_executor(where: Where, folder: Path) -> submitit.AutoExecutor:
         asked = {
             "slurm_array_parallelism": where.jobs or 1000,
             "timeout_min": slurm.time,
-            "slurm_partition": slurm.partition,
-            "slurm_account": slurm.account,
-            "slurm_qos": slurm.qos,
-            "slurm_constraint": slurm.constraint,
             "gpus_per_node": slurm.gpus_per_node,
             "cpus_per_task": slurm.cpus_per_task,
             "mem_gb": slurm.mem_gb,
         }
+        for name in ("partition", "account", "qos", "constraint"):
+            asked[f"slurm_{name}"] = getattr(slurm, name)
     try:
         # Jobs may start elsewhere.
         executor = submitit.AutoExecutor(folder.resolve(), where.cluster, **options)
@@ -561,10 +559,12 @@ def run_works(
 
 def visible_gpus(slot: int, jobs: int) -> tuple[str, ...]:
     """GPUs of a local job: of several at a time each has its own, if possible."""
-    nodes = (node.name.removeprefix("nvidia") for node in Path("/dev").glob("nvidia?*"))
-    found = ",".join(sorted(filter(str.isdecimal, nodes)))
-    devices = os.environ.get("CUDA_VISIBLE_DEVICES", found).split(",")
-    if jobs > 1:
+    given = os.environ.get("CUDA_VISIBLE_DEVICES")
+    nodes = sorted(node.name for node in Path("/dev").glob("nvidia[0-9]*"))
+    devices = [node.removeprefix("nvidia") for node in nodes]
+    if given is not None:
+        devices = given.split(",")
+    if jobs > 1 and devices:
         return (devices[slot % len(devices)],)
     return tuple(devices)
 
@@ -589,7 +589,7 @@ def submit_array(
     """Submits to a cluster what does not stand in its queue from an earlier time."""
     record = executor.folder / "jobs.json"
     known: dict[str, str] = read_object(record) if record.exists() else {}
-    queued = queued_jobs()
+    queued = queued_jobs() if known else set[str]()
     jobs: list[tuple[Work, submitit.Job[None]]] = []
     new: list[Work] = []
     for work in works:
@@ -603,13 +603,14 @@ def submit_array(
                 jobs.append((part, submitit.SlurmJob[None](executor.folder, job_id)))
             else:
                 new.append(part)
-    try:
-        with executor.batch():
-            submitted = [executor.submit(work) for work in new]
-    except FailedJobError as error:
-        reason = str(error).strip().partition("\n")[0]
-        raise ValueError(f"Slurm refuses the jobs: {reason}") from None
-    jobs += zip(new, submitted, strict=True)
+    if new:
+        try:
+            with executor.batch():
+                submitted = [executor.submit(work) for work in new]
+        except FailedJobError as error:
+            reason = str(error).strip().partition("\n")[0]
+            raise ValueError(f"Slurm refuses the jobs: {reason}") from None
+        jobs += zip(new, submitted, strict=True)
     ids = {run.name: job.job_id for work, job in jobs for run in work.runs}
     write_json(record, known | ids)
     return jobs
