@@ -379,47 +379,31 @@ def _clamp(graph: Graph, dtype: Any, low: Value, value: Value, high: Value) -> V
     return graph.elementwise("Min", dtype, least, high)
 
 
+# Primitives whose operators have their names.
+_SAME = (
+    *("abs", "add", "and", "atan", "ceil", "cos", "div", "exp", "floor", "log", "max"),
+    *("min", "mul", "neg", "not", "or", "sign", "sin", "sqrt", "sub", "tan", "tanh"),
+    "xor",
+)
 # By primitive: of values that broadcast.
 _ELEMENTWISE: dict[str, Callable[..., Value]] = {
-    "abs": _plain("Abs"),
-    "add": _plain("Add"),
-    "and": _plain("And"),
-    "atan": _plain("Atan"),
-    "ceil": _plain("Ceil"),
+    **{name: _plain(name.capitalize()) for name in _SAME},
     "clamp": _clamp,
     "convert_element_type": _cast,
-    "cos": _plain("Cos"),
-    "div": _plain("Div"),
     "eq": _plain("Equal"),
-    "exp": _plain("Exp"),
-    "floor": _plain("Floor"),
     "ge": _plain("GreaterOrEqual"),
     "gt": _plain("Greater"),
     "integer_pow": _power,
     "is_finite": _is_finite,
     "le": _plain("LessOrEqual"),
-    "log": _plain("Log"),
     "logistic": _plain("Sigmoid"),
     "lt": _plain("Less"),
-    "max": _plain("Max"),
-    "min": _plain("Min"),
-    "mul": _plain("Mul"),
     "ne": _not_equal,
-    "neg": _plain("Neg"),
-    "not": _plain("Not"),
-    "or": _plain("Or"),
     "rem": _remainder,
     "rsqrt": _inverse_root,
     "select_n": _select,
-    "sign": _plain("Sign"),
-    "sin": _plain("Sin"),
-    "sqrt": _plain("Sqrt"),
     "square": _square,
     "stop_gradient": lambda graph, dtype, value: value,
-    "sub": _plain("Sub"),
-    "tan": _plain("Tan"),
-    "tanh": _plain("Tanh"),
-    "xor": _plain("Xor"),
 }
 
 

@@ -24,8 +24,10 @@ from carpark_mj.wrappers.brax import BraxParking
 RUNS = "runs"
 ENV = "env."
 # What the program does not read.
-OUTSIDE = ("warm_start", "preset", "name", "runs_dir", "resume", "seed")
-OUTSIDE += ("eval_episodes", "video_seconds")
+OUTSIDE = (
+    *("warm_start", "preset", "name", "runs_dir", "resume", "seed"),
+    *("eval_episodes", "video_seconds"),
+)
 
 
 def program(config: PPOConfig) -> PPOConfig:
