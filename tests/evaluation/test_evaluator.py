@@ -13,7 +13,7 @@ from carpark_mj.evaluation.evaluator import Evaluator, allot, evaluate
 from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.acting import as_argument
-from carpark_mj.policy.baselines import random_policy, zero_policy
+from carpark_mj.policy.named import random_policy, zero_policy
 from carpark_mj.types import ENDINGS
 
 

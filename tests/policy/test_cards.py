@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from carpark_mj.policy import checkpoints, pretrained
-from carpark_mj.policy.pretrained import find_policy, pretrained_names
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.runs import find_policy, pretrained_names
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -57,9 +57,7 @@ def test_every_policy_has_a_card_with_its_figures(shipped):
 
 
 def test_the_page_of_the_policies_shows_all_cards():
-    cards = [
-        (pretrained.FOLDER / f"{name}.md").read_text() for name in pretrained_names()
-    ]
+    cards = [(runs.FOLDER / f"{name}.md").read_text() for name in pretrained_names()]
     page = (DOCS / "policies.md").read_text()
     shown = page.split("<!-- cards -->\n")[1].split("\n<!-- end of cards -->")[0]
     expected = "\n".join(cards).rstrip()

@@ -14,18 +14,17 @@ from carpark_mj.config import EnvConfig, RingConfig, UltrasoundConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation, observe
 from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.onnx_car import (
+from carpark_mj.policy.onnx_export import (
     METADATA,
     decisions,
     inputs_of,
     make_car_model,
     make_session,
+    policy_actions,
     require_outside,
     sensitivity,
 )
-from carpark_mj.policy.onnx_export import policy_actions
-from carpark_mj.policy.outside import plain_values
-from carpark_mj.policy.plain_inputs import INPUTS
+from carpark_mj.policy.outside import INPUTS, plain_values
 from carpark_mj.registry import environment
 
 pytest.importorskip("onnxruntime")

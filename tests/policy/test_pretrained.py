@@ -20,10 +20,9 @@ from carpark_mj.observations import observation_size
 from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
-from carpark_mj.policy.pretrained import find_policy, pretrained_names
+from carpark_mj.policy.runs import find_policy, pretrained_names
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.run import finish
-from carpark_mj.training.ppo.train import save
+from carpark_mj.training.ppo.train import finish, save
 
 MAX_SIZE = 1e6  # bytes
 
@@ -100,7 +99,7 @@ def test_an_unknown_name_is_told_the_known_ones(shipped):
 def test_a_policy_of_another_version_or_a_damaged_one_is_refused(shipped, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(runs, "CONFIG_VERSION", 99)
-        with pytest.raises(CheckpointError, match=r"tiny\.npz was trained by another"):
+        with pytest.raises(CheckpointError, match=r"tiny\.npz is of another"):
             loading.load_policy("tiny")
     path = shipped / "tiny.npz"
     whole = path.read_bytes()
@@ -195,7 +194,7 @@ def test_a_run_named_like_a_policy_is_evaluated_at_its_end(run, shipped, monkeyp
     found = []
     monkeypatch.setattr(evaluate, "main", lambda config: found.append(config.run))
     monkeypatch.setattr(
-        "carpark_mj.training.ppo.run.plot_learning_curve", lambda folder: folder
+        "carpark_mj.training.ppo.train.plot_learning_curve", lambda folder: folder
     )
     finish(dataclasses.replace(TINY, video_seconds=0.0), here)
     assert [find_driver(name).folder for name in found] == [here]

@@ -61,33 +61,8 @@ def test_a_checkpoint_of_an_older_version_is_refused_before_it_is_read(tmp_path)
             loading.load_policy(run)
     checkpoints.save(path, {"a": np.zeros(1)}, header)
     for run in (tmp_path / "x", path):
-        with pytest.raises(CheckpointError, match=r"x was trained by an older carpark"):
+        with pytest.raises(CheckpointError, match=r"is of another carpark"):
             loading.load_policy(run)
-
-
-JUNK_SETTINGS = {
-    ("clip",): "-1",
-    ("entropy_cost",): "../../etc/passwd",
-    ("discount",): [0.9],
-    ("num_lots",): 1.5,
-    ("name",): 1,
-    ("env", "num_agents"): True,
-    ("env", "reward", "park"): None,
-    ("env", "layout"): 3,
-    ("networks", "policy_layers"): "64",
-    ("networks", "own_size"): [1],
-}
-
-
-@pytest.mark.parametrize("place", JUNK_SETTINGS, ids=".".join)
-def test_a_setting_of_another_type_is_refused_by_name(place):
-    data = json.loads(json.dumps(dataclasses.asdict(PRESETS["cpu"])))
-    inside = data
-    for name in place[:-1]:
-        inside = inside[name]
-    inside[place[-1]] = JUNK_SETTINGS[place]
-    with pytest.raises(ValueError, match=place[-1]):
-        runs.from_dict(PPOConfig, data)
 
 
 @pytest.mark.parametrize("preset", ["anywhere", "dynamic"])

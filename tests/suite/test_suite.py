@@ -10,7 +10,7 @@ import pytest
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.policy.named import zero_policy
 from carpark_mj.registry import ANYWHERE
 from carpark_mj.suite.evaluation import (
     CaseEvaluator,

@@ -12,9 +12,8 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, RayConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import crash_scale, discount, training_env
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
+from carpark_mj.training.ppo.learn import crash_scale, discount, training_env
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.wrappers.brax import BraxParking
 

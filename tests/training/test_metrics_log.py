@@ -5,9 +5,9 @@ import contextlib
 import pytest
 from helpers.mutating import damaged
 
-from carpark_mj.analysis.runs import read_curve
+from carpark_mj.analysis import read_curve
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.training.metrics_log import MetricsLog, read_metrics
+from carpark_mj.training.loop import MetricsLog, read_metrics
 
 
 def test_tensorboard_reads_what_is_logged(tmp_path):

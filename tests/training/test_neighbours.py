@@ -11,17 +11,20 @@ from brax.envs.base import State as BraxState
 from flax import struct
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.training.ppo import epochs
+from carpark_mj.policy.networks import NetworkConfig, init_normalizer
+from carpark_mj.training.ppo import learn as epochs
 from carpark_mj.training.ppo import learner as learner_module
-from carpark_mj.training.ppo.advantages import compute_advantages
-from carpark_mj.training.ppo.collect import Rollout, collect
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import SHARE_RISES, neighbour_share
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.collect import (
+    RANGE,
+    Rollout,
+    collect,
+    compute_advantages,
+    neighbours,
+    neighbours_mean,
+)
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
+from carpark_mj.training.ppo.learn import SHARE_RISES, neighbour_share
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.neighbours import RANGE, neighbours, neighbours_mean
 
 
 @struct.dataclass

@@ -14,9 +14,9 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.training.ppo.collect import TrainingState
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import Learner, due_lots
-from carpark_mj.training.ppo.state import TrainingState
 from carpark_mj.wrappers.brax import BraxParking
 
 STREET = StreetConfig(bays_per_side=(3, 4))

@@ -19,17 +19,14 @@ from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.fields import Field
 from carpark_mj.observations.sets import ObservationSets
-from carpark_mj.policy.networks import NetworkConfig, make_networks
-from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
 from carpark_mj.training.ppo import learner as learners
-from carpark_mj.training.ppo import teacher as teachers
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import teacher_cost
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
-from carpark_mj.training.ppo.epochs import network_params
-from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
-from carpark_mj.training.ppo.state import AXIS
-from carpark_mj.training.ppo.teacher import make_teacher
+from carpark_mj.training.ppo import warm_start as teachers
+from carpark_mj.training.ppo.collect import AXIS
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
+from carpark_mj.training.ppo.learn import network_params, teacher_cost
+from carpark_mj.training.ppo.variants import Minibatch, Weights, ppo_loss
+from carpark_mj.training.ppo.warm_start import make_teacher
 
 BLIND = ContinuousObservation(1, 1, rings=RingConfig(), rays=RayConfig())
 KNOWS = dataclasses.replace(BLIND, lines=True)

@@ -13,14 +13,12 @@ from carpark_mj.config import EnvConfig, RayConfig, ShareConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.policy.loading import save_policy
-from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.policy.normalizer import update_normalizer
+from carpark_mj.policy.networks import NetworkConfig, update_normalizer
 from carpark_mj.training.ppo.group import make_learner
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import load_or_init, save
-from carpark_mj.training.ppo.warm_start import require_run
-from carpark_mj.training.ppo.widening import widen
+from carpark_mj.training.ppo.warm_start import require_run, widen
 from carpark_mj.wrappers.brax import BraxParking
 
 KEY = jax.dtypes.prng_key
