@@ -17,7 +17,6 @@ import jax
 from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.common import USER_ERRORS
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive
 from carpark_mj.evaluation.keys import require_seed
@@ -226,6 +225,8 @@ def read_settings(
         CheckpointError: `--resume` does not name a run, or names one of an older
             version.
     """
+    from carpark_mj.cli.flags import read_flags  # tyro is of an extra
+
     arguments = sys.argv[1:] if arguments is None else arguments
     # The preset is read first: settings may be valid only on top of the one named.
     name = named(arguments, "preset")

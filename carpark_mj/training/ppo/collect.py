@@ -15,10 +15,9 @@ from jax.sharding import PartitionSpec
 from carpark_mj.config import LayoutConfig
 from carpark_mj.geometry import norm
 from carpark_mj.layouts import member_shares
+from carpark_mj.training.ppo.variants import AXIS
 from carpark_mj.types import State
 from carpark_mj.wrappers.brax import BraxParking
-
-AXIS = "lots"
 
 
 @struct.dataclass

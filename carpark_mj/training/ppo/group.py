@@ -15,9 +15,10 @@ from jax.sharding import Mesh, PartitionSpec
 
 from carpark_mj.config import insert, is_data
 from carpark_mj.evaluation.keys import training_key
-from carpark_mj.training.ppo.collect import AXIS, TrainingState, state_specs
+from carpark_mj.training.ppo.collect import TrainingState, state_specs
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import Learner, without_input
+from carpark_mj.training.ppo.variants import AXIS
 from carpark_mj.training.run_folder import list_settings
 from carpark_mj.wrappers.brax import BraxParking
 

@@ -13,12 +13,12 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
 
-from carpark_mj.training.ppo.collect import AXIS
 from carpark_mj.training.ppo.parts import VARIANTS
 
 if TYPE_CHECKING:
     from carpark_mj.training.ppo.config import PPOConfig
 
+AXIS = "lots"  # of the mesh of devices
 VALUE_COST = 0.25  # weight of the value's squared error, as in Brax
 
 
