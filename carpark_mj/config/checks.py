@@ -21,6 +21,7 @@ from typing import (
 from carpark_mj.extensions import unknown_name
 
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
+IntRange = tuple[int, int]  # both ends included
 # JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
 LARGEST_WHOLE = 2**31 - 1
 LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
@@ -29,7 +30,7 @@ LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
 class Bounds(NamedTuple):
     """Bounds of a field, in its annotation: `Annotated[float, Bounds(ge=0.0)]`.
 
-    Every number of a tuple lies within them, and a `Range` rises.
+    Every number of a tuple lies within them; `Range` and `IntRange` rise.
 
     Attributes:
         ge: least value.
@@ -223,7 +224,7 @@ def require_bounds(config: Any) -> None:
         value = getattr(config, name)
         if value is None:
             continue
-        rises = hint != Range or value[0] <= value[1]
+        rises = hint not in (Range, IntRange) or value[0] <= value[1]
         if not (bounds.admit(value) and rises):
             order = "be a range (low, high) and " * (hint == Range)
             raise ValueError(f"{name} must {order}{bounds}, not {value!r}")

@@ -54,8 +54,10 @@ ENTRY_INSET = 1.0  # m from the beginning of a track to the axle of who comes in
 CLEAR = 9.0  # m about a car that comes in
 ABSENCE = 5.0  # s, shortest
 # Fields of `Traffic` that a plan changes.
-CHANGING = ("pose", "path", "way", "phase", "track", "next_track", "bay", "clock")
-CHANGING = (*CHANGING, "speed", "steering")
+CHANGING = (
+    *("pose", "path", "way", "speed", "steering"),
+    *("phase", "track", "next_track", "bay", "clock"),
+)
 
 
 def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic:

@@ -9,7 +9,7 @@ import shapely
 from shapely import affinity
 
 from carpark_mj.cli.layouts import main
-from carpark_mj.layouts.json_file import read_json
+from carpark_mj.layouts.files import read_json
 from carpark_mj.maps.features import Feature, commonest
 from carpark_mj.maps.lanes import joined_lanes
 

@@ -25,7 +25,7 @@ from helpers.map_texts import (
 from helpers.mutating import damaged, with_junk
 
 from carpark_mj.cli.layouts import main
-from carpark_mj.layouts.json_file import read_json
+from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayKind
 
 pytest.importorskip("pyproj")
