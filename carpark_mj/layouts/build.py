@@ -166,11 +166,16 @@ def spawns_in(car: DesignCar, pose: Any, size: Any, mask: Any = True) -> Group:
     return spawns(pose, jnp.asarray(size) - 2 * reach, LANE_SPREAD, mask)
 
 
+def swept_size(car: DesignCar) -> tuple[float, float]:
+    """Length and width [m] of the ground of a car that spawns in a lane."""
+    # `swept_half_size` of a small spread, without JAX: configs must not start it.
+    cos, sin = math.cos(LANE_SPREAD), math.sin(LANE_SPREAD)
+    return car.length * cos + car.width * sin, car.width * cos + car.length * sin
+
+
 def least_lane(car: DesignCar) -> float:
     """Narrowest lane [m] in which a car can spawn, with a margin of 5 cm."""
-    # `swept_half_size` of a small spread, without JAX: configs must not start it.
-    reach = car.width * math.cos(LANE_SPREAD) + car.length * math.sin(LANE_SPREAD)
-    return reach + 0.05
+    return swept_size(car)[1] + 0.05
 
 
 def two_lanes(pose: Any, size: Any) -> tuple[jax.Array, jax.Array]:

@@ -24,6 +24,24 @@ from carpark_mj.layouts.types import ROWS, Layout, layout_maxima, pad_layout
 SHORTEST = 1.0  # m of what is left of a lane
 ASIDE = 1.0  # m that the lane in front of a bay may be farther away in the part
 THINNEST = 0.05  # m of what is left of a wall or a spawn region
+# Of Dragon Lake, below.
+SIZE = np.array([140.0, 80.0])  # m
+# Opposite corners of rows of bays [m], rows behind each other and bays in each.
+ROWS_OF_BAYS = (
+    ((28.53, 73.73), (138.42, 68.51), 1, 42),
+    ((7.71, 61.4), (76.54, 50.4), 2, 25),
+    ((83.82, 61.4), (138.42, 50.4), 2, 21),
+    ((7.71, 43.24), (76.54, 31.93), 2, 25),
+    ((83.82, 43.24), (138.42, 31.93), 2, 21),
+    ((7.71, 24.68), (76.54, 13.51), 2, 25),
+    ((83.82, 24.68), (138.42, 13.51), 2, 21),
+    ((7.71, 6.48), (76.54, 0.95), 1, 25),
+    ((83.82, 6.48), (138.42, 0.95), 1, 21),
+)
+AISLES_Y = (64.95, 46.82, 28.3, 9.99)  # of centre lines along x [m]
+AISLES_X = (3.07, 80.18)  # of those along y [m]
+WIDTH = 6.0  # m of an aisle; the rows leave 6.1 m and more between them
+DRAWS = 100  # of parts, for each that is found
 
 
 def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
@@ -109,24 +127,6 @@ def _within(
     return back, front
 
 
-SIZE = np.array([140.0, 80.0])  # m
-# Opposite corners of rows of bays [m], rows behind each other and bays in each.
-ROWS_OF_BAYS = (
-    ((28.53, 73.73), (138.42, 68.51), 1, 42),
-    ((7.71, 61.4), (76.54, 50.4), 2, 25),
-    ((83.82, 61.4), (138.42, 50.4), 2, 21),
-    ((7.71, 43.24), (76.54, 31.93), 2, 25),
-    ((83.82, 43.24), (138.42, 31.93), 2, 21),
-    ((7.71, 24.68), (76.54, 13.51), 2, 25),
-    ((83.82, 24.68), (138.42, 13.51), 2, 21),
-    ((7.71, 6.48), (76.54, 0.95), 1, 25),
-    ((83.82, 6.48), (138.42, 0.95), 1, 21),
-)
-AISLES_Y = (64.95, 46.82, 28.3, 9.99)  # of centre lines along x [m]
-AISLES_X = (3.07, 80.18)  # of those along y [m]
-WIDTH = 6.0  # m of an aisle; the rows leave 6.1 m and more between them
-
-
 def dragon_lake() -> Layout:
     """The Dragon Lake car park: 364 bays on 140 m x 80 m, its middle at the origin.
 
@@ -159,8 +159,6 @@ def dragon_lake() -> Layout:
         build.spawns_in(DesignCar(), lanes, lane_sizes),
     )
 
-
-DRAWS = 100  # of parts, for each that is found
 
 CAR_PARKS: dict[str, Callable[[], Layout]] = {
     "dragon_lake": jax.jit(dragon_lake),

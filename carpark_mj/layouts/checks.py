@@ -24,6 +24,9 @@ ANY_CAR = (0.0, 0.0)  # length and width [m] that all cars have room for
 
 # Neighbours share an edge: sizes shrink by rounding errors before they are compared.
 ROUNDING = 1e-3  # m
+_Rows = tuple[jax.Array, jax.Array, jax.Array]
+# Rows that messages of `find_faults` concern, by their first words.
+_SUBJECTS = {"bays": "bay", "lanes": "lane", "cars": "spawn"}
 
 
 def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
@@ -71,9 +74,6 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
         "cars spawning in spawn regions meet discs": _discs_meet(swept, disc),
         "cars spawning in spawn regions meet bays": _boxes_meet(swept, no_start),
     }
-
-
-_Rows = tuple[jax.Array, jax.Array, jax.Array]
 
 
 def _boxes_meet(a: _Rows, b: _Rows) -> jax.Array:
@@ -143,8 +143,6 @@ def describe_faults(
 
 
 _find_faults = jax.jit(find_faults)
-# Rows that messages of `find_faults` concern, by their first words.
-_SUBJECTS = {"bays": "bay", "lanes": "lane", "cars": "spawn"}
 
 
 def _malformed(layout: Layout) -> list[str]:

@@ -17,6 +17,12 @@ from carpark_mj.config.checks import require_choice, require_kind
 from carpark_mj.config.layouts import FAMILIES, LAYOUTS, LayoutConfig, layout_format
 from carpark_mj.layouts.types import Layout
 
+# Jitted: many small operations would each be compiled on their own.
+_compiled = jax.jit(lambda config, key: config.generate(key), static_argnums=0)
+Split = Literal["train", "test"]
+TRAIN = range(2**31)
+TEST = range(2**31, 2**32)
+
 
 class FixedLayoutConfig(LayoutConfig):
     """A config with one lot, its property `layout`."""
@@ -90,10 +96,6 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
     return shares
 
 
-# Jitted: many small operations would each be compiled on their own.
-_compiled = jax.jit(lambda config, key: config.generate(key), static_argnums=0)
-
-
 def make_layout(layout: LayoutConfig | str, key: jax.Array | None = None) -> Layout:
     """Builds a layout from a name, a file or a config.
 
@@ -125,11 +127,6 @@ def mixture(
     configs = tuple(layout_config(member) for member in members)
     family: Any = FAMILIES["mixture"]
     return family(members=configs, weights=tuple(weights))
-
-
-Split = Literal["train", "test"]
-TRAIN = range(2**31)
-TEST = range(2**31, 2**32)
 
 
 def lot_number(split: Split, key: jax.Array) -> jax.Array:

@@ -14,6 +14,11 @@ from flax import struct
 from carpark_mj.geometry import box_distance, norm, point_box_distance
 from carpark_mj.layouts.types import Layout
 
+MAX_TURNS = 6  # from one lane into another; every family needs at most 4
+TOUCHING = 0.3  # m, lanes with a smaller gap are joined
+PARALLEL = 0.2  # sine of the angle below which lanes lie beside each other: 11.5 deg
+INSIDE = 0.1  # m, a car this close to its nearest lane is in it
+
 
 def has_lanes(layout: Layout) -> bool:
     """Whether lots of this shape can have lanes."""
@@ -44,12 +49,6 @@ def nearest_lane(layout: Layout, pose_w: jax.Array) -> tuple[jax.Array, jax.Arra
     alike = jnp.cos(pose_w[:, None, 2] - layout.lane_pose[:, 2])
     index = jnp.argmax(jnp.where(nearest, alike, -jnp.inf), axis=1)
     return index, jnp.broadcast_to(layout.lane_mask.any(), index.shape)
-
-
-MAX_TURNS = 6  # from one lane into another; every family needs at most 4
-TOUCHING = 0.3  # m, lanes with a smaller gap are joined
-PARALLEL = 0.2  # sine of the angle below which lanes lie beside each other: 11.5 deg
-INSIDE = 0.1  # m, a car this close to its nearest lane is in it
 
 
 @struct.dataclass

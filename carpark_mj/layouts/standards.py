@@ -62,6 +62,8 @@ Thickness = Annotated[float, Bounds(ge=0.01, unit="m")]  # of walls
 # Parking angle [deg] and width of a one-way aisle [m]; [us], conventional cars.
 AISLE_ANGLES = (30.0, 40.0, 45.0, 50.0, 60.0, 70.0, 80.0, 90.0)
 AISLE_WIDTHS = tuple(FOOT * a for a in (11.0, 12.0, 13.5, 15.5, 18.5, 19.5, 24.0, 24.0))
+Level = Literal["normal", "complex", "extreme"]
+Orientation = Literal["perpendicular", "parallel"]
 
 
 def one_way_aisle(angle: float) -> float:
@@ -116,10 +118,6 @@ class DesignCar(CheckedConfig):
     def turning_radius(self) -> float:
         """Radius of the rear axle's centre on full lock, L / tan(delta) [m]."""
         return self.wheelbase / math.tan(self.max_steering)
-
-
-Level = Literal["normal", "complex", "extreme"]
-Orientation = Literal["perpendicular", "parallel"]
 
 
 class TightBay(NamedTuple):

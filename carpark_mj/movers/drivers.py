@@ -58,6 +58,9 @@ CHANGING = (
     *("pose", "path", "way", "speed", "steering"),
     *("phase", "track", "next_track", "bay", "clock"),
 )
+TRIES = 8  # places that are tried for a driver
+APART = 8.0  # m between drivers when a lot begins
+FAR = 1e4  # m, where those are who are away
 
 
 def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic:
@@ -234,11 +237,6 @@ def _is_free(layout: Layout, pose: jax.Array, bay: jax.Array) -> jax.Array:
 
 def _int(index: jax.Array) -> jax.Array:
     return index.astype(jnp.int32)
-
-
-TRIES = 8  # places that are tried for a driver
-APART = 8.0  # m between drivers when a lot begins
-FAR = 1e4  # m, where those are who are away
 
 
 @dataclasses.dataclass(frozen=True)

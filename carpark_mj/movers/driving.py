@@ -39,6 +39,16 @@ from carpark_mj.vehicle.presets import CITY
 JAM_GAP = 1.0  # m, s0; 2 m on motorways, shorter at walking pace [est]
 BRAKING = 1.67  # m/s², b, table I
 NO_GAP = 0.05  # m, below which a gap counts as this
+ROUNDS = 4  # substeps
+AHEAD = 1.2  # m to the point that is aimed at, and in 0.3 s
+TURNING, BACKING = 1.5, 0.8  # m/s in arcs, in reverse
+EASY = 1.0  # m/s², braking before arcs and ends of paths
+WHEELS = 0.25  # rad, how far the wheels may still have to turn at walking pace
+CLOSE = 0.1  # m, from the end of a path
+LEAVES_AFTER = 2.0  # s at the end of a lane
+GIVES_UP = 12.0  # s of standing, after which a driver changes its mind
+BEHIND = 0.5  # m before an arc, to which a driver goes back who is stuck in it
+DECIDED = 0.3  # m behind an arc, where a driver is on the next track
 
 
 def idm_acceleration(
@@ -49,7 +59,7 @@ def idm_acceleration(
     headway: jax.Array,
     accel: jax.Array,
 ) -> jax.Array:
-    """Accelerations (...) [m/s²].
+    """Accelerations (...) [m/s²] of the Intelligent Driver Model.
 
     Args:
         speed: v [m/s].
@@ -63,18 +73,6 @@ def idm_acceleration(
     desired = JAM_GAP + jnp.maximum(speed * headway + closing, 0.0)
     held = (desired / jnp.maximum(gap, NO_GAP)) ** 2
     return accel * (1.0 - (speed / wanted) ** 4 - held)
-
-
-ROUNDS = 4  # substeps
-AHEAD = 1.2  # m to the point that is aimed at, and in 0.3 s
-TURNING, BACKING = 1.5, 0.8  # m/s in arcs, in reverse
-EASY = 1.0  # m/s², braking before arcs and ends of paths
-WHEELS = 0.25  # rad, how far the wheels may still have to turn at walking pace
-CLOSE = 0.1  # m, from the end of a path
-LEAVES_AFTER = 2.0  # s at the end of a lane
-GIVES_UP = 12.0  # s of standing, after which a driver changes its mind
-BEHIND = 0.5  # m before an arc, to which a driver goes back who is stuck in it
-DECIDED = 0.3  # m behind an arc, where a driver is on the next track
 
 
 def drive(

@@ -60,6 +60,11 @@ NEAR = 4  # boxes whose forces act on a person
 ROUNDS = 8  # steps after which near boxes are looked up again
 CANDIDATES = 4  # targets that are looked at
 TAKEN = 1e3  # m, added to the distance of places that are taken
+Number = TypeVar("Number", int, float)
+CHILD = 0.25  # m, radius
+FIRST_REST = 10.0  # s, longest until somebody sets out when a lot begins
+START_SPARE = 0.01  # m of room about people when a lot begins
+TRIES = 8  # places that are tried beside a leader
 
 
 def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
@@ -266,14 +271,6 @@ def _step_aside(people: People, enter: Zones, stop: Zones) -> jax.Array:
     side = jnp.where(here[..., 1] < 0.0, -1.0, 1.0) * on_way
     x, y = -(side * enter.sin).sum(axis=1), (side * enter.cos).sum(axis=1)
     return columns(x, y)
-
-
-Number = TypeVar("Number", int, float)
-
-CHILD = 0.25  # m, radius
-FIRST_REST = 10.0  # s, longest until somebody sets out when a lot begins
-START_SPARE = 0.01  # m of room about people when a lot begins
-TRIES = 8  # places that are tried beside a leader
 
 
 @dataclasses.dataclass(frozen=True)

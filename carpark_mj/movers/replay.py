@@ -27,6 +27,9 @@ from carpark_mj.vehicle.presets import preset
 COLUMNS = ("id", "time", "x", "y", "yaw", "length", "width")
 MOST_CARS = 200
 LONGEST, WIDEST = 25.0, 5.0  # m, of a car
+Car = tuple[np.ndarray, np.ndarray, tuple[float, float]]
+PAUSE = 2.0  # s between the end of a recording and its next beginning
+INSTANT = 0.05  # s about an instant, for the velocity
 
 
 class Drives(NamedTuple):
@@ -59,9 +62,6 @@ def read_drives(path: Path) -> Drives:
     size = np.array([size for _, _, size in cars])
     made = (time, pose, size, time[:, -1])
     return Drives(*(array.astype(np.float32) for array in made))
-
-
-Car = tuple[np.ndarray, np.ndarray, tuple[float, float]]
 
 
 def _from_csv(path: Path) -> list[Car]:
@@ -118,10 +118,6 @@ def _from_archive(path: Path) -> list[Car]:
                 own = poses[part, agent].astype(np.float64)
                 cars.append((time[part], own, (car.length, car.width)))
     return cars
-
-
-PAUSE = 2.0  # s between the end of a recording and its next beginning
-INSTANT = 0.05  # s about an instant, for the velocity
 
 
 @dataclasses.dataclass(frozen=True)

@@ -36,12 +36,7 @@ class Cars(NamedTuple):
 
 
 def cars_of(lot: State, dt: float) -> Cars:
-    """The agents of a lot, and after them its drivers.
-
-    Args:
-        lot: its state.
-        dt: control period [s].
-    """
+    """The agents of a lot, and after them its drivers; `dt` is the control period."""
     motion, car = lot.motion, lot.physics.vehicle
     limits = car.max_acceleration, car.max_deceleration
     limits = *limits, car.max_speed, car.max_reverse_speed
@@ -127,10 +122,7 @@ def stopping_distance(
 def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Zones:
     """What the cars of a lot sweep until they stand, or in a time if that is longer.
 
-    Args:
-        lot: its state.
-        dt: control period [s].
-        headway: times [s], broadcastable to (..., cars).
+    `headway` is that time [s], broadcastable to (..., cars).
     """
     cars = cars_of(lot, dt)
     half, speed, accel, decel = cars.size / 2, cars.speed, cars.accel, cars.decel

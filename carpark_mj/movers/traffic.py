@@ -11,6 +11,17 @@ from carpark_mj.geometry import move_forward, rotate, wrap_angle
 from carpark_mj.layouts.types import Layout
 from carpark_mj.vehicle.presets import CITY
 
+BORDER = 3.0  # m from the lot's border: where drivers come in
+RING = 1.5  # m, inset of a ring from the border of open ground
+SHORTEST = 9.0  # m, of a track on which a driver comes in
+Tree = TypeVar("Tree")
+# What a driver does.
+DRIVE, PARK, STAY, BACK_OUT, AWAY = range(5)
+SIZE: Any = np.array([CITY.length, CITY.width], np.float32)
+OFFSET = CITY.centre_offset  # m, rear axle to footprint centre
+RADIUS = 3.5  # m, of arcs; the tightest of the rear axle is 3.2 m
+NOSE = OFFSET + CITY.length / 2 + 0.3  # m, from the rear axle to what is before it
+
 
 @struct.dataclass
 class Path:
@@ -87,11 +98,6 @@ def tangent(bend: jax.Array, radius: jax.Array) -> jax.Array:
     return radius * jnp.tan(jnp.minimum(jnp.abs(bend), 2.8) / 2.0)
 
 
-BORDER = 3.0  # m from the lot's border: where drivers come in
-RING = 1.5  # m, inset of a ring from the border of open ground
-SHORTEST = 9.0  # m, of a track on which a driver comes in
-
-
 @struct.dataclass
 class Tracks:
     """Tracks (n,) of a lot."""
@@ -142,16 +148,6 @@ def _entries(
     long = mask & (length >= SHORTEST)
     border = long & (jnp.abs(pose[:, :2]) > layout.extent - BORDER).any(axis=-1)
     return Tracks(pose, length, mask, jnp.where(border.any(), border, long))
-
-
-Tree = TypeVar("Tree")
-
-# What a driver does.
-DRIVE, PARK, STAY, BACK_OUT, AWAY = range(5)
-SIZE: Any = np.array([CITY.length, CITY.width], np.float32)
-OFFSET = CITY.centre_offset  # m, rear axle to footprint centre
-RADIUS = 3.5  # m, of arcs; the tightest of the rear axle is 3.2 m
-NOSE = OFFSET + CITY.length / 2 + 0.3  # m, from the rear axle to what is before it
 
 
 @struct.dataclass

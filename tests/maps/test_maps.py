@@ -31,7 +31,7 @@ from carpark_mj.layouts.types import BayKind
 pytest.importorskip("pyproj")
 pytest.importorskip("ezdxf")
 
-from carpark_mj.maps import assemble as assembling
+from carpark_mj.maps import importing as assembling
 from carpark_mj.maps.importing import import_map
 
 
