@@ -18,7 +18,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout, mixture
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
-from carpark_mj.layouts.json_file import layout_text, read_json
+from carpark_mj.layouts.files import layout_text, read_json
 from carpark_mj.suite.tpcap import EDGE, TPCAP_CAR, read_tpcap
 from carpark_mj.wrappers.options import Options, configure, shared_env
 

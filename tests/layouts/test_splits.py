@@ -11,7 +11,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig, make_layout, mixture
-from carpark_mj.layouts.splits import TEST, TRAIN, lot_key, lot_number
+from carpark_mj.layouts.registry import TEST, TRAIN, lot_key, lot_number
 
 DRAWS = 100_000
 STREET = StreetConfig(bays_per_side=(3, 4))

@@ -32,7 +32,7 @@ from carpark_mj.layouts import (
     mixture,
     pad_layout,
 )
-from carpark_mj.layouts.json_file import layout_text, read_json
+from carpark_mj.layouts.files import layout_text, read_json
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver

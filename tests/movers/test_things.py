@@ -15,8 +15,7 @@ from carpark_mj.config.obstacles import ObstacleKind, make_movers
 from carpark_mj.geometry.obstacles import Boxes, Movers
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Barrier, Cart, Door, RailCar
-from carpark_mj.movers.cart import ROLLING
-from carpark_mj.movers.door import SIZE, WIDEST
+from carpark_mj.movers.things import DOOR, ROLLING, WIDEST
 from carpark_mj.obstacles import begin_movers, lot_obstacles, step_movers, trace_still
 from inhabited import overlaps
 
@@ -107,7 +106,7 @@ def test_a_door_opens_beside_a_free_bay_only():
     assert 0.1 < there.mean() < 0.95
     assert state.angle.max() == pytest.approx(WIDEST, abs=1e-4)
     assert len(np.unique(state.car[there])) > 2
-    door = polygons(boxes.pose_w[there, 0], np.full((there.sum(), 2), SIZE))
+    door = polygons(boxes.pose_w[there, 0], np.full((there.sum(), 2), DOOR))
     for number, pose in enumerate(np.asarray(PARKED.pose_w)):
         others = state.car[there] != number
         assert not shapely.intersects(door[others], polygons(pose, (4.0, 1.8))).any()

@@ -12,7 +12,7 @@ from helpers.scenes import polygons
 
 from carpark_mj.config import LAYOUTS
 from carpark_mj.layouts.checks import find_faults
-from carpark_mj.layouts.splits import TEST, lot_key
+from carpark_mj.layouts.registry import TEST, lot_key
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.suite import levels as held_out
 from carpark_mj.suite.hope import HopeConfig
