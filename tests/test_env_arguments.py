@@ -1,7 +1,6 @@
 """Arguments of an environment that are refused, and states that are passed on."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.sliding import HALT, slide
@@ -50,10 +49,3 @@ def test_eager_results_can_be_donated():
 def test_a_reset_refuses_what_has_no_meaning(change, error, message):
     with pytest.raises(error, match=message):
         slide()[0].reset(jax.random.key(0), **change)
-
-
-@pytest.mark.parametrize("count", [0, 4, jnp.int32(4)])
-def test_a_lot_has_as_many_agents_as_there_can_be(count):
-    env = slide()[0]
-    with pytest.raises(ValueError, match=r"num_present must lie in \[1, 3\], not "):
-        env.reset(jax.random.key(0), num_present=count)

@@ -14,7 +14,7 @@ from carpark_mj.cameras.hits import fold
 from carpark_mj.cameras.rig import BODY, Seen
 from carpark_mj.cameras.trace import Seat, seat
 from carpark_mj.config.checks import CheckedConfig, Count, Positive
-from carpark_mj.layouts.dimensions import LINE_WIDTH
+from carpark_mj.layouts.types import LINE_WIDTH
 from carpark_mj.types import State
 
 _ANY_HEIGHT = Heights((1.0,), (1.0,))

@@ -9,7 +9,7 @@ from flax import struct
 from carpark_mj.cameras.hits import fold
 from carpark_mj.cameras.rig import Seen
 from carpark_mj.geometry.se2 import norm, rotate
-from carpark_mj.layouts.dimensions import (
+from carpark_mj.layouts.types import (
     ARROW_HEAD,
     ARROW_HEIGHT,
     ARROW_LENGTH,
@@ -20,8 +20,8 @@ from carpark_mj.layouts.dimensions import (
     LINE_WIDTH,
     VERGE_GAP,
     VERGE_HEIGHT,
+    Layout,
 )
-from carpark_mj.layouts.types import Layout
 
 # Covers of the ground, the upper ones last: what they show, and their heights [m].
 ASPHALT, BAY, OWN_BAY, ARROW, LINE, GRASS = range(6)

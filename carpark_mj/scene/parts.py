@@ -7,15 +7,17 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from carpark_mj.layouts.dimensions import (
+from carpark_mj.layouts.types import (
     DISC_HEIGHTS,
     GROUND_CLEARANCE,
     VERGE_GAP,
     VERGE_HEIGHT,
     WALL_HEIGHT,
     WALL_HEIGHTS,
+    DiscKind,
+    Layout,
+    WallKind,
 )
-from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.scene import car_look, materials
 from carpark_mj.scene.cameras import add_car_cameras
 from carpark_mj.vehicle.locked_tyres import add_locked_tyres

@@ -29,7 +29,7 @@ from carpark_mj.layouts import (
     mixture,
     pad_layout,
 )
-from carpark_mj.layouts.json_file import layout_text, read_json
+from carpark_mj.layouts.files import layout_text, read_json
 from carpark_mj.mdp.parked_cars import BayFits, poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.terminations import is_parked
@@ -87,13 +87,6 @@ def test_files_say_which_end_and_are_written_as_they_were_read(layout, tmp_path)
     (tmp_path / "again.json").write_text(layout_text(layout))
     again = read_json(tmp_path / "again.json")
     assert jax.tree.all(jax.tree.map(np.array_equal, layout, again))
-
-
-def test_a_lot_without_ends_has_no_array_of_them():
-    plain = make_layout("square_compact")
-    assert plain.bay_end is None
-    assert '"end"' not in layout_text(plain)
-    assert plain.parked_pose is plain.bay_pose
 
 
 def test_groups_and_mixtures_with_and_without_ends_join(layout, path):

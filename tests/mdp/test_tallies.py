@@ -60,14 +60,6 @@ def test_a_name_says_how_its_numbers_are_folded():
     assert all(value.dtype == jnp.float32 for value in folded.values())
 
 
-def test_a_number_that_nobody_listed_is_refused_and_so_is_a_missing_one():
-    zero = jnp.zeros(2)
-    with pytest.raises(ValueError, match=r"\[\] are only tallies and \['b'\] only num"):
-        fold_tallies({"a": zero}, {"a": zero, "b": zero})
-    with pytest.raises(ValueError, match=r"\['a'\] are only tallies and \[\] only num"):
-        fold_tallies({"a": zero, "b": zero}, {"b": zero})
-
-
 def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():
     # 0.6, then 1.2 and 1.2 m/s less per step of 0.2 s: 3, 6, 6 m/s2, then none; the
     # jerk is 3 / 0.2 = 15 at first, then 15, 0 and 6 / 0.2 = 30 m/s3.

@@ -14,7 +14,7 @@ from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.layouts import StreetConfig, layout_config, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.policy.baselines import random_policy
+from carpark_mj.policy.named import random_policy
 from carpark_mj.spawning.checks import check_numbers
 from carpark_mj.types import NO_BAY
 

@@ -20,7 +20,7 @@ from carpark_mj.layouts import (
     mixture,
 )
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.json_file import layout_text
+from carpark_mj.layouts.files import layout_text
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.spawning.checks import check_numbers
 from carpark_mj.spawning.reset_options import ResetOptions

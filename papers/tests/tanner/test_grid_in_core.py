@@ -31,10 +31,10 @@ from carpark_mj.mdp.parked_cars import relocate_parked_cars
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.sets import observation_sets
 from carpark_mj.planning.policy import planner_policy
-from carpark_mj.policy.onnx_car import require_outside
 from carpark_mj.policy.onnx_export import (
     largest_difference,
     make_model,
+    require_outside,
     rounding_error,
 )
 from carpark_mj.registry import environment

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from carpark_mj.analysis.statistics import CONFIDENCE, RESAMPLES
+from carpark_mj.analysis import CONFIDENCE, RESAMPLES
 from carpark_papers.cederle.experiments.runs import CENTRAL, DQN, Cell, Outcome
 from carpark_papers.reports import ENOUGH
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.keys import evaluation_key
-from carpark_mj.policy.rollout import Carry, Step, roll_out
+from carpark_mj.policy.acting import Carry, Step, roll_out
 from carpark_mj.types import State
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.options import share

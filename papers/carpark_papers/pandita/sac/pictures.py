@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from carpark_mj.files import write_atomically
-from carpark_mj.training.curve import plot_learning_curve
-from carpark_mj.training.metrics_log import read_metrics
+from carpark_mj.training.loop import plot_learning_curve, read_metrics
 
 _RATES = (("success", "tab:green"), ("crashed", "tab:red"), ("timed_out", "tab:gray"))
 

@@ -16,15 +16,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carpark_mj.analysis.points import group
-from carpark_mj.analysis.runs import run_folders
+from carpark_mj.analysis import group, run_folders
 from carpark_mj.config.checks import require_at_least
-from carpark_mj.sweeps.executor import Cluster
-from carpark_mj.sweeps.groups import groups
-from carpark_mj.sweeps.manage import Where
-from carpark_mj.sweeps.outcomes import read_outcome
-from carpark_mj.sweeps.plan import Run, settings_of
-from carpark_mj.sweeps.slurm import SlurmConfig
+from carpark_mj.sweeps import (
+    Cluster,
+    Run,
+    SlurmConfig,
+    Where,
+    groups,
+    read_outcome,
+    settings_of,
+)
 from carpark_papers.tanner.experiments.figures import (
     SOURCE,
     Experiment,
@@ -76,7 +78,13 @@ class StudyConfig:
     @property
     def where(self) -> Where:
         """Settings of the executor; the study samples actions."""
-        return Where(self.cluster, self.jobs, self.side_by_side, self.slurm, True)
+        return Where(
+            cluster=self.cluster,
+            jobs=self.jobs,
+            side_by_side=self.side_by_side,
+            slurm=self.slurm,
+            stochastic=True,
+        )
 
 
 # NVIDIA H200, docs/study.md: 16 M steps of seven agents in 66 to 75 s; compiling and
@@ -155,7 +163,7 @@ def choose(
 
 
 if TYPE_CHECKING:  # they load what `run_command` reports if it is missing
-    from carpark_mj.sweeps.plan import Plan, Run
+    from carpark_mj.sweeps import Plan, Run
     from carpark_papers.tanner.experiments.figures import Experiment
 
 
@@ -219,10 +227,7 @@ def say_budget(
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the study; returns the exit code, 1 if runs have failed."""
     from carpark_mj.cli.flags import read_flags
-    from carpark_mj.sweeps.axes import read_axis
-    from carpark_mj.sweeps.manage import run_sweep
-    from carpark_mj.sweeps.plan import checked_runs
-    from carpark_mj.sweeps.work import prepare
+    from carpark_mj.sweeps import checked_runs, prepare, read_axis, run_sweep
     from carpark_mj.training.ppo.parts import PRESETS
     from carpark_papers.tanner.experiments.figures import (
         EXPERIMENTS,
