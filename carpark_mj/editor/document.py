@@ -143,13 +143,13 @@ def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
     for message, kinds, places in list_faults(layout, DesignCar().size):
         hard = {tuple(place) for place in of_any_car.get(message, [])}
         for grave in (True, False):
-            told = [
+            rows = [
                 [f"{kind}s/{row}" for kind, row in zip(kinds, place, strict=True)]
                 for place in places.tolist()
                 if (tuple(place) in hard) == grave
             ]
-            if told:
-                found.append({"text": message, "places": told, "grave": grave})
+            if rows:
+                found.append({"text": message, "places": rows, "grave": grave})
     return found
 
 
