@@ -54,10 +54,8 @@ ENTRY_INSET = 1.0  # m from the beginning of a track to the axle of who comes in
 CLEAR = 9.0  # m about a car that comes in
 ABSENCE = 5.0  # s, shortest
 # Fields of `Traffic` that a plan changes.
-CHANGING = (
-    *("pose", "path", "way", "speed", "steering"),
-    *("phase", "track", "next_track", "bay", "clock"),
-)
+MOTION = ("pose", "path", "way", "speed", "steering")
+INTENT = ("phase", "track", "next_track", "bay", "clock")
 TRIES = 8  # places that are tried for a driver
 APART = 8.0  # m between drivers when a lot begins
 FAR = 1e4  # m, where those are who are away
@@ -92,7 +90,7 @@ def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic
     row = (jnp.arange(n) == who) & (good | comes)
     changes = {
         name: choose(row, getattr(new, name), getattr(traffic, name))
-        for name in CHANGING
+        for name in (*MOTION, *INTENT)
     }
     turn = (traffic.turn + 1) % n
     return dataclasses.replace(traffic, turn=turn, **changes)
