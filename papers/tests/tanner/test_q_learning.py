@@ -244,7 +244,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(run, capsys, tmp_path):
     with pytest.raises(ValueError, match=r"needs env.episode.respawn = True"):
         QLearner(dataclasses.replace(SMALL, env=frozen))
     assert exit_code(q_learning, ["--resume", str(folder), "--gamma", "0.5"]) == 2
-    assert "a resumed run keeps its own settings: drop gamma" in capsys.readouterr().err
+    assert "a resumed run keeps its own settings: drop --gamma" in capsys.readouterr().err
     assert exit_code(q_learning, ["--resume", str(tmp_path / "none")]) == 2
     assert "no run at" in capsys.readouterr().err
     (path,) = checkpoint_files(folder)
