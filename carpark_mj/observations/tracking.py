@@ -3,9 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.geometry import nearest
-from carpark_mj.types import ParkedCars, State
+from carpark_mj.types import ParkedCars
 
 
 def track_agents(
@@ -66,26 +65,3 @@ def mark(index: jax.Array, present: jax.Array, count: int) -> jax.Array:
     """
     same = index[..., None] == jnp.arange(count)
     return jnp.any(same & present[..., None], axis=1)
-
-
-def tracks(config: EnvConfig, state: State) -> jax.Array:
-    """Whether agents track each other, by their measured poses.
-
-    Returns:
-        (num_agents, num_agents) bool, [i, j] whether i tracks j.
-    """
-    found = config.observation.tracks_agents(state)
-    count = state.goal.shape[0]
-    return jnp.zeros((count, count), bool) if found is None else found
-
-
-def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
-    """Whether agents track parked cars, by their measured poses.
-
-    Returns:
-        (num_agents, num_parked_cars) bool.
-    """
-    found = config.observation.tracks_parked_cars(state)
-    if found is None:
-        return jnp.zeros((state.goal.shape[0], state.parked_cars.bay.shape[0]), bool)
-    return found if state.present is None else found & state.present[:, None]

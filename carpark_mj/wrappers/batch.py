@@ -17,10 +17,10 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from carpark_mj.config.checks import require_count
-from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
+from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
 

@@ -10,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 
 from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import NumpyBatch, Seeds, require_shape
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, TimeLimited, one_agent
 from carpark_mj.wrappers.gymnasium_spaces import (

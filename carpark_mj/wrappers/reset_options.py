@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.config.checks import is_finite, require_count, require_kind
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import NO_BAY
 
 KEYS = ("pose", "speed", "goal")
