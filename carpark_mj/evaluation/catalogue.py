@@ -1,7 +1,7 @@
 """The catalogue of metrics: meanings, units and aggregation over episodes.
 
 It defines the library's metrics and the tables of `docs/metrics.md`; others are
-registered (`carpark_mj.config.metrics`). An evaluation has a column for each in the
+registered (`carpark_mj.mdp.metrics`). An evaluation has a column for each in the
 table of episodes, and one or several aggregates.
 """
 

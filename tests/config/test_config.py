@@ -153,11 +153,6 @@ CONTRADICTIONS = [
         {"episode": EpisodeConfig(hitbox_scale=1.2), "physics": "scene"},
         "episode.hitbox_scale must be 1 in scene physics, .* not 1.2",
     ),
-    ({"goals": GoalConfig(num_tracked_bays=3)}, "num_tracked_bays 3 needs dynamic"),
-    (
-        {"goals": GoalConfig(slots_by_distance=True)},
-        "slots_by_distance needs dynamic goals",
-    ),
     (
         {
             "giving_way": GivingWayConfig("L,L,S"),

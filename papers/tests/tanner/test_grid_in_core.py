@@ -226,8 +226,6 @@ def test_the_study_s_fixed_goals_may_repeat():
         again = (old == new).sum()
         # Every 36th of 3600: deviation 10, five of them.
         assert abs(again - 100) < 50 if may_repeat else again == 0
-    with pytest.raises(ValueError, match="may_repeat needs fixed goals"):
-        EnvConfig(goals=GoalConfig(dynamic=True, may_repeat=True))
 
 
 def test_the_tanner_reward_preset_has_the_numbers_of_table_c9():
