@@ -59,11 +59,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._parts: dict[str, T] = {}
 
     def register(self, name: str, part: T) -> T:
-        """Adds a part, and returns it.
-
-        Raises:
-            ValueError: the name is taken by another part, or is not a plain name.
-        """
+        """Adds a part, and returns it; raises `ValueError` if the name is taken."""
         if not name or not name.replace("_", "a").replace("-", "a").isalnum():
             raise ValueError(
                 f"the name of a {self._kind} must be of letters, digits, _ and -, "
@@ -80,12 +76,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return next(equal, None)
 
     def __getitem__(self, name: str) -> T:
-        """The part of that name.
-
-        Raises:
-            ValueError: unknown name, the message lists the known ones; or an extension
-                cannot be imported.
-        """
+        """The part of that name; `ValueError` of an unknown one lists the known."""
         if name not in self:
             raise ValueError(unknown_name(self._kind, name, self._parts))
         return self._parts[name]
@@ -134,11 +125,7 @@ class Entry:
 
 
 def load_extensions() -> None:
-    """Imports every extension that has not been imported yet.
-
-    Raises:
-        ValueError: one cannot be imported; the message names it and says why.
-    """
+    """Imports extensions not imported yet; a `ValueError` says why one cannot be."""
     for name in _extensions(os.environ.get(VARIABLE, "")):
         if name not in _loaded:
             _loaded.add(name)  # first: while it is imported it may look names up

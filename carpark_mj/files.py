@@ -43,9 +43,7 @@ def remove_temporary(folder: Path) -> None:
 def naming(path: Path, temporary: Path | None = None) -> Generator[None]:
     """Makes errors of the system inside name a file; errors of writing name none.
 
-    Args:
-        path: its name.
-        temporary: another name, which stands for `path`.
+    `temporary` is another name, which stands for `path`.
     """
     try:
         yield
@@ -58,13 +56,8 @@ def naming(path: Path, temporary: Path | None = None) -> Generator[None]:
 def require_writable(path: Path, new_folders: bool = False) -> None:
     """Refuses, before the work, a file that `write_atomically` cannot write after it.
 
-    Args:
-        path: of the file.
-        new_folders: missing folders of `path` are made after the work, so that refused
-            work leaves no folder.
-
-    Raises:
-        OSError: `path` cannot be written.
+    With `new_folders` missing folders of `path` are made after the work, so that
+    refused work leaves no folder. Raises `OSError`.
     """
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -76,10 +69,8 @@ def require_writable(path: Path, new_folders: bool = False) -> None:
 def write_atomically(path: Path, write: Any) -> None:
     """Calls `write(temporary_path)` and renames the result to `path`.
 
-    The temporary file keeps the suffix of `path` and is removed on any failure.
-
-    Raises:
-        OSError: `path` cannot be written.
+    The temporary file keeps the suffix of `path` and is removed on any failure. Raises
+    `OSError`.
     """
     with _temporary(path) as temporary:
         write(temporary)

@@ -28,9 +28,6 @@ def require_float32() -> None:
     """Refuses to go on where JAX computes in float64 by default.
 
     Geometry and physics can, on their own; tests compare with float64.
-
-    Raises:
-        ValueError: naming the setting.
     """
     if jax.config.read("jax_enable_x64"):
         raise ValueError(

@@ -10,7 +10,7 @@ Tree = TypeVar("Tree")
 
 
 def own_buffers(tree: Tree) -> Tree:
-    """The tree in buffers of its own; traced arrays as they are.
+    """Copies arrays outside of jit, so that callers may donate them.
 
     Outside of `jax.jit` a function may return its own arguments, constants of an
     environment, or one array in several places. A program that donates its argument

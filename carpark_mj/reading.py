@@ -18,12 +18,7 @@ TEXT = "text"  # the dtype of strings of any length
 
 
 def read_bytes(path: Path) -> bytes:
-    """Reads a whole file.
-
-    Raises:
-        ValueError: a pipe or a device, which may never end.
-        OSError: it cannot be read.
-    """
+    """Reads a whole file; refuses pipes and devices, which may never end."""
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise ValueError(f"cannot read {path}: it is not a regular file")
@@ -31,12 +26,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Reads a file of UTF-8, with a byte order mark or without.
-
-    Raises:
-        ValueError: it is not text.
-        OSError: it cannot be read.
-    """
+    """Reads a file of UTF-8, with a byte order mark or without."""
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -44,22 +34,14 @@ def read_text(path: Path) -> str:
 
 
 def read_object(path: Path, **kinds: type) -> dict[str, Any]:
-    """Reads the JSON object of a file, see `parse_object`.
-
-    Raises:
-        ValueError: it is not such an object.
-        OSError: the file cannot be read.
-    """
+    """Reads the JSON object of a file, see `parse_object`."""
     return parse_object(read_text(path), str(path), **kinds)
 
 
 def parse_object(text: str, what: str, **kinds: type) -> dict[str, Any]:
-    """Parses a JSON object.
+    """Parses a JSON object; `what` it is begins the message about a fault.
 
-    Args:
-        text: of the object.
-        what: it is, to begin the message with.
-        **kinds: names that it must have, with the types of their values.
+    `kinds` are names that it must have, with the types of their values.
 
     Raises:
         ValueError: not JSON, not an object, or without such a value.
@@ -77,16 +59,7 @@ def parse_object(text: str, what: str, **kinds: type) -> dict[str, Any]:
 
 
 def require_entries(found: Mapping[str, Any], what: str, **kinds: type) -> None:
-    """Refuses an object without entries of some types.
-
-    Args:
-        found: the object.
-        what: it is, to begin the message with.
-        **kinds: names that it must have, with the types of their values.
-
-    Raises:
-        ValueError: one is missing, or of another type.
-    """
+    """Refuses an object, `what` it is, without entries of some types by name."""
     for name, kind in kinds.items():
         if type(found.get(name)) is not kind:
             raise ValueError(
@@ -107,19 +80,11 @@ class CsvRow(NamedTuple):
     cells: dict[str, str]
 
     def number(self, name: str) -> float:
-        """The number in a column.
-
-        Raises:
-            ValueError: there is none.
-        """
+        """The number in a column; `ValueError` names file and line if there is none."""
         return self._parsed(name, float, "number")
 
     def whole(self, name: str) -> int:
-        """The whole number in a column.
-
-        Raises:
-            ValueError: there is none.
-        """
+        """The whole number in a column, see `number`."""
         return self._parsed(name, int, "whole number")
 
     def _parsed(self, name: str, kind: type, told: str) -> Any:

@@ -89,11 +89,7 @@ def require_name(name: str, value: str, known: Iterable[str]) -> None:
 
 
 def require_number(name: str, value: Any, bounds: Bounds) -> None:
-    """Refuses a value that is no number within bounds, or does not fit 32 bits.
-
-    Raises:
-        ValueError: naming the value and what is allowed.
-    """
+    """Refuses a value that is no number within bounds, or does not fit 32 bits."""
     if not (is_finite(value) and bounds.admit(value)):
         raise ValueError(f"{name} must {bounds}, not {value!r}")
     if not _fits(value):
@@ -153,11 +149,7 @@ def require_within(
 
 
 def require_kind(name: str, value: object, kind: Any) -> None:
-    """Refuses an argument of a function that is not an instance of a type.
-
-    Raises:
-        TypeError: naming the argument, its value and the type.
-    """
+    """Refuses an argument, with a `TypeError`, that is not an instance of a type."""
     if not isinstance(value, kind):
         kinds = get_args(kind) or (kind,)
         names = ["None" if k is NoneType else k.__name__ for k in kinds]
@@ -196,11 +188,7 @@ class CheckedConfig:
 
 
 def require_bounds(config: Any) -> None:
-    """Refuses attributes of a dataclass beyond the bounds that their types declare.
-
-    Raises:
-        ValueError: naming the attribute, its value and what is allowed.
-    """
+    """Refuses attributes of a dataclass beyond the bounds that their types declare."""
     for name, (hint, bounds) in _bounded(type(config)).items():
         value = getattr(config, name)
         if value is None:
@@ -238,14 +226,8 @@ def require_types(config: Any, **hints: Any) -> None:
     """Refuses attributes of a dataclass that are not of the types they declare.
 
     NumPy numbers are allowed. Truth values are not numbers, and lists are not tuples:
-    JAX hashes configs as static arguments.
-
-    Args:
-        config: the dataclass.
-        **hints: other types than those declared, by field.
-
-    Raises:
-        ValueError: naming the attribute, its value and what is allowed.
+    JAX hashes configs as static arguments. `hints` are other types than those declared,
+    by field.
     """
     for name, hint in (_declared(type(config)) | hints).items():
         require_type(name, getattr(config, name), hint)

@@ -8,11 +8,7 @@ MAX_SEED = 2**32 - 1  # what a key takes; others would be taken modulo 2**32
 
 
 def require_seed(seed: int) -> None:
-    """Refuses an impossible seed of a key.
-
-    Raises:
-        ValueError: it is negative, too large, or not a whole number.
-    """
+    """Refuses a seed that is negative, too large, or not a whole number."""
     if type(seed) is bool or not isinstance(seed, numbers.Integral):
         raise ValueError(f"seed must be a whole number, not {seed!r}")
     if not 0 <= seed <= MAX_SEED:

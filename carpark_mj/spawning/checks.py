@@ -4,12 +4,10 @@ import math
 from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.config.checks import Range
-from carpark_mj.geometry import box_disc_overlap, boxes_overlap, to_world
 from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import DesignCar, Entry
@@ -80,7 +78,7 @@ def parked_cars_needed(occupancy: Range, lot: LayoutConfig) -> int:
 def check_cars(
     config: EnvConfig, fleet: Fleet, lot: LayoutConfig, layout: Layout | None
 ) -> None:
-    """Refuses cars that cannot start, enter a bay from the aisle, or fit into one.
+    """Refuses cars that cannot enter a bay from the aisle, or fit into one.
 
     A single kind of car must fit into all bays of a fixed lot, each car of a fleet into
     at least one. Cars that do not steer need no room to turn into a bay. Of a random
@@ -93,8 +91,6 @@ def check_cars(
     for name, car in agents:
         if config.physics_config.steers:
             _require_entry(name, car, lot.entries)
-        if layout is not None and not is_made_for(lot, car):
-            _require_start(name, car, layout)
     one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
     if one_size and layout is None and is_made_for(lot, fleet.agents[0]):
         return
@@ -172,25 +168,6 @@ def _require_entry(name: str, car: VehicleParameters, entries: Sequence[Entry]) 
         f"(carpark_mj.layouts.standards), the lot's aisles are up to "
         f"{entry.aisle:.2f} m wide"
     )
-
-
-def _require_start(name: str, car: VehicleParameters, layout: Layout) -> None:
-    """Refuses a car that touches an obstacle at every possible start."""
-    # Along, across and in heading, out to the bounds of every region.
-    shares = jnp.linspace(-1.0, 1.0, 9)
-    shares = jnp.stack(jnp.meshgrid(shares, shares, shares), axis=-1).reshape(-1, 3)
-    bounds = jnp.column_stack([layout.spawn_size / 2, layout.spawn_spread])
-    starts = to_world(layout.spawn_pose[:, None], shares * bounds[:, None])
-    starts = starts[layout.spawn_mask].reshape(-1, 1, 3)
-    size = jnp.array([car.length, car.width])
-    walls = boxes_overlap(starts, size, layout.wall_pose, layout.wall_size)
-    discs = box_disc_overlap(starts, size, layout.disc_centre, layout.disc_radius)
-    touches = (walls & layout.wall_mask).any(1) | (discs & layout.disc_mask).any(1)
-    if touches.all():
-        raise ValueError(
-            f"the {name}, {car.length:.2f} m x {car.width:.2f} m, finds no start in "
-            "the lot: it touches a wall or disc wherever it could spawn"
-        )
 
 
 def _count_bays(

@@ -133,13 +133,13 @@ class Spawner:
         if self._movers:
             others = lot_obstacles(layout, None, drawn.parked_cars)
             movers = begin_movers(self._movers, layout, mover_key, others)
-        goal, nobody = drawn.goal, jnp.zeros(num_agents, bool)
+        goal, absent = drawn.goal, jnp.zeros(num_agents, bool)
         if present is not None:
             goal = jnp.where(present, goal, NO_BAY)
             if not config.goals.dynamic:  # an agent without a bay for its car is absent
                 present = present & (goal != NO_BAY)
-        begun = ~nobody if present is None else present
-        away_w = place_absent_agents(jnp.zeros((num_agents, 3), jnp.float32), nobody)
+        begun = ~absent if present is None else present
+        away_w = place_absent_agents(jnp.zeros((num_agents, 3), jnp.float32), absent)
         vehicles = randomize_all(config.randomization, drawn.vehicles, car_key)
         physics = self._physics.init(away_w, vehicles)
         motion = self._physics.read(physics)
@@ -153,7 +153,7 @@ class Spawner:
             parked_cars=drawn.parked_cars,
             memory=config.observation.init_memory(config),
             step=jnp.zeros(num_agents, jnp.int32),
-            active=nobody,
+            active=absent,
             stats=metrics.init_stats(config, layout),
             sensors=sensors.init_sensors(config.sensors, motion, sensor_key),
             key=key,

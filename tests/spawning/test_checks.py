@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 
-import jax
 import jax.numpy as jnp
 import pytest
 from helpers.scenes import lot
@@ -19,7 +18,6 @@ from carpark_mj.config import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import LotConfig, layout_config, mixture
-from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.spawning.checks import check_cars
 from carpark_mj.spawning.fleet import Fleet
@@ -170,23 +168,6 @@ def test_cars_must_fit_into_the_bays_of_a_lot_drawn_by_hand(
     with pytest.raises(ValueError, match=message) as refusal:
         make()
     assert "\n" not in str(refusal.value)
-
-
-def test_a_car_needs_a_start_at_which_it_touches_nothing(tmp_path):
-    """Walls 2.0 m apart: the van has room along them, the bus nowhere."""
-    bays = [(12.5, 3.0)] * 2
-    made = drawn(tmp_path, *bays, walls=(-1.1, 1.1), spawn=(20.0, 0.1))
-
-    def make(car):
-        config = EnvConfig(layout=made, num_agents=1, num_parked_cars=0)
-        return ParkingEnv(config, SlidePhysics(), car)
-
-    with pytest.raises(ValueError, match=r"the custom car, .* finds no start"):
-        make(BUS)
-    env = make(PRESETS["van"])  # at an angle it would touch them
-    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 100))
-    hits = jax.jit(jax.vmap(find_hits))(state)
-    assert not hits["wall"].any()
 
 
 def test_a_custom_car_has_no_name_but_its_own():
