@@ -161,7 +161,8 @@ def _faults(log: DriveLog, values: dict[str, np.ndarray]) -> Iterator[str]:
         yield f"the drive must last {SHORTEST:g} to {LONGEST:g} s, not {lasts:g}"
     if (gap := steps.max()) > WIDEST_GAP:
         after = log.time[steps.argmax()]
-        yield f"rows must be at most {WIDEST_GAP:g} s apart, not {gap:g}, at {after:g} s"
+        apart = f"{gap:g}, after {after:g} s"
+        yield f"rows must be at most {WIDEST_GAP:g} s apart, not {apart}"
     for name, (most, unit) in LARGEST.items():
         reached = np.nanmax(np.abs(values.get(name, 0.0)), initial=0.0)
         if reached > most:
