@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax.lax import optimization_barrier
 
-from carpark_mj.geometry.gradients import finite_slope, sqrt
-from carpark_mj.geometry.se2 import norm, rotate, to_local
+from carpark_mj.geometry.se2 import finite_slope, norm, rotate, sqrt, to_local
 
 # Signs of the four corners in the box frame, counter-clockwise from front left.
 _CORNER_SIGNS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import box_distance, norm
 from carpark_mj.geometry.broad_phase import box_gaps, is_crowded, least_near
-from carpark_mj.geometry.gradients import with_gradient
 from carpark_mj.geometry.obstacles import Group, take
+from carpark_mj.geometry.se2 import with_gradient
 from carpark_mj.mdp.collisions import trace_radius
 from carpark_mj.types import Motion
 

@@ -23,7 +23,7 @@ from carpark_mj.mdp.spawning.poses import (
     split_redraws,
 )
 from carpark_mj.mdp.tracked_bays import target_bay, update_tracked_bays
-from carpark_mj.observations.tracking import tracks
+from carpark_mj.observations.tracked import tracks
 from carpark_mj.types import NO_BAY, Events, GoalEvents, State
 
 

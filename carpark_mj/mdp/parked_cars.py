@@ -14,7 +14,7 @@ from carpark_mj.geometry import norm, to_world
 from carpark_mj.geometry.obstacles import touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.bays import fits
-from carpark_mj.observations.tracking import tracks_parked_cars
+from carpark_mj.observations.tracked import tracks_parked_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, State
 
 _Relocation = tuple[jax.Array, jax.Array, jax.Array]  # bays, moved, agents waiting

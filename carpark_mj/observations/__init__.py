@@ -9,8 +9,7 @@ from carpark_mj.observations.compose import (
     unpack,
 )
 from carpark_mj.observations.continuous import ContinuousObservation
-from carpark_mj.observations.fields import Field
-from carpark_mj.observations.parts import Part, Sight
+from carpark_mj.observations.fields import Field, Part, Sight
 
 __all__ = [
     "ContinuousObservation",

@@ -15,16 +15,24 @@ from carpark_mj.config.observations import (
     Tracked,
     UltrasoundConfig,
 )
-from carpark_mj.observations import bay_fields, ego
-from carpark_mj.observations.fields import Field
-from carpark_mj.observations.parts import Part, Sight
-from carpark_mj.observations.rays import rays_part
-from carpark_mj.observations.rings import init_history, rings_part, update_history
+from carpark_mj.observations import ego
+from carpark_mj.observations.fields import Field, Part, Sight
+from carpark_mj.observations.ranges import (
+    init_history,
+    rays_part,
+    rings_part,
+    ultrasound_part,
+    update_history,
+)
 from carpark_mj.observations.sensors import observed
-from carpark_mj.observations.tracked_cars import agents_part, parked_cars_part
-from carpark_mj.observations.tracked_movers import movers_part
-from carpark_mj.observations.tracking import mark, track_agents, track_parked_cars
-from carpark_mj.observations.ultrasound import ultrasound_part
+from carpark_mj.observations.tracked import (
+    agents_part,
+    mark,
+    movers_part,
+    parked_cars_part,
+    track_agents,
+    track_parked_cars,
+)
 from carpark_mj.types import State
 
 
@@ -86,10 +94,10 @@ class ContinuousObservation(ObservationConfig):
         parked_cars = min(self.tracked_parked_cars, max(env.num_parked_cars, 1))
         parts = [ego.MOTION, ego.GOAL]
         if num_bays:
-            parts.append(bay_fields.choice_part(num_bays))
-            parts.append(bay_fields.bays_part(num_bays, self.global_information))
+            parts.append(ego.choice_part(num_bays))
+            parts.append(ego.bays_part(num_bays, self.global_information))
         elif self.global_information:
-            parts.append(bay_fields.RIVALS)
+            parts.append(ego.RIVALS)
         if self.lines:
             parts.append(ego.LINES)
         if self.route:

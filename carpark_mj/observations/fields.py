@@ -1,4 +1,4 @@
-"""A field of the observation vector: a slice with a name, a range and a meaning.
+"""Fields of the observation vector: what they mean, and what they are filled from.
 
 Angles enter as cosine and sine; distances both far (divided by `FAR`) and near
 (divided by `NEAR` and clipped), so that metres and centimetres are both visible. Where
@@ -6,12 +6,18 @@ a lot is larger than the range of a field, the field is clipped.
 """
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Self, TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import to_local
+from carpark_mj.geometry.obstacles import Group
+from carpark_mj.layouts.types import Layout
+from carpark_mj.observations.sensors import observed
+from carpark_mj.obstacles import lot_obstacles
+from carpark_mj.types import NO_BAY, Motion, State, Vehicle
 
 FAR = 20.0  # m, about half a `square` lot
 # Where distances are cut off [FAR]: 160 m. By default lots of the families are up to
@@ -72,9 +78,36 @@ class Field:
     gamma: float = 1.0
 
 
+def position_field(name: str, meaning: str, reveals_goal: bool = False) -> Field:
+    """A point (2,) in the body frame in units of `FAR`, see `far`."""
+    meaning = f"{meaning}, body frame [{FAR:g} m]"
+    return Field(
+        *(name, 2, -FARTHEST, FARTHEST, meaning),
+        metres=FAR,
+        reveals_goal=reveals_goal,
+    )
+
+
+def distance_field(name: str, meaning: str, reveals_goal: bool = False) -> Field:
+    """A distance in units of `FAR`, see `far`."""
+    meaning = f"{meaning} [{FAR:g} m]"
+    return Field(name, 1, 0.0, FARTHEST, meaning, metres=FAR, reveals_goal=reveals_goal)
+
+
+def mask_field(entity: str) -> Field:
+    """Whether an entity of a group is present."""
+    meaning = f"padding mask: 1 if the {entity} exists, else all its numbers are 0"
+    return Field("present", 1, 0.0, 1.0, meaning, is_mask=True)
+
+
 def far(distance: jax.Array) -> jax.Array:
     """Distances or coordinates (...) [m] in units of `FAR`, within `FARTHEST`."""
     return jnp.clip(distance / FAR, -FARTHEST, FARTHEST)
+
+
+def unit_vector(yaw: jax.Array) -> jax.Array:
+    """Cosine and sine (..., 2) of angles (...) [rad]."""
+    return jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
 
 
 def repeated(group: str, count: int, fields: Iterable[Field]) -> list[Field]:
@@ -99,26 +132,12 @@ def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.A
 
 
 POSE_FIELDS = (
-    Field(
-        "position",
-        2,
-        -FARTHEST,
-        FARTHEST,
-        f"its centre, x and y, body frame [{FAR:g} m]",
-        metres=FAR,
-    ),
+    position_field("position", "its centre, x and y"),
     Field("near_position", 2, -1.0, 1.0, f"the same [{NEAR * 2:g} m], clipped"),
     Field("heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
 )
 CAR_FIELDS = (
-    Field(
-        "present",
-        1,
-        0.0,
-        1.0,
-        "padding mask: 1 if the car exists, else all its numbers are 0",
-        is_mask=True,
-    ),
+    mask_field("car"),
     *POSE_FIELDS,
     Field("size", 2, 0.0, 2.0, f"length and width [{LENGTH:g} m]"),
 )
@@ -144,10 +163,88 @@ def localise(
         "present": jnp.ones_like(local[..., :1]),
         "position": far(xy),
         "near_position": jnp.clip(xy / (2 * NEAR), -1.0, 1.0),
-        "heading": jnp.stack([jnp.cos(local[..., 2]), jnp.sin(local[..., 2])], axis=-1),
+        "heading": unit_vector(local[..., 2]),
         "size": size / LENGTH,
     }
     return {
         name: jnp.where(present[..., None], value, 0.0)
         for name, value in values.items()
     }
+
+
+Tree = TypeVar("Tree")
+
+
+@dataclasses.dataclass(frozen=True)
+class Sight:
+    """What agents know of their lot.
+
+    Attributes:
+        state: of the lot.
+        agents: measured motion of all (num_agents,); `state.motion` is the true one.
+        num_observers: how many of them observe, the first; None = all, as in `values`
+            of parts (num_agents, k).
+        number: (num_agents,) numbers that give priority; None = 0, 1, 2...
+    """
+
+    state: State
+    agents: Motion
+    num_observers: int | None = None
+    number: jax.Array | None = None
+
+    @classmethod
+    def of(cls, state: State) -> Self:
+        """What all agents know."""
+        return cls(state, observed(state))
+
+    @property
+    def motion(self) -> Motion:
+        """Measured motion of the observers."""
+        return self._of_observers(self.agents)
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of the lot."""
+        return self.state.layout
+
+    @property
+    def goal(self) -> jax.Array:
+        """(num_observers,) bays."""
+        return self._of_observers(self.state.goal)
+
+    @property
+    def tracked_bays(self) -> jax.Array:
+        """(num_observers, num_tracked_bays) of agents that choose their goals."""
+        assert self.state.tracked_bays is not None
+        return self._of_observers(self.state.tracked_bays)
+
+    @property
+    def obstacles(self) -> tuple[Group, ...]:
+        """All obstacles, agents first and at their measured poses."""
+        state = self.state
+        return lot_obstacles(state.layout, self.agents, state.parked_cars, state.movers)
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The observers' cars."""
+        return self._of_observers(self.state.physics.vehicle)
+
+    def with_goal(self, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        """Values (num_observers, k) about the goal; zeros without a goal."""
+        if self.state.tracked_bays is None:
+            return values
+        has_goal = (self.goal != NO_BAY)[:, None]
+        return {name: jnp.where(has_goal, x, 0.0) for name, x in values.items()}
+
+    def _of_observers(self, tree: Tree) -> Tree:
+        if self.num_observers is None:
+            return tree
+        return jax.tree.map(lambda x: x[: self.num_observers], tree)
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """Neighbouring fields, and their values (num_observers, field.size) by name."""
+
+    fields: tuple[Field, ...]
+    fill: Callable[[Sight], dict[str, jax.Array]]

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import SensorConfig
-from carpark_mj.types import Motion, Reading, Sensors, State
+from carpark_mj.geometry import move_forward, wrap_angle
+from carpark_mj.types import Motion, Odometry, Reading, Sensors, State
 
 
 def init_sensors(
@@ -24,8 +25,6 @@ def init_sensors(
         return None
     odometry = None
     if config.dead_reckons:
-        from carpark_mj.observations.odometry import begin_odometry  # only they load it
-
         key, odometry_key = jax.random.split(key)
         odometry = begin_odometry(config, motion.pose_w, odometry_key)
     reading_key, delay_key = jax.random.split(key)
@@ -42,20 +41,15 @@ def init_sensors(
 def measure(
     config: SensorConfig, before: State, motion: Motion, key: jax.Array
 ) -> Sensors | None:
-    """The sensors with the measurement of a control step.
+    """The sensors with the measurement of a control step; `key` is consumed.
 
-    Args:
-        config: errors.
-        before: the lot at the start of the step.
-        motion: of the cars (num_agents,) at its end.
-        key: consumed.
+    The lot is that at the start of the step, `motion` of the cars (num_agents,) that at
+    its end.
     """
     sensors = before.sensors
     if sensors is None:
         return None
     if sensors.odometry is not None:
-        from carpark_mj.observations.odometry import reckon
-
         offset = before.physics.vehicle.centre_offset
         odometry = reckon(sensors.odometry, before.motion.pose_w, motion.pose_w, offset)
         sensors = dataclasses.replace(sensors, odometry=odometry)
@@ -125,3 +119,39 @@ def _read(config: SensorConfig, motion: Motion, key: jax.Array) -> Reading:
         yaw_rate=motion.yaw_rate,
         steering=motion.steering,
     )
+
+
+def begin_odometry(config: SensorConfig, pose_w: jax.Array, key: jax.Array) -> Odometry:
+    """Odometry of cars that start at poses (num_agents, 3); `key` is consumed."""
+    spread = jnp.array(
+        [config.odometry_scale, config.odometry_veer, config.odometry_turn],
+        pose_w.dtype,
+    )
+    return Odometry(pose_w, spread * jax.random.normal(key, pose_w.shape))
+
+
+def reckon(
+    odometry: Odometry, before_w: jax.Array, after_w: jax.Array, offset: jax.Array
+) -> Odometry:
+    """The odometry of cars (...) after a way.
+
+    The rear axle's wheels measure how far it rolled and how much it turned, not how it
+    slipped to the side.
+
+    Args:
+        odometry: at the start.
+        before_w: (..., 3) true poses of the footprints' centres at the start.
+        after_w: (..., 3) true poses at the end, less than half a turn away.
+        offset: (...) from the rear axles to the centres [m].
+    """
+    way = move_forward(after_w, -offset) - move_forward(before_w, -offset)
+    turned = wrap_angle(way[..., 2])
+    course = before_w[..., 2] + turned / 2
+    rolled = way[..., 0] * jnp.cos(course) + way[..., 1] * jnp.sin(course)
+    scale, veer, turn = (odometry.error[..., i] for i in range(3))
+    believed = (1.0 + turn) * turned + veer * rolled
+    rear = move_forward(odometry.pose_w, -offset)
+    yaw = rear[..., 2] + believed / 2
+    rear = move_forward(rear.at[..., 2].set(yaw), (1.0 + scale) * rolled)
+    rear = rear.at[..., 2].set(wrap_angle(yaw + believed / 2))
+    return Odometry(move_forward(rear, offset), odometry.error)

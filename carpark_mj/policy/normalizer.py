@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.acme import running_statistics, specs
 
-from carpark_mj.observations.sets import OWN, ObservationSets
+from carpark_mj.observations.compose import OWN, ObservationSets
 
 # Smallest standard deviation by which observations (scaled to about 1) are divided.
 # Numbers that hardly varied in training (sizes in a lot of equal bays) must not swamp

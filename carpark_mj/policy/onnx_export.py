@@ -18,7 +18,7 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.observations import Field, make_fields
-from carpark_mj.observations.sets import is_picture
+from carpark_mj.observations.compose import is_picture
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.normalizer import MIN_STD

@@ -17,7 +17,7 @@ from carpark_mj.layouts.routes import make_routes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.parked_cars import place_absent_agents
 from carpark_mj.observations import Sight
-from carpark_mj.observations.bay_fields import goal_code
+from carpark_mj.observations.ego import goal_code
 from carpark_mj.observations.sensors import observed
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.policy.plain_inputs import INPUTS, Rows

@@ -16,9 +16,15 @@ from jaxmarl.environments.spaces import Box, Dict, Discrete
 from carpark_mj.tasks.environment import AgentsEnvironment
 from carpark_mj.tasks.joint import JointEnv
 from carpark_mj.types import ENDINGS
-from carpark_mj.wrappers.action_table import action_table
-from carpark_mj.wrappers.options import Options, configure, share
-from carpark_mj.wrappers.spaces import observation_space
+from carpark_mj.wrappers.batch import require_shape
+from carpark_mj.wrappers.options import (
+    Options,
+    action_table,
+    configure,
+    observation_space,
+    require_discrete,
+    share,
+)
 
 Arrays = dict[str, jax.Array]
 
@@ -49,18 +55,11 @@ class JaxMarlAgents(MultiAgentEnv):
             space: of an agent's observations.
             discrete: actions are () rows of `action_table`, as for Q-learning;
                 otherwise numbers in [-1, 1].
-
-        Raises:
-            ValueError: continuous actions where some parts are indices.
         """
         super().__init__(env.num_agents)
         self._env = env
         spec = env.action_spec
-        if spec.choices and not discrete:
-            raise ValueError(
-                "the grid and dynamic goals have actions that are indices: give "
-                "discrete=True"
-            )
+        require_discrete(spec, discrete)
         self._table = jnp.asarray(action_table(spec)) if discrete else None
         act = Box(-1.0, 1.0, (spec.size,))
         if self._table is not None:
@@ -78,16 +77,9 @@ class JaxMarlAgents(MultiAgentEnv):
     def step_env(
         self, key: jax.Array, state: Any, actions: Arrays
     ) -> tuple[Arrays, Any, Arrays, Arrays, Arrays]:
-        """A step without reset; it consumes `key` instead of the state's own.
-
-        Raises:
-            ValueError: actions of another shape.
-        """
+        """A step without reset; it consumes `key` instead of the state's own."""
         action = jnp.stack([actions[agent] for agent in self.agents])
-        if action.shape != self._action_shape:
-            raise ValueError(
-                f"actions must be of shape {self._action_shape}, not {action.shape}"
-            )
+        require_shape("actions", action, self._action_shape)
         if self._table is not None:
             action = self._table[action]
         state, step = self._env.step(dataclasses.replace(state, key=key), action)
@@ -143,11 +135,6 @@ class JaxMarlParking(JaxMarlAgents):
             discrete: actions are () rows of `action_table`, as for Q-learning;
                 otherwise (2,) steer and pedal.
             **options: see `carpark_mj.wrappers.options.Options`.
-
-        Raises:
-            TypeError: unknown option.
-            ValueError: impossible value, or continuous actions where some parts are
-                indices.
         """
         config = configure(options)
         env, space = share(JointEnv, config), observation_space(config)

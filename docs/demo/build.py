@@ -29,7 +29,7 @@ from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.onnx_car import inputs_of, make_car_model
 from carpark_mj.policy.outside import plain_values
 from carpark_mj.policy.plain_inputs import Rows
-from carpark_mj.scene.export import drivable_scene, scene_xml
+from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.types import State
 
 HERE = Path(__file__).parent

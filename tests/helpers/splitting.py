@@ -20,8 +20,8 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.ppo.collect import Rollout

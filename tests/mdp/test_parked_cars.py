@@ -29,7 +29,7 @@ from carpark_mj.mdp.parked_cars import (
 from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.fields import FAR
-from carpark_mj.observations.tracking import tracks_parked_cars
+from carpark_mj.observations.tracked import tracks_parked_cars
 from carpark_mj.types import NO_BAY
 
 COUNT = 3000

@@ -14,10 +14,9 @@ from helpers.states import config_of, state_of
 from carpark_mj.config import ENCODERS, EnvConfig, FleetConfig, ObservationConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import Field, make_fields, observe
-from carpark_mj.observations.tracking import tracks, tracks_parked_cars
+from carpark_mj.observations.tracked import tracks, tracks_parked_cars
 from carpark_mj.policy.runs import from_dict
-from carpark_mj.wrappers.goal import GoalParking
-from carpark_mj.wrappers.gymnasium_goal import goal_config
+from carpark_mj.wrappers.goal import GoalParking, goal_config
 
 LOT = lot([(0.0, 0.0, 0.0)])
 

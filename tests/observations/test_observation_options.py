@@ -29,7 +29,7 @@ from carpark_mj.observations import (
     observe,
 )
 from carpark_mj.observations.sensors import init_sensors
-from carpark_mj.observations.tracking import tracks, tracks_parked_cars
+from carpark_mj.observations.tracked import tracks, tracks_parked_cars
 from carpark_mj.types import NO_BAY
 
 BASE = ContinuousObservation()

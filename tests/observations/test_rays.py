@@ -23,7 +23,7 @@ from helpers.states import config_of, parked_at, parked_in, state_of
 from carpark_mj.config import RayConfig, RingConfig
 from carpark_mj.geometry import broad_phase, ray_box_distance, ray_disc_distance
 from carpark_mj.observations import ContinuousObservation, make_fields, observe
-from carpark_mj.observations.rays import cast_rays
+from carpark_mj.observations.ranges import cast_rays
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY, ParkedCars
 

@@ -10,24 +10,29 @@ from helpers.disks import largest_file
 
 from carpark_mj.config.observations import Tracked
 from carpark_mj.layouts import layout_config, make_layout
-from carpark_mj.rendering.overlays import draw_labels, draw_status
-from carpark_mj.rendering.recording import Recording
-from carpark_mj.rendering.renderer import (
-    FLASH_COLOURS,
-    LotRenderer,
-    Show,
-)
-from carpark_mj.rendering.snapshot import (
+from carpark_mj.rendering.recording import (
     FLASH_SECONDS,
     Flash,
+    Recording,
     Snapshot,
     frames_per_second,
     num_frames,
     snapshot,
 )
+from carpark_mj.rendering.renderer import (
+    FLASH_COLOURS,
+    LotRenderer,
+    Show,
+)
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
-from carpark_mj.scene.materials import agent_colour
+from carpark_mj.rendering.video import (
+    draw_frame,
+    draw_labels,
+    draw_status,
+    frame_stride,
+    write_video,
+)
+from carpark_mj.scene.looks import agent_colour
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT
 

@@ -13,8 +13,8 @@ from jax.flatten_util import ravel_pytree
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.training.ppo import variants

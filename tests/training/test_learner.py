@@ -19,8 +19,8 @@ from jax.sharding import PartitionSpec
 
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.compose import OWN
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.policy.normalizer import MIN_STD
 from carpark_mj.training.ppo.advantages import compute_advantages

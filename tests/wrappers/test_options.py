@@ -5,8 +5,9 @@ import dataclasses
 import pytest
 
 from carpark_mj.config import REWARDS, EnvConfig, EpisodeConfig
+from carpark_mj.env import ParkingEnv
 from carpark_mj.registry import SQUARE
-from carpark_mj.wrappers.options import OPTIONS, configure, shared_env
+from carpark_mj.wrappers.options import OPTIONS, configure, share
 
 
 def test_every_option_sets_its_field():
@@ -56,4 +57,6 @@ def test_impossible_options_are_refused(options, error, message):
 
 
 def test_an_environment_is_made_once():
-    assert shared_env(EnvConfig(num_agents=1)) is shared_env(EnvConfig(num_agents=1))
+    assert share(ParkingEnv, EnvConfig(num_agents=1)) is share(
+        ParkingEnv, EnvConfig(num_agents=1)
+    )

@@ -11,7 +11,7 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from jax.flatten_util import ravel_pytree
 
-from carpark_mj.observations.sets import ObservationSets
+from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.policy.normalizer import update_normalizer
 from carpark_mj.training.ppo.advantages import compute_advantages
 from carpark_mj.training.ppo.collect import Rollout, drop_absent

@@ -16,9 +16,9 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import make_fields
+from carpark_mj.observations.compose import OWN, observation_sets, part_name
 from carpark_mj.observations.fields import ORDERED, Field
-from carpark_mj.observations.rays import RAYS, RAYS_NEAR
-from carpark_mj.observations.sets import OWN, observation_sets, part_name
+from carpark_mj.observations.ranges import RAYS, RAYS_NEAR
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.config import PPOConfig
 

@@ -9,11 +9,10 @@ import mujoco
 import numpy as np
 
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.overlays import draw_labels, draw_status
+from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.rendering.video import write_video
+from carpark_mj.rendering.video import draw_labels, draw_status, write_video
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import VehicleParameters, preset
 from carpark_papers.cederle.junction.cars import road_car

@@ -15,9 +15,8 @@ import jax.numpy as jnp
 from carpark_mj.config import EnvConfig, RingConfig
 from carpark_mj.config.observations import ENCODERS, ObservationConfig
 from carpark_mj.geometry import to_local
-from carpark_mj.observations.fields import Field
-from carpark_mj.observations.parts import Sight
-from carpark_mj.observations.rings import (
+from carpark_mj.observations.fields import Field, Sight
+from carpark_mj.observations.ranges import (
     init_history,
     ring_counts,
     ring_fields,

@@ -35,17 +35,16 @@ from carpark_mj.config import WORLD_UNIT, EnvConfig, RingConfig
 from carpark_mj.config.checks import CheckedConfig, require_whole
 from carpark_mj.config.observations import ENCODERS, ObservationConfig, Tracked
 from carpark_mj.geometry import nearest, norm, rotate, to_local
-from carpark_mj.observations.bay_fields import goal_code, rivals
-from carpark_mj.observations.fields import Field, repeated, repeated_values
-from carpark_mj.observations.parts import Sight
-from carpark_mj.observations.rings import (
+from carpark_mj.observations.ego import goal_code, rivals
+from carpark_mj.observations.fields import Field, Sight, repeated, repeated_values
+from carpark_mj.observations.ranges import (
     init_history,
     ring_counts,
     ring_fields,
     update_history,
 )
 from carpark_mj.observations.sensors import observed
-from carpark_mj.observations.tracking import mark, other_agents
+from carpark_mj.observations.tracked import mark, other_agents
 from carpark_mj.types import NO_BAY, ParkedCars, State
 from carpark_papers.tanner.grid import (
     GridConfig,

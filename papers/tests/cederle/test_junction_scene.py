@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.geometry import box_corners
-from carpark_mj.scene.export import try_out
+from carpark_mj.scene.build import try_out
 from carpark_mj.scene.parts import HULL_GROUP
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import RasterConfig

@@ -21,7 +21,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.giving_way import find_contexts, goals_in_turn
 from carpark_mj.mdp.metrics.tallies import CONTEXTS
 from carpark_mj.observations import ContinuousObservation, observation_size
-from carpark_mj.observations.tracking import tracks
+from carpark_mj.observations.tracked import tracks
 from carpark_mj.registry import environment
 from carpark_mj.types import NO_BAY
 from carpark_papers.tanner.observation import TannerObservation

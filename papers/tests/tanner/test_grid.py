@@ -19,7 +19,7 @@ from carpark_mj.mdp.terminations import detect_events
 from carpark_mj.observations import make_fields
 from carpark_mj.registry import ENVIRONMENTS, environment
 from carpark_mj.vehicle import make_vehicle, preset
-from carpark_mj.wrappers.spaces import observation_space
+from carpark_mj.wrappers.options import observation_space
 from carpark_papers.tanner.environments import TANNER_QLEARNING
 from carpark_papers.tanner.grid import COARSE, FINE, GridConfig, GridPhysics
 

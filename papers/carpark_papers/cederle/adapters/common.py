@@ -8,11 +8,11 @@ import jax
 import numpy as np
 from gymnasium import spaces
 
-from carpark_mj.rendering.snapshot import Snapshot
+from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import VehicleParameters, preset
+from carpark_mj.wrappers.batch import Screen
 from carpark_mj.wrappers.options import require_options
-from carpark_mj.wrappers.screen import Screen
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
 from carpark_papers.cederle.junction.cars import road_car
 from carpark_papers.cederle.junction.types import State

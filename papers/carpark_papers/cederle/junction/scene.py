@@ -13,10 +13,10 @@ import numpy as np
 from carpark_mj.files import write_atomically
 from carpark_mj.layouts.build import assemble, lanes, walls
 from carpark_mj.layouts.types import Layout, WallKind
-from carpark_mj.scene import materials
-from carpark_mj.scene.export import drivable_scene
+from carpark_mj.scene import looks
+from carpark_mj.scene.build import drivable_scene
+from carpark_mj.scene.looks import agent_colour
 from carpark_mj.scene.markings import LINE_HEIGHT
-from carpark_mj.scene.materials import agent_colour
 from carpark_mj.vehicle import VehicleParameters
 from carpark_papers.cederle.junction.config import SCENARIOS, scenario
 from carpark_papers.cederle.junction.roads import (
@@ -164,13 +164,13 @@ def add_paint(spec: mujoco.MjSpec) -> None:
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=[x, y, 0.0],
             size=[length / 2, width / 2, LINE_HEIGHT],
-            rgba=materials.LINE,
+            rgba=looks.LINE,
             **still,
         )
     for k, (x, y) in enumerate(CORNER_CENTRES):
-        inner = (CORNER - KERB_WIDTH, KERB_HEIGHT + 0.001, materials.GREEN)
+        inner = (CORNER - KERB_WIDTH, KERB_HEIGHT + 0.001, looks.GREEN)
         for name, (radius, height, colour) in (
-            ("kerb", (CORNER, KERB_HEIGHT - 0.001, materials.KERB)),
+            ("kerb", (CORNER, KERB_HEIGHT - 0.001, looks.KERB)),
             ("grass", inner),
         ):
             spec.worldbody.add_geom(

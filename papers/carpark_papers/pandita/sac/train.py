@@ -19,9 +19,8 @@ from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.recording import record, recording_stage
+from carpark_mj.rendering.recording import num_frames, record, recording_stage
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.snapshot import num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.training.loop import Loop
 from carpark_mj.training.metrics_log import MetricsLog
