@@ -26,23 +26,16 @@ class CameraObservation(ContinuousObservation):
     """What the default encoder observes, and pictures of the car's cameras.
 
     Cars are as tall as the presets that the environment's config names.
-
-    Attributes:
-        rig: name of the cameras in `RIGS`.
-        width: of a picture [pixels].
-        height: of a picture [pixels].
-        reach: depths are at most this [m].
-        channels: what of the pictures.
-        goal: `pose` = its place is among the numbers; `seen` = only pictures tell it,
-            where pixels show the own bay. A `route` then leads there, and is zeros on
-            its last stretch while a camera sees the bay.
     """
 
-    rig: str = "surround"
-    width: int = 64
-    height: int = 48
-    reach: float = 50.0
-    channels: tuple[Channel, ...] = ("depth", "seen")
+    rig: str = "surround"  # name of the cameras in `RIGS`
+    width: int = 64  # of a picture [pixels]
+    height: int = 48  # of a picture [pixels]
+    reach: float = 50.0  # depths are at most this [m]
+    channels: tuple[Channel, ...] = ("depth", "seen")  # what of the pictures
+    # `pose` = its place is among the numbers; `seen` = only pictures tell it,
+    # where pixels show the own bay. A `route` then leads there, and is zeros on
+    # its last stretch while a camera sees the bay
     goal: Literal["pose", "seen"] = "pose"
     encoding: str = "cameras"
 

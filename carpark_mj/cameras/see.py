@@ -48,17 +48,13 @@ _BRIGHT = round(SHADES * (AMBIENT + DIFFUSE * SUN[2]))  # of what lies flat
 
 @struct.dataclass
 class Pictures:
-    """Pictures of the cameras of cars, rows from the top (..., height, width).
+    """Pictures of the cameras of cars, rows from the top (..., height, width)."""
 
-    Attributes:
-        depth: from the camera along the pixel's ray [m], at most the rig's reach.
-        seen: uint8, `Seen`.
-        shade: uint8 brightness in [0, `SHADES`], the same for all unless the rig is
-            `shaded`.
-    """
-
+    # from the camera along the pixel's ray [m], at most the rig's reach
     depth: jax.Array
-    seen: jax.Array
+    seen: jax.Array  # uint8, `Seen`
+    # uint8 brightness in [0, `SHADES`], the same for all unless the rig is
+    # `shaded`
     shade: jax.Array
 
 

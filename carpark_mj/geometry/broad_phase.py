@@ -66,10 +66,7 @@ def visit_near(
 
 
 def least_near(
-    bound: jax.Array,
-    find: Callable[[jax.Array], jax.Array],
-    limit: float,
-    chunk: int,
+    bound: jax.Array, find: Callable[[jax.Array], jax.Array], limit: float, chunk: int
 ) -> jax.Array:
     """The least number (num_agents,) of those found for each agent, at most `limit`.
 

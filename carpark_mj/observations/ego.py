@@ -144,10 +144,7 @@ def _route_left(sight: Sight) -> RouteLeft:
 def _route(sight: Sight) -> dict[str, jax.Array]:
     motion, route = sight.motion, _route_left(sight)
     position = rotate(route.next_xy - motion.xy, -motion.pose_w[..., 2])
-    return {
-        "route_next": far(position),
-        "route_length": far(route.length[..., None]),
-    }
+    return {"route_next": far(position), "route_length": far(route.length[..., None])}
 
 
 ROUTE = Part(

@@ -82,9 +82,7 @@ def position_field(name: str, meaning: str, reveals_goal: bool = False) -> Field
     """A point (2,) in the body frame in units of `FAR`, see `far`."""
     meaning = f"{meaning}, body frame [{FAR:g} m]"
     return Field(
-        *(name, 2, -FARTHEST, FARTHEST, meaning),
-        metres=FAR,
-        reveals_goal=reveals_goal,
+        *(name, 2, -FARTHEST, FARTHEST, meaning), metres=FAR, reveals_goal=reveals_goal
     )
 
 

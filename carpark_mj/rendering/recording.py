@@ -26,45 +26,33 @@ class Recording:
     """A stretch of driving in one lot; `t` control steps, `k` poses in each.
 
     Absent agents and parked cars are left out.
-
-    Attributes:
-        layout: the lot.
-        ctrl_dt: control period [s].
-        pose_w: (t, k, agents, 3) footprint centres; the last of each step is the
-            pose at its end, before any respawn.
-        steering: (t, agents) bicycle angles at the end of the steps [rad].
-        speed: (t, agents) signed speeds at the end of the steps [m/s].
-        goal: (t, agents) goals during the steps, `NO_BAY` of agents that explore.
-        parked_pose: (t, k, parked cars, 3) centres of the parked cars, see
-            `parked_trace`.
-        active: (t, agents) bool.
-        parked: (t, agents) bool, the agent parked in this step.
-        crashed: (t, agents) bool, the agent crashed in this step.
-        timed_out: (t, agents) bool, the agent timed out in this step.
-        step: (t, agents) control steps made in the episode, this one included.
-        kind: (t, agents) which of the fleet's kinds of cars they drive; None if it has
-            one.
-        parked_cars: (parked cars,) as the lot began; None if all are alike.
-        tracked_bays: (t, agents, slots) bays tracked during the steps, `NO_BAY` in
-            empty slots; None while goals are fixed.
-        movers: obstacles that move by themselves, (t, ...) in front.
     """
 
-    layout: Layout
-    ctrl_dt: float
+    layout: Layout  # the lot
+    ctrl_dt: float  # control period [s]
+    # (t, k, agents, 3) footprint centres; the last of each step is the pose at
+    # its end, before any respawn
     pose_w: np.ndarray
-    steering: np.ndarray
-    speed: np.ndarray
+    steering: np.ndarray  # (t, agents) bicycle angles at the end of the steps [rad]
+    speed: np.ndarray  # (t, agents) signed speeds at the end of the steps [m/s]
+    # (t, agents) goals during the steps, `NO_BAY` of agents that explore
     goal: np.ndarray
+    # (t, k, parked cars, 3) centres of the parked cars, see `parked_trace`
     parked_pose: np.ndarray
-    active: np.ndarray
-    parked: np.ndarray
-    crashed: np.ndarray
-    timed_out: np.ndarray
-    step: np.ndarray
+    active: np.ndarray  # (t, agents) bool
+    parked: np.ndarray  # (t, agents) bool, the agent parked in this step
+    crashed: np.ndarray  # (t, agents) bool, the agent crashed in this step
+    timed_out: np.ndarray  # (t, agents) bool, the agent timed out in this step
+    step: np.ndarray  # (t, agents) control steps made in the episode, this one included
+    # (t, agents) which of the fleet's kinds of cars they drive; None if it has
+    # one
     kind: np.ndarray | None = None
+    # (parked cars,) as the lot began; None if all are alike
     parked_cars: ParkedCars | None = None
+    # (t, agents, slots) bays tracked during the steps, `NO_BAY` in empty slots;
+    # None while goals are fixed
     tracked_bays: np.ndarray | None = None
+    # obstacles that move by themselves, (t, ...) in front
     movers: tuple[Group, ...] = ()
 
 
@@ -164,56 +152,37 @@ STANDING = 0.1  # m/s, slower cars stand
 
 @dataclasses.dataclass(frozen=True)
 class Flash:
-    """An episode that has just ended.
+    """An episode that has just ended."""
 
-    Attributes:
-        pose_w: (3,) where the car was.
-        agent: whose it was.
-        outcome: one of `OUTCOMES`.
-        age: 0 when it ended, 1 when the flash is over.
-    """
-
-    pose_w: np.ndarray
-    agent: int
-    outcome: str
-    age: float
+    pose_w: np.ndarray  # (3,) where the car was
+    agent: int  # whose it was
+    outcome: str  # one of `OUTCOMES`
+    age: float  # 0 when it ended, 1 when the flash is over
 
 
 @dataclasses.dataclass(frozen=True)
 class Snapshot:
-    """One instant.
+    """One instant."""
 
-    Attributes:
-        pose_w: (agents, 3) footprint centres.
-        steering: (agents,) bicycle angles [rad].
-        goal_pose: (agents, 3) goal bays; NaN for agents that explore.
-        goal_size: (agents, 2) sizes of goal bays [m]; NaN for agents that explore.
-        parked_pose: (parked cars, 3) footprint centres.
-        active: (agents,) bool, the agent's episode is running.
-        seconds: since the start.
-        state: a word or two per agent: what it does, or how its episode ended.
-        tally: numbers to show by name: episodes ended so far, by outcome.
-        flashes: episodes that ended a moment ago.
-        kind: (agents,) which of the fleet's kinds of cars they drive; None if it has
-            one.
-        tracked_bay_xy: (agents, slots, 2) centres of tracked bays, NaN in empty slots;
-            None while goals are fixed.
-        movers: obstacles that move by themselves.
-    """
-
-    pose_w: np.ndarray
-    steering: np.ndarray
-    goal_pose: np.ndarray
+    pose_w: np.ndarray  # (agents, 3) footprint centres
+    steering: np.ndarray  # (agents,) bicycle angles [rad]
+    goal_pose: np.ndarray  # (agents, 3) goal bays; NaN for agents that explore
+    # (agents, 2) sizes of goal bays [m]; NaN for agents that explore
     goal_size: np.ndarray
-    parked_pose: np.ndarray
-    active: np.ndarray
-    seconds: float = 0.0
+    parked_pose: np.ndarray  # (parked cars, 3) footprint centres
+    active: np.ndarray  # (agents,) bool, the agent's episode is running
+    seconds: float = 0.0  # since the start
+    # a word or two per agent: what it does, or how its episode ended
     state: tuple[str, ...] = ()
+    # numbers to show by name: episodes ended so far, by outcome
     tally: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    flashes: tuple[Flash, ...] = ()
+    flashes: tuple[Flash, ...] = ()  # episodes that ended a moment ago
+    # (agents,) which of the fleet's kinds of cars they drive; None if it has one
     kind: np.ndarray | None = None
+    # (agents, slots, 2) centres of tracked bays, NaN in empty slots; None while
+    # goals are fixed
     tracked_bay_xy: np.ndarray | None = None
-    movers: tuple[Group, ...] = ()
+    movers: tuple[Group, ...] = ()  # obstacles that move by themselves
 
     def place(self, stage: Stage) -> None:
         """Places all cars and movers; wheels roll by the distance since the last."""

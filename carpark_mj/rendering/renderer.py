@@ -92,16 +92,11 @@ class RenderingError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Show:
-    """Extras to draw: of the agent that a camera follows, otherwise of all.
+    """Extras to draw: of the agent that a camera follows, otherwise of all."""
 
-    Attributes:
-        tracked: what is linked to an agent, and with it the bays it tracks; None =
-            nothing.
-        rings: diameters of the circles about an agent [m].
-    """
-
+    # what is linked to an agent, and with it the bays it tracks; None = nothing
     tracked: Tracked | None = None
-    rings: tuple[float, ...] = ()
+    rings: tuple[float, ...] = ()  # diameters of the circles about an agent [m]
 
 
 class _Renderer(mujoco.Renderer):

@@ -93,23 +93,16 @@ Line = tuple[tuple[float, float], ...]
 
 @dataclasses.dataclass(frozen=True)
 class CarStyle:
-    """A side view. Points are (share of the length behind the nose, share of height).
+    """A side view. Points are (share of the length behind the nose, share of height)."""
 
-    Attributes:
-        top: upper edge of the body without its cabin, from nose to tail.
-        windows: foot of the windscreen, front and rear end of the roof, foot of the
-            rear window.
-        pillars: from and to, as shares of a side window's length.
-        roof: half width of the roof over half width of the car.
-        clearance: of the sills above the ground [m].
-        tall_lights: tail lights stand beside the rear window instead of lying.
-    """
-
-    top: Line
+    top: Line  # upper edge of the body without its cabin, from nose to tail
+    # foot of the windscreen, front and rear end of the roof, foot of the rear
+    # window
     windows: Line
-    pillars: Line
-    roof: float = 0.72
-    clearance: float = 0.17
+    pillars: Line  # from and to, as shares of a side window's length
+    roof: float = 0.72  # half width of the roof over half width of the car
+    clearance: float = 0.17  # of the sills above the ground [m]
+    # tail lights stand beside the rear window instead of lying
     tall_lights: bool = True
 
 

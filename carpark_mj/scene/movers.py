@@ -40,13 +40,7 @@ class Part(NamedTuple):
 
 def _wheels(x: float, y: float, radius: float, width: float) -> list[Part]:
     return [
-        Part(
-            _CYLINDER,
-            (i * x, j * y, radius),
-            (radius, width, 0),
-            looks.TYRE,
-            _AXLE,
-        )
+        Part(_CYLINDER, (i * x, j * y, radius), (radius, width, 0), looks.TYRE, _AXLE)
         for i in (-1, 1)
         for j in (-1, 1)
     ]
@@ -80,19 +74,12 @@ def _person(number: int) -> list[Part]:
 
 
 class Shape(NamedTuple):
-    """A mover and its size.
+    """A mover and its size."""
 
-    Attributes:
-        parts: what is seen of it.
-        solid: with which cars collide, in metres.
-        scale: (3,) of the parts' x, y and z.
-        is_person: whether it has legs.
-    """
-
-    parts: list[Part]
-    solid: Part
-    scale: np.ndarray
-    is_person: bool
+    parts: list[Part]  # what is seen of it
+    solid: Part  # with which cars collide, in metres
+    scale: np.ndarray  # (3,) of the parts' x, y and z
+    is_person: bool  # whether it has legs
 
 
 def _solid(group: Group, size: np.ndarray) -> Part:

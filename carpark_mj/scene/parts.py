@@ -139,10 +139,7 @@ _WALL_COLOURS = {
     WallKind.ISLAND: looks.GREEN,
     WallKind.GATE: looks.GATE,
 }
-_DISC_COLOURS = {
-    DiscKind.PILLAR: looks.CONCRETE,
-    DiscKind.BOLLARD: looks.GATE,
-}
+_DISC_COLOURS = {DiscKind.PILLAR: looks.CONCRETE, DiscKind.BOLLARD: looks.GATE}
 HIDDEN = -50.0  # m, under the ground: where things are that are not there
 # Hulls crush like springs with dampers. In a barrier test at 15.6 m/s a passenger car
 # is crushed by 0.6 m [est], which is a linear stiffness k = m v^2 / x^2 (Gabler and

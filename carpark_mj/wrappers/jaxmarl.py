@@ -42,11 +42,7 @@ class JaxMarlAgents(MultiAgentEnv):
     outcomes = ENDINGS
 
     def __init__(
-        self,
-        env: AgentsEnvironment,
-        space: spaces.Box | spaces.Dict,
-        *,
-        discrete: bool,
+        self, env: AgentsEnvironment, space: spaces.Box | spaces.Dict, *, discrete: bool
     ) -> None:
         """Wraps an environment.
 

@@ -39,9 +39,7 @@ Results = tuple[
 
 
 def parallel_env(
-    render_mode: str | None = None,
-    camera: str = "topdown",
-    **options: Unpack[Options],
+    render_mode: str | None = None, camera: str = "topdown", **options: Unpack[Options]
 ) -> "AgentsParallelEnv":
     """A lot with several agents, each with one episode.
 

@@ -28,18 +28,12 @@ def is_evaluated(folder: Path) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A training with a seed; experiments with the same training share it.
+    """A training with a seed; experiments with the same training share it."""
 
-    Attributes:
-        program: of `carpark_mj study`, which trains.
-        folder: of the run.
-        flags: of the program, for a new run.
-        finished: whether the run in a folder is finished.
-    """
-
-    program: str
-    folder: Path
-    flags: tuple[str, ...]
+    program: str  # of `carpark_mj study`, which trains
+    folder: Path  # of the run
+    flags: tuple[str, ...]  # of the program, for a new run
+    # whether the run in a folder is finished
     finished: Callable[[Path], bool] = is_evaluated
 
     @property

@@ -19,11 +19,7 @@ from carpark_mj.rendering.recording import (
     num_frames,
     snapshot,
 )
-from carpark_mj.rendering.renderer import (
-    FLASH_COLOURS,
-    LotRenderer,
-    Show,
-)
+from carpark_mj.rendering.renderer import FLASH_COLOURS, LotRenderer, Show
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import (
     draw_frame,
@@ -290,10 +286,7 @@ def test_it_does_not_matter_whether_cars_or_cameras_are_placed_first(camera):
 
 def test_a_renderer_that_goes_on_with_another_lot_draws_it_as_a_new_one():
     # With arrows on its lanes the second has one mesh more, and it is longer.
-    lots = [
-        LAYOUT,
-        jax.device_get(layout_config("street").generate(jax.random.key(0))),
-    ]
+    lots = [LAYOUT, jax.device_get(layout_config("street").generate(jax.random.key(0)))]
     what = seen(goal=GOAL[:1].repeat(2))
     stages = [Stage(layout, COMPACT, 2, 2) for layout in lots]
     new = []

@@ -247,11 +247,7 @@ def test_no_environment_of_many_is_an_absent_agent():
 @pytest.mark.parametrize(
     "options",
     [
-        {
-            "config": "hope",
-            "layout": "hope_extreme_parallel",
-            "physics": "bicycle",
-        },
+        {"config": "hope", "layout": "hope_extreme_parallel", "physics": "bicycle"},
         {
             "layout": mixture(["square", "tpcap"]),
             "parked_cars": 0,
@@ -335,9 +331,7 @@ def test_pictures_are_collected_in_a_list():
     env.close()
 
 
-def test_every_lot_of_a_vector_has_its_picture_and_its_scene_is_built_once(
-    monkeypatch,
-):
+def test_every_lot_of_a_vector_has_its_picture_and_its_scene_is_built_once(monkeypatch):
     built = []
 
     class Counted(Stage):

@@ -80,16 +80,11 @@ ENDS = ("crashed", "arrived", "off_road", "off_route", "timed_out", "diverged")
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """An episode as it went.
+    """An episode as it went."""
 
-    Attributes:
-        states: after each control step, on the host, without images.
-        actions: (num_agents,) indices of `ACTIONS` that led there.
-        ended: (num_agents, len(ENDS)) bool, which of `ENDS` had happened by then.
-    """
-
-    states: Sequence[State]
-    actions: Sequence[np.ndarray]
+    states: Sequence[State]  # after each control step, on the host, without images
+    actions: Sequence[np.ndarray]  # (num_agents,) indices of `ACTIONS` that led there
+    # (num_agents, len(ENDS)) bool, which of `ENDS` had happened by then
     ended: Sequence[np.ndarray]
 
 

@@ -157,21 +157,13 @@ def bearing_index(grid: GridConfig, local: jax.Array) -> jax.Array:
 
 @struct.dataclass
 class GridState:
-    """Cars on the grid; any leading batch shape, all but `vehicle` int32.
+    """Cars on the grid; any leading batch shape, all but `vehicle` int32."""
 
-    Attributes:
-        point: (..., 2) x and y of the footprint's centre [points].
-        level: (...) of speed, forwards positive.
-        heading: (...) index in [0, headings), clockwise from +y.
-        turn: (...) headings turned in the last step, clockwise positive.
-        vehicle: parameters, of which only the size has an effect.
-    """
-
-    point: jax.Array
-    level: jax.Array
-    heading: jax.Array
-    turn: jax.Array
-    vehicle: Vehicle
+    point: jax.Array  # (..., 2) x and y of the footprint's centre [points]
+    level: jax.Array  # (...) of speed, forwards positive
+    heading: jax.Array  # (...) index in [0, headings), clockwise from +y
+    turn: jax.Array  # (...) headings turned in the last step, clockwise positive
+    vehicle: Vehicle  # parameters, of which only the size has an effect
 
 
 class GridPhysics(FactoredPhysics[GridState]):

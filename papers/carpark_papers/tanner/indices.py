@@ -63,12 +63,7 @@ class IndexObservation(ObservationConfig):
         top, last = grid.num_levels - 1, grid.headings - 1
         fields = [
             Field(
-                "level",
-                1,
-                0.0,
-                top,
-                "own speed from fastest reverse",
-                speed=math.inf,
+                "level", 1, 0.0, top, "own speed from fastest reverse", speed=math.inf
             ),
             Field(
                 "bearing",

@@ -31,32 +31,19 @@ LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
 
 @struct.dataclass
 class Steps:
-    """Steps (..., size) to learn from, with outputs of the networks before the update.
+    """Steps (..., size) to learn from, with outputs of the networks before the update."""
 
-    Attributes:
-        observation: of the agents.
-        raw_action: of the agents.
-        log_prob: (..., k) log-probabilities of its branches before the update.
-        advantage: of the action, normalised.
-        target: of the critic.
-        value: of the critic before the update.
-        weight: see `Minibatch`.
-    """
-
-    observation: jax.Array
-    raw_action: jax.Array
-    log_prob: jax.Array
-    advantage: jax.Array
-    target: jax.Array
-    value: jax.Array
-    weight: jax.Array
+    observation: jax.Array  # of the agents
+    raw_action: jax.Array  # of the agents
+    log_prob: jax.Array  # (..., k) log-probabilities of its branches before the update
+    advantage: jax.Array  # of the action, normalised
+    target: jax.Array  # of the critic
+    value: jax.Array  # of the critic before the update
+    weight: jax.Array  # see `Minibatch`
 
 
 def prepare_steps(
-    params: PPONetworkParams,
-    networks: PPONetworks,
-    normalizer: Any,
-    steps: Minibatch,
+    params: PPONetworkParams, networks: PPONetworks, normalizer: Any, steps: Minibatch
 ) -> Steps:
     """All steps of an update, as one dimension.
 

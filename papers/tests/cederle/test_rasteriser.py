@@ -19,12 +19,7 @@ from carpark_papers.cederle.junction.observations import (
     draw,
     pixel_centres,
 )
-from carpark_papers.cederle.junction.roads import (
-    CORNER,
-    CORNER_CENTRES,
-    MARKINGS,
-    ROAD,
-)
+from carpark_papers.cederle.junction.roads import CORNER, CORNER_CENTRES, MARKINGS, ROAD
 
 ENV = junctions.env(scenario="2av-hd")
 CONFIG = RasterConfig()

@@ -221,12 +221,7 @@ OUT = NO_BAY
 FAR_AWAY = (40.0, OUT)
 LOCAL_ANY = {"local_any", "global_any"}
 LOCAL_SAME = LOCAL_ANY | {"local_same", "global_same"}
-UNSEEN_OTHER = {
-    "global_any",
-    "untracked_any",
-    "untracked_other",
-    "only_untracked_any",
-}
+UNSEEN_OTHER = {"global_any", "untracked_any", "untracked_other", "only_untracked_any"}
 UNSEEN_SAME = {
     "global_any",
     "global_same",

@@ -176,10 +176,7 @@ def test_reading_is_in_metres_and_counter_clockwise_radians():
     physics, state = start(COARSE, [[0.0, 0.0, math.pi / 2], [3 * WORLD_UNIT, 0, 0]])
     state = physics.step(state, jnp.array([[2, 2], [0, KEEP]]))
     vehicle = physics.read(state)
-    expected = [
-        [WORLD_UNIT, WORLD_UNIT, math.pi / 4],
-        [2 * WORLD_UNIT, 0.0, 0.0],
-    ]
+    expected = [[WORLD_UNIT, WORLD_UNIT, math.pi / 4], [2 * WORLD_UNIT, 0.0, 0.0]]
     np.testing.assert_allclose(vehicle.pose_w, expected, atol=1e-6)
     per_second = WORLD_UNIT / 0.2
     np.testing.assert_allclose(vehicle.speed, [per_second, -per_second], rtol=1e-6)

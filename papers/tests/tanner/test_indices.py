@@ -24,10 +24,7 @@ from carpark_mj.observations import (
     observe,
 )
 from carpark_mj.obstacles import lot_obstacles
-from carpark_papers.tanner.environments import (
-    TANNER_QLEARNING,
-    TANNER_QLEARNING_RINGS,
-)
+from carpark_papers.tanner.environments import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 from carpark_papers.tanner.indices import IndexObservation
 from carpark_papers.tanner.observation import TannerObservation
 
@@ -184,10 +181,7 @@ def started(x, y, heading, level=0):
         level=jnp.array([level], jnp.int32),
     )
     return dataclasses.replace(
-        state,
-        physics=physics,
-        motion=env.physics.read(physics),
-        goal=goal,
+        state, physics=physics, motion=env.physics.read(physics), goal=goal
     )
 
 

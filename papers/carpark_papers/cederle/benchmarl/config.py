@@ -217,7 +217,4 @@ def benchmarl_presets(algorithm: Algorithm) -> dict[str, BenchMARLConfig]:
     own = MADDPG if algorithm == "maddpg" else {}
     study = STUDY_MADDPG if algorithm == "maddpg" else STUDY_MIXING
     base = BenchMARLConfig(algorithm=algorithm, **(OFF_POLICY | own))
-    return {
-        "parallel": base,
-        "cederle": dataclasses.replace(base, **(STUDY | study)),
-    }
+    return {"parallel": base, "cederle": dataclasses.replace(base, **(STUDY | study))}

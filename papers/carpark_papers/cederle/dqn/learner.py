@@ -87,9 +87,7 @@ class DQNLearner:
     def _advance(self, training: Training) -> tuple[Training, Report]:
         """`config.chunk` control steps of all junctions."""
         training, reports = jax.lax.scan(
-            lambda training, _: self._step(training),
-            training,
-            length=self.config.chunk,
+            lambda training, _: self._step(training), training, length=self.config.chunk
         )
         report = jax.tree.map(lambda x: x.sum(axis=0), reports)
         return training, dataclasses.replace(report, loss=reports.loss[-1])

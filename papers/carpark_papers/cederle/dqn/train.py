@@ -29,17 +29,11 @@ DQN_ALGORITHM = "dqn"  # `algorithm` in the header of a checkpoint
 
 @dataclasses.dataclass
 class Run:
-    """A training with what it has found so far.
+    """A training with what it has found so far."""
 
-    Attributes:
-        training: what learns.
-        evaluations: rows of `evaluations.csv`.
-        chunks: how often `DQNLearner.advance` has run.
-    """
-
-    training: Training
-    evaluations: list[dict[str, Any]]
-    chunks: int
+    training: Training  # what learns
+    evaluations: list[dict[str, Any]]  # rows of `evaluations.csv`
+    chunks: int  # how often `DQNLearner.advance` has run
 
 
 def load_or_init(learner: DQNLearner, folder: Path) -> Run:

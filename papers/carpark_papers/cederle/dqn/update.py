@@ -80,40 +80,24 @@ def to_agents(x: jax.Array, agents: int) -> jax.Array:
 
 @struct.dataclass
 class Transition:
-    """What agents (...) saw, did and got.
+    """What agents (...) saw, did and got."""
 
-    Attributes:
-        observation: before the step.
-        action: int32.
-        reward: of the step.
-        discount: of what follows; 0 behind the end of an episode.
-        next_observation: after the step, of the same episode.
-        valid: bool; not of agents that had finished before the step.
-    """
-
-    observation: jax.Array
-    action: jax.Array
-    reward: jax.Array
-    discount: jax.Array
-    next_observation: jax.Array
-    valid: jax.Array
+    observation: jax.Array  # before the step
+    action: jax.Array  # int32
+    reward: jax.Array  # of the step
+    discount: jax.Array  # of what follows; 0 behind the end of an episode
+    next_observation: jax.Array  # after the step, of the same episode
+    valid: jax.Array  # bool; not of agents that had finished before the step
 
 
 @struct.dataclass
 class Learner:
-    """A Q-network that learns.
+    """A Q-network that learns."""
 
-    Attributes:
-        params: of the network.
-        target: older ones, which give the targets.
-        optimizer: state of the optimiser.
-        updates: () int32 gradient steps made.
-    """
-
-    params: Any
-    target: Any
-    optimizer: Any
-    updates: jax.Array
+    params: Any  # of the network
+    target: Any  # older ones, which give the targets
+    optimizer: Any  # state of the optimiser
+    updates: jax.Array  # () int32 gradient steps made
 
 
 def make_optimizer(config: DQNConfig) -> optax.GradientTransformation:
@@ -190,36 +174,22 @@ def update(
 
 @struct.dataclass
 class Training:
-    """A training under way.
+    """A training under way."""
 
-    Attributes:
-        state: (num_junctions,) of the junctions.
-        observation: (num_junctions, agents, ...).
-        learners: (networks,).
-        buffers: (networks,).
-        steps: () int32 control steps made at each junction.
-        key: randomness.
-    """
-
-    state: State
-    observation: jax.Array
-    learners: Learner
-    buffers: Any
-    steps: jax.Array
-    key: jax.Array
+    state: State  # (num_junctions,) of the junctions
+    observation: jax.Array  # (num_junctions, agents, ...)
+    learners: Learner  # (networks,)
+    buffers: Any  # (networks,)
+    steps: jax.Array  # () int32 control steps made at each junction
+    key: jax.Array  # randomness
 
 
 @struct.dataclass
 class Report:
-    """Report of a chunk.
+    """Report of a chunk."""
 
-    Attributes:
-        episodes: () int32 that ended.
-        returned: () sum of their returns, of all agents.
-        loss: () mean squared error of the last step, mean over networks; 0 before
-            learning begins.
-    """
-
-    episodes: jax.Array
-    returned: jax.Array
+    episodes: jax.Array  # () int32 that ended
+    returned: jax.Array  # () sum of their returns, of all agents
+    # () mean squared error of the last step, mean over networks; 0 before
+    # learning begins
     loss: jax.Array

@@ -23,16 +23,11 @@ GREATER: tuple[Metric, ...] = ("final_return",)  # is better; of the others less
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """A conclusion of the thesis.
+    """A conclusion of the thesis."""
 
-    Attributes:
-        text: in its words, shortened.
-        metric: of `Outcome`, by which it is judged.
-        pairs: of cells; the thesis says that the first does better.
-    """
-
-    text: str
-    metric: Metric
+    text: str  # in its words, shortened
+    metric: Metric  # of `Outcome`, by which it is judged
+    # of cells; the thesis says that the first does better
     pairs: tuple[tuple[Key, Key], ...]
 
 
@@ -73,31 +68,19 @@ CLAIMS = (
         ),
     ),
     Claim("QMIX is worse than VDN", "final_return", _across(["vdn"], ["qmix"], _ALL)),
-    Claim(
-        "independent learning is best",
-        "final_return",
-        _across(DQN, CENTRAL, _ALL),
-    ),
+    Claim("independent learning is best", "final_return", _across(DQN, CENTRAL, _ALL)),
 )
 
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """How likely the first of a claim's pairs does better.
+    """How likely the first of a claim's pairs does better."""
 
-    Attributes:
-        probability: the mean over pairs; 0.5 = alike.
-        low: lower end of its interval.
-        high: upper end.
-        pairs: that were compared.
-        seeds: fewest runs of a cell among them; 0 = a pair is missing.
-    """
-
-    probability: float
-    low: float
-    high: float
-    pairs: int
-    seeds: int
+    probability: float  # the mean over pairs; 0.5 = alike
+    low: float  # lower end of its interval
+    high: float  # upper end
+    pairs: int  # that were compared
+    seeds: int  # fewest runs of a cell among them; 0 = a pair is missing
 
     @property
     def verdict(self) -> str:

@@ -28,15 +28,10 @@ BESIDE: tuple[Algorithm, ...] = ("ippo", "mappo")
 
 @dataclasses.dataclass(frozen=True)
 class Published:
-    """The published result of a single run.
+    """The published result of a single run."""
 
-    Attributes:
-        solved: whether an evaluation reached the scenario's threshold.
-        converged_at: "speed" [control steps]; None = did not converge to a value that
-            solves.
-    """
-
-    solved: bool
+    solved: bool  # whether an evaluation reached the scenario's threshold
+    # "speed" [control steps]; None = did not converge to a value that solves
     converged_at: int | None
 
     @property
@@ -47,19 +42,12 @@ class Published:
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """An algorithm in a scenario.
+    """An algorithm in a scenario."""
 
-    Attributes:
-        table: number in the thesis.
-        algorithm: which.
-        cars: `path` or `mjx`.
-        published: None = not in the thesis.
-    """
-
-    table: str
-    algorithm: Algorithm
-    cars: CarModel = "path"
-    published: Published | None = None
+    table: str  # number in the thesis
+    algorithm: Algorithm  # which
+    cars: CarModel = "path"  # `path` or `mjx`
+    published: Published | None = None  # None = not in the thesis
 
     @property
     def scenario(self) -> ScenarioName:
@@ -117,24 +105,15 @@ TAIL = 1 / 6
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """A finished run.
+    """A finished run."""
 
-    Attributes:
-        solved_at: control steps; infinity = not solved.
-        converged_at: the same to convergence.
-        final_return: mean over the last sixth of the steps.
-        unrest: standard deviation of the return over the second half of the steps.
-        crashed: share of the last evaluation's episodes in which an agent crashed.
-        completed: share in which all arrived.
-        curve: steps and returns of the evaluations.
-    """
-
-    solved_at: float
-    converged_at: float
-    final_return: float
-    unrest: float
-    crashed: float
-    completed: float
+    solved_at: float  # control steps; infinity = not solved
+    converged_at: float  # the same to convergence
+    final_return: float  # mean over the last sixth of the steps
+    unrest: float  # standard deviation of the return over the second half of the steps
+    crashed: float  # share of the last evaluation's episodes in which an agent crashed
+    completed: float  # share in which all arrived
+    # steps and returns of the evaluations
     curve: tuple[Sequence[float], Sequence[float]]
 
 

@@ -123,21 +123,13 @@ class Cars(Protocol):
 
 @struct.dataclass
 class PathState:
-    """Points on routes (cars,).
+    """Points on routes (cars,)."""
 
-    Attributes:
-        along: [m].
-        speed: [m/s].
-        yaw_rate: [rad/s].
-        steering: [rad].
-        trace_w: (cars, k, 3) poses within the last control step.
-    """
-
-    along: jax.Array
-    speed: jax.Array
-    yaw_rate: jax.Array
-    steering: jax.Array
-    trace_w: jax.Array
+    along: jax.Array  # [m]
+    speed: jax.Array  # [m/s]
+    yaw_rate: jax.Array  # [rad/s]
+    steering: jax.Array  # [rad]
+    trace_w: jax.Array  # (cars, k, 3) poses within the last control step
 
 
 class PathCars:
@@ -235,15 +227,10 @@ class RoadPhysics(Protocol):
 
 @struct.dataclass
 class SteeredState:
-    """Cars (cars,) and what their drivers remember.
+    """Cars (cars,) and what their drivers remember."""
 
-    Attributes:
-        physics: of the back end.
-        integral: (cars,) of the error in speed [m].
-    """
-
-    physics: Any
-    integral: jax.Array
+    physics: Any  # of the back end
+    integral: jax.Array  # (cars,) of the error in speed [m]
 
 
 def road_car(params: VehicleParameters) -> VehicleParameters:

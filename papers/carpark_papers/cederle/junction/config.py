@@ -20,17 +20,11 @@ from carpark_papers.cederle.junction.roads import LANES, Route, path_length
 
 @dataclasses.dataclass(frozen=True)
 class Mission:
-    """Start and destination of an automated car.
+    """Start and destination of an automated car."""
 
-    Attributes:
-        route: the lanes.
-        start: offset in the first lane [m].
-        goal: offset in the last lane [m].
-    """
-
-    route: Route
-    start: float
-    goal: float
+    route: Route  # the lanes
+    start: float  # offset in the first lane [m]
+    goal: float  # offset in the last lane [m]
 
     def __post_init__(self) -> None:
         lane = path_length(LANES[self.route.start])
@@ -54,32 +48,20 @@ class Mission:
 
 @dataclasses.dataclass(frozen=True)
 class HumanCar:
-    """A human-driven car: it keeps its lane and ignores all others.
+    """A human-driven car: it keeps its lane and ignores all others."""
 
-    Attributes:
-        route: the lanes; it leaves at the end of the last one.
-        start: offset in the first lane [m].
-        speed: at the start [m/s].
-    """
-
-    route: Route
-    start: float
-    speed: float = 10.0
+    route: Route  # the lanes; it leaves at the end of the last one
+    start: float  # offset in the first lane [m]
+    speed: float = 10.0  # at the start [m/s]
 
 
 @dataclasses.dataclass(frozen=True)
 class Scenario:
-    """Missions and human-driven cars.
+    """Missions and human-driven cars."""
 
-    Attributes:
-        missions: of the automated cars.
-        human_cars: the others.
-        solved: return of all agents together from which the study calls it solved.
-    """
-
-    missions: tuple[Mission, ...]
-    human_cars: tuple[HumanCar, ...]
-    solved: float
+    missions: tuple[Mission, ...]  # of the automated cars
+    human_cars: tuple[HumanCar, ...]  # the others
+    solved: float  # return of all agents together from which the study calls it solved
 
     @property
     def queues(self) -> list[tuple[Mission, Mission | HumanCar, int]]:

@@ -26,43 +26,29 @@ NEVER = 2**31 - 1  # of `Outcomes.passed`
 
 @struct.dataclass
 class Outcomes:
-    """Outcomes of episodes (episodes,).
+    """Outcomes of episodes (episodes,)."""
 
-    Attributes:
-        returns: undiscounted rewards of all agents together, to the study's end: the
-            first agent is done, or `RETURN_STEPS` are over.
-        length: control steps to that end.
-        crashed: an agent crashed, before that end or after it.
-        completed: all agents arrived, before that end or after it.
-        passed: (episodes, cars) control steps after which the car was across the
-            junction, `NEVER` if it did not get there; cars in the scenario's order,
-            whichever agents have got the missions.
-    """
-
+    # undiscounted rewards of all agents together, to the study's end: the first
+    # agent is done, or `RETURN_STEPS` are over
     returns: jax.Array
-    length: jax.Array
-    crashed: jax.Array
-    completed: jax.Array
+    length: jax.Array  # control steps to that end
+    crashed: jax.Array  # an agent crashed, before that end or after it
+    completed: jax.Array  # all agents arrived, before that end or after it
+    # (episodes, cars) control steps after which the car was across the junction,
+    # `NEVER` if it did not get there; cars in the scenario's order, whichever
+    # agents have got the missions
     passed: jax.Array
 
 
 @struct.dataclass
 class Episode:
-    """An episode under way.
+    """An episode under way."""
 
-    Attributes:
-        state: of the junction.
-        observation: of all agents.
-        arrived: (num_agents,) bool so far.
-        step: () int32 control steps made.
-        outcomes: so far, of this one episode.
-    """
-
-    state: State
-    observation: jax.Array
-    arrived: jax.Array
-    step: jax.Array
-    outcomes: Outcomes
+    state: State  # of the junction
+    observation: jax.Array  # of all agents
+    arrived: jax.Array  # (num_agents,) bool so far
+    step: jax.Array  # () int32 control steps made
+    outcomes: Outcomes  # so far, of this one episode
 
 
 def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
@@ -74,11 +60,7 @@ def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
     """
     return JunctionEnv(
         dataclasses.replace(
-            config,
-            jitter=jitter,
-            end="all",
-            respawn=False,
-            max_steps=MAX_STEPS,
+            config, jitter=jitter, end="all", respawn=False, max_steps=MAX_STEPS
         )
     )
 

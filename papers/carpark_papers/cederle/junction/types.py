@@ -15,78 +15,49 @@ from carpark_papers.cederle.junction.roads import Routes
 
 @struct.dataclass
 class Task:
-    """What the cars of an episode have to do.
+    """What the cars of an episode have to do."""
 
-    Attributes:
-        routes: (cars,) the ways.
-        start: (cars,) distances along them at which they start [m].
-        goal_xy: (num_agents, 2) goals [m].
-        order: (cars,) int32 numbers in the scenario of what the cars have to do; None
-            where missions are not dealt out, and cars stand in its order.
-    """
-
-    routes: Routes
-    start: jax.Array
-    goal_xy: jax.Array
+    routes: Routes  # (cars,) the ways
+    start: jax.Array  # (cars,) distances along them at which they start [m]
+    goal_xy: jax.Array  # (num_agents, 2) goals [m]
+    # (cars,) int32 numbers in the scenario of what the cars have to do; None
+    # where missions are not dealt out, and cars stand in its order
     order: jax.Array | None
 
 
 @struct.dataclass
 class State:
-    """A junction at one instant.
+    """A junction at one instant."""
 
-    Attributes:
-        cars: of the back end, any pytree.
-        motion: (cars,) motion of the cars.
-        along: (cars,) distances of the cars along their routes [m].
-        task: of the episode.
-        present: (cars,) bool; cars that have left are nobody's obstacle. Agents leave
-            in the step after that in which they finish.
-        active: (num_agents,) bool, the agent's episode is running.
-        unpaid: (num_agents,) way since the last reward for it [m].
-        returns: (num_agents,) rewards of the episode so far, undiscounted.
-        frames: (num_agents, pixels, pixels, frames) uint8, the newest last; None where
-            agents observe vectors.
-        step: () int32 control steps made.
-        key: randomness.
-    """
-
-    cars: Any
-    motion: Motion
-    along: jax.Array
-    task: Task
+    cars: Any  # of the back end, any pytree
+    motion: Motion  # (cars,) motion of the cars
+    along: jax.Array  # (cars,) distances of the cars along their routes [m]
+    task: Task  # of the episode
+    # (cars,) bool; cars that have left are nobody's obstacle. Agents leave in the
+    # step after that in which they finish
     present: jax.Array
-    active: jax.Array
-    unpaid: jax.Array
-    returns: jax.Array
+    active: jax.Array  # (num_agents,) bool, the agent's episode is running
+    unpaid: jax.Array  # (num_agents,) way since the last reward for it [m]
+    returns: jax.Array  # (num_agents,) rewards of the episode so far, undiscounted
+    # (num_agents, pixels, pixels, frames) uint8, the newest last; None where
+    # agents observe vectors
     frames: jax.Array | None
-    step: jax.Array
-    key: jax.Array
+    step: jax.Array  # () int32 control steps made
+    key: jax.Array  # randomness
 
 
 @struct.dataclass
 class Events:
-    """What happened to agents (num_agents,) in a step, bool; False of inactive ones.
+    """What happened to agents (num_agents,) in a step, bool; False of inactive ones."""
 
-    Attributes:
-        off_road: the centre is off the asphalt.
-        on_shoulder: a corner is.
-        wrong_way: points more than 90 degrees off its route's direction.
-        crashed: its box overlapped another car's.
-        off_route: the centre has left the lanes of its route.
-        arrived: within reach of its goal.
-        timed_out: the episode's steps are used up.
-        diverged: the physics gave a non-finite number; the car was put back.
-    """
-
-    off_road: jax.Array
-    on_shoulder: jax.Array
-    wrong_way: jax.Array
-    crashed: jax.Array
-    off_route: jax.Array
-    arrived: jax.Array
-    timed_out: jax.Array
-    diverged: jax.Array
+    off_road: jax.Array  # the centre is off the asphalt
+    on_shoulder: jax.Array  # a corner is
+    wrong_way: jax.Array  # points more than 90 degrees off its route's direction
+    crashed: jax.Array  # its box overlapped another car's
+    off_route: jax.Array  # the centre has left the lanes of its route
+    arrived: jax.Array  # within reach of its goal
+    timed_out: jax.Array  # the episode's steps are used up
+    diverged: jax.Array  # the physics gave a non-finite number; the car was put back
 
     @property
     def success(self) -> jax.Array:
@@ -101,28 +72,18 @@ class Events:
 
 @struct.dataclass
 class TimeStep:
-    """What agents (num_agents, ...) get from a step.
+    """What agents (num_agents, ...) get from a step."""
 
-    Attributes:
-        observation: of the next episode where one has begun; zeros of agents that had
-            finished before the step.
-        reward: (num_agents,).
-        terminated: (num_agents,) bool; also of agents that had finished before.
-        truncated: (num_agents,) bool, out of time or diverged: bootstrap from
-            `final_observation`.
-        events: what happened.
-        motion: (cars,) at the end of the step, before any new episode.
-        returns: (num_agents,) undiscounted returns up to this step.
-        over: () bool, the episode has ended for everybody.
-        final_observation: at the end of the step, before any new episode.
-    """
-
+    # of the next episode where one has begun; zeros of agents that had finished
+    # before the step
     observation: jax.Array
-    reward: jax.Array
-    terminated: jax.Array
+    reward: jax.Array  # (num_agents,)
+    terminated: jax.Array  # (num_agents,) bool; also of agents that had finished before
+    # (num_agents,) bool, out of time or diverged: bootstrap from
+    # `final_observation`
     truncated: jax.Array
-    events: Events
-    motion: Motion
-    returns: jax.Array
-    over: jax.Array
-    final_observation: jax.Array
+    events: Events  # what happened
+    motion: Motion  # (cars,) at the end of the step, before any new episode
+    returns: jax.Array  # (num_agents,) undiscounted returns up to this step
+    over: jax.Array  # () bool, the episode has ended for everybody
+    final_observation: jax.Array  # at the end of the step, before any new episode

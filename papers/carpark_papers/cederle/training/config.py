@@ -9,11 +9,7 @@ from carpark_mj.cli.common import MAX_EPISODES
 from carpark_mj.config.checks import require_choice, require_whole
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.training.run_folder import RunConfig
-from carpark_papers.cederle.junction import (
-    JunctionConfig,
-    RasterConfig,
-    RewardRules,
-)
+from carpark_papers.cederle.junction import JunctionConfig, RasterConfig, RewardRules
 from carpark_papers.cederle.junction.config import (
     ActionKind,
     CarModel,

@@ -28,16 +28,11 @@ class Phase:
     """A stretch of training on one kind of lot, or on several interleaved.
 
     Exactly one of `steps` and `episodes` is given.
-
-    Attributes:
-        kinds: names of layouts; every episode draws one of them.
-        steps: transitions of all cars together.
-        episodes: that end, of all cars together.
     """
 
-    kinds: tuple[str, ...]
-    steps: int = 0
-    episodes: int = 0
+    kinds: tuple[str, ...]  # names of layouts; every episode draws one of them
+    steps: int = 0  # transitions of all cars together
+    episodes: int = 0  # that end, of all cars together
 
     def __post_init__(self) -> None:
         if min(self.steps, self.episodes) < 0 or bool(self.steps) == bool(

@@ -27,18 +27,14 @@ Rows = Sequence[dict[str, Any]]
 
 @dataclasses.dataclass(frozen=True)
 class Transfer:
-    """Means over tasks; the task of a phase is to park in its kinds of lots.
+    """Means over tasks; the task of a phase is to park in its kinds of lots."""
 
-    Attributes:
-        average: success after the last phase, over all tasks.
-        backward: success after the last phase less that just after the task's own,
-            over all tasks but the last; negative = forgetting. NaN of one phase.
-        forward: success just before the task's own phase less that of the untrained
-            policy, over all tasks but the first. NaN of one phase.
-    """
-
-    average: float
+    average: float  # success after the last phase, over all tasks
+    # success after the last phase less that just after the task's own, over all
+    # tasks but the last; negative = forgetting. NaN of one phase
     backward: float
+    # success just before the task's own phase less that of the untrained policy,
+    # over all tasks but the first. NaN of one phase
     forward: float
 
 

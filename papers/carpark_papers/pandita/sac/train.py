@@ -46,21 +46,13 @@ _LOSSES = ("actor_loss", "critic_loss", "ent_coef")
 
 @dataclasses.dataclass
 class Progress:
-    """Progress of a run.
+    """Progress of a run."""
 
-    Attributes:
-        phase: number of the phase, from 0; the number of phases after the last.
-        steps: transitions made in the phase.
-        episodes: that ended in the phase.
-        total: transitions made in all phases.
-        row: number of the latest row of metrics.
-    """
-
-    phase: int = 0
-    steps: int = 0
-    episodes: int = 0
-    total: int = 0
-    row: int = 0
+    phase: int = 0  # number of the phase, from 0; the number of phases after the last
+    steps: int = 0  # transitions made in the phase
+    episodes: int = 0  # that ended in the phase
+    total: int = 0  # transitions made in all phases
+    row: int = 0  # number of the latest row of metrics
 
     def share(self, config: SACConfig) -> float:
         """Of the phase that is done, in [0, 1]; 1 after the last phase."""

@@ -86,21 +86,13 @@ STEPS_PER_SECOND = 110_000.0
 
 @dataclasses.dataclass(frozen=True)
 class Cost:
-    """Remaining cost of an experiment.
+    """Remaining cost of an experiment."""
 
-    Attributes:
-        experiment: the experiment.
-        runs: number of its runs.
-        left: number of unfinished runs.
-        programs: number of programs that train these, several side by side.
-        minutes: estimated time of these, one at a time [min].
-    """
-
-    experiment: Experiment
-    runs: int
-    left: int
-    programs: int
-    minutes: float
+    experiment: Experiment  # the experiment
+    runs: int  # number of its runs
+    left: int  # number of unfinished runs
+    programs: int  # number of programs that train these, several side by side
+    minutes: float  # estimated time of these, one at a time [min]
 
 
 def cost(
