@@ -19,9 +19,8 @@ from carpark_papers.cederle.junction.cars import road_car
 from carpark_papers.cederle.junction.config import JunctionConfig
 from carpark_papers.cederle.junction.evaluation import car_names
 from carpark_papers.cederle.junction.roads import LANE_WIDTH
-from carpark_papers.cederle.junction.rules import ACTIONS
+from carpark_papers.cederle.junction.rules import ACTIONS, State
 from carpark_papers.cederle.junction.scene import add_paint, plan
-from carpark_papers.cederle.junction.types import State
 
 _FAR = -500.0  # m, where cars are put that have left
 

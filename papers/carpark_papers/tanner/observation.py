@@ -26,13 +26,13 @@ Where the study's text and its reference implementation disagree:
 
 import dataclasses
 import math
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import WORLD_UNIT, EnvConfig, RingConfig
-from carpark_mj.config.checks import CheckedConfig, require_whole
+from carpark_mj.config.checks import Bounds, CheckedConfig, Natural, Positive
 from carpark_mj.config.observations import ENCODERS, ObservationConfig, Tracked
 from carpark_mj.geometry import nearest, norm, rotate, to_local
 from carpark_mj.observations.ego import goal_code, rivals
@@ -64,18 +64,8 @@ class ViewConfig(CheckedConfig):
             whole lot.
     """
 
-    field_of_view: float = 360.0
-    diameter: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0.0 < self.field_of_view <= 360.0:
-            raise ValueError(
-                f"field_of_view must lie in (0, 360] deg, not {self.field_of_view}"
-            )
-        diameter = self.diameter
-        if diameter is not None and not (math.isfinite(diameter) and diameter > 0):
-            raise ValueError(f"view diameter must be positive or None, not {diameter}")
+    field_of_view: Annotated[float, Bounds(gt=0.0, le=360.0, unit="deg")] = 360.0
+    diameter: Positive | None = None
 
     @property
     def is_limited(self) -> bool:
@@ -190,7 +180,7 @@ class TannerObservation(ObservationConfig):
         encoding: name of the encoder; as a flag it chooses another.
     """
 
-    tracked_cars: int = 1
+    tracked_cars: Natural = 1
     bay_parts: tuple[BayPart, ...] = BAY_PARTS
     view: ViewConfig = dataclasses.field(default_factory=ViewConfig)
     share: TannerShare = dataclasses.field(default_factory=TannerShare)
@@ -202,7 +192,6 @@ class TannerObservation(ObservationConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 0, "tracked_cars")
         if len(set(self.bay_parts)) < len(self.bay_parts):
             raise ValueError(f"bay_parts must be different, not {self.bay_parts}")
 

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from carpark_papers.cederle.junction.config import RewardRules
-from carpark_papers.cederle.junction.rules import pay_progress, reward
-from carpark_papers.cederle.junction.types import Events
+from carpark_papers.cederle.junction.rules import Events, pay_progress, reward
 
 NAMES = tuple(Events.__dataclass_fields__)
 

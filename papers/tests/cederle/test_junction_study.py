@@ -7,7 +7,6 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_papers.cederle.experiments import program as junction_study
-from carpark_papers.cederle.experiments.claims import CLAIMS, Claim, compare
 from carpark_papers.cederle.experiments.report import (
     draw_curves,
     published_curve,
@@ -17,9 +16,12 @@ from carpark_papers.cederle.experiments.report import (
 from carpark_papers.cederle.experiments.runs import (
     BESIDE,
     CELLS,
+    CLAIMS,
+    Claim,
     Outcome,
     Published,
     cells_of,
+    compare,
     is_finished,
     make_job,
     read_outcome,

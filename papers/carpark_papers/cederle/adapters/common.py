@@ -15,7 +15,7 @@ from carpark_mj.wrappers.batch import Screen
 from carpark_mj.wrappers.options import require_options
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
 from carpark_papers.cederle.junction.cars import road_car
-from carpark_papers.cederle.junction.types import State
+from carpark_papers.cederle.junction.rules import State
 from carpark_papers.cederle.video import JunctionStage
 
 

@@ -13,8 +13,7 @@ from carpark_mj.training.memory import num_bytes, require_memory
 from carpark_mj.training.metrics_log import MetricsLog
 from carpark_mj.training.run_folder import open_run, read_header
 from carpark_papers.cederle.dqn.config import DQNConfig
-from carpark_papers.cederle.dqn.learner import DQNLearner
-from carpark_papers.cederle.dqn.update import Report, Training
+from carpark_papers.cederle.dqn.learner import DQNLearner, Report, Training
 from carpark_papers.cederle.junction.evaluation import summarize
 from carpark_papers.cederle.training.evaluations import (
     progress,

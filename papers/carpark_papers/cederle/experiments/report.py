@@ -18,13 +18,15 @@ from matplotlib.figure import Figure
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import write_atomically
-from carpark_papers.cederle.experiments.claims import CLAIMS, Runs, compare
 from carpark_papers.cederle.experiments.runs import (
+    CLAIMS,
     SCENARIOS,
     TAIL,
     Cell,
     Outcome,
     Published,
+    Runs,
+    compare,
     tail,
 )
 from carpark_papers.cederle.junction.config import scenario

@@ -8,12 +8,7 @@ import itertools
 from typing import Literal
 
 from carpark_mj.config import SimConfig
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    require_at_least,
-    require_positive,
-    require_whole,
-)
+from carpark_mj.config.checks import CheckedConfig, Count, NonNegative, Positive
 from carpark_mj.config.vehicles import with_parameters
 from carpark_papers.cederle.junction.roads import LANES, Route, path_length
 
@@ -158,14 +153,9 @@ class RasterConfig(CheckedConfig):
         frames: number of images of the last control steps that an agent observes.
     """
 
-    pixels: int = 84
-    extent: float = 50.0
-    frames: int = 3
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_whole(self, 1, "pixels", "frames")
-        require_positive(self, "extent")
+    pixels: Count = 84
+    extent: Positive = 50.0
+    frames: Count = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,18 +190,16 @@ class JunctionConfig(CheckedConfig):
     action: ActionKind = "index"
     rewards: RewardRules = dataclasses.field(default_factory=RewardRules)
     end: EndRule = "any"
-    max_steps: int = 75
+    max_steps: Count = 75
     shuffle: bool = False
     probe: bool = False
-    jitter: float = 0.0
+    jitter: NonNegative = 0.0
     respawn: bool = True
     sim: SimConfig = dataclasses.field(default_factory=lambda: SimConfig(ctrl_dt=0.1))
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "vehicle", with_parameters(self.vehicle))
-        require_whole(self, 1, "max_steps")
-        require_at_least(self, 0.0, "jitter")
         for mission in self.traffic.missions:
             lane = path_length(LANES[mission.route.start])
             room = min(mission.start, lane - mission.start)

@@ -26,7 +26,7 @@ from carpark_papers.cederle.junction.roads import (
     project,
     stack_routes,
 )
-from carpark_papers.cederle.junction.types import State, Task, TimeStep
+from carpark_papers.cederle.junction.rules import State, Task, TimeStep
 
 
 class JunctionEnv:

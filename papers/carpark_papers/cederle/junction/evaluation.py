@@ -15,7 +15,7 @@ from flax import struct
 
 from carpark_papers.cederle.junction.config import JunctionConfig, Scenario
 from carpark_papers.cederle.junction.env import JunctionEnv
-from carpark_papers.cederle.junction.types import State
+from carpark_papers.cederle.junction.rules import State
 
 Policy = Callable[[jax.Array], jax.Array]  # observations to actions, of all agents
 

@@ -25,7 +25,7 @@ from carpark_papers.cederle.junction.roads import (
     ROAD,
     Box,
 )
-from carpark_papers.cederle.junction.types import State
+from carpark_papers.cederle.junction.rules import State
 
 OWN_CAR, GRASS, ASPHALT, PAINT, OTHER_CAR = 0, 64, 128, 191, 255
 _STRIPS = len(ROAD) - len(CORNER_CENTRES)  # boxes of the road before the corners'

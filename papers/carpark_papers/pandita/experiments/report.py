@@ -22,8 +22,7 @@ from carpark_papers.pandita.experiments.slots import (
     SlotsExperiment,
 )
 from carpark_papers.pandita.sac.config import read_phase
-from carpark_papers.pandita.sac.deploy import success_matrix, transfer
-from carpark_papers.pandita.sac.pictures import plot_matrix
+from carpark_papers.pandita.sac.deploy import plot_matrix, success_matrix, transfer
 from carpark_papers.reports import ENOUGH, always, make_panels, write_figure
 
 WINDOW = 7  # rows of the moving average

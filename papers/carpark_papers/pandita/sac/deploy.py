@@ -1,4 +1,4 @@
-"""Whole episodes on every kind of lot after a phase; forgetting and transfer.
+"""Whole episodes on every kind of lot after a phase; forgetting, transfer, pictures.
 
 Backward and forward transfer are those of Lopez-Paz & Ranzato 2017, "Gradient Episodic
 Memory for Continual Learning", section 2 (arXiv 1706.08840).
@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,11 +17,54 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.files import write_atomically
 from carpark_mj.policy.rollout import Carry, Step, roll_out
+from carpark_mj.training.curve import plot_learning_curve
+from carpark_mj.training.metrics_log import read_metrics
 from carpark_mj.types import State
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.options import share
 from carpark_papers.pandita.sac.config import Phase, SACConfig
+
+_RATES = (("success", "tab:green"), ("crashed", "tab:red"), ("timed_out", "tab:gray"))
+
+
+def plot_phases(folder: Path) -> Path:
+    """Draws rates and return of the training's episodes to `learning_curve.png`."""
+    ends = {row["phase"]: row["env_steps"] for row in read_metrics(folder)}
+    return plot_learning_curve(
+        folder,
+        _RATES,
+        "return",
+        ("steps of cars [thousand]", 1e3),
+        window=7,
+        switches=sorted(ends.values())[:-1],
+    )
+
+
+def plot_matrix(
+    path: Path, matrix: np.ndarray, phases: Sequence[str], kinds: Sequence[str]
+) -> Path:
+    """Draws success rates (phases, kinds): a row per phase, a column per kind."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    size = (2.2 + 1.3 * len(kinds), 1.4 + 0.5 * len(phases))
+    figure, axes = plt.subplots(figsize=size, layout="constrained")
+    try:
+        axes.imshow(matrix, cmap="RdYlGn", vmin=-0.3, vmax=1.3, aspect="auto")
+        for (row, column), value in np.ndenumerate(matrix):
+            axes.text(column, row, f"{value:.0%}", ha="center", va="center")
+        axes.set_xticks(range(len(kinds)), kinds)
+        axes.set_yticks(range(len(phases)), phases)
+        axes.set(xlabel="deployed on", ylabel="after", title="success rate")
+        write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
+    finally:
+        plt.close(figure)
+    return path
+
 
 Rows = Sequence[dict[str, Any]]
 

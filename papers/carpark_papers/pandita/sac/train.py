@@ -35,10 +35,11 @@ from carpark_papers.pandita.sac.deploy import (
     Transfer,
     choose_action,
     deploy_everywhere,
+    plot_matrix,
+    plot_phases,
     success_matrix,
     transfer,
 )
-from carpark_papers.pandita.sac.pictures import plot_matrix, plot_phases
 
 ROW = 1000  # transitions between rows of metrics
 _LOSSES = ("actor_loss", "critic_loss", "ent_coef")

@@ -14,27 +14,31 @@ import dataclasses
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from carpark_mj.analysis.points import group
 from carpark_mj.analysis.runs import run_folders
-from carpark_mj.config.checks import require_at_least
+from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.sweeps.executor import Cluster
 from carpark_mj.sweeps.groups import groups
 from carpark_mj.sweeps.manage import Where
 from carpark_mj.sweeps.outcomes import read_outcome
-from carpark_mj.sweeps.plan import Run, settings_of
+from carpark_mj.sweeps.plan import Plan, Run, settings_of
 from carpark_mj.sweeps.slurm import SlurmConfig
 from carpark_papers.tanner.experiments.figures import (
+    ELSEWHERE,
+    EXPERIMENTS,
+    FIGURES,
     SOURCE,
     Experiment,
+    experiment_of,
+    plan_of,
     published_runs,
     write_verdicts,
 )
 
 
 @dataclasses.dataclass(frozen=True)
-class StudyConfig:
+class StudyConfig(CheckedConfig):
     """Settings of `carpark_mj study tanner`.
 
     Attributes:
@@ -57,19 +61,18 @@ class StudyConfig:
     figure: str = ""
     all: bool = False
     list: bool = False
-    minutes: float = 0.0
-    repeats: int = 0
-    seed: int = 0
+    minutes: NonNegative = 0.0
+    repeats: Natural = 0
+    seed: Natural = 0
     set: tuple[str, ...] = ()
     runs_dir: str = "runs/study"
     cluster: Cluster = "local"
-    jobs: int = 0
-    side_by_side: int = 8
+    jobs: Natural = 0
+    side_by_side: Count = 8
     slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
 
     def __post_init__(self) -> None:
-        require_at_least(self, 0, "minutes", "repeats", "seed", "jobs")
-        require_at_least(self, 1, "side_by_side")
+        super().__post_init__()
         if bool(self.figure) + self.all + self.list != 1:
             raise ValueError("give one of --figure NUMBER, --all and --list")
 
@@ -146,20 +149,8 @@ def choose(
     return chosen, rest
 
 
-if TYPE_CHECKING:  # they load what `run_command` reports if it is missing
-    from carpark_mj.sweeps.plan import Plan, Run
-    from carpark_papers.tanner.experiments.figures import Experiment
-
-
 def describe() -> None:
     """Prints a line per figure."""
-    from carpark_papers.tanner.experiments.figures import (
-        ELSEWHERE,
-        FIGURES,
-        experiment_of,
-        plan_of,
-    )
-
     for figure in FIGURES:
         if figure in ELSEWHERE:
             print(f"{figure:5} {ELSEWHERE[figure]}")
@@ -172,7 +163,7 @@ def describe() -> None:
         )
 
 
-def report(experiment: "Experiment", folder: Path) -> Path | None:
+def report(experiment: Experiment, folder: Path) -> Path | None:
     """Writes the page and the verdicts of finished runs; None without any."""
     from carpark_mj.cli.analysis import analyse, read_records
 
@@ -193,9 +184,7 @@ def report(experiment: "Experiment", folder: Path) -> Path | None:
     return page
 
 
-def say_budget(
-    chosen: "Sequence[Cost]", rest: "Sequence[Cost]", minutes: float
-) -> None:
+def say_budget(chosen: Sequence[Cost], rest: Sequence[Cost], minutes: float) -> None:
     """Prints which experiments run and which are left out."""
     for words, costs in (("runs", chosen), ("leaves out", rest)):
         for one in costs:
@@ -216,11 +205,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     from carpark_mj.sweeps.plan import checked_runs
     from carpark_mj.sweeps.work import prepare
     from carpark_mj.training.ppo.parts import PRESETS
-    from carpark_papers.tanner.experiments.figures import (
-        EXPERIMENTS,
-        experiment_of,
-        plan_of,
-    )
 
     config = read_flags(StudyConfig, arguments, description=__doc__)
     if config.list:
