@@ -93,7 +93,7 @@ Line = tuple[tuple[float, float], ...]
 
 @dataclasses.dataclass(frozen=True)
 class CarStyle:
-    """A side view. Points are (share of the length behind the nose, share of height)."""
+    """A side view; points are (share of length behind the nose, share of height)."""
 
     top: Line  # upper edge of the body without its cabin, from nose to tail
     # foot of the windscreen, front and rear end of the roof, foot of the rear

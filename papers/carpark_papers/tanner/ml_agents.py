@@ -31,7 +31,7 @@ LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
 
 @struct.dataclass
 class Steps:
-    """Steps (..., size) to learn from, with outputs of the networks before the update."""
+    """Steps (..., size) to learn from; outputs of networks are from before the update."""
 
     observation: jax.Array  # of the agents
     raw_action: jax.Array  # of the agents
