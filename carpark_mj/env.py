@@ -27,7 +27,7 @@ from carpark_mj.layouts import (
     make_layout,
     member_shares,
 )
-from carpark_mj.layouts.splits import Split, lot_key, lot_number
+from carpark_mj.layouts.registry import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.mdp.goals import make_goals
@@ -198,7 +198,7 @@ class ParkingEnv:
         Args:
             key: consumed.
             split: lots to draw a random layout from; those of `test` are held out for
-                evaluation (`carpark_mj.layouts.splits`).
+                evaluation (`carpark_mj.layouts.registry`).
             member: () int32 which member of a mixture the lot is of; drawn if None.
             num_present: () int32 how many agents the lot has, from 1 to `num_agents`;
                 drawn if None, see `EnvConfig.min_agents`.

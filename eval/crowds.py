@@ -24,9 +24,8 @@ import numpy as np
 from carpark_mj.cli.common import run_command
 from carpark_mj.files import require_writable, write_atomically, write_csv
 from carpark_mj.geometry import norm
-from carpark_mj.movers import social_force
-from carpark_mj.movers.bodies import go_round, room_among, room_to
-from carpark_mj.movers.outlines import outlines
+from carpark_mj.movers import bodies
+from carpark_mj.movers.bodies import go_round, outlines, room_among, room_to
 
 DT = 0.2  # s, the control period
 RADIUS = 0.3  # m
@@ -59,7 +58,7 @@ class CrowdsConfig:
     out: str = "docs/people"
 
 
-def apart(xy: jax.Array, length: float) -> social_force.Pair:
+def apart(xy: jax.Array, length: float) -> bodies.Pair:
     """X and y (n, n) [m] from the second people to the first; x repeats."""
     x = xy[:, :1] - xy[:, 0]
     x = x - length * jnp.round(x / length) + 1e6 * jnp.eye(xy.shape[0])
@@ -69,14 +68,14 @@ def apart(xy: jax.Array, length: float) -> social_force.Pair:
 def move(
     xy: jax.Array,
     velocity: jax.Array,
-    aim: social_force.Aim,
+    aim: bodies.Aim,
     borders: jax.Array,
     length: float,
     dt: float = DT,
 ) -> tuple[jax.Array, jax.Array]:
     """Places and velocities (n, 2) after a control step, as pedestrians move."""
     offset = functools.partial(apart, length=length)
-    end, after = social_force.walk(xy, velocity, aim, offset, [borders], dt)
+    end, after = bodies.advance_people(xy, velocity, aim, offset, [borders], dt)
     rooms = [room_among(offset(xy), aim.radius), room_to(xy, aim.radius, borders)]
     moved = go_round(rooms, end - xy)
     return xy + moved, after + (xy + moved - end) / dt
@@ -140,7 +139,7 @@ def walk(key: jax.Array, pushes: bool) -> tuple[jax.Array, ...]:
     heading = jnp.stack([way, jnp.zeros(WALKERS)], axis=-1)
     speed, nobody = paces(speed_key, WALKERS), jnp.zeros(WALKERS, bool)
     radii = jnp.full(WALKERS, RADIUS)
-    aim = social_force.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
+    aim = bodies.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
     borders = corridor(length, width)
 
     def step(carry, _):
@@ -172,7 +171,7 @@ def one_way(key: jax.Array, density: float, radius: float, dt: float) -> jax.Arr
     xy, speed = spread(place_key, count, ONE_WAY), paces(speed_key, count)
     heading = jnp.tile(jnp.array([1.0, 0.0]), (count, 1))
     nobody, radii = jnp.zeros(count, bool), jnp.full(count, radius)
-    aim = social_force.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
+    aim = bodies.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
     borders = corridor(length, width)
 
     def step(carry, _):
@@ -206,7 +205,7 @@ def leave(key: jax.Array, speed: jax.Array) -> jax.Array:
         beyond = jnp.where(xy[:, 0] > ROOM - RADIUS, 1e3, ROOM)
         to_go = jnp.stack([beyond, inward], axis=-1) - xy
         heading = to_go / jnp.maximum(norm(to_go), 1e-3)[:, None]
-        aim = social_force.Aim(speed * heading, heading, speeds, nobody, radii)
+        aim = bodies.Aim(speed * heading, heading, speeds, nobody, radii)
         xy, velocity = move(xy, velocity, aim, borders, 1e9)
         return (xy, velocity), (xy[:, 0] > ROOM).sum()
 

@@ -124,7 +124,7 @@ def run(config: IdentificationConfig) -> None:
                     "true": float(getattr(drive.true, name)),
                     "found": found[name].value,
                     "half_interval": found[name].error,
-                    "told": found[name].told,
+                    "told": found[name].identifiable,
                 }
                 for name in Sought._fields
             ]

@@ -265,9 +265,3 @@ def test_no_start_is_on_course_for_a_collision_with_an_absent_agent(monkeypatch)
     place = jax.jit(env.goals.place)
     placed = place(inputs, placing, jnp.int32(1), jax.random.key(1))
     assert placed.pose_w[1].tolist() == [2.0, 1.0, 1.0]  # agents 0 and 2
-
-
-@pytest.mark.parametrize("least", [0, MOST + 1, 1.5])
-def test_impossible_least_numbers_are_refused(least):
-    with pytest.raises(ValueError, match="min_agents must be"):
-        EnvConfig(num_agents=MOST, min_agents=least)

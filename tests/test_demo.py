@@ -22,6 +22,8 @@ from carpark_mj.policy.outside import plain_values
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.types import Motion
 
+pytestmark = pytest.mark.slow
+
 DEMO = Path(__file__).parents[1] / "docs" / "demo"
 LOT = "square"
 MINUTE = 60.0  # s of simulated time

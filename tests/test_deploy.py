@@ -13,10 +13,12 @@ import pytest
 from carpark_mj.cli.export import environment_rows
 from carpark_mj.cli.scene import SceneConfig, make_scene, vehicle
 from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.onnx_car import make_car_model, make_session
+from carpark_mj.policy.onnx_export import make_car_model, make_session
 from carpark_mj.scene.build import scene_xml
 
 onnxruntime = pytest.importorskip("onnxruntime")
+
+pytestmark = pytest.mark.slow
 DEPLOY = Path(__file__).parents[1] / "examples" / "deploy"
 SEEDS = 4
 HEADER = "onnxruntime_cxx_api.h"

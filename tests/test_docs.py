@@ -47,17 +47,16 @@ from carpark_mj.config import (
 )
 from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table, observation_size
-from carpark_mj.policy.plain_inputs import markdown_inputs
+from carpark_mj.policy.outside import markdown_inputs
 from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.suite.command import SuiteConfig
-from carpark_mj.sweeps.config import SweepConfig
+from carpark_mj.sweeps import SweepConfig
 from carpark_mj.training.hosts import read_hosts
-from carpark_mj.training.ppo.arguments import read_runs
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
-from carpark_mj.training.settings import named
+from carpark_mj.training.run_folder import named, read_runs
 from vehicle_suite.table import excerpt
 
 README, MDP, DEPLOYMENT, VEHICLE = (

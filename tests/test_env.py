@@ -212,33 +212,6 @@ def test_the_reward_is_the_sum_of_its_terms():
         np.testing.assert_allclose(timestep.reward, total, atol=1e-6)  # float32
 
 
-def test_a_name_is_no_config():
-    with pytest.raises(TypeError, match="must be an EnvConfig, not 'square'; `carpark"):
-        ParkingEnv("square")  # pyright: ignore[reportArgumentType]
-    for name, value in (("vehicle", "van"), ("physics", "mjx")):
-        kind = {"vehicle": "VehicleParameters", "physics": "Physics"}[name]
-        message = f"{name} must be of {kind} or None, not '{value}'"
-        with pytest.raises(TypeError, match=message):
-            ParkingEnv(**{name: value})
-
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        "spawn.close_ratio",
-        "sim.ctrl_dt",
-        "vehicle",
-        "reward.route",
-        "reward.extra",
-        "reward.goals.stop_goal",
-        "rewards",
-    ],
-)
-def test_settings_that_would_have_no_effect_are_refused(path):
-    with pytest.raises(ValueError, match=path):
-        slide()[0].with_values({path: 1.0})
-
-
 def settings(config, prefix=""):
     """The values of all settings by their paths."""
     found = {}

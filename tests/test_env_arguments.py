@@ -1,7 +1,6 @@
 """Arguments of an environment that are refused, and states that are passed on."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.sliding import HALT, slide, start
@@ -68,15 +67,3 @@ def test_a_step_takes_a_state_and_real_numbers(state, action, message):
     env, _, begun = start()
     with pytest.raises(TypeError, match=message):
         env.step(begun if state == "s" else state, action)
-
-
-def test_a_seed_is_no_key():
-    with pytest.raises(TypeError, match=r"key must be as jax.random.key\(0\) gives, n"):
-        slide()[0].reset(0)
-
-
-@pytest.mark.parametrize("count", [0, 4, jnp.int32(4)])
-def test_a_lot_has_as_many_agents_as_there_can_be(count):
-    env = slide()[0]
-    with pytest.raises(ValueError, match=r"num_present must lie in \[1, 3\], not "):
-        env.reset(jax.random.key(0), num_present=count)

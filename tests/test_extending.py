@@ -22,7 +22,6 @@ from carpark_mj.config import (
     REWARD_TERMS,
     EnvConfig,
     MetricsConfig,
-    ParkedRule,
     RewardConfig,
 )
 from carpark_mj.config.layouts import FAMILIES, LAYOUTS
@@ -224,12 +223,3 @@ def test_the_new_parked_rule_holds_with_straight_wheels_only():
     motion = cars(np.zeros((2, 3)), steering=[0.0, 0.1])
     assert is_parked(rule, motion, bay, size).tolist() == [True, False]
     assert EvaluateConfig(run="square", rule=rule).rule == "straight"
-
-
-def test_a_registered_name_stays_what_it_is():
-    run("A parked rule")
-    for name in ("straight", "strict"):
-        with pytest.raises(ValueError, match=name):
-            PARKED_RULES.register(name, ParkedRule(speed=1.0))
-    with pytest.raises(TypeError):
-        PARKED_RULES["strict"] = ParkedRule(speed=1.0)

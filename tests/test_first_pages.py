@@ -30,20 +30,3 @@ def test_a_snippet_of_the_first_pages_runs(snippet):
     for old, new in CHEAPER:
         snippet = snippet.replace(old, new)
     exec(snippet, {})
-
-
-def nav(part):
-    """Pages of a part of the site, from `mkdocs.yml`."""
-    text = (
-        (DOCS.parent / "mkdocs.yml").read_text().split("\nnav:\n")[1].split("\n\n")[0]
-    )
-    [section] = [s for s in re.split(r"^  - ", text, flags=re.M) if s.startswith(part)]
-    return [DOCS / page for page in re.findall(r"[\w/]+\.md", section)]
-
-
-@pytest.mark.parametrize("page", nav("Guides"), ids=lambda page: page.stem)
-def test_a_guide_begins_with_what_works_and_ends_with_what_to_read_next(page):
-    first, second, *_, last = re.split(r"\n\n+", page.read_text().strip())
-    assert first.startswith("# ")
-    assert second.startswith("```")
-    assert last.startswith("Read next: ")

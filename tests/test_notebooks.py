@@ -9,6 +9,8 @@ from carpark_mj.rendering.gl import choose_gl
 nbclient = pytest.importorskip("nbclient", reason="pip install nbclient ipykernel")
 pytest.importorskip("ipykernel", reason="pip install nbclient ipykernel")
 nbformat = pytest.importorskip("nbformat")
+
+pytestmark = pytest.mark.slow
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples/notebooks").glob("*.ipynb"))
 books = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 

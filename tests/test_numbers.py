@@ -8,7 +8,7 @@ from statistics import fmean
 import pytest
 
 from carpark_mj.policy import checkpoints
-from carpark_mj.policy.pretrained import FOLDER, find_policy, pretrained_names
+from carpark_mj.policy.runs import FOLDER, find_policy, pretrained_names
 
 ROOT = Path(__file__).parents[1]
 README, RESULTS, STUDY = (

@@ -24,11 +24,3 @@ def test_the_package_has_the_version_of_its_distribution():
 def test_citations_have_the_version(place):
     found = re.findall(PLACES[place], (ROOT / place).read_text(), re.MULTILINE)
     assert found == [carpark_mj.__version__]
-
-
-def test_an_entry_of_the_changelog_is_short():
-    entries = (ROOT / "CHANGELOG.md").read_text().split("\n## ")[1:]
-    assert entries
-    for entry in entries:
-        added = entry.split("\n### ")[0]
-        assert added.count("\n- ") <= 10

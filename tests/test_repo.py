@@ -103,8 +103,8 @@ def test_no_two_test_files_have_the_same_name():
     assert len(names) == len({*names})
 
 
-def test_at_most_fourteen_files_stand_at_the_root_of_the_package():
-    assert len(list(LIBRARY.glob("*.py"))) <= 14
+def test_few_files_stand_at_the_root_of_the_package():
+    assert len(list(LIBRARY.glob("*.py"))) <= 16
 
 
 @pytest.mark.parametrize("room", sorted(FLOOR))

@@ -10,6 +10,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 pytest.importorskip("mkdocs", reason='pip install ".[docs]"')
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):

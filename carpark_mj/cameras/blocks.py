@@ -13,13 +13,15 @@ from carpark_mj.cameras.rig import BODY, CABIN, CarBlock, Seen
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry.obstacles import Boxes, Group
 from carpark_mj.geometry.se2 import move_forward, rotate
-from carpark_mj.layouts.dimensions import (
+from carpark_mj.layouts.types import (
     DISC_HEIGHTS,
     GROUND_CLEARANCE,
     MOVER_HEIGHTS,
     WALL_HEIGHTS,
+    DiscKind,
+    Layout,
+    WallKind,
 )
-from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import State
 

@@ -10,7 +10,7 @@ from flax import struct
 
 from carpark_mj.cameras.rig import Seen
 from carpark_mj.geometry.se2 import norm, rotate
-from carpark_mj.layouts.dimensions import (
+from carpark_mj.layouts.types import (
     ARROW_HEAD,
     ARROW_HEIGHT,
     ARROW_LENGTH,
@@ -21,8 +21,8 @@ from carpark_mj.layouts.dimensions import (
     LINE_WIDTH,
     VERGE_GAP,
     VERGE_HEIGHT,
+    Layout,
 )
-from carpark_mj.layouts.types import Layout
 
 SEEN_BITS, SHADE_BITS = 4, 3
 SHADES = 2**SHADE_BITS - 1  # the brightest

@@ -38,7 +38,7 @@ from carpark_mj.cameras.ground import (
 from carpark_mj.cameras.rig import BODY, Faults, Rig, Seen, is_dirty
 from carpark_mj.config.checks import CheckedConfig, Count, Positive
 from carpark_mj.geometry.se2 import rotate
-from carpark_mj.layouts.dimensions import LINE_WIDTH
+from carpark_mj.layouts.types import LINE_WIDTH
 from carpark_mj.types import State
 
 _SKY = sky_hit(int(Seen.SKY))

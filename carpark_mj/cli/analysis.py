@@ -10,10 +10,24 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from carpark_mj.analysis.page import cell_text, picture, table, videos, write_page
-from carpark_mj.analysis.plots import plot_curves, plot_metric
-from carpark_mj.analysis.points import Point, Sources, group, run_rows, spread_rows
-from carpark_mj.analysis.runs import Record, read_run, run_folders, swept_settings
+from carpark_mj.analysis import (
+    Point,
+    Record,
+    Sources,
+    cell_text,
+    group,
+    picture,
+    plot_curves,
+    plot_metric,
+    read_run,
+    run_folders,
+    run_rows,
+    spread_rows,
+    swept_settings,
+    table,
+    videos,
+    write_page,
+)
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.policy.checkpoints import CheckpointError
 
@@ -22,8 +36,7 @@ METRICS = ("parked", "crashed", "timed_out", "length")
 CURVES = ("episode/parked", "episode/crashed")
 METHOD = (
     "Interquartile means (iqm) with 95 % intervals from a bootstrap of runs within "
-    "each point; of three runs or fewer the iqm is the mean. Outliers are more than 5 "
-    "robust standard deviations from the median of their point."
+    "each point; of three runs or fewer the iqm is the mean."
 )
 
 

@@ -15,7 +15,7 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.fleet.checks import parked_cars_needed
 from carpark_mj.layouts import layout_config
-from carpark_mj.policy import pretrained
+from carpark_mj.policy import runs
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import load_policy
@@ -26,7 +26,7 @@ from carpark_mj.registry import environment
 
 def command_help(text: str | None) -> str:
     """The head of a command's help, with the names of the pretrained policies."""
-    return f"{text}\nPretrained policies: {pretrained.describe_names()}."
+    return f"{text}\nPretrained policies: {runs.describe_names()}."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +92,7 @@ def output_folder(checkpoint: Path) -> Path:
     It is the folder of its run or file; `runs/NAME` for a pretrained policy.
     """
     folder = checkpoint.parent
-    if folder.resolve() == pretrained.FOLDER:
+    if folder.resolve() == runs.FOLDER:
         return Path("runs") / checkpoint.stem
     return folder.parent if folder.name == "checkpoints" else folder
 

@@ -20,31 +20,28 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key, require_seed
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
+from carpark_mj.policy.acting import Carry, Step, acts, roll_out
 from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
-from carpark_mj.policy.onnx_car import (
-    decisions,
-    describe,
-    inputs_of,
-    make_car_model,
-    make_session,
-    require_outside,
-    sensitivity,
-)
 from carpark_mj.policy.onnx_export import (
     OUTPUT,
+    decisions,
+    describe,
     describe_action,
     differences,
+    inputs_of,
     largest_difference,
+    make_car_model,
     make_model,
+    make_session,
     onnx_inputs,
     policy_actions,
     random_observations,
     require_onnx,
+    require_outside,
     rounding_error,
+    sensitivity,
 )
-from carpark_mj.policy.outside import plain_values
-from carpark_mj.policy.plain_inputs import Rows, rows_of
-from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
+from carpark_mj.policy.outside import Rows, plain_values, rows_of
 
 # Most that numbers of an action of a model and of its policy may differ by. Where
 # float32 itself is not as good as that, twice its error: both are computed in it.

@@ -18,9 +18,14 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import require_finite
 from carpark_mj.config.vehicles import is_name
 from carpark_mj.files import require_writable, write_atomically
-from carpark_mj.identification.fit import PARAMETERS, Identification, identify
+from carpark_mj.identification.fit import (
+    PARAMETERS,
+    Identification,
+    identify,
+    place,
+    vehicle_text,
+)
 from carpark_mj.identification.log import DriveLog, read_log
-from carpark_mj.identification.vehicle_file import place, vehicle_text
 from carpark_mj.vehicle import preset
 from carpark_mj.vehicle.file import read_sheet
 from carpark_mj.vehicle.sheet import Sheet
@@ -83,7 +88,7 @@ def _print(found: Identification, log: DriveLog) -> None:
         table.add_row(
             name,
             f"{estimate.value:.4g} {PARAMETERS[name].unit}",
-            f"{low:.4g} … {high:.4g}" if estimate.told else "not told by the log",
+            f"{low:.4g} … {high:.4g}" if estimate.identifiable else "not identifiable",
             place(name, log),
         )
     console = Console()
@@ -92,9 +97,9 @@ def _print(found: Identification, log: DriveLog) -> None:
     residuals = (f"{k} {v:.2g} {units[k]}" for k, v in found.residuals.items())
     print(f"residuals, root mean square: {', '.join(residuals)}")
     for name, estimate in found.estimates.items():
-        if not estimate.told:
+        if not estimate.identifiable:
             needs = PARAMETERS[name].needs
-            print(f"{name} keeps the vehicle's value: a log tells it by {needs}")
+            print(f"{name} keeps the vehicle's value: identify it by {needs}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

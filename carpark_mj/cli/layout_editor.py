@@ -20,7 +20,7 @@ from carpark_mj.editor.document import EXTENT, Draft
 from carpark_mj.editor.picture import Picture, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.files import require_writable
-from carpark_mj.layouts.json_file import FARTHEST
+from carpark_mj.layouts.files import FARTHEST
 from carpark_mj.rendering.local_pages import HOST, PORT, check_port
 
 PROGRAM = "carpark_mj layouts edit"

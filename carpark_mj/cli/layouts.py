@@ -35,9 +35,9 @@ from carpark_mj.layouts import (
     LotConfig,
     layout_config,
 )
+from carpark_mj.layouts.car_park import crop
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.crop import crop
-from carpark_mj.layouts.json_file import layout_text
+from carpark_mj.layouts.files import layout_text
 from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout

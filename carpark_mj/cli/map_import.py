@@ -15,8 +15,8 @@ import tyro
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.files import require_writable, write_atomically
-from carpark_mj.layouts.crop import crop
-from carpark_mj.layouts.json_file import layout_text
+from carpark_mj.layouts.car_park import crop
+from carpark_mj.layouts.files import layout_text
 
 PROGRAM = "carpark_mj layouts import"
 

@@ -35,7 +35,7 @@ from carpark_mj.play.controls import KEYS, Controls, from_gamepad, from_keys, st
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
 from carpark_mj.play.driven import DrivenLot
 from carpark_mj.policy.acting import StatePolicy
-from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.local_pages import HOST, PORT, check_port
 from carpark_mj.rendering.renderer import camera_names

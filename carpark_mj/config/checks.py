@@ -21,6 +21,8 @@ from typing import (
 from carpark_mj.extensions import unknown_name
 
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
+IntRange = tuple[int, int]  # both ends included
+RANGES = Range, IntRange
 # JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
 LARGEST_WHOLE = 2**31 - 1
 LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
@@ -29,7 +31,7 @@ LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
 class Bounds(NamedTuple):
     """Bounds of a field, in its annotation: `Annotated[float, Bounds(ge=0.0)]`.
 
-    Every number of a tuple lies within them, and a `Range` rises.
+    Every number of a tuple lies within them; `Range` and `IntRange` rise.
 
     Attributes:
         ge: least value.
@@ -223,9 +225,9 @@ def require_bounds(config: Any) -> None:
         value = getattr(config, name)
         if value is None:
             continue
-        rises = hint != Range or value[0] <= value[1]
+        rises = hint not in RANGES or value[0] <= value[1]
         if not (bounds.admit(value) and rises):
-            order = "be a range (low, high) and " * (hint == Range)
+            order = "be a range (low, high) and " * (hint in RANGES)
             raise ValueError(f"{name} must {order}{bounds}, not {value!r}")
         if not _fits(value):
             raise ValueError(f"{name} must fit 32 bits, not {value!r}")

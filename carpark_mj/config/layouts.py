@@ -8,19 +8,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.extensions import Registry
 
-_FAMILIES = (
-    "square",
-    "lot",
-    "street",
-    "angled",
-    "mixture_config",
-    "garage_row",
-    "dead_end",
-    "from_file",
-    "car_park",
-)
-_HOMES = [f"carpark_mj.layouts.{family}" for family in _FAMILIES]
-
 
 class LayoutConfig(CheckedConfig, abc.ABC):
     """A family of lots: a frozen dataclass of its settings, which draws them.
@@ -85,7 +72,7 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
     @property
     def entries(self) -> tuple[Any, ...]:
-        """The widest entries into bays, `carpark_mj.layouts.turning.Entry`.
+        """The widest entries into bays, `carpark_mj.layouts.standards.Entry`.
 
         A car that fits through none of these cannot enter any bay of this config's
         lots; empty if unknown.
@@ -94,12 +81,12 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
 
 Config = TypeVar("Config", bound=LayoutConfig)
-LAYOUTS: Registry[LayoutConfig] = Registry("layout", *_HOMES)
+LAYOUTS: Registry[LayoutConfig] = Registry("layout", "carpark_mj.layouts")
 # Classes by their `family`, so that configs can be read from files.
-FAMILIES: Registry[type[LayoutConfig]] = Registry("family", *_HOMES)
+FAMILIES: Registry[type[LayoutConfig]] = Registry("family", "carpark_mj.layouts")
 # What reads a layout from a file, a `Layout`, by the suffix of the file's name.
 LAYOUT_FORMATS: Registry[Callable[[Path], Any]] = Registry(
-    "layout format", "carpark_mj.layouts.json_file"
+    "layout format", "carpark_mj.layouts.files"
 )
 
 

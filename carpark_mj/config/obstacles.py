@@ -27,7 +27,7 @@ class ObstacleKind(enum.IntEnum):
 
 
 class Mover(CheckedConfig, abc.ABC):
-    """Base of moving obstacles that are not cars, a frozen dataclass of settings.
+    """Base of obstacles that move by themselves, a frozen dataclass of settings.
 
     Agents must avoid them: contacts do not push them. They push and stop cars in
     physics whose world has them, `scene`.
@@ -56,7 +56,7 @@ class Mover(CheckedConfig, abc.ABC):
 
         Args:
             key: consumed.
-            layout: the lot, a `carpark_mj.layouts.Layout`.
+            layout: the lot.
             others: groups of obstacles: parked cars, walls, and the movers before it.
         """
         del others

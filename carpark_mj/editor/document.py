@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from carpark_mj.files import write_atomically
 from carpark_mj.layouts.checks import ANY_CAR, list_faults
-from carpark_mj.layouts.json_file import (
+from carpark_mj.layouts.files import (
     FORMAT,
     complete,
     document_text,
@@ -102,9 +102,9 @@ def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
             {"text": str(error), "places": places, "grave": True, "unreadable": True}
         ]
     found: list[dict[str, Any]] = []
-    of_any_car = {x.words: x.places.tolist() for x in list_faults(layout, ANY_CAR)}
-    for words, kinds, places in list_faults(layout, DesignCar().size):
-        hard = {tuple(place) for place in of_any_car.get(words, [])}
+    of_any_car = {x.message: x.places.tolist() for x in list_faults(layout, ANY_CAR)}
+    for message, kinds, places in list_faults(layout, DesignCar().size):
+        hard = {tuple(place) for place in of_any_car.get(message, [])}
         for grave in (True, False):
             told = [
                 [f"{kind}s/{row}" for kind, row in zip(kinds, place, strict=True)]
@@ -112,7 +112,7 @@ def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
                 if (tuple(place) in hard) == grave
             ]
             if told:
-                found.append({"text": words, "places": told, "grave": grave})
+                found.append({"text": message, "places": told, "grave": grave})
     return found
 
 

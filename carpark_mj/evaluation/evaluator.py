@@ -20,8 +20,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row, summarize
 from carpark_mj.evaluation.keys import evaluation_key, require_seed
 from carpark_mj.layouts import member_shares
-from carpark_mj.policy.acting import AnyPolicy, as_argument
-from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
+from carpark_mj.policy.acting import AnyPolicy, Carry, Step, acts, as_argument, roll_out
 from carpark_mj.types import State
 
 CHUNK = 50  # control steps per compiled call

@@ -27,6 +27,6 @@ def training_key(seed: int) -> jax.Array:
 def evaluation_key(seed: int) -> jax.Array:
     """The key of an evaluation.
 
-    Random layouts also come from the `test` split (`carpark_mj.layouts.splits`).
+    Random layouts also come from the `test` split (`carpark_mj.layouts.registry`).
     """
     return jax.random.fold_in(jax.random.key(seed), 1)

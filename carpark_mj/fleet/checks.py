@@ -13,8 +13,7 @@ from carpark_mj.fleet.draw import Fleet
 from carpark_mj.geometry import box_disc_overlap, boxes_overlap, to_world
 from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.turning import Entry
+from carpark_mj.layouts.standards import DesignCar, Entry
 from carpark_mj.layouts.types import BayKind
 from carpark_mj.vehicle import VehicleParameters
 
@@ -208,8 +207,8 @@ def _require_entry(
         raise ValueError(f"the {name}, {car.width:.2f} m wide, cannot turn into {bay}")
     raise ValueError(
         f"the {name} needs an aisle of {least:.2f} m to turn into {bay} "
-        f"(carpark_mj.layouts.turning), the lot's aisles are up to {entry.aisle:.2f} m "
-        "wide"
+        f"(carpark_mj.layouts.standards), the lot's aisles are up to "
+        f"{entry.aisle:.2f} m wide"
     )
 
 

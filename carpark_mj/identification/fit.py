@@ -1,4 +1,4 @@
-"""Least squares of a test drive: values, intervals, and what the log cannot tell.
+"""Least squares of a test drive: values, intervals, and the vehicle file they make.
 
 The unknowns are the parameters sought and the start of every piece of the drive, in
 units of what is known of them before (`Parameter.doubt`), which counts as a
@@ -13,9 +13,10 @@ and McCaffrey 2002, with Student's t).
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import yaml  # Flax brings it
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
@@ -23,6 +24,7 @@ from carpark_mj.geometry.se2 import wrap_angle
 from carpark_mj.identification.log import DriveLog
 from carpark_mj.identification.simulation import SIM_DT, Replay
 from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.sheet import Sheet
 
 RANK = 1e-4  # eigenvalue of the scaled information that derivatives can make of none
 
@@ -33,13 +35,12 @@ class Parameter(NamedTuple):
     Attributes:
         unit: its unit.
         relative: whether the others are shares.
-        least: it can have.
-        step: for derivatives, which moves events, such as the closing of the holding
+        least: lower bound.
+        step: for derivatives. It moves events, such as the closing of the holding
             brake, by several substeps; less would take them for fixed.
         doubt: standard deviation of the vehicle's value.
-        widest: half the longest interval with which the log tells it, a share of the
-            value found.
-        needs: what tells it in a drive.
+        widest: half the longest interval of an identifiable number, a share of it.
+        needs: what makes it identifiable in a drive.
     """
 
     unit: str
@@ -97,30 +98,19 @@ _ENOUGH = 0.2  # what the sum of squares falls by when it has converged
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A number that was sought.
+    """A number that was sought."""
 
-    Attributes:
-        value: the best one, or the vehicle's if the log does not tell it.
-        error: half the 95 % interval.
-        told: whether the log tells it.
-    """
-
-    value: float
-    error: float
-    told: bool
+    value: float  # the best one, or the vehicle's if it is not identifiable
+    error: float  # half the 95 % interval
+    identifiable: bool  # whether the log determines it
 
 
 @dataclasses.dataclass(frozen=True)
 class Identification:
-    """What a log tells.
+    """Parameters of a car from a log."""
 
-    Attributes:
-        estimates: by name, as `PARAMETERS`.
-        residuals: root mean square by the quantity measured, in SI units.
-    """
-
-    estimates: dict[str, Estimate]
-    residuals: dict[str, float]
+    estimates: dict[str, Estimate]  # by name, as `PARAMETERS`
+    residuals: dict[str, float]  # root mean square by quantity measured, in SI units
 
 
 def identify(
@@ -128,12 +118,12 @@ def identify(
 ) -> Identification:
     """Fits a log; see the module.
 
-    A number is told if half its interval is at most `Parameter.widest`; the others keep
-    the vehicle's values.
+    A number is identifiable if half its interval is at most `Parameter.widest`; the
+    others keep the vehicle's values.
 
     Args:
         log: the log.
-        params: the vehicle where the log does not tell it.
+        params: the vehicle where nothing is identifiable.
         ahead: of the rear axle, the point whose positions are in the log [m].
         sim_dt: substep of the simulation [s].
     """
@@ -154,8 +144,8 @@ def identify(
     own, doubt = problem.own, problem.scaled("doubt")
     values = own + unknown[: len(own)] * doubt
     errors = doubt * problem.errors(unknown)
-    told = errors <= problem.scaled("widest", values)
-    rows = np.where(told, values, own).tolist(), errors.tolist(), told.tolist()
+    clear = errors <= problem.scaled("widest", values)
+    rows = np.where(clear, values, own).tolist(), errors.tolist(), clear.tolist()
     return Identification(
         {k: Estimate(*row) for k, *row in zip(PARAMETERS, *rows, strict=True)},
         dict(zip(problem.replay.channels, problem.noise.tolist(), strict=True)),
@@ -188,10 +178,7 @@ class _Problem:
         return np.array([getattr(p, what) * (x if p.relative else 1) for p, x in rows])
 
     def look(self, unknown: np.ndarray) -> np.ndarray:
-        """Derivatives (rows, unknowns) at a point and, as last column, residuals.
-
-        Triangles stand for the measurements, with the same squares and products.
-        """
+        """Derivatives (rows, unknowns) at a point and, as last column, residuals."""
         p, s, n = len(self.own), len(_START_STEPS), len(unknown)
         rows = [np.column_stack([np.eye(n), unknown])]
         for k, triangle in enumerate(self._triangles(unknown, self.noise)):
@@ -203,7 +190,10 @@ class _Problem:
         return np.concatenate(rows)
 
     def _triangles(self, unknown: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Of derivatives and residuals, by QR: (pieces, halves, p + 5, p + 5)."""
+        """Of derivatives and residuals, by QR: (pieces, halves, p + 5, p + 5).
+
+        They stand for the measurements, with the same squares and products.
+        """
         residual, slope = self._simulated(unknown)
         both = np.append(slope, residual[None], axis=0) / noise[:, None]
         both, size = np.where(self.measured, both, 0.0), len(both)
@@ -293,3 +283,67 @@ def _without_starts(squares: np.ndarray, starts: np.ndarray) -> np.ndarray:
 def _correlation(row: np.ndarray) -> float:
     """Of successive values."""
     return np.sum(row[1:] * row[:-1]) / max(np.sum(row * row), 1e-300)
+
+
+# Settings of an environment for numbers that a vehicle does not have.
+PLACES = {
+    "steering_delay": "sim.steering_delay",
+    "pedal_delay": "sim.pedal_delay",
+    "steering_offset": "randomization.steering_offset",
+}
+
+
+def place(name: str, log: DriveLog) -> str:
+    """Where a number of `Sought` belongs."""
+    if name == "steering_ratio" and log.names[0] == "steering":
+        return "a factor of the log's steering"
+    return PLACES.get(name, "vehicle file")
+
+
+def vehicle_text(name: str, sheet: Sheet, found: Identification, log: DriveLog) -> str:
+    """All parameters of a car as YAML, with the origin of each.
+
+    Args:
+        name: of the car.
+        sheet: the vehicle, which has what is not identifiable.
+        found: parameters from the log.
+        log: the log.
+    """
+    values = dataclasses.asdict(sheet.params)
+    tyre = {f"tyre.{key}": value for key, value in values.pop("tyre").items()}
+    origins = dict.fromkeys(sheet.estimated, "estimated")
+    lines = [
+        "# Identified from the log of a test drive; intervals are at 95 %. What is not",
+        "# marked is the vehicle's that was given. Settings of the environment:",
+    ]
+    for key, estimate in found.estimates.items():
+        if place(key, log) != "vehicle file":
+            lines.append(f"# {key} {_interval(key, estimate)}: {place(key, log)}")
+            continue
+        full = f"tyre.{key}" if f"tyre.{key}" in tyre else key
+        if estimate.identifiable:
+            (tyre if full in tyre else values)[full] = estimate.value
+            origins[full] = f"identified, {_interval(key, estimate)}"
+        elif full in values or full in tyre:
+            origins[full] = "not identifiable from the log"
+    lines.append(_line("name", name, ""))
+    lines += [_line(key, value, origins.get(key, "")) for key, value in values.items()]
+    lines.append("tyre:")
+    for key, value in tyre.items():
+        part = key.removeprefix("tyre.")
+        lines.append("  " + _line(part, value, origins.get(key, "")))
+    return "\n".join(lines) + "\n"
+
+
+def _interval(name: str, estimate: Estimate) -> str:
+    """A number with its interval."""
+    if not estimate.identifiable:
+        return "is not identifiable from the log"
+    unit = PARAMETERS[name].unit
+    return f"{estimate.value:.4g} ± {estimate.error:.2g} {unit}".rstrip()
+
+
+def _line(key: str, value: Any, origin: str) -> str:
+    rounded = float(f"{value:.6g}") if isinstance(value, float) else value
+    text = yaml.safe_dump({key: rounded}, allow_unicode=True, width=1000).strip()
+    return f"{text}  # {origin}" if origin else text

@@ -45,24 +45,15 @@ WIDEST_GAP = 0.25  # s between rows, for commands are interpolated
 
 @dataclasses.dataclass(frozen=True)
 class DriveLog:
-    """A test drive in SI units.
+    """A test drive in SI units."""
 
-    Attributes:
-        time: (n,) increasing [s].
-        steering: (n,) angle of the steering wheel or of the road wheels [rad].
-        pedal: (n,) pedal in [-1, 1], or acceleration asked for [m/s^2].
-        names: of these two columns, of `STEERING` and of `PEDAL`.
-        measured: (n,) by quantity, those of `POSE`, of `RATES` or of both; NaN in rows
-            without a measurement.
-        ignored: names of unknown columns.
-    """
-
-    time: np.ndarray
-    steering: np.ndarray
-    pedal: np.ndarray
-    names: tuple[str, str]
+    time: np.ndarray  # (n,) increasing [s]
+    steering: np.ndarray  # (n,) angle of the steering wheel or the road wheels [rad]
+    pedal: np.ndarray  # (n,) in [-1, 1], or acceleration asked for [m/s^2]
+    names: tuple[str, str]  # of these two columns, of `STEERING` and of `PEDAL`
+    # (n,) by quantity of `POSE`, of `RATES` or of both; NaN where nothing is measured.
     measured: dict[str, np.ndarray]
-    ignored: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()  # names of unknown columns
 
     @property
     def speed(self) -> np.ndarray:
@@ -89,13 +80,7 @@ def _filled(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def read_log(path: Path) -> DriveLog:
-    """Reads the log of a test drive; see `COLUMNS`.
-
-    Raises:
-        ValueError: a column is missing, given twice in two units, or of impossible
-            values.
-        OSError: the file cannot be read.
-    """
+    """Reads the log of a test drive; see `COLUMNS`."""
     rows = read_csv(path)
     if not rows:
         raise ValueError(f"{path} has no rows")

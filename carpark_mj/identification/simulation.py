@@ -37,53 +37,30 @@ FREE = 1e3  # m/s or rad/s, beyond every limit
 
 
 class Sought(NamedTuple):
-    """What a log is to tell: numbers, or arrays of one shape.
+    """Parameters sought: numbers, or arrays of one shape."""
 
-    Attributes:
-        steering_delay: from the log's steering to the wheels' servo [s].
-        pedal_delay: from the log's pedal to drive and brake [s].
-        steering_ratio: the log's steering angle over that of the road wheels.
-        steering_offset: angle of the road wheels where the log has 0 [rad].
-        cornering_stiffness: of the tyres, per load [1/rad].
-        max_acceleration: drive at full pedal [m/s^2].
-        max_deceleration: brake at full pedal [m/s^2].
-        rolling_resistance: of the tyres, force per load.
-        drive_lag: time constant of the drive torque [s].
-        lateral_relaxation: relaxation length of the tyres' lateral force [m].
-        patch_radius: of the tyres, as their scrub torque has it [m].
-    """
-
-    steering_delay: Any
-    pedal_delay: Any
-    steering_ratio: Any
-    steering_offset: Any
-    cornering_stiffness: Any
-    max_acceleration: Any
-    max_deceleration: Any
-    rolling_resistance: Any
-    drive_lag: Any
-    lateral_relaxation: Any
-    patch_radius: Any
+    steering_delay: Any  # s, from the log's steering to the wheels' servo
+    pedal_delay: Any  # s, from the log's pedal to drive and brake
+    steering_ratio: Any  # the log's steering angle over that of the road wheels
+    steering_offset: Any  # rad, angle of the road wheels where the log has 0
+    cornering_stiffness: Any  # 1/rad, of the tyres, per load
+    max_acceleration: Any  # m/s^2, drive at full pedal
+    max_deceleration: Any  # m/s^2, brake at full pedal
+    rolling_resistance: Any  # of the tyres, force per load
+    drive_lag: Any  # s, time constant of the drive torque
+    lateral_relaxation: Any  # m, relaxation length of the tyres' lateral force
+    patch_radius: Any  # m, of the tyres, as their scrub torque has it
 
 
 class Recording(NamedTuple):
-    """A log in pieces, as the simulation needs it.
+    """A log in pieces, as the simulation needs it."""
 
-    Attributes:
-        time: (n,) of the commands [s].
-        steering: (n,) [rad].
-        pedal: (n,) in [-1, 1].
-        begin: (pieces,) when the simulation of a piece begins [s].
-        piece: (n,) of a row, for its measurements.
-        moment: (n,) of that row, after the piece began [s].
-    """
-
-    time: np.ndarray
-    steering: np.ndarray
-    pedal: np.ndarray
-    begin: np.ndarray
-    piece: np.ndarray
-    moment: np.ndarray
+    time: np.ndarray  # (n,) s, of the commands
+    steering: np.ndarray  # (n,) rad
+    pedal: np.ndarray  # (n,) in [-1, 1]
+    begin: np.ndarray  # (pieces,) s, when the simulation of a piece begins
+    piece: np.ndarray  # (n,) of a row, for its measurements
+    moment: np.ndarray  # (n,) s, of that row, after the piece began
 
 
 class Replay:
@@ -105,14 +82,7 @@ class Replay:
         ahead: float,
         sim_dt: float = SIM_DT,
     ) -> None:
-        """Cuts the log.
-
-        Args:
-            log: the log.
-            params: the vehicle where the log does not tell it.
-            ahead: of the rear axle, the point whose positions are in the log [m].
-            sim_dt: substep [s].
-        """
+        """Cuts the log; the arguments are those of `fit.identify`."""
         self.log = log
         self.channels = tuple(n for n in (*POSE, *RATES) if n in log.measured)
         wheel, full = log.names[0] == "steering_wheel", _full(log, params)
@@ -159,14 +129,11 @@ class Replay:
         return np.stack([x, y, yaw, np.where(abs(speed) < REST, 0.0, speed)], axis=-1)
 
     def simulate(self, sought: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """What would be measured.
+        """What would be measured (cars, channels, n).
 
         Args:
             sought: (cars, p) in the order of `Sought`.
             starts: (cars, pieces, 4).
-
-        Returns:
-            (cars, channels, n).
         """
         with jax.enable_x64(True):
             columns = Sought(*(jnp.asarray(x)[:, None] for x in sought.T))
@@ -237,8 +204,7 @@ def _pieces(
 def _released(pedal: np.ndarray, speed: np.ndarray, stands: np.ndarray) -> np.ndarray:
     """The pedal (n,) without the foot on the brake of a car that stands.
 
-    Against the way in which the car moves off, or, at the end, in which it came, it
-    would drive the car of `vehicle.drive` backwards.
+    It would drive the car of `vehicle.drive` the other way.
     """
     moving = np.flatnonzero(~stands)
     after = np.searchsorted(moving, np.arange(len(pedal))).clip(max=len(moving) - 1)

@@ -12,33 +12,113 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.config.checks import IntRange, Range
 from carpark_mj.geometry import swept_half_size, wrap_angle
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
 
-Group = dict[str, jax.Array]
-
 # Largest deviation of a spawning car's heading from its lane's [rad].
 LANE_SPREAD = 0.1
 
+Group = dict[str, jax.Array]
+# Trailing shapes and types of the fields of rows, besides their masks.
+PARTS: dict[str, tuple[tuple[int, ...], Any]] = {
+    "pose": ((3,), jnp.float32),
+    "size": ((2,), jnp.float32),
+    "centre": ((2,), jnp.float32),
+    "radius": ((), jnp.float32),
+    "spread": ((), jnp.float32),
+    "kind": ((), jnp.int32),
+    "end": ((), jnp.int32),
+    "one_way": ((), jnp.bool_),
+}
 
-def _rows(
-    row: str, lead: tuple[int, ...], counts: Any, /, **parts: tuple[Any, Any, Any]
-) -> Group:
-    """A group of one kind of row; parts are (value, trailing shape, dtype)."""
-    mask = jnp.broadcast_to(jnp.asarray(counts, bool), lead).reshape(-1)
+
+def chances(key: jax.Array, count: int) -> jax.Array:
+    """(count,) float32 uniform in [0, 1), one for each draw.
+
+    One call of the generator for a whole lot: each call costs compilation time.
+    """
+    return jax.random.uniform(key, (count,), jnp.float32)
+
+
+def draw(chance: jax.Array, bounds: Range) -> jax.Array:
+    """A float32 () uniform over a range."""
+    low, high = bounds
+    return low + (high - low) * chance
+
+
+def draw_int(chance: jax.Array, bounds: IntRange) -> jax.Array:
+    """An int32 () uniform over a range, both ends included."""
+    low, high = bounds
+    step = jnp.floor((high - low + 1) * chance).astype(jnp.int32)
+    return jnp.minimum(low + step, high)
+
+
+def require_least(config: Any, least: float, name: str) -> None:
+    """Refuses a range of a config that reaches below what its car needs [m]."""
+    if (value := getattr(config, name))[0] < least:
+        raise ValueError(
+            f"{name} must be at least {least:.2f} m for the car, not {value}"
+        )
+
+
+def require_aisle(aisle: float, least: float) -> None:
+    """Refuses an aisle that is too narrow for the car to drive, spawn and turn in."""
+    if aisle < least:
+        raise ValueError(
+            f"aisle_width must be at least {least:.2f} m for the car to turn into a "
+            f"bay (carpark_mj.layouts.standards), not {aisle:g}"
+        )
+
+
+def cell_poses(
+    offset: jax.Array, width: jax.Array, length: jax.Array, angle: jax.Array
+) -> jax.Array:
+    """Poses (..., 3) of cells whose headings point out into the aisle.
+
+    Args:
+        offset: (...) where each cell's near line meets the aisle's edge [m].
+        width: (...) of each cell, across its heading [m].
+        length: () of the cells [m].
+        angle: () between the aisle and the cells [rad], in (0, pi / 2].
+    """
+    sin, cos = jnp.sin(angle), jnp.cos(angle)
+    # The corner at the far line touches the aisle's edge; from there to the centre it
+    # is half a width back and half a length in.
+    x = offset + width / sin - width / 2 * sin + length / 2 * cos
+    y = width / 2 * cos + length / 2 * sin
+    x, y, yaw = jnp.broadcast_arrays(x, y, angle + jnp.pi)
+    return jnp.stack([x, y, yaw], axis=-1)
+
+
+def row_depth(width: jax.Array, length: jax.Array, angle: jax.Array) -> jax.Array:
+    """Depth [m] of a row of bays, from the aisle's edge to its far corners."""
+    return length * jnp.sin(angle) + width * jnp.cos(angle)
+
+
+def mirror(pose: jax.Array, flip_x: jax.Array, flip_y: jax.Array) -> jax.Array:
+    """Mirrors poses (..., 3) of boxes; flips are +1 (as it is) or -1."""
+    x, y, yaw = pose[..., 0] * flip_x, pose[..., 1] * flip_y, pose[..., 2]
+    yaw = jnp.arctan2(jnp.sin(yaw) * flip_y, jnp.cos(yaw) * flip_x)
+    return jnp.stack(jnp.broadcast_arrays(x, y, yaw), axis=-1)
+
+
+def _rows(row: str, mask: Any, **values: Any) -> Group:
+    """A group of one kind of row; its values broadcast against the places."""
+    if "pose" in values:
+        pose = jnp.asarray(values["pose"], jnp.float32)
+        values["pose"] = pose.at[..., 2].set(wrap_angle(pose[..., 2]))
+    lead = jnp.shape(values["pose" if "pose" in values else "centre"])[:-1]
+    mask = jnp.broadcast_to(jnp.asarray(mask, bool), lead).reshape(-1)
     group = {f"{row}_mask": mask}
-    for name, (value, trailing, dtype) in parts.items():
+    for part, value in values.items():
+        trailing, dtype = PARTS[part]
         value = jnp.broadcast_to(jnp.asarray(value, dtype), (*lead, *trailing))
         value = value.reshape(-1, *trailing)
         keep = mask.reshape(-1, *([1] * len(trailing)))
-        group[f"{row}_{name}"] = jnp.where(keep, value, jnp.zeros_like(value))
+        group[f"{row}_{part}"] = jnp.where(keep, value, jnp.zeros_like(value))
     return group
-
-
-def _pose(pose: Any) -> jax.Array:
-    pose = jnp.asarray(pose, jnp.float32)
-    return pose.at[..., 2].set(wrap_angle(pose[..., 2]))
 
 
 def bays(
@@ -49,76 +129,32 @@ def bays(
     end: Any = BayEnd.EITHER,
 ) -> Group:
     """Bays (..., 3), (..., 2); `kind` and `end` are a `BayKind` and a `BayEnd` each."""
-    pose = _pose(pose)
-    return _rows(
-        "bay",
-        pose.shape[:-1],
-        mask,
-        pose=(pose, (3,), jnp.float32),
-        size=(size, (2,), jnp.float32),
-        kind=(kind, (), jnp.int32),
-        **_ends(end),
-    )
-
-
-def _ends(end: Any) -> dict[str, tuple[Any, Any, Any]]:
-    """The field of `bays`; empty if either end is known to be allowed."""
-    either = not isinstance(end, jax.Array) and not np.any(end)
-    return {} if either else {"end": (end, (), jnp.int32)}
+    # Layouts have no ends if either is known to be allowed everywhere.
+    some = isinstance(end, jax.Array) or np.any(end)
+    ends = {"end": end} if some else {}
+    return _rows("bay", mask, pose=pose, size=size, kind=kind, **ends)
 
 
 def walls(pose: Any, size: Any, kind: Any = WallKind.WALL, mask: Any = True) -> Group:
     """Walls and other solid boxes (..., 3), (..., 2)."""
-    pose = _pose(pose)
-    return _rows(
-        "wall",
-        pose.shape[:-1],
-        mask,
-        pose=(pose, (3,), jnp.float32),
-        size=(size, (2,), jnp.float32),
-        kind=(kind, (), jnp.int32),
-    )
+    return _rows("wall", mask, pose=pose, size=size, kind=kind)
 
 
 def discs(
     centre: Any, radius: Any, kind: Any = DiscKind.PILLAR, mask: Any = True
 ) -> Group:
     """Pillars or bollards (..., 2), (...)."""
-    centre = jnp.asarray(centre, jnp.float32)
-    return _rows(
-        "disc",
-        centre.shape[:-1],
-        mask,
-        centre=(centre, (2,), jnp.float32),
-        radius=(radius, (), jnp.float32),
-        kind=(kind, (), jnp.int32),
-    )
+    return _rows("disc", mask, centre=centre, radius=radius, kind=kind)
 
 
 def lanes(pose: Any, size: Any, one_way: Any = True, mask: Any = True) -> Group:
     """Lanes (..., 3), (..., 2)."""
-    pose = _pose(pose)
-    return _rows(
-        "lane",
-        pose.shape[:-1],
-        mask,
-        pose=(pose, (3,), jnp.float32),
-        size=(size, (2,), jnp.float32),
-        one_way=(one_way, (), bool),
-    )
+    return _rows("lane", mask, pose=pose, size=size, one_way=one_way)
 
 
 def spawns(pose: Any, size: Any, spread: Any, mask: Any = True) -> Group:
     """Spawn regions (..., 3), (..., 2)."""
-    pose = _pose(pose)
-    return _rows(
-        "spawn",
-        pose.shape[:-1],
-        mask,
-        pose=(pose, (3,), jnp.float32),
-        size=(size, (2,), jnp.float32),
-        spread=(spread, (), jnp.float32),
-    )
+    return _rows("spawn", mask, pose=pose, size=size, spread=spread)
 
 
 def spawns_in(car: DesignCar, pose: Any, size: Any, mask: Any = True) -> Group:
@@ -130,11 +166,16 @@ def spawns_in(car: DesignCar, pose: Any, size: Any, mask: Any = True) -> Group:
     return spawns(pose, jnp.asarray(size) - 2 * reach, LANE_SPREAD, mask)
 
 
+def swept_size(car: DesignCar) -> tuple[float, float]:
+    """Length and width [m] of the ground of a car that spawns in a lane."""
+    # `swept_half_size` of a small spread, without JAX: configs must not start it.
+    cos, sin = math.cos(LANE_SPREAD), math.sin(LANE_SPREAD)
+    return car.length * cos + car.width * sin, car.width * cos + car.length * sin
+
+
 def least_lane(car: DesignCar) -> float:
     """Narrowest lane [m] in which a car can spawn, with a margin of 5 cm."""
-    # `swept_half_size` of a small spread, without JAX: configs must not start it.
-    reach = car.width * math.cos(LANE_SPREAD) + car.length * math.sin(LANE_SPREAD)
-    return reach + 0.05
+    return swept_size(car)[1] + 0.05
 
 
 def two_lanes(pose: Any, size: Any) -> tuple[jax.Array, jax.Array]:
@@ -173,18 +214,6 @@ def boundary(half_x: Any, half_y: Any, thickness: float, kind: WallKind) -> Grou
     )
 
 
-def _empty() -> list[Group]:
-    """A group of no rows of every kind, so that every field exists."""
-    pose, size = jnp.zeros((0, 3)), jnp.zeros(2)
-    return [
-        bays(pose, size),
-        walls(pose, size),
-        discs(pose[:, :2], 0.0),
-        lanes(pose, size),
-        spawns(pose, size, 0.0),
-    ]
-
-
 def assemble(extent: Any, *groups: Group) -> Layout:
     """Joins groups of rows into a layout.
 
@@ -194,7 +223,12 @@ def assemble(extent: Any, *groups: Group) -> Layout:
     """
     columns: dict[str, list[jax.Array]] = {}
     ends = any("bay_end" in group for group in groups)
-    for group in (*_empty(), *groups):
+    none, size = jnp.zeros((0, 3)), jnp.zeros(2)
+    empty = [  # so that every field exists
+        *(bays(none, size), walls(none, size), discs(none[:, :2], 0.0)),
+        *(lanes(none, size), spawns(none, size, 0.0)),
+    ]
+    for group in (*empty, *groups):
         if ends and "bay_mask" in group:
             either = jnp.full(group["bay_mask"].shape, BayEnd.EITHER, jnp.int32)
             group = {"bay_end": either} | group
@@ -212,12 +246,9 @@ def from_columns(extent: Any, columns: dict[str, dict[str, Any]]) -> Layout:
         extent: see `assemble`.
         columns: arguments of `bays`, `walls`, `discs`, `lanes` and `spawns` by name.
     """
-    make = {
-        "bays": bays,
-        "walls": walls,
-        "discs": discs,
-        "lanes": lanes,
-        "spawns": spawns,
-    }
-    groups = [make[rows](**columns[rows]) for rows in make if rows in columns]
+    groups = [
+        make(**columns[make.__name__])
+        for make in (bays, walls, discs, lanes, spawns)
+        if make.__name__ in columns
+    ]
     return assemble(extent, *groups)

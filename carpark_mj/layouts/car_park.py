@@ -1,23 +1,164 @@
-"""Real car parks by name, and parts of them."""
+"""Real car parks by name, and parts of lots."""
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_mj.config.checks import require_name
 from carpark_mj.config.layouts import LayoutConfig, register_layout
-from carpark_mj.layouts.crop import crop
-from carpark_mj.layouts.dragon_lake import dragon_lake
-from carpark_mj.layouts.fixed import FixedLayoutConfig
-from carpark_mj.layouts.json_file import read_json
+from carpark_mj.geometry import box_corners, point_box_distance
+from carpark_mj.layouts import build
+from carpark_mj.layouts.files import read_json
+from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.routes import make_routes
-from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
+from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.types import ROWS, Layout, layout_maxima, pad_layout
 
+SHORTEST = 1.0  # m of what is left of a lane
+ASIDE = 1.0  # m that the lane in front of a bay may be farther away in the part
+THINNEST = 0.05  # m of what is left of a wall or a spawn region
+# Of Dragon Lake, below.
+SIZE = np.array([140.0, 80.0])  # m
+# Opposite corners of rows of bays [m], rows behind each other and bays in each.
+ROWS_OF_BAYS = (
+    ((28.53, 73.73), (138.42, 68.51), 1, 42),
+    ((7.71, 61.4), (76.54, 50.4), 2, 25),
+    ((83.82, 61.4), (138.42, 50.4), 2, 21),
+    ((7.71, 43.24), (76.54, 31.93), 2, 25),
+    ((83.82, 43.24), (138.42, 31.93), 2, 21),
+    ((7.71, 24.68), (76.54, 13.51), 2, 25),
+    ((83.82, 24.68), (138.42, 13.51), 2, 21),
+    ((7.71, 6.48), (76.54, 0.95), 1, 25),
+    ((83.82, 6.48), (138.42, 0.95), 1, 21),
+)
+AISLES_Y = (64.95, 46.82, 28.3, 9.99)  # of centre lines along x [m]
+AISLES_X = (3.07, 80.18)  # of those along y [m]
+WIDTH = 6.0  # m of an aisle; the rows leave 6.1 m and more between them
 DRAWS = 100  # of parts, for each that is found
+
+
+def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
+    """The part of a lot between two corners, its middle at the origin.
+
+    Bays and discs are kept whole or not at all, bays only with the lane in front of
+    them; walls, lanes and spawn regions end where their centre lines leave the part.
+
+    Args:
+        layout: no batch dimension.
+        corners: x and y of one corner, x and y of the opposite one [m].
+
+    Returns:
+        Numpy arrays.
+
+    Raises:
+        ValueError: the part has no bay, or no spawn region.
+    """
+    low, high = np.sort(np.array(corners, float).reshape(2, 2), axis=0)
+    middle, half = (low + high) / 2, (high - low) / 2
+    plan: Any = jax.device_get(layout)
+    fields: dict[str, Any] = {
+        field.name: np.array(getattr(plan, field.name))
+        for field in dataclasses.fields(plan)
+        if getattr(plan, field.name) is not None
+    }
+    masks = {
+        "bay": np.all(
+            np.abs(np.asarray(box_corners(plan.bay_pose, plan.bay_size)) - middle)
+            <= half,
+            axis=(-2, -1),
+        ),
+        "disc": (np.abs(plan.disc_centre - middle) <= half).all(axis=-1),
+    }
+    for row, least in (("wall", THINNEST), ("lane", SHORTEST), ("spawn", THINNEST)):
+        pose, size = fields[f"{row}_pose"], fields[f"{row}_size"]
+        back, front = _within(pose, size[:, 0], low, high)
+        ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
+        pose[:, :2] += ahead * ((back + front) / 2)[:, None]
+        masks[row] = front - back > np.minimum(least, size[:, 0] / 2)
+        size[:, 0] = front - back
+    if len(plan.lane_mask):
+        cut = fields["lane_pose"], fields["lane_size"], masks["lane"] & plan.lane_mask
+        before = _to_lane(plan, plan.lane_pose, plan.lane_size, plan.lane_mask)
+        masks["bay"] = masks["bay"] & (_to_lane(plan, *cut) < before + ASIDE)
+    for row in ROWS:
+        keep = fields[f"{row}_mask"] & masks[row]
+        for name in fields:
+            if name.startswith(f"{row}_"):
+                fields[name] = fields[name][keep]
+        for part in ("pose", "centre"):
+            if f"{row}_{part}" in fields:
+                fields[f"{row}_{part}"][:, :2] -= middle.astype(np.float32)
+    fields["extent"] = half.astype(np.float32)
+    for row, what in (("bay", "whole bay"), ("spawn", "spawn region")):
+        if not len(fields[f"{row}_mask"]):
+            raise ValueError(
+                f"there is no {what} between the corners {tuple(low.tolist())} and "
+                f"{tuple(high.tolist())}; the lot reaches from "
+                f"{(-plan.extent).tolist()} to {plan.extent.tolist()}"
+            )
+    return Layout(**fields)
+
+
+def _to_lane(plan: Any, pose: Any, size: Any, mask: np.ndarray) -> np.ndarray:
+    """Distance (bays,) from the front end of each bay to the nearest lane [m]."""
+    bays = plan.bay_pose
+    ahead = np.stack([np.cos(bays[:, 2]), np.sin(bays[:, 2])], axis=-1)
+    front = bays[:, :2] + plan.bay_size[:, :1] / 2 * ahead
+    gap = np.asarray(point_box_distance(front, pose[:, None], size[:, None]))
+    return np.where(mask[:, None], gap, np.inf).min(axis=0)
+
+
+def _within(
+    pose: np.ndarray, length: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The part of each centre line in a rectangle, from its middle [m]."""
+    ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
+    ahead = np.where(np.abs(ahead) < 1e-9, 1e-9, ahead)
+    first, second = (low - pose[:, :2]) / ahead, (high - pose[:, :2]) / ahead
+    back = np.maximum(np.minimum(first, second).max(axis=1), -length / 2)
+    front = np.minimum(np.maximum(first, second).min(axis=1), length / 2)
+    return back, front
+
+
+def dragon_lake() -> Layout:
+    """The Dragon Lake car park: 364 bays on 140 m x 80 m, its middle at the origin.
+
+    Source: rows, aisles and the entrance of the map of the Dragon Lake Parking data set
+    (Shen et al., "ParkPredict+", 2022); facts of the published map, none of its data.
+    Traffic keeps to the right.
+    """
+    poses, sizes = [], []
+    for (left, top), (right, bottom), rows, count in ROWS_OF_BAYS:
+        width, length = (right - left) / count, (top - bottom) / rows
+        for row in range(rows):
+            y = top - (row + 0.5) * length
+            # The aisle is above the upper of two rows; one row faces the middle.
+            up = row == 0 if rows == 2 else y < SIZE[1] / 2
+            for bay in range(count):
+                yaw = math.pi / 2 if up else -math.pi / 2
+                poses.append((left + (bay + 0.5) * width, y, yaw))
+                sizes.append((length, width))
+    east = ROWS_OF_BAYS[0][1][0]
+    aisles = [(east / 2, y, 0.0) for y in AISLES_Y]
+    low, high = AISLES_Y[-1] - WIDTH / 2, AISLES_Y[0] + WIDTH / 2
+    aisles += [(x, (low + high) / 2, math.pi / 2) for x in AISLES_X]
+    along = [(east, WIDTH)] * len(AISLES_Y) + [(high - low, WIDTH)] * len(AISLES_X)
+    shift = np.array([*SIZE / 2, 0.0])
+    lanes, lane_sizes = build.two_lanes(np.array(aisles) - shift, np.array(along))
+    return build.assemble(
+        SIZE / 2,
+        build.bays(np.array(poses) - shift, np.array(sizes)),
+        build.lanes(lanes, lane_sizes),
+        build.spawns_in(DesignCar(), lanes, lane_sizes),
+    )
+
 
 CAR_PARKS: dict[str, Callable[[], Layout]] = {
     "dragon_lake": jax.jit(dragon_lake),
@@ -43,10 +184,7 @@ class CarParkConfig(FixedLayoutConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.name not in CAR_PARKS:
-            raise ValueError(
-                f"unknown car park {self.name!r}; choose from {sorted(CAR_PARKS)}"
-            )
+        require_name("car park", self.name, CAR_PARKS)
         if len(self.corners) not in (0, 4):
             raise ValueError(
                 f"corners must be x, y, x and y, or nothing, not {self.corners}"

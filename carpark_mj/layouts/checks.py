@@ -16,6 +16,7 @@ from carpark_mj.geometry import (
     boxes_overlap,
     swept_half_size,
 )
+from carpark_mj.layouts.build import PARTS
 from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 from carpark_mj.layouts.types import ROWS, BayKind, Layout
 
@@ -23,18 +24,9 @@ ANY_CAR = (0.0, 0.0)  # length and width [m] that all cars have room for
 
 # Neighbours share an edge: sizes shrink by rounding errors before they are compared.
 ROUNDING = 1e-3  # m
-
-# Dimensions of the fields of a row, besides its mask.
-_PARTS = {
-    "pose": (3, jnp.float32),
-    "size": (2, jnp.float32),
-    "centre": (2, jnp.float32),
-    "radius": (None, jnp.float32),
-    "spread": (None, jnp.float32),
-    "kind": (None, jnp.int32),
-    "end": (None, jnp.int32),
-    "one_way": (None, jnp.bool_),
-}
+_Rows = tuple[jax.Array, jax.Array, jax.Array]
+# Rows that messages of `find_faults` concern, by their first words.
+_SUBJECTS = {"bays": "bay", "lanes": "lane", "cars": "spawn"}
 
 
 def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
@@ -84,9 +76,6 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
     }
 
 
-_Rows = tuple[jax.Array, jax.Array, jax.Array]
-
-
 def _boxes_meet(a: _Rows, b: _Rows) -> jax.Array:
     hit = boxes_overlap(a[0][:, None], a[1][:, None], b[0], b[1])
     return hit & a[2][:, None] & b[2]
@@ -98,18 +87,12 @@ def _discs_meet(box: _Rows, disc: _Rows) -> jax.Array:
 
 
 class Fault(NamedTuple):
-    """What is wrong in a layout, and where.
+    """What is wrong in a layout, and where."""
 
-    Attributes:
-        words: the message.
-        kinds: of the rows of a place, `ROWS`: two where rows meet, none where the lot
-            as a whole is at fault.
-        places: (places, kinds) int, their rows; `(1, 0)` for the lot as a whole.
-    """
-
-    words: str
+    message: str
+    # Of the rows of a place, `ROWS`: two where rows meet, none for the lot as a whole.
     kinds: tuple[str, ...]
-    places: np.ndarray
+    places: np.ndarray  # (places, kinds) int, their rows; (1, 0) for the whole lot
 
 
 def list_faults(layout: Layout, car_size: tuple[float, float]) -> list[Fault]:
@@ -121,12 +104,12 @@ def list_faults(layout: Layout, car_size: tuple[float, float]) -> list[Fault]:
     """
     found: list[Fault] = []
     size = jnp.array(car_size, jnp.float32)
-    for words, fault in jax.device_get(_find_faults(layout, size)).items():
+    for message, fault in jax.device_get(_find_faults(layout, size)).items():
         if fault.any():
-            subject, *_, other = words.split()
+            subject, *_, other = message.split()
             kind, met = _SUBJECTS.get(subject, ""), other.removesuffix("s")
             kinds = (kind, met if met in ROWS else kind)[: fault.ndim]
-            found.append(Fault(words, kinds, np.argwhere(fault)))
+            found.append(Fault(message, kinds, np.argwhere(fault)))
     return found
 
 
@@ -153,15 +136,13 @@ def describe_faults(
     found = _malformed(layout)
     if found:
         return found
-    for words, kinds, places in list_faults(layout, car_size or DesignCar().size):
+    for message, kinds, places in list_faults(layout, car_size or DesignCar().size):
         rows = places[:3, 0] if len(kinds) == 1 else places[:3]
-        found.append(f"{words}: {rows.tolist()}" if kinds else words)
+        found.append(f"{message}: {rows.tolist()}" if kinds else message)
     return found
 
 
 _find_faults = jax.jit(find_faults)
-# Rows that messages of `find_faults` concern, by their first words.
-_SUBJECTS = {"bays": "bay", "lanes": "lane", "cars": "spawn"}
 
 
 def _malformed(layout: Layout) -> list[str]:
@@ -172,25 +153,22 @@ def _malformed(layout: Layout) -> list[str]:
         if mask.ndim != 1 or mask.dtype != jnp.bool_:
             found.append(f"{kind}_mask must be bool of one dimension, not {mask.dtype}")
             continue
-        for part, (width, dtype) in _PARTS.items():
+        for part, (trailing, dtype) in PARTS.items():
             given = getattr(layout, f"{kind}_{part}", None)
             if given is None:
                 continue
-            array = np.asarray(given)
-            shape = mask.shape if width is None else (*mask.shape, width)
-            if array.shape != shape or array.dtype != dtype:
+            name, array, shape = f"{kind}_{part}", np.asarray(given), mask.shape
+            if array.shape != (*shape, *trailing) or array.dtype != dtype:
                 found.append(
-                    f"{kind}_{part} must be {jnp.dtype(dtype)}{list(shape)}, not "
-                    f"{array.dtype}{list(array.shape)}"
+                    f"{name} must be {jnp.dtype(dtype)}{[*shape, *trailing]}, not "
+                    f"{array.dtype}{[*array.shape]}"
                 )
             elif not np.isfinite(array).all():
-                found.append(f"{kind}_{part} holds a non-finite number")
-            elif part in ("size", "radius"):
-                rows = mask if width is None else mask[:, None]
-                if ((array <= 0) & rows).any():
-                    found.append(f"{kind}_{part} must be positive")
-            elif part == "spread" and ((array < 0) & mask).any():
-                found.append(f"{kind}_{part} must not be negative")
+                found.append(f"{name} holds a non-finite number")
+            elif part in ("size", "radius") and (array[mask] <= 0).any():
+                found.append(f"{name} must be positive")
+            elif part == "spread" and (array[mask] < 0).any():
+                found.append(f"{name} must not be negative")
     if not np.isfinite(layout.extent).all():
         found.append("extent holds a non-finite number")
     return found

@@ -1,4 +1,4 @@
-"""A car park of several aisles with a row of bays on either side of each.
+"""Car parks of several aisles with a row of bays on either side of each.
 
 Rows of neighbouring aisles stand back to back. A cross aisle runs along both ends of
 the aisles, entrances lead into the cross aisles through the outer walls, and a gate
@@ -6,26 +6,37 @@ closes each of them, so that no car leaves the lot.
 """
 
 import dataclasses
+import math
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
-from carpark_mj.config import register_layout
+from carpark_mj.config import LayoutConfig, register_layout
+from carpark_mj.config.checks import Bounds, IntRange, Natural, Range
 from carpark_mj.geometry import move_forward
+from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import (
     Group,
     assemble,
     bays,
+    cell_poses,
+    chances,
     discs,
+    draw,
+    draw_int,
     lanes,
+    least_lane,
+    mirror,
+    require_aisle,
+    require_least,
+    row_depth,
     spawns_in,
     two_lanes,
     walls,
 )
-from carpark_mj.layouts.lot_config import LotSettings
-from carpark_mj.layouts.ranges import chances, draw, draw_int
-from carpark_mj.layouts.rows import cell_poses, mirror, row_depth
 from carpark_mj.layouts.standards import (
     ACCESSIBLE_WIDTH,
     AISLE_ANGLES,
@@ -36,6 +47,9 @@ from carpark_mj.layouts.standards import (
     PILLAR_RADIUS,
     PILLAR_SETBACK,
     WALL_GAP,
+    DesignCar,
+    Entry,
+    one_way_aisle,
 )
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
@@ -46,42 +60,144 @@ BOLLARD_INSET = 0.4  # m from the ends of a row's last strip
 SLACK = 1e-3  # m, tolerance for bays that fit exactly
 
 
-@struct.dataclass
-class _Plan:
-    """One lot as drawn: () float32 [m] or int32 unless said, the centre at the origin.
+@dataclasses.dataclass(frozen=True)
+class LotConfig(LayoutConfig):
+    """A car park, drawn from these ranges; lengths [m].
 
     Attributes:
-        angle: between aisle and bays [rad].
-        bay_width: of standard bays.
-        bay_length: of all bays.
-        aisle: width of the aisles.
-        cross: width of the cross aisles.
-        end: width of the strips at the ends of the rows.
-        row: length of a row between these strips, across the bays.
-        field: length of the rows along x, strips and slant included.
-        half: (2,) half width and half height inside the outer walls.
-        aisle_y: (aisles,) centre lines.
-        aisle_mask: (aisles,) bool.
-        entrance_y: (2,) of the entrances at -x and +x.
-        entrance_mask: (2,) bool.
+        num_aisles: range of the number of aisles.
+        bays_per_row: bays of standard width in a row.
+        angle: between aisle and bays [deg], 30 to 90.
+        two_way: two lanes in each aisle, bays at 90 deg only; otherwise aisles are
+            one-way, in alternating directions.
+        back_in: angled bays are made for backing in, not for driving in.
+        bay_width: across a parked car, standard bays.
+        bay_length: along a parked car.
+        extra_aisle: width of the aisles beyond the standard's for the angle.
+        cross_aisle: width of the cross aisles.
+        num_accessible: wide bays for disabled drivers next to the first entrance.
+        num_family: wide bays for families after those.
+        row_ends: what protects the last cars of a row.
+        end_width: of the strip at the ends of the rows.
+        pillar_every: bays between pillars, as in a parking deck; 0 = no pillars.
+        num_entrances: one, or a second one at the far end.
+        boundary: what surrounds the lot.
+        wall_thickness: of the boundary.
+        car: the car the lot is drawn for.
+        family: fixed.
     """
 
-    angle: jax.Array
-    bay_width: jax.Array
-    bay_length: jax.Array
-    aisle: jax.Array
-    cross: jax.Array
-    end: jax.Array
-    row: jax.Array
-    field: jax.Array
-    half: jax.Array
-    aisle_y: jax.Array
-    aisle_mask: jax.Array
-    entrance_y: jax.Array
-    entrance_mask: jax.Array
+    num_aisles: standards.Counts = (2, 3)
+    bays_per_row: standards.Counts = (6, 10)
+    angle: Annotated[Range, Bounds(ge=30.0, le=90.0, unit="deg")] = (90.0, 90.0)
+    two_way: bool = True
+    back_in: bool = False
+    bay_width: Range = standards.BAY_WIDTH
+    bay_length: Range = standards.BAY_LENGTH
+    extra_aisle: Annotated[Range, Bounds(ge=-3.0, unit="m")] = (-1.0, 0.0)
+    cross_aisle: Range = standards.TWO_WAY_AISLE
+    num_accessible: Natural = 2
+    num_family: Natural = 1
+    row_ends: Literal["islands", "bollards", "open"] = "islands"
+    end_width: Annotated[Range, Bounds(ge=0.1, unit="m")] = standards.ISLAND_WIDTH
+    pillar_every: Natural = 0
+    num_entrances: Annotated[IntRange, Bounds(ge=1, le=2)] = (1, 2)
+    boundary: Literal["wall", "kerb"] = "wall"
+    wall_thickness: standards.Thickness = standards.WALL_THICKNESS
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
+    family: str = "lot"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_least(self, self.car.width, "bay_width")
+        require_least(self, self.car.length, "bay_length")
+        require_least(self, 2 * least_lane(self.car), "cross_aisle")
+        if self.two_way and self.angle[0] < 90.0:
+            raise ValueError(
+                f"two_way needs perpendicular bays, angle (90, 90), not {self.angle}"
+            )
+        wide = self.num_accessible * ACCESSIBLE_WIDTH + self.num_family * FAMILY_WIDTH
+        if wide > self.bays_per_row[0] * self.bay_width[0]:
+            raise ValueError(
+                f"num_accessible {self.num_accessible} and num_family "
+                f"{self.num_family} need {wide} m, a row may have no more than "
+                f"{self.bays_per_row[0] * self.bay_width[0]:.2f} m"
+            )
+        lane = least_lane(self.car) * (2 if self.two_way else 1)
+        for entry in self._entries(self.extra_aisle[0], self.bay_width[0]):
+            require_aisle(round(entry.aisle, 3), max(entry.least(self.car), lane))
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        wide = self.num_accessible * ACCESSIBLE_WIDTH + self.num_family * FAMILY_WIDTH
+        low, width = self.bays_per_row[0], self.bay_width[0]
+        kept = math.floor((low * width - wide) / width + 1e-6)
+        first = self.num_accessible + self.num_family + kept
+        return first + (2 * self.num_aisles[0] - 1) * low
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest entries into bays of standard width, by angle."""
+        return self._entries(self.extra_aisle[1], self.bay_width[1])
+
+    def _entries(self, extra_aisle: float, bay_width: float) -> tuple[Entry, ...]:
+        # Neither the standard nor the least aisle is monotonic between the ends.
+        angles = [float(angle) for angle in np.linspace(*self.angle, 25)]
+        return tuple(
+            Entry(one_way_aisle(a) + extra_aisle, bay_width, a) for a in angles
+        )
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a car park whose aisles run along x; the first entrance is at -x."""
+        plan = _draw_plan(self, key)
+        return assemble(
+            plan.half + jnp.array([ENTRANCE_LENGTH, 0.0]),
+            *_rows(self, plan),
+            *_outer_walls(self, plan),
+            *_lanes(self, plan),
+        )
 
 
-def _draw_plan(config: LotSettings, key: jax.Array) -> _Plan:
+@dataclasses.dataclass(frozen=True)
+class AngledConfig(LotConfig):
+    """Rows of angled bays on one-way aisles, nose-in or back-in; see `LotConfig`."""
+
+    num_aisles: standards.Counts = (1, 2)
+    bays_per_row: standards.Counts = (9, 12)
+    angle: Annotated[Range, Bounds(ge=30.0, le=75.0, unit="deg")] = (30.0, 75.0)
+    two_way: bool = False
+    extra_aisle: Annotated[Range, Bounds(ge=-3.0, unit="m")] = (0.0, 0.6)
+    num_accessible: Natural = 0
+    num_family: Natural = 0
+    num_entrances: Annotated[IntRange, Bounds(ge=1, le=2)] = (1, 1)
+    family: str = "angled"
+
+
+register_layout("lot", LotConfig())
+register_layout("angled", AngledConfig())
+
+
+@struct.dataclass
+class _Plan:
+    """One lot as drawn, about the origin: () float32 [m] or int32 unless said."""
+
+    angle: jax.Array  # between aisle and bays [rad]
+    bay_width: jax.Array  # of standard bays
+    bay_length: jax.Array  # of all bays
+    aisle: jax.Array  # width of the aisles
+    cross: jax.Array  # width of the cross aisles
+    end: jax.Array  # width of the strips at the ends of the rows
+    row: jax.Array  # length of a row between these strips, across the bays
+    field: jax.Array  # length of the rows along x, strips and slant included
+    half: jax.Array  # (2,) half width and half height inside the outer walls
+    aisle_y: jax.Array  # (aisles,) centre lines
+    aisle_mask: jax.Array  # (aisles,) bool
+    entrance_y: jax.Array  # (2,) of the entrances at -x and +x
+    entrance_mask: jax.Array  # (2,) bool
+
+
+def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
     chance = chances(key, 9)
     count = draw_int(chance[0], config.num_aisles)
     per_row = draw_int(chance[1], config.bays_per_row)
@@ -125,25 +241,7 @@ def _draw_plan(config: LotSettings, key: jax.Array) -> _Plan:
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class LotConfig(LotSettings):
-    """A car park, drawn from the ranges of `LotSettings`."""
-
-    def generate(self, key: jax.Array) -> Layout:
-        """Draws a car park whose aisles run along x; the first entrance is at -x."""
-        plan = _draw_plan(self, key)
-        return assemble(
-            plan.half + jnp.array([ENTRANCE_LENGTH, 0.0]),
-            *_rows(self, plan),
-            *_outer_walls(self, plan),
-            *_lanes(self, plan),
-        )
-
-
-register_layout("lot", LotConfig())
-
-
-def _rows(config: LotSettings, plan: _Plan) -> list[Group]:
+def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
     """Bays, strips at the ends of the rows and pillars; (aisles, 2 sides, cells)."""
     num_aisles, most = config.num_aisles[1], config.bays_per_row[1]
     shape = (num_aisles, 2, most)
@@ -191,9 +289,7 @@ def _rows(config: LotSettings, plan: _Plan) -> list[Group]:
     return groups
 
 
-def _strips(
-    config: LotSettings, plan: _Plan, pose: jax.Array, width: jax.Array
-) -> Group:
+def _strips(config: LotConfig, plan: _Plan, pose: jax.Array, width: jax.Array) -> Group:
     """Islands or pairs of bollards at the ends of the rows (aisles, 2 sides, 2)."""
     mask = plan.aisle_mask[:, None, None]
     if config.row_ends == "islands":
@@ -206,7 +302,7 @@ def _strips(
     return discs(centre, BOLLARD_RADIUS, DiscKind.BOLLARD, mask[..., None])
 
 
-def _lanes(config: LotSettings, plan: _Plan) -> list[Group]:
+def _lanes(config: LotConfig, plan: _Plan) -> list[Group]:
     """Lanes of aisles, cross aisles and entrances, and spawn regions in them."""
     zero = jnp.zeros_like(plan.aisle_y)
     pose = jnp.stack([zero, plan.aisle_y, zero], axis=-1)
@@ -238,7 +334,7 @@ def _lanes(config: LotSettings, plan: _Plan) -> list[Group]:
     return [*groups, spawns_in(config.car, pose, size, plan.entrance_mask)]
 
 
-def _outer_walls(config: LotSettings, plan: _Plan) -> list[Group]:
+def _outer_walls(config: LotConfig, plan: _Plan) -> list[Group]:
     """Walls around the lot with openings at the entrances, and the gates in them."""
     thick = jnp.float32(config.wall_thickness)
     kind = WallKind.WALL if config.boundary == "wall" else WallKind.KERB

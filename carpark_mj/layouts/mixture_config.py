@@ -5,16 +5,20 @@ lots of different families, and all keys share one compiled program.
 """
 
 import dataclasses
-import math
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig, register_layout
-from carpark_mj.layouts.angled import AngledConfig
-from carpark_mj.layouts.square import SQUARE_COMPACT
-from carpark_mj.layouts.street import StreetConfig, StreetParallelConfig
-from carpark_mj.layouts.turning import Entry
+from carpark_mj.config.checks import Bounds
+from carpark_mj.layouts.lot import AngledConfig
+from carpark_mj.layouts.schematics import (
+    SQUARE_COMPACT,
+    StreetConfig,
+    StreetParallelConfig,
+)
+from carpark_mj.layouts.standards import Entry
 from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
 
 
@@ -34,7 +38,7 @@ class MixtureConfig(LayoutConfig):
         StreetParallelConfig(),
         AngledConfig(),
     )
-    weights: tuple[float, ...] = ()
+    weights: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()
     family: str = "mixture"
 
     def __post_init__(self) -> None:
@@ -46,8 +50,6 @@ class MixtureConfig(LayoutConfig):
                 f"weights must be one for each of the {len(self.members)} members, "
                 f"not {self.weights}"
             )
-        if any(not (math.isfinite(w) and w > 0) for w in self.weights):
-            raise ValueError(f"weights must be positive, not {self.weights}")
 
     @property
     def parts(self) -> tuple[LayoutConfig, ...]:

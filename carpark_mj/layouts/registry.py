@@ -1,14 +1,61 @@
-"""Layouts by name, file or config."""
+"""Layouts by name, file or config, and which random lots are for training.
 
+Random lots are numbered from 0 to 2^32 - 1, and lot n is drawn from
+`fold_in(key(0), n)`. Training draws from the lower half of the numbers, evaluation from
+the upper half. Threefry, JAX's generator, is a block cipher: for a given key no two
+numbers fold to the same key, so that no lot of one half is drawn in the other.
+"""
+
+import abc
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 
-from carpark_mj.config import LAYOUTS, LayoutConfig
-from carpark_mj.config.checks import require_kind
-from carpark_mj.config.layouts import FAMILIES, layout_format
+from carpark_mj.config.checks import require_choice, require_kind
+from carpark_mj.config.layouts import FAMILIES, LAYOUTS, LayoutConfig, layout_format
 from carpark_mj.layouts.types import Layout
+
+# Jitted: many small operations would each be compiled on their own.
+_compiled = jax.jit(lambda config, key: config.generate(key), static_argnums=0)
+Split = Literal["train", "test"]
+TRAIN = range(2**31)
+TEST = range(2**31, 2**32)
+
+
+class FixedLayoutConfig(LayoutConfig):
+    """A config with one lot, its property `layout`."""
+
+    @property
+    @abc.abstractmethod
+    def layout(self) -> Layout:
+        """The lot, as numpy arrays."""
+
+    @property
+    def is_random(self) -> bool:
+        """False: the lot does not depend on the key."""
+        return False
+
+    @property
+    def is_enclosed(self) -> bool:
+        """False: walls need not enclose the ground."""
+        return False
+
+    @property
+    def min_bays(self) -> int:
+        """Its bays."""
+        return int(self.layout.bay_mask.sum())
+
+    @property
+    def min_goals(self) -> int:
+        """Its bays that are not reserved for parked cars."""
+        return int(self.layout.goal_mask.sum())
+
+    def generate(self, key: jax.Array) -> Layout:
+        """The lot; the key is unused."""
+        del key
+        return jax.tree.map(jnp.asarray, self.layout)
 
 
 def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
@@ -41,19 +88,12 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
     """
     shares: dict[str, float] = {}
     for member, share in config.shares:
-        name, number = _name(member), 2
+        first = name = LAYOUTS.name_of(member) or member.family
+        number = 2
         while name in shares:
-            name, number = f"{_name(member)} {number}", number + 1
+            name, number = f"{first} {number}", number + 1
         shares[name] = share
     return shares
-
-
-def _name(config: LayoutConfig) -> str:
-    return LAYOUTS.name_of(config) or config.family
-
-
-# Jitted: many small operations would each be compiled on their own.
-_compiled = jax.jit(lambda config, key: config.generate(key), static_argnums=0)
 
 
 def make_layout(layout: LayoutConfig | str, key: jax.Array | None = None) -> Layout:
@@ -87,3 +127,19 @@ def mixture(
     configs = tuple(layout_config(member) for member in members)
     family: Any = FAMILIES["mixture"]
     return family(members=configs, weights=tuple(weights))
+
+
+def lot_number(split: Split, key: jax.Array) -> jax.Array:
+    """Draws the number of a lot, uint32 (), uniform over a split.
+
+    Raises:
+        ValueError: unknown split.
+    """
+    require_choice("split", split, Split)
+    first = TRAIN.start if split == "train" else TEST.start
+    return jnp.uint32(first) + (jax.random.bits(key, (), jnp.uint32) >> 1)
+
+
+def lot_key(number: jax.Array | int) -> jax.Array:
+    """The key that lot `number` is drawn from."""
+    return jax.random.fold_in(jax.random.key(0, impl="threefry2x32"), number)

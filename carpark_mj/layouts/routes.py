@@ -14,6 +14,11 @@ from flax import struct
 from carpark_mj.geometry import box_distance, norm, point_box_distance
 from carpark_mj.layouts.types import Layout
 
+MAX_TURNS = 6  # from one lane into another; every family needs at most 4
+TOUCHING = 0.3  # m, lanes with a smaller gap are joined
+PARALLEL = 0.2  # sine of the angle below which lanes lie beside each other: 11.5 deg
+INSIDE = 0.1  # m, a car this close to its nearest lane is in it
+
 
 def has_lanes(layout: Layout) -> bool:
     """Whether lots of this shape can have lanes."""
@@ -21,14 +26,9 @@ def has_lanes(layout: Layout) -> bool:
 
 
 def lane_distance(layout: Layout, pose_w: jax.Array) -> jax.Array:
-    """Distance of each car's centre to each lane.
+    """(num_agents, lanes) distance of centres of cars (num_agents, 3) to lanes [m].
 
-    Args:
-        layout: the lot.
-        pose_w: (num_agents, 3) poses.
-
-    Returns:
-        (num_agents, lanes) [m]; 0 inside, inf for padding.
+    0 inside, inf for padding.
     """
     distance = point_box_distance(
         pose_w[:, None, :2], layout.lane_pose, layout.lane_size
@@ -41,10 +41,6 @@ def nearest_lane(layout: Layout, pose_w: jax.Array) -> tuple[jax.Array, jax.Arra
 
     Where lanes overlap (at crossings), it is the lane closest to the car's heading.
 
-    Args:
-        layout: the lot.
-        pose_w: (num_agents, 3) poses.
-
     Returns:
         (num_agents,) int index and (num_agents,) bool, whether the lot has a lane.
     """
@@ -55,39 +51,25 @@ def nearest_lane(layout: Layout, pose_w: jax.Array) -> tuple[jax.Array, jax.Arra
     return index, jnp.broadcast_to(layout.lane_mask.any(), index.shape)
 
 
-MAX_TURNS = 6  # from one lane into another; every family needs at most 4
-TOUCHING = 0.3  # m, lanes with a smaller gap are joined
-PARALLEL = 0.2  # sine of the angle below which lanes lie beside each other: 11.5 deg
-INSIDE = 0.1  # m, a car this close to its nearest lane is in it
-
-
 @struct.dataclass
 class Routes:
-    """Routes from every lane of a lot to every bay.
+    """Routes from every lane of a lot to every bay."""
 
-    Attributes:
-        crossing: (lanes, lanes, 2) where the centre lines of two lanes cross [m].
-        remaining: (lanes, lanes, bays) length of the route from there to the bay along
-            the second lane [m]; inf where that leads nowhere.
-        turns: (lanes, lanes) bool, whether a car can turn from one into the other.
-        beside: (lanes, bays) bool, whether the bay lies along the lane.
-    """
-
+    # (lanes, lanes) bool, whether a car can turn from one into the other
     turns: jax.Array
+    # (lanes, lanes, 2) where the centre lines of two lanes cross [m]
     crossing: jax.Array
+    # (lanes, lanes, bays) length of the route from there to the bay along the second
+    # lane [m]; inf where that leads nowhere
     remaining: jax.Array
-    beside: jax.Array
+    beside: jax.Array  # (lanes, bays) bool, whether the bay lies along the lane
 
 
 class RouteLeft(NamedTuple):
-    """Remaining routes of cars (...).
+    """Remaining routes of cars (...)."""
 
-    Attributes:
-        length: (...) [m].
-        next_xy: (..., 2) where the route turns next, the bay's centre at the end [m].
-    """
-
-    length: jax.Array
+    length: jax.Array  # (...) [m]
+    # (..., 2) where the route turns next, the bay's centre at the end [m]
     next_xy: jax.Array
 
 

@@ -9,19 +9,32 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import LayoutConfig
+from carpark_mj.config import LayoutConfig, register_layout
+from carpark_mj.config.checks import Range
 from carpark_mj.layouts import standards
-from carpark_mj.layouts.build import Group, lanes, spawns_in
-from carpark_mj.layouts.ranges import draw
+from carpark_mj.layouts.build import (
+    Group,
+    assemble,
+    bays,
+    boundary,
+    chances,
+    draw,
+    draw_int,
+    lanes,
+    require_aisle,
+    require_least,
+    spawns_in,
+    walls,
+)
 from carpark_mj.layouts.standards import (
     DesignCar,
+    Entry,
     Level,
     Orientation,
     TightBay,
     tight_bay,
 )
-from carpark_mj.layouts.street import require_aisle
-from carpark_mj.layouts.turning import Entry
+from carpark_mj.layouts.types import Layout, WallKind
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,11 +56,11 @@ class TightConfig(LayoutConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         entry = self._entry(0)
-        require_aisle((entry.aisle, entry.aisle), entry.least(self.car))
+        require_aisle(entry.aisle, entry.least(self.car))
 
     @property
     def room(self) -> TightBay:
-        """The room that the level leaves; an unknown name is a ValueError."""
+        """The room that the level leaves."""
         return tight_bay(self.orientation, self.level, self.car)
 
     @property
@@ -94,3 +107,128 @@ def two_way_aisle(
         ]
     )
     return lanes(pose[:1], size, one_way=False), spawns_in(car, pose, size)
+
+
+@dataclasses.dataclass(frozen=True)
+class DeadEndConfig(TightConfig):
+    """Bays on both sides at the end of a narrow blind aisle; lengths [m].
+
+    A car that drives into the aisle must back out or turn in a bay. See also
+    `TightConfig`.
+
+    Attributes:
+        bays_per_side: bays on each side of the aisle.
+        approach: aisle between solid blocks, before the first bay.
+        end_length: aisle beyond the last bay, up to the wall across it.
+        family: fixed.
+    """
+
+    bays_per_side: standards.Counts = (2, 4)
+    approach: Range = (12.0, 18.0)
+    end_length: standards.Lengths = (0.5, 1.5)
+    family: str = "dead_end"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_least(self, 2 * self.car.length, "approach")
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        return 2 * self.bays_per_side[0]
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws an aisle along x whose blind end lies at +x."""
+        chance = chances(key, 5)
+        count = draw_int(chance[0], self.bays_per_side)
+        size, cell, yaw = draw_tight_bay(self, chance[1:3])
+        approach = draw(chance[3], self.approach)
+        end = draw(chance[4], self.end_length)
+        aisle = self.room.aisle
+        depth = cell[1] + standards.WALL_GAP
+        half_x = (approach + count * cell[0] + end) / 2
+        half_y = aisle / 2 + depth
+        row = jnp.arange(self.bays_per_side[1])
+        x = approach - half_x + (row + 0.5) * cell[0]
+        y = (aisle + cell[1]) / 2
+        turn = 0.0 if self.orientation == "perpendicular" else jnp.pi
+        bay_pose = jnp.stack(
+            [
+                jnp.stack(jnp.broadcast_arrays(x, s * y, s * yaw + way), axis=-1)
+                for s, way in ((1.0, turn), (-1.0, 0.0))
+            ]
+        )
+        block_y = (aisle + depth) / 2
+        block_x = approach / 2 - half_x
+        block = jnp.stack(
+            [jnp.stack([block_x, s * block_y, 0 * depth]) for s in (1, -1)]
+        )
+        return assemble(
+            jnp.stack([half_x, half_y]),
+            bays(bay_pose, size, mask=row < count),
+            boundary(half_x, half_y, self.wall_thickness, WallKind.WALL),
+            walls(block, jnp.stack([approach, depth])),
+            *two_way_aisle(self.car, 2 * half_x, jnp.zeros(()), aisle),
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class GarageRowConfig(TightConfig):
+    """A row of bays, each between two walls, opposite another wall; lengths [m].
+
+    See also `TightConfig`.
+
+    Attributes:
+        num_bays: range of the number of bays.
+        end_length: aisle beyond the last bay on either side.
+        family: fixed.
+    """
+
+    num_bays: standards.Counts = (4, 7)
+    end_length: standards.Lengths = (4.0, 6.0)
+    family: str = "garage_row"
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        return self.num_bays[0]
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a row along x, its bays at the left of the aisle."""
+        chance = chances(key, 4)
+        most, thickness = self.num_bays[1], self.wall_thickness
+        count = draw_int(chance[0], self.num_bays)
+        size, cell, yaw = draw_tight_bay(self, chance[1:3])
+        end = draw(chance[3], self.end_length)
+        aisle = self.room.aisle
+        pitch = cell[0] + thickness
+        row = jnp.arange(most)
+        bay_x = (row + 0.5 - count / 2) * pitch
+        post = jnp.arange(most + 1)
+        post_x = (post - count / 2) * pitch
+        half_x = (count * pitch + thickness) / 2 + end
+        # The aisle lies below the bays, and the lot about the origin.
+        depth = cell[1] + standards.WALL_GAP
+        half_y = (aisle + depth) / 2
+        edge = half_y - depth
+        bay_pose = jnp.stack(
+            jnp.broadcast_arrays(bay_x, edge + cell[1] / 2, yaw), axis=-1
+        )
+        post_pose = jnp.stack(
+            jnp.broadcast_arrays(post_x, edge + depth / 2, 0.0), axis=-1
+        )
+        return assemble(
+            jnp.stack([half_x, half_y]),
+            bays(bay_pose, size, mask=row < count),
+            boundary(half_x, half_y, thickness, WallKind.WALL),
+            walls(
+                post_pose,
+                jnp.stack([jnp.float32(thickness), depth]),
+                mask=post <= count,
+            ),
+            *two_way_aisle(self.car, 2 * half_x, edge - aisle / 2, aisle),
+        )
+
+
+register_layout("dead_end", DeadEndConfig())
+register_layout("garage_row", GarageRowConfig())

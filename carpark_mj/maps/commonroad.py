@@ -11,12 +11,11 @@ import numpy as np
 import shapely
 from shapely import affinity
 
-from carpark_mj.layouts.build import LANE_SPREAD
+from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import Feature, Plan, Tag
+from carpark_mj.maps.features import Feature, Plan, Tag, require_near
 from carpark_mj.maps.fit import Box
-from carpark_mj.maps.frame import require_near
-from carpark_mj.maps.lanelet2 import lanelet_features
+from carpark_mj.maps.osm_xml import lanelet_features
 
 # Types of static obstacles that are not walls, as everything else that stands is.
 _TAGS: dict[str, Tag] = {
@@ -30,10 +29,7 @@ _SKIPPED = ("location", "scenarioTags")
 
 
 def commonroad_features(root: Any) -> Plan:
-    """The features of a scenario; goals are spots.
-
-    Args:
-        root: the element `commonRoad` of the file.
+    """The features of a scenario, an element `commonRoad`; goals are spots.
 
     Raises:
         ValueError: a number that is none, or points too far apart.
@@ -94,13 +90,8 @@ def _add_problem(plan: Plan, name: str, element: Any) -> None:
     if pose is None:
         plan.unknown["initialState without a pose"] += 1
     else:
-        car = DesignCar()
-        cos, sin = math.cos(LANE_SPREAD), math.sin(LANE_SPREAD)
-        start = Box(
-            *pose,
-            car.length * cos + car.width * sin + 2 * _ROOM,
-            car.width * cos + car.length * sin + 2 * _ROOM,
-        )
+        length, width = swept_size(DesignCar())
+        start = Box(*pose, length + 2 * _ROOM, width + 2 * _ROOM)
         plan.features.append(Feature("start", start.shape, name, yaw=pose[2]))
     for k, position in enumerate(element.iterfind("goalState/position")):
         goal = f"{name}.{k}" if k else name

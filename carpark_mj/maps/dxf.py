@@ -17,9 +17,8 @@ from ezdxf import units
 from ezdxf.enums import InsertUnits
 from ezdxf.path import from_hatch, make_path
 
-from carpark_mj.maps.features import Feature, Plan, Tag, commonest
-from carpark_mj.maps.frame import require_near
-from carpark_mj.maps.stalls import bays_between, is_bay_sized
+from carpark_mj.maps.bays import bays_between, is_bay_sized
+from carpark_mj.maps.features import Feature, Plan, Tag, commonest, require_near
 from carpark_mj.maps.tagged import add_tagged
 from carpark_mj.reading import read_bytes
 
@@ -43,7 +42,6 @@ MOST_SHAPES = 20_000
 MOST_ENTITIES = 100_000  # of blocks, each time that they are inserted
 MOST_POINTS = 5_000  # of a shape
 ISLAND = 6.0  # m², smaller outlines within the ground are markings
-DEEPEST = 32  # blocks within each other
 FLATNESS = 0.02  # m between a curve and its straight parts
 FARTHEST = 1e8  # m from the drawing's origin, beyond any projected system
 UNITS = {
@@ -158,11 +156,7 @@ class _UnusableError(ValueError):
 
 
 def _reading(layers: Sequence[str]) -> _TagOf:
-    """What is on a layer, by its name.
-
-    Raises:
-        ValueError: no word and text.
-    """
+    """What is on a layer, by its name; `layers` as of `dxf_features`."""
     given: list[tuple[str, Tag]] = []
     for one in layers:
         word, _, text = one.partition("=")
@@ -188,12 +182,7 @@ def _reading(layers: Sequence[str]) -> _TagOf:
 
 
 def _metres(name: str, own: int) -> float:
-    """A drawing's unit [m].
-
-    Args:
-        name: of the unit; empty for the drawing's own.
-        own: the drawing's, 0 for none.
-    """
+    """A drawing's unit [m]; `name` overrides its own, which is 0 for none."""
     if name and name not in UNITS:
         raise _UnusableError(f"--unit is one of {', '.join(UNITS)}, not {name}")
     own = UNITS.get(name, own)
@@ -230,12 +219,7 @@ def _entities(
             )
         return useful[name, layer]
 
-    def walk(group: Any, layer: str, depth: int) -> Iterator[tuple[Any, str]]:
-        if depth > DEEPEST:
-            raise _UnusableError(
-                f"blocks are more than {DEEPEST} deep within each other, or in "
-                "themselves"
-            )
+    def walk(group: Any, layer: str) -> Iterator[tuple[Any, str]]:
         for entity in group:
             if next(seen) >= MOST_ENTITIES:
                 raise _UnusableError(
@@ -248,13 +232,13 @@ def _entities(
                     continue
                 copies = entity.multi_insert() if entity.mcount > 1 else [entity]
                 for copy in copies:
-                    yield from walk(copy.virtual_entities(), own, depth + 1)
+                    yield from walk(copy.virtual_entities(), own)
             elif entity.dxftype() == "MLINE":
-                yield from walk(entity.virtual_entities(), own, depth + 1)
+                yield from walk(entity.virtual_entities(), own)
             elif own not in hidden:
                 yield entity, own
 
-    yield from walk(drawing.modelspace(), "0", 0)
+    yield from walk(drawing.modelspace(), "0")
 
 
 def _layer(entity: Any, outer: str) -> str:

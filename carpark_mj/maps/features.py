@@ -1,15 +1,70 @@
-"""Features of maps in any format: tagged shapes in metres."""
+"""Features of maps in any format: tagged shapes in metres about their middle."""
 
 import dataclasses
+import itertools
 from collections import Counter
 from typing import Any, Literal
 
+import numpy as np
+import pyproj
+import shapely
+from pyproj.exceptions import ProjError
+
 from carpark_mj.layouts.types import BayKind
 
+WGS84 = "EPSG:4326"
+FARTHEST = 1_000.0  # m from the middle: maps of at most 2 km
 Tag = Literal["bay", "lane", "wall", "kerb", "pillar", "drivable", "start"]
-
 MOST_KINDS = 10  # named in a message
+BEND = 0.5  # m between a curved lane and its straight parts
 LINE_THICKNESS = 0.2  # m of walls and kerbs drawn as lines
+
+
+def to_metres(coordinates: np.ndarray, system: str = WGS84) -> np.ndarray:
+    """Projects coordinates onto a plane that touches the earth in their middle.
+
+    Args:
+        coordinates: (n, 2) in the order longitude, latitude, or east, north.
+        system: the coordinate reference system, in any form that PROJ knows.
+
+    Returns:
+        (n, 2) east and north of the middle [m].
+
+    Raises:
+        ValueError: unknown system, points that it does not have, or too far apart.
+    """
+    if not np.isfinite(coordinates).all():
+        raise ValueError("coordinates must be finite")
+    middle = (coordinates.min(axis=0) + coordinates.max(axis=0)) / 2
+    try:
+        crs: Any = pyproj.CRS.from_user_input(system)
+        there = pyproj.Transformer.from_crs(crs, WGS84, always_xy=True)
+        lon, lat = there.transform(*middle, errcheck=True)
+        if crs.is_geographic and not (abs(lon) <= 180 and abs(lat) <= 90):
+            raise ValueError(
+                f"longitude and latitude must lie within ±180° and ±90°, not "
+                f"{middle[0]:g} and {middle[1]:g}; if these are projected, name their "
+                f"system: --crs EPSG:..."
+            )
+        local = f"+proj=tmerc +lon_0={lon} +lat_0={lat} +datum=WGS84 +units=m"
+        project = pyproj.Transformer.from_crs(crs, local, always_xy=True)
+        xy = np.stack(project.transform(*coordinates.T, errcheck=True), axis=-1)
+    except ProjError as error:
+        raise ValueError(f"coordinate reference system {system!r}: {error}") from None
+    require_near(xy)
+    return xy
+
+
+def require_near(xy: np.ndarray) -> None:
+    """Refuses maps of more than 2 km."""
+    if not np.isfinite(xy).all():
+        raise ValueError("coordinates must be finite")
+    size = np.ptp(xy, axis=0)
+    if size.max() > 2 * FARTHEST:
+        raise ValueError(
+            f"the map is {size[0] / 1e3:.3g} x {size[1] / 1e3:.3g} km; at most "
+            f"{2 * FARTHEST / 1e3:g} km: cut one car park out of it"
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,26 +94,18 @@ class Feature:
 
 @dataclasses.dataclass(frozen=True)
 class Group:
-    """Spots that are given by their number or place instead of their outlines.
+    """Spots that are given by their number or place instead of their outlines."""
 
-    Attributes:
-        name: its name in the map.
-        shape: a shapely polygon around the spots and maybe their aisles, or the point
-            of one spot [m].
-        count: of spots; 0 if the map does not say.
-        orientation: `parallel`, `perpendicular` or `diagonal` to the road, or empty.
-        is_row: whether the polygon holds spots alone, without an aisle.
-        kind: of the spots.
-        level: as of `Feature`.
-    """
-
-    name: str
+    name: str  # its name in the map
+    # a shapely polygon around the spots and maybe their aisles, or the point of one
+    # spot [m]
     shape: Any
-    count: int = 0
+    count: int = 0  # of spots; 0 if the map does not say
+    # `parallel`, `perpendicular` or `diagonal` to the road, or empty
     orientation: str = ""
-    is_row: bool = False
-    kind: BayKind = BayKind.STANDARD
-    level: str = ""
+    is_row: bool = False  # whether the polygon holds spots alone, without an aisle
+    kind: BayKind = BayKind.STANDARD  # of the spots
+    level: str = ""  # as of `Feature`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +125,18 @@ class Plan:
     lost: dict[str, str] = dataclasses.field(default_factory=dict)
     groups: list[Group] = dataclasses.field(default_factory=list)
     notes: list[str] = dataclasses.field(default_factory=list)
+
+
+def lane_features(
+    name: str, line: Any, width: float, one_way: bool, level: str = ""
+) -> list[Feature]:
+    """The straight parts of a lane with a centre line."""
+    points = shapely.get_coordinates(line.simplify(BEND))
+    return [
+        Feature("lane", part, name, width=width, one_way=one_way, level=level)
+        for part in map(shapely.LineString, itertools.pairwise(points))
+        if part.length
+    ]
 
 
 def on_level(plan: Plan, level: str | None = None) -> Plan:
@@ -102,7 +161,8 @@ def on_level(plan: Plan, level: str | None = None) -> Plan:
         )
     chosen = level or max(counts, key=lambda name: counts[name], default="0")
     ground = {id(one) for one in spots}
-    kept, lost, unknown = [], dict(plan.lost), plan.unknown.copy()
+    kept, groups = list[Feature](), list[Group]()
+    lost, unknown = dict(plan.lost), plan.unknown.copy()
     for one in plan.features:
         if chosen in _levels(one, "0" if id(one) in ground else chosen):
             kept.append(one)
@@ -110,7 +170,6 @@ def on_level(plan: Plan, level: str | None = None) -> Plan:
             lost[one.name] = f"on level {one.level or 0}, not {chosen}"
         else:
             unknown[f"{one.tag} on another level"] += 1
-    groups = []
     for group in plan.groups:
         if chosen in _levels(group, "0"):
             groups.append(group)

@@ -1,4 +1,4 @@
-"""Rectangles that fit polygons, and rectangles cut until they are free."""
+"""Rectangles that fit polygons, are cut until they are free, and join to lanes."""
 
 import dataclasses
 import math
@@ -9,6 +9,8 @@ import numpy as np
 import shapely
 from shapely import affinity, ops
 
+from carpark_mj.maps.features import Feature
+
 STALL = 5.0  # m, length that a leaning spot shorter than its sides may have
 CORNER = 0.15  # m by which a corner of a spot stands out
 LEAN = 0.3  # cosine between sides (73 deg) below which a spot may be a rhombus ...
@@ -18,6 +20,9 @@ EPSILON = 1e-4  # m by which a cut reaches beyond the polygon
 DEEPEST = 16  # cuts of one polygon within each other
 MOST_CORNERS = 150  # of a polygon that is cut at its corners, each of which is tried
 REFLEX = math.radians(5.0)  # beyond 180 deg, of a corner worth a cut
+ALIGNED = math.radians(6.0)  # between lanes that are one
+ASIDE = 0.8  # m between the centre lines of lanes that are one
+GAP = 8.0  # m between their ends, for one to cross a junction
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,14 +205,12 @@ def _cuts(polygon: Any) -> Iterator[Any]:
     for corner in np.flatnonzero(turn < -REFLEX):
         x, y = corners[corner]
         for dx, dy in (before[corner], -after[corner], bisector[corner]):
-            ray = _line(x, y, math.atan2(dy, dx), reach)
-            inside = shapely.get_parts(ray.intersection(polygon))
+            yaw = math.atan2(dy, dx)
+            inside = shapely.get_parts(_line(x, y, yaw, reach).intersection(polygon))
             inside = inside[shapely.length(inside) > EPSILON]
             if len(inside):
-                first = inside[
-                    np.argmin(shapely.distance(inside, ray.boundary.geoms[0]))
-                ]
-                found.append((first.length, x, y, math.atan2(dy, dx)))
+                nearest = np.argmin(shapely.distance(inside, shapely.Point(x, y)))
+                found.append((inside[nearest].length, x, y, yaw))
     if found:
         length, x, y, yaw = min(found)
         # From the corner itself: beside an edge it would not meet the polygon.
@@ -251,27 +254,91 @@ def _cut_each(box: Box, others: list[Any], gap: float) -> Box | None:
     back, front = -box.length / 2, box.length / 2
     right, left = -box.width / 2, box.width / 2
     for other in others:
-        rest = shapely.box(back, right, front, left)
-        hit = box.local(other).intersection(rest)
+        hit = box.local(other).intersection(shapely.box(back, right, front, left))
         if hit.area < 1e-9:
             continue
         low_x, low_y, high_x, high_y = hit.bounds
         length, width = front - back, left - right
-        loss = {
-            "front": (front - low_x) * width,
-            "back": (high_x - back) * width,
-            "left": (left - low_y) * length,
-            "right": (high_y - right) * length,
-        }
-        side = min(loss, key=lambda name: loss[name])
-        if side == "front":
+        # What is lost of the front, the back, the left or the right.
+        ahead, behind = (front - low_x) * width, (high_x - back) * width
+        on_left, on_right = (left - low_y) * length, (high_y - right) * length
+        least = min(ahead, behind, on_left, on_right)
+        if ahead == least:
             front = low_x - gap
-        elif side == "back":
+        elif behind == least:
             back = high_x + gap
-        elif side == "left":
+        elif on_left == least:
             left = low_y - gap
         else:
             right = high_y + gap
         if front <= back or left <= right:
             return None
     return box.part(back, front, right, left)
+
+
+def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
+    """Rectangles of lanes, and whether they are driven along their heading only.
+
+    Lanes in line are joined. Two opposite lanes on the same ground become one two-way
+    lane.
+    """
+    features = [one for one in features if one.shape.length > 0.1]
+    if not features:
+        return []
+    ends = np.array([np.asarray(one.shape.coords)[[0, -1]] for one in features])
+    step = ends[:, 1] - ends[:, 0]
+    length, yaw = np.hypot(*step.T), np.arctan2(step[:, 1], step[:, 0])
+    middle = ends.mean(axis=1)
+    width = np.array([one.width for one in features])
+    only = np.array([one.one_way for one in features])
+    free = np.full(len(features), True)
+    lanes, one_way = [], []
+    for first in np.argsort(-length, kind="stable"):
+        if not free[first]:
+            continue
+        cosine, sine = math.cos(yaw[first]), math.sin(yaw[first])
+        local = (ends - middle[first]) @ np.array([[cosine, -sine], [sine, cosine]])
+        in_line = (np.abs(np.sin(yaw - yaw[first])) <= math.sin(ALIGNED)) & (
+            np.abs(local[..., 1]).max(axis=1) <= ASIDE
+        )
+        low, high = local[..., 0].min(axis=1), local[..., 0].max(axis=1)
+        back, front = -length[first] / 2, length[first] / 2
+        joined = np.arange(len(features)) == first
+        while True:
+            within = (low <= front + GAP) & (high >= back - GAP)
+            more = free & in_line & within & ~joined
+            if not more.any():
+                break
+            joined |= more
+            back, front = low[joined].min(), high[joined].max()
+        free &= ~joined
+        mean = float(np.average(width[joined], weights=length[joined]))
+        x, y = (float(value) for value in middle[first])
+        whole = Box(x, y, float(yaw[first]), float(length[first]), mean)
+        lanes.append(whole.part(float(back), float(front), -mean / 2, mean / 2))
+        with_it = np.cos(yaw[joined] - yaw[first]) >= 0
+        one_way.append(bool((only[joined] & with_it).all()))
+    return list(zip(_reaching(lanes), one_way, strict=True))
+
+
+def _reaching(lanes: list[Box]) -> list[Box]:
+    """Lanes lengthened at either end to the next one ahead, within `GAP`."""
+    x, y, yaw, length, _ = np.array([dataclasses.astuple(lane) for lane in lanes]).T
+    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    # Ends of all lanes in their headings, and then their other ends.
+    out = np.concatenate([ahead, -ahead])
+    ends = np.tile(np.stack([x, y], axis=-1), (2, 1))
+    ends = ends + out * np.tile(length / 2, 2)[:, None]
+    rays: Any = shapely.linestrings(np.stack([ends, ends + GAP * out], axis=1))
+    shapes = np.array([lane.shape for lane in lanes])
+    ray, other = shapely.STRtree(shapes).query(rays, "intersects")
+    ray, other = np.stack([ray, other])[:, ray % len(lanes) != other]
+    hits = shapely.intersection(rays[ray], shapes[other])
+    gaps = np.full(len(rays), np.inf)
+    np.minimum.at(gaps, ray, shapely.distance(hits, shapely.points(ends[ray])))
+    front, back = np.where(np.isfinite(gaps), gaps, 0.0).reshape(2, -1)
+    longer = []
+    for lane, before, after in zip(lanes, back, front, strict=True):
+        half, wide = lane.length / 2, lane.width / 2
+        longer.append(lane.part(-half - before, half + after, -wide, wide))
+    return longer

@@ -1,14 +1,112 @@
-"""A layout of a map file."""
+"""A layout of a map file, with a report of omitted features."""
 
+import dataclasses
+import itertools
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from carpark_mj.layouts.types import Layout
-from carpark_mj.maps.assemble import Report, assemble
-from carpark_mj.maps.features import Plan, on_level
-from carpark_mj.maps.rows import lay_out
+import numpy as np
+import shapely
+from shapely import affinity
+
+from carpark_mj.layouts import build
+from carpark_mj.layouts.build import swept_size
+from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
+from carpark_mj.layouts.types import BayKind, Layout, WallKind
+from carpark_mj.maps.bays import lay_out
+from carpark_mj.maps.commonroad import commonroad_features
+from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, commonest, on_level
+from carpark_mj.maps.fit import Box, around, best_fits, boxes, cut_free, joined_lanes
+from carpark_mj.maps.osm_xml import (
+    is_lanelet2,
+    lanelet2_features,
+    osm_features,
+    read_osm,
+    read_xml,
+)
+from carpark_mj.maps.tagged import geojson_features
 
 FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
+APRON = 6.0  # m of free ground around the spots of a map that has no ground
+ROUNDING = 0.01  # m by which walls beside a bay may reach into the car's room
+NARROW = 0.5  # m cut off the free ground, by which rectangles may reach beyond it
+MOST_BAYS = 500
+REACH = 1.5  # m from the drivable ground within which walls and kerbs are kept
+NEAR = 4.0  # m from the drivable ground within which a spot must begin
+WORST_FIT = 0.6  # m between the outlines of a spot and its rectangle
+TWICE = 0.5  # share of a spot that another covers, for it to be the same one
+DETAIL = 0.25  # m, smaller bends of walls are straightened
+STRETCH = 0.1  # m by which a spot may be too short for the car
+SLIVER = 0.08  # m, thinner walls are dropped
+THINNEST = 0.02  # m, of a wall
+LEAST_START = 0.05  # m that a start is long and wide
+NAMED = 5  # spots of a kind that the report names
+LEANING = 0.02  # share of a bay outside the outline of a spot that leans
+NOSE = 0.3  # m to spare in a bay that is led out into the aisle
+AHEAD = 1.0  # m in front of a spot, where its aisle is
+ROUND = 0.75  # of a column's radius that bays must leave, for it to be a disc
+MARGIN = 1.0  # m around everything
+_Disc = tuple[float, float, float]
+
+
+@dataclasses.dataclass
+class Report:
+    """Report of an import.
+
+    Attributes:
+        spots: number of spots in the map.
+        lost: spots without a bay, with the reason, by their names.
+        unknown: numbers of unknown elements by kind.
+        outside: shapes left out because they lie outside the drivable part, by tag.
+        errors: between the outlines of spots and of their bays [m].
+        stretched: names of spots lengthened into the aisle to hold the car, and left to
+            parked cars.
+        turned: angle by which the map was turned to the rows of its bays [rad].
+        notes: sentences on what was assumed.
+    """
+
+    spots: int = 0
+    lost: dict[str, str] = dataclasses.field(default_factory=dict)
+    unknown: Counter[str] = dataclasses.field(default_factory=Counter)
+    outside: Counter[str] = dataclasses.field(default_factory=Counter)
+    errors: list[float] = dataclasses.field(default_factory=list)
+    stretched: list[str] = dataclasses.field(default_factory=list)
+    turned: float = 0.0
+    notes: list[str] = dataclasses.field(default_factory=list)
+
+    def __str__(self) -> str:
+        """The report as lines of text."""
+        worst, mean = max(self.errors), float(np.mean(self.errors))
+        lines = [
+            f"{len(self.errors)} of {self.spots} spots imported; their rectangles are "
+            f"off by {mean:.2f} m on average, {worst:.2f} m at most",
+            f"turned by {np.degrees(self.turned):.1f} deg to its rows",
+            *self.notes,
+        ]
+        left: dict[str, list[str]] = {}
+        for name, why in self.lost.items():
+            kind, _, detail = why.partition(": ")
+            told = f"{name} ({detail})" if detail else name
+            left.setdefault(kind, []).append(told)
+        for kind, names in left.items():
+            told = ", ".join(names[:NAMED]) + ", ..." * (len(names) > NAMED)
+            lines.append(f"left out, {kind}: {len(names)} spots, {told}")
+        if self.stretched:
+            lines.append(
+                f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "
+                f"the aisle to hold the car, for parked cars only: "
+                f"{', '.join(self.stretched)}"
+            )
+        for what, counts in (
+            ("outside the drivable part", self.outside),
+            ("not understood", self.unknown),
+        ):
+            if counts:
+                lines.append(f"{what}: {commonest(counts)}")
+        return "\n".join(lines)
 
 
 def import_map(
@@ -61,18 +159,11 @@ def read_plan(
     if suffix != ".dxf" and (layers or unit):
         raise ValueError("only drawings (.dxf) take --layer and --unit")
     if suffix in (".geojson", ".json"):
-        from carpark_mj.maps.geojson import geojson_features
-
         return geojson_features(path, crs)
     if suffix == ".dxf":
-        from carpark_mj.maps.dxf import dxf_features
+        from carpark_mj.maps.dxf import dxf_features  # needs ezdxf
 
         return dxf_features(path, layers, unit)
-    from carpark_mj.maps.commonroad import commonroad_features
-    from carpark_mj.maps.lanelet2 import is_lanelet2, lanelet2_features
-    from carpark_mj.maps.openstreetmap import osm_features
-    from carpark_mj.maps.osm_xml import read_osm, read_xml
-
     root = read_xml(path)
     if root.tag == "commonRoad":
         return commonroad_features(root)
@@ -82,3 +173,325 @@ def read_plan(
         )
     osm = read_osm(root)
     return lanelet2_features(osm) if is_lanelet2(osm) else osm_features(osm)
+
+
+def assemble(plan: Plan) -> tuple[Layout, Report]:
+    """Makes a layout of a map, its middle at the origin and its rows along x or y.
+
+    Raises:
+        ValueError: no spot can be a bay, there are too many, or nowhere is room to
+            start.
+    """
+    report = Report(lost=dict(plan.lost), unknown=plan.unknown, notes=[*plan.notes])
+    found = Counter(feature.tag for feature in plan.features)
+    report.spots = found["bay"] + len(plan.lost)
+    if not found["bay"]:
+        raise ValueError(f"the map has no parking spot{_reasons(report)}")
+    if found["bay"] > MOST_BAYS:
+        raise ValueError(f"the map has {found['bay']} spots; at most {MOST_BAYS}")
+    features = _turned(plan.features, report)
+    spots = [one.shape for one in features if one.tag == "bay"]
+    drivable = shapely.union_all(
+        [_ground(one) for one in features if one.tag in ("lane", "drivable", "start")]
+    )
+    if drivable.is_empty:
+        hull = shapely.union_all(spots).convex_hull
+        drivable = hull.buffer(APRON, join_style="mitre")
+        report.notes.append("the map has no ground to drive on: taken around its spots")
+    bays = _bays(features, drivable, report)
+    if not bays:
+        raise ValueError(f"no spot of the map can be a bay{_reasons(report)}")
+    taken = [box.shape for box, _ in bays]
+    ground = shapely.union_all([drivable, *taken])
+    solids, discs = _solids(features, ground, taken, report)
+    standing = [box.shape for box, _ in solids]
+    standing += [shapely.Point(x, y).buffer(r) for x, y, r in discs]
+    lanes = []
+    tree = shapely.STRtree([*taken, *standing])
+    for lane, one_way in joined_lanes([one for one in features if one.tag == "lane"]):
+        free = cut_free(lane, _met(tree, lane))
+        if free and free.length > 2.0 and free.width > 1.0:
+            lanes.append((free, one_way))
+        else:
+            report.outside["lane without room"] += 1
+    starts = [_start(one) for one in features if one.tag == "start"]
+    starts += [lane for lane, _ in lanes]
+    starts += [lane.turned() for lane, one_way in lanes if not one_way]
+    starts = [box for box in starts if _room(box).min() > LEAST_START]
+    if not starts:
+        free = free_starts(drivable, [*taken, *standing])
+        free = [box for box in free if _room(box).min() > LEAST_START]
+        starts = [turned for box in free for turned in (box, box.turned())]
+        why = "no lane has room for a car" if lanes else "the map has no lane"
+        report.notes.append(f"{why}: cars start on free ground")
+    if not starts:
+        raise ValueError("the map has no room for a car to start in")
+    if closed := walled_off([box for box, _ in bays], starts, standing):
+        report.notes.append(
+            f"warning: walls keep cars that start in the lot from {len(closed)} of "
+            f"{len(bays)} bays"
+        )
+    layout = _layout(bays, solids, discs, lanes, starts)
+    if faults := describe_faults(layout):
+        raise ValueError(f"no valid layout comes of the map: {'; '.join(faults)}")
+    return layout, report
+
+
+def _reasons(report: Report) -> str:
+    """Why spots were left out, in brackets; empty if none was."""
+    reasons = "; ".join(sorted(set(report.lost.values()))[:3])
+    return f" ({reasons})" if reasons else ""
+
+
+def _ground(feature: Feature) -> Any:
+    if feature.tag != "lane":
+        return feature.shape
+    return feature.shape.buffer(feature.width / 2, cap_style="square")
+
+
+def _start(feature: Feature) -> Box:
+    """The rectangle around a start, in its heading."""
+    box = around(feature.shape)
+    against = feature.yaw is not None and np.cos(box.yaw - feature.yaw) < 0
+    return box.turned() if against else box
+
+
+def _met(tree: Any, box: Box) -> Any:
+    """The shapes of a tree that a rectangle meets."""
+    return tree.geometries[tree.query(box.shape, "intersects")]
+
+
+def _room(box: Box) -> np.ndarray:
+    """Length and width (2,) in which the centre of a starting car may lie [m]."""
+    return np.subtract(box.size, swept_size(DesignCar()))
+
+
+def _turned(features: list[Feature], report: Report) -> list[Feature]:
+    """Turns the map so that most of its bays lie along x or y."""
+    yaws = np.array([around(one.shape).yaw for one in features if one.tag == "bay"])
+    report.turned = -float(np.angle(np.exp(4j * yaws).sum())) / 4
+    return [
+        dataclasses.replace(
+            one,
+            shape=affinity.rotate(
+                one.shape, report.turned, origin=(0, 0), use_radians=True
+            ),
+            yaw=None if one.yaw is None else one.yaw + report.turned,
+        )
+        for one in features
+    ]
+
+
+def _bays(
+    features: list[Feature], drivable: Any, report: Report
+) -> list[tuple[Box, BayKind]]:
+    """Rectangles of the spots, heading out into the aisle."""
+    least = DesignCar().size
+    near = drivable.buffer(NEAR)
+    spots = [one.shape for one in features if one.tag == "bay"]
+    roads = shapely.union_all([one.shape for one in features if one.tag == "lane"])
+    # Without strips that are too narrow for a car, as between two rows.
+    half = least[1] / 2
+    open_ground = drivable.difference(shapely.union_all(spots)).buffer(-half)
+    open_ground = open_ground.buffer(half, join_style="mitre")
+    goals = [part for part in (open_ground, roads) if not part.is_empty]
+    tree = shapely.STRtree(spots)
+    found: list[tuple[Box, BayKind]] = []
+    taken: list[Any] = []
+    for one in features:
+        if one.tag != "bay":
+            continue
+        fits = best_fits(one.shape)
+        if (error := fits[0][1]) > WORST_FIT:
+            report.lost[one.name] = f"no rectangle: {error:.2f} m off the best one"
+            continue
+        box = _facing([box for box, _ in fits], goals, found[-1][0].yaw if found else 0)
+        short = box.length < least[0] < box.length + STRETCH
+        if short:  # what stands behind it stays
+            back, side = -box.length / 2, box.width / 2
+            box = box.part(back, back + least[0] + 0.01, -side, side)
+        if not one.shape.intersects(near):
+            report.lost[one.name] = f"more than {NEAR:g} m from what can be driven on"
+            continue
+        others = [other for other in taken if other.intersects(box.shape)]
+        over = [
+            o for o in others if o.intersection(box.shape).area > TWICE * one.shape.area
+        ]
+        if over:
+            report.lost[one.name] = "covered by another spot"
+            continue
+        free = cut_free(box, others)
+        met = [spots[k] for k in tree.query(box.shape) if spots[k] is not one.shape]
+        if box.shape.difference(one.shape).area > LEANING * box.shape.area:
+            # It leans: it ends at the spots behind it, and a car's nose stands out.
+            free = _led_out(cut_free(box, [*met, *others]), box, others)
+        size = free.size if free else (0.0, 0.0)
+        if free is None or size[0] < least[0] or size[1] < least[1]:
+            report.lost[one.name] = (
+                f"smaller than the car of {least[0]:g} x {least[1]:g} m: "
+                f"{size[0]:.2f} x {size[1]:.2f} m"
+            )
+            continue
+        if max(size) > PLAUSIBLE_BAY[1]:
+            report.lost[one.name] = (
+                f"longer than {PLAUSIBLE_BAY[1]:g} m: {size[0]:.1f} m"
+            )
+            continue
+        report.errors.append(float(shapely.hausdorff_distance(one.shape, free.shape)))
+        if short:
+            report.stretched.append(one.name)
+        taken.append(free.shape)
+        found.append((free, BayKind.RESERVED if short else one.kind))
+    return found
+
+
+def _led_out(free: Box | None, box: Box, others: list[Any]) -> Box | None:
+    """What is left of a rectangle, lengthened in front to hold the car again."""
+    length = min(box.length, DesignCar().length + NOSE)
+    if free is None or free.length >= length:
+        return free
+    back, side = -free.length / 2, free.width / 2
+    return cut_free(free.part(back, back + length, -side, side), others)
+
+
+def _facing(found: list[Box], goals: list[Any], yaw: float) -> Box:
+    """The rectangle, and the end of it in front, that leads to the first goals.
+
+    Where neither end is nearer to them, it is the one in the direction `yaw`.
+    """
+
+    def away(box: Box) -> list[float]:
+        reach = box.length / 2 + AHEAD
+        x, y = box.x + reach * np.cos(box.yaw), box.y + reach * np.sin(box.yaw)
+        # Less than a decimetre is no difference between the ends of a spot.
+        gaps = [round(goal.distance(shapely.Point(x, y)), 1) for goal in goals]
+        return [*gaps, -round(float(np.cos(box.yaw - yaw)), 3)]
+
+    return min([turned for box in found for turned in (box, box.turned())], key=away)
+
+
+def _solids(
+    features: list[Feature], ground: Any, taken: list[Any], report: Report
+) -> tuple[list[tuple[Box, WallKind]], list[_Disc]]:
+    """Boxes and discs of walls, kerbs and columns within reach of the ground."""
+    within = ground.buffer(REACH, join_style="mitre")
+    occupied = shapely.union_all(taken).buffer(0.001)
+    tree = shapely.STRtree(taken)
+    kept: dict[WallKind, list[Any]] = {WallKind.WALL: [], WallKind.KERB: []}
+    discs: list[_Disc] = []
+    roads = [one for one in features if one.tag == "lane"]
+    for one in features:
+        if one.tag not in ("wall", "kerb", "pillar"):
+            continue
+        shape = one.shape
+        if one.tag != "pillar":
+            if len(tree.query(shape, "contains")):
+                # What stands around spots is drawn by its outline.
+                shape = shape.boundary.buffer(LINE_THICKNESS / 2)
+                report.notes.append(f"{one.tag} {one.name} is an outline around spots")
+            for road in roads:
+                if len(shapely.get_parts(road.shape.difference(shape))) > 1:
+                    way = road.shape.intersection(shape)
+                    shape = shape.difference(way.buffer(road.width / 2))
+        shape = shape.intersection(within)
+        if shape.is_empty:
+            report.outside[one.tag] += 1
+            continue
+        radius = float(np.sqrt(one.shape.area / np.pi))
+        room = one.shape.centroid.distance(occupied)
+        if one.tag == "pillar" and room > ROUND * radius:
+            x, y = one.shape.centroid.coords[0]
+            discs.append((x, y, min(radius, room)))
+        else:
+            kind = WallKind.KERB if one.tag == "kerb" else WallKind.WALL
+            kept[kind].append(shape)
+    solids = list[tuple[Box, WallKind]]()
+    for kind, shapes in kept.items():
+        closed = shapely.union_all(shapes).buffer(DETAIL / 2, join_style="mitre")
+        whole = closed.buffer(-DETAIL / 2, join_style="mitre").difference(occupied)
+        # Without the slivers between bays.
+        whole = whole.buffer(-SLIVER / 2, join_style="mitre")
+        whole = whole.buffer(SLIVER / 2, join_style="mitre")
+        parts = shapely.get_parts(whole)
+        parts = parts[shapely.area(parts) > 0]
+        # No more than a quarter of a thin wall's thickness.
+        thickness = 2 * shapely.area(parts) / shapely.length(parts)
+        parts = shapely.simplify(parts, np.minimum(DETAIL, thickness / 4))
+        for box in itertools.chain.from_iterable(map(boxes, parts)):
+            free = cut_free(box, _met(tree, box))
+            if free and free.width > THINNEST and free.length > DETAIL:
+                solids.append((free, kind))
+    return solids, discs
+
+
+def _layout(
+    bays: list[tuple[Box, BayKind]],
+    solids: list[tuple[Box, WallKind]],
+    discs: list[_Disc],
+    lanes: list[tuple[Box, bool]],
+    starts: list[Box],
+) -> Layout:
+    shapes = [box.shape for box, _ in (*bays, *solids, *lanes)]
+    left, low, right, high = shapely.union_all(shapes).bounds
+    middle = np.array([(left + right) / 2, (low + high) / 2, 0.0])
+    extent = np.array([right - left, high - low]) / 2 + MARGIN
+
+    def placed(found: list[Box]) -> tuple[np.ndarray, np.ndarray]:
+        pose = np.array([box.pose for box in found]).reshape(-1, 3) - middle
+        return pose, np.array([box.size for box in found]).reshape(-1, 2)
+
+    pose, _ = placed(starts)
+    room = np.array([_room(box) for box in starts])
+    rows = np.array(discs).reshape(-1, 3)
+
+    def columns(found: list[tuple[Box, Any]], part: str, kind: type) -> dict[str, Any]:
+        pose, size = placed([box for box, _ in found])
+        return {
+            "pose": pose,
+            "size": size,
+            part: np.array([what for _, what in found], kind),
+        }
+
+    return build.from_columns(
+        extent,
+        {
+            "bays": columns(bays, "kind", int),
+            "walls": columns(solids, "kind", int),
+            "discs": {"centre": rows[:, :2] - middle[:2], "radius": rows[:, 2]},
+            "lanes": columns(lanes, "one_way", bool),
+            "spawns": {"pose": pose, "size": room, "spread": build.LANE_SPREAD},
+        },
+    )
+
+
+def free_starts(ground: Any, taken: Sequence[Any]) -> list[Box]:
+    """Rectangles in the ground, clear of shapes, that a car has room for.
+
+    `taken` are shapely polygons that stand on the ground.
+    """
+    free = ground.difference(shapely.union_all(taken)).buffer(-NARROW)
+    tree, found = shapely.STRtree(taken), []
+    for box in boxes(free):
+        if (clear := cut_free(box, _met(tree, box))) and clear.length >= clear.width:
+            found.append(clear)
+        elif clear:
+            found.append(Box(*clear.pose[:2], clear.yaw + np.pi / 2, *clear.size[::-1]))
+    return found
+
+
+def walled_off(
+    bays: Sequence[Box], starts: Sequence[Box], solids: Sequence[Any]
+) -> list[int]:
+    """Indices of the bays that no start has a way to between solids.
+
+    A necessary test: a disc as wide as the car passes wherever cars do, but not the
+    other way round.
+    """
+    radius = DesignCar().width / 2 - ROUNDING
+    grown = shapely.union_all([solid.buffer(radius) for solid in solids])
+    places = [shapely.Point(box.x, box.y) for box in (*bays, *starts)]
+    whole = shapely.box(*shapely.total_bounds([grown, *places])).buffer(1.0)
+    tree = shapely.STRtree(shapely.get_parts(whole.difference(grown)))
+    parts = [set(tree.query(place, "intersects").tolist()) for place in places]
+    reached = set[int]().union(*parts[len(bays) :])
+    return [k for k, part in enumerate(parts[: len(bays)]) if not part & reached]

@@ -1,17 +1,135 @@
-"""Shapes that name what they are by a tag of ours."""
+"""Shapes by their tags, ours or those of OpenStreetMap; GeoJSON, which has both.
 
+The property `tag` is one of `carpark_mj.maps.features.Tag`; `width` [m] and `one_way`
+belong to lanes. Coordinates of GeoJSON are longitude and latitude, or of the system
+that the member `crs` or the flag `--crs` names.
+"""
+
+import json
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import shapely
+from shapely.errors import ShapelyError
 
-from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, Tag
+from carpark_mj.layouts.types import BayKind
+from carpark_mj.maps.features import (
+    LINE_THICKNESS,
+    WGS84,
+    Feature,
+    Group,
+    Plan,
+    Tag,
+    lane_features,
+    to_metres,
+)
 from carpark_mj.maps.fit import boxes
-from carpark_mj.maps.openstreetmap import add_by_tags
+from carpark_mj.reading import parse_object, read_text
 
+# Widths [m] of aisles that have none in the map, driven both ways and one way: the
+# least that standards ask for (`layouts.standards`), before bays and walls cut them.
+AISLE, ONE_WAY_AISLE = 6.0, 3.5
+BOLLARD_RADIUS = 0.15  # m
+_BARRIERS = {"kerb": "kerb", "bollard": "pillar", "block": "pillar"}
+_OPEN = ("gate", "lift_gate", "swing_gate", "entrance", "cattle_grid", "toll_booth")
+_KINDS = {
+    "disabled": BayKind.ACCESSIBLE,
+    "parent": BayKind.FAMILY,
+    "reserved": BayKind.RESERVED,
+}
+_ROADS = ("service", "residential", "unclassified", "living_street", "track")
+# Values of `parking`: beside a road without an aisle, and on several floors.
+_ROWS = ("street_side", "lane", "on_kerb", "half_on_kerb", "shoulder")
+_COVERED = ("underground", "multi-storey", "rooftop", "sheds", "garage_boxes")
+_PLAIN = {"source", "name", "note", "created_by", "ref", "layer", "level", "type"}
 NARROW = 2.0  # m, less of an aisle is no lane
-BEND = 0.25  # m, smaller bends of an aisle are straightened
+DETAIL = 0.25  # m, smaller bends of an aisle are straightened
+
+
+def add_by_tags(plan: Plan, name: str, tags: Mapping[str, Any], shape: Any) -> None:
+    """Adds a shape with the meaning of its tags, or counts it as unknown."""
+    if shape is None or shape.is_empty:
+        if tags.get("amenity") == "parking_space":
+            plan.lost[name] = "its lines close no polygon"
+        return
+    is_area = bool(shape.area)
+    level = str(tags.get("level") or tags.get("layer") or "")
+    if tags.get("amenity") in ("parking_space", "parking"):
+        _add_parking(plan, name, tags, shape, level)
+    elif tags.get("highway") in _ROADS and not is_area:
+        plan.features.extend(_lanes(name, tags, shape, level))
+    elif barrier := tags.get("barrier"):
+        if barrier not in _OPEN:
+            tag = _BARRIERS.get(str(barrier), "wall")
+            # A closed line surrounds its ground unless it is said to be an area.
+            if is_area and tag != "pillar" and tags.get("area") != "yes":
+                shape, is_area = shape.boundary, False
+            radius = LINE_THICKNESS / 2 if shape.length else BOLLARD_RADIUS
+            solid = shapely.make_valid(shape) if is_area else shape.buffer(radius)
+            plan.features.append(Feature(tag, solid, name, level=level))  # pyright: ignore
+    elif tags.get("building", "no") != "no" and is_area:
+        shape = shapely.make_valid(shape)
+        if tags["building"] in ("parking", "carport"):
+            # The ground floor of a multi-storey car park is no wall.
+            plan.features.append(Feature("drivable", shape, name))
+        elif tags["building"] != "roof":  # cars drive and park below
+            plan.features.append(Feature("wall", shape, name))
+    elif left := sorted(set(tags) - _PLAIN):
+        plan.unknown[f"{left[0]}={tags[left[0]]}"] += 1
+
+
+def _add_parking(
+    plan: Plan, name: str, tags: Mapping[str, Any], shape: Any, level: str
+) -> None:
+    """Adds a spot, or a group of spots that have no outlines of their own."""
+    is_spot = tags["amenity"] == "parking_space"
+    kind = _KINDS.get(str(tags.get("parking_space", "")), BayKind.STANDARD)
+    if tags.get("wheelchair") == "designated" or (
+        is_spot and tags.get("capacity:disabled", "no") not in ("no", "0")
+    ):
+        kind = BayKind.ACCESSIBLE
+    try:
+        count = max(int(str(tags.get("capacity", ""))), 0)
+    except ValueError:
+        count = 0
+    orientation = tags.get("orientation") or tags.get("parking:orientation") or ""
+    if shape.area:
+        shape = shapely.make_valid(shape)
+    elif shape.length or not is_spot:
+        if is_spot:
+            plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
+        elif count:
+            plan.lost[name] = f"a point for several spots: {count}"
+        return
+    if is_spot and shape.area and count <= 1:
+        plan.features.append(Feature("bay", shape, name, kind, level=level))
+        return
+    if tags.get("parking") in _COVERED and not level:
+        plan.features.append(Feature("drivable", shape, name))
+        if count:
+            where = f"{tags['parking']}, its {count} spots are not laid out"
+            plan.notes.append(f"{name}: {where}")
+        return
+    is_row = is_spot or tags.get("parking") in _ROWS
+    plan.groups.append(Group(name, shape, count, str(orientation), is_row, kind, level))
+
+
+def _lanes(name: str, tags: Mapping[str, Any], line: Any, level: str) -> list[Feature]:
+    """The straight parts of a road."""
+    oneway = str(tags.get("oneway", "no"))
+    one_way = oneway in ("yes", "true", "1", "-1", "reverse", "True")
+    if oneway in ("-1", "reverse"):
+        line = line.reverse()
+    try:
+        width = float(str(tags.get("width") or tags["est_width"]).removesuffix(" m"))
+    except (KeyError, ValueError):
+        width = 0.0
+    if not 2.0 <= width <= 30.0:
+        width = ONE_WAY_AISLE if one_way else AISLE
+    return lane_features(name, line, width, one_way, level)
 
 
 def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> None:
@@ -31,9 +149,8 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
     elif tag == "lane" and shape.area:
         _add_aisle(plan, name, shapely.make_valid(shape), bool(tags.get("one_way")))
     elif tag == "lane":
-        road = {"highway": "service", "width": tags.get("width")}
-        road["level"] = tags.get("level")
-        road["oneway"] = "yes" if tags.get("one_way") else "no"
+        road = {key: tags.get(key) for key in ("width", "level")}
+        road |= {"highway": "service", "oneway": "yes" if tags.get("one_way") else "no"}
         add_by_tags(plan, name, road, shape)
     else:
         if not shape.area and tag in ("wall", "kerb", "pillar"):
@@ -54,10 +171,76 @@ def _add_aisle(plan: Plan, name: str, ground: Any, one_way: bool) -> None:
     plan.features.append(Feature("drivable", ground, name))
     # Without its narrow corners and small bends.
     wide = ground.buffer(-NARROW / 2, join_style="mitre")
-    wide = wide.buffer(NARROW / 2, join_style="mitre").simplify(BEND)
+    wide = wide.buffer(NARROW / 2, join_style="mitre").simplify(DETAIL)
     for box in boxes(wide):
         dx, dy = (box.length / 2 * f(box.yaw) for f in (math.cos, math.sin))
         line = shapely.LineString([(box.x - dx, box.y - dy), (box.x + dx, box.y + dy)])
-        plan.features.append(
-            Feature("lane", line, name, width=box.width, one_way=one_way)
-        )
+        plan.features += lane_features(name, line, box.width, one_way)
+
+
+def geojson_features(path: Path, crs: str | None = None) -> Plan:
+    """Reads a file: a collection, one feature, or a bare geometry.
+
+    Args:
+        path: of the file.
+        crs: the coordinate reference system, instead of the one in the file.
+
+    Raises:
+        ValueError: not GeoJSON, or invalid coordinates.
+        OSError: the file cannot be read.
+    """
+    data = parse_object(read_text(path), "the GeoJSON")
+    plan, shapes, names, properties = Plan(), [], [], []
+    for index, row in enumerate(_rows(data)):
+        if not isinstance(row, dict) or not isinstance(
+            row.get("properties") or {}, dict
+        ):
+            raise ValueError(f"features[{index}] must be an object with properties")
+        geometry = row.get("geometry")
+        if geometry is None:  # RFC 7946, section 3.2: a feature without a place
+            plan.unknown["feature without a geometry"] += 1
+            continue
+        try:
+            shape = shapely.from_geojson(json.dumps(geometry))
+        except (ShapelyError, ValueError, TypeError):
+            raise ValueError(
+                f"features[{index}] must have a geometry, not {str(geometry)[:60]}"
+            ) from None
+        if shape.is_empty:
+            plan.unknown["feature without a geometry"] += 1
+        for part in shapely.get_parts(shape):
+            shapes.append(shapely.force_2d(part))
+            names.append(str(row.get("id", index)))
+            properties.append(row.get("properties") or {})
+    if not shapes:
+        raise ValueError("the GeoJSON has no feature with a geometry")
+    placed = shapely.set_coordinates(
+        np.array(shapes), to_metres(shapely.get_coordinates(shapes), _system(data, crs))
+    )
+    for name, shape, tags in zip(names, placed, properties, strict=True):
+        add_tagged(plan, name, shape, tags)
+    return plan
+
+
+def _rows(data: dict[str, Any]) -> list[Any]:
+    """The features of a collection, a feature, or a geometry."""
+    if isinstance(data.get("features"), list):
+        return data["features"]
+    if data.get("type") == "Feature":
+        return [data]
+    if "coordinates" in data or "geometries" in data:
+        return [{"geometry": data}]
+    raise ValueError("the GeoJSON must have features, a geometry or coordinates")
+
+
+def _system(data: dict[str, Any], given: str | None) -> str:
+    """The name of the coordinate reference system."""
+    if given is not None:
+        return given
+    crs = data.get("crs")
+    if crs is None:
+        return WGS84
+    try:
+        return str(crs["properties"]["name"])
+    except (TypeError, KeyError):
+        raise ValueError(f"crs must have properties with a name, not {crs}") from None

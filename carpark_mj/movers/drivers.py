@@ -1,34 +1,242 @@
-"""Drivers: cars that follow rules, drawn when a lot begins."""
+"""Drivers: who is there when a lot begins, and what they do next.
+
+One driver plans in a step, and looks at one way in which it may go on. A path is taken
+if the car sweeps no wall and no other bay on it, whether a car stands there or not.
+"""
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from carpark_mj.config.checks import Range, require_range, require_ratio, require_whole
+from carpark_mj.config.checks import Bounds, Count, Range, Ratio
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
-from carpark_mj.geometry import move_forward, norm
+from carpark_mj.geometry import boxes_overlap, move_forward, norm, to_world, wrap_angle
 from carpark_mj.geometry.obstacles import Boxes, Group, touches
-from carpark_mj.layouts.types import Layout
+from carpark_mj.layouts.types import BayEnd, BayKind, Layout
 from carpark_mj.movers.driving import drive
-from carpark_mj.movers.planning import plan
-from carpark_mj.movers.tracks import make_tracks
+from carpark_mj.movers.lookout import HARD, is_clear
 from carpark_mj.movers.traffic import (
     AWAY,
+    BACK_OUT,
     DRIVE,
     NOSE,
     OFFSET,
+    PARK,
+    RADIUS,
     SIZE,
+    STAY,
+    Path,
     Traffic,
+    choose,
+    crossing,
+    make_tracks,
+    tangent,
     track_path,
 )
 from carpark_mj.types import NO_BAY, State
 
+SHARP, OPPOSITE = 0.3, 2.6  # rad, least and largest change of direction
+EARLY = 10.0  # m before an arc, where a driver decides
+NOT_LATE = 0.8  # m before it, besides the way in which the car stops
+CROSSING = 5.5  # m from the end of a track to where another crosses it
+SWING = 0.6  # m to the left of a track, where every other arc into it ends
+BACK_ON = 0.3  # m along the track at the end of a way out of a bay
+LONGEST = 12.0  # m to back out straight
+POSES = 20  # on a path, tested for walls and bays
+ROOM, ROOM_TO_WALLS = 0.15, 0.25  # m about the car there
+# m by which bays are shorter and narrower to it
+SLACK: Any = np.array([0.3, 0.4], np.float32)
+ENTRY_INSET = 1.0  # m from the beginning of a track to the axle of who comes in
+CLEAR = 9.0  # m about a car that comes in
+ABSENCE = 5.0  # s, shortest
+# Fields of `Traffic` that a plan changes.
+CHANGING = (
+    *("pose", "path", "way", "speed", "steering"),
+    *("phase", "track", "next_track", "bay", "clock"),
+)
 TRIES = 8  # places that are tried for a driver
 APART = 8.0  # m between drivers when a lot begins
 FAR = 1e4  # m, where those are who are away
+
+
+def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic:
+    """Drivers of whom one has planned; `search` as of `Drivers`."""
+    n = traffic.way.shape[0]
+    who = traffic.turn
+    own = jax.tree.map(
+        lambda x: x[who],
+        dataclasses.replace(traffic, turn=jnp.zeros(n, jnp.int32), tracks=jnp.zeros(n)),
+    )
+    own = dataclasses.replace(own, tracks=traffic.tracks)
+    keys = jax.random.split(key, 5)
+    parks = jax.random.uniform(keys[0]) < search
+    turned, parked = _turn(keys[1], own), _park(keys[2], own, traffic, lot)
+    going_on = choose(parks & parked[1], parked, turned)
+    backed = _back_out(keys[3], own, lot)
+    stays = own.phase == STAY
+    new, good = choose(stays, backed, going_on)
+    path = new.path
+    begin = jnp.where(stays, 0.0, jnp.maximum(path.straight - 1.5, own.way))
+    end = jnp.minimum(path.arc_end + 4.0, path.total)
+    ways = begin + (end - begin) * jnp.linspace(0.0, 1.0, POSES)
+    good = good & _is_free(lot.layout, path.at(ways), new.bay)
+    undecided = (own.phase == DRIVE) & (own.path.bend == 0.0)
+    good = good & (undecided | stays)
+    entered, enters = _enter(keys[4], own, traffic, lot)
+    comes = (own.phase == AWAY) & (own.clock > ABSENCE) & enters
+    new = choose(comes, entered, new)
+    row = (jnp.arange(n) == who) & (good | comes)
+    changes = {
+        name: choose(row, getattr(new, name), getattr(traffic, name))
+        for name in CHANGING
+    }
+    turn = (traffic.turn + 1) % n
+    return dataclasses.replace(traffic, turn=turn, **changes)
+
+
+def _begins_well(own: Traffic, start: jax.Array) -> jax.Array:
+    """Whether arcs that begin after ways (k,) are not too near and not too far."""
+    stop = own.speed * 0.4 + own.speed**2 / (2.0 * HARD) + NOT_LATE
+    return (start > own.way + stop) & (start < own.way + stop + EARLY)
+
+
+def _pick(key: jax.Array, cost: jax.Array, good: jax.Array):
+    """One of those that are good, likelier where costs are low; and if any is."""
+    score = jax.random.gumbel(key, cost.shape) - cost
+    index = jnp.argmax(jnp.where(good, score, -jnp.inf))
+    return index, good.any()
+
+
+def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
+    """A driver who turns into another track."""
+    tracks = own.tracks
+    line, length = tracks.pose[own.track], tracks.length
+    key, swing_key = jax.random.split(key)
+    swing = jnp.where(jax.random.bernoulli(swing_key), SWING, 0.0)
+    beside = to_world(tracks.pose, jnp.stack([0.0, swing, 0.0]))
+    along, beyond, bend = crossing(line, beside)
+    arc = tangent(bend, jnp.float32(RADIUS))
+    start, leaves = along - arc, beyond + arc
+    good = tracks.mask & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
+    good = good & _begins_well(own, start) & (along < length[own.track] + CROSSING)
+    good = good & (beyond > -CROSSING) & (leaves < length - NOSE - 1.0)
+    index, found = _pick(key, jnp.zeros_like(start), good)
+    rest = length[index] - NOSE - leaves[index]
+    path = _arc_path(line, start[index], bend[index], rest, 1.0)
+    return dataclasses.replace(own, path=path, next_track=_int(index)), found
+
+
+def _park(
+    key: jax.Array, own: Traffic, traffic: Traffic, lot: State
+) -> tuple[Traffic, jax.Array]:
+    """A driver who turns into a free bay."""
+    layout, line = lot.layout, own.tracks.pose[own.track]
+    pose = jnp.concatenate(
+        [layout.bay_pose[:, :2], wrap_angle(layout.bay_pose[:, 2:] + jnp.pi)], axis=-1
+    )
+    along, beyond, bend = crossing(line, pose)
+    arc = tangent(bend, jnp.float32(RADIUS))
+    start, rest = along - arc, -OFFSET - (beyond + arc)
+    good = layout.bay_mask & (layout.bay_kind != BayKind.EXIT)
+    if layout.bay_end is not None:
+        good = good & (layout.bay_end != BayEnd.TAIL_FIRST)
+    good = good & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
+    good = good & _begins_well(own, start) & (rest > 0.0) & (beyond > -LONGEST)
+    index, found = _pick(key, jnp.zeros_like(start), good)
+    # Free is a bay in which nobody stands, and for which nobody heads.
+    found = found & ~(lot.parked_cars.bay == index).any() & ~(lot.goal == index).any()
+    found = found & ~((traffic.bay == index) & traffic.present).any()
+    there = boxes_overlap(
+        layout.bay_pose[index],
+        layout.bay_size[index],
+        lot.motion.pose_w,
+        lot.motion.size,
+    )
+    path = _arc_path(line, start[index], bend[index], rest[index], 1.0)
+    new = dataclasses.replace(own, path=path, phase=jnp.int32(PARK), bay=_int(index))
+    return new, found & ~there.any()
+
+
+def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Array]:
+    """A driver who backs out of a bay onto a track, to go on along it."""
+    tracks = own.tracks
+    line = own.pose.at[2].add(jnp.pi)
+    lanes = tracks.pose.at[:, 2].add(jnp.pi)
+    along, beyond, bend = crossing(line, lanes)
+    arc = tangent(bend, jnp.float32(RADIUS))
+    start, place = along - arc, -(beyond + arc + BACK_ON)
+    good = tracks.mask & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
+    good = good & (start > 0.1) & (along < LONGEST)
+    good = good & (place > 0.0) & (place < tracks.length - NOSE - 1.0)
+    index, found = _pick(key, along, good)
+    path = _arc_path(line, start[index], bend[index], jnp.float32(BACK_ON), -1.0)
+    # Somebody needs the bay: go.
+    due = (own.clock > own.stay) | (lot.goal == own.bay).any()
+    new = dataclasses.replace(
+        own,
+        path=path,
+        way=jnp.float32(0.0),
+        phase=jnp.int32(BACK_OUT),
+        next_track=_int(index),
+        clock=jnp.float32(0.0),
+    )
+    return new, found & due
+
+
+def _enter(
+    key: jax.Array, own: Traffic, traffic: Traffic, lot: State
+) -> tuple[Traffic, jax.Array]:
+    """A driver who comes in where a track begins."""
+    tracks = own.tracks
+    index, found = _pick(key, jnp.zeros_like(tracks.length), tracks.entry)
+    pose = move_forward(tracks.pose[index], ENTRY_INSET)
+    ahead = move_forward(pose, NOSE)[:2]
+    zero = jnp.float32(0.0)
+    new = dataclasses.replace(
+        own,
+        pose=pose,
+        speed=zero,
+        steering=zero,
+        path=track_path(tracks, index),
+        way=jnp.float32(ENTRY_INSET),
+        phase=jnp.int32(DRIVE),
+        track=_int(index),
+        next_track=_int(index),
+        bay=jnp.int32(NO_BAY),
+        clock=zero,
+    )
+    return new, found & is_clear(traffic, lot, ahead, CLEAR)
+
+
+def _arc_path(
+    line: jax.Array, start: jax.Array, bend: jax.Array, rest: jax.Array, gear: float
+) -> Path:
+    total = start + RADIUS * jnp.abs(bend) + rest
+    return Path(
+        line[:2], line[2], start, bend, jnp.float32(RADIUS), total, jnp.float32(gear)
+    )
+
+
+def _is_free(layout: Layout, pose: jax.Array, bay: jax.Array) -> jax.Array:
+    """() bool, whether a car with its rear axle at poses (k, 3) meets nothing."""
+    pose, size = move_forward(pose, OFFSET)[:, None], SIZE + 2 * ROOM
+    bays = boxes_overlap(pose, size, layout.bay_pose, layout.bay_size - SLACK)
+    others = layout.bay_mask & (jnp.arange(layout.num_bays) != bay)
+    size = SIZE + 2 * ROOM_TO_WALLS
+    walls = boxes_overlap(pose, size, layout.wall_pose, layout.wall_size)
+    disc = jnp.pad(layout.disc_centre, ((0, 0), (0, 1)))
+    discs = jnp.repeat(2.0 * layout.disc_radius[:, None], 2, axis=1)
+    discs = boxes_overlap(pose, size, disc, discs)
+    meets = (bays & others).any() | (walls & layout.wall_mask).any()
+    return ~(meets | (discs & layout.disc_mask).any())
+
+
+def _int(index: jax.Array) -> jax.Array:
+    return index.astype(jnp.int32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,24 +258,15 @@ class Drivers(Mover):
         mover: fixed.
     """
 
-    number: int = 4
-    aggressiveness: Range = (0.0, 1.0)
-    attention: float = 0.9
-    search: float = 0.7
-    speed: Range = (1.5, 3.0)
-    headway: Range = (1.0, 1.6)
-    stay: Range = (10.0, 40.0)
+    number: Count = 4
+    aggressiveness: Annotated[Range, Bounds(ge=0.0, le=1.0)] = (0.0, 1.0)
+    attention: Ratio = 0.9
+    search: Ratio = 0.7
+    speed: Annotated[Range, Bounds(ge=0.5, le=4.0, unit="m/s")] = (1.5, 3.0)
+    headway: Annotated[Range, Bounds(ge=0.5, le=5.0, unit="s")] = (1.0, 1.6)
+    stay: Annotated[Range, Bounds(ge=0.0, le=3600.0, unit="s")] = (10.0, 40.0)
     mover: str = "drivers"
     kind = ObstacleKind.DRIVER
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_whole(self, 1, "number")
-        require_ratio(self, "attention", "search")
-        require_range("aggressiveness", self.aggressiveness, 0.0, 1.0)
-        require_range("speed", self.speed, 0.5, 4.0)
-        require_range("headway", self.headway, 0.5, 5.0)
-        require_range("stay", self.stay, 0.0, 3600.0)
 
     def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> Traffic:
         """All stand in lanes, apart from each other."""
@@ -121,9 +320,7 @@ class Drivers(Mover):
             tracks=tracks,
         )
 
-    def begin(self, key: Any, layout: Layout, others: Sequence[Group]) -> Traffic:
-        """Clear of others."""
-        return self.init(key, layout, others)
+    begin = init
 
     def step(self, key: Any, state: Traffic, lot: State, dt: float) -> Traffic:
         """They drive on, then one of them plans."""

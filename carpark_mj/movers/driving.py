@@ -2,7 +2,12 @@
 
 Each is a kinematic bicycle of the back end `bicycle` (`physics.bicycle.advance`) with
 the steering of its car (`vehicle.drive.steer_towards`) and its limits of acceleration
-and braking. Pure pursuit (Coulter 1992) steers it along its path.
+and braking. Pure pursuit (Coulter 1992) steers it along its path. Behind another it
+accelerates by the Intelligent Driver Model: Treiber, Hennecke and Helbing 2000,
+"Congested traffic states in empirical observations and microscopic simulations",
+Physical Review E 62, 1805, equations 2 and 3 with delta = 4:
+
+    a (1 - (v / v0)^4 - (s* / s)^2),  s* = s0 + v T + v dv / (2 sqrt(a b)).
 """
 
 import dataclasses
@@ -12,9 +17,7 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import boxes_overlap, move_forward, rotate
 from carpark_mj.geometry.obstacles import touches
-from carpark_mj.movers import idm
 from carpark_mj.movers.lookout import HARD, look
-from carpark_mj.movers.paths import turn_back
 from carpark_mj.movers.traffic import (
     AWAY,
     BACK_OUT,
@@ -25,6 +28,7 @@ from carpark_mj.movers.traffic import (
     Traffic,
     choose,
     track_path,
+    turn_back,
 )
 from carpark_mj.physics.bicycle import advance, slip_angle
 from carpark_mj.types import NO_BAY, State
@@ -32,6 +36,9 @@ from carpark_mj.vehicle import make_vehicle
 from carpark_mj.vehicle.drive import steer_towards
 from carpark_mj.vehicle.presets import CITY
 
+JAM_GAP = 1.0  # m, s0; 2 m on motorways, shorter at walking pace [est]
+BRAKING = 1.67  # m/s², b, table I
+NO_GAP = 0.05  # m, below which a gap counts as this
 ROUNDS = 4  # substeps
 AHEAD = 1.2  # m to the point that is aimed at, and in 0.3 s
 TURNING, BACKING = 1.5, 0.8  # m/s in arcs, in reverse
@@ -42,6 +49,30 @@ LEAVES_AFTER = 2.0  # s at the end of a lane
 GIVES_UP = 12.0  # s of standing, after which a driver changes its mind
 BEHIND = 0.5  # m before an arc, to which a driver goes back who is stuck in it
 DECIDED = 0.3  # m behind an arc, where a driver is on the next track
+
+
+def idm_acceleration(
+    speed: jax.Array,
+    wanted: jax.Array,
+    gap: jax.Array,
+    leader_speed: jax.Array,
+    headway: jax.Array,
+    accel: jax.Array,
+) -> jax.Array:
+    """Accelerations (...) [m/s²] of the Intelligent Driver Model.
+
+    Args:
+        speed: v [m/s].
+        wanted: v0 [m/s].
+        gap: s to who is ahead [m].
+        leader_speed: of who is ahead [m/s].
+        headway: T [s].
+        accel: a [m/s²].
+    """
+    closing = speed * (speed - leader_speed) / (2.0 * jnp.sqrt(accel * BRAKING))
+    desired = JAM_GAP + jnp.maximum(speed * headway + closing, 0.0)
+    held = (desired / jnp.maximum(gap, NO_GAP)) ** 2
+    return accel * (1.0 - (speed / wanted) ** 4 - held)
 
 
 def drive(
@@ -65,7 +96,7 @@ def drive(
     target = _aim(traffic)
     limit = _limit(traffic, jnp.abs(target - traffic.steering))
     speed = traffic.speed
-    wish = idm.acceleration(speed, wanted, gap, ahead.speed, headway, accel)
+    wish = idm_acceleration(speed, wanted, gap, ahead.speed, headway, accel)
     faster = speed + dt * jnp.clip(wish, -HARD, accel)
     faster = jnp.minimum(faster, jnp.maximum(limit, speed - HARD * dt))
     # Whatever the model wishes, the car can stop before who is ahead.

@@ -1,4 +1,4 @@
-"""What drivers see on their paths.
+"""What drivers see on their paths, and which of two goes first.
 
 Paths are cut into sections; a section is the box that the car sweeps there. A driver
 sees the first of its sections that somebody is in, or is bound to be in: the way in
@@ -13,12 +13,21 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry import move_forward, norm
+from carpark_mj.geometry import move_forward, norm, to_local
 from carpark_mj.geometry.obstacles import Boxes
-from carpark_mj.movers.right_of_way import goes_first
-from carpark_mj.movers.traffic import BACK_OUT, DRIVE, OFFSET, SIZE, STAY, Traffic
+from carpark_mj.movers.traffic import (
+    BACK_OUT,
+    DRIVE,
+    OFFSET,
+    PARK,
+    SIZE,
+    STAY,
+    Traffic,
+    choose,
+)
 from carpark_mj.types import State
 
+PATIENCE = 6.0  # s of standing after which who waits longest goes first
 EDGES = (0.0, 0.4, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.5)  # m, of the sections
 ASIDE, ALONG = 0.3, 0.15  # m of room about a car
 HARD = 3.0  # m/s², with which drivers reckon to stop; cars brake with 4
@@ -27,6 +36,37 @@ OUT = 3.0  # m of a way out of a bay with limited sight
 SIGHT = 1.5  # m to either side for each metre behind a bay
 SOON = 1.0  # s, where people will be
 PERSON = 0.3  # m of room about a person
+
+
+def goes_first(traffic: Traffic) -> jax.Array:
+    """(n, n) bool, whether the second of a pair goes before the first; one of both.
+
+    Who backs out yields, then who turns into a bay. Otherwise the car from the right
+    goes first, and before one that turns left the oncoming. If somebody has waited for
+    long, it is who has waited longest; last of all the more aggressive.
+    """
+    pose, phase = traffic.centre, traffic.phase
+    local = to_local(pose[:, None], pose)
+    y, turned = local[..., 1], local[..., 2]
+    crosses = jnp.abs(jnp.sin(turned)) > 0.5
+    from_right = crosses & (y < 0.0) & (y.T > 0.0)
+    left = traffic.path.bend > 0.3
+    oncoming = (jnp.cos(turned) < -0.7) & left[:, None] & ~left
+    rank = jnp.where(phase == PARK, 1, jnp.where(phase == BACK_OUT, 0, 2))
+    rank = jnp.where(phase == STAY, -1, rank)
+    wait = jnp.where(traffic.clock > PATIENCE, traffic.clock, 0.0)
+    order = jnp.arange(rank.shape[0])
+    pushes = traffic.aggressiveness
+    decisive = (pushes > pushes[:, None]) | (
+        (pushes == pushes[:, None]) & (order < order[:, None])
+    )
+
+    def more(value: jax.Array, otherwise: jax.Array) -> jax.Array:
+        return jnp.where(value == value[:, None], otherwise, value > value[:, None])
+
+    rule = jnp.where(oncoming | oncoming.T, oncoming, decisive)
+    rule = jnp.where(from_right | from_right.T, from_right, rule)
+    return more(wait, more(rank, rule))
 
 
 class Rows(NamedTuple):
@@ -46,14 +86,7 @@ class Ahead(NamedTuple):
 
 
 def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
-    """What drivers see ahead of them.
-
-    Args:
-        traffic: the drivers.
-        lot: all others.
-        accel: (n,) highest acceleration of each [m/s²].
-        dt: control period [s].
-    """
+    """What drivers with highest accelerations (n,) [m/s²] see ahead of them."""
     n, gear = traffic.way.shape[0], traffic.path.gear
     edges = jnp.array(EDGES)
     start, length = edges[:-1], jnp.diff(edges)
@@ -79,17 +112,15 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
     meets = meets.reshape(n, count, -1) & counts.reshape(n, 1, -1)
     velocity = jnp.repeat(traffic.velocity, count, axis=0).reshape(*shape, 2)
     # The own box is for the right of way only.
-    found = [_first(boxes, gear, meets[:, 1:], gap[:, 1:], velocity)]
+    found = _first(boxes, gear, meets[:, 1:], gap[:, 1:], velocity)
     rows = _others(traffic, lot)
     if rows is not None:
         meets, gap = _meet(boxes, room, gear, rows.pose, rows.half)
         gap = gap + jnp.concatenate([jnp.zeros(1), start])[:, None]
         meets = meets & rows.seen[:, None]
-        found.append(_first(boxes, gear, meets[:, 1:], gap[:, 1:], rows.velocity))
-    gaps = jnp.stack([ahead.gap for ahead in found])
-    speeds = jnp.stack([ahead.speed for ahead in found])
-    nearest = jnp.argmin(gaps, axis=0)[None]
-    return Ahead(gaps.min(axis=0), jnp.take_along_axis(speeds, nearest, axis=0)[0])
+        others = _first(boxes, gear, meets[:, 1:], gap[:, 1:], rows.velocity)
+        found = choose(others.gap < found.gap, others, found)
+    return found
 
 
 def _first(

@@ -13,7 +13,7 @@ from flax import struct
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import boxes_overlap, move_forward, norm, wrap_angle
 from carpark_mj.geometry.obstacles import Boxes, Group, touches
-from carpark_mj.movers.outlines import AWAY, columns
+from carpark_mj.movers.bodies import AWAY, columns
 from carpark_mj.types import State
 from carpark_mj.vehicle.presets import CITY
 
@@ -23,36 +23,20 @@ STILL = 1e-4  # m, what rounding may change of a gap
 
 
 class Cars(NamedTuple):
-    """Cars (n,) that people heed.
+    """Cars (n,) that people heed."""
 
-    Attributes:
-        pose: (n, 3) their centres; far away if they are not there.
-        size: (n, 2) [m].
-        speed: forwards [m/s].
-        yaw_rate: [rad/s].
-        accel: at full pedal [m/s²].
-        decel: at full brake [m/s²].
-        max_speed: of the pedal forwards [m/s].
-        max_reverse: of the pedal backwards [m/s].
-    """
-
-    pose: jax.Array
-    size: jax.Array
-    speed: jax.Array
-    yaw_rate: jax.Array
-    accel: jax.Array
-    decel: jax.Array
-    max_speed: jax.Array
-    max_reverse: jax.Array
+    pose: jax.Array  # (n, 3) their centres; far away if they are not there
+    size: jax.Array  # (n, 2) [m]
+    speed: jax.Array  # forwards [m/s]
+    yaw_rate: jax.Array  # [rad/s]
+    accel: jax.Array  # at full pedal [m/s²]
+    decel: jax.Array  # at full brake [m/s²]
+    max_speed: jax.Array  # of the pedal forwards [m/s]
+    max_reverse: jax.Array  # of the pedal backwards [m/s]
 
 
 def cars_of(lot: State, dt: float) -> Cars:
-    """The agents of a lot, and after them its drivers.
-
-    Args:
-        lot: its state.
-        dt: control period [s].
-    """
+    """The agents of a lot, and after them its drivers; `dt` is the control period."""
     motion, car = lot.motion, lot.physics.vehicle
     limits = car.max_acceleration, car.max_deceleration
     limits = *limits, car.max_speed, car.max_reverse_speed
@@ -86,25 +70,15 @@ def _driven(group: Group, dt: float) -> Cars:
 
 @struct.dataclass
 class Zones:
-    """Boxes about cars (n,) and what lies before them.
+    """Boxes about cars (n,) and what lies before them."""
 
-    Attributes:
-        pose: (n, 3) their centres.
-        cos: (n,) of their headings.
-        sin: (n,) of the same.
-        half: (n, 2) their half lengths and widths [m].
-        ahead: (..., n) from their centres forwards [m].
-        behind: (..., n) backwards [m].
-        aside: (n,) to either side [m].
-    """
-
-    pose: jax.Array
-    cos: jax.Array
-    sin: jax.Array
-    half: jax.Array
-    ahead: jax.Array
-    behind: jax.Array
-    aside: jax.Array
+    pose: jax.Array  # (n, 3) their centres
+    cos: jax.Array  # (n,) of their headings
+    sin: jax.Array  # (n,) of the same
+    half: jax.Array  # (n, 2) their half lengths and widths [m]
+    ahead: jax.Array  # (..., n) from their centres forwards [m]
+    behind: jax.Array  # (..., n) backwards [m]
+    aside: jax.Array  # (n,) to either side [m]
 
     def hold(self, here: jax.Array, reach: jax.Array) -> jax.Array:
         """Whether discs of radii (n, 1) at `local` places (n, cars, 2) meet."""
@@ -148,10 +122,7 @@ def stopping_distance(
 def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Zones:
     """What the cars of a lot sweep until they stand, or in a time if that is longer.
 
-    Args:
-        lot: its state.
-        dt: control period [s].
-        headway: times [s], broadcastable to (..., cars).
+    `headway` is that time [s], broadcastable to (..., cars).
     """
     cars = cars_of(lot, dt)
     half, speed, accel, decel = cars.size / 2, cars.speed, cars.accel, cars.decel

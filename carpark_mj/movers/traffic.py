@@ -1,4 +1,4 @@
-"""The drivers of a lot: where they are and what they are about to do."""
+"""The drivers of a lot: where they are, the tracks of its lanes, and their paths."""
 
 from typing import Any, TypeVar
 
@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.geometry import move_forward
-from carpark_mj.movers.paths import Path, straight_path
-from carpark_mj.movers.tracks import Tracks
+from carpark_mj.geometry import move_forward, rotate, wrap_angle
+from carpark_mj.layouts.types import Layout
 from carpark_mj.vehicle.presets import CITY
 
+BORDER = 3.0  # m from the lot's border: where drivers come in
+RING = 1.5  # m, inset of a ring from the border of open ground
+SHORTEST = 9.0  # m, of a track on which a driver comes in
 Tree = TypeVar("Tree")
-
 # What a driver does.
 DRIVE, PARK, STAY, BACK_OUT, AWAY = range(5)
 SIZE: Any = np.array([CITY.length, CITY.width], np.float32)
@@ -23,42 +24,151 @@ NOSE = OFFSET + CITY.length / 2 + 0.3  # m, from the rear axle to what is before
 
 
 @struct.dataclass
-class Traffic:
-    """The drivers of a lot, (n,).
+class Path:
+    """Paths (...) of rear axles, in the direction of travel."""
 
-    Attributes:
-        pose: (n, 3) of rear axles.
-        speed: in the gear's direction [m/s], at least 0.
-        steering: [rad].
-        path: on which they drive.
-        way: driven on it [m].
-        phase: int32, what they do.
-        track: int32, on which they are.
-        next_track: int32, to which the path leads.
-        bay: int32, that of the car, or that it heads for; `NO_BAY` = none.
-        clock: time of standing [s], since they came to stay or went away.
-        stay: time in bays [s].
-        aggressiveness: in [0, 1].
-        attentive: bool, looks before it drives.
-        turn: () int32, who plans next.
-        tracks: of the lot.
+    origin: jax.Array  # (..., 2) where they begin [m]
+    yaw: jax.Array  # (...) direction of travel there [rad]
+    straight: jax.Array  # (...) length of the first line [m]
+    bend: jax.Array  # (...) change of direction in the arc, left positive [rad]
+    radius: jax.Array  # (...) of the arc [m]
+    total: jax.Array  # (...) length [m]
+    gear: jax.Array  # (...) 1 forwards, -1 in reverse
+
+    @property
+    def arc_end(self) -> jax.Array:
+        """(...) way to the end of the arc [m]."""
+        return self.straight + self.radius * jnp.abs(self.bend)
+
+    def at(self, way: jax.Array) -> jax.Array:
+        """Poses (..., k, 3) of the car's rear axle after ways (..., k) [m]."""
+        straight, bend, radius, yaw, gear = (
+            value[..., None]
+            for value in (self.straight, self.bend, self.radius, self.yaw, self.gear)
+        )
+        line = jnp.minimum(way, straight)
+        turned = jnp.clip((way - straight) / radius, 0.0, jnp.abs(bend))
+        rest = jnp.maximum(way - straight - radius * jnp.abs(bend), 0.0)
+        side = jnp.sign(bend)
+        x = line + radius * jnp.sin(turned) + rest * jnp.cos(bend)
+        y = side * radius * (1.0 - jnp.cos(turned)) + rest * jnp.sin(bend)
+        xy = self.origin[..., None, :] + rotate(jnp.stack([x, y], axis=-1), yaw)
+        heading = yaw + side * turned + jnp.where(gear < 0.0, jnp.pi, 0.0)
+        return jnp.concatenate([xy, heading[..., None]], axis=-1)
+
+
+def turn_back(path: Path) -> Path:
+    """The same paths (...) from their ends to their beginnings, in the other gear."""
+    end = path.at(path.total[..., None])[..., 0, :2]
+    straight = jnp.maximum(path.total - path.arc_end, 0.0)
+    yaw = path.yaw + path.bend + jnp.pi
+    radius, total, gear = path.radius, path.total, -path.gear
+    return Path(end, yaw, straight, -path.bend, radius, total, gear)
+
+
+def straight_path(pose: jax.Array, total: jax.Array, radius: jax.Array) -> Path:
+    """Straight paths from poses (..., 3), forwards; `radius` of later arcs."""
+    one, nothing = jnp.ones_like(total), jnp.zeros_like(total)
+    radius = jnp.broadcast_to(radius, total.shape)
+    return Path(pose[..., :2], pose[..., 2], total, nothing, radius, total, one)
+
+
+def crossing(
+    pose: jax.Array, other: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Where lines (..., 3) cross others (..., 3).
+
+    Returns:
+        Ways (...) along the first and along the second line [m], and the change of
+        direction [rad]; ways are meaningless where lines are parallel.
     """
+    bend = other[..., 2] - pose[..., 2]
+    bend = jnp.arctan2(jnp.sin(bend), jnp.cos(bend))
+    sine = jnp.where(jnp.abs(jnp.sin(bend)) < 1e-3, 1e-3, jnp.sin(bend))
+    delta = other[..., :2] - pose[..., :2]
 
-    pose: jax.Array
-    speed: jax.Array
-    steering: jax.Array
-    path: Path
-    way: jax.Array
-    phase: jax.Array
-    track: jax.Array
-    next_track: jax.Array
-    bay: jax.Array
-    clock: jax.Array
-    stay: jax.Array
-    aggressiveness: jax.Array
-    attentive: jax.Array
-    turn: jax.Array
-    tracks: Tracks
+    def cross(yaw: jax.Array) -> jax.Array:
+        return delta[..., 0] * jnp.sin(yaw) - delta[..., 1] * jnp.cos(yaw)
+
+    return cross(other[..., 2]) / sine, cross(pose[..., 2]) / sine, bend
+
+
+def tangent(bend: jax.Array, radius: jax.Array) -> jax.Array:
+    """Way (...) [m] from the end of an arc to where its tangents cross."""
+    return radius * jnp.tan(jnp.minimum(jnp.abs(bend), 2.8) / 2.0)
+
+
+@struct.dataclass
+class Tracks:
+    """Tracks (n,) of a lot."""
+
+    pose: jax.Array  # (n, 3) where they begin, and their directions [m, m, rad]
+    length: jax.Array  # (n,) [m]
+    mask: jax.Array  # (n,) bool
+    entry: jax.Array  # (n,) bool, whether drivers come in where it begins
+
+
+def make_tracks(layout: Layout) -> Tracks:
+    """The tracks of a lot.
+
+    A one-way lane has one, its middle. Others have one in each direction, in the
+    middle of the right half. Lots without lanes have a ring inside the first spawn
+    region, counter-clockwise.
+    """
+    pose, size, mask = layout.lane_pose, layout.lane_size, layout.lane_mask
+    both = ~layout.lane_one_way
+    aside = jnp.where(both, size[:, 1] / 4, 0.0)
+    right = rotate(jnp.stack([jnp.zeros_like(aside), -aside], axis=-1), pose[:, 2])
+    ahead = jnp.concatenate([pose[:, :2] + right, pose[:, 2:]], axis=-1)
+    back = jnp.concatenate(
+        [pose[:, :2] - right, wrap_angle(pose[:, 2:] + jnp.pi)], axis=-1
+    )
+    pose = move_forward(jnp.concatenate([ahead, back]), -jnp.tile(size[:, 0], 2) / 2)
+    of_lanes = pose, jnp.tile(size[:, 0], 2), jnp.concatenate([mask, mask & both])
+    rows = zip(of_lanes, _ring(layout), strict=True)
+    return _entries(layout, *(jnp.concatenate(row) for row in rows))
+
+
+def _ring(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
+    centre, size = layout.spawn_pose[0], layout.spawn_size[0]
+    half = jnp.maximum(size / 2 - RING, 0.1)
+    corner = half * jnp.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    xy = centre[:2] + rotate(corner, centre[2])
+    yaw = wrap_angle(centre[2] + jnp.arange(4) * jnp.pi / 2)
+    length = 2.0 * jnp.tile(half, 2)
+    has_ring = layout.spawn_mask[0] & ~layout.lane_mask.any()
+    mask = jnp.broadcast_to(has_ring, (4,))
+    return jnp.concatenate([xy, yaw[:, None]], axis=-1), length, mask
+
+
+def _entries(
+    layout: Layout, pose: jax.Array, length: jax.Array, mask: jax.Array
+) -> Tracks:
+    """Tracks that begin at the lot's border are entries; if none does, all are."""
+    long = mask & (length >= SHORTEST)
+    border = long & (jnp.abs(pose[:, :2]) > layout.extent - BORDER).any(axis=-1)
+    return Tracks(pose, length, mask, jnp.where(border.any(), border, long))
+
+
+@struct.dataclass
+class Traffic:
+    """The drivers of a lot, (n,)."""
+
+    pose: jax.Array  # (n, 3) of rear axles
+    speed: jax.Array  # in the gear's direction [m/s], at least 0
+    steering: jax.Array  # [rad]
+    path: Path  # on which they drive
+    way: jax.Array  # driven on it [m]
+    phase: jax.Array  # int32, what they do
+    track: jax.Array  # int32, on which they are
+    next_track: jax.Array  # int32, to which the path leads
+    bay: jax.Array  # int32, that of the car, or that it heads for; `NO_BAY` = none
+    clock: jax.Array  # time of standing [s], since they came to stay or went away
+    stay: jax.Array  # time in bays [s]
+    aggressiveness: jax.Array  # in [0, 1]
+    attentive: jax.Array  # bool, looks before it drives
+    turn: jax.Array  # () int32, who plans next
+    tracks: Tracks  # of the lot
 
     @property
     def present(self) -> jax.Array:

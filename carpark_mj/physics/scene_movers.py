@@ -15,7 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from carpark_mj.geometry.obstacles import Boxes, Group
-from carpark_mj.layouts.dimensions import MOVER_HEIGHTS
+from carpark_mj.layouts.types import MOVER_HEIGHTS
 from carpark_mj.obstacles import poses_during
 from carpark_mj.scene.parts import HIDDEN
 

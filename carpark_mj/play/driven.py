@@ -9,9 +9,8 @@ from jax.tree_util import Partial
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.play.demonstration import STEPS, Demonstration
-from carpark_mj.policy.acting import as_argument
+from carpark_mj.policy.acting import Step, as_argument
 from carpark_mj.policy.networks import Policy
-from carpark_mj.policy.rollout import Step
 from carpark_mj.rendering.web import LiveLot
 
 

@@ -1,13 +1,15 @@
-"""Acting policies: most act on observations, some on the state of the lot."""
+"""Policies, and roll-outs of them in one lot or in many side by side."""
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 from flax import struct
 from jax.tree_util import Partial
 
 from carpark_mj.policy.networks import Policy
-from carpark_mj.types import State
+from carpark_mj.tasks.environment import Environment
+from carpark_mj.types import State, TimeStep
 
 
 @struct.dataclass
@@ -48,3 +50,73 @@ def choose_actions(
         return policy.act(state)
     action, _ = policy(observation.reshape(-1, observation.shape[-1]), key)
     return action.reshape(*observation.shape[:-1], -1)
+
+
+# `(state, observation, memory, key) -> (action, memory)` of all agents.
+Act = Callable[[State, jax.Array, Any, jax.Array], tuple[jax.Array, Any]]
+
+
+def acts(policy: AnyPolicy) -> Act:
+    """The acting function of a policy without memory."""
+
+    def act(state: State, observation: jax.Array, memory: Any, key: jax.Array) -> Any:
+        return choose_actions(policy, state, observation, key), memory
+
+    return act
+
+
+class Carry(NamedTuple):
+    """A roll-out under way; all leaves (...), the shape of the batch of lots."""
+
+    state: State  # of the lots
+    observation: jax.Array  # (..., num_agents, size) what their agents observe
+    memory: Any = None  # of the policy between steps; None = none
+
+
+class Step(NamedTuple):
+    """A control step."""
+
+    before: State  # the state in which the agents acted
+    observation: jax.Array  # their observation in it
+    action: jax.Array  # their action
+    after: State  # the next state, respawns included
+    timestep: TimeStep  # its time step
+
+
+def control_step(
+    env: Environment, act: Act, carry: Carry, key: jax.Array
+) -> tuple[Carry, Step]:
+    """Makes one control step; a batch of lots is stepped with `jax.vmap`."""
+    state, observation, memory = carry
+    action, memory = act(state, observation, memory, key)
+    step = jax.vmap(env.step) if state.active.ndim > 1 else env.step
+    after, timestep = step(state, action)
+    made = Step(state, observation, action, after, timestep)
+    return Carry(after, timestep.observation, memory), made
+
+
+def roll_out(
+    env: Environment,
+    act: Act,
+    carry: Carry,
+    keys: jax.Array,
+    report: Callable[[Step], Any],
+) -> tuple[Carry, Any]:
+    """Makes a control step for every key, as one program.
+
+    Args:
+        env: the environment.
+        act: acting function of all agents.
+        carry: before the first step.
+        keys: (steps,) of what is random in the policy, consumed.
+        report: values to keep of a step.
+
+    Returns:
+        The carry after the last step, and the reports, with a leading axis (steps,).
+    """
+
+    def step(carry: Carry, key: jax.Array) -> tuple[Carry, Any]:
+        carry, made = control_step(env, act, carry, key)
+        return carry, report(made)
+
+    return jax.lax.scan(step, carry, keys)

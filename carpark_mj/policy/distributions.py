@@ -69,14 +69,6 @@ class Categoricals:
         parts = [-jnp.sum(jnp.exp(log_p) * log_p, axis=-1) for log_p in self._log_p]
         return jnp.stack(parts, axis=-1)
 
-    def kl_divergence(self, old_dist: "Categoricals") -> jax.Array:
-        """KL(old_dist || self) (...), summed over the branches [nat]."""
-        parts = [
-            jnp.sum(jnp.exp(old) * (old - new), axis=-1)
-            for old, new in zip(old_dist._log_p, self._log_p, strict=True)
-        ]
-        return sum(parts, jnp.zeros(()))
-
     @property
     def loc(self) -> jax.Array:
         """Mean index (..., k); Brax's loss reports it beside `scale`."""
@@ -140,11 +132,6 @@ class NormalAndCategoricals:
     def entropy(self) -> jax.Array:
         """Entropies (..., size) before tanh [nat]."""
         return _join(self._normal.entropy(), self._categoricals.entropy())
-
-    def kl_divergence(self, old_dist: "NormalAndCategoricals") -> jax.Array:
-        """KL(old_dist || self) (...); tanh does not change it."""
-        normal = self._normal.kl_divergence(old_dist._normal)
-        return normal + self._categoricals.kl_divergence(old_dist._categoricals)
 
     @property
     def loc(self) -> jax.Array:

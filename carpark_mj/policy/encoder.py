@@ -3,6 +3,10 @@
 Late fusion as in GPUDrive (Kazemkhani et al. 2024) and Deep Sets (Zaheer et al. 2017):
 all entities of a kind go through the same layers, and the largest of each feature over
 the entities that are present goes on. Neither their order nor their number matters.
+
+Pictures go through one small convolutional encoder for all views. Kernels are as long
+as their strides, so that every convolution is one product of matrices. The features of
+the views stay apart: a camera is known by its place.
 """
 
 from typing import Any
@@ -13,9 +17,8 @@ from flax import linen
 
 from carpark_mj.observations.compose import OWN, ObservationSets
 from carpark_mj.observations.fields import ORDERED
-from carpark_mj.policy import entities, entities_kernel
+from carpark_mj.policy import entities
 from carpark_mj.policy.entities import EntityLayers
-from carpark_mj.policy.pictures import PictureEncoder
 
 
 class SetEncoder(linen.Module):
@@ -26,7 +29,7 @@ class SetEncoder(linen.Module):
         own_size: features of the own numbers.
         entity_size: features of an entity, and so of a set.
         picture_size: features of a picture, of each view.
-        in_kernel: whether sets are encoded in a GPU kernel, see `entities_kernel`.
+        in_kernel: whether sets are encoded in a GPU kernel, see `entities`.
         dtype: of the layers of own numbers and pictures, and of products in the kernel.
     """
 
@@ -55,9 +58,10 @@ class SetEncoder(linen.Module):
                 hidden = entities.encode(layers, parts[group])
                 hidden = jnp.where(present[group][..., None], hidden, 0.0)
                 found = hidden.reshape(*hidden.shape[:-2], -1)
-            elif self.in_kernel and entities_kernel.fits(size):
-                kernel = entities_kernel.largest
-                found = kernel(layers, parts[group], present[group], self.dtype)
+            elif self.in_kernel and entities.fits(size):
+                found = entities.largest_in_kernel(
+                    layers, parts[group], present[group], self.dtype
+                )
             else:
                 found = entities.largest(layers, parts[group], present[group])
             features.append(found.astype(own.dtype))
@@ -70,15 +74,10 @@ class SetEncoder(linen.Module):
 
 
 class _Layer(linen.Module):
-    """Parameters named and initialised as those of flax's `Dense` or `LayerNorm`.
+    """Parameters named and initialised as those of flax's `Dense` or `LayerNorm`."""
 
-    Attributes:
-        shape: of `first`; its last axis is that of the bias.
-        first: `kernel` or `scale`.
-    """
-
-    shape: tuple[int, ...]
-    first: str
+    shape: tuple[int, ...]  # of `first`; its last axis is that of the bias
+    first: str  # `kernel` or `scale`
 
     @linen.compact
     def __call__(self) -> tuple[jax.Array, jax.Array]:
@@ -86,3 +85,63 @@ class _Layer(linen.Module):
         begin = init.lecun_normal() if self.first == "kernel" else init.ones
         first = self.param(self.first, begin, self.shape)
         return first, self.param("bias", init.zeros, self.shape[-1:])
+
+
+# Convolutions: sides of their kernels, and `size` over their channels.
+LAYERS = ((4, 2), (2, 1), (2, 1))
+
+
+class PictureEncoder(linen.Module):
+    """Features (..., views * size) of pictures.
+
+    Attributes:
+        kinds: of each channel, how many kinds a pixel can show; 0 = it has a number.
+        size: features of a view.
+        dtype: of all layers.
+    """
+
+    kinds: tuple[int, ...]
+    size: int
+    dtype: Any = jnp.float32
+
+    @linen.compact
+    def __call__(self, pictures: jax.Array) -> jax.Array:
+        """Encodes pictures (..., views, height, width, channels)."""
+        *lead, views, _, _, _ = pictures.shape
+        hidden = jnp.concatenate(
+            [
+                _channels(pictures[..., k], kinds).astype(self.dtype)
+                for k, kinds in enumerate(self.kinds)
+            ],
+            axis=-1,
+        )
+        for k, (side, share) in enumerate(LAYERS):
+            layer = linen.Dense(self.size // share, dtype=self.dtype, name=f"conv_{k}")
+            hidden = linen.swish(layer(patches(hidden, side)))
+        hidden = hidden.reshape(*lead, views, -1)
+        hidden = linen.Dense(self.size, dtype=self.dtype, name="view")(hidden)
+        return hidden.reshape(*lead, -1)
+
+
+def _channels(pixels: jax.Array, kinds: int) -> jax.Array:
+    """Numbers (..., 1) of pixels, or whether they show each kind (..., kinds)."""
+    pixels = pixels[..., None]
+    return pixels == jnp.arange(kinds, dtype=pixels.dtype) if kinds else pixels
+
+
+def patches(pixels: jax.Array, side: int) -> jax.Array:
+    """Squares of pixels (..., height, width, channels) as one pixel each.
+
+    Args:
+        pixels: zeros are added at the bottom and on the right to fill the last ones.
+        side: of a square.
+
+    Returns:
+        (..., rows, columns, side * side * channels).
+    """
+    *lead, height, width, channels = pixels.shape
+    rows, columns = -(-height // side), -(-width // side)
+    edges = ((0, rows * side - height), (0, columns * side - width), (0, 0))
+    pixels = jnp.pad(pixels, (*((0, 0) for _ in lead), *edges))
+    pixels = pixels.reshape(*lead, rows, side, columns, side, channels)
+    return jnp.swapaxes(pixels, -4, -3).reshape(*lead, rows, columns, -1)

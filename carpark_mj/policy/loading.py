@@ -1,7 +1,8 @@
-"""Loads policies from checkpoints of runs and of policies alone."""
+"""Loads policies, networks and tables, from checkpoints of runs or policies alone."""
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,25 +11,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_count, require_kind
+from carpark_mj.config.checks import require_kind
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import Field, cardinalities, make_fields, observation_size
+from carpark_mj.observations import cardinalities, make_fields, observation_size
 from carpark_mj.observations.fields import ORDERED
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import (
     NetworkConfig,
     Policy,
+    init_normalizer,
     make_networks,
     make_policy,
     network_inputs,
 )
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.policy.pretrained import find_policy
-from carpark_mj.policy.q_table import make_table_policy
 from carpark_mj.policy.runs import (
     Q_LEARNING,
     check_version,
+    find_policy,
     from_dict,
     latest_checkpoint,
 )
@@ -110,11 +110,7 @@ def save_policy(run: str | Path, out: Path) -> None:
 
 
 def _read(path: Path, header: dict[str, Any]) -> tuple[EnvConfig, Any]:
-    """The environment a policy was trained in, and its parameters by kind.
-
-    Raises:
-        CheckpointError: damaged or foreign checkpoint.
-    """
+    """The environment a policy was trained in, and its parameters by kind."""
     check_version(header, path)
     try:
         env = from_dict(EnvConfig, header["config"]["env"])
@@ -139,21 +135,25 @@ def _template(header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
     """Shapes of a policy's parameters by kind."""
     config = network_config(header)
     if config is None:
-        states = math.prod(cardinalities(env))
-        actions = math.prod(action_spec(env).choices)
         num_seeds = header["config"]["num_seeds"]
-        require_count("num_seeds", num_seeds, 1)
-        require_count("best", header["best"], 0)
-        if header["best"] >= num_seeds:
+        if not 0 <= header["best"] < num_seeds:
             raise ValueError(f"best must be below {num_seeds}, not {header['best']}")
-        shape = (num_seeds, states, actions)
+        states = math.prod(cardinalities(env))
+        shape = (num_seeds, states, math.prod(action_spec(env).choices))
         return {"table": jax.ShapeDtypeStruct(shape, np.float32)}
+    shapes = network_shapes(config, env)
+    return {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
+
+
+def network_shapes(config: NetworkConfig, env: EnvConfig) -> dict[str, Any]:
+    """Shapes of a run's parameters in an environment: normalizer, policy, value."""
     fields = make_fields(env)
     networks = make_networks(config, fields, action_spec(env))
     return jax.eval_shape(
         lambda: {
             "normalizer": init_normalizer(network_inputs(config, fields)),
-            "average": networks.policy_network.init(jax.random.key(0)),
+            "policy": networks.policy_network.init(jax.random.key(0)),
+            "value": networks.value_network.init(jax.random.key(0)),
         }
     )
 
@@ -161,15 +161,15 @@ def _template(header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
 def _require_fit(
     run: str | Path, config: NetworkConfig | None, own: EnvConfig, env: EnvConfig
 ) -> None:
-    """Refuses an environment with other observations or actions.
-
-    Raises:
-        ValueError: actions differ, or observations do; a set encoder accepts other
-            numbers of cars, a flat network or a table accepts no difference.
-    """
+    """Refuses an environment with other observations or actions."""
     is_set = config is not None and config.encoder == "set"
     before, now = (
-        [field for field in make_fields(each) if not is_set or _has_own_weights(field)]
+        [
+            field
+            for field in make_fields(each)
+            # A set encoder has no weights of their own for the others of a kind.
+            if not is_set or field.index == 0 or field.group in ORDERED
+        ]
         for each in (own, env)
     )
     if before != now:
@@ -185,6 +185,38 @@ def _require_fit(
         )
 
 
-def _has_own_weights(field: Field) -> bool:
-    """Whether a set encoder has weights for this field alone."""
-    return field.index == 0 or field.group in ORDERED
+def state_index(observation: jax.Array, sizes: Sequence[int]) -> jax.Array:
+    """Rows (...) int32 of a table for observations (..., n) of integers.
+
+    Args:
+        observation: of whole numbers; outside its range the nearest row.
+        sizes: how many values each number can have, `cardinalities`.
+    """
+    strides = np.cumprod([1, *sizes[:0:-1]])[::-1]
+    most = jnp.array(sizes) - 1
+    number = jnp.clip(observation.astype(jnp.int32), 0, most)
+    return jnp.sum(number * jnp.array(strides, jnp.int32), axis=-1)
+
+
+def action_choices(action: jax.Array, choices: Sequence[int]) -> jax.Array:
+    """Indices (..., n) int32 into the branches of an action (...), the last fastest."""
+    return jnp.stack(jnp.unravel_index(action, tuple(choices)), axis=-1)
+
+
+def make_table_policy(
+    table: jax.Array, sizes: Sequence[int], choices: Sequence[int]
+) -> Policy:
+    """A policy that takes the action of highest value, the first of equals.
+
+    Args:
+        table: (states, actions) values.
+        sizes: of the observation's numbers, `cardinalities`.
+        choices: of the action's branches, `ActionSpec.choices`.
+    """
+    best = action_choices(jnp.argmax(table, axis=-1), choices)
+
+    def policy(observation: jax.Array, key: jax.Array):
+        del key
+        return best[state_index(observation, sizes)], {}
+
+    return policy

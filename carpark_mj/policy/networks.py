@@ -1,4 +1,9 @@
-"""Actor and critic, sized by a frozen config, behind Brax's PPO interface."""
+"""Actor and critic, sized by a frozen config, behind Brax's PPO interface.
+
+Their inputs are normalised by running statistics that all entities of a kind share: an
+entity means the same in every slot, and the statistics fit any number of slots. Padded
+slots, which a set encoder masks, do not count. Pictures have none.
+"""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -6,7 +11,9 @@ from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from brax.training import networks as brax_networks
+from brax.training.acme import running_statistics, specs
 from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 from jax.tree_util import Partial
@@ -17,11 +24,80 @@ from carpark_mj.observations.compose import OWN, ObservationSets, observation_se
 from carpark_mj.observations.fields import Field
 from carpark_mj.policy.distributions import MIN_STD, action_distribution
 from carpark_mj.policy.encoder import SetEncoder
-from carpark_mj.policy.normalizer import Normalizer, normalize
+
+# Smallest standard deviation by which observations (scaled to about 1) are divided.
+# Numbers that hardly varied in training (sizes in a lot of equal bays) must not swamp
+# the network when they do.
+MIN_DEVIATION = 0.1
+
+Normalizer = dict[str, Any]  # Brax's running statistics by part
+
+
+def init_normalizer(sets: ObservationSets) -> Normalizer:
+    """Statistics at the start of training."""
+    sizes = {OWN: sets.own_size, **{part.group: part.size for part in sets.sets}}
+    arrays = {
+        name: specs.Array((size,), np.dtype("float32")) for name, size in sizes.items()
+    }
+    states = {
+        name: running_statistics.init_state(array) for name, array in arrays.items()
+    }
+    return jax.tree.map(jnp.asarray, states)
+
+
+def update_normalizer(
+    sets: ObservationSets,
+    normalizer: Normalizer,
+    observation: jax.Array,
+    weight: jax.Array | None = None,
+    axis: str | None = None,
+) -> Normalizer:
+    """Statistics with observations added.
+
+    Args:
+        sets: parts of the vectors.
+        normalizer: before.
+        observation: (..., size); of its entities those that are present count.
+        weight: (...) 0.0 of observations that do not count, else 1.0; None = all 1.
+        axis: of devices whose observations are added together.
+    """
+    parts = sets.split(observation)
+    counts: dict[str, jax.Array | None] = {OWN: weight}
+    for group, present in sets.present(parts).items():
+        of_observer = 1.0 if weight is None else weight[..., None]
+        counts[group] = present * of_observer
+
+    def update(name: str, state: Any) -> Any:
+        new = running_statistics.update(
+            state,
+            parts[name],
+            weights=counts[name],
+            std_min_value=MIN_DEVIATION,
+            pmap_axis_name=axis,
+        )
+        # Until the first entity of a kind is seen, its sums are divided by 0.
+        count: Any = new.count  # brax's UInt64
+        seen = (count.hi | count.lo) > 0
+        return jax.tree.map(lambda new, old: jnp.where(seen, new, old), new, state)
+
+    return {name: update(name, state) for name, state in normalizer.items()}
+
+
+def normalize(
+    normalizer: Normalizer, parts: dict[str, jax.Array]
+) -> dict[str, jax.Array]:
+    """Parts of observations, see `ObservationSets.split`, scaled to about unit size.
+
+    Pictures stay as they are.
+    """
+    scaled = {
+        name: running_statistics.normalize(parts[name], state)
+        for name, state in normalizer.items()
+    }
+    return parts | scaled
+
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
-
-EncoderName = Literal["set", "flat"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +119,7 @@ class NetworkConfig(CheckedConfig):
 
     policy_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
     value_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
-    encoder: EncoderName = "set"
+    encoder: Literal["set", "flat"] = "set"
     own_size: Count = 128
     entity_size: Count = 64
     # The first convolution has half of it.
@@ -60,34 +136,19 @@ def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> Observatio
 
 @dataclasses.dataclass(frozen=True)
 class Arithmetic:
-    """How networks with a set encoder are computed; their parameters do not tell.
+    """How networks with a set encoder are computed; their parameters do not tell."""
 
-    Attributes:
-        in_kernel: whether sets are encoded in a GPU kernel.
-        dtype: of all layers but the sets' and the last.
-    """
-
-    in_kernel: bool = False
-    dtype: Any = jnp.float32
-
-
-PLAIN = Arithmetic()
+    in_kernel: bool = False  # whether sets are encoded in a GPU kernel
+    dtype: Any = jnp.float32  # of all layers but the sets' and the last
 
 
 class SetNetwork(linen.Module):
-    """The set encoder and hidden layers.
+    """The set encoder and hidden layers."""
 
-    Attributes:
-        inputs: see `network_inputs`.
-        config: the encoder.
-        layers: sizes of the layers after it, the output included.
-        arithmetic: how they are computed.
-    """
-
-    inputs: ObservationSets
-    config: NetworkConfig
-    layers: tuple[int, ...]
-    arithmetic: Arithmetic
+    inputs: ObservationSets  # see `network_inputs`
+    config: NetworkConfig  # the encoder
+    layers: tuple[int, ...]  # sizes of the layers after it, the output included
+    arithmetic: Arithmetic  # how they are computed
 
     @linen.compact
     def __call__(
@@ -102,15 +163,10 @@ class SetNetwork(linen.Module):
 
 
 class _Layers(linen.Module):
-    """Brax's `MLP` with swish, whose hidden layers may have half precision.
+    """Brax's `MLP` with swish, whose hidden layers may have half precision."""
 
-    Attributes:
-        sizes: of the layers; the last has no activation, and float32.
-        dtype: of the others.
-    """
-
-    sizes: tuple[int, ...]
-    dtype: Any
+    sizes: tuple[int, ...]  # of the layers; the last has no activation, and float32
+    dtype: Any  # of the others
 
     @linen.compact
     def __call__(self, hidden: jax.Array) -> jax.Array:
@@ -130,7 +186,7 @@ def make_networks(
     config: NetworkConfig,
     fields: Sequence[Field],
     action: ActionSpec,
-    arithmetic: Arithmetic = PLAIN,
+    arithmetic: Arithmetic = Arithmetic(),
 ) -> ppo_networks.PPONetworks:
     """Builds actor and critic over observations with the given fields.
 
@@ -158,7 +214,8 @@ def make_networks(
         policy = _set_network(SetNetwork(inputs, config, layers, arithmetic))
         layers = (*config.value_layers, 1)
         value = _set_network(SetNetwork(inputs, config, layers, arithmetic))
-        value = dataclasses.replace(value, apply=_scalar(value.apply))
+        apply = value.apply
+        value = dataclasses.replace(value, apply=lambda *args: apply(*args)[..., 0])
     return networks(
         policy_network=policy,
         value_network=value,
@@ -183,11 +240,6 @@ def _set_network(network: SetNetwork) -> brax_networks.FeedForwardNetwork:
         return network.apply(params, normalize(normalizer, parts), present)
 
     return brax_networks.FeedForwardNetwork(init=init, apply=apply)
-
-
-def _scalar(apply: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """The function without the output's last dimension, which is 1."""
-    return lambda *args: apply(*args)[..., 0]
 
 
 def make_policy(

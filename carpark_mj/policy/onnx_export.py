@@ -1,14 +1,18 @@
-"""Policies as ONNX models: an input for every observation field, the action as output.
+"""Policies as ONNX models.
 
-A model computes what the deterministic policy computes, normalisation included, for a
-batch of any size. Fields of repeated entities become one input with a row for each
-entity: `agent_0_position`, `agent_1_position` ... are `agent_position` (batch, count,
-2).
+`make_model`: an input for every observation field, the action as output, for a batch of
+any size. It computes what the deterministic policy computes, normalisation included.
+Fields of repeated entities become one input with a row for each entity:
+`agent_0_position`, `agent_1_position` ... are `agent_position` (batch, count, 2).
+
+`make_car_model`: with the observation inside, for cars outside the simulator. Its
+inputs are those of `carpark_mj.policy.outside.INPUTS` that the policy reads; it has no
+batch.
 """
 
 import dataclasses
 import importlib.util
-import logging
+import json
 from typing import Any
 
 import jax
@@ -17,27 +21,26 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec, action_spec
-from carpark_mj.observations import Field, make_fields
-from carpark_mj.observations.compose import is_picture
+from carpark_mj.observations import ContinuousObservation, Field, make_fields
+from carpark_mj.observations.compose import is_picture, join
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.loading import LoadedPolicy
-from carpark_mj.policy.normalizer import MIN_STD
+from carpark_mj.policy.networks import MIN_DEVIATION
+from carpark_mj.policy.onnx_program import BATCH, make_graph
+from carpark_mj.policy.outside import INPUTS, PlainInput, Rows, sight_of
 
 OUTPUT = "action"
-MISSING = 'ONNX export needs jax2onnx and onnxruntime: pip install "carpark_mj[export]"'
+METADATA = "carpark_mj"  # key of a car model's metadata, as JSON
+NUDGES = 4
+MISSING = 'ONNX export needs onnx and onnxruntime: pip install "carpark_mj[export]"'
 
 
 @dataclasses.dataclass(frozen=True)
 class OnnxInput:
-    """An input of a model.
+    """An input of a model."""
 
-    Attributes:
-        name: of the field; of a repeated one without its index.
-        fields: the observation's fields that it holds, one for each entity.
-    """
-
-    name: str
-    fields: tuple[Field, ...]
+    name: str  # of the field; of a repeated one without its index
+    fields: tuple[Field, ...]  # that it holds, one for each entity
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -94,7 +97,7 @@ def join_inputs(config: EnvConfig, *arrays: jax.Array) -> jax.Array:
 
 def require_onnx() -> None:
     """Raises OSError unless the packages of the extra `export` are installed."""
-    if not all(map(importlib.util.find_spec, ("jax2onnx", "onnxruntime"))):
+    if not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
         raise OSError(MISSING)
 
 
@@ -102,7 +105,7 @@ def make_model(loaded: LoadedPolicy) -> Any:
     """The ONNX model (`onnx.ModelProto`) of a deterministic policy.
 
     Raises:
-        OSError: jax2onnx is not installed.
+        OSError: a package of the extra `export` is missing.
         ValueError: it observes pictures.
     """
     pictures = [field.name for field in make_fields(loaded.env) if is_picture(field)]
@@ -112,24 +115,21 @@ def make_model(loaded: LoadedPolicy) -> Any:
             f"{', '.join(pictures)}"
         )
     require_onnx()
-    from jax2onnx import to_onnx
+    inputs = {entry.name: entry for entry in onnx_inputs(loaded.env)}
 
-    # It warns that constants have no type, and writes them all the same.
-    logging.getLogger("onnx_ir.serde").setLevel(logging.ERROR)
-    inputs = onnx_inputs(loaded.env)
+    def act(*arrays: jax.Array) -> dict[str, jax.Array]:
+        observation = join_inputs(loaded.env, *arrays)
+        return {OUTPUT: loaded.policy(observation, jax.random.key(0))[0]}
 
-    def act(*arrays: jax.Array) -> jax.Array:
-        return _act(loaded, join_inputs(loaded.env, *arrays))
-
-    model: Any = to_onnx(
+    model = make_graph(
         act,
-        inputs=[("batch", *entry.shape) for entry in inputs],
-        input_names=[entry.name for entry in inputs],
-        output_names=[OUTPUT],
-        model_name="carpark_mj",
+        {
+            name: jax.ShapeDtypeStruct((BATCH, *entry.shape), jnp.float32)
+            for name, entry in inputs.items()
+        },
     )
-    for value, entry in zip(model.graph.input, inputs, strict=True):
-        value.doc_string = entry.meaning
+    for value in model.graph.input:
+        value.doc_string = inputs[value.name].meaning
     model.graph.output[0].doc_string = describe_action(action_spec(loaded.env))
     return model
 
@@ -165,7 +165,7 @@ def random_observations(
     if all(field.is_whole for field in fields):
         return random.integers(low, high + 1, typical.shape).astype(np.float32)
     mean = np.clip(typical.mean(axis=0), low, high)
-    reach = 3 * np.maximum(typical.std(axis=0), MIN_STD)
+    reach = 3 * np.maximum(typical.std(axis=0), MIN_DEVIATION)
     low, high = np.maximum(low, mean - reach), np.minimum(high, mean + reach)
     return random.uniform(low, high, typical.shape).astype(np.float32)
 
@@ -175,13 +175,7 @@ def largest_difference(
 ) -> float:
     """Largest difference between actions of a model in onnxruntime and of its policy.
 
-    Args:
-        model: `onnx.ModelProto`.
-        loaded: its policy.
-        observation: (batch, size).
-
-    Returns:
-        The largest difference of any number of an action; inf if one is not finite.
+    Of any number of an action; inf if one is not finite.
     """
     import onnxruntime
 
@@ -199,15 +193,15 @@ def policy_actions(loaded: LoadedPolicy, observation: np.ndarray) -> np.ndarray:
 def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
     """Error of a policy's actions in float32 against the same policy in float64.
 
-    Args:
-        loaded: the policy.
-        observation: (batch, size).
-
-    Returns:
-        The largest difference of any number of an action; inf if one is not finite.
+    The largest difference of any number of an action; inf if one is not finite.
     """
+
+    def in_float64(leaf: Any) -> Any:
+        is_float = np.issubdtype(jnp.result_type(leaf), np.floating)
+        return np.asarray(leaf, np.float64) if is_float else leaf
+
     found, policy = policy_actions(loaded, observation), as_argument(loaded.policy)
-    policy, observation = jax.tree.map(_in_float64, (policy, observation))
+    policy, observation = jax.tree.map(in_float64, (policy, observation))
     with jax.enable_x64(True):
         return largest(found, np.asarray(_actions(policy, observation)))
 
@@ -216,11 +210,6 @@ def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
 def _actions(policy: Any, observation: jax.Array) -> jax.Array:
     """Actions of a deterministic policy that is an argument, see `as_argument`."""
     return policy(observation, jax.random.key(0))[0]
-
-
-def _in_float64(leaf: Any) -> Any:
-    is_float = np.issubdtype(jnp.result_type(leaf), np.floating)
-    return np.asarray(leaf, np.float64) if is_float else leaf
 
 
 def largest(found: np.ndarray, expected: np.ndarray) -> float:
@@ -234,6 +223,139 @@ def differences(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(difference), difference, np.inf).max(axis=-1)
 
 
-def _act(loaded: LoadedPolicy, observation: jax.Array) -> jax.Array:
-    """Actions of a deterministic policy, whose key is not used."""
-    return loaded.policy(observation, jax.random.key(0))[0]
+def require_outside(config: EnvConfig) -> None:
+    """Refuses observations that a car outside cannot make.
+
+    Raises:
+        ValueError: naming the observation.
+    """
+    encoder = config.observation
+    if not isinstance(encoder, ContinuousObservation):
+        raise ValueError(
+            f"the encoding {encoder.encoding!r} reads the whole state of the lot, "
+            "and a car outside knows only a part: export without --from-state"
+        )
+    pictures = [field.name for field in encoder.fields(config) if field.shape]
+    noise = encoder.ultrasound.noise if encoder.ultrasound.on else 0.0
+    for given, what in (
+        (encoder.init_memory(config) is not None, "the past (rings.history)"),
+        (encoder.tracked_movers, "movers with their velocities (tracked_movers)"),
+        (pictures, f"pictures ({', '.join(pictures)})"),
+        (noise, f"ultrasound with noise (ultrasound.noise {noise})"),
+    ):
+        if given:
+            raise ValueError(
+                f"the policy observes {what}, which is no input of a car outside: "
+                "export without --from-state"
+            )
+
+
+def make_car_model(loaded: LoadedPolicy, rows: Rows) -> Any:
+    """The ONNX model (`onnx.ModelProto`) of a policy and its observation.
+
+    Raises:
+        ValueError: a car outside cannot make the observation.
+    """
+    require_outside(loaded.env)
+    inputs = {x.name: jax.ShapeDtypeStruct(x.shape(rows), x.dtype) for x in INPUTS}
+
+    def act(*arrays: jax.Array) -> dict[str, jax.Array]:
+        given = dict(zip(inputs, arrays, strict=True))
+        return {OUTPUT: decide(loaded, rows, given)[0]}
+
+    model = make_graph(act, inputs)
+    read = inputs_of(model)
+    for value, entry in zip(model.graph.input, read, strict=True):
+        value.doc_string = describe(entry)
+    spec = action_spec(loaded.env)
+    meaning = model.graph.output[0].doc_string = describe_action(spec)
+    about = {
+        "inputs": [
+            {**dataclasses.asdict(entry), "dims": entry.shape(rows)} for entry in read
+        ],
+        "output": {"name": OUTPUT, "dims": [spec.size], "meaning": meaning},
+        "frame": "world, counter-clockwise yaw from +x",
+        "decision_time": loaded.env.sim.ctrl_dt,
+    }
+    model.metadata_props.add(key=METADATA, value=json.dumps(about))
+    return model
+
+
+def decide(
+    loaded: LoadedPolicy, rows: Rows, given: dict[str, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """Action and observation of a car that gives all of `INPUTS`."""
+    sight, encoder = sight_of(rows, given), loaded.env.observation
+    assert isinstance(encoder, ContinuousObservation)
+    observation = join(loaded.env, encoder.see(loaded.env, sight), 1)
+    return loaded.policy(observation, jax.random.key(0))[0][0], observation[0]
+
+
+def sensitivity(
+    loaded: LoadedPolicy, rows: Rows, known: dict[str, np.ndarray], seed: int
+) -> np.ndarray:
+    """What float32 may cost the actions of a model in each state (count,).
+
+    The observation is computed by cancelling sums, so that it depends on the order of
+    operations by more than its own last place. Hence the most that an action changes,
+    of `NUDGES` times in which each input is off by one unit in its last place.
+
+    Args:
+        loaded: the policy.
+        rows: of the model.
+        known: inputs (count, *shape) by name; those that are missing are 0.
+        seed: of the directions in which the inputs are off.
+    """
+    count = len(next(iter(known.values())))
+    given = {
+        x.name: known.get(x.name, np.zeros((count, *x.shape(rows)), x.dtype))
+        for x in INPUTS
+    }
+    act = jax.jit(jax.vmap(lambda values: decide(loaded, rows, values)[0]))
+    expected, random = np.asarray(act(given)), np.random.default_rng(seed)
+
+    def nudged(value: np.ndarray) -> np.ndarray:
+        if value.dtype != np.float32:
+            return value
+        way = random.choice(np.array([-np.inf, np.inf], np.float32), value.shape)
+        return np.nextafter(value, way)
+
+    return np.max(
+        [
+            differences(np.asarray(act(jax.tree.map(nudged, given))), expected)
+            for _ in range(NUDGES)
+        ],
+        axis=0,
+    )
+
+
+def inputs_of(model: Any) -> list[PlainInput]:
+    """Those of `INPUTS` that a model takes, in order."""
+    names = {value.name for value in model.graph.input}
+    return [entry for entry in INPUTS if entry.name in names]
+
+
+def describe(entry: PlainInput) -> str:
+    """Unit and meaning of an input."""
+    return f"{entry.meaning} [{entry.unit}]" if entry.unit else entry.meaning
+
+
+def make_session(model: Any) -> Any:
+    """Runs a model on one core (`onnxruntime.InferenceSession`)."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(model.SerializeToString(), options)
+
+
+def decisions(session: Any, values: dict[str, np.ndarray]) -> np.ndarray:
+    """Actions (count, size) of a model for inputs (count, *shape) by name."""
+    names = [value.name for value in session.get_inputs()]
+    count = len(values[names[0]])
+    return np.stack(
+        [
+            session.run(None, {n: values[n][k, ...] for n in names})[0]
+            for k in range(count)
+        ]
+    )

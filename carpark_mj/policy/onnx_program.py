@@ -1,11 +1,14 @@
 """Programs of JAX as ONNX models: a table from primitives to operators.
 
-Shapes are static, loops are unrolled, and constant expressions are computed here.
+Shapes are static but for a batch, loops are unrolled, and constant expressions are
+computed here. A value may have a smaller shape than it stands for if it broadcasts to
+that shape, because operators broadcast.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +16,186 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from carpark_mj.policy.onnx_graph import Graph, Named, Value
-
+OPSET, IR_VERSION = 18, 8  # onnxruntime takes them from 1.14 on
+# The batch's size while a program is translated; no other size is a multiple of it.
+BATCH = 7919
 LONGEST_LOOP = 16  # iterations
 _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
+
+
+class Named(NamedTuple):
+    """A value that depends on inputs."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: Any
+
+
+Value = Named | np.ndarray  # arrays are constants
+
+
+class Graph:
+    """Nodes and constants; both are named by number."""
+
+    def __init__(self, batched: str = "") -> None:
+        """Begins an empty one; `batched` names an input whose first axis is a batch."""
+        self._batched = batched
+        self._nodes: list[Any] = []
+        self._constants: dict[tuple[Any, ...], Any] = {}
+        self._joined: dict[str, tuple[int, list[Value]]] = {}
+        self._reshaped: dict[str, Named] = {}  # what it was before
+        self._known: dict[Any, Named] = {}
+
+    def add(self, kind: str, *values: Value, like: Any, **attributes: Any) -> Named:
+        """Adds a node of one output, whose shape and dtype are those of `like`."""
+        from onnx import helper
+
+        inputs = [self._name(value) for value in values]
+        key = (kind, *inputs, *map(str, attributes.items()))
+        if key not in self._known:
+            name = f"v{len(self._nodes)}"
+            self._nodes.append(helper.make_node(kind, inputs, [name], **attributes))
+            self._known[key] = Named(name, tuple(like.shape), np.dtype(like.dtype))
+        return self._known[key]
+
+    def _name(self, value: Value) -> str:
+        from onnx import numpy_helper
+
+        if isinstance(value, Named):
+            return value.name
+        key = (value.dtype.str, value.shape, value.tobytes())
+        if key not in self._constants:
+            name = f"c{len(self._constants)}"
+            self._constants[key] = numpy_helper.from_array(value, name)
+        return self._constants[key].name
+
+    def elementwise(self, kind: str, dtype: Any, *values: Value, **more: Any) -> Named:
+        """Adds an operator that broadcasts its values."""
+        shape = np.broadcast_shapes(*(value.shape for value in values))
+        return self.add(kind, *values, like=jax.ShapeDtypeStruct(shape, dtype), **more)
+
+    def cast(self, value: Value, dtype: Any) -> Value:
+        """The value as another dtype."""
+        from onnx import helper
+
+        if isinstance(value, np.ndarray):
+            return value.astype(dtype)
+        if value.dtype == dtype:
+            return value
+        to = helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
+        return self.elementwise("Cast", dtype, value, to=to)
+
+    def reshape(self, value: Value, shape: Sequence[int]) -> Value:
+        """The same numbers in another shape."""
+        if isinstance(value, np.ndarray):
+            return value.reshape(shape)
+        before = self._reshaped.get(value.name, value)
+        found = self._shaped("Reshape", before, shape)
+        if found is not before:
+            self._reshaped[found.name] = before
+        return found
+
+    def expand(self, value: Value, shape: Sequence[int]) -> Value:
+        """The value in the whole shape that it stands for."""
+        if value.shape == tuple(shape):
+            return value
+        if BATCH not in shape:
+            if isinstance(value, np.ndarray):
+                return np.broadcast_to(value, shape)
+            return self._shaped("Expand", value, shape)
+        one = jax.ShapeDtypeStruct((1,), np.int64)
+        batch = Named(self._batched, (BATCH,), np.int64)
+        size = self.add("Shape", batch, like=one, start=0, end=1)
+        sizes = [size if n == BATCH else np.array([n], np.int64) for n in shape]
+        whole = self.join(sizes, 0, jax.ShapeDtypeStruct((len(shape),), np.int64))
+        like = jax.ShapeDtypeStruct(shape, value.dtype)
+        return self.add("Expand", value, whole, like=like)
+
+    def transpose(self, value: Value, order: Sequence[int]) -> Value:
+        """The axes in another order."""
+        if isinstance(value, np.ndarray):
+            return value.transpose(order)
+        if list(order) == sorted(order):
+            return value
+        shape = [value.shape[axis] for axis in order]
+        like = jax.ShapeDtypeStruct(shape, value.dtype)
+        return self.add("Transpose", value, like=like, perm=list(order))
+
+    def join(self, values: Sequence[Value], axis: int, like: Any) -> Named:
+        """Concatenates values."""
+        found = self.add("Concat", *values, like=like, axis=axis)
+        self._joined[found.name] = axis, list(values)
+        return found
+
+    def slice(
+        self,
+        value: Value,
+        starts: Sequence[int],
+        ends: Sequence[int],
+        steps: Sequence[int] | None = None,
+    ) -> Value:
+        """A part of a value; taken from a joined value if that contains it."""
+        steps = steps or [1] * len(starts)
+        if isinstance(value, np.ndarray):
+            return value[tuple(map(slice, starts, ends, steps))]
+        axis, parts = self._joined.get(value.name, (0, []))
+        begin = 0
+        for part in parts:
+            low, high = starts[axis] - begin, ends[axis] - begin
+            if 0 <= low < high <= part.shape[axis]:
+                starts, ends = (
+                    [*bounds[:axis], at, *bounds[axis + 1 :]]
+                    for bounds, at in ((starts, low), (ends, high))
+                )
+                return self.slice(part, starts, ends, steps)
+            begin += part.shape[axis]
+        shape = [
+            -(-(b - a) // step) for a, b, step in zip(starts, ends, steps, strict=True)
+        ]
+        if tuple(shape) == value.shape:
+            return value
+        axes = [k for k, size in enumerate(value.shape) if size != shape[k]]
+        places = range(len(shape))
+        bounds = (np.array(x, np.int64)[axes] for x in (starts, ends, places, steps))
+        like = jax.ShapeDtypeStruct(shape, value.dtype)
+        return self.add("Slice", value, *bounds, like=like)
+
+    def _shaped(self, kind: str, value: Named, shape: Sequence[int]) -> Named:
+        if value.shape == tuple(shape):
+            return value
+        like = jax.ShapeDtypeStruct(shape, value.dtype)
+        sizes = [-1 if n and n % BATCH == 0 else n for n in shape]
+        return self.add(kind, value, np.array(sizes, np.int64), like=like)
+
+    def model(self, inputs: Sequence[Named], outputs: Mapping[str, Value]) -> Any:
+        """The model (`onnx.ModelProto`), without nodes that no output needs."""
+        from onnx import helper
+
+        for name, value in outputs.items():
+            node = helper.make_node("Identity", [self._name(value)], [name])
+            self._nodes.append(node)
+        needed, nodes = set(outputs), []
+        for node in reversed(self._nodes):
+            if node.output[0] in needed:
+                needed.update(node.input)
+                nodes.append(node)
+        made = helper.make_graph(
+            nodes[::-1],
+            "carpark_mj",
+            [_describe(x.name, x) for x in inputs if self._batched or x.name in needed],
+            [_describe(name, value) for name, value in outputs.items()],
+            [x for x in self._constants.values() if x.name in needed],
+        )
+        opset = helper.make_opsetid("", OPSET)
+        return helper.make_model(made, opset_imports=[opset], ir_version=IR_VERSION)
+
+
+def _describe(name: str, value: Any) -> Any:
+    from onnx import helper
+
+    kind = helper.np_dtype_to_tensor_dtype(np.dtype(value.dtype))
+    shape = ["batch" if size == BATCH else size for size in value.shape]
+    return helper.make_tensor_value_info(name, kind, shape)
 
 
 def make_graph(
@@ -27,19 +206,22 @@ def make_graph(
 
     Args:
         function: of arrays; gives the model's outputs by name.
-        inputs: the arrays in order; the model has those that its outputs depend on.
+        inputs: the arrays in order; the model has those that its outputs depend on, or
+            all if their first axis is `BATCH`, which stands for any size.
 
     Raises:
         NotImplementedError: a primitive that the table does not have.
     """
     program, outputs = jax.make_jaxpr(function, return_shape=True)(*inputs.values())
-    jaxpr, read = dce_jaxpr(program.jaxpr, [True] * len(outputs))
+    batched = any(BATCH in x.shape[:1] for x in inputs.values())
+    wanted = [True] * len(outputs)
+    jaxpr, read = dce_jaxpr(program.jaxpr, wanted, instantiate=batched)
     given = [
         Named(name, x.shape, np.dtype(x.dtype))
         for (name, x), is_read in zip(inputs.items(), read, strict=True)
         if is_read
     ]
-    graph = Graph()
+    graph = Graph(given[0].name if batched else "")
     found = _run(graph, ClosedJaxpr(jaxpr, program.consts), given)
     whole = {
         name: graph.expand(value, outputs[name].shape)
@@ -97,13 +279,27 @@ def _apply(graph: Graph, eqn: Any, values: list[Value]) -> Sequence[Value]:
 
 def _compute(eqn: Any, values: list[Any]) -> Sequence[Value]:
     """What an equation of constants computes."""
-    found = eqn.primitive.bind(*map(jnp.asarray, values), **eqn.params)
+    whole = [
+        value
+        if value.shape == variable.aval.shape
+        else np.broadcast_to(value, variable.aval.shape)
+        for value, variable in zip(values, eqn.invars, strict=True)
+    ]
+    found = eqn.primitive.bind(*map(jnp.asarray, whole), **eqn.params)
     return list(map(_constant, found if eqn.primitive.multiple_results else [found]))
 
 
 def _constant(value: Any) -> Value:
-    is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
-    return value if is_key else np.asarray(value)
+    """A constant, of size 1 along the batch, where it is the same for all of it."""
+    if jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+        return value
+    value = np.asarray(value)
+    for axis in (k for k, size in enumerate(value.shape) if size == BATCH):
+        first = value.take([0], axis)
+        if not np.array_equal(np.broadcast_to(first, value.shape), value):
+            raise NotImplementedError("constants of a batch have no operator")
+        value = first
+    return value
 
 
 def _loop(graph: Graph, params: Any, values: list[Value]) -> list[Value]:
@@ -183,47 +379,31 @@ def _clamp(graph: Graph, dtype: Any, low: Value, value: Value, high: Value) -> V
     return graph.elementwise("Min", dtype, least, high)
 
 
+# Primitives whose operators have their names.
+_SAME = (
+    *("abs", "add", "and", "atan", "ceil", "cos", "div", "exp", "floor", "log", "max"),
+    *("min", "mul", "neg", "not", "or", "sign", "sin", "sqrt", "sub", "tan", "tanh"),
+    "xor",
+)
 # By primitive: of values that broadcast.
 _ELEMENTWISE: dict[str, Callable[..., Value]] = {
-    "abs": _plain("Abs"),
-    "add": _plain("Add"),
-    "and": _plain("And"),
-    "atan": _plain("Atan"),
-    "ceil": _plain("Ceil"),
+    **{name: _plain(name.capitalize()) for name in _SAME},
     "clamp": _clamp,
     "convert_element_type": _cast,
-    "cos": _plain("Cos"),
-    "div": _plain("Div"),
     "eq": _plain("Equal"),
-    "exp": _plain("Exp"),
-    "floor": _plain("Floor"),
     "ge": _plain("GreaterOrEqual"),
     "gt": _plain("Greater"),
     "integer_pow": _power,
     "is_finite": _is_finite,
     "le": _plain("LessOrEqual"),
-    "log": _plain("Log"),
     "logistic": _plain("Sigmoid"),
     "lt": _plain("Less"),
-    "max": _plain("Max"),
-    "min": _plain("Min"),
-    "mul": _plain("Mul"),
     "ne": _not_equal,
-    "neg": _plain("Neg"),
-    "not": _plain("Not"),
-    "or": _plain("Or"),
     "rem": _remainder,
     "rsqrt": _inverse_root,
     "select_n": _select,
-    "sign": _plain("Sign"),
-    "sin": _plain("Sin"),
-    "sqrt": _plain("Sqrt"),
     "square": _square,
     "stop_gradient": lambda graph, dtype, value: value,
-    "sub": _plain("Sub"),
-    "tan": _plain("Tan"),
-    "tanh": _plain("Tanh"),
-    "xor": _plain("Xor"),
 }
 
 
@@ -246,28 +426,21 @@ def _stack(graph: Graph, like: Any, *values: Value, axis: int) -> Value:
 
 def _split(graph: Graph, likes: Any, value: Value, sizes: Any, axis: int) -> Any:
     del likes
-    ends = np.cumsum(sizes).tolist()
-    starts = [0, *ends[:-1]]
-    return [_part(graph, value, axis, *ends) for ends in zip(starts, ends, strict=True)]
+    edges = np.cumsum([0, *sizes]).tolist()
+    return [_slice_axis(graph, value, axis, *two) for two in itertools.pairwise(edges)]
 
 
 def _slice(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
     del like
     starts, ends = params["start_indices"], params["limit_indices"]
-    return _cut(graph, value, starts, ends, params["strides"])
+    return graph.slice(value, starts, ends, params["strides"])
 
 
-def _part(graph: Graph, value: Value, axis: int, start: int, end: int) -> Value:
+def _slice_axis(graph: Graph, value: Value, axis: int, start: int, end: int) -> Value:
     """What lies from `start` to `end` along an axis."""
     starts, ends = [0] * len(value.shape), list(value.shape)
     starts[axis], ends[axis] = start, end
-    return _cut(graph, value, starts, ends)
-
-
-def _cut(
-    graph: Graph, value: Value, starts: Any, ends: Any, steps: Any = None
-) -> Value:
-    return graph.cut(value, starts, ends, steps or [1] * len(starts))
+    return graph.slice(value, starts, ends)
 
 
 def _pad(graph: Graph, like: Any, value: Value, fill: Value, **params: Any) -> Value:
@@ -283,7 +456,9 @@ def _reduce(kind: str) -> Callable[..., Value]:
         pair = [value.shape[axis] for axis in axes] == [2] and value.dtype.kind == "f"
         if pair and kind != "ReduceSum":
             # onnxruntime's extremes of two keep NaN, those along an axis drop it.
-            one, other = (_part(graph, value, int(axes[0]), k, k + 1) for k in (0, 1))
+            one, other = (
+                _slice_axis(graph, value, int(axes[0]), k, k + 1) for k in (0, 1)
+            )
             found = graph.elementwise(kind[-3:], like.dtype, one, other)
             return graph.reshape(found, like.shape)
         if value.dtype != bool:
@@ -296,7 +471,7 @@ def _reduce(kind: str) -> Callable[..., Value]:
     return add
 
 
-def _index_of(kind: str) -> Callable[..., Value]:
+def _arg_reduce(kind: str) -> Callable[..., Value]:
     def add(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
         [axis] = params["axes"]
         whole = jax.ShapeDtypeStruct(like.shape, np.int64)
@@ -308,7 +483,7 @@ def _index_of(kind: str) -> Callable[..., Value]:
     return add
 
 
-def _product(graph: Graph, like: Any, a: Value, b: Value, **params: Any) -> Value:
+def _dot_general(graph: Graph, like: Any, a: Value, b: Value, **params: Any) -> Value:
     """As a product of matrices: batches, what is free, what is summed over."""
     (sum_a, sum_b), (batch_a, batch_b) = params["dimension_numbers"]
 
@@ -335,7 +510,7 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
     lead, batch = at.shape[:-1], numbers.operand_batching_dims
     starts, moving = [0] * len(value.shape), {}
     for k, axis in enumerate(numbers.start_index_map):
-        index = graph.reshape(_part(graph, at, len(lead), k, k + 1), lead)
+        index = graph.reshape(_slice_axis(graph, at, len(lead), k, k + 1), lead)
         if isinstance(index, Named) or np.ptp(index):
             moving[axis] = index
         else:
@@ -348,10 +523,10 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
     ends = list(value.shape)
     for axis in rest:
         ends[axis] = starts[axis] + sizes[axis]
-    value = graph.transpose(_cut(graph, value, starts, ends), [*front, *rest])
+    value = graph.transpose(graph.slice(value, starts, ends), [*front, *rest])
     counts, whole = value.shape[: len(front)], value.shape[len(front) :]
     table = graph.reshape(value, [math.prod(counts), *whole])
-    row: Value = np.zeros(lead, np.int32)
+    row: Value = np.zeros([1] * len(lead), np.int32)
     for axis in numbers.start_indices_batching_dims:
         row = row * lead[axis] + np.indices(lead, np.int32)[axis]
     inside: Value = np.asarray(True)
@@ -364,6 +539,7 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
         row = graph.elementwise("Mul", np.int32, row, np.asarray(count, np.int32))
         row = graph.elementwise("Add", np.int32, row, clipped)
     shape = jax.ShapeDtypeStruct((*lead, *whole), value.dtype)
+    row = graph.expand(row, lead)
     found: Value = graph.add("Gather", table, row, like=shape, axis=0)
     if params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP and moving:
         inside = graph.reshape(graph.expand(inside, lead), [*lead, *[1] * len(whole)])
@@ -380,10 +556,10 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
 
 # By primitive: of values in their whole shapes.
 _SHAPED: dict[str, Callable[..., Any]] = {
-    "argmax": _index_of("ArgMax"),
-    "argmin": _index_of("ArgMin"),
+    "argmax": _arg_reduce("ArgMax"),
+    "argmin": _arg_reduce("ArgMin"),
     "concatenate": _concatenate,
-    "dot_general": _product,
+    "dot_general": _dot_general,
     "gather": _gather,
     "pad": _pad,
     "reduce_and": _reduce("ReduceMin"),

@@ -5,6 +5,9 @@ checkpoints/step_N.npz  the last two training states
 metrics.csv             one row per update
 tensorboard/            the same as event files
 learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
+
+Pretrained policies are files `pretrained/<name>.npz`, written by `carpark_mj export`,
+each with its model card `<name>.md`.
 """
 
 import dataclasses
@@ -21,13 +24,12 @@ from carpark_mj.config import (
     LayoutConfig,
     PhysicsConfig,
 )
-from carpark_mj.config.checks import require_type
+from carpark_mj.config.checks import require_kind, require_type
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.extensions import unknown_name
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.policy.pretrained import describe_names
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
@@ -37,6 +39,7 @@ _WIDER: dict[Any, Any] = {  # types of values that flags know the names of only
     tuple[str, ...]: tuple[Mover | str, ...],
 }
 Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
+FOLDER = Path(__file__).resolve().parent / "pretrained"
 
 
 def from_dict(cls: Any, data: Any) -> Any:
@@ -44,9 +47,6 @@ def from_dict(cls: Any, data: Any) -> Any:
 
     In a union of dataclasses a tag, a field with a `Literal` of one value, selects the
     class.
-
-    Raises:
-        ValueError: unknown or missing names, or values the dataclass refuses.
     """
     if not isinstance(data, dict):
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
@@ -61,16 +61,7 @@ def from_dict(cls: Any, data: Any) -> Any:
 
 
 def from_json(name: str, hint: Any, value: Any) -> Any:
-    """Rebuilds a value from its JSON; other values stay as they are.
-
-    Args:
-        name: of the value, for messages.
-        hint: its type.
-        value: as `dataclasses.asdict` and JSON leave it.
-
-    Raises:
-        ValueError: see `from_dict`.
-    """
+    """Rebuilds a value of the type `hint` from its JSON; `name` is for messages."""
     if dataclasses.is_dataclass(hint):
         return from_dict(hint, value)
     if hint is ExtraTerms and isinstance(value, dict):
@@ -116,25 +107,12 @@ def _plain_value(value: Any) -> Any:
 
 
 def check_version(header: Mapping[str, Any], path: Path) -> None:
-    """Refuses settings of a run from another config version.
-
-    Args:
-        header: of a checkpoint, or the contents of `config.json`.
-        path: of the file, for the message.
-
-    Raises:
-        CheckpointError: the versions differ.
-    """
-    version = header.get("config_version", 1)  # the first had no number
+    """Refuses a checkpoint or a `config.json` of another config version."""
+    version = header.get("config_version")
     if version != CONFIG_VERSION:
-        run = path.parent if path.name == "config.json" else path
-        if path.parent.name == "checkpoints":
-            run = path.parent.parent
-        age = "an older" if version == 1 else "another"
         raise CheckpointError(
-            f"{run} was trained by {age} carpark_mj (config version {version}, this "
-            f"one reads {CONFIG_VERSION}): train it again, or use the version that "
-            "trained it"
+            f"{path} is of another carpark_mj (config version {version}, this one "
+            f"reads {CONFIG_VERSION}): train again, or use the version that wrote it"
         )
 
 
@@ -144,11 +122,7 @@ def checkpoint_files(folder: Path) -> list[Path]:
 
 
 def latest_checkpoint(run: Path) -> Path:
-    """The newest readable checkpoint of a run folder, or a checkpoint file itself.
-
-    Raises:
-        CheckpointError: there is none; the message of the newest if all are damaged.
-    """
+    """The newest readable checkpoint of a run folder, or a checkpoint file itself."""
     if run.is_file():
         checkpoints.read_header(run)
         return run
@@ -186,3 +160,33 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     for old in files[: max(0, end - KEPT_CHECKPOINTS)] + files[end:]:
         old.unlink(missing_ok=True)
     return path
+
+
+def pretrained_names() -> list[str]:
+    """Names of the policies in the package, sorted."""
+    return sorted(path.stem for path in FOLDER.glob("*.npz"))
+
+
+def describe_names() -> str:
+    """The names in a sentence's form: `a, b, c`, or `none`."""
+    return ", ".join(pretrained_names()) or "none"
+
+
+def find_policy(run: str | Path) -> Path:
+    """The file of a pretrained policy, or the path of a run.
+
+    Args:
+        run: name of a pretrained policy, or a path; a `Path` is never a name.
+
+    Returns:
+        The path, which may not exist.
+    """
+    require_kind("run", run, str | Path)
+    if isinstance(run, Path) or run not in pretrained_names():
+        return Path(run)
+    if Path(run).exists():
+        raise CheckpointError(
+            f"{run} is a pretrained policy and a path in this folder: write ./{run} "
+            "for the path, or rename it"
+        )
+    return FOLDER / f"{run}.npz"

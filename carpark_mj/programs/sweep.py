@@ -13,15 +13,12 @@ from collections.abc import Sequence
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the sweep; returns the exit code, 1 if runs have failed."""
+    from carpark_mj import sweeps
     from carpark_mj.cli.flags import read_flags
-    from carpark_mj.sweeps.config import SweepConfig, sweep_folder
-    from carpark_mj.sweeps.manage import run_sweep
-    from carpark_mj.sweeps.plan import checked_runs
-    from carpark_mj.sweeps.work import prepare
 
-    config = read_flags(SweepConfig, arguments, description=__doc__)
+    config = read_flags(sweeps.SweepConfig, arguments, description=__doc__)
     plan = config.plan
-    prepare(config.cluster)
-    runs = checked_runs(plan)
-    counts = run_sweep(sweep_folder(config, plan), plan, runs, config.where)
+    sweeps.prepare(config.cluster)
+    runs = sweeps.checked_runs(plan)
+    counts = sweeps.run_sweep(config.folder, plan, runs, config)
     return 1 if counts["failed"] else 0

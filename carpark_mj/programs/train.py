@@ -33,12 +33,10 @@ def run_on_host(arguments: Sequence[str]) -> int:
     """Trains on this host; returns the exit code."""
     import jax
 
-    from carpark_mj.training.ppo.arguments import read_runs
     from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
     from carpark_mj.training.ppo.parts import PRESETS, summaries
-    from carpark_mj.training.ppo.run import train_runs
-    from carpark_mj.training.ppo.train import MAX_SKIPPED
-    from carpark_mj.training.settings import read_settings
+    from carpark_mj.training.ppo.train import MAX_SKIPPED, train_runs
+    from carpark_mj.training.run_folder import read_runs, read_settings
 
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
 

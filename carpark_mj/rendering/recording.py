@@ -15,8 +15,7 @@ from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.geometry import nearest, wrap_angle
 from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
-from carpark_mj.policy.acting import AnyPolicy, as_argument
-from carpark_mj.policy.rollout import Carry, Step, acts, roll_out
+from carpark_mj.policy.acting import AnyPolicy, Carry, Step, acts, as_argument, roll_out
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.types import NO_BAY, OUTCOMES, Motion, ParkedCars, State
 

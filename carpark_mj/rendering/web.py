@@ -13,8 +13,14 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.mdp.parked_cars import AWAY
-from carpark_mj.policy.acting import AnyPolicy, as_argument
-from carpark_mj.policy.rollout import Carry, Step, acts, control_step
+from carpark_mj.policy.acting import (
+    AnyPolicy,
+    Carry,
+    Step,
+    acts,
+    as_argument,
+    control_step,
+)
 from carpark_mj.rendering.local_pages import HOST, PORT
 from carpark_mj.rendering.recording import Snapshot, aimed_at, parked_trace
 from carpark_mj.rendering.stage import Stage

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import trimesh
 
-from carpark_mj.layouts.dimensions import (
+from carpark_mj.layouts.types import (
     ARROW_HEAD,
     ARROW_HEIGHT,
     ARROW_LENGTH,
@@ -15,8 +15,8 @@ from carpark_mj.layouts.dimensions import (
     ARROW_WIDTH,
     LINE_HEIGHT,
     LINE_WIDTH,
+    Layout,
 )
-from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import looks
 from carpark_mj.scene.cameras import view_yaw
 from carpark_mj.scene.car_mesh import add_mesh, merge

@@ -9,15 +9,17 @@ import mujoco
 import numpy as np
 import trimesh
 
-from carpark_mj.layouts.dimensions import (
+from carpark_mj.layouts.types import (
     DISC_HEIGHTS,
     GROUND_CLEARANCE,
     VERGE_GAP,
     VERGE_HEIGHT,
     WALL_HEIGHT,
     WALL_HEIGHTS,
+    DiscKind,
+    Layout,
+    WallKind,
 )
-from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.scene import looks
 from carpark_mj.scene.cameras import add_car_cameras
 from carpark_mj.scene.car_mesh import add_mesh, car_meshes, standing_wheels

@@ -40,8 +40,14 @@ from carpark_mj.layouts import Layout
 from carpark_mj.mdp.people import CLOSE_TIME
 from carpark_mj.observations import observe
 from carpark_mj.obstacles import place_movers, trace_still
-from carpark_mj.policy.acting import AnyPolicy, as_argument, choose_actions
-from carpark_mj.policy.rollout import Carry, Step, roll_out
+from carpark_mj.policy.acting import (
+    AnyPolicy,
+    Carry,
+    Step,
+    as_argument,
+    choose_actions,
+    roll_out,
+)
 from carpark_mj.suite import moving_car
 from carpark_mj.suite.hope import HopeConfig
 from carpark_mj.suite.levels import Cases, CaseStart, in_order

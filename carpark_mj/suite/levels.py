@@ -1,7 +1,7 @@
 """The levels of the suite and their cases, the same for all users.
 
 HOPE's levels have 1,000 held-out cases each. The package stores them, drawn once by
-`HopeConfig` from lots of the test split (`carpark_mj.layouts.splits`), in whole
+`HopeConfig` from lots of the test split (`carpark_mj.layouts.registry`), in whole
 millimetres and 1e-4 rad. Cases of `normal` and `complex` are perpendicular and parallel
 in turn, those of `extreme` are parallel. `write` draws the same bytes again.
 
@@ -25,7 +25,7 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.extensions import Registry
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
-from carpark_mj.layouts.splits import TEST, lot_key
+from carpark_mj.layouts.registry import TEST, lot_key
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout, WallKind, layout_maxima, pad_layout
 from carpark_mj.mdp.reset_options import ResetOptions

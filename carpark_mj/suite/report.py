@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from carpark_mj.analysis.page import picture, table, video_figure, write_page
+from carpark_mj.analysis import picture, table, video_figure, write_page
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.files import write_atomically, write_csv

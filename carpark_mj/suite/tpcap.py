@@ -31,7 +31,7 @@ from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.layouts import LAYOUT_FORMATS
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
-from carpark_mj.layouts.json_file import FARTHEST
+from carpark_mj.layouts.files import FARTHEST
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout
 from carpark_mj.reading import read_text

@@ -8,6 +8,7 @@ import argparse
 import contextlib
 import dataclasses
 import os
+import re
 import zlib
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
@@ -17,10 +18,7 @@ import jax
 import numpy as np
 from jax.experimental import multihost_utils
 
-from carpark_mj.config.checks import require_count
-
 AUTO = "auto"
-MAX_PORT = 65535
 
 Result = TypeVar("Result")
 
@@ -41,35 +39,24 @@ class Hosts:
     host: int = -1
 
     def __post_init__(self) -> None:
-        given = (self.num_hosts, self.host) != (0, -1)
-        if given and self.coordinator in ("", AUTO):
-            raise ValueError(
-                "num_hosts and host need coordinator HOST:PORT, not "
-                f"{self.coordinator!r}"
-            )
         if self.coordinator in ("", AUTO):
-            return
-        name, _, port = self.coordinator.rpartition(":")
-        if not name or not (port.isdecimal() and 0 < int(port) <= MAX_PORT):
+            if (self.num_hosts, self.host) != (0, -1):
+                raise ValueError(
+                    "num_hosts and host need coordinator HOST:PORT, not "
+                    f"{self.coordinator!r}"
+                )
+        elif not re.fullmatch(r".+:\d+", self.coordinator):
             raise ValueError(
-                f"coordinator must be HOST:PORT, a port of 1 to {MAX_PORT}, or {AUTO}, "
-                f"not {self.coordinator!r}"
+                f"coordinator must be HOST:PORT or {AUTO}, not {self.coordinator!r}"
             )
-        require_count("num_hosts", self.num_hosts, 1)
-        if not 0 <= self.host < self.num_hosts:
+        elif not 0 <= self.host < self.num_hosts:
             raise ValueError(
                 f"host must lie in [0, {self.num_hosts - 1}], not {self.host}"
             )
 
 
 def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:
-    """The flags of the hosts, and the other arguments.
-
-    They are read first, because defaults of the others depend on the devices.
-
-    Raises:
-        ValueError: impossible values.
-    """
+    """The flags of the hosts, and the others, whose defaults depend on the devices."""
     parser = argparse.ArgumentParser(
         add_help=False, allow_abbrev=False, exit_on_error=False
     )
@@ -88,9 +75,6 @@ def joined(hosts: Hosts) -> Generator[None]:
     """Connects the hosts; only host 0 prints to stdout.
 
     Call it before JAX makes any array.
-
-    Raises:
-        ValueError: the hosts do not find each other.
     """
     if not hosts.coordinator:
         yield
@@ -112,7 +96,7 @@ def joined(hosts: Hosts) -> Generator[None]:
         yield
 
 
-def part() -> None:
+def leave() -> None:
     """Disconnects the hosts; each continues alone, or ends."""
     if jax.process_count() > 1:
         jax.distributed.shutdown()
@@ -132,11 +116,7 @@ def largest(*values: float) -> tuple[float, ...]:
 
 
 def on_first(function: Callable[[], Result]) -> Result | None:
-    """Calls a function on host 0 alone; None on the others.
-
-    Raises:
-        ValueError: it failed on host 0; host 0 raises the error itself.
-    """
+    """Calls a function on host 0 alone; None on the others."""
     result = error = None
     if is_first():
         try:
@@ -152,11 +132,7 @@ def on_first(function: Callable[[], Result]) -> Result | None:
 
 
 def require_same(text: str) -> None:
-    """Refuses different texts on the hosts.
-
-    Raises:
-        ValueError: the texts differ.
-    """
+    """Refuses different texts on the hosts."""
     # 24 bits are exact in float32.
     checksum = zlib.crc32(text.encode()) % 2**24
     high, low = largest(checksum, -checksum)

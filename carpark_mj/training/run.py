@@ -38,7 +38,7 @@ class Run:
             ValueError: `metrics.csv` is damaged.
         """
         with naming_extras():
-            from carpark_mj.training.metrics_log import read_metrics
+            from carpark_mj.training.loop import read_metrics
         return read_metrics(self.folder)
 
     @property
@@ -68,7 +68,7 @@ def train(config: PPOConfig, callback: Callback | None = None) -> Run:
         ImportError: the packages of the extra `train` are missing.
     """
     with naming_extras():
-        from carpark_mj.training.ppo.run import train_runs
+        from carpark_mj.training.ppo.train import train_runs
     with contextlib.suppress(RuntimeError):  # JAX runs already, on the devices it has
         configure_jax()
 

@@ -1,31 +1,33 @@
-"""The folder of a run: its name, its lock and its `config.json`."""
+"""A run's settings, from flags, a preset or its folder, and that folder's lock."""
 
+import argparse
 import contextlib
 import dataclasses
 import fcntl
-import os
 import platform
+import re
 import shutil
-from collections.abc import Generator
+import sys
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.common import USER_ERRORS
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    NonNegative,
-    Positive,
-)
+from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.reading import read_object
 
 LOCK = ".lock"
+MAX_SEEDS = 1024
+RESUME_FLAGS = ("--resume", "--time-limit")  # what may differ when a run is resumed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,12 +55,10 @@ class RunConfig(CheckedConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_seed(self.seed)
-        if self.name and not _is_folder_name(self.name):
+        if self.name and not re.fullmatch(r"[^/\\]*[^/\\.\s][^/\\]*", self.name):
             raise ValueError(
                 f"name must be the name of one folder in runs_dir, not {self.name!r}"
             )
-        if not self.runs_dir.strip():
-            raise ValueError(f"runs_dir must name a folder, not {self.runs_dir!r}")
 
     @property
     def default_name(self) -> str:
@@ -66,13 +66,7 @@ class RunConfig(CheckedConfig):
         return f"{self.preset}-{self.seed}"
 
 
-def _is_folder_name(name: str) -> bool:
-    return (
-        bool(name.strip())
-        and name.isprintable()
-        and name not in (".", "..")
-        and not {"/", "\\"} & {*name}
-    )
+Config = TypeVar("Config", bound=RunConfig)
 
 
 @contextlib.contextmanager
@@ -88,7 +82,13 @@ def open_run(config: RunConfig) -> Generator[Path]:
         OSError: the folder cannot be written.
     """
     folder = Path(config.resume) if config.resume else _new_folder(config)
-    with _lock(folder):
+    with (folder / LOCK).open("a") as lock:  # the lock of a killed process is released
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(
+                f"another process trains in {folder}: stop it or wait for its end"
+            ) from None
         for part in (folder, folder / "checkpoints"):
             remove_temporary(part)
         try:
@@ -97,16 +97,12 @@ def open_run(config: RunConfig) -> Generator[Path]:
             yield folder
         except (*USER_ERRORS, CheckpointError, JaxRuntimeError):
             if not config.resume and not runs.checkpoint_files(folder):
-                _remove(folder)
+                shutil.rmtree(folder, ignore_errors=True)
             raise
 
 
-def argument(folder: Path) -> str:
-    """A run's folder as an argument; a bare name could be that of a policy."""
-    return f"./{folder}" if folder.parent == Path() else str(folder)
-
-
 def _new_folder(config: RunConfig) -> Path:
+    """Makes the folder; an unnamed run never touches an older one."""
     name = config.name or config.default_name
     folder = Path(config.runs_dir) / name
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -115,56 +111,45 @@ def _new_folder(config: RunConfig) -> Path:
         try:
             folder.mkdir()
         except FileExistsError:
-            if config.name and _is_bare(folder):
-                return folder
             if config.name:
                 raise ValueError(
                     f"{folder} exists: choose another --name, or continue with "
                     f"--resume {folder}"
                 ) from None
-            number += 1  # an unnamed run never touches an older one
+            number += 1
             folder = folder.with_name(f"{name}-{number}")
         else:
             return folder
 
 
-def _is_bare(folder: Path) -> bool:
-    """Whether a run was killed before it wrote its settings, or is about to.
-
-    Its lock tells these apart.
-    """
-    return folder.is_dir() and all(p.name.startswith(".") for p in folder.iterdir())
+def argument(folder: Path) -> str:
+    """A run's folder as an argument; a bare name could be that of a policy."""
+    return f"./{folder}" if folder.parent == Path() else str(folder)
 
 
-def _remove(folder: Path) -> None:
-    """Removes a locked folder; renames it first, so that no process opens the rest."""
-    removed = folder.with_name(f".{folder.name}.{os.getpid()}")
-    with contextlib.suppress(OSError):  # what ended the run is the error to report
-        shutil.rmtree(folder.rename(removed))
+def describe(config: RunConfig) -> dict[str, Any]:
+    """Provenance of a run: settings, versions, device."""
 
-
-@contextlib.contextmanager
-def _lock(folder: Path) -> Generator[None]:
-    """Locks the folder; the lock of a killed process is released."""
-    with (folder / LOCK).open("a") as file:
+    def version(package: str) -> str:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(
-                f"another process trains in {folder}: stop it or wait for its end"
-            ) from None
-        if not os.fstat(file.fileno()).st_nlink:  # by the run that held the lock
-            raise ValueError(f"{folder} was just removed: its run failed")
-        yield
+            return metadata.version(package)
+        except metadata.PackageNotFoundError:
+            return "not installed"
+
+    packages = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
+    return {
+        "config_version": runs.CONFIG_VERSION,
+        "config": dataclasses.asdict(config),
+        "versions": {name: version(name) for name in packages},
+        "python": platform.python_version(),
+        "device": jax.devices()[0].device_kind,
+        "num_devices": jax.device_count(),
+        "matmul_precision": "highest in the environment, default in the networks",
+    }
 
 
 def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, Any]:
-    """The header of a checkpoint to resume from; its settings are checked.
-
-    Args:
-        path: of the checkpoint.
-        kind: of the settings.
-        **kinds: further required entries, see `checkpoints.read_header`.
+    """The header of a checkpoint to resume from, with settings of a kind.
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
@@ -178,22 +163,179 @@ def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, A
     return header
 
 
-def describe(config: RunConfig) -> dict[str, Any]:
-    """Provenance of a run: settings, versions, device."""
-    packages = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
-    return {
-        "config_version": runs.CONFIG_VERSION,
-        "config": dataclasses.asdict(config),
-        "versions": {name: _version(name) for name in packages},
-        "python": platform.python_version(),
-        "device": jax.devices()[0].device_kind,
-        "num_devices": jax.device_count(),
-        "matmul_precision": "highest in the environment, default in the networks",
-    }
+def stored(folder: Path) -> dict[str, Any]:
+    """The settings of a run, as in its `config.json`.
 
-
-def _version(package: str) -> str:
+    Raises:
+        CheckpointError: the run does not exist, or another version wrote it.
+    """
+    path = folder / "config.json"
     try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"
+        described = read_object(path, config=dict)
+    except (FileNotFoundError, NotADirectoryError):
+        raise CheckpointError(f"no run at {folder} (no {path})") from None
+    except ValueError as error:
+        raise CheckpointError(f"{path} is not the config of a run: {error}") from None
+    runs.check_version(described, path)
+    return described["config"]
+
+
+def read_config(cls: type[Config], folder: Path) -> Config:
+    """Reads the settings of a run, see `stored`."""
+    try:
+        return runs.from_dict(cls, stored(folder))
+    except (TypeError, ValueError) as error:
+        raise CheckpointError(
+            f"{folder / 'config.json'} is not the config of a run: {error}"
+        ) from None
+
+
+def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Names and values of all settings, nested ones by their path."""
+    for field in dataclasses.fields(config):
+        name, value = f"{prefix}{field.name}", getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from list_settings(value, f"{name}.")
+        elif isinstance(value, Mapping):
+            yield from ((f"{name}.{key}", number) for key, number in value.items())
+        else:
+            yield name, value
+
+
+def read_settings(
+    default: Config,
+    presets: Mapping[str, Config],
+    arguments: Sequence[str] | None,
+    description: str | None,
+    short: Sequence[str],
+    summaries: Mapping[str, str],
+) -> Config:
+    """Reads the flags of a trainer.
+
+    Args:
+        default: preset taken if the flag `preset` names none of the presets.
+        presets: by name.
+        arguments: of the command line; None = those of the program.
+        description: at the head of the help.
+        short: settings that the short help lists.
+        summaries: purpose of each preset, for the help.
+
+    Raises:
+        ValueError: impossible settings.
+        CheckpointError: `--resume` does not name a run, or names one of an older
+            version.
+    """
+    from carpark_mj.cli.flags import read_flags  # tyro is of an extra
+
+    arguments = sys.argv[1:] if arguments is None else arguments
+    # The preset is read first: settings may be valid only on top of the one named.
+    name = named(arguments, "preset")
+    preset = default
+    if name in presets:
+        preset = presets[name]
+    text = f"{description or ''}\nPresets:\n{_preset_table(presets, summaries)}\n"
+    config = read_flags(type(default), arguments, preset, text, short)
+    if config.preset not in ("", "auto", *presets):
+        raise ValueError(
+            f"unknown preset {config.preset!r}; choose from {', '.join(presets)}"
+        )
+    flags = [word.partition("=")[0] for word in arguments if word.startswith("--")]
+    if "--resume" not in flags:
+        return dataclasses.replace(config, preset=preset.preset)
+    if not config.resume:
+        raise ValueError("resume must name the folder of a run, not ''")
+    kept = read_config(type(default), Path(config.resume))
+    changed = [flag for flag in flags if flag not in (*RESUME_FLAGS, "--preset")]
+    if name not in ("", kept.preset):
+        changed.append("--preset")
+    if changed:
+        raise ValueError(
+            f"a resumed run keeps its own settings: drop {', '.join(changed)} "
+            f"(allowed with --resume: --time-limit)"
+        )
+    return dataclasses.replace(kept, resume=config.resume, time_limit=config.time_limit)
+
+
+def named(arguments: Sequence[str], setting: str) -> str:
+    """The value of a flag before the others are read; empty if it is not given."""
+    name = ""
+    for word, after in zip(arguments, [*arguments[1:], ""], strict=False):
+        flag, equals, value = word.partition("=")
+        if flag == f"--{setting}":
+            name = value if equals else after
+    return name
+
+
+def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> str:
+    """A line per preset with its task."""
+    width = max(map(len, presets))
+    lines: list[str] = []
+    for name, config in presets.items():
+        env: EnvConfig | None = getattr(config, "env", None)  # None: no car park
+        task = ""
+        if env is not None:
+            goals = "dynamic" if env.goals.dynamic else "fixed"
+            task = (
+                f": {env.num_agents} {'agent' if env.num_agents == 1 else 'agents'}, "
+                f"{goals} goals, {env.layout} lot, {env.physics} physics"
+            )
+        lines.append(f"    {name:{width}}  {summaries[name]}{task}")
+    return "\n".join(lines)
+
+
+def read_runs(
+    arguments: Sequence[str], read: Callable[[Sequence[str]], Config]
+) -> list[Config]:
+    """The runs that are to be trained side by side.
+
+    Args:
+        arguments: with `--seeds`, or `--resume` and several folders.
+        read: reads the settings of one run from the other arguments, and `--resume`
+            with one folder.
+
+    Raises:
+        ValueError: impossible settings.
+        CheckpointError: `--resume` names no run, or one of an older version.
+    """
+    parser = argparse.ArgumentParser(
+        add_help=False, allow_abbrev=False, exit_on_error=False
+    )
+    parser.add_argument("--seeds")
+    parser.add_argument("--resume", nargs="+", default=[])
+    try:
+        ours, others = parser.parse_known_args(arguments)
+    except argparse.ArgumentError as error:
+        raise ValueError(str(error)) from None
+    if ours.resume and ours.seeds is not None:
+        raise ValueError("resumed runs keep their own seeds: drop seeds")
+    if ours.resume:
+        return [read([*others, "--resume", folder]) for folder in ours.resume]
+    config = read(others)
+    if ours.seeds is None:
+        return [config]
+    if config.seed:
+        raise ValueError(f"give seed or seeds, not both: drop seed {config.seed}")
+    return [
+        dataclasses.replace(
+            config, seed=seed, name=f"{config.name}-{seed}" if config.name else ""
+        )
+        for seed in parse_seeds(ours.seeds)
+    ]
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds listed as `0..7` or `1,5,9..12`."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"(\d+)(?:\.\.(\d+))?", part.strip())
+        if match is None:
+            raise ValueError(f"seeds must be like 0..7 or 1,5,9, not {text!r}")
+        first, last = int(match[1]), int(match[2] or match[1])
+        if not first <= last < first + MAX_SEEDS:
+            raise ValueError(
+                f"a range of seeds must rise, by less than {MAX_SEEDS}, not {part}"
+            )
+        seeds += range(first, last + 1)
+    if len({*seeds}) < len(seeds):
+        raise ValueError(f"seeds must differ, in {text!r} they do not")
+    return seeds

@@ -26,9 +26,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.mdp.bays import fits
 from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.onnx_car import inputs_of, make_car_model
-from carpark_mj.policy.outside import plain_values
-from carpark_mj.policy.plain_inputs import Rows
+from carpark_mj.policy.onnx_export import inputs_of, make_car_model
+from carpark_mj.policy.outside import Rows, plain_values
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.types import State
 

@@ -7,7 +7,7 @@ import pytest
 
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.settings import read_settings
+from carpark_mj.training.run_folder import read_settings
 from carpark_mj.vehicle import PRESETS as CARS
 from carpark_mj.vehicle import preset
 from carpark_mj.vehicle.file import parameters_text

@@ -12,7 +12,7 @@ from carpark_mj.config import LAYOUTS, REWARDS
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.programs import STUDY_PROGRAMS
 from carpark_mj.registry import ENVIRONMENTS
-from carpark_mj.training.settings import named
+from carpark_mj.training.run_folder import named
 from carpark_papers.cederle.experiments.program import JunctionStudyConfig
 from carpark_papers.cederle.scene import JunctionSceneConfig
 from carpark_papers.cederle.speed import JunctionSpeedConfig

@@ -14,17 +14,21 @@ from helpers.sweeping import write_run
 from matplotlib.axes import Axes
 from rich.console import Console
 
-from carpark_mj.analysis.page import SHOWN_ROWS, table, videos
-from carpark_mj.analysis.plots import plot_metric
-from carpark_mj.analysis.points import group, run_rows, spread_rows
-from carpark_mj.analysis.runs import (
+from carpark_mj.analysis import (
+    SHOWN_ROWS,
     Record,
     flat_metrics,
+    group,
+    plot_metric,
     read_curve,
     read_run,
     run_folders,
+    run_rows,
+    spread_rows,
+    table,
+    videos,
 )
-from carpark_mj.cli.analysis import MAX_ROWS, analyse
+from carpark_mj.cli.analysis import analyse
 from carpark_mj.programs import analysis
 from carpark_mj.training.ppo.parts import PRESETS
 
@@ -82,8 +86,7 @@ def test_the_tables_have_every_run_and_every_point():
     found = [(row["env.num_agents"], row["runs"], row["median"]) for row in rows]
     assert found == [("2", 3, 0.85), ("10", 3, 0.5), ("all", 6, pytest.approx(0.505))]
     each = run_rows(points, ["env.num_agents"], ["parked"])
-    assert [row["outlier"] for row in each] == ["", "", "parked", "", "", ""]
-    assert table(each).count('class="outlier"') == 1
+    assert [row["parked"] for row in each] == [0.9, 0.85, 0.1, 0.5, 0.49, 0.51]
 
 
 def test_a_long_table_is_folded_and_what_is_missing_is_a_dash():
@@ -98,14 +101,6 @@ def test_an_analysis_is_written_before_it_is_printed(tmp_path, monkeypatch):
     with pytest.raises(BrokenPipeError):
         analyse({"ours": RECORDS}, ["env.num_agents"], ["parked"], tmp_path, "gone")
     assert {"report.html", "parked.png"} <= {path.name for path in tmp_path.iterdir()}
-
-
-def test_a_long_table_is_written_but_not_printed(tmp_path, capsys):
-    runs = [record(agents, 0, 0.5) for agents in range(MAX_ROWS)]
-    analyse({"ours": runs}, ["env.num_agents"], ["parked"], tmp_path, "long")
-    assert "env.num_agents" not in capsys.readouterr().out
-    # A header, and a row of all.
-    assert (tmp_path / "spread.csv").read_text().count("\n") == MAX_ROWS + 2
 
 
 def test_a_summary_becomes_one_number_per_name():
@@ -182,10 +177,6 @@ def test_a_setting_has_one_colour_whoever_s_runs_they_are(tmp_path, monkeypatch)
     assert [dash for _, dash in lines.values()] == ["-", "-", "--", "--"]
 
 
-def test_no_video_is_no_list(tmp_path):
-    assert videos(tmp_path / "a.html", RECORDS) == ""
-
-
 def test_runs_without_an_evaluation_are_named(tmp_path, capsys):
     runs = make_runs(tmp_path)
     (tmp_path / "a1-0" / "evaluation.json").unlink()
@@ -229,7 +220,7 @@ def test_a_run_that_is_given_twice_counts_once(tmp_path):
         (
             "evaluation.json",
             '{"summary": {"parked": {"rate": "x"}}}',
-            "evaluation.json is damaged: could not convert",
+            "is damaged: could not convert",
         ),
     ],
 )
@@ -237,7 +228,9 @@ def test_a_damaged_run_is_named_and_left_out(file, text, said, tmp_path, capsys)
     runs = make_runs(tmp_path)
     (tmp_path / "a1-0" / file).write_text(text)
     assert exit_code(analysis, [*runs, "--out", str(tmp_path / "out")]) == 0
-    assert f"{tmp_path / 'a1-0' / said}" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert f"{tmp_path / 'a1-0'}" in told
+    assert said in told
 
 
 def test_links_lead_to_files_whatever_their_names(tmp_path):

@@ -94,26 +94,6 @@ def test_only_ppo_has_several_runs_side_by_side():
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        {"steps": 0},
-        {"timings": 0},
-        {"repeats": 0},
-        {"num_agents": (0,)},
-        {"num_agents": ()},
-        {"batches": ()},
-        {"batches": (8, 0)},
-        {"runs": (1, 0)},
-        {"what": ()},
-        {"layouts": ()},
-    ],
-)
-def test_impossible_settings_are_refused(change):
-    with pytest.raises(ValueError, match=f"{next(iter(change))} must "):
-        benchmark.BenchmarkConfig(**change)
-
-
-@pytest.mark.parametrize(
     ("flags", "said"),
     [
         (["--batch", "4"], "Unrecognized options: --batch, 4"),

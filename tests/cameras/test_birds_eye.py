@@ -95,15 +95,6 @@ def test_a_small_view_is_the_middle_of_a_large_one(layout):
     assert {Seen.OWN_CAR, Seen.LINE, Seen.BAY} < {*np.unique(small)}
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [({"pixels": 0}, "pixels must be at least 1"), ({"span": 0.0}, "span must be")],
-)
-def test_impossible_views_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        BirdsEye(**settings)
-
-
 def test_absent_cars_are_not_there():
     absent = state().replace(parked_cars=parked_at([(5.0, -5.0, 1.0)], present=False))
     alone = state_of(

@@ -173,21 +173,3 @@ def test_who_sees_is_told_of_no_other_car_no_wall_and_no_goal():
 
 def test_it_is_chosen_by_name():
     assert ENCODERS["cameras"] is CameraObservation
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"rig": "periscope"}, "unknown camera rig 'periscope'; choose from"),
-        ({"width": 0}, "width must be at least 1"),
-        ({"channels": ()}, "channels must be one or both"),
-        ({"channels": ("depth", "depth")}, "channels must be one or both"),
-        ({"reach": 0.0}, "reach must be positive"),
-        ({"goal": "told"}, "unknown goal 'told'"),
-        ({"goal": "seen", "channels": ("depth",)}, "goal 'seen' needs the channel"),
-        ({"goal": "seen", "lines": True}, "lines tells where the goal is"),
-    ],
-)
-def test_impossible_pictures_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        CameraObservation(**settings)

@@ -13,14 +13,8 @@ from helpers.disks import largest_file
 
 from carpark_mj.cli import evaluate, layouts, render
 from carpark_mj.cli.common import EXTRAS, USER_ERRORS, one_line, run_command
-from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.evaluate import EvaluateConfig
-from carpark_mj.cli.export import ExportConfig
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.layouts import LayoutsConfig
-from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
-from carpark_mj.cli.scene import SceneConfig
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.suite import command as suite
 from carpark_mj.suite.command import SuiteConfig
@@ -42,72 +36,6 @@ def test_an_error_of_a_full_disk_names_the_file(tmp_path):
         write_atomically(path, lambda temporary: temporary.write_bytes(bytes(2000)))
     assert one_line(caught.value) == f"cannot use {path}: File too large"
     assert not [*tmp_path.iterdir()]
-
-
-@pytest.mark.parametrize("seed", [-1, 2**32])
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda seed: ExportConfig("square", seed=seed),
-        lambda seed: LayoutsConfig(("lot",), check=1, seed=seed),
-        lambda seed: PlayConfig(seed=seed),
-        lambda seed: SceneConfig(view="web", seed=seed),
-        lambda seed: SuiteConfig(("zero",), seeds=(0, seed)),
-    ],
-)
-def test_a_seed_that_no_key_can_have_is_refused(make, seed):
-    with pytest.raises(ValueError, match=rf"seed must lie in \[0, .*\], not {seed}"):
-        make(seed)
-
-
-IDLE = [
-    (lambda: PlayConfig(replay="a.npz", layout="lot"), "layout 'lot'", "with --replay"),
-    (lambda: PlayConfig(replay="a.npz", seed=1), "seed 1", "with --replay"),
-    (
-        lambda: PlayConfig(replay="a.npz", video="a.gif", view="web"),
-        "view 'web'",
-        "with --video",
-    ),
-    (
-        lambda: PlayConfig(view="web", camera="topdown"),
-        "camera 'topdown'",
-        "in the browser, which has its own",
-    ),
-    (lambda: PlayConfig(view="window", port=9000), "port 9000", "in a window"),
-    (
-        lambda: SceneConfig(view="web", policy="square", suspension=True),
-        "suspension True",
-        "with --policy",
-    ),
-    (lambda: SceneConfig(out="a.xml", port=9000), "port 9000", "without --view web"),
-    (lambda: RenderConfig(gallery=True, height=480), "height 480", "with --gallery"),
-    (lambda: RenderConfig(gallery=True, frame=0.0), "frame 0.0", "with --gallery"),
-    (lambda: RenderConfig("zero", frame=1.0, fps=5.0), "fps 5.0", "with --frame"),
-    (
-        lambda: SuiteConfig(combine=("a",), seeds=(1,)),
-        "seeds (1,)",
-        "with --combine, which drives nothing",
-    ),
-    (
-        lambda: ExportConfig("square", out="a.npz", seed=1),
-        "seed 1",
-        "on a checkpoint",
-    ),
-    (lambda: find_driver("zero", deterministic=False), "stochastic", "with zero"),
-]
-
-
-@pytest.mark.parametrize(("make", "flag", "where"), IDLE)
-def test_a_flag_without_effect_is_refused(make, flag, where):
-    line = f"{flag} has no effect {where}: leave it out"
-    with pytest.raises(ValueError, match=f"^{re.escape(line)}$"):
-        make()
-
-
-def test_flags_with_an_effect_are_taken():
-    assert PlayConfig(replay="a.npz", video="a.gif", camera="topdown").camera
-    assert RenderConfig(gallery=True, width=800, seed=1).seed
-    assert SuiteConfig(combine=("a",), videos=3, out="b").videos
 
 
 def test_every_error_is_one_line():
@@ -211,18 +139,6 @@ def test_other_missing_modules_are_mistakes_of_ours():
         run_command("any", command)
 
 
-@pytest.mark.parametrize("horizon", ["1e9", "inf", "nan", "0", "-1"])
-def test_an_evaluation_refuses_spans_that_are_impossible_or_without_end(
-    horizon, capsys
-):
-    def command():
-        return read_flags(EvaluateConfig, ["--policy", "zero", "--horizon", horizon])
-
-    assert run_command("evaluate", command) == 2
-    said = f"evaluate: horizon must lie in (0, 3600] s, not {float(horizon)}\n"
-    assert capsys.readouterr().err == said
-
-
 UNWRITABLE = {
     "folder": "{tmp}/folder.png",
     "longest name": f"{{tmp}}/{'x' * 251}.png",
@@ -292,12 +208,6 @@ def test_a_file_that_cannot_be_written_is_refused_before_lots_are_drawn(
     path = tmp_path / "no" / f"a.{suffix}"
     assert layouts.main(["square", flag, str(path)]) == 2
     assert capsys.readouterr().err.startswith(f"layouts: cannot use {path}: ")
-
-
-@pytest.mark.parametrize("flag", ["--check", "--run"])
-def test_more_lots_than_anybody_can_wait_for_are_refused(flag, capsys):
-    assert layouts.main(["square", flag, f"1{'0' * 30}"]) == 2
-    assert f"{flag} takes 0 to 10000000 " in capsys.readouterr().err
 
 
 def test_a_check_for_writability_leaves_the_old_file_and_nothing_else(tmp_path):

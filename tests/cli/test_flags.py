@@ -2,7 +2,6 @@
 
 import dataclasses
 import io
-import math
 import re
 import sys
 from typing import Annotated, Literal
@@ -12,11 +11,7 @@ import pytest
 import tyro
 
 from carpark_mj.cli.common import run_command
-from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.layouts import LayoutsConfig
-from carpark_mj.cli.render import RenderConfig
-from carpark_mj.cli.scene import complete
 from carpark_mj.config.checks import Range
 
 
@@ -184,29 +179,3 @@ def test_a_platform_that_jax_does_not_have_is_one_line(monkeypatch, capsys):
     assert run_command("name", fail) == 2
     said = capsys.readouterr().err
     assert ("JAX_PLATFORMS=cuda" in said, said.count("\n")) == (True, 1)
-
-
-def test_choices_are_those_that_can_be_given(monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["evaluate", "zero", "--rule", "lax"])
-    with pytest.raises(ValueError, match=r"metadrive.*precise.*strict.*tanner"):
-        read_flags(EvaluateConfig)
-
-
-@pytest.mark.parametrize("name", ["docs", "lots.jpg", ".png"])
-def test_a_plot_of_lots_has_a_suffix_that_is_written(name):
-    with pytest.raises(ValueError, match=rf"or \.svg file, not {name}$"):
-        LayoutsConfig(plot=name)
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("name", ["seconds", "fps", "frame"])
-def test_no_setting_of_a_video_is_infinite_or_nan(name, value):
-    with pytest.raises(ValueError, match=rf"^{name} must .*not {value}$"):
-        RenderConfig(run="zero", **{name: value})
-
-
-def test_a_command_without_arguments_is_told_what_to_give(monkeypatch):
-    assert complete([]) == []
-    monkeypatch.setattr(sys, "argv", ["layouts"])
-    with pytest.raises(ValueError, match="nothing to do: give --plot FILE"):
-        read_flags(LayoutsConfig)

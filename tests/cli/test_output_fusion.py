@@ -28,6 +28,7 @@ CONFIGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONFIGS)
 def test_training_compiles_with_fused_outputs(name: str):
     program = (

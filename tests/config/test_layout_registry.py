@@ -8,8 +8,8 @@ import pytest
 from helpers.registering import restore_after
 
 from carpark_mj.cli.layouts import families
-from carpark_mj.config import LAYOUTS, EnvConfig, LayoutConfig, register_layout
-from carpark_mj.config.layouts import FAMILIES, require_layout
+from carpark_mj.config import LAYOUTS, EnvConfig, register_layout
+from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts import (
     SquareConfig,
     StreetConfig,
@@ -56,34 +56,6 @@ def test_a_second_layout_of_a_name_and_a_second_class_of_a_family_are_refused(ya
     with pytest.raises(ValueError, match="there is a family 'yard' already"):
         register_layout("other", OtherConfig())
     assert "other" not in LAYOUTS
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("ring", r"unknown layout 'ring'; choose from \[.*'square'.*'tpcap'"),
-        ("yard.txt", r"layout file must end in one of \.csv, \.json, not 'yard.txt'"),
-        ("", r"unknown layout ''"),
-    ],
-)
-def test_what_is_no_layout_is_refused(name, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        require_layout(name)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_family_in_a_file_that_nobody_registered_is_refused():
-    stored = dataclasses.asdict(EnvConfig()) | {"layout": {"family": "yard"}}
-    with pytest.raises(ValueError, match="unknown family 'yard'"):
-        from_dict(EnvConfig, json.loads(json.dumps(stored)))
-
-
-def test_a_config_without_a_generator_cannot_be_made():
-    class NoneConfig(LayoutConfig):
-        min_bays = 1
-
-    with pytest.raises(TypeError, match="generate"):
-        NoneConfig()
 
 
 def test_the_key_decides_and_a_member_is_a_mixtures_only():

@@ -17,7 +17,7 @@ from carpark_mj.editor.document import Draft, find_faults
 from carpark_mj.editor.picture import read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.layouts import make_layout
-from carpark_mj.layouts.json_file import complete, document_text, read_json
+from carpark_mj.layouts.files import complete, document_text, read_json
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 LOT = complete(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_parks import by_agents, main
+from car_parks import by_agents
 from carpark_mj.evaluation.aggregation import wilson_interval
 
 PARTS, LOTS = 20, 30
@@ -29,17 +29,3 @@ def test_a_part_counts_once_however_many_lots_it_has():
         parked = found["parked"]
         assert parked["rate"] == 0.75
         assert (parked["low"], parked["high"]) == pytest.approx((low, high), abs=0.02)
-
-
-@pytest.mark.parametrize(
-    ("flags", "told"),
-    [
-        (["--parts", "0"], "parts must be at least 1"),
-        (["--size", "0", "5"], "two positive lengths"),
-        (["--size", "500", "500", "--parts", "1"], "dragon_lake has too few parts"),
-    ],
-)
-def test_impossible_parts_are_refused(capsys, tmp_path, flags, told):
-    assert main(["anywhere", *flags, "--out", str(tmp_path / "out")]) == 2
-    assert told in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

@@ -1,12 +1,9 @@
 """Adapters beside their peers: taking turns, and the table."""
 
-import pytest
-
 from peers import (
     Rates,
     Subject,
     comparison,
-    subjects,
     take_turns,
 )
 
@@ -33,15 +30,3 @@ def test_the_table_compares_the_best_and_gives_the_range_of_the_rounds():
         "| core | 1,024 | 100,000 |  |",
         "| torch | 1,024 | 90,000 | 0.9 (0.6 … 1.12) |",
     ]
-
-
-def test_a_missing_library_is_named(monkeypatch):
-    def missing(*_):
-        raise ModuleNotFoundError("no", name="highway_env")
-
-    monkeypatch.setattr("peers.highway", missing)
-    with (
-        pytest.raises(ValueError, match="needs highway_env: pip install"),
-        subjects("highway-env", 2),
-    ):
-        pass

@@ -9,7 +9,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import Evaluation, evaluate
 from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.policy.baselines import random_policy
+from carpark_mj.policy.named import random_policy
 
 
 def onwards(observation, key):

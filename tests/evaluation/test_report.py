@@ -22,7 +22,7 @@ from carpark_mj.evaluation.report import (
     print_table,
     write_evaluation,
 )
-from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.policy.named import zero_policy
 from carpark_mj.types import ENDINGS
 
 

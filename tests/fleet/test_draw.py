@@ -354,15 +354,6 @@ def test_randomization_varies_about_each_agents_own_car(env):
     np.testing.assert_array_equal(cars.wheelbase, nominal.wheelbase)
 
 
-def test_without_a_fleet_lots_are_drawn_as_before_there_was_one():
-    """Goals and parked cars of the commit before fleets."""
-    env = ParkingEnv(EnvConfig(num_agents=3, num_parked_cars=6), SlidePhysics())
-    state, _ = jax.jit(env.reset)(jax.random.key(3))
-    assert state.parked_cars.offset is None
-    np.testing.assert_array_equal(state.goal, [0, 33, 14])
-    np.testing.assert_array_equal(state.parked_cars.bay, [5, 17, 18, 6, 20, 7])
-
-
 def test_a_fleet_has_flags_and_survives_its_config_file():
     import tyro
 

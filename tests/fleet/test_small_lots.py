@@ -15,7 +15,7 @@ from carpark_mj.fleet.checks import check_room
 from carpark_mj.layouts import StreetConfig, layout_config, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.policy.baselines import random_policy
+from carpark_mj.policy.named import random_policy
 from carpark_mj.types import NO_BAY
 
 MOST, LOTS = 7, 48

@@ -8,16 +8,16 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import cardinalities, make_fields, observation_size
-from carpark_mj.policy.loading import LoadedPolicy
+from carpark_mj.policy.loading import LoadedPolicy, make_table_policy
 from carpark_mj.policy.networks import (
     NetworkConfig,
+    init_normalizer,
     make_networks,
     make_policy,
     network_inputs,
+    update_normalizer,
 )
-from carpark_mj.policy.normalizer import init_normalizer, update_normalizer
 from carpark_mj.policy.onnx_export import random_observations
-from carpark_mj.policy.q_table import make_table_policy
 
 
 def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPolicy:

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.policy.rollout import Carry, roll_out
+from carpark_mj.policy.acting import Carry, roll_out
 from carpark_mj.tasks.environment import Environment
 
 STEPS = 2

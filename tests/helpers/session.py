@@ -22,7 +22,7 @@ quick = (
 os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}".strip()
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"
 gc.set_threshold(200_000, 20, 50)  # tracing makes many objects, few of them garbage
-MAX_MAPS = 4000  # memory maps of a process between files, 2 GB [est]
+MAX_MAPS = 12_000  # memory maps of a process between files, 3 GB
 MAX_KEPT = 2e9  # bytes of compiled programs; a run leaves 0.1e9
 
 
@@ -43,7 +43,8 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # the workers inherit it
     if sum(file.stat().st_size for file in kept.glob("*")) > MAX_KEPT:
         shutil.rmtree(kept, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept)
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+# Small programs too: reading one takes a tenth of compiling it, and workers share them.
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 from carpark_mj.rendering.gl import choose_gl
 

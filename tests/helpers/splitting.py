@@ -22,12 +22,10 @@ from jax.sharding import Mesh, PartitionSpec
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.policy.networks import NetworkConfig, make_networks
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.training.ppo.collect import Rollout
-from carpark_mj.training.ppo.epochs import learn, network_params
+from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
+from carpark_mj.training.ppo.collect import AXIS, Rollout
+from carpark_mj.training.ppo.learn import learn, network_params
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.state import AXIS
 
 ROOT = Path(__file__).parents[2]
 LENGTH, AGENTS, SIZE = 8, 8, 4

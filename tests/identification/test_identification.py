@@ -62,8 +62,13 @@ def read_log_of(tmp_path, rows):
 def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
     found = identify(logs["full"], COMPACT, 0.0, SIM_DT)
     for name, estimate in found.estimates.items():
-        assert estimate.told or name in ("lateral_relaxation", "patch_radius"), name
-        if estimate.told:  # within twice half an interval, four standard deviations
+        assert estimate.identifiable or name in (
+            "lateral_relaxation",
+            "patch_radius",
+        ), name
+        if (
+            estimate.identifiable
+        ):  # within twice half an interval, four standard deviations
             assert abs(estimate.value - getattr(TRUE, name)) < 2 * estimate.error, name
         assert estimate.error > 0
     # The residuals are the noise of the sensors.
@@ -75,7 +80,7 @@ def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
 def test_intervals_cover_a_car_of_other_equations(stops, car):
     true = SingleTrack(**car)
     found = identify(drive(true, 1, stops, seconds=30.0), COMPACT, 0.0, SIM_DT)
-    told = {name: e for name, e in found.estimates.items() if e.told}
+    told = {name: e for name, e in found.estimates.items() if e.identifiable}
     assert {"pedal_delay", "steering_ratio", "rolling_resistance"} <= {*told}
     missed = [
         name for name, e in told.items() if abs(e.value - getattr(true, name)) > e.error

@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip("hatchling")
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 USE = """
 import sys

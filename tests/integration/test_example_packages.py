@@ -12,6 +12,8 @@ import pytest
 from helpers.packages import PACKAGES, run, train
 from helpers.programs import exit_code
 
+pytestmark = pytest.mark.slow
+
 NAMES = sorted(path.name for path in PACKAGES.iterdir() if path.is_dir())
 TOGETHER = ("court", "haste", "nearest_wall", "peak_lateral", "rail_cart", "taxi")
 FLAGS = (

@@ -9,6 +9,8 @@ import pytest
 
 from carpark_mj.training.run import Run
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 MODULE = """
 from carpark_mj.extensions import Entry

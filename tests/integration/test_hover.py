@@ -5,6 +5,8 @@ import json
 import pytest
 from helpers.packages import run, train
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("hover",)
 
 

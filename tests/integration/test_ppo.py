@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from helpers.programs import exit_code
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 TINY = (
     *("--preset", "cpu", "--num-lots", "4", "--num-minibatches", "2"),

@@ -5,6 +5,8 @@ import json
 import pytest
 from helpers.packages import run
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("pure_pursuit",)
 LOT = {
     "format": "carpark_mj layout 1",

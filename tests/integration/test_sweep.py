@@ -12,6 +12,8 @@ import pytest
 
 from carpark_mj.cli import evaluate
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("discount=0.9,seed=0", "discount=0.99,seed=0")
 UPDATES = 200

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import json
 import math
-import os
 import re
 
 import jax
@@ -19,7 +18,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout, mixture
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
-from carpark_mj.layouts.json_file import layout_text, read_json
+from carpark_mj.layouts.files import layout_text, read_json
 from carpark_mj.suite.tpcap import EDGE, TPCAP_CAR, read_tpcap
 from carpark_mj.wrappers.options import Options, configure, share
 
@@ -144,34 +143,6 @@ def test_bad_json_layouts_are_told_what_and_where(data, message, tmp_path):
         FromFileConfig(path=str(path))
     assert str(caught.value).startswith(f"{path}: ")
     assert not re.search(r"\n|\\n", str(caught.value))
-
-
-def test_text_that_is_no_json_names_the_line(tmp_path):
-    path = tmp_path / "broken.json"
-    path.write_text('{"format": "carpark_mj layout 1",\n "bays": [\n')
-    with pytest.raises(ValueError, match=r"line 3: not JSON \(Expecting value\)"):
-        make_layout(str(path))
-    path.write_text("[1, 2]")
-    with pytest.raises(ValueError, match="a layout is an object, not list"):
-        make_layout(str(path))
-    path.write_text("[" * 100_000)
-    with pytest.raises(ValueError, match="brackets are nested too deeply"):
-        make_layout(str(path))
-    path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ValueError, match=r"cannot read .*broken.json: it is not text"):
-        make_layout(str(path))
-    with pytest.raises(ValueError, match=r"nowhere.json: No such file or directory"):
-        make_layout("nowhere.json")
-    with pytest.raises(ValueError, match=r"must end in one of \.csv, \.json"):
-        FromFileConfig(path="lot.txt")
-
-
-@pytest.mark.parametrize("suffix", [".json", ".csv"])
-def test_a_file_that_never_ends_is_refused(suffix, tmp_path):
-    pipe = tmp_path / f"pipe{suffix}"
-    os.mkfifo(pipe)
-    with pytest.raises(ValueError, match=f"{suffix}: it is not a regular"):
-        make_layout(str(pipe))
 
 
 def test_a_damaged_json_layout_is_a_layout_or_refused(tmp_path):
@@ -344,11 +315,6 @@ def test_bad_tpcap_cases_are_told_what_and_where(text, line, message, tmp_path):
         make_layout(str(path))
     assert f"{path}, line {line}: " in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_byte_order_mark_is_no_fault(tmp_path):
-    path = case(tmp_path, [], text="\ufeff0,0,0\n5,12,0\n0\n")
-    assert make_layout(str(path)).num_bays == 1
 
 
 def test_a_case_without_obstacles_and_a_missing_one(tmp_path):

@@ -237,40 +237,6 @@ def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
             np.testing.assert_array_equal(rows[~mask], 0.0)
 
 
-@pytest.mark.parametrize("rows", [(35, 8, 0, 0, 1), (36, 7, 0, 0, 1), (36, 8, 0, 0, 0)])
-def test_padding_to_fewer_rows_than_there_are_raises(rows):
-    with pytest.raises(ValueError, match="cannot be padded to"):
-        pad_layout(make_layout("square"), Maxima(*rows))
-
-
-def test_an_unknown_layout_raises_and_lists_the_known_ones():
-    known = r"'ring'.*'lot', .* 'tpcap', 'tpcap_1'"
-    with pytest.raises(ValueError, match=known):
-        make_layout("ring")
-
-
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [
-        ({"bays_per_side": 0}, "bays_per_side must be at least 1, not 0"),
-        ({"bays_per_side": 9.5}, "bays_per_side must be a whole number, not 9.5"),
-        ({"wall_gap": math.inf}, "wall_gap must be at least 0, not inf"),
-        ({"bay_width": 1.7}, "must hold a car of 1.799 m x 4.255 m, not 1.7 m"),
-        ({"bay_length": 4.0}, "must hold a car of 1.799 m x 4.255 m, not 3.375 m x"),
-        (
-            {"bays_per_side": 1, "bay_width": 2.4},
-            r"leave a square of 2.40 m, the car needs \d.\d\d m to turn",
-        ),
-        ({"wall_gap": -0.1}, "wall_gap must be at least 0, not -0.1"),
-        ({"bay_width": math.nan}, "bay_width must be at least 0, not nan"),
-        ({"spawn_margin": 16.0}, "spawn_margin 16.0 m leaves no spawn region"),
-    ],
-)
-def test_impossible_square_lots_raise(change, word):
-    with pytest.raises(ValueError, match=word):
-        SquareConfig(**change)
-
-
 def test_square_lots_of_other_sizes_are_well_formed():
     config = SquareConfig(bays_per_side=5, bay_width=2.7, bay_length=5.2)
     layout = config.generate(jax.random.key(0))

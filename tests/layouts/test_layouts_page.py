@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from carpark_mj.config import LAYOUTS
-from carpark_mj.layouts.json_file import _SCHEMA, read_json
+from carpark_mj.layouts.files import _SCHEMA, read_json
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "layouts.md").read_text()

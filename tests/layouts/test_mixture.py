@@ -14,7 +14,6 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import (
     DeadEndConfig,
-    FromFileConfig,
     GarageRowConfig,
     MixtureConfig,
     SquareConfig,
@@ -152,43 +151,3 @@ def test_layouts_survive_the_json_of_a_run(layout):
     config = EnvConfig(layout=layout)
     text = json.dumps(dataclasses.asdict(config))
     assert runs.from_dict(EnvConfig, json.loads(text)) == config
-
-
-def test_a_stored_layout_of_an_unknown_family_is_refused():
-    data = dataclasses.asdict(EnvConfig(layout=StreetConfig()))
-    data["layout"]["family"] = "ring"
-    with pytest.raises(ValueError, match="unknown family 'ring'; choose from"):
-        runs.from_dict(EnvConfig, data)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: mixture([]), "members of a mixture must be one config or more"),
-        (lambda: mixture(["ring"]), "unknown layout 'ring'"),
-        (lambda: mixture(["square_compact"], [1, 2]), r"one for each of the 1 members"),
-        (
-            lambda: mixture(["square_compact"], [0.0]),
-            r"weights must be positive, not \(0.0,\)",
-        ),
-        (lambda: MixtureConfig(members=("x",)), "members must be .* LayoutConfig, not"),  # type: ignore
-        (lambda: MixtureConfig(members=[StreetConfig()]), "members must be a tuple"),  # type: ignore
-        (
-            lambda: mixture(["square_compact"], ["1"]),
-            r"weights must be a tuple, each item a number",
-        ),  # type: ignore
-        (lambda: EnvConfig(layout="street,ring"), "unknown layout 'ring'; choose from"),
-        (lambda: EnvConfig(layout="street.jsn"), r"must end in one of \.csv, \.json"),
-        (lambda: FromFileConfig(), "must end in one of"),
-    ],
-)
-def test_impossible_mixtures_raise(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
-def test_only_lists_of_layouts_are_mixed():
-    with pytest.raises(TypeError, match="members must be of list or tuple, not 'lot'"):
-        mixture("lot")
-    with pytest.raises(TypeError, match="layout must be of LayoutConfig or str, not 3"):
-        mixture([3])  # pyright: ignore[reportArgumentType]

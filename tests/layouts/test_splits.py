@@ -11,7 +11,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig, make_layout, mixture
-from carpark_mj.layouts.splits import TEST, TRAIN, lot_key, lot_number
+from carpark_mj.layouts.registry import TEST, TRAIN, lot_key, lot_number
 
 DRAWS = 100_000
 STREET = StreetConfig(bays_per_side=(3, 4))
@@ -56,11 +56,6 @@ def test_the_same_number_is_the_same_lot_under_any_default_generator():
     before = jax.random.key_data(lot_key(5))
     with jax.default_prng_impl("rbg"):
         np.testing.assert_array_equal(jax.random.key_data(lot_key(5)), before)
-
-
-def test_an_unknown_split_is_refused():
-    with pytest.raises(ValueError, match=r"unknown split 'dev'; choose from \['test'"):
-        lot_number("dev", jax.random.key(0))  # type: ignore
 
 
 def test_an_environment_s_lots_are_those_of_the_split_asked_for(monkeypatch):

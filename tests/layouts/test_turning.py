@@ -14,9 +14,10 @@ from carpark_mj.layouts.standards import (
     AISLE_WIDTHS,
     FOOT,
     DesignCar,
+    least_aisle,
+    least_parallel_aisle,
     one_way_aisle,
 )
-from carpark_mj.layouts.turning import least_aisle, least_parallel_aisle
 from carpark_mj.layouts.types import BayKind
 
 CAR = DesignCar()

@@ -23,7 +23,7 @@ from carpark_mj.cli.layouts import main
 
 pytest.importorskip("pyproj")
 
-from carpark_mj.maps import assemble as assembling
+from carpark_mj.maps import importing as assembling
 from carpark_mj.maps.importing import import_map
 
 SPOT = {"amenity": "parking_space"}

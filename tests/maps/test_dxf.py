@@ -9,9 +9,9 @@ import shapely
 from shapely import affinity
 
 from carpark_mj.cli.layouts import main
-from carpark_mj.layouts.json_file import read_json
+from carpark_mj.layouts.files import read_json
 from carpark_mj.maps.features import Feature, commonest
-from carpark_mj.maps.lanes import joined_lanes
+from carpark_mj.maps.fit import joined_lanes
 
 pytest.importorskip("ezdxf")
 pytest.importorskip("pyproj")
@@ -19,8 +19,8 @@ pytest.importorskip("pyproj")
 import ezdxf
 
 from carpark_mj.maps import dxf as reading
+from carpark_mj.maps.bays import bays_between
 from carpark_mj.maps.importing import import_map, read_plan
-from carpark_mj.maps.stalls import bays_between
 
 LENGTH, WIDTH, COUNT = 5.0, 2.5, 6
 

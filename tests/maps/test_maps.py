@@ -25,13 +25,13 @@ from helpers.map_texts import (
 from helpers.mutating import damaged, with_junk
 
 from carpark_mj.cli.layouts import main
-from carpark_mj.layouts.json_file import read_json
+from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayKind
 
 pytest.importorskip("pyproj")
 pytest.importorskip("ezdxf")
 
-from carpark_mj.maps import assemble as assembling
+from carpark_mj.maps import importing as assembling
 from carpark_mj.maps.importing import import_map
 
 

@@ -32,8 +32,7 @@ from carpark_mj.layouts import (
     mixture,
     pad_layout,
 )
-from carpark_mj.layouts.json_file import layout_text, read_json
-from carpark_mj.layouts.plot import plot_layouts
+from carpark_mj.layouts.files import layout_text, read_json
 from carpark_mj.mdp.bays import BayFits
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
@@ -87,25 +86,6 @@ def test_files_say_which_end_and_are_written_as_they_were_read(layout, tmp_path)
     (tmp_path / "again.json").write_text(layout_text(layout))
     again = read_json(tmp_path / "again.json")
     assert jax.tree.all(jax.tree.map(np.array_equal, layout, again))
-
-
-def test_a_lot_without_ends_has_no_array_of_them():
-    plain = make_layout("square_compact")
-    assert plain.bay_end is None
-    assert '"end"' not in layout_text(plain)
-    assert plain.parked_pose is plain.bay_pose
-
-
-def test_plans_of_such_lots_can_be_drawn(layout, tmp_path):
-    lots = [("ends", jax.device_get(layout))]
-    assert plot_layouts(lots, tmp_path / "ends.png").stat().st_size > 1000
-
-
-def test_an_unknown_end_is_refused(path, tmp_path):
-    text = path.read_text().replace("tail_first", "sideways")
-    (tmp_path / "bad.json").write_text(text)
-    with pytest.raises(ValueError, match="sideways"):
-        read_json(tmp_path / "bad.json")
 
 
 def test_groups_and_mixtures_with_and_without_ends_join(layout, path):

@@ -5,9 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
-from carpark_mj.config import FleetConfig, GoalConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.layouts import make_layout
@@ -91,27 +89,3 @@ def _check(state):
         pose[:, :, None], size[:, :, None], pose[:, None], size[:, None]
     )
     assert meet.sum() == meet.shape[0] * meet.shape[1]  # each with itself only
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"goals": GoalConfig()}, "has exits: set goals.drive_out = True"),
-        (
-            {"goals": GoalConfig(), "layout": "metadrive,street"},
-            "has exits: set goals.drive_out = True",
-        ),
-        ({"layout": "metadrive,street"}, "has no exits: use metadrive"),
-        ({"layout": "square_compact"}, "has no exits: use metadrive"),
-        ({"layout": "lot"}, "has no exits: use metadrive"),
-        ({"goals": GoalConfig(True, drive_out=True)}, "drive_out needs fixed goals"),
-        ({"num_parked_cars": 1}, "needs bays without parked cars"),
-        ({"fleet": FleetConfig(agents=("van",))}, "and no fleet.agents"),
-        ({"spawn": SpawnConfig()}, "drive_out needs starts at random"),
-        ({"spawn": SpawnConfig(0.0, misaligned_ratio=0.1)}, "needs starts at random"),
-        ({"num_agents": 12}, "num_agents must be at most 11"),
-    ],
-)
-def test_what_does_not_go_with_driving_out_is_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        ParkingEnv(dataclasses.replace(METADRIVE, **changes))

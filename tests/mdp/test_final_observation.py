@@ -81,15 +81,6 @@ def test_agents_that_are_done_see_what_they_would_without_respawning():
     assert (after.step == jnp.where(done, 0, 1)).all()
 
 
-@pytest.mark.parametrize("config", [CONFIG, EnvConfig()])
-def test_without_being_asked_for_there_is_no_final_observation(config):
-    env, reset, step = make(config, final_observation=False)
-    state, _ = reset(jax.random.key(0))
-    shapes = jax.eval_shape(step, state, jnp.zeros((config.num_agents, 2)))[1]
-    assert shapes.final_observation is None
-    assert shapes.observation.shape == (config.num_agents, env.observation_size)
-
-
 def test_asking_for_final_observations_changes_nothing_else():
     env, reset, step = make()
     _, _, plain = make(final_observation=False)

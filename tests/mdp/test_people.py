@@ -5,7 +5,6 @@ import itertools
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 from helpers.scenes import cars, lot
 from helpers.transitions import no_events, no_terms, transition
@@ -14,12 +13,10 @@ from carpark_mj.config import EnvConfig, MetricsConfig, RewardConfig
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry.obstacles import Discs, Movers
 from carpark_mj.mdp.metrics import init_stats, update_stats
-from carpark_mj.mdp.metrics.tallies import first_tallies
 from carpark_mj.mdp.people import HARD_BRAKING
 from carpark_mj.mdp.rewards import reward_terms
 
 LOT = lot([(30.0, 0.0, 0.0)])
-STILL = cars([(0.0, 0.0, 0.0)])
 RADIUS = 0.3
 METRICS = tuple(MetricsConfig.everything().extra)
 CONFIG = EnvConfig(
@@ -102,16 +99,3 @@ def test_hard_braking_and_waiting():
     assert found["hard_braking"] == 1
     found = episode((7.0, 1.0), (7.0, 0.0), (7.0, 0.0), (9.0, 0.0))
     assert found["waiting"] == pytest.approx(0.4)
-
-
-def test_lots_without_people_measure_nothing_of_it():
-    alone = dataclasses.replace(CONFIG, movers=(), reward=RewardConfig())
-    assert not set(METRICS) & first_tallies(alone).keys()
-    assert set(METRICS) <= first_tallies(CONFIG).keys()
-    few = dataclasses.replace(CONFIG, metrics=MetricsConfig(extra=("person_speed",)))
-    with pytest.raises(ValueError, match="min_person_gap"):
-        update_stats(few, transition(few, LOT, STILL, STILL), no_terms(few))
-    np.testing.assert_array_equal(
-        reward_terms(CONFIG, transition(CONFIG, LOT, STILL, STILL))["comfort"],
-        0.0,
-    )

@@ -22,7 +22,6 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayKind
 from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.physics.base import FactoredPhysics
 from carpark_mj.types import NO_BAY
 
 NAN = float("nan")
@@ -150,44 +149,6 @@ def test_starts_that_cannot_be_are_refused(small, change, message):
     asked = FIRST.replace(**asked)
     with pytest.raises(ValueError, match=message):
         check_starts(env.config, asked, reset(jax.random.key(0), options=asked)[0])
-
-
-def test_absent_agents_dynamic_goals_and_other_types_are_refused(small):
-    with pytest.raises(TypeError, match="options must be of ResetOptions"):
-        small[0].reset(jax.random.key(0), options={"goal": 3})
-    chosen = ParkingEnv(dataclasses.replace(SMALL, goals=GoalConfig(dynamic=True)))
-    with pytest.raises(ValueError, match=r"goals.dynamic = False"):
-        chosen.reset(jax.random.key(0), options=FIRST)
-    fewer = ParkingEnv(dataclasses.replace(SMALL, min_agents=1))
-    state, _ = jax.jit(fewer.reset)(jax.random.key(0), num_present=2, options=FIRST)
-    with pytest.raises(ValueError, match="agent 2: the lot does not have it"):
-        check_starts(fewer.config, FIRST, state)
-
-
-def test_physics_that_cannot_roll_refuses_speeds_only():
-    class Still(FactoredPhysics):
-        def __init__(self, physics):
-            self._physics = physics
-
-        def __getattr__(self, name):
-            if name == "set_speed":
-                raise AttributeError(name)
-            return getattr(self._physics, name)
-
-        def init(self, pose_w, vehicle):
-            return self._physics.init(pose_w, vehicle)
-
-        def step(self, state, controls):
-            return self._physics.step(state, controls)
-
-        def read(self, state):
-            return self._physics.read(state)
-
-    env = ParkingEnv(SMALL, physics=Still(ParkingEnv(SMALL).physics))
-    reset = jax.jit(env.reset)
-    reset(jax.random.key(0), options=FIRST.replace(speed=None))
-    with pytest.raises(ValueError, match="set_speed, not Still"):
-        reset(jax.random.key(0), options=FIRST)
 
 
 def test_who_starts_in_a_bay_and_drives_out_needs_a_goal():

@@ -115,26 +115,3 @@ def test_runs_side_by_side_differ_in_a_term_as_far_as_it_says():
     assert program(run()) == program(run(hurry=2.0, **{"hurry.above": 1.0}))
     with pytest.raises(ValueError, match=r"the same env\.reward\.extra\.hurry\.kind"):
         make_learner([run(), run(**{"hurry.kind": 2.0})])
-
-
-@pytest.mark.parametrize(
-    ("term", "sentence"),
-    [
-        ({"value": lambda config, step, above: 0.0}, "above .* must have a default"),
-        ({"value": lambda config, step, above="x": 0.0}, "above .* a number"),
-        ({"value": 1.0}, "value must be a function"),
-        ({"value": hurry, "sign": 2}, "sign must be 1 or -1, not 2"),
-        (
-            {"value": hurry, "fixed": ("below",)},
-            r"no parameters of the term: \['below'",
-        ),
-    ],
-)
-def test_terms_that_cannot_be_are_refused(term, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        RewardTerm(**term)
-
-
-def test_a_second_term_of_a_name_is_refused():
-    with pytest.raises(ValueError, match="there is a reward term 'hurry' already"):
-        REWARD_TERMS.register("hurry", RewardTerm(hurry))

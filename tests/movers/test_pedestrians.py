@@ -11,7 +11,7 @@ import shapely
 from helpers.scenes import cars, polygons
 from helpers.states import parked_at, state_of
 
-from carpark_mj.config import EnvConfig, SimConfig
+from carpark_mj.config import SimConfig
 from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
 from carpark_mj.geometry import box_disc_overlap, move_forward, rotate
 from carpark_mj.geometry.obstacles import Boxes, Movers
@@ -269,27 +269,6 @@ def test_they_begin_in_the_aisles():
     )
     alone = people.leader == jnp.arange(PEOPLE.number)
     assert not bays[alone].any()
-
-
-REFUSED = {
-    "pedestrians:number=0": "number must be at least 1, not 0",
-    "pedestrians:number=1.5": "number must be a whole number",
-    "pedestrians:people=3": "'people'.*number, density",
-    "pedestrians:speed=1.2": "speed must be a tuple",
-    "pedestrians:speed=2..1": r"speed must be a lowest and a highest.*\(2, 1\)",
-    "pedestrians:speed=fast": "speed must be a number.*'fast'",
-    "pedestrians:children=1.5": r"children must lie in \[0, 1\], not 1.5",
-    "pedestrians:radius=0.1..0.3": "radius must be.*0.2",
-    "pedestrians:density=-1..2": "density must be",
-    "pedestrians:": "no setting ''",
-    "walkers": "'walkers'.*pedestrians",
-}
-
-
-@pytest.mark.parametrize("choice", REFUSED)
-def test_no_such_people(choice):
-    with pytest.raises(ValueError, match=REFUSED[choice]):
-        EnvConfig(movers=(choice,))
 
 
 def test_settings_follow_the_name():

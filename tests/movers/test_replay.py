@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.movers import Replay
 from carpark_mj.vehicle.presets import COMPACT
 
@@ -71,26 +70,6 @@ def test_what_play_saves_moves_a_car_for_each_episode(tmp_path):
     np.testing.assert_array_equal(boxes.mask, [True, False])
     assert float(boxes.pose_w[0, 0]) == pytest.approx(1.5)
     assert float(boxes.size[0, 0]) == pytest.approx(COMPACT.length)
-
-
-REFUSED = {
-    "no rows": (HEAD, "must hold 1 to 200 cars, not 0"),
-    "no column": ("id,time,x,y\na,0,1,2\n", "lacks the columns length, width, yaw"),
-    "words": (HEAD + "a,now,0,0,0,4,2\n", "line 2: time must be a number, not 'now'"),
-    "no number": (HEAD + "a,nan,0,0,0,4,2\n", "line 2: numbers must be finite"),
-    "no width": (HEAD + "a,0,0,0,0,4,0\n", "line 2: length must be.*not 4 and 0"),
-    "one row": (HEAD + "a,0,0,0,0,4,2\n", "'a' needs 2 rows"),
-    "back": (HEAD + "a,1,0,0,0,4,2\na,1,0,0,0,4,2\n", "line 3: time must increase"),
-    "growth": (HEAD + "a,0,0,0,0,4,2\na,1,0,0,0,5,2\n", "line 3: the size"),
-    "few cells": (HEAD + "a,1\n", "line 2: not as many values"),
-}
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_no_such_drives(tmp_path, what):
-    text, sentence = REFUSED[what]
-    with pytest.raises(ValueError, match=sentence):
-        EnvConfig(movers=(f"replay:path={write(tmp_path, text)}",))
 
 
 def test_no_such_files(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import crowds
-from carpark_mj.movers import social_force as model
+from carpark_mj.movers import bodies as model
 from carpark_mj.movers.bodies import Room, go_round
 
 WEIDMANN = {1.0: 1.06, 2.0: 0.61}  # m/s at persons/m², of one-way flow
@@ -16,7 +16,7 @@ EAST = jnp.array([[1.0, 0.0]])
 def test_a_person_alone_reaches_the_desired_speed_with_the_relaxation_time():
     velocity, nothing = jnp.zeros((1, 2)), jnp.zeros((1, 2))
     for step in range(1, 11):  # any step size gives the exact solution
-        velocity = model.advance(velocity, 1.34 * EAST, nothing, 0.2)
+        velocity = model.accelerate(velocity, 1.34 * EAST, nothing, 0.2)
         expected = 1.34 * (1 - np.exp(-0.2 * step / model.RELAXATION))
         np.testing.assert_allclose(velocity, [[expected, 0.0]], atol=1e-5)
 

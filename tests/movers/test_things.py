@@ -11,13 +11,11 @@ import shapely
 from helpers.scenes import cars, polygons
 from helpers.states import parked_at, parked_in, state_of
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.config.obstacles import ObstacleKind, make_movers
 from carpark_mj.geometry.obstacles import Boxes, Movers
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Barrier, Cart, Door, RailCar
-from carpark_mj.movers.cart import ROLLING
-from carpark_mj.movers.door import SIZE, WIDEST
+from carpark_mj.movers.things import DOOR, ROLLING, WIDEST
 from carpark_mj.obstacles import begin_movers, lot_obstacles, step_movers, trace_still
 from inhabited import overlaps
 
@@ -108,7 +106,7 @@ def test_a_door_opens_beside_a_free_bay_only():
     assert 0.1 < there.mean() < 0.95
     assert state.angle.max() == pytest.approx(WIDEST, abs=1e-4)
     assert len(np.unique(state.car[there])) > 2
-    door = polygons(boxes.pose_w[there, 0], np.full((there.sum(), 2), SIZE))
+    door = polygons(boxes.pose_w[there, 0], np.full((there.sum(), 2), DOOR))
     for number, pose in enumerate(np.asarray(PARKED.pose_w)):
         others = state.car[there] != number
         assert not shapely.intersects(door[others], polygons(pose, (4.0, 1.8))).any()
@@ -168,21 +166,6 @@ def test_nothing_begins_or_moves_into_anything_else():
     assert deep.max() < 2e-3
     walked = np.linalg.norm(np.diff(xy, axis=1), axis=-1).sum(axis=1)
     assert np.median(walked) > 5.0  # m, for all that, in 40 s
-
-
-REFUSED = {
-    "cart:speed=0": "speed must be positive",
-    "cart:pause=-1": "pause must be positive",
-    "rail_car:speed=inf": "speed must be",
-    "barrier:near=0": "near must be positive",
-    "door:angle=1": "'angle'.*pause",
-}
-
-
-@pytest.mark.parametrize("choice", REFUSED)
-def test_no_such_things(choice):
-    with pytest.raises(ValueError, match=REFUSED[choice]):
-        EnvConfig(movers=(choice,))
 
 
 def test_lots_without_lanes_have_no_barrier_and_no_car_on_a_rail():

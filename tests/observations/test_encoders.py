@@ -16,7 +16,6 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import Field, make_fields, observe
 from carpark_mj.observations.tracked import tracks, tracks_parked_cars
 from carpark_mj.policy.runs import from_dict
-from carpark_mj.wrappers.goal import GoalParking, goal_config
 
 LOT = lot([(0.0, 0.0, 0.0)])
 
@@ -90,14 +89,6 @@ def test_what_an_encoder_does_not_say_is_no():
         EnvConfig(observation=seen, fleet=FleetConfig(("city",)))
 
 
-def test_goals_are_relabelled_only_where_a_field_says_what_reveals_them():
-    config = dataclasses.replace(
-        goal_config({"parked_cars": 0}), observation=Speedometer()
-    )
-    with pytest.raises(ValueError, match=r"reveals the goal .*'speedometer'"):
-        GoalParking(config, SlidePhysics())
-
-
 def test_an_encoder_is_read_back_by_its_name(speedometer):
     config = EnvConfig(observation=Speedometer(scale=3.0))
     data = json.loads(json.dumps(dataclasses.asdict(config)))
@@ -108,13 +99,6 @@ def test_an_encoder_is_read_back_by_its_name(speedometer):
     data["observation"] = {"encoding": "images"}
     with pytest.raises(ValueError, match="unknown observation encoding 'images'"):
         from_dict(EnvConfig, data)
-
-
-def test_a_name_is_one_encoders(speedometer):
-    with pytest.raises(ValueError, match="'continuous'"):
-        ENCODERS.register("continuous", Speedometer)
-    with pytest.raises(ValueError, match="must be 'speedometer', not 'tanner'"):
-        Speedometer(encoding="tanner")
 
 
 def encoder(names, filled):

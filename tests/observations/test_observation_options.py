@@ -12,14 +12,11 @@ from helpers.states import config_of, parked_at, state_of
 
 from carpark_mj.config import (
     EnvConfig,
-    GoalConfig,
     RayConfig,
-    RewardConfig,
     RingConfig,
     SensorConfig,
     ShareConfig,
 )
-from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.observations import (
@@ -295,19 +292,3 @@ def test_the_way_along_the_lanes_by_hand():
     second = {"route_next": [-4 / 20, -4.5 / 20], "route_length": [direct / 20]}
     check(named, 0, first)
     check(named, 1, second)
-
-
-def test_the_way_needs_fixed_goals():
-    for more in (
-        {"reward": RewardConfig(route=True)},
-        {"observation": ContinuousObservation(route=True)},
-    ):
-        with pytest.raises(ValueError, match="route need fixed goals") as refusal:
-            EnvConfig(num_parked_cars=0, goals=GoalConfig(True), **more)
-        assert "\n" not in str(refusal.value)
-
-
-def test_dynamic_goals_need_bays_enough():
-    chosen = GoalConfig(dynamic=True, num_tracked_bays=21)
-    with pytest.raises(ValueError, match=r"num_\w+ must be at most 20 .* not 21"):
-        ParkingEnv(EnvConfig(goals=chosen, num_parked_cars=16))

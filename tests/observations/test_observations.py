@@ -14,7 +14,6 @@ from helpers.scenes import (
     lot,
     mjx_env,
     mjx_rollout,
-    moved,
     moved_cars,
     moved_lot,
 )
@@ -259,12 +258,6 @@ def test_every_number_observed_varies_but_those_that_cannot():
     # `goal_size` varies between the lots of the batch only.
     assert constant == expected
     assert named["goal_size"].shape[1] == LOTS
-
-
-def test_moving_a_pose_by_hand_agrees_with_the_scene_helper():
-    # A guard of the invariance tests: the motion is a rotation, then a shift.
-    pose = moved((1.0, 0.0, 0.0), (5.0, 0.0, math.pi / 2))
-    np.testing.assert_allclose(pose, [5.0, 1.0, math.pi / 2], atol=1e-6)
 
 
 def test_what_an_agent_drives_by_hand():

@@ -257,9 +257,3 @@ def test_near_rays_are_the_same_distances_divided_by_the_near_one():
     metres = [[0.05, 3.5, 8.0, 0.75]]
     np.testing.assert_allclose(seen["rays"], np.divide(metres, 8.0), atol=1e-6)
     np.testing.assert_allclose(seen["rays_near"], np.minimum(metres, 1.0), atol=1e-5)
-
-
-@pytest.mark.parametrize("near", [-1.0, 10.5, math.nan])
-def test_near_rays_lie_within_the_reach(near):
-    with pytest.raises(ValueError, match=str(near)):
-        RayConfig(4, near=near)

@@ -120,10 +120,3 @@ def test_they_are_a_group_of_the_set_encoder_and_none_by_default():
     assert "mover_0" in weights["params"]
     found: Any = encoder.apply(weights, parts, sets.present(parts))
     assert np.isfinite(found).all()
-
-
-def test_sight_needs_movers_that_are_tracked():
-    with pytest.raises(ValueError, match="in_sight needs tracked_movers"):
-        ContinuousObservation(in_sight=True)
-    with pytest.raises(ValueError, match="tracked_movers must be at least 0"):
-        ContinuousObservation(tracked_movers=-1)

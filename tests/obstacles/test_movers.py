@@ -138,55 +138,6 @@ def test_each_sees_the_others_where_they_are_by_then():
     assert [float(group.pose_w[0, 0]) for group in after.groups] == [11.0, 13.0]
 
 
-BOX = Boxes(jnp.zeros((1, 3)), jnp.ones((1, 2)))
-REFUSED = {
-    "nothing": (("obstacles", lambda _: ()), "'hands'.*at least one group"),
-    "pairs": (("obstacles", lambda _: [(0.0, 1.0)]), "'hands'.*at least one group"),
-    "discs as boxes": (
-        ("obstacles", lambda _: [Boxes(jnp.zeros((1, 2)), jnp.ones(1))]),
-        "'hands'.*pose_w.*(1, 2)",
-    ),
-    "sizes of others": (
-        ("obstacles", lambda _: [Boxes(jnp.zeros((2, 3)), jnp.ones((1, 2)))]),
-        "'hands'.*size.*(1, 2).*(2, 2)",
-    ),
-    "masks of others": (
-        ("obstacles", lambda _: [dataclasses.replace(BOX, mask=jnp.ones(2, bool))]),
-        "'hands'.*mask.*(2,)",
-    ),
-    "a state of another shape": (("state", jnp.zeros(3, jnp.int32)), "state.*'hands'"),
-    "a state of another type": (("state", jnp.float32(1)), "state.*'hands'.*float32"),
-}
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_no_such_mover(what):
-    fault, sentence = REFUSED[what]
-    mover = Hands((fault,))
-    with pytest.raises(
-        ValueError, match=sentence.replace("(", r"\(").replace(")", r"\)")
-    ):
-        step_movers([mover], state_with(mover), 0.2, KEY)
-
-
-def test_obstacles_keep_their_number():
-    @dataclasses.dataclass(frozen=True)
-    class Growing(Hands):
-        def step(self, key, state, lot, dt):
-            grown.append(1)
-            return state
-
-    grown = [1]
-
-    def more(_):
-        return [Boxes(jnp.zeros((len(grown), 3)), jnp.ones((len(grown), 2)))]
-
-    mover = Growing((("obstacles", more),))
-    state = state_with(mover)
-    with pytest.raises(ValueError, match=r"obstacles.*'hands'.*\[1, 3\].*\[2, 3\]"):
-        step_movers([mover], state, 0.2, KEY)
-
-
 def test_names_are_those_of_the_registry(monkeypatch):
     monkeypatch.setattr(MOVERS, "_parts", {})
     MOVERS.register("hands", Hands())

@@ -17,7 +17,7 @@ from carpark_mj.geometry.obstacles import Movers
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.obstacles import trace_still
-from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.policy.named import zero_policy
 from carpark_mj.rendering.recording import record, recording_stage, snapshot
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.scene.build import drivable_scene

@@ -129,12 +129,3 @@ def test_friction_of_the_axles_is_rolling_resistance_and_brake():
     van = preset("van")
     rolling = van.tyre.rolling_resistance * van.mass * 9.81 * van.wheel_radius
     assert float(loss.sum()) == pytest.approx(rolling + 20.0, rel=1e-5)
-
-
-def test_long_steps_and_the_scene_are_refused_in_one_sentence():
-    with pytest.raises(ValueError, match=r"at most 0\.004 s, not 0\.01"):
-        SimConfig(tyres="contact")
-    with pytest.raises(ValueError, match="brush tyres only"):
-        ParkingEnv(EnvConfig(physics="scene", sim=SIM))
-    with pytest.raises(ValueError, match="same lot for every key, not 'street'"):
-        ParkingEnv(EnvConfig(physics="scene", layout="street"))

@@ -16,7 +16,6 @@ from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.obstacles import trace_still
-from carpark_mj.physics.base import SolidMovers
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
 from carpark_mj.physics.scene_movers import DEEPEST, solids_within
@@ -272,11 +271,3 @@ def test_bodies_are_where_pictures_show_them():
         assert (own.xpos[2] > 0.0) == here
         shown = stage.model.geom(f"mover{number}")
         np.testing.assert_allclose(solids.size[number], shown.size, atol=1e-6)
-
-
-def test_other_numbers_of_movers_are_refused():
-    physics = scene(with_movers=False)
-    assert isinstance(physics, SolidMovers)
-    state = jax.tree.map(lambda x: x[0], begin(physics, np.zeros(3)))
-    with pytest.raises(ValueError, match=r"\[1, 1, 1\].*\[\]"):
-        physics.step_among(state, COAST, movers(), movers())

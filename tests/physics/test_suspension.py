@@ -127,8 +127,3 @@ def test_an_exported_scene_has_springs_if_asked():
             mujoco.mj_step(model, data)
         assert np.abs(data.qpos[:2] - model.qpos0[:2]).max() < 1e-3
         assert abs(data.qpos[2] - model.qpos0[2]) < 2e-4
-
-
-def test_brush_tyres_have_no_second_suspension():
-    with pytest.raises(ValueError, match="suspension must be False with brush tyres"):
-        SimConfig(suspension=True)

@@ -88,11 +88,6 @@ def test_brush_tyres_are_stepped_unrolled_unless_mjx_is_asked_for():
     assert isinstance(ContactPhysics(contact)._step, MjxStep)
 
 
-def test_contact_tyres_cannot_be_forced_through_the_unrolled_step():
-    with pytest.raises(ValueError, match="stepper must be 'auto' or 'mjx' with"):
-        SimConfig(sim_dt=0.004, tyres="contact", stepper="unrolled")
-
-
 def test_models_with_contacts_or_springs_are_refused():
     for sim in (
         SimConfig(sim_dt=0.004, tyres="contact"),

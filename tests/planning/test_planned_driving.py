@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from helpers.planned import CAR, case
 
-from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.planning import search as search_module
 from carpark_mj.planning.driving import (
@@ -134,12 +134,6 @@ def test_an_agent_without_a_path_stands_and_gives_up_after_a_few_searches():
         assert agent.act(shut._replace(begins=False)) == (0.0, 0.0)
     assert len(agent.searches) == MAX_PLANS
     assert all(found.path is None for found in agent.searches)
-
-
-def test_environments_in_which_it_cannot_drive_are_refused():
-    dynamic = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=1))
-    with pytest.raises(ValueError, match="fixed goals"):
-        planner_policy(ParkingEnv(dynamic))
 
 
 def test_the_planner_drives_one_lot_as_it_drives_a_batch():

@@ -1,7 +1,6 @@
 """Planned paths are free, drivable and end in the bay."""
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from carpark_mj.planning.paths import (
     make_path,
     rear_axle,
 )
-from carpark_mj.planning.search import SearchConfig, require_ompl, search
+from carpark_mj.planning.search import SearchConfig, search
 
 CASES = [("normal", 0), ("normal", 1), ("complex", 0), ("complex", 1), ("extreme", 0)]
 
@@ -184,11 +183,3 @@ def test_a_search_makes_no_more_tests_than_it_may(monkeypatch):
         search(start, goal, closed, CAR, extent, config=config)
         # All that it may, and start and goal once more.
         assert 2 * most <= len(tests) <= 2 * most + 2
-
-
-def test_without_ompl_the_planner_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ompl", None)
-    module._ompl.cache_clear()
-    with pytest.raises(ValueError, match=r"needs OMPL: pip install"):
-        require_ompl()
-    module._ompl.cache_clear()

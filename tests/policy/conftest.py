@@ -5,7 +5,7 @@ import shutil
 import pytest
 from helpers.tiny_policy import CARD, TINY
 
-from carpark_mj.policy import loading, pretrained
+from carpark_mj.policy import loading, runs
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.train import save
 
@@ -23,10 +23,10 @@ def run(tmp_path_factory):
 def shipped(run, tmp_path, monkeypatch):
     """The policy of the run as `tiny`, beside the others; the folder of them all."""
     folder = tmp_path / "package"
-    shutil.copytree(pretrained.FOLDER, folder)
+    shutil.copytree(runs.FOLDER, folder)
     loading.save_policy(run, folder / "tiny.npz")
     (folder / "tiny.md").write_text(CARD)
-    monkeypatch.setattr(pretrained, "FOLDER", folder)
+    monkeypatch.setattr(runs, "FOLDER", folder)
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     return folder

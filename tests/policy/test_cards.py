@@ -3,11 +3,8 @@
 import re
 from pathlib import Path
 
-import pytest
-from helpers.tiny_policy import CARD
-
-from carpark_mj.policy import checkpoints, pretrained
-from carpark_mj.policy.pretrained import find_policy, pretrained_names
+from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy.runs import find_policy, pretrained_names
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -59,28 +56,8 @@ def test_every_policy_has_a_card_with_its_figures(shipped):
     assert cards == {*pretrained_names()}
 
 
-@pytest.mark.parametrize(
-    ("wrong", "right", "fault"),
-    [
-        ("| seed | 7 |", "| seed | 1 |", "the seed is 7"),
-        ("| steps | 0 |", "| steps | 9 |", "steps are 0"),
-        ("- It does not park.", "", "no limits"),
-        ("4.0 % (3.0", "4.0 % (4.1", "a rate is not in its interval"),
-        ("4.0 % (3.0", "5.0 % (3.0", "do not make 100 %"),
-        ("evaluate.py tiny", "evaluate.py huge", "is no evaluation of it"),
-    ],
-)
-def test_a_fault_of_a_card_is_found(shipped, wrong, right, fault):
-    assert wrong in CARD
-    found = list(faults("tiny", CARD.replace(wrong, right)))
-    assert len(found) == 1
-    assert fault in found[0]
-
-
 def test_the_page_of_the_policies_shows_all_cards():
-    cards = [
-        (pretrained.FOLDER / f"{name}.md").read_text() for name in pretrained_names()
-    ]
+    cards = [(runs.FOLDER / f"{name}.md").read_text() for name in pretrained_names()]
     page = (DOCS / "policies.md").read_text()
     shown = page.split("<!-- cards -->\n")[1].split("\n<!-- end of cards -->")[0]
     expected = "\n".join(cards).rstrip()

@@ -34,13 +34,10 @@ def tree():
 
 
 def assert_same(a, b):
-    jax.tree.map(
-        lambda x, y: np.testing.assert_array_equal(
-            checkpoints._to_numpy(x), checkpoints._to_numpy(y)
-        ),
-        a,
-        b,
-    )
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):
+            x, y = jax.random.key_data(x), jax.random.key_data(y)
+        np.testing.assert_array_equal(x, y)
 
 
 def test_a_round_trip_is_exact_and_keeps_keys_and_header(tmp_path):
@@ -117,22 +114,6 @@ def test_foreign_files_are_refused_by_name(tmp_path):
     for path in (text, archive, array, tmp_path / "missing.npz"):
         with pytest.raises(CheckpointError, match=path.name):
             checkpoints.read_header(path)
-
-
-def test_another_format_version_is_refused(tmp_path, monkeypatch):
-    path = tmp_path / "a.npz"
-    with monkeypatch.context() as patch:
-        patch.setattr(checkpoints, "FORMAT", "carpark_mj checkpoint 99")
-        checkpoints.save(path, tree(), {})
-    with pytest.raises(CheckpointError, match="99"):
-        checkpoints.read_header(path)
-
-
-def test_a_header_that_is_no_object_is_damaged(tmp_path):
-    path = tmp_path / "a.npz"
-    np.savez(path, header=np.frombuffer(b"[1]", np.uint8))
-    with pytest.raises(CheckpointError, match=r"a\.npz is not a JSON object"):
-        checkpoints.read_header(path)
 
 
 def test_misfits_name_the_array_and_both_shapes(tmp_path):

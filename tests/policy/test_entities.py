@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flax import linen
 
-from carpark_mj.policy import entities, entities_kernel
+from carpark_mj.policy import entities
 from carpark_mj.policy.entities import EntityLayers
 
 SIZE, FEATURES = 5, 16
@@ -25,7 +25,7 @@ def make_layers() -> EntityLayers:
 
 
 def in_kernel(layers, rows, present, dtype=jnp.float32):
-    return entities_kernel.largest(layers, rows, present, dtype, interpret=True)
+    return entities.largest_in_kernel(layers, rows, present, dtype, interpret=True)
 
 
 def test_layers_are_those_of_flax():
@@ -41,7 +41,7 @@ def test_layers_are_those_of_flax():
     np.testing.assert_allclose(entities.encode(layers, rows), expected, 1e-5, 1e-5)
 
 
-@pytest.mark.parametrize("lead", [(), (3,), (2, entities_kernel.BLOCK + 1)])
+@pytest.mark.parametrize("lead", [(), (3,), (2, entities.BLOCK + 1)])
 def test_the_kernel_computes_the_same_with_the_same_gradients(lead):
     layers, rows = make_layers(), draw((*lead, 4, SIZE), 7)
     present = draw((*lead, 4), 8) > 0.0
@@ -88,7 +88,7 @@ def test_the_kernel_is_lowered_for_gpus():
     present = jnp.ones((70, 4), bool)
 
     def total(layers):
-        return entities_kernel.largest(layers, rows, present, jnp.bfloat16).sum()
+        return entities.largest_in_kernel(layers, rows, present, jnp.bfloat16).sum()
 
     traced = jax.jit(jax.grad(total)).trace(layers)
     program = traced.lower(lowering_platforms=("cuda",)).as_text()
@@ -97,4 +97,4 @@ def test_the_kernel_is_lowered_for_gpus():
 
 @pytest.mark.parametrize(("features", "fits"), [(8, False), (16, True), (48, False)])
 def test_the_kernel_takes_powers_of_two(features, fits):
-    assert entities_kernel.fits(features) == fits
+    assert entities.fits(features) == fits

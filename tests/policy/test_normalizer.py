@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from carpark_mj.observations.compose import OWN, EntitySet, ObservationSets
-from carpark_mj.policy.normalizer import (
-    MIN_STD,
+from carpark_mj.policy.networks import (
+    MIN_DEVIATION,
     init_normalizer,
     normalize,
     update_normalizer,
@@ -42,7 +42,7 @@ def assert_statistics(normalizer, vectors):
         found = normalizer[name]
         assert int(found.count.lo) == len(numbers)
         np.testing.assert_allclose(found.mean, numbers.mean(axis=0), rtol=1e-5)
-        expected = np.maximum(numbers.std(axis=0), MIN_STD)
+        expected = np.maximum(numbers.std(axis=0), MIN_DEVIATION)
         np.testing.assert_allclose(found.std, expected, rtol=1e-5)
 
 
@@ -109,8 +109,8 @@ def test_parts_are_scaled_by_their_statistics_alike_in_every_slot(seen):
     found = normalize(normalizer, SETS.split(jnp.asarray(vector, jnp.float32)))
     numbers = pooled(vectors.astype(float))
     mean = numbers["agent"].mean(axis=0)
-    std = np.maximum(numbers["agent"].std(axis=0), MIN_STD)
+    std = np.maximum(numbers["agent"].std(axis=0), MIN_DEVIATION)
     expected = np.tile((np.array([1.0, 5.0]) - mean) / std, (3, 1))
     np.testing.assert_allclose(found["agent"], expected, rtol=1e-4)
     # What never varied is divided by the least deviation: (0.35 - 0.25) / 0.1.
-    np.testing.assert_allclose(found[OWN][4], 0.1 / MIN_STD, rtol=1e-5)
+    np.testing.assert_allclose(found[OWN][4], 0.1 / MIN_DEVIATION, rtol=1e-5)

@@ -14,18 +14,17 @@ from carpark_mj.config import EnvConfig, RingConfig, UltrasoundConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation, observe
 from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.onnx_car import (
+from carpark_mj.policy.onnx_export import (
     METADATA,
     decisions,
     inputs_of,
     make_car_model,
     make_session,
+    policy_actions,
     require_outside,
     sensitivity,
 )
-from carpark_mj.policy.onnx_export import policy_actions
-from carpark_mj.policy.outside import plain_values
-from carpark_mj.policy.plain_inputs import INPUTS
+from carpark_mj.policy.outside import INPUTS, plain_values
 from carpark_mj.registry import environment
 
 pytest.importorskip("onnxruntime")
@@ -145,20 +144,3 @@ HEARS = ContinuousObservation(ultrasound=UltrasoundConfig(on=True))
 def test_what_a_car_outside_cannot_observe_is_refused(env, reason):
     with pytest.raises(ValueError, match=reason):
         require_outside(env)
-
-
-@pytest.mark.parametrize(
-    ("flags", "reason"),
-    [
-        ({"walls": 3}, "without --from-state"),
-        ({"from_state": True, "out": "a.npz"}, "on a checkpoint"),
-    ],
-)
-def test_flags_that_have_no_effect_are_refused(flags, reason):
-    with pytest.raises(ValueError, match=reason):
-        ExportConfig("square", **flags)
-
-
-def test_too_few_rows_are_refused():
-    with pytest.raises(ValueError, match=r"walls must be at least 8, .* not 3"):
-        environment_rows(load_policy("square").env, {"walls": 3})

@@ -11,14 +11,15 @@ from flax import linen
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import OWN, observation_sets
 from carpark_mj.observations.fields import Field
+from carpark_mj.policy.encoder import patches
 from carpark_mj.policy.networks import (
     Arithmetic,
     NetworkConfig,
+    init_normalizer,
     make_networks,
     network_inputs,
+    update_normalizer,
 )
-from carpark_mj.policy.normalizer import init_normalizer, update_normalizer
-from carpark_mj.policy.pictures import patches
 
 VIEWS, ABOVE = (2, 6, 5), (7, 3)  # no side is a multiple of the kernels'
 KINDS = 4

@@ -7,7 +7,7 @@ import pytest
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.policy.rollout import Carry, control_step, roll_out
+from carpark_mj.policy.acting import Carry, control_step, roll_out
 
 STEPS = 4
 

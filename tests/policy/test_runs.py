@@ -28,18 +28,6 @@ def test_unknown_settings_are_named():
         runs.from_dict(EnvConfig, data)
 
 
-def test_impossible_settings_are_refused_on_reading():
-    data = dataclasses.asdict(EnvConfig())
-    data["sim"]["ctrl_dt"] = 0.015
-    with pytest.raises(ValueError, match=r"ctrl_dt.*0\.015"):
-        runs.from_dict(EnvConfig, data)
-
-
-def test_a_config_that_is_no_dictionary_is_refused():
-    with pytest.raises(ValueError, match="EnvConfig needs a dictionary"):
-        runs.from_dict(EnvConfig, [1])
-
-
 @dataclasses.dataclass(frozen=True)
 class Near:
     reach: float = 1.0
@@ -65,11 +53,6 @@ def test_of_a_union_the_tag_chooses_the_class(eye):
         assert runs.from_dict(Seeing, json.loads(text)) == seeing
 
 
-def test_a_tag_of_no_class_is_refused():
-    with pytest.raises(ValueError, match=r"eye must be one of .*near.*far.*blind"):
-        runs.from_dict(Seeing, {"eye": {"reach": 1.0, "kind": "blind"}})
-
-
 def test_a_checkpoint_of_an_older_version_is_refused_before_it_is_read(tmp_path):
     header = {"config": {"env": {"gone": 1}}, "env_steps": 8}
     path = runs.save_checkpoint(tmp_path / "x", {"a": np.zeros(1)}, header, 8)
@@ -78,33 +61,8 @@ def test_a_checkpoint_of_an_older_version_is_refused_before_it_is_read(tmp_path)
             loading.load_policy(run)
     checkpoints.save(path, {"a": np.zeros(1)}, header)
     for run in (tmp_path / "x", path):
-        with pytest.raises(CheckpointError, match=r"x was trained by an older carpark"):
+        with pytest.raises(CheckpointError, match=r"is of another carpark"):
             loading.load_policy(run)
-
-
-JUNK_SETTINGS = {
-    ("clip",): "-1",
-    ("entropy_cost",): "../../etc/passwd",
-    ("discount",): [0.9],
-    ("num_lots",): 1.5,
-    ("name",): 1,
-    ("env", "num_agents"): True,
-    ("env", "reward", "park"): None,
-    ("env", "layout"): 3,
-    ("networks", "policy_layers"): "64",
-    ("networks", "own_size"): [1],
-}
-
-
-@pytest.mark.parametrize("place", JUNK_SETTINGS, ids=".".join)
-def test_a_setting_of_another_type_is_refused_by_name(place):
-    data = json.loads(json.dumps(dataclasses.asdict(PRESETS["cpu"])))
-    inside = data
-    for name in place[:-1]:
-        inside = inside[name]
-    inside[place[-1]] = JUNK_SETTINGS[place]
-    with pytest.raises(ValueError, match=place[-1]):
-        runs.from_dict(PPOConfig, data)
 
 
 @pytest.mark.parametrize("preset", ["anywhere", "dynamic"])

@@ -34,19 +34,3 @@ def test_cameras_are_refused_by_name():
     ):
         with pytest.raises(ValueError, match=r"'top'; choose .* with K from 0"):
             make()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"camera": "top"}, "or what cars see: rear, surround, windscreen, or one"),
-        ({"camera": "surround:4"}, "surround:K with K from 0 to 3"),
-        ({"camera": "rear:"}, "unknown camera 'rear:'; choose rear or rear:K with K"),
-        ({"camera": "rear", "show": "rings"}, "show 'rings' has no effect with"),
-        ({"channel": "depth"}, "channel 'depth' has no effect with --camera topdown"),
-        ({"camera": "surround:0", "width": 2}, "choose a smaller one"),
-    ],
-)
-def test_the_cameras_of_cars_are_refused_by_name(settings, message):
-    with pytest.raises(ValueError, match=message):
-        RenderConfig("zero", **settings)

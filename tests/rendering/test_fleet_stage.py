@@ -10,7 +10,7 @@ from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.policy.named import zero_policy
 from carpark_mj.rendering.recording import record
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.types import ParkedCars

@@ -15,14 +15,14 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.observations import ContinuousObservation, make_fields
-from carpark_mj.policy.baselines import random_policy
+from carpark_mj.policy.named import random_policy
 from carpark_mj.policy.networks import (
     NetworkConfig,
+    init_normalizer,
     make_networks,
     make_policy,
     network_inputs,
 )
-from carpark_mj.policy.normalizer import init_normalizer
 from carpark_mj.rendering import recording as record_module
 from carpark_mj.rendering.recording import num_frames, parked_trace, record
 from carpark_mj.rendering.video import CarCameras, car_cameras

@@ -8,14 +8,13 @@ import io
 import json
 import shutil
 import subprocess
-import sys
 import time
 import urllib.request
 
 import numpy as np
 import pytest
 
-from carpark_mj.cli.scene import SceneConfig, complete, main
+from carpark_mj.cli.scene import SceneConfig, complete
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web
@@ -75,13 +74,6 @@ def test_wheels_of_a_live_lot_roll_and_steer_with_the_car(lot):
     assert float(data.joint("agent0/spin_rl").qpos[0]) > spin
     left, right = (float(data.joint(f"agent0/steer_f{s}").qpos[0]) for s in "lr")
     assert left > right > 0.05  # Ackermann, to the left
-
-
-def test_without_the_extra_one_sentence_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "mjviser", None)
-    for settings in ({}, {"policy": "runs/none"}):
-        with pytest.raises(OSError, match=r'pip install "carpark_mj\[web\]"'):
-            main(SceneConfig(view="web", **settings))
 
 
 def test_view_alone_opens_a_window():

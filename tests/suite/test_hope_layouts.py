@@ -12,7 +12,7 @@ from helpers.scenes import polygons
 
 from carpark_mj.config import LAYOUTS
 from carpark_mj.layouts.checks import find_faults
-from carpark_mj.layouts.splits import TEST, lot_key
+from carpark_mj.layouts.registry import TEST, lot_key
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.suite import levels as held_out
 from carpark_mj.suite.hope import HopeConfig
@@ -97,13 +97,6 @@ def test_the_file_is_small_and_a_changed_one_is_refused(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="other cases than the published"):
         load_held_out("normal")
     load_held_out.cache_clear()
-
-
-def test_an_unknown_level_is_refused():
-    with pytest.raises(ValueError, match="unknown level 'easy'; choose from"):
-        load_held_out("easy")
-    with pytest.raises(ValueError, match="unknown level 'extreme' of perpendicular"):
-        HopeConfig(level="extreme")
 
 
 @pytest.mark.parametrize("name", [n for n in LAYOUTS if n.startswith("hope")])

@@ -11,7 +11,6 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import box_distance
 from carpark_mj.policy.acting import StatePolicy
-from carpark_mj.registry import environment
 from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
 from carpark_mj.suite.levels import HOPE_LEVELS, pick_cases
 from carpark_mj.suite.moving_car import GAP
@@ -154,8 +153,3 @@ def test_a_policy_that_reads_the_state_is_asked_about_the_car_that_parks_only():
     CaseEvaluator(env).decision_time(StatePolicy(act), cases)
     jax.effects_barrier()
     assert {*seen} == {(True, False)}
-
-
-def test_policies_that_choose_goals_are_refused():
-    with pytest.raises(ValueError, match=r"fixed goals, goals\.dynamic = False"):
-        suite_env(environment("dynamic"), "strict", with_moving_car=True)

@@ -10,9 +10,8 @@ import pytest
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.policy.baselines import zero_policy
+from carpark_mj.policy.named import zero_policy
 from carpark_mj.registry import ANYWHERE
-from carpark_mj.suite.command import SuiteConfig
 from carpark_mj.suite.evaluation import (
     CaseEvaluator,
     suite_env,
@@ -209,61 +208,3 @@ def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
     assert '<video src="videos/x.mp4"' in html
     assert "case 7, seed 0: crashed" in html
     assert shown_cells(row)["path found [%]"] == "–"
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"policies": ()}, "at least one policy"),
-        ({"policies": ("planner", "planner")}, "policies must differ"),
-        (
-            {"policies": ("zero",), "cases": 0},
-            "cases must be 1 to 1000 from case 0 on, not 0",
-        ),
-        ({"policies": ("zero",), "cases": 1001}, "cases must be 1 to 1000"),
-        ({"policies": ("zero",), "first_case": 1000}, "first_case must be 0 to 999"),
-        ({"policies": ("zero",), "first_case": -1}, "to 999, not -1"),
-        (
-            {"policies": ("zero",), "first_case": 750, "cases": 251},
-            "cases must be 1 to 250 from case 750 on, not 251",
-        ),
-        (
-            {"policies": ("zero",), "levels": ("normal", "tpcap"), "cases": 21},
-            "cases must be 1 to 20 from case 0 on, not 21: level tpcap has 20",
-        ),
-        (
-            {"policies": ("zero",), "levels": ("tpcap",), "first_case": 20},
-            "first_case must be 0 to 19, not 20: level tpcap has the cases 1 to 20",
-        ),
-        (
-            {"policies": ("zero",), "levels": ("tpcap",), "moving_car": True},
-            "moving_car needs an aisle.* level tpcap",
-        ),
-        (
-            {"policies": ("zero",), "levels": ("busy",), "moving_car": True},
-            "moving_car drives in HOPE's levels only, not in busy",
-        ),
-        (
-            {"policies": ("zero",), "levels": ("busy", "normal")},
-            "level busy must be driven alone, not with normal",
-        ),
-        (
-            {"policies": ("zero",), "levels": ("busy",), "videos": 1},
-            "videos show levels .* only, not busy",
-        ),
-        (
-            {"policies": ("zero",), "levels": ("easy",)},
-            "level must be one of normal, .*busy, not 'easy'",
-        ),
-        ({"policies": ("zero",), "levels": ()}, "levels must not be empty"),
-        ({"policies": ("zero",), "seeds": (1, 1)}, "seeds must differ"),
-        ({"policies": ("zero",), "seeds": (-1,)}, "seed must lie in"),
-        ({"combine": ("a",), "moving_car": True}, "moving_car True has no effect"),
-        ({"combine": ("a",), "rule": "precise"}, "'precise' has no effect with --co"),
-        ({"policies": ("zero",), "videos": 11}, "videos must be 0 to 10, not 11"),
-        ({"policies": ("zero",), "combine": ("a",)}, "not both"),
-    ],
-)
-def test_impossible_settings_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        SuiteConfig(**settings)

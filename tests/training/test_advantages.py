@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from brax.training.agents.ppo.losses import compute_gae
 
-from carpark_mj.training.ppo.advantages import compute_advantages
-from carpark_mj.training.ppo.collect import Rollout
+from carpark_mj.training.ppo.collect import Rollout, compute_advantages
 
 
 def rollout(reward, terminated, truncated) -> Rollout:

@@ -27,8 +27,3 @@ def test_on_a_gpu_sets_are_encoded_in_the_kernel(monkeypatch, half):
     program = str(traced.jaxpr)
     assert "name=entities_gradient" in program
     assert ("bf16" in program) == half
-
-
-def test_half_precision_of_a_flat_encoder_is_refused():
-    with pytest.raises(ValueError, match=r"half_precision needs .*'set', not 'flat'"):
-        PPOConfig(half_precision=True, networks=NetworkConfig(encoder="flat"))

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from carpark_mj.training.curve import plot_learning_curve, smooth
+from carpark_mj.training.loop import plot_learning_curve, smooth
 
 
 def test_smoothing_weights_by_episodes_and_keeps_constants():

@@ -13,9 +13,9 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo import learner as learner_module
+from carpark_mj.training.ppo.collect import AXIS
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import Learner, num_devices
-from carpark_mj.training.ppo.state import AXIS
 from carpark_mj.wrappers.brax import BraxParking
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,15 +15,11 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.policy.networks import NetworkConfig, make_networks
-from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
 from carpark_mj.training.ppo import variants
-from carpark_mj.training.ppo.collect import Rollout
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import schedule
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
-from carpark_mj.training.ppo.epochs import learn, network_params
-from carpark_mj.training.ppo.state import AXIS
+from carpark_mj.training.ppo.collect import AXIS, Rollout
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
+from carpark_mj.training.ppo.learn import learn, network_params, schedule
 
 LENGTH, AGENTS, SIZE, PARTS = 6, 12, 3, 4
 CONFIG = PPOConfig(

@@ -21,15 +21,12 @@ from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import OWN
 from carpark_mj.observations.fields import Field
-from carpark_mj.policy.networks import NetworkConfig, make_networks
-from carpark_mj.policy.normalizer import MIN_STD
-from carpark_mj.training.ppo.advantages import compute_advantages
-from carpark_mj.training.ppo.collect import Rollout
-from carpark_mj.training.ppo.epochs import learn, network_params
+from carpark_mj.policy.networks import MIN_DEVIATION, NetworkConfig, make_networks
+from carpark_mj.training.ppo.collect import AXIS, Rollout, compute_advantages
+from carpark_mj.training.ppo.learn import learn, network_params
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.state import AXIS
+from carpark_mj.training.ppo.variants import Minibatch, Weights, ppo_loss
 
 TINY = dataclasses.replace(
     PRESETS["cpu"],
@@ -363,7 +360,7 @@ def test_a_non_finite_update_is_dropped_whole(learner, update):
     assert int(good.skipped) == 0
     kept = learned_leaves(before)
     # All bays are equal here: what never varied is not blown up either.
-    assert before.normalizer[OWN].std.min() == np.float32(MIN_STD)
+    assert before.normalizer[OWN].std.min() == np.float32(MIN_DEVIATION)
     poisoned = before.replace(
         env=before.env.replace(obs=np.full_like(before.env.obs, np.nan))
     )

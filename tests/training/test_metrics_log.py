@@ -3,12 +3,11 @@
 import contextlib
 
 import pytest
-from helpers.disks import largest_file
 from helpers.mutating import damaged
 
-from carpark_mj.analysis.runs import read_curve
+from carpark_mj.analysis import read_curve
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.training.metrics_log import MetricsLog, read_metrics
+from carpark_mj.training.loop import MetricsLog, read_metrics
 
 
 def test_tensorboard_reads_what_is_logged(tmp_path):
@@ -25,17 +24,6 @@ def test_tensorboard_reads_what_is_logged(tmp_path):
     assert found == [(10 * update, update / 2) for update in range(1, 6)]
     rows = [(row["env_steps"], row["a"]) for row in read_metrics(tmp_path)]
     assert rows == found
-
-
-def fill(folder):
-    with contextlib.closing(MetricsLog(folder, 0)) as log:
-        for update in range(10_000):
-            log.write({"update": update, "env_steps": update, "a": 0.5})
-
-
-def test_a_full_disk_ends_the_log_with_the_name_of_a_file(tmp_path):
-    with largest_file(20_000), pytest.raises(OSError, match=str(tmp_path)):
-        fill(tmp_path)
 
 
 def row(update):

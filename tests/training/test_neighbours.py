@@ -11,17 +11,20 @@ from brax.envs.base import State as BraxState
 from flax import struct
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.training.ppo import epochs
+from carpark_mj.policy.networks import NetworkConfig, init_normalizer
+from carpark_mj.training.ppo import learn as epochs
 from carpark_mj.training.ppo import learner as learner_module
-from carpark_mj.training.ppo.advantages import compute_advantages
-from carpark_mj.training.ppo.collect import Rollout, collect
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import SHARE_RISES, neighbour_share
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.collect import (
+    RANGE,
+    Rollout,
+    collect,
+    compute_advantages,
+    neighbours,
+    neighbours_mean,
+)
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
+from carpark_mj.training.ppo.learn import SHARE_RISES, neighbour_share
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.neighbours import RANGE, neighbours, neighbours_mean
 
 
 @struct.dataclass
@@ -257,9 +260,3 @@ def test_the_mean_is_of_those_that_are_kept_where_some_present_are_dropped(monke
     share = together / own - 1.0
     np.testing.assert_allclose(share, share.round(), atol=1e-4)
     assert share.max() == pytest.approx(1.0)
-
-
-def test_a_share_without_other_agents_is_refused():
-    alone = EnvConfig(num_agents=1)
-    with pytest.raises(ValueError, match=r"neighbour_share 0\.5 needs env\.num_agents"):
-        PPOConfig(env=alone, curriculum=CurriculumConfig(neighbour_share=0.5))

@@ -15,15 +15,18 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.fields import Field
-from carpark_mj.policy.networks import NetworkConfig, make_networks, network_inputs
-from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.policy.networks import (
+    NetworkConfig,
+    init_normalizer,
+    make_networks,
+    network_inputs,
+)
 from carpark_mj.training.ppo import variants
-from carpark_mj.training.ppo.collect import Rollout
+from carpark_mj.training.ppo.collect import AXIS, Rollout
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.epochs import learn, network_params
-from carpark_mj.training.ppo.loss import ppo_loss
-from carpark_mj.training.ppo.state import AXIS
-from carpark_mj.training.ppo.widening import new_fields, widen
+from carpark_mj.training.ppo.learn import learn, network_params
+from carpark_mj.training.ppo.variants import ppo_loss
+from carpark_mj.training.ppo.warm_start import new_fields, widen
 
 LENGTH, AGENTS = 3, 4
 FIELDS = (

@@ -1,7 +1,5 @@
 """Training from Python: the run, its callback, what is made of it."""
 
-import sys
-
 import jax
 import pytest
 
@@ -60,11 +58,3 @@ def test_true_ends_the_training_after_the_update_and_it_can_go_on(tmp_path):
     again = PPOConfig(**{**vars(TINY), "resume": str(stopped.folder)})
     assert train(again) == Run(stopped.folder)
     assert [row["update"] for row in stopped.metrics] == [1, 2, 3]
-
-
-def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
-    for name in ("ppo.run", "ppo.train", "loop"):
-        monkeypatch.delitem(sys.modules, f"carpark_mj.training.{name}", raising=False)
-    monkeypatch.setitem(sys.modules, "rich.progress", None)
-    with pytest.raises(ImportError, match=r'rich.*: pip install "carpark_mj'):
-        train(TINY)

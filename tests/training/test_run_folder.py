@@ -1,28 +1,23 @@
 """Run folders: their names, their lock, and settings no run can have."""
 
 import dataclasses
-import fcntl
 import json
-import math
 
 import pytest
 from jax.errors import JaxRuntimeError
 
-from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import (
     CONFIG_VERSION,
     latest_checkpoint,
     save_checkpoint,
 )
-from carpark_mj.training.memory import device_memory, require_memory
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.run_folder import LOCK, open_run, read_header
-from carpark_mj.training.settings import read_config
+from carpark_mj.training.run_folder import LOCK, open_run, read_config, read_header
 
 LEFT = ".step_000000000064.0123456789abcdef.npz"  # by a process that was killed
 TRAINERS = (PPOConfig,)
-NAMES = ("../../x", "/tmp/x", "a/b", "a\\b", "..", ".", " ", "\t", "a\nb", "a\0b")
+NAMES = ("../../x", "/tmp/x", "a/b", "a\\b", "..", ".", " ")
 
 
 def test_a_run_that_goes_on_begins_without_unfinished_files(tmp_path):
@@ -43,52 +38,6 @@ def test_a_name_is_that_of_one_folder(cls, name):
     with pytest.raises(ValueError, match="name must be the name of one folder"):
         cls(name=name)
     assert cls(name="a b.c-2").name == "a b.c-2"
-
-
-FLOATS = [
-    (cls, field.name)
-    for cls in TRAINERS
-    for field in dataclasses.fields(cls)
-    if isinstance(field.default, float)
-]
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize(("cls", "name"), FLOATS)
-def test_no_setting_of_a_trainer_is_infinite_or_nan(cls, name, value):
-    with pytest.raises(ValueError, match=rf"^{name} must .*, not {value}$"):
-        cls(**{name: value})
-
-
-def test_no_setting_is_larger_than_jax_can_hold():
-    for cls, name in FLOATS:
-        with pytest.raises(ValueError, match=rf"{name} must .*, not 1e\+39$"):
-            cls(**{name: 1e39})
-        with pytest.raises(ValueError, match=f"{name} must "):
-            cls(**{name: 10**400})
-    for name in ("num_steps", "critic_steps", "num_epochs", "num_lots", "lot_life"):
-        with pytest.raises(ValueError, match=rf"^{name} must .*, not 1{'0' * 30}$"):
-            PPOConfig(**{name: 10**30})
-    with pytest.raises(ValueError, match="learning_rate must"):
-        PPOConfig(learning_rate=1e-50)
-    assert PPOConfig(num_steps=10**11).num_updates < 2**31
-
-
-@pytest.mark.parametrize("cls", TRAINERS)
-def test_a_seed_is_one_that_a_key_can_have(cls):
-    assert cls(seed=2**32 - 1).seed
-    for seed in (-1, 2**32):
-        with pytest.raises(ValueError, match=f"seed must lie in .*, not {seed}"):
-            cls(seed=seed)
-
-
-def test_what_follows_the_training_is_refused_before_it():
-    with pytest.raises(ValueError, match="eval_episodes must lie in"):
-        PPOConfig(eval_episodes=10**9)
-    with pytest.raises(ValueError, match="video_seconds must lie in"):
-        PPOConfig(video_seconds=1e6)
-    with pytest.raises(ValueError, match="episodes must be at least 1 and at most"):
-        EvaluateConfig(policy="zero", episodes=10**9)
 
 
 def test_a_folder_is_held_by_one_process_at_a_time(tmp_path):
@@ -114,30 +63,6 @@ def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
     with pytest.raises(ValueError, match=r"mine exists.*--resume"):
         opened("mine")
     assert [opened() for _ in range(3)] == ["cpu-0", "cpu-0-2", "cpu-0-3"]
-
-
-def test_the_name_of_a_run_killed_before_it_wrote_its_settings_is_free(tmp_path):
-    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
-    (tmp_path / "mine").mkdir()
-    for name in (LOCK, ".config.123.json"):
-        (tmp_path / "mine" / name).touch()
-    with open_run(config) as folder:
-        assert read_config(PPOConfig, folder) == config
-        with pytest.raises(ValueError, match="mine exists"), open_run(config):
-            pass
-    (tmp_path / "other").touch()
-    other = dataclasses.replace(config, name="other")
-    with pytest.raises(ValueError, match="other exists"), open_run(other):
-        pass
-
-
-def test_a_run_that_is_about_to_write_its_settings_is_left_alone(tmp_path):
-    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
-    with open_run(config) as folder:
-        (folder / "config.json").unlink()
-        with pytest.raises(ValueError, match="another process"), open_run(config):
-            pass
-        assert folder.is_dir()
 
 
 ERRORS = (
@@ -182,19 +107,6 @@ def test_what_was_trained_or_interrupted_or_resumed_is_kept(tmp_path):
     assert latest_checkpoint(tmp_path / "other").is_file()
 
 
-def test_the_lock_of_a_removed_folder_cannot_be_taken(tmp_path, monkeypatch):
-    config = PPOConfig(name="mine", runs_dir=str(tmp_path))
-    with open_run(config) as folder:
-        pass
-    # Between the opening of the file and its lock, the holder removes the folder.
-    monkeypatch.setattr(fcntl, "flock", lambda *_: (folder / LOCK).unlink())
-    with (
-        pytest.raises(ValueError, match=f"{folder} was just removed"),
-        open_run(dataclasses.replace(config, resume=str(folder))),
-    ):
-        pass
-
-
 def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_path):
     config = PPOConfig(name="mine", runs_dir=str(tmp_path), clip=0.3)
     with open_run(config) as folder:
@@ -203,7 +115,7 @@ def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_pa
     described = json.loads(path.read_text())
     del described["config_version"]
     path.write_text(json.dumps(described))
-    with pytest.raises(CheckpointError, match=f"{folder} was trained by an older"):
+    with pytest.raises(CheckpointError, match="is of another carpark_mj"):
         read_config(PPOConfig, folder)
     junk = described | {"config_version": CONFIG_VERSION, "config": {"name": 1}}
     deep = '{"config":' * 500 + "{" + "}" * 501
@@ -224,9 +136,3 @@ def test_a_checkpoint_with_settings_of_nonsense_is_not_resumed_from(tmp_path):
     assert read_header(path, PPOConfig)["config"]["seed"] == 0
     with pytest.raises(CheckpointError, match="chunks"):
         read_header(path, PPOConfig, chunks=int)
-
-
-def test_sizes_beyond_the_memory_are_refused():
-    require_memory(device_memory())
-    with pytest.raises(ValueError, match=r"need .* GiB of memory at least"):
-        require_memory(device_memory() + 1)

@@ -13,16 +13,17 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig, layout_config
 from carpark_mj.layouts.registry import mixture
-from carpark_mj.policy import checkpoints, runs
-from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.training.ppo.collect import Totals
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
-from carpark_mj.training.ppo.families import MEMORY, Families, make_families
+from carpark_mj.training.ppo.collect import (
+    MEMORY,
+    Families,
+    Totals,
+    TrainingState,
+    make_families,
+)
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.state import TrainingState
-from carpark_mj.training.ppo.train import load_or_init
 from carpark_mj.wrappers.brax import BraxParking
 
 THREE = Families(0.9, {"lot": 0.5, "street": 0.25, "angled": 0.25}, range(2, 3))
@@ -142,17 +143,6 @@ def test_new_lots_have_the_numbers_of_agents_that_were_drawn_for_them():
         np.testing.assert_array_equal(state.info["num_present"], np.repeat(expected, 3))
 
 
-def test_a_run_whose_lots_were_drawn_by_family_alone_cannot_go_on(tmp_path):
-    env = dataclasses.replace(CONFIG.env, min_agents=1)
-    learner = Learner(dataclasses.replace(CONFIG, env=env))
-    old = {"family_rates": np.zeros(2), "env": {"info": {"member": np.zeros(2)}}}
-    header = {"config": dataclasses.asdict(learner.config)}
-    runs.save_checkpoint(tmp_path, old, header, 64)
-    with pytest.raises(CheckpointError, match=r"by family .* warm_start") as refusal:
-        load_or_init(learner, [tmp_path])
-    assert "\n" not in str(refusal.value)
-
-
 def test_one_family_is_drawn_by_the_shortfall_of_its_numbers_of_agents():
     def probabilities(counts, rates):
         families = make_families(0.9, layout_config("street"), counts)
@@ -162,15 +152,6 @@ def test_one_family_is_drawn_by_the_shortfall_of_its_numbers_of_agents():
     # Half uniform, half by shortfalls of 0.1 and 0.3.
     many = probabilities(range(1, 3), [0.8, 0.6])
     np.testing.assert_allclose(many, [0.25 + 0.125, 0.25 + 0.375], rtol=1e-5)
-
-
-def test_lots_kept_for_ever_and_impossible_rates_are_refused():
-    with pytest.raises(
-        ValueError, match=r"target_rate 0.9 needs lot_life of at least 1"
-    ):
-        dataclasses.replace(CONFIG, lot_life=0)
-    with pytest.raises(ValueError, match=r"target_rate must lie in \[0, 1\], not 1.5"):
-        CurriculumConfig(target_rate=1.5)
 
 
 @functools.cache

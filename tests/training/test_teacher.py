@@ -11,9 +11,7 @@ import pytest
 
 from carpark_mj.config import (
     EnvConfig,
-    GoalConfig,
     RayConfig,
-    RewardConfig,
     RingConfig,
 )
 from carpark_mj.env import ParkingEnv
@@ -21,17 +19,14 @@ from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.policy.networks import NetworkConfig, make_networks
-from carpark_mj.policy.normalizer import init_normalizer
+from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
 from carpark_mj.training.ppo import learner as learners
-from carpark_mj.training.ppo import teacher as teachers
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import teacher_cost
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
-from carpark_mj.training.ppo.epochs import network_params
-from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
-from carpark_mj.training.ppo.state import AXIS
-from carpark_mj.training.ppo.teacher import make_teacher
+from carpark_mj.training.ppo import warm_start as teachers
+from carpark_mj.training.ppo.collect import AXIS
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
+from carpark_mj.training.ppo.learn import network_params, teacher_cost
+from carpark_mj.training.ppo.variants import Minibatch, Weights, ppo_loss
+from carpark_mj.training.ppo.warm_start import make_teacher
 
 BLIND = ContinuousObservation(1, 1, rings=RingConfig(), rays=RayConfig())
 KNOWS = dataclasses.replace(BLIND, lines=True)
@@ -95,29 +90,6 @@ def test_its_weight_falls_linearly_to_zero():
     progress = jnp.array([0.0, 0.125, 0.5, 0.9])
     found = jnp.stack([jnp.asarray(teacher_cost(config, x)) for x in progress])
     np.testing.assert_allclose(found, [4.0, 3.0, 0.0, 0.0], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("observation", "env", "message"),
-    [
-        (KNOWS, {"goals": GoalConfig(True, 1)}, "needs actions of numbers alone"),
-        (
-            dataclasses.replace(BLIND, rings=RingConfig((5.0,), history=2)),
-            {},
-            "curriculum.teacher somebody remembers",
-        ),
-        (
-            dataclasses.replace(BLIND, route=True),
-            {"reward": RewardConfig(route=False)},
-            "curriculum.teacher somebody observes routes",
-        ),
-    ],
-)
-def test_teachers_of_others_are_refused(monkeypatch, observation, env, message):
-    knows(monkeypatch, observation)
-    changed = dataclasses.replace(CONFIG.env, **env)
-    with pytest.raises(ValueError, match=message):
-        make_teacher(dataclasses.replace(CONFIG, env=changed))
 
 
 def test_the_loss_counts_the_distance_of_the_mode_where_steps_count():

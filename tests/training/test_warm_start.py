@@ -12,16 +12,13 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig, RayConfig, ShareConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation, make_fields
-from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import save_policy
-from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.policy.normalizer import update_normalizer
+from carpark_mj.policy.networks import NetworkConfig, update_normalizer
 from carpark_mj.training.ppo.group import make_learner
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import load_or_init, save
-from carpark_mj.training.ppo.warm_start import require_run
-from carpark_mj.training.ppo.widening import widen
+from carpark_mj.training.ppo.warm_start import require_run, widen
 from carpark_mj.wrappers.brax import BraxParking
 
 KEY = jax.dtypes.prng_key
@@ -131,14 +128,6 @@ def test_a_policy_alone_lends_its_actor_which_rests_while_a_critic_learns(
         )
     assert moved == [[False, True], [False, True], [True, True]]
     assert now.skipped == 0
-
-
-def test_critic_steps_in_which_the_actor_never_learns_are_refused():
-    update = TINY.steps_per_update
-    changes = {"num_steps": 3 * update, "critic_steps": 2 * update}
-    dataclasses.replace(TINY, **changes)
-    with pytest.raises(ValueError, match="critic_steps must leave the actor an update"):
-        dataclasses.replace(TINY, **changes | {"critic_steps": 2 * update + 1})
 
 
 WIDER = dataclasses.replace(
@@ -295,67 +284,6 @@ def test_rays_of_other_bearings_or_reach_are_refused(other, tmp_path, rays):
 def refused(tmp_path, error, match, **changes):
     with pytest.raises(error, match=match):
         load_or_init(Learner(dataclasses.replace(TINY, **changes)), [tmp_path])
-
-
-def test_what_cannot_be_taken_over_is_refused(other, tmp_path):
-    folder = str(other[0])
-    with pytest.raises(
-        ValueError, match=r"or a pretrained policy \(.*\), not 'nobody'"
-    ):
-        require_run(dataclasses.replace(TINY, warm_start="nobody"))
-    with pytest.raises(ValueError, match="square is a policy without a critic: give"):
-        require_run(dataclasses.replace(TINY, warm_start="square"))
-    alone = dataclasses.replace(TINY, warm_start="square", critic_steps=1)
-    with pytest.raises(
-        ValueError, match=r"networks.policy_layers \(256, 256\), not \(16,\)"
-    ):
-        require_run(alone)
-    sizes = PRESETS["square"].networks
-    require_run(dataclasses.replace(alone, networks=sizes))
-    other_critic = dataclasses.replace(sizes, value_layers=(8,))  # it is a new one
-    require_run(dataclasses.replace(alone, networks=other_critic))
-    require_run(dataclasses.replace(TINY, warm_start=folder))
-    other_critic = dataclasses.replace(TINY.networks, value_layers=(8,))
-    whole = dataclasses.replace(TINY, warm_start=folder, networks=other_critic)
-    with pytest.raises(ValueError, match=r"networks.value_layers \(16,\), not \(8,\)"):
-        require_run(whole)
-    refused(tmp_path, CheckpointError, "no checkpoint", warm_start=str(tmp_path))
-    refused(
-        tmp_path,
-        CheckpointError,
-        r"is needed",
-        warm_start=folder,
-        networks=dataclasses.replace(TINY.networks, policy_layers=(8,)),
-    )
-    refused(
-        tmp_path,
-        ValueError,
-        r"was trained on other observations: agent_0_goal",
-        warm_start=folder,
-        env=dataclasses.replace(
-            TINY.env,
-            observation=ContinuousObservation(
-                own_car=True, share=ShareConfig(goals=False)
-            ),
-        ),
-    )
-    refused(
-        tmp_path,
-        ValueError,
-        r"was trained on other observations \(",
-        warm_start=folder,
-        env=dataclasses.replace(
-            TINY.env, observation=ContinuousObservation(share=ShareConfig(goals=False))
-        ),
-    )
-    refused(
-        tmp_path,
-        ValueError,
-        r"was trained without agent_0_priority, .*; only a set encoder",
-        warm_start=folder,
-        networks=NetworkConfig((16,), (16,), encoder="flat"),
-        env=WIDER.env,
-    )
 
 
 def test_agents_that_observe_a_new_kind_of_entities_act_as_before_and_learn_from_it(

@@ -12,14 +12,18 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.compose import OWN
-from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.training.ppo.collect import Rollout, collect, drop_absent
-from carpark_mj.training.ppo.epochs import network_params, num_learned
+from carpark_mj.policy.networks import NetworkConfig, init_normalizer
+from carpark_mj.training.ppo.collect import (
+    AXIS,
+    Rollout,
+    collect,
+    count_steps,
+    drop_absent,
+)
+from carpark_mj.training.ppo.learn import network_params, num_learned
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.loss import Minibatch, Weights, ppo_loss
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.state import AXIS, count_steps
+from carpark_mj.training.ppo.variants import Minibatch, Weights, ppo_loss
 from carpark_mj.wrappers.brax import BraxParking
 
 TINY = dataclasses.replace(

@@ -8,7 +8,7 @@ from carpark_mj.config import EnvConfig, RayConfig
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.widening import widen
+from carpark_mj.training.ppo.warm_start import widen
 
 TINY = PPOConfig(num_lots=2, num_minibatches=1, env=EnvConfig(num_agents=2))
 

@@ -15,7 +15,7 @@ from carpark_mj.vehicle import (
     preset,
 )
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
-from carpark_mj.vehicle.parameters import GRAVITY, LENGTHS, TyreParameters, scaled
+from carpark_mj.vehicle.parameters import GRAVITY, LENGTHS, scaled
 
 LIGHT = dataclasses.replace(
     COMPACT,
@@ -137,13 +137,6 @@ def test_parameters_in_other_units_are_refused(change: dict, message: str):
     for params in VEHICLES.values():
         for factor in (0.5, 2.0):  # as far as parked cars are scaled
             scaled(params, factor)
-
-
-@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(TyreParameters)])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_a_tyre_coefficient_that_is_not_positive_is_refused(field: str, value: float):
-    with pytest.raises(ValueError, match=f"{field} must be positive"):
-        dataclasses.replace(COMPACT.tyre, **{field: value})
 
 
 @pytest.mark.parametrize(

@@ -266,11 +266,6 @@ def test_files_that_are_none_are_refused_in_one_sentence(name, text, message, tm
     assert "\n" not in str(refusal.value)
 
 
-def test_a_missing_file_is_refused():
-    with pytest.raises(ValueError, match=r"cannot read nowhere.yaml: No such file"):
-        FleetConfig(parked_cars=("nowhere.yaml",))
-
-
 def test_a_damaged_file_is_a_car_or_refused_in_one_sentence(tmp_path):
     dice, path = random.Random(0), tmp_path / "car.yaml"
     for _ in range(300):

@@ -17,7 +17,6 @@ QUICK = EnvConfig(
     episode=EpisodeConfig(max_steps=1),
 )
 START = {"pose": (1.0, -2.0, 0.5), "speed": 1.5, "goal": 7}
-IDLE = np.zeros(2, np.float32)
 
 
 def begun(env, lot=0):
@@ -82,11 +81,6 @@ def test_what_cannot_be_is_refused_and_the_lot_is_as_before(park, options, messa
     with pytest.raises(ValueError, match=message):
         park.reset(seed=1, options=options)
     assert_starts(begun(park), *before)
-
-
-def test_options_are_dictionaries(park):
-    with pytest.raises(TypeError, match="options must be of Mapping or None, not 3"):
-        park.reset(options=3)
 
 
 def test_a_vector_takes_one_for_all_or_one_for_each_and_only_now():

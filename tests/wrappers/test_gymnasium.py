@@ -30,7 +30,7 @@ from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.wrappers import batch
-from carpark_mj.wrappers.gymnasium_env import ParkEnv, one_agent
+from carpark_mj.wrappers.gymnasium_env import one_agent
 from carpark_mj.wrappers.options import observation_space
 
 OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1]]
@@ -183,11 +183,6 @@ def test_an_ended_episode_needs_a_reset():
     env.step(AHEAD)
 
 
-def test_a_vector_environment_needs_a_reset_too():
-    with pytest.raises(ResetNeeded, match="call reset"):
-        gymnasium.make_vec(PARK, 2, config=SHORT).step(np.zeros((2, 2)))
-
-
 @pytest.mark.parametrize(
     ("action", "message"),
     [
@@ -200,32 +195,6 @@ def test_impossible_actions_are_refused(action, message):
     env.reset(seed=0)
     with pytest.raises(ValueError, match=message):
         env.step(action)
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "error", "message"),
-    [
-        # TorchRL's GymEnv looks for these words, and goes on without `frameskip`.
-        (PARK, {"frameskip": 1}, TypeError, "unexpected keyword argument 'frameskip'"),
-        (GOAL, {"reward": "shaped"}, ValueError, "of the terms pose and crash alone"),
-        (PARK, {"render_mode": "ansi"}, ValueError, "unknown render_mode 'ansi'"),
-        (PARK, {"camera": 3}, ValueError, "unknown camera 3; choose topdown"),
-        (MANY, {"camera": "chase:2", "agents": 2}, ValueError, "K from 0 to 1"),
-        (PARK, {"config": "dynamic"}, ValueError, "goals.dynamic must be False"),
-        (MANY, {"agents": 3}, ValueError, "multiple of the number of agents, 3, not 4"),
-        (MANY, {"config": "anywhere"}, ValueError, "min_agents must be None"),
-        (MANY, {"config": "square", "agents": 0}, ValueError, "at least 1, not 0"),
-    ],
-)
-def test_impossible_options_are_refused(name, options, error, message):
-    with pytest.raises(error, match=message):
-        gymnasium.make_vec(name, 4, **options)
-
-
-@pytest.mark.parametrize("count", [0, "4", 4.0])
-def test_an_impossible_number_of_environments_is_refused(count):
-    with pytest.raises(ValueError, match="num_envs must be "):
-        gymnasium.make_vec(PARK, count)
 
 
 def test_no_environment_of_many_is_an_absent_agent():
@@ -247,7 +216,11 @@ def test_no_environment_of_many_is_an_absent_agent():
 @pytest.mark.parametrize(
     "options",
     [
-        {"config": "hope", "layout": "hope_extreme_parallel", "physics": "bicycle"},
+        {
+            "config": "hope",
+            "layout": "hope_extreme_parallel",
+            "physics": "bicycle",
+        },
         {
             "layout": mixture(["square", "tpcap"]),
             "parked_cars": 0,
@@ -279,11 +252,6 @@ def test_only_what_grows_beyond_the_lot_has_wider_bounds():
     noisy = box(layout="square_compact", sensors=SensorConfig(position_noise=0.1))
     assert not (same - {"speed", "yaw_rate"}) & {*names[np.isinf(noisy.high)]}
     assert "goal_position" in names[np.isinf(noisy.high)]
-
-
-def test_there_is_no_single_environment_of_many():
-    with pytest.raises(gymnasium.error.Error, match="use gymnasium"):
-        gymnasium.make(MANY)
 
 
 def test_pictures_show_the_lot_and_what_has_moved():
@@ -331,7 +299,9 @@ def test_pictures_are_collected_in_a_list():
     env.close()
 
 
-def test_every_lot_of_a_vector_has_its_picture_and_its_scene_is_built_once(monkeypatch):
+def test_every_lot_of_a_vector_has_its_picture_and_its_scene_is_built_once(
+    monkeypatch,
+):
     built = []
 
     class Counted(Stage):
@@ -357,12 +327,6 @@ def test_every_lot_of_a_vector_has_its_picture_and_its_scene_is_built_once(monke
         # Single and batched programs may round differently.
         assert (env.render() != picture).any(axis=-1).mean() < 1e-3
     env.close()
-
-
-def test_an_unknown_render_mode_is_told_all_that_there_are():
-    allowed = r"\['human', 'rgb_array'\], or 'rgb_array_list' in gymnasium.make$"
-    with pytest.raises(ValueError, match=rf"'rgb'; choose from {allowed}"):
-        ParkEnv(render_mode="rgb")
 
 
 def test_a_window_without_a_display_is_refused(monkeypatch):

@@ -82,13 +82,3 @@ def test_q_learners_have_numbered_actions():
     assert actions.shape == (3,)
     assert actions.max() < env.action_space("agent_0").n == 77
     manager.batch_step(jax.random.key(2), state, {"agent_0": actions})
-
-
-def test_bad_input_is_refused(env):
-    _, state = env.reset(jax.random.key(0))
-    with pytest.raises(ValueError, match=r"shape \(2, 2\), not \(2, 3\)"):
-        env.step(jax.random.key(1), state, dict.fromkeys(env.agents, jnp.zeros(3)))
-    with pytest.raises(TypeError, match="keyword argument 'cars'"):
-        JaxMarlParking(cars=2)
-    with pytest.raises(ValueError, match="give discrete=True"):
-        JaxMarlParking(config="dynamic")

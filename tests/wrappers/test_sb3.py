@@ -5,7 +5,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 
 pytest.importorskip("stable_baselines3", reason='pip install ".[sb3]"')
 
@@ -68,23 +67,6 @@ def test_seeds_are_those_of_gymnasium_and_hold_for_one_reset():
     agents = ParkVecEnv(MANY, 4, agents=2)
     agents.seed(2**32 - 3)  # the last lot's seed is beyond what fits
     assert agents.reset().shape[0] == 4
-
-
-def test_a_step_before_the_first_reset_is_refused():
-    with pytest.raises(ResetNeeded, match="call reset"):
-        ParkVecEnv(PARK, 2).step(halt(2))
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "error", "message"),
-    [
-        ("CartPole-v1", {}, ValueError, "'CartPole-v1' is not an environment of"),
-        (PARK, {"agents": 2}, TypeError, "keyword argument 'agents'"),
-    ],
-)
-def test_impossible_environments_are_refused(name, options, error, message):
-    with pytest.raises(error, match=message):
-        ParkVecEnv(name, 2, **options)
 
 
 def test_attributes_are_the_same_in_all_and_cannot_be_set_in_one():

@@ -70,17 +70,3 @@ def test_lots_that_are_due_begin_anew():
         False,
         True,
     ]
-
-
-@pytest.mark.parametrize(
-    ("action", "message"),
-    [
-        (torch.zeros(4, 2), r"shape \(4, 3, 2\), not \(4, 2\)"),
-        (torch.zeros(4, 3, 2, device="meta"), "must be on cpu, as JAX is, not meta"),
-    ],
-)
-def test_impossible_actions_are_refused(action, message):
-    lots = batch()
-    lots.reset(0)
-    with pytest.raises(ValueError, match=message):
-        lots.step(action)

@@ -7,8 +7,6 @@ import pytest
 pytest.importorskip("torchrl")
 
 import torch
-from gymnasium.error import ResetNeeded
-from tensordict import TensorDict
 from torchrl.envs import GymEnv, GymWrapper
 from torchrl.envs.utils import check_env_specs
 
@@ -152,23 +150,6 @@ def test_gradients_end_at_the_environment(env):
     action = torch.zeros(LOTS, 2, 2, requires_grad=True)
     after = env.step(start.set(("agents", "action"), action))
     assert not after["next", "agents", "reward"].requires_grad
-
-
-def test_bad_input_is_refused(env):
-    start = env.reset()
-    with pytest.raises(ValueError, match=r"\(8, 2, 2\).*not \(8, 2, 3\)"):
-        env.step(start.clone().set(("agents", "action"), torch.zeros(LOTS, 2, 3)))
-    with pytest.raises(RuntimeError, match="batch_size"):
-        env.step(TensorDict({"agents": {"action": torch.zeros(3, 2, 2)}}, [3]))
-    fresh = TorchRLParking(LOTS, **SMALL)
-    with pytest.raises(ResetNeeded, match="reset"):
-        fresh.step(start.clone().set(("agents", "action"), torch.zeros(LOTS, 2, 2)))
-    with pytest.raises(TypeError, match="keyword argument 'cars'"):
-        TorchRLParking(cars=2)
-    with pytest.raises(ValueError, match="device must be cpu"):
-        TorchRLParking(device="meta")
-    with pytest.raises(ValueError, match="give discrete=True"):
-        TorchRLParking(config="dynamic")
 
 
 def test_nan_is_sanitized_on_the_device(env):

@@ -1,4 +1,4 @@
-"""Settings of PPO training."""
+"""Settings of PPO training and of its curricula."""
 
 import dataclasses
 from typing import Annotated
@@ -11,6 +11,7 @@ from carpark_mj.config import EnvConfig, data
 from carpark_mj.config.checks import (
     LARGEST_WHOLE,
     Bounds,
+    CheckedConfig,
     Count,
     Natural,
     NonNegative,
@@ -18,9 +19,53 @@ from carpark_mj.config.checks import (
     Ratio,
 )
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
 from carpark_mj.training.ppo.parts import VARIANTS
 from carpark_mj.training.run_folder import RunConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class CurriculumConfig(CheckedConfig):
+    """What is easier, or different, in training than in evaluation; all off by default.
+
+    Progress is the share of the training that is over.
+
+    Attributes:
+        crash_scale: factor on the crash penalty, and on that of the term `person`, that
+            is reached, linearly from 1, at progress `crash_until`. A hard penalty from
+            the start teaches halting.
+        crash_until: progress at which the crash penalty has its full size.
+        discount_end: discount factor at the end; 0 = that of the start. From progress
+            0.3 to 0.8 the horizon, 1 / (1 - discount), changes linearly.
+        conflict_ratio: share of spawns in conflict with another agent; 0 = as in the
+            environment.
+        reverse_ratio: share of starts on a reversed exit path of the goal bay; 0 = as
+            in the environment.
+        misaligned_ratio: share of starts in the goal bay, over its lines by centimetres
+            or askew; 0 = as in the environment.
+        target_rate: rate of parked episodes by whose shortfall half of a mixture's new
+            lots are drawn (`lot_life`), and their numbers of agents with them; 0 = all
+            are drawn as the mixture says.
+        neighbour_share: weight, at the end, of the mean advantage of the other agents
+            within 15 m, which is added to an agent's own. 0 until progress 0.2, then
+            rising linearly until 0.6.
+        teacher: policy whose actions are imitated where the agents get to, as a name, a
+            run or a checkpoint; "" = none. It observes what it was trained on.
+        teacher_cost: weight, at the start, of the squared distance to its actions.
+        teacher_until: progress at which that weight, falling linearly, is 0.
+    """
+
+    crash_scale: NonNegative = 1.0
+    crash_until: Ratio = 0.7
+    discount_end: Annotated[float, Bounds(ge=0.0, lt=1.0)] = 0.0
+    conflict_ratio: Ratio = 0.0
+    reverse_ratio: Ratio = 0.0
+    misaligned_ratio: Ratio = 0.0
+    target_rate: Ratio = 0.0
+    neighbour_share: NonNegative = 0.0
+    teacher: str = ""
+    teacher_cost: NonNegative = 1.0
+    teacher_until: Ratio = 0.5
+
 
 # What the short help lists.
 RUN_SETTINGS = (
@@ -116,32 +161,21 @@ class PPOConfig(RunConfig):
         # Updates are counted in int32.
         most = LARGEST_WHOLE * self.steps_per_update
         for name, least in (("num_steps", 1), ("critic_steps", 0)):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(
-                    f"{name} must lie in [{least}, {most}], not {getattr(self, name)}"
-                )
+            if not least <= (value := getattr(self, name)) <= most:
+                raise ValueError(f"{name} must lie in [{least}, {most}], not {value}")
         if self.discount == 1.0 and self.curriculum.discount_end:
-            raise ValueError(
-                "discount must be below 1 where curriculum.discount_end "
-                f"{self.curriculum.discount_end} changes it, not {self.discount}"
-            )
+            raise ValueError("discount must be below 1 with curriculum.discount_end")
         if not self.env.episode.respawn:
             raise ValueError("PPO needs env.episode.respawn = True")
         if self.half_precision and self.networks.encoder != "set":
-            raise ValueError(
-                "half_precision needs networks.encoder 'set', not "
-                f"{self.networks.encoder!r}"
-            )
+            raise ValueError("half_precision needs networks.encoder 'set'")
         VARIANTS[self.variant].load().check(self)
         if self.curriculum.target_rate and not self.lot_life:
-            raise ValueError(
-                f"curriculum.target_rate {self.curriculum.target_rate} needs lot_life "
-                "of at least 1, not 0"
-            )
+            raise ValueError("curriculum.target_rate needs lot_life of at least 1")
         if self.curriculum.neighbour_share and self.env.num_agents == 1:
             raise ValueError(
-                f"curriculum.neighbour_share {self.curriculum.neighbour_share} needs "
-                "env.num_agents of at least 2, not 1; 0 shares nothing"
+                "curriculum.neighbour_share needs env.num_agents of at least 2, not 1; "
+                "0 shares nothing"
             )
         if self.critic_steps and self.critic_updates >= self.num_updates:
             raise ValueError(

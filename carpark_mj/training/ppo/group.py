@@ -7,34 +7,27 @@ of a run lie on one device, so that each is the run which that device alone woul
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh, PartitionSpec
 
 from carpark_mj.config import insert, is_data
 from carpark_mj.evaluation.keys import training_key
+from carpark_mj.training.ppo.collect import TrainingState, state_specs
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.learner import COMPILER_OPTIONS, Learner, without_input
-from carpark_mj.training.ppo.state import AXIS, TrainingState, state_specs
-from carpark_mj.training.settings import list_settings
+from carpark_mj.training.ppo.learner import Learner, without_input
+from carpark_mj.training.ppo.variants import AXIS
+from carpark_mj.training.run_folder import list_settings
 from carpark_mj.wrappers.brax import BraxParking
 
 RUNS = "runs"
-
 ENV = "env."
 # What the program does not read.
 OUTSIDE = (
-    "warm_start",
-    "preset",
-    "name",
-    "runs_dir",
-    "resume",
-    "seed",
-    "eval_episodes",
-    "video_seconds",
+    *("warm_start", "preset", "name", "runs_dir", "resume", "seed"),
+    *("eval_episodes", "video_seconds"),
 )
 
 
@@ -49,34 +42,17 @@ def program(config: PPOConfig) -> PPOConfig:
 
 
 def differing(configs: Sequence[PPOConfig]) -> dict[str, list[float]]:
-    """The values of settings in which runs differ; equal ones stay constants.
+    """The values, one for each run, of settings in which runs of a group differ.
 
-    Args:
-        configs: of runs that can be a group.
-
-    Returns:
-        By path, a value for each run.
+    Equal ones stay constants of the program.
     """
     settings = [dict(list_settings(config)) for config in configs]
     values = {path: [run[path] for run in settings] for path in _data(configs[0])}
     return {path: found for path, found in values.items() if len(set(found)) > 1}
 
 
-def of_env(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the environment, by the paths of its own config."""
-    return {
-        path.removeprefix(ENV): value
-        for path, value in values.items()
-        if path.startswith(ENV)
-    }
-
-
 def make_learner(configs: Sequence[PPOConfig]) -> Learner:
-    """The learner of one run, or of several side by side.
-
-    Raises:
-        ValueError: impossible lots, or runs that cannot be a group.
-    """
+    """The learner of one run, or of several side by side."""
     return Learner(configs[0]) if len(configs) == 1 else GroupLearner(configs)
 
 
@@ -84,11 +60,7 @@ class GroupLearner(Learner):
     """The learner of several runs, whose states have a leading dimension (runs,)."""
 
     def __init__(self, configs: Sequence[PPOConfig]) -> None:
-        """Sets up what the runs share.
-
-        Raises:
-            ValueError: they cannot be trained side by side.
-        """
+        """Sets up what the runs share."""
         _require_one_program(configs)
         super().__init__(configs[0])
         self._configs = tuple(configs)
@@ -128,21 +100,12 @@ class GroupLearner(Learner):
     def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
         """The jitted update of all runs; metrics are (runs,)."""
         runs = PartitionSpec(RUNS)
-        update = jax.shard_map(
+        jitted = self._jitted(
             lambda state, data: jax.vmap(self._update_run)(
                 jax.tree.map(without_input, state), data
             ),
-            mesh=self.mesh,
-            in_specs=(self.specs, runs),
-            out_specs=(self.specs, runs),
-            check_vma=False,
-        )
-        placed = (self._shardings(), NamedSharding(self.mesh, runs))
-        jitted = jax.jit(
-            update,
-            donate_argnums=0,
-            out_shardings=placed,
-            compiler_options=COMPILER_OPTIONS,
+            (self.specs, runs),
+            runs,
         )
         return lambda state: jitted(state, self.data)
 
@@ -153,16 +116,13 @@ class GroupLearner(Learner):
         run = copy.copy(self)
         run.config = insert(self.config, data)
         # `ParkingEnv.step` pays from its own config.
-        run.env = BraxParking(self.env.env.with_values(of_env(data)))
+        own = {k.removeprefix(ENV): x for k, x in data.items() if k.startswith(ENV)}
+        run.env = BraxParking(self.env.env.with_values(own))
         return run.update(state)
 
 
 def _require_one_program(configs: Sequence[PPOConfig]) -> None:
-    """Refuses what cannot be a group.
-
-    Raises:
-        ValueError: naming a setting that differs and must not, or too many hosts.
-    """
+    """Refuses what cannot be a group, naming a setting that differs and must not."""
     if jax.process_count() > 1:
         raise ValueError(f"runs side by side need one host, not {jax.process_count()}")
     first = dict(list_settings(program(configs[0])))

@@ -1,7 +1,7 @@
 """The PPO learner: builds the training state and the compiled update.
 
-Collecting is in `rollout`, learning in `epochs`; networks, statistics and GAE are of
-Brax. Lots are sharded over the devices, parameters replicated, gradients averaged.
+Networks, statistics and GAE are of Brax. Lots are sharded over the devices, parameters
+replicated, gradients averaged.
 """
 
 import dataclasses
@@ -23,23 +23,30 @@ from carpark_mj.observations import make_fields
 from carpark_mj.physics.kernel import has_triton
 from carpark_mj.policy.networks import (
     Arithmetic,
+    init_normalizer,
     make_networks,
     make_policy,
     network_inputs,
 )
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.training.memory import num_bytes
-from carpark_mj.training.ppo.collect import Rollout, Totals, collect
+from carpark_mj.training.ppo.collect import (
+    AXIS,
+    Rollout,
+    Totals,
+    TrainingState,
+    collect,
+    make_families,
+    no_steps,
+    state_specs,
+)
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import (
+from carpark_mj.training.ppo.learn import (
     crash_scale,
+    learn,
+    network_params,
     training_env,
 )
-from carpark_mj.training.ppo.epochs import learn, network_params
-from carpark_mj.training.ppo.families import make_families
-from carpark_mj.training.ppo.state import AXIS, TrainingState, no_steps, state_specs
-from carpark_mj.training.ppo.teacher import make_teacher
 from carpark_mj.training.ppo.variants import variant
+from carpark_mj.training.ppo.warm_start import make_teacher
 from carpark_mj.wrappers.brax import BraxParking
 
 # Terms of the reward that `crash_scale` of a curriculum is a factor on.
@@ -50,11 +57,7 @@ COMPILER_OPTIONS = {"xla_gpu_experimental_enable_fusion_autotuner": False}
 
 
 def num_devices(config: PPOConfig) -> int:
-    """The most devices that lots and minibatches divide over evenly.
-
-    Raises:
-        ValueError: there are several hosts and they do not divide over all devices.
-    """
+    """The most devices that lots and minibatches divide over evenly."""
 
     def fits(n: int) -> bool:
         agents = config.num_lots // n * config.env.num_agents
@@ -119,7 +122,7 @@ class Learner:
 
     @functools.cached_property
     def _jitted_build(self) -> Callable[[], TrainingState]:
-        """`build`, traced once for the shapes and the state."""
+        """Traced once for the shapes and the state."""
         return jax.jit(self.build, compiler_options=COMPILER_OPTIONS)
 
     def begin(self, key: jax.Array) -> TrainingState:
@@ -146,23 +149,11 @@ class Learner:
             family_rates=rates,
             env=self.env.reset(*lots),
         )
-        return jax.tree.map(_strong, state)
+        return jax.tree.map(_without_weak_type, state)
 
     def shapes(self) -> TrainingState:
         """Shapes and dtypes of a training state."""
         return jax.eval_shape(self._jitted_build)
-
-    def least_memory(self) -> int:
-        """Bytes that training needs at least, on all devices together.
-
-        State, gradients, an unroll's observations and the activations of a minibatch.
-        """
-        config, state = self.config, self.shapes()
-        layers = (*config.networks.policy_layers, *config.networks.value_layers)
-        unroll = config.slots_per_update * self.env.observation_size
-        activations = config.steps_per_update // config.num_minibatches * sum(layers)
-        numbers = len(self.configs) * (unroll + activations)
-        return num_bytes((state, state.policy, state.value)) + 4 * numbers
 
     def place(self, state: TrainingState) -> TrainingState:
         """Lays a state out over the devices: lots sharded, the rest replicated."""
@@ -175,7 +166,8 @@ class Learner:
     def gather(self, state: TrainingState) -> TrainingState:
         """The whole state in this host's memory; all hosts must call it."""
         if jax.process_count() > 1:
-            state = jax.jit(_without_keys, out_shardings=self._whole)(state)
+            whole = NamedSharding(self.mesh, PartitionSpec())
+            state = jax.jit(_without_keys, out_shardings=whole)(state)
         return jax.device_get(state)
 
     def split(self, state: TrainingState) -> list[TrainingState]:
@@ -193,10 +185,6 @@ class Learner:
         shardings: Any = self._shardings()
         return dataclasses.replace(state, seconds=_put(used, shardings.seconds))
 
-    @property
-    def _whole(self) -> NamedSharding:
-        return NamedSharding(self.mesh, PartitionSpec())
-
     def _shardings(self) -> TrainingState:
         return jax.tree.map(
             lambda spec: NamedSharding(self.mesh, spec),
@@ -206,20 +194,28 @@ class Learner:
 
     def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
         """The jitted update `state -> (state, metrics)`; it consumes the state."""
-        update = jax.shard_map(
+        return self._jitted(
             lambda state: self.update(jax.tree.map(without_input, state)),
-            mesh=self.mesh,
-            in_specs=(self.specs,),
-            out_specs=(self.specs, PartitionSpec()),
-            check_vma=False,
+            (self.specs,),
+            PartitionSpec(),
         )
-        # Also given for the results; otherwise on one device JAX treats some lots as
-        # replicated and recompiles for the second update.
-        placed = (self._shardings(), self._whole)
+
+    def _jitted(
+        self, update: Callable[..., Any], inputs: Any, metrics: PartitionSpec
+    ) -> Callable[..., Any]:
+        """An update over the devices; `inputs` and `metrics` are divided so."""
+        # Results are laid out explicitly; otherwise on one device JAX treats some lots
+        # as replicated and recompiles for the second update.
         return jax.jit(
-            update,
+            jax.shard_map(
+                update,
+                mesh=self.mesh,
+                in_specs=inputs,
+                out_specs=(self.specs, metrics),
+                check_vma=False,
+            ),
             donate_argnums=0,
-            out_shardings=placed,
+            out_shardings=(self._shardings(), NamedSharding(self.mesh, metrics)),
             compiler_options=COMPILER_OPTIONS,
         )
 
@@ -286,7 +282,9 @@ class Learner:
         }
         metrics["progress"] = self.config.progress(state.update, state.seconds)
         metrics |= self.families.metrics(rates)
-        return jax.tree.map(_strong, (new, metrics | {"skipped": new.skipped}))
+        return jax.tree.map(
+            _without_weak_type, (new, metrics | {"skipped": new.skipped})
+        )
 
     def _collect(
         self, state: TrainingState, key: jax.Array
@@ -296,20 +294,25 @@ class Learner:
             self.networks, state.normalizer, state.policy, deterministic=False
         )
         progress = self.config.progress(state.update, state.seconds)
-        curriculum, length = self.config.curriculum, self.config.unroll_length
-        scales = dict.fromkeys(self.scaled, crash_scale(curriculum, progress))
-        given = (self.env, state.env, actor, key, length, scales)
-        shares = curriculum.neighbour_share > 0.0
-        return collect(*given, with_neighbours=shares, teacher=self.teacher)
+        curriculum = self.config.curriculum
+        return collect(
+            self.env,
+            state.env,
+            actor,
+            key,
+            self.config.unroll_length,
+            dict.fromkeys(self.scaled, crash_scale(curriculum, progress)),
+            with_neighbours=curriculum.neighbour_share > 0.0,
+            teacher=self.teacher,
+        )
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
     ) -> Any:
         """Draws the lots that are due anew (one device's share).
 
-        It happens between unrolls, where the value is bootstrapped anyway, so the
-        episodes cut off are truncated correctly. They do not count as episodes that
-        ended.
+        It happens between unrolls, where the value is bootstrapped anyway, so that
+        episodes cut off are truncated correctly; they do not count as ended.
         """
         num_lots = self.config.num_lots // self.mesh.shape[AXIS]
         lots = due_lots(update, num_lots, self.config.lot_life)
@@ -358,7 +361,7 @@ def without_input(x: jax.Array) -> jax.Array:
     return x if x.size else jnp.zeros(x.shape, x.dtype)
 
 
-def _strong(x: Any) -> jax.Array:
+def _without_weak_type(x: Any) -> jax.Array:
     """The array without weak type, so that the second update does not recompile."""
     x = jnp.asarray(x)
     return x if _is_key(x) else x.astype(x.dtype)

@@ -10,8 +10,7 @@ import dataclasses
 from carpark_mj.config import EpisodeConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.registry import environment
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
 
 # What all policies that drive real cars share; docs/ablations.md says what was tried.
 _CURRICULUM = CurriculumConfig(crash_scale=3.0, conflict_ratio=0.3, discount_end=0.998)

@@ -1,9 +1,10 @@
-"""Training of PPO: the loop over updates, with its log and checkpoints."""
+"""Training of PPO runs: the loop over updates, checkpoints, and what a run leaves."""
 
 import contextlib
 import dataclasses
+import sys
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -13,15 +14,18 @@ import numpy as np
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training import hosts
-from carpark_mj.training.loop import Loop
-from carpark_mj.training.metrics_log import MetricsLog
+from carpark_mj.training.loop import Loop, MetricsLog, plot_learning_curve
+from carpark_mj.training.ppo.collect import TrainingState, count_steps
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.forecast import MEASURED_SECONDS, announcement, estimate
+from carpark_mj.training.ppo.group import make_learner
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.state import TrainingState, count_steps
-from carpark_mj.training.ppo.warm_start import warm_start
-from carpark_mj.training.run_folder import read_header
-from carpark_mj.training.settings import list_settings
+from carpark_mj.training.ppo.warm_start import require_run, warm_start
+from carpark_mj.training.run_folder import (
+    argument,
+    list_settings,
+    open_run,
+    read_header,
+)
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
 
@@ -32,10 +36,163 @@ Outcome = Literal["done", "stopped", "diverged"]
 Callback = Callable[[int, dict[str, float]], bool]
 
 
-def print_settings(learner: Learner, folders: Sequence[Path]) -> None:
+def finish(config: PPOConfig, folder: Path) -> None:
+    """Learning curve, evaluation on held-out seeds and a video of the trained policy.
+
+    Regenerates all outputs from the run folder.
+    """
+    print(f"wrote {plot_learning_curve(folder)}")
+    run = argument(folder)
+    if config.eval_episodes:
+        from carpark_mj.cli import evaluate
+
+        settings = evaluate.EvaluateConfig(
+            run=run, episodes=config.eval_episodes, out=run
+        )
+        evaluate.main(settings)
+    if config.video_seconds:
+        from carpark_mj.cli import render
+
+        try:
+            render.main(render.RenderConfig(run=run, seconds=config.video_seconds))
+        except render.RenderingError as error:
+            print(f"no video: {error}", file=sys.stderr)
+
+
+def train_runs(
+    configs: Sequence[PPOConfig],
+    finish_run: Callable[[PPOConfig, Path], None] | None = finish,
+    callback: Callback | None = None,
+) -> list[tuple[Path, Outcome]]:
+    """Trains runs, several of them side by side, and finishes those that are done.
+
+    Args:
+        configs: of the runs; `group.program` of all is equal. All are new, or all are
+            resumed.
+        finish_run: called with config and folder of every run that is done.
+        callback: see `train`.
+
+    Returns:
+        Folder and outcome of every run; the folders are host 0's.
+
+    Raises:
+        ValueError: impossible settings, or runs that cannot be side by side.
+        CheckpointError: a checkpoint to resume from is damaged.
+    """
+    for config in configs:
+        if not config.resume:
+            require_run(config)
+    learner = make_learner(configs)
+    learner.shapes()  # refuses impossible lots before a folder is made
+    hosts.require_same(repr(configs))
+    with contextlib.ExitStack() as stack:
+        opened = hosts.on_first(
+            lambda: [stack.enter_context(open_run(config)) for config in configs]
+        )
+        # Others only read the checkpoint of a run to resume, if it is one.
+        folders = opened or [Path(c.resume or c.runs_dir) for c in configs]
+        outcomes = train(learner, folders, callback=callback)
+        hosts.leave()
+        ended = list(zip(folders, outcomes, strict=True))
+        if hosts.is_first() and finish_run is not None:
+            for config, (folder, outcome) in zip(configs, ended, strict=True):
+                if outcome == "done":
+                    finish_run(config, folder)
+    return ended
+
+
+def train(
+    learner: Learner,
+    folders: Sequence[Path],
+    clock: Callable[[], float] = time.monotonic,
+    callback: Callback | None = None,
+) -> list[Outcome]:
+    """Trains until done, stopped or at the time limit; returns each run's outcome.
+
+    Runs are done after `num_steps`, or after `minutes` if that is sooner. One that
+    diverges writes nothing any more; its checkpoints are from before.
+
+    Args:
+        learner: of the runs.
+        folders: of the runs; only host 0 writes to them.
+        clock: gives the time [s].
+        callback: called on every host after every update of every run.
+    """
+    config, count = learner.config, len(folders)
+    _print_settings(learner, folders)
+    loop = Loop("PPO", config, clock)
+    state = load_or_init(learner, folders)
+    update = learner.compile()
+    first = done = int(np.ravel(state.update)[0])
+    used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
+    print(announcement(config, done, used))
+    print("compiling ...", flush=True)
+    skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
+    diverged = np.zeros(count, bool)
+    begun, at_begin = 0.0, count_steps(state)
+    leaving = asked = False
+    progress = float(config.progress(done, used))
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(loop.over(1.0, progress))
+        logs = [
+            stack.enter_context(contextlib.closing(MetricsLog(folder, done)))
+            for folder in (folders if hosts.is_first() else ())
+        ]
+        while progress < 1.0 and not leaving and not diverged.all():
+            state, metrics = update(state)
+            # By name (runs,).
+            values = {name: np.ravel(x) for name, x in jax.device_get(metrics).items()}
+            done += 1
+            due = loop.checkpoint_is_due
+            seconds, leaving, due = hosts.largest(
+                used + loop.seconds, loop.stopping, due
+            )
+            progress = float(config.progress(done, seconds))
+            if config.minutes:
+                state = learner.set_seconds(state, seconds)
+            steps, updates = count_steps(state), done - first - 1
+            if not updates:  # the first update includes compilation
+                begun, at_begin = loop.seconds, steps
+            rates = (steps - at_begin) / max(loop.seconds - begun, 1e-9)
+            in_a_row = np.where(values["skipped"] > skipped, in_a_row + 1, 0)
+            skipped = values["skipped"]
+            diverged |= in_a_row >= MAX_SKIPPED
+            going = [k for k in range(count) if not diverged[k]]
+            for k in going:
+                row: dict[str, float] = {
+                    "update": done,
+                    "env_steps": int(steps[k]),
+                    "seconds": loop.seconds,
+                    "steps_per_second": float(rates[k]),
+                }
+                row |= {name: float(x[k]) for name, x in values.items()}
+                if logs:
+                    logs[k].write(row)
+                asked = (callback is not None and callback(k, row)) or asked
+            if callback is not None:
+                leaving = hosts.largest(asked or leaving)[0]
+            pace = f"{rates.sum():>7,.0f} steps/s  " if updates else ""
+            loop.show(
+                progress,
+                f"{steps.sum() / 1e6:.2f} M  {pace}"
+                f"[green]parked {values['episode/parked'].mean():5.1%}[/]  "
+                f"[red]crashed {values['episode/crashed'].mean():5.1%}[/]",
+            )
+            if due or leaving or progress >= 1.0:
+                states = learner.split(learner.gather(state))
+                hosts.on_first(
+                    lambda states=states, going=going: [
+                        save(folders[k], learner.configs[k], states[k]) for k in going
+                    ]
+                )
+                loop.saved()
+    ended: Outcome = "done" if progress >= 1.0 else "stopped"
+    return ["diverged" if failed else ended for failed in diverged]
+
+
+def _print_settings(learner: Learner, folders: Sequence[Path]) -> None:
     """Prints every setting, one a line; where runs differ, the values of all."""
-    device = jax.devices()[0]
-    where = f"{learner.mesh.size} x {device.device_kind}"
+    where = f"{learner.mesh.size} x {jax.devices()[0].device_kind}"
     if jax.process_count() > 1:
         where += f" of {jax.process_count()} hosts"
     print(f"run {', '.join(map(str, folders))} on {where}")
@@ -43,6 +200,18 @@ def print_settings(learner: Learner, folders: Sequence[Path]) -> None:
         values = [str(value) for _, value in settings]
         text = values[0] if len({*values}) == 1 else ", ".join(values)
         print(f"  {settings[0][0]} = {text}")
+
+
+def announcement(config: PPOConfig, update: int, seconds: float) -> str:
+    """What a run is going to do, after the updates and seconds that it continues."""
+    left = max(config.num_steps - update * config.steps_per_update, 0) / 1e6
+    words = f"trains for {left:.3g} M steps"
+    if config.minutes:
+        minutes = max(config.minutes - seconds / 60.0, 0.0)
+        words = f"trains for at most {minutes:.3g} min or {left:.3g} M steps"
+    after = ["evaluates"] * bool(config.eval_episodes)
+    after += ["renders"] * bool(config.video_seconds)
+    return f"{words}, then {' and '.join(after)}" if after else words
 
 
 def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
@@ -63,34 +232,12 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
     found: list[TrainingState] = []
     for path in _checkpoints_of_one_step(folders):
         read_header(path, PPOConfig)
-        _require_pairs(path, learner)
         found.append(TrainingState(**checkpoints.load(path, template)))
     return learner.place(learner.join(found))
 
 
-def _require_pairs(path: Path, learner: Learner) -> None:
-    """Refuses a run whose lots were drawn by member alone where numbers vary, too.
-
-    Raises:
-        CheckpointError: it is of an older version.
-    """
-    families = learner.families
-    drawn = any("num_present" in name for name in checkpoints.names(path))
-    if families.target and len(families.counts) > 1 and not drawn:
-        raise CheckpointError(
-            f"{path} is of a version that drew lots by family and not by number of "
-            "agents: it cannot go on, but another run can begin with it as warm_start"
-        )
-
-
 def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:
     """The newest ones that all runs have: a kill may come between two of a step."""
-    for folder in folders:
-        if not runs.checkpoint_files(folder):
-            raise CheckpointError(
-                f"{folder} has no checkpoint yet, where another run has one: resume "
-                "them one by one"
-            )
     newest = [runs.latest_checkpoint(folder) for folder in folders]
     name = min(path.name for path in newest)
     paths = [path.with_name(name) for path in newest]
@@ -114,110 +261,3 @@ def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
     # Its name counts the steps of absent agents too: the same for runs side by side.
     slots = update * config.slots_per_update
     return runs.save_checkpoint(folder, vars(state), header, slots)
-
-
-def train(
-    learner: Learner,
-    folders: Sequence[Path],
-    clock: Callable[[], float] = time.monotonic,
-    callback: Callback | None = None,
-) -> list[Outcome]:
-    """Trains until done, stopped or at the time limit; returns each run's outcome.
-
-    Runs are done after `num_steps`, or after `minutes` if that is sooner. One that
-    diverges writes nothing any more; its checkpoints are from before.
-
-    Args:
-        learner: of the runs.
-        folders: of the runs; only host 0 writes to them.
-        clock: gives the time [s].
-        callback: called on every host after every update of every run.
-
-    Raises:
-        CheckpointError: a checkpoint to resume from is damaged.
-    """
-    config, count = learner.config, len(folders)
-    print_settings(learner, folders)
-    loop = Loop("PPO", config, clock)
-    state = load_or_init(learner, folders)
-    update = learner.compile()
-    first = done = int(np.ravel(state.update)[0])
-    used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
-    print(announcement(config, done, used))
-    print("compiling ...", flush=True)
-    skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
-    diverged = np.zeros(count, bool)
-    begun, at_begin = 0.0, count_steps(state)
-    leaving = told = asked = False
-    progress = float(config.progress(done, used))
-    with loop.over(1.0, progress), _metrics(folders, done) as log:
-        while progress < 1.0 and not leaving and not diverged.all():
-            state, metrics = update(state)
-            # By name (runs,).
-            values = {name: np.ravel(x) for name, x in jax.device_get(metrics).items()}
-            done += 1
-            due = loop.checkpoint_is_due
-            seconds, leaving, due = hosts.largest(
-                used + loop.seconds, loop.stopping, due
-            )
-            progress = float(config.progress(done, seconds))
-            if config.minutes:
-                state = learner.set_seconds(state, seconds)
-            steps, updates = count_steps(state), done - first - 1
-            if not updates:  # the first update includes compilation
-                begun, at_begin = loop.seconds, steps
-            elapsed = max(loop.seconds - begun, 1e-9)
-            rates = (steps - at_begin) / elapsed
-            in_a_row = np.where(values["skipped"] > skipped, in_a_row + 1, 0)
-            skipped = values["skipped"]
-            diverged |= in_a_row >= MAX_SKIPPED
-            going = [k for k in range(count) if not diverged[k]]
-            for k in going:
-                row: dict[str, float] = {
-                    "update": done,
-                    "env_steps": int(steps[k]),
-                    "seconds": loop.seconds,
-                    "steps_per_second": float(rates[k]),
-                }
-                row |= {name: float(x[k]) for name, x in values.items()}
-                log(k, row)
-                asked = (callback is not None and callback(k, row)) or asked
-            if callback is not None:
-                leaving = hosts.largest(asked or leaving)[0]
-            if not told and updates and elapsed > MEASURED_SECONDS:
-                rate = updates * config.steps_per_update / elapsed
-                loop.say(estimate(config, done, seconds, rate))
-                told = True
-            pace = f"{rates.sum():>7,.0f} steps/s  " if updates else ""
-            loop.show(
-                progress,
-                f"{steps.sum() / 1e6:.2f} M  {pace}"
-                f"[green]parked {values['episode/parked'].mean():5.1%}[/]  "
-                f"[red]crashed {values['episode/crashed'].mean():5.1%}[/]",
-            )
-            if due or leaving or progress >= 1.0:
-                states = learner.split(learner.gather(state))
-                hosts.on_first(
-                    lambda states=states, going=going: [
-                        save(folders[k], learner.configs[k], states[k]) for k in going
-                    ]
-                )
-                loop.saved()
-    ended: Outcome = "done" if progress >= 1.0 else "stopped"
-    return ["diverged" if failed else ended for failed in diverged]
-
-
-@contextlib.contextmanager
-def _metrics(
-    folders: Sequence[Path], done: int
-) -> Generator[Callable[[int, dict[str, float]], None]]:
-    """What writes a row of metrics of the k-th run; on host 0 alone."""
-    if not hosts.is_first():
-        yield lambda k, row: None
-        return
-    with contextlib.ExitStack() as stack:
-        logs = [
-            stack.enter_context(contextlib.closing(MetricsLog(folder, done)))
-            for folder in folders
-        ]
-        yield lambda k, row: logs[k].write(row)

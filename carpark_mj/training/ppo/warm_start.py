@@ -1,41 +1,42 @@
-"""Warm starts: a training that begins with the networks of another run.
+"""What a training takes from other policies: networks to begin with, a teacher.
 
-Its actor begins as the averaged policy, the one that is evaluated. A pretrained policy
-has no critic: a new one learns first.
+*Warm starts.* The actor begins as the averaged policy of another run, the one that is
+evaluated. A pretrained policy has no critic: a new one learns first. Agents may observe
+more: weights of new fields begin at zero, so that the networks act as they did; their
+running statistics begin at mean 0 and standard deviation 1, for observations are of
+order 1. Entities of a new kind have layers and statistics of their own, as of a new
+run; what reads their features begins at zero.
+
+*Teachers.* As in DAgger (Ross et al. 2011) the learner drives, so that it learns what
+to do where it gets to itself; as in kickstarting (Schmitt et al. 2018) the imitation is
+a term of the loss that ends, while the reward is learned from all along.
 """
 
 import dataclasses
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import make_fields
+from carpark_mj.observations import make_fields, observe
+from carpark_mj.observations.compose import OWN, observation_sets, part_name
+from carpark_mj.observations.fields import ORDERED, Field
+from carpark_mj.observations.ranges import RAYS, RAYS_NEAR
 from carpark_mj.policy import checkpoints
-from carpark_mj.policy.loading import load_policy, network_config
-from carpark_mj.policy.networks import make_networks, network_inputs
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.policy.pretrained import describe_names, find_policy
+from carpark_mj.policy.loading import load_policy, network_config, network_shapes
+from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.policy.runs import describe_names, find_policy
+from carpark_mj.training.ppo.collect import Teacher, TrainingState
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.state import TrainingState
-from carpark_mj.training.ppo.widening import new_fields, widen
-
-# What a run takes over; optimizer, schedules, lots and counters are its own.
-TAKEN = ("normalizer", "average", "value")
-ALONE = ("normalizer", "average")  # what a policy without a critic has
 
 
 def require_run(config: PPOConfig) -> None:
-    """Refuses a warm start from what is no run, or has other networks.
-
-    Raises:
-        CheckpointError: the run has no checkpoint.
-        ValueError: there is nothing of that name, or no critic in it while one is
-            needed, or its networks are others.
-    """
+    """Refuses a warm start from what is no run, or has other networks."""
     if not config.warm_start:
         return
     if not find_policy(config.warm_start).exists():
@@ -51,9 +52,7 @@ def require_run(config: PPOConfig) -> None:
         )
     theirs = network_config(checkpoints.read_header(path))
     if theirs is None:
-        raise ValueError(
-            f"{config.warm_start} has tables of Q-learning: a warm start needs networks"
-        )
+        raise ValueError(f"{config.warm_start} has tables, a warm start needs networks")
     names = ["encoder", "policy_layers"]
     if config.networks.encoder == "set":
         names += ["own_size", "entity_size", "picture_size"]
@@ -87,46 +86,169 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
         ValueError: its agents do something else, or observe what ours do not.
     """
     run = load_policy(config.warm_start)
-    taken = TAKEN if _has_critic(run.path) else ALONE
-    if not new_fields(config, run.env):
-        path = load_policy(config.warm_start, env=config.env).path
-        template = {name: getattr(state, name) for name in taken}
-        return _replace(state, _load(path, template))
-    if action_spec(run.env) != action_spec(config.env):
+    added = new_fields(config, run.env)
+    if not added:
+        load_policy(config.warm_start, env=config.env)  # refuses what does not fit
+    elif action_spec(run.env) != action_spec(config.env):
         raise ValueError(
             f"{config.warm_start} was trained for other actions "
             f"({action_spec(run.env)}) than this environment's "
             f"({action_spec(config.env)})"
         )
-    template = _template(config, run.env)
-    found = _load(run.path, {name: template[name] for name in taken})
-    return _replace(state, widen(config, run.env, found, vars(state)))
-
-
-def _load(path: Path, template: dict[str, Any]) -> dict[str, Any]:
-    """The parameters of a checkpoint, all of them finite."""
-    found = checkpoints.load(path, template)
-    checkpoints.require_finite(path, found)
-    return found
-
-
-def _replace(state: TrainingState, found: dict[str, Any]) -> TrainingState:
-    """The state with what was found, and the averaged policy as actor as well."""
+    shapes = network_shapes(config.networks, run.env)
+    # Optimizer, schedules, lots and counters are the run's own.
+    template = {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
+    if _has_critic(run.path):
+        template["value"] = shapes["value"]
+    found = checkpoints.load(run.path, template)
+    checkpoints.require_finite(run.path, found)
+    if added:
+        found = widen(config, run.env, found, vars(state))
     # A copy: an update takes over the memory of both.
     actor = jax.tree.map(jnp.copy, found["average"])
     return dataclasses.replace(state, policy=actor, **found)
 
 
-def _template(config: PPOConfig, env: EnvConfig) -> dict[str, Any]:
-    """Shapes of what is taken from a run in `env` with the networks of `config`."""
-    fields = make_fields(env)
-    networks = make_networks(config.networks, fields, action_spec(env))
+HIDDEN = "hidden"  # of `hidden_0`, the first layer behind the encoder
+_BY_BEARING = (RAYS, RAYS_NEAR)  # fields whose numbers have bearings
 
-    def init() -> dict[str, Any]:
-        return {
-            "normalizer": init_normalizer(network_inputs(config.networks, fields)),
-            "average": networks.policy_network.init(jax.random.key(0)),
-            "value": networks.value_network.init(jax.random.key(0)),
+
+def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
+    """Fields of which agents of a training observe more than those in `env`."""
+    ours, theirs = (
+        {
+            (number, _without_count(field)): field
+            for field in make_fields(each)
+            if field.index == 0
+            for number in _numbers(field)
         }
+        for each in (config.env, env)
+    )
+    added = sorted({ours[number].name for number in ours.keys() - theirs.keys()})
+    if not added:
+        return []
+    if config.networks.encoder != "set":
+        raise ValueError(
+            f"{config.warm_start} was trained without {', '.join(added)}; only a set "
+            "encoder takes more observations"
+        )
+    lost = sorted({theirs[number].name for number in theirs.keys() - ours.keys()})
+    if lost:
+        raise ValueError(
+            f"{config.warm_start} was trained on other observations: {', '.join(lost)}"
+        )
+    return added
 
-    return jax.eval_shape(init)
+
+def widen(
+    config: PPOConfig, env: EnvConfig, taken: dict[str, Any], new: dict[str, Any]
+) -> dict[str, Any]:
+    """Normalizer and networks of a run in `env`, for agents that observe more.
+
+    Args:
+        config: of the training that takes them over.
+        env: in which agents observe less, see `new_fields`.
+        taken: `normalizer`, and networks by name.
+        new: the same of a training that takes nothing over.
+    """
+    ours, theirs = (_places(config.networks, each) for each in (config.env, env))
+    rows = {
+        part: (len(ours[part]), np.array([ours[part].index(name) for name in names]))
+        for part, names in theirs.items()
+    }
+    normalizer = new["normalizer"] | {
+        part: _widen_statistics(state, *rows[part])
+        for part, state in taken["normalizer"].items()
+    }
+
+    def widen_layer(path: Any, weights: jax.Array) -> jax.Array:
+        layer, kind = (str(key.key) for key in path[-2:])
+        part = layer.removesuffix("_0")  # the layer that reads the part
+        if kind != "kernel" or part not in rows:
+            return weights
+        return _spread(weights, 0.0, *rows[part])
+
+    networks = {name: tree for name, tree in taken.items() if name != "normalizer"}
+    networks = jax.tree_util.tree_map_with_path(widen_layer, networks)
+    networks = {name: _over(tree, new[name]) for name, tree in networks.items()}
+    return {"normalizer": normalizer, **networks}
+
+
+def _over(tree: Any, under: Any) -> Any:
+    """A tree of dictionaries, and what only the other has."""
+    if not isinstance(tree, dict):
+        return tree
+    return under | {name: _over(part, under[name]) for name, part in tree.items()}
+
+
+def _places(networks: NetworkConfig, env: EnvConfig) -> dict[str, list[str]]:
+    """Names of the numbers that networks read as a part, in order, by part."""
+    names: dict[str, list[str]] = {}
+    fields = make_fields(env)
+    for field in fields:
+        if field.index == 0:
+            names.setdefault(part_name(field), []).extend(_numbers(field))
+    sizes, inputs = {OWN: networks.own_size}, observation_sets(fields)
+    for part in inputs.sets:
+        count = part.count if part.group in ORDERED else 1
+        sizes[part.group] = count * networks.entity_size
+    for part in inputs.pictures:
+        sizes[part.name] = part.shape[0] * networks.picture_size
+    behind = [f"{part} {k}" for part, size in sizes.items() for k in range(size)]
+    return names | {HIDDEN: behind}
+
+
+def _numbers(field: Field) -> list[str]:
+    """Names of a field's numbers: of rays by bearing, so that 24 are among 72."""
+    size = field.size
+    if field.name in _BY_BEARING:
+        return [f"{field.name} {Fraction(k, size)} of a turn" for k in range(size)]
+    return [f"{field.name} {k}" for k in range(size)]
+
+
+def _without_count(field: Field) -> Field:
+    """The field, but for how many rays there are."""
+    return dataclasses.replace(field, size=0) if field.name in _BY_BEARING else field
+
+
+def _spread(
+    values: jax.Array, fill: jax.Array | float, size: int, rows: np.ndarray
+) -> jax.Array:
+    """The values as `rows` of an array (size, ...), `fill` elsewhere."""
+    whole = jnp.full((size, *values.shape[1:]), fill, values.dtype)
+    return whole.at[rows].set(values)
+
+
+def _widen_statistics(state: Any, size: int, rows: np.ndarray) -> Any:
+    """Brax's running statistics of `size` numbers, mean 0 and variance 1 if new."""
+    count = jnp.float32(state.count.hi) * 2.0**32 + jnp.float32(state.count.lo)
+    return state.replace(
+        mean=_spread(state.mean, 0.0, size, rows),
+        std=_spread(state.std, 1.0, size, rows),
+        summed_variance=_spread(state.summed_variance, count, size, rows),
+    )
+
+
+def make_teacher(config: PPOConfig) -> Teacher | None:
+    """The teacher of a training; None without one."""
+    name = config.curriculum.teacher
+    if not name:
+        return None
+    if action_spec(config.env).choices:
+        raise ValueError("curriculum.teacher needs actions of numbers, not of choices")
+    seen = load_policy(name).env.observation
+    env = dataclasses.replace(config.env, observation=seen)
+    if seen.init_memory(env) is not None:
+        raise ValueError(f"curriculum.teacher {name} must not observe its past")
+    if env.follows_routes and not config.env.follows_routes:
+        raise ValueError(
+            f"curriculum.teacher {name} observes routes: env.reward.route must be True"
+        )
+    policy = load_policy(name, env=env).policy
+
+    def advise(lots: Any) -> jax.Array:
+        seen = jax.vmap(lambda state: observe(env, state))(lots)
+        action, _ = policy(seen.reshape(-1, seen.shape[-1]), jax.random.key(0))
+        return action
+
+    return advise

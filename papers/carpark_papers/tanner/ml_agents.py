@@ -16,14 +16,15 @@ from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
 
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.loss import (
+from carpark_mj.training.ppo.variants import (
     Minibatch,
+    Prepare,
+    Variant,
     Weights,
     balance,
     describe_policy,
     standardize,
 )
-from carpark_mj.training.ppo.variants import Prepare, Variant
 
 VALUE_COST = 0.5  # weight of the value's squared error
 LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
@@ -31,7 +32,7 @@ LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
 
 @struct.dataclass
 class Steps:
-    """Steps (..., size) to learn from; outputs of networks are from before the update."""
+    """Steps (..., size) to learn from, with outputs of the networks before them."""
 
     observation: jax.Array  # of the agents
     raw_action: jax.Array  # of the agents

@@ -21,7 +21,7 @@ from carpark_mj.layouts import (
     mixture,
 )
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.json_file import layout_text
+from carpark_mj.layouts.files import layout_text
 from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations import ContinuousObservation
 from carpark_papers.pandita.layouts import SlotsConfig, centre_lines

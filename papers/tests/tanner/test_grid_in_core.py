@@ -32,8 +32,12 @@ from carpark_mj.observations import make_fields
 from carpark_mj.observations.compose import observation_sets
 from carpark_mj.observations.tracked import tracks
 from carpark_mj.planning.policy import planner_policy
-from carpark_mj.policy.onnx_car import require_outside
-from carpark_mj.policy.onnx_export import largest_difference, make_model, rounding_error
+from carpark_mj.policy.onnx_export import (
+    largest_difference,
+    make_model,
+    require_outside,
+    rounding_error,
+)
 from carpark_mj.registry import environment
 from carpark_mj.suite.evaluation import suite_env
 from carpark_mj.types import NO_BAY

@@ -15,14 +15,18 @@ from carpark_mj.config.goals import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.training.metrics_log import read_metrics
-from carpark_mj.training.ppo.arguments import MAX_SEEDS, parse_seeds, read_runs
+from carpark_mj.training.loop import read_metrics
+from carpark_mj.training.ppo.collect import TrainingState
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.group import GroupLearner, make_learner, program
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.state import TrainingState
 from carpark_mj.training.ppo.train import MAX_SKIPPED, load_or_init, train
-from carpark_mj.training.settings import list_settings
+from carpark_mj.training.run_folder import (
+    MAX_SEEDS,
+    list_settings,
+    parse_seeds,
+    read_runs,
+)
 from carpark_papers.tanner.environments import TANNER_DYNAMIC, TANNER_FIXED
 
 FIXED = PPOConfig(
@@ -164,11 +168,6 @@ def test_runs_of_two_programs_are_refused():
     longer = dataclasses.replace(FIXED, env=DYNAMIC.env)
     with pytest.raises(ValueError, match="side by side must have the same env"):
         make_learner([FIXED, longer])
-
-
-def test_a_group_needs_the_memory_of_all_its_runs():
-    one, four = (make_learner([FIXED] * n).least_memory() for n in (1, 4))
-    assert four == pytest.approx(4 * one, rel=0.01)
 
 
 @pytest.fixture(scope="module")

@@ -16,15 +16,12 @@ from jax.flatten_util import ravel_pytree
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.policy.networks import NetworkConfig, make_networks
-from carpark_mj.policy.normalizer import init_normalizer
-from carpark_mj.training.ppo.advantages import compute_advantages
-from carpark_mj.training.ppo.collect import Rollout
-from carpark_mj.training.ppo.curriculum_config import CurriculumConfig
-from carpark_mj.training.ppo.epochs import learn, network_params
-from carpark_mj.training.ppo.loss import Minibatch, Weights
+from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
+from carpark_mj.training.ppo.collect import AXIS, Rollout, compute_advantages
+from carpark_mj.training.ppo.config import CurriculumConfig
+from carpark_mj.training.ppo.learn import learn, network_params
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.ppo.state import AXIS
+from carpark_mj.training.ppo.variants import Minibatch, Weights
 from carpark_papers.tanner import ml_agents
 from carpark_papers.tanner.ml_agents import (
     Steps,

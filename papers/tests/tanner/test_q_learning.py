@@ -14,8 +14,12 @@ from helpers.programs import exit_code
 from carpark_mj.cli import evaluate
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate as evaluate_policy
-from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.q_table import action_choices, make_table_policy, state_index
+from carpark_mj.policy.loading import (
+    action_choices,
+    load_policy,
+    make_table_policy,
+    state_index,
+)
 from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.training.run_folder import LOCK, open_run
 from carpark_papers.tanner.environments import (

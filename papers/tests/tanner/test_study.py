@@ -8,14 +8,19 @@ import pytest
 from helpers.programs import exit_code
 from helpers.sweeping import train
 
-from carpark_mj.analysis.points import group
-from carpark_mj.analysis.runs import Record
+from carpark_mj import sweeps
+from carpark_mj.analysis import Record, group
 from carpark_mj.evaluation.catalogue import metrics
-from carpark_mj.sweeps import manage, work
-from carpark_mj.sweeps.manage import run_sweep
-from carpark_mj.sweeps.outcomes import Outcome, open_sweep, write_outcome
-from carpark_mj.sweeps.plan import checked_runs, runs, settings_of
-from carpark_mj.training.settings import list_settings
+from carpark_mj.sweeps import (
+    Outcome,
+    checked_runs,
+    open_sweep,
+    run_sweep,
+    runs,
+    settings_of,
+    write_outcome,
+)
+from carpark_mj.training.run_folder import list_settings
 from carpark_papers.tanner.experiments import program as study
 from carpark_papers.tanner.experiments.figures import (
     ELSEWHERE,
@@ -35,8 +40,8 @@ EACH = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda e: e.name)
 @pytest.fixture(autouse=True)
 def stubs(monkeypatch):
     """Runs are noted, not trained, in this process, whose JAX is running."""
-    monkeypatch.setattr(work, "prepare", lambda cluster: None)
-    monkeypatch.setattr(manage, "run_sweep", functools.partial(run_sweep, train=train))
+    monkeypatch.setattr(sweeps, "prepare", lambda cluster: None)
+    monkeypatch.setattr(sweeps, "run_sweep", functools.partial(run_sweep, train=train))
 
 
 def test_every_figure_is_a_sweep_or_says_what_it_is(capsys):

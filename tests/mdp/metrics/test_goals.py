@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from helpers.scenes import cars, lot
 from helpers.transitions import no_goal_events, no_terms, transition
 
@@ -48,11 +47,6 @@ def test_nearer_to_any_tracked_bay_asks_all_of_them_and_no_empty_slot():
     xy = [(1.0, 0), (-1.0, 0), (0.0, 1.0), (0.0, 1.0), (5.0, 0.1)]
     found = is_nearer_to_any(step(xy, tracked))
     assert found.tolist() == [True, False, False, True, False]
-
-
-def test_with_fixed_goals_there_is_no_tracked_bay_to_come_nearer_to():
-    with pytest.raises(ValueError, match="agents track bays only where they choose"):
-        is_nearer_to_any(step([(1.0, 0.0)], None))
 
 
 def test_counts_of_an_episode_conserve_its_steps():

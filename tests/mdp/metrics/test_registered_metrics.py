@@ -2,8 +2,6 @@
 
 import itertools
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, lot
@@ -70,27 +68,3 @@ def test_evaluations_have_it_in_their_rows_summaries_and_tables(capsys):
     assert {*POOLS} <= {metric.name for metric in metrics()}
     print_metrics(summary)
     assert "peak pace" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"pool": "rate"}, "pool of a metric with a value 'rate'; choose"),
-        ({"pool": "least"}, "must begin with min_, not be 'noise'"),
-        ({"name": "peak_noise"}, "must begin with no min_.* not be 'peak_noise'"),
-        ({"name": "pace"}, "there is a metric 'pace' already"),
-        ({"value": None}, "'noise' needs a value"),
-        ({"name": "a,b"}, "letters, digits"),
-    ],
-)
-def test_metrics_that_cannot_be_are_refused(change, sentence):
-    noise = {"name": "noise", "unit": "", "meaning": "", "pool": "mean"}
-    with pytest.raises(ValueError, match=sentence):
-        register_metric(Metric(**(noise | {"value": lambda c, t: 0.0} | change)))
-
-
-@pytest.mark.parametrize("name", ["path", "return_time", "parked"])
-def test_the_names_of_the_library_are_taken(name):
-    register_metric(Metric(name, "", "", "mean", value=lambda c, t: jnp.zeros(2)))
-    with pytest.raises(ValueError, match=f"there is a metric '{name}' already"):
-        jax.eval_shape(lambda: episode((name,)))

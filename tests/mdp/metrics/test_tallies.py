@@ -3,9 +3,7 @@
 Those of whole episodes are in test_aggregation.py.
 """
 
-import dataclasses
 import itertools
-import re
 
 import jax
 import jax.numpy as jnp
@@ -62,41 +60,6 @@ def test_a_name_says_how_its_numbers_are_folded():
         "a": [4.0, 8.0],
     }
     assert all(value.dtype == jnp.float32 for value in folded.values())
-
-
-def test_a_number_that_nobody_listed_is_refused_and_so_is_a_missing_one():
-    zero = jnp.zeros(2)
-    with pytest.raises(ValueError, match=r"\[\] are only tallies and \['b'\] only num"):
-        fold_tallies({"a": zero}, {"a": zero, "b": zero})
-    with pytest.raises(ValueError, match=r"\['a'\] are only tallies and \[\] only num"):
-        fold_tallies({"a": zero, "b": zero}, {"b": zero})
-
-
-def test_a_reward_term_that_nobody_listed_is_refused_when_the_step_is_traced():
-    config, plan, standing = (
-        EnvConfig(num_agents=1),
-        lot([(0, 0, 0)]),
-        cars([[0.0] * 3]),
-    )
-    happened = transition(config, plan, standing, standing)
-    terms = no_terms(config)
-    jax.eval_shape(lambda: update_stats(config, happened, terms))
-    more = terms | {"bonus": jnp.zeros(1)}
-    with pytest.raises(ValueError, match=re.escape("['return_bonus'] only numbers of")):
-        jax.eval_shape(lambda: update_stats(config, happened, more))
-    del terms["time"]
-    with pytest.raises(ValueError, match=re.escape("['return_time'] are only tallies")):
-        jax.eval_shape(lambda: update_stats(config, happened, terms))
-
-
-def test_goals_that_the_configuration_does_not_expect_are_refused():
-    fixed, plan, standing = EnvConfig(num_agents=1), lot([(0, 0, 0)]), cars([[0.0] * 3])
-    dynamic = dataclasses.replace(
-        fixed, goals=dataclasses.replace(fixed.goals, dynamic=True)
-    )
-    happened = transition(dynamic, plan, standing, standing)
-    with pytest.raises(ValueError, match=r"'explored_steps'.* are only tallies"):
-        update_stats(dynamic, happened, no_terms(dynamic))
 
 
 def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():

@@ -11,9 +11,9 @@ from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, GoalConfig, SpawnConfig
+from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
+from carpark_mj.mdp.fixed_goals import FixedGoals
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.misaligned import (
     FARTHEST,
@@ -145,25 +145,3 @@ def test_their_share_is_the_ratio():
     x = starts(TIGHT, mixed)[:, 0]
     # Deviation 1.2 %: five of them. Others start within 1 m of the origin.
     assert (x > 5.0).mean() == pytest.approx(0.3, abs=0.06)
-
-
-def test_without_them_no_number_is_drawn_for_them():
-    assert all(np.prod(shape) == 0 for shape in misaligned_shapes(SpawnConfig()))
-    on, off = (place_shapes(SpawnConfig(misaligned_ratio=r), 2, 3) for r in (0.1, 0.0))
-    assert on._replace(misaligned=off.misaligned) == off
-
-
-@pytest.mark.parametrize("rule", ["tanner", "strict,precise"])
-def test_a_rule_that_does_not_ask_for_lines_is_refused(rule):
-    episode = EpisodeConfig(parked_rule=rule)
-    with pytest.raises(ValueError, match=f"asks for the lines.*not {rule}"):
-        EnvConfig(spawn=SpawnConfig(misaligned_ratio=0.1), episode=episode)
-
-
-def test_they_need_fixed_goals():
-    with pytest.raises(
-        ValueError, match=r"spawn.misaligned_ratio 0.1 needs fixed goals"
-    ):
-        EnvConfig(
-            spawn=SpawnConfig(misaligned_ratio=0.1), goals=GoalConfig(dynamic=True)
-        )

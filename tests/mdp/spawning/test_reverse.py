@@ -12,7 +12,7 @@ from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at, parked_in
 
-from carpark_mj.config import EnvConfig, GoalConfig, SpawnConfig
+from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.layouts import (
     layout_config,
     layout_maxima,
@@ -20,7 +20,7 @@ from carpark_mj.layouts import (
     pad_layout,
 )
 from carpark_mj.mdp.bays import BayFits, fits, shuffled_bays
-from carpark_mj.mdp.fixed_goals import FixedGoals, place_shapes
+from carpark_mj.mdp.fixed_goals import FixedGoals
 from carpark_mj.mdp.parked_cars import poses_in_bays
 from carpark_mj.mdp.spawning.draws import draw_uniform
 from carpark_mj.mdp.spawning.placing import (
@@ -290,14 +290,3 @@ def test_agents_of_a_lot_that_begins_do_not_overlap():
     boxes = polygons(begin(keys_of(5, 300)), compact.size[0])
     gaps = shapely.distance(boxes[:, :, None], boxes[:, None])
     assert gaps[:, ~np.eye(6, dtype=bool)].min() > 0.0
-
-
-def test_without_reverse_starts_no_number_is_drawn_for_them():
-    assert all(np.prod(shape) == 0 for shape in reverse_shapes(SpawnConfig()))
-    on, off = (place_shapes(SpawnConfig(reverse_ratio=r), 2, 3) for r in (0.1, 0.0))
-    assert on._replace(reverse=off.reverse) == off
-
-
-def test_reverse_starts_need_fixed_goals():
-    with pytest.raises(ValueError, match=r"spawn.reverse_ratio 0.1 needs fixed goals"):
-        EnvConfig(spawn=SpawnConfig(reverse_ratio=0.1), goals=GoalConfig(dynamic=True))

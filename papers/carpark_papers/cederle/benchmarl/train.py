@@ -20,8 +20,7 @@ from benchmarl.experiment import Callback, Experiment
 from tensordict import TensorDictBase
 
 from carpark_mj.policy import checkpoints, runs
-from carpark_mj.training.loop import Loop
-from carpark_mj.training.metrics_log import MetricsLog
+from carpark_mj.training.loop import Loop, MetricsLog
 from carpark_mj.training.run_folder import open_run, read_header
 from carpark_mj.wrappers.torchrl import GROUP
 from carpark_papers.cederle.benchmarl.build import (

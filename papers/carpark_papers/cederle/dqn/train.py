@@ -8,9 +8,7 @@ from typing import Any
 import jax
 
 from carpark_mj.policy import checkpoints, runs
-from carpark_mj.training.loop import Loop
-from carpark_mj.training.memory import num_bytes, require_memory
-from carpark_mj.training.metrics_log import MetricsLog
+from carpark_mj.training.loop import Loop, MetricsLog
 from carpark_mj.training.run_folder import open_run, read_header
 from carpark_papers.cederle.dqn.config import DQNConfig
 from carpark_papers.cederle.dqn.learner import DQNLearner, Report, Training
@@ -122,6 +120,5 @@ def _row(chunk: int, env_steps: int, report: Report) -> dict[str, float]:
 def train_run(config: DQNConfig) -> tuple[Path, bool]:
     """Trains a run; returns its folder and whether it is finished."""
     learner = DQNLearner(config)
-    require_memory(num_bytes(jax.eval_shape(learner.init)), "buffer_size")
     with open_run(config) as folder:
         return folder, train(config, learner, folder)

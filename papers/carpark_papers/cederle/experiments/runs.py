@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from carpark_mj.analysis.statistics import CONFIDENCE, RESAMPLES
+from carpark_mj.analysis import CONFIDENCE, RESAMPLES
 from carpark_mj.reading import read_csv, read_object
 from carpark_papers.cederle.junction.config import CarModel
 from carpark_papers.cederle.training.config import (

@@ -12,7 +12,7 @@ import numpy as np
 
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.rendering.renderer import RenderingError
-from carpark_mj.training.figure import NAME, two_panels
+from carpark_mj.training.loop import NAME, two_panels
 from carpark_papers.cederle.junction import rules
 from carpark_papers.cederle.junction.evaluation import evaluation_env
 from carpark_papers.cederle.training.config import JunctionRunConfig

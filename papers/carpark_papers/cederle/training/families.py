@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from carpark_mj.training.settings import named, read_settings, stored
+from carpark_mj.training.run_folder import named, read_settings, stored
 from carpark_papers.cederle.benchmarl.config import (
     BENCHMARL_SUMMARIES,
     benchmarl_presets,

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import write_atomically
 from carpark_mj.reading import read_csv
-from carpark_mj.training.curve import smooth
-from carpark_mj.training.metrics_log import read_metrics
+from carpark_mj.training.loop import read_metrics, smooth
 from carpark_papers.jobs import Job
 from carpark_papers.pandita.experiments.slots import (
     DIAGONAL,

@@ -18,9 +18,8 @@ import numpy as np
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.files import write_atomically
-from carpark_mj.policy.rollout import Carry, Step, roll_out
-from carpark_mj.training.curve import plot_learning_curve
-from carpark_mj.training.metrics_log import read_metrics
+from carpark_mj.policy.acting import Carry, Step, roll_out
+from carpark_mj.training.loop import plot_learning_curve, read_metrics
 from carpark_mj.types import State
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.options import share

@@ -23,7 +23,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
     choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
     enable_output_fusion()
     keep_compiled_programs()
-    from carpark_mj.training.settings import read_settings
+    from carpark_mj.training.run_folder import read_settings
     from carpark_papers.pandita.sac.config import (
         RUN_SETTINGS,
         SAC_PRESETS,

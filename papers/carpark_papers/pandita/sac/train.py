@@ -22,10 +22,8 @@ from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import num_frames, record, recording_stage
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
-from carpark_mj.training.loop import Loop
-from carpark_mj.training.metrics_log import MetricsLog
-from carpark_mj.training.run_folder import open_run, read_header
-from carpark_mj.training.settings import list_settings
+from carpark_mj.training.loop import Loop, MetricsLog
+from carpark_mj.training.run_folder import list_settings, open_run, read_header
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.options import share
 from carpark_papers.pandita.sac import agent as agents

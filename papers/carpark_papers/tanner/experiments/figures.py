@@ -16,12 +16,9 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from carpark_mj.analysis.points import Point, show
-from carpark_mj.analysis.runs import Record
-from carpark_mj.analysis.statistics import Spread, spread
+from carpark_mj.analysis import Point, Record, Spread, show, spread
 from carpark_mj.files import write_atomically
-from carpark_mj.sweeps.axes import Axis
-from carpark_mj.sweeps.plan import Plan
+from carpark_mj.sweeps import Axis, Plan
 from carpark_mj.types import OUTCOMES
 
 PATH = Path(__file__).parent / "tanner_2022.csv"

@@ -15,15 +15,18 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from carpark_mj.analysis.points import group
-from carpark_mj.analysis.runs import run_folders
+from carpark_mj.analysis import group, run_folders
 from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
-from carpark_mj.sweeps.executor import Cluster
-from carpark_mj.sweeps.groups import groups
-from carpark_mj.sweeps.manage import Where
-from carpark_mj.sweeps.outcomes import read_outcome
-from carpark_mj.sweeps.plan import Plan, Run, settings_of
-from carpark_mj.sweeps.slurm import SlurmConfig
+from carpark_mj.sweeps import (
+    Cluster,
+    Plan,
+    Run,
+    SlurmConfig,
+    Where,
+    groups,
+    read_outcome,
+    settings_of,
+)
 from carpark_papers.tanner.experiments.figures import (
     ELSEWHERE,
     EXPERIMENTS,
@@ -79,7 +82,13 @@ class StudyConfig(CheckedConfig):
     @property
     def where(self) -> Where:
         """Settings of the executor; the study samples actions."""
-        return Where(self.cluster, self.jobs, self.side_by_side, self.slurm, True)
+        return Where(
+            cluster=self.cluster,
+            jobs=self.jobs,
+            side_by_side=self.side_by_side,
+            slurm=self.slurm,
+            stochastic=True,
+        )
 
 
 # NVIDIA H200, docs/study.md: 16 M steps of seven agents in 66 to 75 s; compiling and
@@ -200,10 +209,7 @@ def say_budget(chosen: Sequence[Cost], rest: Sequence[Cost], minutes: float) -> 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the study; returns the exit code, 1 if runs have failed."""
     from carpark_mj.cli.flags import read_flags
-    from carpark_mj.sweeps.axes import read_axis
-    from carpark_mj.sweeps.manage import run_sweep
-    from carpark_mj.sweeps.plan import checked_runs
-    from carpark_mj.sweeps.work import prepare
+    from carpark_mj.sweeps import checked_runs, prepare, read_axis, run_sweep
     from carpark_mj.training.ppo.parts import PRESETS
 
     config = read_flags(StudyConfig, arguments, description=__doc__)

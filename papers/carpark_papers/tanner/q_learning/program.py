@@ -20,8 +20,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
     """Trains."""
     enable_output_fusion()
     keep_compiled_programs()
-    from carpark_mj.training.run_folder import open_run
-    from carpark_mj.training.settings import read_settings
+    from carpark_mj.training.run_folder import open_run, read_settings
     from carpark_papers.tanner.q_learning.config import (
         Q_PRESETS,
         Q_SUMMARIES,

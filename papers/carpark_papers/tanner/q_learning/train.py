@@ -19,9 +19,8 @@ from carpark_mj.evaluation.keys import training_key
 from carpark_mj.files import write_csv
 from carpark_mj.observations import cardinalities
 from carpark_mj.policy import checkpoints, runs
-from carpark_mj.policy.q_table import action_choices, state_index
-from carpark_mj.training.figure import NAME, two_panels
-from carpark_mj.training.loop import Loop
+from carpark_mj.policy.loading import action_choices, state_index
+from carpark_mj.training.loop import NAME, Loop, two_panels
 from carpark_mj.training.run_folder import read_header
 from carpark_mj.types import OUTCOMES, State
 from carpark_papers.tanner.q_learning.config import QLearningConfig

@@ -1,4 +1,4 @@
-"""Layouts as JSON, for car parks drawn by hand or by other programs.
+"""Layouts from files; as JSON, for car parks drawn by hand or by other programs.
 
     {"format": "carpark_mj layout 1",
      "bays": [{"pose": [x, y, yaw], "size": [length, width], "kind": "standard",
@@ -17,21 +17,31 @@ their lists, `one_way` true and `spread`, 0 to π, 0.1. Files of another version
 invalid layouts (`layouts.checks`) are refused; messages name the row, as `bays[3]`.
 """
 
+import dataclasses
 import enum
+import functools
+import hashlib
 import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
-from carpark_mj.config.layouts import LAYOUT_FORMATS
+from carpark_mj.config.layouts import (
+    FAMILIES,
+    LAYOUT_FORMATS,
+    layout_format,
+    require_layout_file,
+)
 from carpark_mj.extensions import unknown_name
 from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
+from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
-from carpark_mj.reading import read_text
+from carpark_mj.reading import read_bytes, read_text
 
 FORMAT = "carpark_mj layout 1"
 
@@ -45,7 +55,6 @@ _SCHEMA: dict[str, dict[str, Any]] = {
 }
 _DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
 _POSITIVE = ("size", "radius", "extent")
-_DEVIATIONS = ("spread",)  # either way [rad]
 _HALF_TURN = float(np.float32(math.pi))  # as a layout has it
 FARTHEST = 1e4  # m; float32 resolves a millimetre there
 _NEEDED = ("format", "bays", "spawns", "extent")
@@ -95,23 +104,17 @@ def layout_text(layout: Layout) -> str:
     """
     document: dict[str, Any] = {"extent": np.asarray(layout.extent).tolist()}
     for rows, schema in _SCHEMA.items():
-        if rows == "bays" and layout.bay_end is None:
-            schema = {part: form for part, form in schema.items() if part != "end"}
         row = rows.removesuffix("s")
         mask = np.asarray(getattr(layout, f"{row}_mask"))
-        columns = [
-            np.asarray(getattr(layout, f"{row}_{part}"))[mask].tolist()
-            for part in schema
-        ]
+        columns: dict[str, list[Any]] = {}
+        for part, form in schema.items():
+            if (column := getattr(layout, f"{row}_{part}")) is not None:
+                values = np.asarray(column)[mask].tolist()
+                names = _names(form)
+                columns[part] = [names[x] for x in values] if names else values
         document[rows] = [
-            {
-                part: value
-                if form is bool or isinstance(form, int)
-                # An enumeration of kinds.
-                else form(value).name.lower()
-                for (part, form), value in zip(schema.items(), values, strict=True)
-            }
-            for values in zip(*columns, strict=True)
+            dict(zip(columns, values, strict=True))
+            for values in zip(*columns.values(), strict=True)
         ]
     return document_text(document)
 
@@ -235,6 +238,61 @@ def _number(what: str, value: Any, count: int) -> Any:
     part = what.rsplit(".", 1)[-1]
     if part in _POSITIVE and min(values) <= 0:
         raise ValueError(f"{what} must be positive, not {value!r}")
-    if part in _DEVIATIONS and not 0 <= value <= _HALF_TURN:
+    if part == "spread" and not 0 <= value <= _HALF_TURN:
         raise ValueError(f"{what} must lie in [0, {math.pi:.4g}], not {value!r}")
     return value
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FromFileConfig(FixedLayoutConfig):
+    """A layout file, read when the config is made.
+
+    Configs are equal if paths and contents are equal; a changed file gives another
+    config.
+
+    Attributes:
+        path: of the file; its suffix says the format: `.json`, in which a car park can
+            be drawn by hand (`carpark_mj.layouts.files`), or that of an extension.
+        family: fixed.
+    """
+
+    path: str = ""
+    family: str = "from_file"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_layout_file(self.path)
+        _read(self.path, self._content)  # refuses a bad file
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, FromFileConfig) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[str, str]:
+        return self.path, self._content
+
+    @functools.cached_property
+    def _content(self) -> str:
+        """A hash of what is in the file; empty if it cannot be read."""
+        try:
+            return hashlib.sha256(read_bytes(Path(self.path))).hexdigest()
+        except (OSError, ValueError):  # the reader says what is wrong
+            return ""
+
+    @property
+    def layout(self) -> Layout:
+        """As the file had it when the config was made."""
+        return _read(self.path, self._content)
+
+
+@functools.cache
+def _read(path: str, content: str) -> Layout:
+    """The layout of a file as numpy arrays, read once for each content."""
+    del content
+    return jax.device_get(LAYOUT_FORMATS[layout_format(path)](Path(path)))
+
+
+FAMILIES.register("from_file", FromFileConfig)

@@ -1,4 +1,7 @@
-"""What an update learns from a rollout: epochs of minibatch steps."""
+"""What an update learns from a rollout, and what of it changes during a training.
+
+Evaluations never see a curriculum: they run in `PPOConfig.env` as it is.
+"""
 
 import dataclasses
 import math
@@ -11,21 +14,75 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from jax.flatten_util import ravel_pytree
 
+from carpark_mj.config import EnvConfig
 from carpark_mj.observations.compose import ObservationSets
-from carpark_mj.policy.normalizer import update_normalizer
-from carpark_mj.training.ppo.advantages import compute_advantages
-from carpark_mj.training.ppo.collect import Rollout, drop_absent
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.curriculum import (
-    discount,
-    neighbour_share,
-    schedule,
-    teacher_cost,
+from carpark_mj.policy.networks import update_normalizer
+from carpark_mj.training.ppo.collect import (
+    AXIS,
+    Rollout,
+    TrainingState,
+    compute_advantages,
+    drop_absent,
+    neighbours_mean,
 )
-from carpark_mj.training.ppo.loss import Minibatch, Weights
-from carpark_mj.training.ppo.neighbours import neighbours_mean
-from carpark_mj.training.ppo.state import AXIS, TrainingState
-from carpark_mj.training.ppo.variants import variant
+from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
+from carpark_mj.training.ppo.variants import Minibatch, Weights, variant
+
+# Progress at which a change begins, and at which it ends.
+DISCOUNT_CHANGES = (0.3, 0.8)
+SHARE_RISES = (0.2, 0.6)  # [est]; shared from the start, agents learned later
+
+
+def schedule(start: float, end: float, progress: jax.Array) -> jax.Array:
+    """Linear from `start` to `end` as `progress` goes from 0 to 1."""
+    return start + (end - start) * jnp.clip(progress, 0.0, 1.0)
+
+
+def crash_scale(config: CurriculumConfig, progress: jax.Array) -> jax.Array:
+    """Factor () on the crash penalty."""
+    return schedule(1.0, config.crash_scale, _within(progress, 0, config.crash_until))
+
+
+def discount(config: PPOConfig, progress: jax.Array) -> jax.Array:
+    """Discount factor () per control step."""
+    changes = config.curriculum
+    if not changes.discount_end:
+        return jnp.float32(config.discount)
+    start, end = 1 / (1 - config.discount), 1 / (1 - changes.discount_end)
+    part = _within(progress, *DISCOUNT_CHANGES)
+    return 1.0 - 1.0 / schedule(start, end, part)
+
+
+def neighbour_share(config: CurriculumConfig, progress: jax.Array) -> jax.Array | None:
+    """Weight () of the neighbours' mean advantage; None if there never is any."""
+    if not config.neighbour_share:
+        return None
+    return schedule(0.0, config.neighbour_share, _within(progress, *SHARE_RISES))
+
+
+def teacher_cost(config: CurriculumConfig, progress: jax.Array) -> jax.Array | None:
+    """Weight () of the distance to the teacher's actions; None without a teacher."""
+    if not config.teacher:
+        return None
+    return schedule(
+        config.teacher_cost, 0.0, _within(progress, 0, config.teacher_until)
+    )
+
+
+def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
+    """Progress () from 0 at `start` to 1 at `end`; a step if they are the same."""
+    part = (progress - start) / max(end - start, 1e-6)
+    return jnp.where(progress < end, jnp.clip(part, 0.0, 1.0), 1.0)
+
+
+def training_env(config: PPOConfig) -> EnvConfig:
+    """The environment with the starts of the curriculum."""
+    names = ("conflict_ratio", "reverse_ratio", "misaligned_ratio")
+    asked = {name: getattr(config.curriculum, name) for name in names}
+    changes = {name: ratio for name, ratio in asked.items() if ratio}
+    spawn = dataclasses.replace(config.env.spawn, **changes)
+    return dataclasses.replace(config.env, spawn=spawn)
+
 
 Learned = tuple[Any, Any, Any, Any]
 
@@ -45,11 +102,11 @@ def learn(
     rollout: Rollout,
     key: jax.Array,
 ) -> tuple[Learned, dict[str, jax.Array]]:
-    """Learns from the rollout of this device's agents.
+    """Learns from the rollout of this device's agents, in epochs of minibatches.
 
     Values and advantages are those of the parameters at the start of an epoch. A
-    minibatch holds all steps of its agents, and its parts on all devices are one: see
-    `loss`. All this is as Brax has it, and `PPOConfig.variant` may change it.
+    minibatch holds all steps of its agents, and its parts on all devices are one. All
+    this is as Brax has it, and `PPOConfig.variant` may change it.
 
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.
@@ -164,13 +221,9 @@ def learn(
 
 
 def num_learned(config: PPOConfig, num_agents: int) -> int:
-    """Of how many agents an update learns, absent ones included.
+    """Of how many of a device's `num_agents` places an update learns.
 
     As many as are present on average, in whole minibatches.
-
-    Args:
-        config: of the training.
-        num_agents: of this device, absent ones included.
     """
     size = math.ceil(config.present_share * num_agents / config.num_minibatches)
     return min(size * config.num_minibatches, num_agents)

@@ -1,0 +1,251 @@
+"""The schematic lots of Tanner 2022 (arXiv 2206.13338): streets and the square.
+
+Schematics (a) and (b), described there but not built: two-way streets with
+perpendicular or parallel bays on both sides, one lane each way, walls or kerbs around
+everything. Schematic (c): four rows of bays around an open square, no lanes, blocks in
+the corners, outer walls. `square` has the paper's proportions, 0.5625 m for a world
+unit, and the wall faces of its colliders: corner blocks 9 x 9 and outer walls at 37.5
+world units (its drawing has 10 x 10 and 37). `square_compact` has real German bays.
+"""
+
+import dataclasses
+import math
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config import LayoutConfig, register_layout
+from carpark_mj.config.checks import Count, NonNegative, Range
+from carpark_mj.layouts import standards
+from carpark_mj.layouts.build import (
+    assemble,
+    bays,
+    boundary,
+    chances,
+    draw,
+    draw_int,
+    lanes,
+    least_lane,
+    require_aisle,
+    require_least,
+    spawns,
+    spawns_in,
+    two_lanes,
+    walls,
+)
+from carpark_mj.layouts.standards import DesignCar, Entry
+from carpark_mj.layouts.types import Layout, WallKind
+
+
+@dataclasses.dataclass(frozen=True)
+class StreetConfig(LayoutConfig):
+    """Ranges of a street with perpendicular bays; lengths [m].
+
+    Attributes:
+        bays_per_side: bays in each of the two rows.
+        bay_width: across a parked car.
+        bay_length: along a parked car.
+        aisle_width: of both lanes together.
+        end_length: free street between the last bay and the wall across the street.
+        wall_thickness: of the walls around.
+        car: the car the street is drawn for.
+        family: fixed.
+    """
+
+    parallel: ClassVar[bool] = False
+    bays_per_side: standards.Counts = (9, 12)
+    bay_width: Range = standards.BAY_WIDTH
+    bay_length: Range = standards.BAY_LENGTH
+    aisle_width: standards.Lengths = standards.TWO_WAY_AISLE
+    end_length: standards.Lengths = (4.0, 7.0)
+    wall_thickness: standards.Thickness = standards.WALL_THICKNESS
+    car: DesignCar = dataclasses.field(default_factory=DesignCar)
+    family: str = "street"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_least(self, self.car.width, "bay_width")
+        require_least(self, self.car.length, "bay_length")
+        least = self._entry(0).least(self.car)
+        require_aisle(self.aisle_width[0], max(least, 2 * least_lane(self.car)))
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        return 2 * self.bays_per_side[0]
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest entry into a bay."""
+        return (self._entry(1),)
+
+    def _entry(self, end: int) -> Entry:
+        """The entry from the narrowest aisle (end 0) or the widest (1) into a bay."""
+        angle = 0.0 if self.parallel else 90.0
+        return Entry(self.aisle_width[end], self.bay_width[end], angle)
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a street along x.
+
+        Cars in perpendicular bays point at the street, in parallel bays along the lane
+        beside them.
+        """
+        chance = chances(key, 5)
+        count = draw_int(chance[0], self.bays_per_side)
+        width = draw(chance[1], self.bay_width)
+        length = draw(chance[2], self.bay_length)
+        aisle = draw(chance[3], self.aisle_width)
+        end = draw(chance[4], self.end_length)
+        along, across = (length, width) if self.parallel else (width, length)
+        row = jnp.arange(self.bays_per_side[1])
+        x = (row + 0.5 - count / 2) * along
+        y = (aisle + across) / 2
+        # Left of the lane along +x, then right of it.
+        yaws = (jnp.pi, 0.0) if self.parallel else (-jnp.pi / 2, jnp.pi / 2)
+        pose = jnp.stack(
+            [
+                jnp.stack(jnp.broadcast_arrays(x, side * y, yaw), axis=-1)
+                for side, yaw in zip((1.0, -1.0), yaws, strict=True)
+            ]
+        )
+        half = jnp.stack(
+            [count * along / 2 + end, aisle / 2 + across + standards.WALL_GAP]
+        )
+        lane, lane_size = two_lanes(jnp.zeros(3), jnp.stack([2 * half[0], aisle]))
+        kind = WallKind.KERB if self.parallel else WallKind.WALL
+        return assemble(
+            half,
+            bays(pose, jnp.stack([length, width]), mask=row < count),
+            boundary(half[0], half[1], self.wall_thickness, kind),
+            lanes(lane, lane_size),
+            spawns_in(self.car, lane, lane_size),
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class StreetParallelConfig(StreetConfig):
+    """Ranges of a street with parallel bays and kerbs around; see `StreetConfig`."""
+
+    parallel: ClassVar[bool] = True
+    bays_per_side: standards.Counts = (9, 11)
+    bay_width: Range = standards.PARALLEL_WIDTH
+    bay_length: Range = standards.PARALLEL_LENGTH
+    family: str = "street_parallel"
+
+
+@dataclasses.dataclass(frozen=True)
+class SquareConfig(LayoutConfig):
+    """Dimensions of a square lot [m].
+
+    Attributes:
+        bays_per_side: bays in each of the four rows.
+        bay_width: across a parked car.
+        bay_length: along a parked car.
+        wall_gap: free strip between the bays' far ends and the outer walls.
+        block_inset: free strip about a corner block, towards the rows beside it and
+            towards the outer walls' corner.
+        wall_thickness: of the outer walls.
+        spawn_margin: between the open square's edge and the spawn region.
+        family: fixed.
+    """
+
+    bays_per_side: Count = 9
+    bay_width: NonNegative = 3.375
+    bay_length: NonNegative = 5.625
+    wall_gap: NonNegative = 0.28125
+    block_inset: NonNegative = 0.28125
+    wall_thickness: NonNegative = 2.0
+    spawn_margin: NonNegative = 3.375
+    family: str = "square"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        car = DesignCar()
+        if self.bay_width < car.width or self.bay_length < car.length:
+            raise ValueError(
+                f"bay_width and bay_length must hold a car of {car.width} m x "
+                f"{car.length} m, not {self.bay_width} m x {self.bay_length} m"
+            )
+        (entry,) = self.entries
+        least = entry.least(car)
+        if entry.aisle < least:
+            raise ValueError(
+                f"bays_per_side {self.bays_per_side} and bay_width {self.bay_width} m "
+                f"leave a square of {entry.aisle:.2f} m, the "
+                f"car needs {least:.2f} m to turn into a bay (layouts.standards)"
+            )
+        if 2 * self.spawn_margin >= self.bays_per_side * self.bay_width:
+            raise ValueError(
+                f"spawn_margin {self.spawn_margin} m leaves no spawn region in a "
+                f"square of {self.bays_per_side * self.bay_width} m"
+            )
+
+    @property
+    def min_bays(self) -> int:
+        """The fewest bays that any key gives."""
+        return 4 * self.bays_per_side
+
+    @property
+    def is_random(self) -> bool:
+        """False: the lot does not depend on the key."""
+        return False
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """The roomiest entry into a bay."""
+        return (Entry(self.bays_per_side * self.bay_width, self.bay_width),)
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Builds the lot; the key is unused, as nothing is random."""
+        del key
+        half = self.bays_per_side * self.bay_width / 2
+        depth = self.bay_length
+        along = (np.arange(self.bays_per_side) + 0.5) * self.bay_width - half
+        row = half + depth / 2
+        # Bottom, right, top, left; parked cars point at the centre of the lot.
+        bay_poses = [
+            *[(s, -row, math.pi / 2) for s in along],
+            *[(row, s, -math.pi) for s in along],
+            *[(s, row, -math.pi / 2) for s in along],
+            *[(-row, s, 0.0) for s in along],
+        ]
+        block = depth - 2 * self.block_inset
+        corner = half + self.block_inset + block / 2
+        face = half + depth + self.wall_gap
+        middle = face + self.wall_thickness / 2
+        span = 2 * (face + self.wall_thickness)
+        wall_poses = [
+            (sx * corner, sy * corner, 0.0) for sx in (-1, 1) for sy in (-1, 1)
+        ]
+        wall_sizes = [(block, block)] * 4
+        wall_poses += [(0.0, s * middle, 0.0) for s in (-1, 1)]
+        wall_poses += [(s * middle, 0.0, math.pi / 2) for s in (-1, 1)]
+        wall_sizes += [(span, self.wall_thickness)] * 2
+        wall_sizes += [(2 * face, self.wall_thickness)] * 2
+        side = 2 * (half - self.spawn_margin)
+        return assemble(
+            (face, face),
+            bays(np.array(bay_poses), (depth, self.bay_width)),
+            walls(np.array(wall_poses), np.array(wall_sizes)),
+            spawns([(0.0, 0.0, 0.0)], (side, side), math.pi),
+        )
+
+
+SQUARE = register_layout("square", SquareConfig())
+# Bays of 2.50 m x 5.00 m: EAR 23 (Germany), the common perpendicular bay.
+SQUARE_COMPACT = register_layout(
+    "square_compact",
+    SquareConfig(
+        bay_width=2.5,
+        bay_length=5.0,
+        wall_gap=0.3,
+        block_inset=0.2,
+        wall_thickness=2.0,
+        spawn_margin=2.6,
+    ),
+)
+
+register_layout("street", StreetConfig())
+register_layout("street_parallel", StreetParallelConfig())

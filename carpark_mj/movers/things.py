@@ -1,0 +1,340 @@
+"""Things that move: a barrier, a cart, a door, and a car on a rail."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config.checks import Positive
+from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
+from carpark_mj.geometry import box_distance, boxes_overlap, move_forward, to_world
+from carpark_mj.geometry.obstacles import Boxes, Group, touches
+from carpark_mj.layouts.types import Layout
+from carpark_mj.movers.bodies import meet
+from carpark_mj.movers.people import Places, make_places
+from carpark_mj.movers.stopping import cars_of, would_hit
+from carpark_mj.types import State
+
+BEAM = 0.15  # m, thickness of a barrier
+RAISED = 0.05  # share of its length that is left until it is open
+STANDING = ObstacleKind.PARKED_CAR, ObstacleKind.WALL
+
+CART = (1.0, 0.6)  # m, length and width of a shopping cart
+ROLLING = 0.15  # m/s², rolling resistance of small wheels: 0.015 g [est]
+AHEAD = 1.0  # m before a cart's centre that must be free of bays and walls
+
+DOOR = (1.0, 0.1)  # m, a front door
+HINGE = 0.2  # of the car's length before its centre
+WIDEST = 1.13  # rad, 65°
+SWING = 1.5  # s, from closed to open
+OPEN = 5.0  # s that it stays open
+BESIDE = 2.0  # m beside the car that must be free of other parked cars
+
+RAIL_CAR = (4.3, 1.8)  # m
+GAP = 0.5  # m that it keeps from where a car cannot stop, and from other movers
+SHORTEST = 10.0  # m, of its lane
+TRIES = 8  # places that are tried when a lot begins
+
+
+def draw_lane(
+    key: jax.Array, layout: Layout, least: float
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A random lane of at least a length [m].
+
+    Returns:
+        Pose (3,), size (2,), and () bool, whether the lot has such a lane.
+    """
+    if not layout.lane_mask.shape[0]:
+        return jnp.zeros(3), jnp.ones(2), jnp.bool_(False)
+    good = layout.lane_mask & (layout.lane_size[:, 0] >= least)
+    order = jax.random.uniform(key, good.shape)
+    lane = jnp.argmax(jnp.where(good, order, -1.0))
+    return layout.lane_pose[lane], layout.lane_size[lane], good[lane]
+
+
+class BarrierState(NamedTuple):
+    """A barrier across a lane."""
+
+    pose: jax.Array  # (3,) of the lane
+    size: jax.Array  # (2,) of the lane [m]
+    is_open: jax.Array  # () share
+    there: jax.Array  # () bool, whether the lot has a lane for it
+
+
+@dataclasses.dataclass(frozen=True)
+class Barrier(Mover):
+    """A beam across the middle of a lane; lots without lanes have none.
+
+    It closes only while no car is near, and never onto anybody.
+
+    Attributes:
+        near: gap to an agent or a driver at which it opens [m].
+        duration: of its opening, and of its closing [s].
+        mover: fixed.
+    """
+
+    near: Positive = 5.0
+    duration: Positive = 2.0
+    mover: str = "barrier"
+
+    def init(
+        self, key: Any, layout: Layout, others: Sequence[Group] = ()
+    ) -> BarrierState:
+        """It is closed, or open where somebody stands beneath."""
+        pose, size, there = draw_lane(key, layout, 0.0)
+        closed = BarrierState(pose, size, jnp.float32(0.0), there)
+        # The ends of the beam may reach into walls and parked cars.
+        movers = [x for x in others if x.kind not in STANDING]
+        under = self._meets(closed, movers)
+        return closed._replace(is_open=jnp.where(under, 1.0, closed.is_open))
+
+    begin = init
+
+    def step(
+        self, key: Any, state: BarrierState, lot: State, dt: float
+    ) -> BarrierState:
+        """It opens for a car, and closes behind the last."""
+        del key
+        closed = self._beam(state._replace(is_open=jnp.float32(0.0)))
+        cars = cars_of(lot, dt)
+        gap = box_distance(cars.pose, cars.size, *closed)
+        change = jnp.where((gap < self.near).any(), dt, -dt) / self.duration
+        after = state._replace(is_open=jnp.clip(state.is_open + change, 0.0, 1.0))
+        waits = (change < 0.0) & self._meets(after, lot.movers.groups)
+        return after._replace(is_open=jnp.where(waits, state.is_open, after.is_open))
+
+    def obstacles(self, state: BarrierState) -> list[Boxes]:
+        """The beam until it is open; drivers would wait for what is left of it."""
+        pose, size = self._beam(state)
+        there = state.there & (state.is_open < 1.0)
+        return [Boxes(pose[None], size[None], mask=there[None])]
+
+    def _meets(self, state: BarrierState, others: Sequence[Group]) -> jax.Array:
+        """() bool, whether the beam overlaps obstacles."""
+        pose, size = self._beam(state)
+        return touches(pose[None], size, others)[0]
+
+    def _beam(self, state: BarrierState) -> tuple[jax.Array, jax.Array]:
+        """Pose (3,) and size (2,): from the lane's right edge, shorter when raised."""
+        width = state.size[1]
+        length = width * jnp.maximum(1.0 - state.is_open, RAISED)
+        zero = jnp.zeros(())
+        local = jnp.stack([zero, (length - width) / 2, zero])
+        return to_world(state.pose, local), jnp.stack([zero + BEAM, length])
+
+
+class CartState(NamedTuple):
+    """A cart, and the places of its lot."""
+
+    pose: jax.Array  # (3,)
+    speed: jax.Array  # () [m/s]
+    places: Places
+
+
+@dataclasses.dataclass(frozen=True)
+class Cart(Mover):
+    """A cart that somebody pushes now and then, and that rolls until it stands.
+
+    It stops at walls, bays and movers, and where a car cannot stop.
+
+    Attributes:
+        speed: the largest with which it is pushed [m/s].
+        pause: mean time that it stands until it is pushed again [s].
+        mover: fixed.
+    """
+
+    speed: Positive = 1.5
+    pause: Positive = 10.0
+    mover: str = "cart"
+
+    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> CartState:
+        """It stands at a place of the lot."""
+        places = make_places(layout)
+        place_key, yaw_key = jax.random.split(key)
+        order = jax.random.uniform(place_key, places.mask.shape)
+        yaw = jax.random.uniform(yaw_key, (1,), maxval=2 * jnp.pi)
+        yaw = jnp.broadcast_to(yaw, (*order.shape, 1))
+        pose = jnp.concatenate([places.edge, yaw], axis=1)
+        # The best is a free place, else one that can be reached.
+        free = ~touches(pose, jnp.array(CART), others)
+        order = order + jnp.where(places.mask, 1.0 + free, 0.0)
+        return CartState(pose[jnp.argmax(order)], jnp.float32(0.0), places)
+
+    begin = init
+
+    def step(self, key: Any, state: CartState, lot: State, dt: float) -> CartState:
+        """It rolls on, or is pushed anywhere."""
+        when, where, hard = jax.random.split(key, 3)
+        pose, speed = state.pose, state.speed
+        pushed = (speed == 0.0) & (jax.random.uniform(when) < dt / self.pause)
+        yaw = jax.random.uniform(where, maxval=2 * jnp.pi)
+        pose = pose.at[2].set(jnp.where(pushed, yaw, pose[2]))
+        push = jax.random.uniform(hard, minval=0.3, maxval=1.0) * self.speed
+        speed = jnp.where(pushed, push, speed)
+        slower = jnp.maximum(speed - ROLLING * dt, 0.0)
+        there = move_forward(pose, (speed + slower) / 2 * dt)
+        ahead = move_forward(there, AHEAD)
+        stops = meet(pose[None, :2], ahead[None, :2], state.places.blocks)[0]
+        stops = stops | would_hit(lot, there, jnp.array(CART), dt)
+        pose = jnp.where(stops, state.pose, there)
+        return state._replace(pose=pose, speed=jnp.where(stops, 0.0, slower))
+
+    def obstacles(self, state: CartState) -> list[Boxes]:
+        """Its basket."""
+        return [_moving_box(state.pose, state.speed, CART)]
+
+
+class DoorState(NamedTuple):
+    """A door of a parked car."""
+
+    car: jax.Array  # () int32, which parked car's
+    side: jax.Array  # () 1 = left, -1 = right
+    angle: jax.Array  # () 0 = closed [rad]
+    clock: jax.Array  # () time since it began to open, negative while closed [s]
+    pose: jax.Array  # (3,) of its middle
+
+
+@dataclasses.dataclass(frozen=True)
+class Door(Mover):
+    """A door that opens beside a free bay, at another parked car each time.
+
+    It swings neither where a car can no longer stop nor into anybody.
+
+    Attributes:
+        pause: mean time that all doors are closed [s].
+        mover: fixed.
+    """
+
+    pause: Positive = 10.0
+    mover: str = "door"
+
+    def init(self, key: Any, layout: Layout) -> DoorState:
+        """All doors are closed."""
+        del key, layout
+        zero = jnp.float32(0.0)
+        return DoorState(jnp.int32(0), zero + 1.0, zero, zero - 1.0, jnp.zeros(3))
+
+    def step(self, key: Any, state: DoorState, lot: State, dt: float) -> DoorState:
+        """It swings on; a closed one may open, if there is room beside the car."""
+        cars = lot.parked_cars
+        if not cars.bay.shape[0]:
+            return state
+        when, which, where = jax.random.split(key, 3)
+        closed = state.clock < 0.0
+        car = jax.random.randint(which, (), 0, cars.bay.shape[0])
+        side = jnp.where(jax.random.bernoulli(where), 1.0, -1.0)
+        opens = closed & (jax.random.uniform(when) < dt / self.pause)
+        car = jnp.where(closed, car, state.car)
+        side = jnp.where(closed, side, state.side)
+        pose, size = cars.pose_w[car], cars.size[car]
+        zero = jnp.zeros(())
+        beside = to_world(pose, jnp.stack([zero, side * (size[1] + BESIDE) / 2, zero]))
+        room = jnp.stack([size[0], zero + BESIDE])
+        others = cars.present & (jnp.arange(cars.bay.shape[0]) != car)
+        taken = boxes_overlap(beside, room - 0.2, cars.pose_w, cars.size) & others
+        opens = opens & ~taken.any() & cars.present[car]
+        opens = opens & ~would_hit(lot, beside, room, dt)
+        clock = jnp.where(closed, jnp.where(opens, 0.0, -1.0), state.clock + dt)
+        goal = jnp.clip(jnp.minimum(clock, 2 * SWING + OPEN - clock) / SWING, 0.0, 1.0)
+        angle = WIDEST * goal
+        at = _door_pose(pose, size, side, angle)
+        # Who comes too near while it opens holds it, and whoever it would touch.
+        held = (angle > state.angle) & would_hit(lot, at, jnp.array(DOOR), dt)
+        at = at[None]
+        held = held | touches(at, jnp.array(DOOR), lot.movers.groups)[0] & ~closed
+        angle, clock = (
+            jnp.where(held, before, after)
+            for before, after in ((state.angle, angle), (state.clock, clock))
+        )
+        clock = jnp.where(clock > 2 * SWING + OPEN, -1.0, clock)
+        return DoorState(car, side, angle, clock, _door_pose(pose, size, side, angle))
+
+    def obstacles(self, state: DoorState) -> list[Boxes]:
+        """The door while it is not closed."""
+        mask = state.angle > 0.0
+        return [Boxes(state.pose[None], jnp.array([DOOR]), mask=mask[None])]
+
+
+def _door_pose(
+    pose: jax.Array, size: jax.Array, side: jax.Array, angle: jax.Array
+) -> jax.Array:
+    """Pose (3,) of the middle of a door of a car, from the hinge backwards."""
+    back = jnp.stack([-jnp.cos(angle), side * jnp.sin(angle)])
+    hinge = jnp.stack([HINGE * size[0], side * size[1] / 2])
+    middle = hinge + DOOR[0] / 2 * back
+    return to_world(pose, jnp.append(middle, jnp.arctan2(back[1], back[0])))
+
+
+class RailState(NamedTuple):
+    """A car on a rail."""
+
+    middle: jax.Array  # (3,) pose of the rail's middle
+    half: jax.Array  # () half the way of its centre [m]
+    way: jax.Array  # () from the middle [m]
+    speed: jax.Array  # () in the direction of the rail [m/s]
+    heads: jax.Array  # () 1 or -1, where it drives when the way is free
+    there: jax.Array  # () bool, whether the lot has a lane for it
+
+
+@dataclasses.dataclass(frozen=True)
+class RailCar(Mover):
+    """A car that drives to and fro along the middle of a lane, as on a rail.
+
+    It stops before others, so nobody is hit who could not have stopped. Lots without a
+    lane of 10 m have none.
+
+    Attributes:
+        speed: [m/s].
+        mover: fixed.
+    """
+
+    speed: Positive = 1.5
+    mover: str = "rail_car"
+
+    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> RailState:
+        """It stands somewhere on the rail; without room for it there is none."""
+        lane_key, way_key = jax.random.split(key)
+        pose, size, there = draw_lane(lane_key, layout, SHORTEST)
+        half = jnp.maximum(size[0] / 2 - RAIL_CAR[0] / 2 - GAP, 0.0)
+        way = half * jax.random.uniform(way_key, (TRIES,), minval=-1.0)
+        tried = jnp.broadcast_to(pose, (TRIES, 3))
+        free = ~touches(move_forward(tried, way), jnp.array(RAIL_CAR), others)
+        way, there = way[jnp.argmax(free)], there & free.any()
+        zero = jnp.float32(0.0)
+        return RailState(pose, half, way, zero, jnp.float32(1.0), there)
+
+    begin = init
+
+    def step(self, key: Any, state: RailState, lot: State, dt: float) -> RailState:
+        """It drives on if the way is free, and turns round at the ends."""
+        del key
+        way = state.way + state.heads * self.speed * dt
+        way = jnp.clip(way, -state.half, state.half)
+        size = jnp.array(RAIL_CAR) + jnp.array([2 * GAP, 0.0])
+        waits = would_hit(lot, move_forward(state.middle, way), size, dt)
+        way = jnp.where(waits, state.way, way)
+        turns = jnp.abs(way) >= state.half
+        heads = jnp.where(turns, -jnp.sign(way), state.heads)
+        speed = (way - state.way) / dt
+        return state._replace(way=way, speed=speed, heads=heads)
+
+    def obstacles(self, state: RailState) -> list[Boxes]:
+        """The car."""
+        pose = move_forward(state.middle, state.way)
+        box = _moving_box(pose, state.speed, RAIL_CAR)
+        return [dataclasses.replace(box, mask=state.there[None])]
+
+
+def _moving_box(pose: jax.Array, speed: jax.Array, size: tuple[float, float]) -> Boxes:
+    """A box (3,) that moves along its heading at a speed () [m/s]."""
+    yaw = pose[2]
+    velocity = speed * jnp.stack([jnp.cos(yaw), jnp.sin(yaw)])
+    return Boxes(pose[None], jnp.array([size]), velocity[None])
+
+
+MOVERS.register("barrier", Barrier())
+MOVERS.register("cart", Cart())
+MOVERS.register("door", Door())
+MOVERS.register("rail_car", RailCar())

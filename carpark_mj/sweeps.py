@@ -1,0 +1,729 @@
+"""Sweeps: every combination of some settings is trained, through submitit.
+
+runs/SWEEP/
+    sweep.json          what all runs have in common
+    sweep.csv           a row per run
+    outcomes/RUN.json   that it is done, or why it failed
+    runs/RUN/           the run's own folder, as `carpark_mj train` leaves it
+    logs/               what jobs print
+"""
+
+import contextlib
+import dataclasses
+import functools
+import itertools
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from urllib.parse import quote
+
+import jax
+import submitit
+import tyro
+from rich.console import Console
+from submitit.core.utils import FailedJobError
+from submitit.helpers import DelayedSubmission
+
+from carpark_mj.analysis import read_run
+from carpark_mj.cli.common import (
+    configure_jax,
+    enable_output_fusion,
+    keep_compiled_programs,
+    one_line,
+)
+from carpark_mj.config import REWARD_TERMS, term_settings
+from carpark_mj.config.checks import (
+    CheckedConfig,
+    Count,
+    Natural,
+    NonNegative,
+)
+from carpark_mj.extensions import unknown_name
+from carpark_mj.files import write_csv, write_json
+from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.runs import checkpoint_files
+from carpark_mj.reading import read_csv, read_object
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.parts import PRESETS, summaries
+from carpark_mj.training.run_folder import (
+    RunConfig,
+    list_settings,
+    read_config,
+    read_settings,
+)
+
+MAX_RUNS = 100_000
+MAX_NAME = 200  # characters; file systems allow 255 bytes
+POLL_SECONDS = {"local": 0.5, "debug": 0.0, "slurm": 10.0}
+ENDLESS = 10 * 365 * 24 * 60  # of a local job, which submitit would end [min]
+# What a sweep itself sets in every run.
+OWN_FIELDS = ("preset", "name", "runs_dir", "resume", "time_limit", "seed")
+
+Cluster = Literal["local", "debug", "slurm"]
+Status = Literal["done", "stopped", "failed", "waiting"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Axis:
+    """Settings that change together."""
+
+    fields: tuple[str, ...]  # dotted names of settings, `env.num_agents`
+    values: tuple[tuple[str, ...], ...]  # of all fields for every point, as words
+
+    @property
+    def is_swept(self) -> bool:
+        """Whether it has several points."""
+        return len(self.values) > 1
+
+
+def read_axis(text: str, config: PPOConfig) -> Axis:
+    """Reads `FIELD=VALUES`.
+
+    VALUES are separated by commas, or by semicolons where a value has commas itself;
+    `1..7` is a range of whole numbers, both ends included.
+    """
+    name, equals, values = text.partition("=")
+    if not equals:
+        raise ValueError(
+            f"set takes FIELD=VALUES, for example num_agents=1..7, not {text!r}"
+        )
+    field = _find_field(name.strip().replace("-", "_"), _settings(config))
+    words: list[str] = []
+    for part in values.removesuffix(";").split(";" if ";" in values else ","):
+        ends = re.fullmatch(r"\s*(-?\d+)\.\.(-?\d+)\s*", part)
+        first, last = map(int, ends.groups()) if ends else (0, -1)
+        words += map(str, range(first, last + 1)) if ends else [part.strip()]
+    if not all(words) or not words or len({*words}) < len(words):
+        raise ValueError(f"{field} has no values, or one twice, in {text!r}")
+    return Axis((field,), tuple((word,) for word in words))
+
+
+def _settings(config: PPOConfig) -> dict[str, Any]:
+    """All settings by their dotted names."""
+    names = [key for name in REWARD_TERMS for key in term_settings(name)]
+    extra = dict.fromkeys((f"env.reward.extra.{key}" for key in names), 0.0)
+    return extra | dict(list_settings(config))
+
+
+def _find_field(name: str, known: Mapping[str, Any]) -> str:
+    """The dotted name of a setting, given in full or by an unambiguous suffix."""
+    found = [path for path in known if f".{path}".endswith(f".{name}")]
+    if name in known:
+        found = [name]
+    if not found:
+        last = {path.rpartition(".")[2] for path in known}
+        raise ValueError(unknown_name("setting", name, last))
+    if len(found) > 1:
+        raise ValueError(f"{name!r} is several settings: {', '.join(found)}")
+    if found[0] in OWN_FIELDS:
+        raise ValueError(f"{found[0]} is not swept: see the flags of the sweep")
+    return found[0]
+
+
+def _flags(settings: dict[str, str], config: PPOConfig) -> list[str]:
+    """Settings (dotted name to value) as flags of the trainer."""
+    words: list[str] = []
+    known = _settings(config)
+    for field, value in settings.items():
+        *groups, last = field.replace("_", "-").split(".")
+        parts = value.split()
+        if isinstance(known[field], bool):
+            if value not in ("true", "false"):
+                raise ValueError(f"{field} must be true or false, not {value!r}")
+            last, parts = last if value == "true" else f"no-{last}", []
+        if any(re.match(r"-[^\d.]", part) for part in parts):
+            raise ValueError(f"{field} takes values, not flags, as in {value!r}")
+        words += [f"--{'.'.join((*groups, last))}", *parts]
+    return words
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A sweep."""
+
+    base: str  # preset of all runs
+    axes: tuple[Axis, ...]  # varied settings; a single value is fixed across runs
+    repeats: int = 1  # runs of every combination
+    seed: int = 0  # of the first run of a combination; run i uses seed + i
+
+    def __post_init__(self) -> None:
+        fields = [field for axis in self.axes for field in axis.fields]
+        if twice := {field for field in fields if fields.count(field) > 1}:
+            raise ValueError(f"{', '.join(twice)} is given twice")
+        if len(self) > MAX_RUNS:
+            raise ValueError(f"a sweep has at most {MAX_RUNS} runs, not {len(self)}")
+
+    def __len__(self) -> int:
+        """Number of runs."""
+        return self.repeats * math.prod(len(axis.values) for axis in self.axes)
+
+    @property
+    def definition(self) -> dict[str, Any]:
+        """Common settings of all runs; sweeps in one folder must agree in them."""
+        fixed = [axis for axis in self.axes if not axis.is_swept]
+        return {
+            "base": self.base,
+            "fixed": {
+                f: v for a in fixed for f, v in zip(a.fields, a.values[0], strict=True)
+            },
+            "swept": [list(axis.fields) for axis in self.axes if axis.is_swept],
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A run of a sweep."""
+
+    name: str  # of its folder, made of what differs between runs
+    base: str  # preset
+    settings: tuple[tuple[str, str], ...]  # dotted names and values, of all axes
+    swept: tuple[str, ...]  # those of them that differ between runs
+    seed: int  # random seed
+
+
+def runs(plan: Plan) -> Iterator[Run]:
+    """All runs: the seeds of a combination one after the other."""
+    swept = tuple(f for axis in plan.axes if axis.is_swept for f in axis.fields)
+    for point in itertools.product(*(axis.values for axis in plan.axes)):
+        settings = {
+            field: value
+            for axis, values in zip(plan.axes, point, strict=True)
+            for field, value in zip(axis.fields, values, strict=True)
+        }
+        for seed in range(plan.seed, plan.seed + plan.repeats):
+            parts = {field.rpartition(".")[2]: settings[field] for field in swept}
+            if len(parts) < len(swept):  # two settings of the same last name
+                parts = {field: settings[field] for field in swept}
+            words = [f"{key}={quote(value, safe='+,')}" for key, value in parts.items()]
+            name = ",".join([*words, f"seed={seed}"])
+            yield Run(name, plan.base, tuple(settings.items()), swept, seed)
+
+
+def checked_runs(plan: Plan) -> list[Run]:
+    """All runs, each with settings that can be trained."""
+    from carpark_mj.env import ParkingEnv
+
+    possible: set[Any] = set()
+    known: dict[PPOConfig, Run] = {}
+    for run in runs(plan):
+        where = ", ".join(f"{k}={v}" for k, v in run.settings if k in run.swept)
+        try:
+            config = settings_of(run)
+            if config.env not in possible:
+                ParkingEnv(config.env)  # more cars than bays, for example
+                possible.add(config.env)
+            if known.setdefault(config, run) is not run:
+                raise ValueError(f"the same settings as {known[config].name}")
+            if len(run.name) > MAX_NAME:
+                raise ValueError(f"its name is longer than {MAX_NAME}: sweep less")
+        except ValueError as error:
+            raise ValueError(f"{plan.base}, {where}: {error}") from None
+    return [*known.values()]
+
+
+@functools.cache
+def settings_of(run: Run) -> PPOConfig:
+    """The trainer's settings of a run; no video unless the sweep asks for one."""
+    settings = {"video_seconds": "0"} | dict(run.settings)
+    words = ["--preset", run.base, "--seed", str(run.seed)]
+    words += _flags(settings, PRESETS[run.base])
+    return read_settings(PRESETS[run.base], PRESETS, words, None, (), summaries())
+
+
+def groups(runs: Sequence[Run], size: int) -> list[tuple[Run, ...]]:
+    """Runs that train in one program: they differ in seeds and data only.
+
+    A run that ends after some `minutes` is alone: others beside it would slow it down.
+
+    Groups have at most `size` runs.
+    """
+    from carpark_mj.training.ppo.group import program
+
+    alike: dict[Any, list[Run]] = {}
+    for run in runs:
+        config = settings_of(run)
+        alone = size == 1 or config.minutes
+        alike.setdefault(run.name if alone else program(config), []).append(run)
+    return [
+        tuple(members[start : start + size])
+        for members in alike.values()
+        for start in range(0, len(members), size)
+    ]
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """Outcome of a run."""
+
+    status: Status  # `stopped`: to be resumed; `waiting`: not known yet
+    error: str = ""  # reason of the failure, one sentence
+    seconds: float = 0.0  # duration of the last attempt
+
+
+def run_folder(sweep: Path, run: Run) -> Path:
+    """Where a run trains."""
+    return sweep / "runs" / run.name
+
+
+def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
+    """Makes the folder of a sweep, or checks that it holds runs of the same kind."""
+    definition = {**plan.definition, "stochastic": stochastic}
+    path = folder / "sweep.json"
+    if not path.exists():
+        for part in ("outcomes", "runs", "logs"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        write_json(path, definition)
+    elif (known := read_object(path)) != definition:
+        differing = [k for k, v in definition.items() if known.get(k) != v]
+        raise ValueError(
+            f"{folder} holds another sweep, with another {', '.join(differing)}: "
+            "choose another --name"
+        )
+
+
+def read_outcome(sweep: Path, run: Run) -> Outcome:
+    """The recorded outcome of a run."""
+    try:
+        return Outcome(**read_object(sweep / "outcomes" / f"{run.name}.json"))
+    except (FileNotFoundError, ValueError, TypeError):
+        return Outcome("waiting")
+
+
+def write_outcome(sweep: Path, run: Run, outcome: Outcome) -> None:
+    """Records the outcome of a run."""
+    path = sweep / "outcomes" / f"{run.name}.json"
+    write_json(path, dataclasses.asdict(outcome))
+
+
+def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
+    """Writes a row per run: settings, seed, status, metrics, versions.
+
+    Rows of runs that were trained before, with other values or seeds, stay.
+    """
+    path, names = sweep / "sweep.csv", {run.name for run in runs}
+    rows: list[dict[str, Any]] = []
+    if path.exists():
+        rows += [row.cells for row in read_csv(path) if row.cells["run"] not in names]
+    for run in runs:
+        outcome = read_outcome(sweep, run)
+        row = {"run": run.name, "base": run.base, **dict(run.settings)}
+        rows.append(row | {"seed": run.seed, **dataclasses.asdict(outcome)})
+        with contextlib.suppress(CheckpointError):
+            if outcome.status == "done":
+                found = read_run(run_folder(sweep, run))
+                rows[-1] |= {**found.metrics, "device": found.device}
+                rows[-1] |= {f"version_{k}": v for k, v in found.versions.items()}
+    columns = dict.fromkeys(name for row in rows for name in row)
+    write_csv(path, [{name: row.get(name, "") for name in columns} for row in rows])
+    return path
+
+
+# `(run, status, error)`, as soon as a run ends.
+Tell = Callable[[Run, Status, str], None]
+# `(runs, folder of the sweep, sampled actions, tell)`.
+Train = Callable[[list[Run], Path, bool, Tell], None]
+
+
+def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, tell: Tell) -> None:
+    """Trains runs side by side, from their last checkpoints on, and evaluates them.
+
+    Args:
+        runs: that can share a program.
+        sweep: folder of the sweep.
+        stochastic: evaluate sampled actions.
+        tell: called with what becomes of each run.
+    """
+    from carpark_mj.cli import evaluate
+    from carpark_mj.training.ppo.train import MAX_SKIPPED, finish, train_runs
+
+    by_folder = {run_folder(sweep, run): run for run in runs}
+
+    def finish_run(config: PPOConfig, folder: Path) -> None:
+        try:
+            finish(dataclasses.replace(config, eval_episodes=0), folder)
+            if config.eval_episodes:
+                settings = evaluate.EvaluateConfig(
+                    str(folder),
+                    episodes=config.eval_episodes,
+                    stochastic=stochastic,
+                    out=str(folder),
+                )
+                evaluate.main(settings)
+        except Exception as error:  # the others are still to be evaluated
+            tell(by_folder[folder], "failed", _sentence(error))
+        else:
+            tell(by_folder[folder], "done", "")
+
+    # Side by side they go on from the same checkpoint: a kill between two checkpoints
+    # leaves runs of a group with different ones.
+    parts: dict[str, list[PPOConfig]] = {}
+    for folder, run in by_folder.items():
+        if files := checkpoint_files(folder):
+            config = read_config(PPOConfig, folder)
+            config = dataclasses.replace(config, resume=str(folder))
+        else:
+            shutil.rmtree(folder, ignore_errors=True)  # killed before its first
+            config = dataclasses.replace(
+                settings_of(run), name=run.name, runs_dir=str(folder.parent)
+            )
+        parts.setdefault(files[-1].name if files else "", []).append(config)
+    for configs in parts.values():
+        ended = train_runs(configs, finish_run)
+        for folder, outcome in ended:
+            if outcome == "stopped":
+                tell(by_folder[folder], "stopped", "")
+            if outcome == "diverged":
+                error = f"{MAX_SKIPPED} updates in a row were non-finite"
+                tell(by_folder[folder], "failed", error)
+        if any(outcome == "stopped" for _, outcome in ended):
+            return
+
+
+def _sentence(error: Exception) -> str:
+    """An error as one sentence; all of it stands in the job's log."""
+    traceback.print_exception(error)
+    return one_line(error) or type(error).__name__
+
+
+@dataclasses.dataclass(frozen=True)
+class Work:
+    """A job, as submitit pickles it."""
+
+    sweep: Path  # folder of the sweep
+    runs: tuple[Run, ...]
+    train: Train
+    stochastic: bool = False  # evaluate sampled actions
+    # `CUDA_VISIBLE_DEVICES` of the job, which submitit empties for local ones; () = all
+    # there are, None = as it is, on a cluster.
+    gpus: tuple[str, ...] | None = None
+    own_process: bool = True  # whether JAX is still to be set up
+
+    def __call__(self) -> None:
+        """Trains what is left of the runs, and writes what becomes of each."""
+        if self.gpus:
+            os.environ["CUDA_VISIBLE_DEVICES"] = ",".join(self.gpus)
+        elif self.gpus is not None:
+            os.environ.pop("CUDA_VISIBLE_DEVICES", None)
+        if self.own_process:
+            configure_jax()
+            keep_compiled_programs()
+        left = [r for r in self.runs if read_outcome(self.sweep, r).status != "done"]
+        begun, told = time.monotonic(), set[Run]()
+
+        def tell(run: Run, status: Status, error: str = "") -> None:
+            seconds = (time.monotonic() - begun) / len(left)
+            write_outcome(self.sweep, run, Outcome(status, error, seconds))
+            told.add(run)
+
+        try:
+            if left:
+                self.train(left, self.sweep, self.stochastic, tell)
+        except Exception as error:  # of any kind: the other jobs go on
+            for run in left:
+                if run not in told:
+                    tell(run, "failed", _sentence(error))
+
+    def checkpoint(self) -> DelayedSubmission:
+        """Before the end of its time on a cluster: the job is queued again."""
+        return DelayedSubmission(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class SlurmConfig(CheckedConfig):
+    """What is asked of Slurm for every run.
+
+    Attributes:
+        partition: where; empty = the cluster's default, as with the next three.
+        account: that pays.
+        qos: quality of service.
+        constraint: features that nodes must have.
+        time: after which a job is queued again, to go on from its checkpoint [min].
+        requeues: how often it may be.
+        gpus_per_node: number of GPUs.
+        cpus_per_task: number of CPU cores.
+        mem_gb: memory [GB]; 0 = the default.
+    """
+
+    partition: str = ""
+    account: str = ""
+    qos: str = ""
+    constraint: str = ""
+    time: Count = 240
+    requeues: Natural = 10
+    gpus_per_node: Natural = 1
+    cpus_per_task: Count = 4
+    mem_gb: NonNegative = 0.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Where(CheckedConfig):
+    """Where and how a sweep runs.
+
+    Attributes:
+        cluster: `local`: processes of this machine; `slurm`: jobs of a Slurm cluster;
+            `debug`: this process.
+        jobs: largest number of jobs at a time; on one machine each has its own GPU, if
+            there are several. 0 = one on this machine, all on a cluster.
+        side_by_side: largest number of runs that a job trains in one program, if they
+            differ only in seeds and in numbers such as `discount` and
+            `env.reward.park`; runs with `minutes` train alone.
+        slurm: resources to request from Slurm.
+        stochastic: evaluate sampled actions instead of the deterministic policy.
+    """
+
+    cluster: Cluster = "local"
+    jobs: Natural = 0
+    side_by_side: Count = 8
+    slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
+    stochastic: bool = False
+
+
+def make_executor(where: Where, folder: Path) -> submitit.AutoExecutor:
+    """The executor of a cluster; `folder` is for what jobs print."""
+    asked: dict[str, Any] = {"timeout_min": ENDLESS}
+    options: dict[str, Any] = {}
+    if where.cluster == "slurm":
+        slurm = where.slurm
+        options = {"slurm_max_num_timeout": slurm.requeues}
+        asked = {
+            "slurm_array_parallelism": where.jobs or 1000,
+            "timeout_min": slurm.time,
+            "gpus_per_node": slurm.gpus_per_node,
+            "cpus_per_task": slurm.cpus_per_task,
+            "mem_gb": slurm.mem_gb,
+        }
+        for name in ("partition", "account", "qos", "constraint"):
+            asked[f"slurm_{name}"] = getattr(slurm, name)
+    try:
+        # Jobs may start elsewhere.
+        executor = submitit.AutoExecutor(folder.resolve(), where.cluster, **options)
+    except RuntimeError as error:
+        raise ValueError(f"cluster {where.cluster} is not available: {error}") from None
+    given = {name: value for name, value in asked.items() if value}
+    executor.update_parameters(name=folder.parent.name, **given)
+    # Jobs inherit the environment, and import what this process can.
+    paths = [str(Path(path).resolve()) for path in sys.path]
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
+    return executor
+
+
+def run_works(
+    executor: submitit.AutoExecutor, works: Sequence[Work], jobs: int
+) -> Iterator[tuple[Work, str]]:
+    """Runs jobs; yields each as it ends, with the reason if its process failed.
+
+    Left early, by Ctrl-C for instance, it cancels local jobs; cluster jobs continue.
+    """
+    waiting = list(works)
+    running: dict[int, tuple[Work, submitit.Job[None]]] = {}  # by slot
+    if executor.cluster == "slurm":
+        running = dict(enumerate(submit_array(executor, waiting)))
+        waiting = []
+    try:
+        while waiting or running:
+            for slot in {*range(jobs)} - {*running}:
+                if waiting:
+                    work = waiting.pop(0)
+                    if executor.cluster == "local":
+                        gpus = visible_gpus(slot, jobs)
+                        work = dataclasses.replace(work, gpus=gpus)
+                    running[slot] = work, executor.submit(work)
+            # A debug job that is asked would run and, if it fails, start a debugger.
+            # Submitit's own query of Slurm needs accounting.
+            queued = queued_jobs() if executor.cluster == "slurm" else None
+            ended = [
+                slot
+                for slot, (_, job) in running.items()
+                if executor.cluster == "debug"
+                or (job.done() if queued is None else job.job_id not in queued)
+            ]
+            for slot in ended:
+                work, job = running.pop(slot)
+                yield work, _reason(job)
+            if running and not ended:
+                time.sleep(POLL_SECONDS[executor.cluster])
+    finally:
+        if executor.cluster == "local":
+            for _, job in running.values():
+                job.cancel(check=False)
+
+
+def visible_gpus(slot: int, jobs: int) -> tuple[str, ...]:
+    """GPUs of a local job: of several at a time each has its own, if possible."""
+    given = os.environ.get("CUDA_VISIBLE_DEVICES")
+    nodes = sorted(node.name for node in Path("/dev").glob("nvidia[0-9]*"))
+    devices = [node.removeprefix("nvidia") for node in nodes]
+    if given is not None:
+        devices = given.split(",")
+    if jobs > 1 and devices:
+        return (devices[slot % len(devices)],)
+    return tuple(devices)
+
+
+def _reason(job: submitit.Job[None]) -> str:
+    """Why a job that ended has failed; empty if it has not. A debug job runs now."""
+    if isinstance(job, submitit.SlurmJob) and not job.paths.result_pickle.exists():
+        return f"its job left the queue without a result (see {job.paths.stderr})"
+    try:
+        error = job.exception()
+    except Exception as raised:
+        error = raised
+    if error is None:
+        return ""
+    reason = str(error).strip().partition("\n")[0]
+    return f"its process ended: {reason} (see {job.paths.stderr})"
+
+
+def submit_array(
+    executor: submitit.AutoExecutor, works: Sequence[Work]
+) -> list[tuple[Work, submitit.Job[None]]]:
+    """Submits to a cluster what does not stand in its queue from an earlier time."""
+    record = executor.folder / "jobs.json"
+    known: dict[str, str] = read_object(record) if record.exists() else {}
+    queued = queued_jobs() if known else set[str]()
+    jobs: list[tuple[Work, submitit.Job[None]]] = []
+    new: list[Work] = []
+    for work in works:
+        by_job: dict[str, list[Run]] = {}
+        for run in work.runs:
+            job_id = known.get(run.name, "")
+            by_job.setdefault(job_id * (job_id in queued), []).append(run)
+        for job_id, own in by_job.items():
+            part = dataclasses.replace(work, runs=tuple(own))
+            if job_id:
+                jobs.append((part, submitit.SlurmJob[None](executor.folder, job_id)))
+            else:
+                new.append(part)
+    if new:
+        try:
+            with executor.batch():
+                submitted = [executor.submit(work) for work in new]
+        except FailedJobError as error:
+            reason = str(error).strip().partition("\n")[0]
+            raise ValueError(f"Slurm refuses the jobs: {reason}") from None
+        jobs += zip(new, submitted, strict=True)
+    ids = {run.name: job.job_id for work, job in jobs for run in work.runs}
+    write_json(record, known | ids)
+    return jobs
+
+
+def queued_jobs() -> set[str]:
+    """Numbers of the jobs in Slurm's queue."""
+    command = ["squeue", "--noheader", "--array", "--format", "%i"]
+    while True:
+        asked = subprocess.run(command, capture_output=True, text=True, check=False)
+        if not asked.returncode:
+            return {*asked.stdout.split()}
+        time.sleep(POLL_SECONDS["slurm"])  # a busy controller does not answer
+
+
+def run_sweep(
+    folder: Path,
+    plan: Plan,
+    runs: Sequence[Run],
+    where: Where,
+    train: Train = train_ppo,
+) -> Counter[str]:
+    """Trains the unfinished of the checked runs of a plan; others keep their results.
+
+    Returns:
+        How many runs are done, stopped, failed.
+    """
+    executor = make_executor(where, folder / "logs")
+    open_sweep(folder, plan, where.stochastic)
+    left = [run for run in runs if read_outcome(folder, run).status != "done"]
+    say = Console(highlight=False, soft_wrap=True, markup=False).print
+    done = len(runs) - len(left)
+    say(f"{folder}: {len(runs)} runs, {done} of them done")
+    for run in left:
+        write_outcome(folder, run, Outcome("waiting"))
+    write_table(folder, runs)
+    works = [
+        Work(
+            folder.resolve(),
+            group,
+            train,
+            where.stochastic,
+            own_process=where.cluster != "debug",
+        )
+        for group in groups(left, where.side_by_side)
+    ]
+    for work, reason in run_works(executor, works, where.jobs or 1):
+        for run in work.runs:
+            outcome = read_outcome(folder, run)
+            if outcome.status == "waiting":  # its process had no time to say so
+                outcome = Outcome("failed", reason or "its job did not train it")
+                write_outcome(folder, run, outcome)
+            done += outcome.status == "done"
+            words = f"{outcome.status} after {outcome.seconds:.0f} s"
+            if outcome.status == "failed":
+                words = f"failed: {outcome.error}"
+            say(f"{done}/{len(runs)} {run.name}: {words}")
+        write_table(folder, runs)
+    counts = Counter(read_outcome(folder, run).status for run in runs)
+    table = write_table(folder, runs)
+    say(f"{', '.join(f'{n} {status}' for status, n in counts.items())}; see {table}")
+    return counts
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SweepConfig(Where):
+    """Settings of `carpark_mj sweep`; those of `Where` come first.
+
+    Attributes:
+        base: preset of `carpark_mj train` for all runs.
+        set: `FIELD=VALUES` each: a setting by its dotted name or any unambiguous
+            suffix, and its values, separated by commas, or by semicolons if they
+            contain commas; `1..7` is a range. Every combination is trained.
+        repeats: runs of every combination, with different seeds.
+        seed: first seed.
+        name: folder under `runs_dir`; empty = the base and the swept settings.
+        runs_dir: folder of all sweeps.
+    """
+
+    base: Annotated[str, tyro.conf.arg(metavar="PRESET")]
+    set: tuple[str, ...] = ()
+    repeats: Count = 1
+    seed: int = 0
+    name: str = ""
+    runs_dir: str = "runs"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        # The rules of a run's name and seeds.
+        RunConfig(name=self.name, seed=self.seed)
+        RunConfig(seed=self.seed + self.repeats - 1)
+        if self.base not in PRESETS:
+            raise ValueError(f"unknown base {self.base!r}; choose from {[*PRESETS]}")
+
+    @property
+    def plan(self) -> Plan:
+        """The runs to train."""
+        base = PRESETS[self.base]
+        axes = tuple(read_axis(text, base) for text in self.set)
+        return Plan(self.base, axes, self.repeats, self.seed)
+
+    @property
+    def folder(self) -> Path:
+        """Of the sweep."""
+        swept = [x.fields[0].rpartition(".")[2] for x in self.plan.axes if x.is_swept]
+        return Path(self.runs_dir) / (self.name or "-".join((self.base, *swept)))
+
+
+def prepare(cluster: str) -> None:
+    """Sets JAX up; a process that only submits leaves the GPU to its jobs."""
+    if cluster == "debug":
+        configure_jax()
+        keep_compiled_programs()
+    else:
+        enable_output_fusion()
+        jax.config.update("jax_platforms", "cpu")

@@ -1,1 +1,0 @@
-"""Sweeps: every combination of some settings, trained as jobs through submitit."""
