@@ -203,10 +203,9 @@ def _place(
     x, y, yaw = (float(value) for value in centre)
     offset = params.centre_offset
     body.pos = [x - offset * math.cos(yaw), y - offset * math.sin(yaw), height]
-    turn, tilt = np.zeros(4), np.zeros(4)
+    turn, tilt, quat = np.zeros((3, 4))
     mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), yaw)
     mujoco.mju_axisAngle2Quat(tilt, np.array([0.0, 1.0, 0.0]), pitch)
-    quat = np.zeros(4)
     mujoco.mju_mulQuat(quat, turn, tilt)
     body.quat = quat
 
@@ -217,11 +216,6 @@ def scene_xml(
     """The scene as MJCF text, with a guide to its controls at the top.
 
     It is well-formed XML for other readers too: comments must not contain `--`.
-
-    Args:
-        spec: the scene.
-        params: the vehicle of the cars to drive.
-        place: name of the scene in the guide.
     """
     spec.compile()
     agents = sum(body.name.startswith("agent") for body in spec.worldbody.bodies)

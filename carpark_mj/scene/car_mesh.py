@@ -101,13 +101,8 @@ ARCH_GAP = 0.05  # m, between tyre and wheel arch
 RIM = 0.66  # radius of the rim over the tyre's
 # Half width in plan over the car's, along the length from the nose.
 _PLAN = (
-    (0.0, 0.80),
-    (0.02, 0.90),
-    (0.08, 0.97),
-    (0.16, 1.0),
-    (0.86, 1.0),
-    (0.98, 0.93),
-    (1.0, 0.85),
+    (0.0, 0.02, 0.08, 0.16, 0.86, 0.98, 1.0),
+    (0.80, 0.90, 0.97, 1.0, 1.0, 0.93, 0.85),
 )
 # The body's section: height between underside and upper edge, and half width.
 _RISE = np.array([0.0, 0.30, 0.60, 0.86, 1.0])
@@ -189,14 +184,14 @@ def _shell(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     nose, tail = _x(params, np.array([0.0, 1.0]))
     arches = _arches(params)
     arches = arches[(arches > tail) & (arches < nose)]
-    plain = _x(params, np.array([u for u, _ in (*style.top, *_PLAN)]))
+    plain = _x(params, np.array([*style.top[0], *_PLAN[0]]))
     # Stations close to an arch's own would make slivers.
     free = np.abs(plain[:, None] - arches).min(axis=1) > 0.06
     x = np.concatenate([plain[free], arches, [nose, tail]])
     x = np.unique(np.round(x, DECIMALS))
     u = 1.0 - (x + params.rear_overhang) / params.length
-    top = params.height * np.interp(u, *np.transpose(style.top))
-    half = params.width / 2 * np.interp(u, *np.transpose(_PLAN))
+    top = params.height * np.interp(u, *style.top)
+    half = params.width / 2 * np.interp(u, *_PLAN)
     under = style.clearance + 0.06 * np.interp(u, [0, 0.08, 0.9, 1], [1, 0, 0, 1])
     low = _lower_edge(params, x, under)
     z = under[:, None] + (top - under)[:, None] * _RISE
@@ -274,8 +269,8 @@ def _pair(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:
 def _lights(params: VehicleParameters, style: CarStyle) -> dict[str, trimesh.Trimesh]:
     nose, tail = _x(params, np.array([0.0, 1.0]))
     half, height = params.width / 2, params.height
-    bonnet = np.interp(0.0, *np.transpose(style.top)) * height
-    boot = np.interp(1.0, *np.transpose(style.top)) * height
+    bonnet = np.interp(0.0, *style.top) * height
+    boot = np.interp(1.0, *style.top) * height
     z = boot - (0.26 if style.tall_lights else 0.15), boot - 0.01
     deep = 0.16
     return {
@@ -294,7 +289,7 @@ def _trim(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     """Dark parts: underbody between the wheels, grille, bumper slots, dashboard."""
     nose, tail = _x(params, np.array([0.0, 1.0]))
     half = params.width / 2
-    bonnet = np.interp(0.0, *np.transpose(style.top)) * params.height
+    bonnet = np.interp(0.0, *style.top) * params.height
     (foot, belt), _, _, (foot_rear, _) = style.windows
     inner = params.track_width / 2 - params.tyre_width / 2 - 0.6 * params.wheel_radius
     reach = params.wheel_radius + 2 * ARCH_GAP

@@ -6,6 +6,7 @@ they have no effect on the physics.
 
 import dataclasses
 import math
+from typing import Any
 
 import mujoco
 
@@ -70,6 +71,10 @@ def agent_colour(agent: int) -> Colour:
     return AGENTS[agent % len(AGENTS)]
 
 
+# Geoms that are only seen, and paint, which casts no shadows either.
+VISUAL: dict[str, Any] = {"contype": 0, "conaffinity": 0, "group": 1}
+PAINT: dict[str, Any] = {**VISUAL, "rgba": LINE, "castshadow": False}
+
 # Specular, shininess and emission.
 _SURFACES = {
     "paint": (0.3, 0.6, 0.0),
@@ -95,7 +100,8 @@ Line = tuple[tuple[float, float], ...]
 class CarStyle:
     """A side view; points are (share of length behind the nose, share of height)."""
 
-    top: Line  # upper edge of the body without its cabin, from nose to tail
+    # shares of length and of height of the body's upper edge, from nose to tail
+    top: tuple[tuple[float, ...], tuple[float, ...]]
     # foot of the windscreen, front and rear end of the roof, foot of the rear
     # window
     windows: Line
@@ -109,13 +115,8 @@ class CarStyle:
 STYLES = {
     "city": CarStyle(
         top=(
-            (0.0, 0.44),
-            (0.02, 0.52),
-            (0.08, 0.575),
-            (0.25, 0.645),
-            (0.90, 0.65),
-            (0.97, 0.62),
-            (1.0, 0.54),
+            (0.0, 0.02, 0.08, 0.25, 0.90, 0.97, 1.0),
+            (0.44, 0.52, 0.575, 0.645, 0.65, 0.62, 0.54),
         ),
         windows=((0.235, 0.64), (0.43, 0.965), (0.80, 0.955), (0.955, 0.64)),
         pillars=((0.0, 0.035), (0.54, 0.64), (0.90, 1.0)),
@@ -123,26 +124,16 @@ STYLES = {
     ),
     "compact": CarStyle(
         top=(
-            (0.0, 0.46),
-            (0.02, 0.525),
-            (0.08, 0.575),
-            (0.26, 0.655),
-            (0.93, 0.67),
-            (0.98, 0.65),
-            (1.0, 0.56),
+            (0.0, 0.02, 0.08, 0.26, 0.93, 0.98, 1.0),
+            (0.46, 0.525, 0.575, 0.655, 0.67, 0.65, 0.56),
         ),
         windows=((0.25, 0.65), (0.43, 0.965), (0.86, 0.955), (0.962, 0.66)),
         pillars=((0.0, 0.035), (0.44, 0.50), (0.82, 1.0)),
     ),
     "sedan": CarStyle(
         top=(
-            (0.0, 0.45),
-            (0.02, 0.52),
-            (0.08, 0.575),
-            (0.28, 0.655),
-            (0.82, 0.69),
-            (0.97, 0.675),
-            (1.0, 0.58),
+            (0.0, 0.02, 0.08, 0.28, 0.82, 0.97, 1.0),
+            (0.45, 0.52, 0.575, 0.655, 0.69, 0.675, 0.58),
         ),
         windows=((0.27, 0.65), (0.43, 0.965), (0.67, 0.955), (0.835, 0.68)),
         pillars=((0.0, 0.035), (0.46, 0.52), (0.90, 1.0)),
@@ -151,13 +142,8 @@ STYLES = {
     ),
     "sedan_fwd": CarStyle(
         top=(
-            (0.0, 0.45),
-            (0.02, 0.52),
-            (0.08, 0.58),
-            (0.27, 0.66),
-            (0.85, 0.70),
-            (0.975, 0.69),
-            (1.0, 0.60),
+            (0.0, 0.02, 0.08, 0.27, 0.85, 0.975, 1.0),
+            (0.45, 0.52, 0.58, 0.66, 0.70, 0.69, 0.60),
         ),
         windows=((0.26, 0.655), (0.42, 0.965), (0.68, 0.955), (0.865, 0.69)),
         pillars=((0.0, 0.035), (0.44, 0.50), (0.90, 1.0)),
@@ -166,13 +152,8 @@ STYLES = {
     ),
     "suv": CarStyle(
         top=(
-            (0.0, 0.50),
-            (0.015, 0.575),
-            (0.07, 0.615),
-            (0.26, 0.665),
-            (0.94, 0.68),
-            (0.985, 0.66),
-            (1.0, 0.58),
+            (0.0, 0.015, 0.07, 0.26, 0.94, 0.985, 1.0),
+            (0.50, 0.575, 0.615, 0.665, 0.68, 0.66, 0.58),
         ),
         windows=((0.25, 0.66), (0.40, 0.965), (0.88, 0.955), (0.968, 0.67)),
         pillars=((0.0, 0.035), (0.42, 0.47), (0.74, 0.79), (0.94, 1.0)),
@@ -181,13 +162,8 @@ STYLES = {
     ),
     "van": CarStyle(
         top=(
-            (0.0, 0.42),
-            (0.015, 0.475),
-            (0.05, 0.505),
-            (0.17, 0.565),
-            (0.95, 0.575),
-            (0.99, 0.57),
-            (1.0, 0.53),
+            (0.0, 0.015, 0.05, 0.17, 0.95, 0.99, 1.0),
+            (0.42, 0.475, 0.505, 0.565, 0.575, 0.57, 0.53),
         ),
         windows=((0.15, 0.56), (0.29, 0.965), (0.95, 0.96), (0.968, 0.57)),
         pillars=((0.0, 0.035), (0.32, 0.5), (0.5, 0.75), (0.75, 1.0)),

@@ -42,11 +42,7 @@ def add_bay_lines(spec: mujoco.MjSpec, layout: Layout) -> None:
                 pos=[x + cos * dx - sin * dy, y + sin * dx + cos * dy, 0.0],
                 quat=yaw_quat(yaw),
                 size=[half_x, half_y, LINE_HEIGHT],
-                rgba=looks.LINE,
-                castshadow=False,
-                contype=0,
-                conaffinity=0,
-                group=1,
+                **looks.PAINT,
             )
 
 
@@ -83,11 +79,7 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
                 meshname="arrow",
                 pos=[x + along * math.cos(yaw), y + along * math.sin(yaw), 0.0],
                 quat=yaw_quat(yaw),
-                rgba=looks.LINE,
-                castshadow=False,
-                contype=0,
-                conaffinity=0,
-                group=1,
+                **looks.PAINT,
             )
 
 
@@ -158,9 +150,5 @@ def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
                 meshname=f"digit{digit}",
                 pos=[x + along * math.cos(turn), y + along * math.sin(turn), 0.0],
                 quat=[math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)],
-                rgba=looks.LINE,
-                castshadow=False,
-                contype=0,
-                conaffinity=0,
-                group=1,
+                **looks.PAINT,
             )

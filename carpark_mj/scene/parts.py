@@ -7,7 +7,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import trimesh
 
 from carpark_mj.layouts.types import (
     DISC_HEIGHTS,
@@ -31,14 +30,8 @@ from carpark_mj.vehicle.presets import PRESETS
 
 # What a mesh depends on; cars that agree in it look alike.
 _SHAPE = (
-    "length",
-    "width",
-    "height",
-    "wheelbase",
-    "track_width",
-    "rear_overhang",
-    "wheel_radius",
-    "tyre_width",
+    *("length", "width", "height", "wheelbase", "track_width"),
+    *("rear_overhang", "wheel_radius", "tyre_width"),
 )
 # Part: material, colour (None: the car's), whether it casts a shadow.
 _LOOKS = {
@@ -51,11 +44,12 @@ _LOOKS = {
     "shade": ("rubber", looks.SHADE, False),
     "tyre": ("rubber", looks.TYRE, True),
     "rim": ("metal", looks.RIM, False),
-    "tyres": ("rubber", looks.TYRE, True),
-    "rims": ("metal", looks.RIM, False),
 }
+_LOOKS |= {"tyres": _LOOKS["tyre"], "rims": _LOOKS["rim"]}
 _CABIN = ("cage", "glass")
-_FIXED = ("body", "cage", "glass", "headlights", "tail_lights", "trim", "shade")
+# Parts of a car but for its wheels, in the rear axle's frame, and of a wheel.
+FIXED = ("body", *_CABIN, "headlights", "tail_lights", "trim", "shade")
+WHEEL = ("tyre", "rim")
 
 
 def shape_name(params: VehicleParameters) -> str:
@@ -67,21 +61,17 @@ def shape_name(params: VehicleParameters) -> str:
     return f"{name}_{zlib.crc32(repr(shape).encode()):08x}"
 
 
-def _meshes(params: VehicleParameters) -> dict[str, trimesh.Trimesh]:
-    return car_meshes(params) | standing_wheels(params)
-
-
-def _add_looks(
+def add_looks(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
     params: VehicleParameters,
     parts: tuple[str, ...],
     paint: looks.Colour = looks.RIM,
 ) -> None:
-    """Adds visual geoms; the first car of a shape adds its meshes, too."""
+    """Adds visual geoms to a body; the first car of a shape adds its meshes, too."""
     shape = shape_name(params)
     if spec.mesh(f"{shape}/body") is None:
-        for part, mesh in _meshes(params).items():
+        for part, mesh in (car_meshes(params) | standing_wheels(params)).items():
             add_mesh(spec, f"{shape}/{part}", mesh)
     for part in parts:
         material, colour, shadow = _LOOKS[part]
@@ -96,33 +86,6 @@ def _add_looks(
             group=2,
             mass=0.0,
         )
-
-
-def add_body_look(
-    spec: mujoco.MjSpec,
-    car: mujoco.MjsBody,
-    params: VehicleParameters,
-    colour: looks.Colour,
-) -> None:
-    """Adds everything of a car but its wheels; the frame is the rear axle's."""
-    _add_looks(spec, car, params, _FIXED, colour)
-
-
-def add_wheel_look(
-    spec: mujoco.MjSpec, wheel: mujoco.MjsBody, params: VehicleParameters
-) -> None:
-    """Adds tyre and rim to a wheel's body."""
-    _add_looks(spec, wheel, params, ("tyre", "rim"))
-
-
-def add_standing_car(
-    spec: mujoco.MjSpec,
-    body: mujoco.MjsBody,
-    params: VehicleParameters,
-    colour: looks.Colour,
-) -> None:
-    """Adds a whole car whose wheels do not move; the frame is the rear axle's."""
-    _add_looks(spec, body, params, (*_FIXED, "tyres", "rims"), colour)
 
 
 def cabin_geoms(model: mujoco.MjModel, car: int) -> np.ndarray:
@@ -218,11 +181,7 @@ def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=[*centre, 0.0],
             size=[*size, VERGE_HEIGHT],
-            rgba=looks.GRASS,
-            castshadow=False,
-            contype=0,
-            conaffinity=0,
-            group=1,
+            **looks.PAINT | {"rgba": looks.GRASS},
         )
 
 
@@ -249,7 +208,7 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
 
         low = height < WALL_HEIGHT
         if low:
-            box(height, rgba=colour, group=1, contype=0, conaffinity=0)
+            box(height, rgba=colour, **looks.VISUAL)
         box(
             WALL_HEIGHT,
             name=f"wall{wall}",
@@ -313,7 +272,7 @@ def add_parked_cars(spec: mujoco.MjSpec, cars: Sequence[VehicleParameters]) -> N
         add_locked_tyres(spec, body, params)
         add_hull(body, params, f"{name}/hull")
         colour = looks.PARKED[k % len(looks.PARKED)]
-        add_standing_car(spec, body, params, colour)
+        add_looks(spec, body, params, (*FIXED, "tyres", "rims"), colour)
 
 
 def car_prefix(agent: int, kind: int = 0) -> str:
@@ -334,10 +293,9 @@ def add_agents(
         prefix = car_prefix(k, kind)
         car = add_car(spec.worldbody, spec, params, prefix, servos, suspension)
         add_hull(car, params, f"{prefix}hull")
-        add_body_look(spec, car, params, looks.agent_colour(k))
+        add_looks(spec, car, params, FIXED, looks.agent_colour(k))
         for name in WHEELS:
-            wheel = spec.body(f"{prefix}wheel_{name}")
-            add_wheel_look(spec, wheel, params)
+            add_looks(spec, spec.body(f"{prefix}wheel_{name}"), params, WHEEL)
         add_car_cameras(car, params, prefix)
 
 

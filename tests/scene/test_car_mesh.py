@@ -12,7 +12,7 @@ from helpers.cars import ROAD_CARS
 from carpark_mj.scene import looks
 from carpark_mj.scene.car_mesh import SPOKES, car_meshes, driver_eye, standing_wheels
 from carpark_mj.scene.looks import STYLES, nearest_style
-from carpark_mj.scene.parts import add_standing_car, shape_name
+from carpark_mj.scene.parts import FIXED, add_looks, shape_name
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.mjcf import hub_positions
 
@@ -160,7 +160,7 @@ def test_cars_of_a_shape_share_their_meshes_and_each_has_its_colour():
     looks.add_materials(spec)
     for k, params in enumerate((COMPACT, COMPACT, PRESETS["van"])):
         body = spec.worldbody.add_body(name=f"car{k}", pos=[0.0, 4.0 * k, 0.0])
-        add_standing_car(spec, body, params, looks.agent_colour(k))
+        add_looks(spec, body, params, (*FIXED, "tyres", "rims"), looks.agent_colour(k))
     model = spec.compile()
     assert model.nmesh == 2 * len(whole(COMPACT))
     assert model.body_mass.sum() == 0.0  # looks weigh nothing

@@ -221,7 +221,7 @@ def test_looks_change_no_mass_and_no_motion(monkeypatch):
         return model, data
 
     with_looks, moved = drive()
-    monkeypatch.setattr(parts, "_add_looks", lambda *_: None)
+    monkeypatch.setattr(parts, "add_looks", lambda *_: None)
     without, expected = drive()
     assert with_looks.nmesh > without.nmesh
     for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_M0"):
