@@ -166,13 +166,9 @@ class Seat:
 
 
 def seat(blocks: Blocks, agent: jax.Array, pose_w: jax.Array, eye: jax.Array) -> Seat:
-    """Blocks as one camera sees them.
+    """Blocks as the camera of one agent sees them.
 
-    Args:
-        blocks: of the lot.
-        agent: () int32 whose camera it is.
-        pose_w: (3,) of the car.
-        eye: (3,) of the camera in the car's frame, from its middle on the ground [m].
+    The car is at pose_w (3,), the eye (3,) in its frame, from its middle on the ground [m].
     """
     yaw = blocks.pose_w[:, 2]
     turn = yaw - pose_w[2]

@@ -72,8 +72,8 @@ def fold(
         things: pytree of arrays (n, ...).
         padding: one of them that changes nothing, arrays (...).
         meet: `best` after a thing, arrays (...).
-        matters: (n,) bool, the things that can change something; None = all. Passes
-            over the others are saved.
+        matters: (n,) bool, the things that can change something, to save passes over the
+            others; None = all.
     """
     if matters is not None:
         first = jnp.argsort(~matters)
@@ -144,8 +144,7 @@ def cover(
         x: (...) ahead of the place along the car's axis [m].
         y: (...) to the left [m].
         line_width: of bays [m].
-        reach: of the points from the place and of a line's width, at most [m]; None =
-            any.
+        reach: most distance of a point and a line's width from the place [m]; None = any.
     """
     own = jnp.arange(layout.num_bays) == goal
     kinds = jnp.where(own, OWN_BAY, BAY)

@@ -62,9 +62,6 @@ class Lens(CheckedConfig):
         """Unit vectors (height, width, 3) of the pixels' middles, rows from the top.
 
         In the frame of the camera: x along the axis, y left, z up.
-
-        Raises:
-            ValueError: the lens has no ray for some pixels.
         """
         scale = float(self.radius(np.array(self.fov / 2))) / (width / 2)
         left = width / 2 - 0.5 - np.arange(width)

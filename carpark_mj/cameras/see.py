@@ -169,11 +169,7 @@ def colours(
 ) -> jax.Array:
     """RGB (..., height, width, 3) in [0, 1]; faces are as bright as in the sun.
 
-    Args:
-        pictures: what the cameras see.
-        faults: of the cameras: their exposure.
-        noise: standard deviation.
-        key: consumed; needed for noise.
+    Faults give the exposure; noise of a standard deviation consumes the key.
     """
     palette = jnp.array([COLOURS[kind] for kind in Seen])
     rgb = palette[pictures.seen] * (pictures.shade[..., None] / SHADES)
@@ -189,10 +185,8 @@ def colours(
 def paint(pictures: Pictures, channel: Channel) -> jax.Array:
     """Pictures to look at (..., height, width, 3) uint8.
 
-    Args:
-        pictures: what the cameras see.
-        channel: `colour`, with the shades of the sun; `depth`, the nearer the brighter;
-            `seen`, a colour for each kind.
+    `colour` has the shades of the sun, `depth` is the brighter the nearer, `seen` has a
+    colour for each kind.
     """
     if channel == "depth":
         near = 1.0 - jnp.minimum(pictures.depth / DARK, 1.0)
@@ -229,10 +223,6 @@ def see_from_above(config: BirdsEye, state: State) -> jax.Array:
     """Pictures (num_agents, pixels, pixels) uint8 `Seen`, rows from the front.
 
     Lines are at least as wide as a pixel.
-
-    Args:
-        config: the picture, static.
-        state: of one lot.
     """
     boxes, cylinders = lot_blocks(state, _ANY_HEIGHT, of_cars=(BODY,))
     side = config.span * (0.5 - (np.arange(config.pixels) + 0.5) / config.pixels)

@@ -43,14 +43,8 @@ def draw_lots(
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Draws a family's training lots as episodes start in them, half of the bays full.
 
-    Args:
-        family: name of the layout.
-        size: width and height of a picture [pixels].
-        camera: a camera of `LotRenderer`.
-        seed: of the first lot, the next has the next seed.
-
-    Yields:
-        A caption and a picture (height, width, 3) uint8 for each.
+    Yields a caption and a picture (height, width, 3) uint8 of each; the seed is that of the
+    first lot, `size` the width and height of a picture [pixels].
     """
     env = ParkingEnv(
         EnvConfig(

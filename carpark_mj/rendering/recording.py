@@ -74,11 +74,6 @@ def parked_trace(before: State, after: State, motion: Motion) -> jax.Array:
 
     Physics tells where pushed cars are at its end; until then they are on a straight
     line. A car that is relocated at the end stays where it was.
-
-    Args:
-        before: the step.
-        after: it.
-        motion: of the agents in it.
     """
     start, end = before.parked_cars, after.parked_cars
     push = end.pose_w - start.pose_w

@@ -161,10 +161,6 @@ class LotRenderer:
             camera: see `camera_names`.
             size: width and height of a frame [pixels].
             show: extras to draw.
-
-        Raises:
-            RenderingError: OpenGL is not available.
-            ValueError: no such camera.
         """
         self._show = show or Show()
         self.cameras = camera_names(camera, stage.num_agents)
@@ -259,11 +255,7 @@ def camera_names(camera: str, num_agents: int | None = None) -> tuple[str, ...]:
     """Names of the scene's cameras for a camera flag, left to right.
 
     `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its wheel, `split`
-    (topdown and chase:0) or `split:K`.
-
-    Args:
-        camera: the flag.
-        num_agents: in the scene; None if it is not known yet.
+    (topdown and chase:0) or `split:K`. `num_agents` is None if it is not known yet.
 
     Raises:
         ValueError: no such camera; the message lists them.

@@ -62,17 +62,8 @@ def draw_labels(
 ) -> np.ndarray:
     """Labels agents with discs and goals with squares, both with the agent's index.
 
-    What the agent does, or how its episode has ended, stands below its disc, and for
-    a moment where an episode has just ended.
-
-    Args:
-        frame: (height, width, 3) uint8.
-        renderer: which drew it.
-        seen: what it shows.
-        camera: by which it was drawn.
-
-    Returns:
-        A new frame.
+    What the agent does, or how its episode has ended, stands below its disc, and for a
+    moment where an episode has just ended. Returns a new frame (height, width, 3) uint8.
     """
     from PIL import Image, ImageDraw
 
@@ -139,15 +130,8 @@ def draw_status(frame: np.ndarray, seen: Snapshot) -> np.ndarray:
 def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
     """The cameras that a flag names, with the resolution of their part of a frame.
 
-    Args:
-        camera: a rig by name, or one of its cameras, as `surround:0`.
-        size: width and height of a frame [pixels].
-
-    Returns:
-        None if there is no rig of that name.
-
-    Raises:
-        ValueError: the rig has no such camera, or a frame no room for its cameras.
+    The flag is a rig by name, or one of its cameras, as `surround:0`; `size` is the width
+    and height of a frame [pixels]. None if there is no rig of that name.
     """
     name, colon, index = camera.partition(":")
     if name not in RIGS:
@@ -178,15 +162,7 @@ class CarCameras:
         channel: Channel,
         size: tuple[int, int],
     ) -> None:
-        """Compiles nothing yet.
-
-        Args:
-            env: what was recorded.
-            recording: of it.
-            rig: `car_cameras` for frames of this size.
-            channel: what of their pictures.
-            size: width and height of a frame [pixels].
-        """
+        """Compiles nothing yet; `rig` is `car_cameras` for frames of this size [pixels]."""
         self._recording, self._size = recording, size
         heights = Heights.of(env.fleet)
         sizes = [(car.length, car.width) for car in env.fleet.agents]
@@ -287,7 +263,6 @@ def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
     The file is written atomically.
 
     Raises:
-        ValueError: another suffix.
         OSError: the file cannot be written, or FFmpeg refuses the frame rate.
     """
     if path.suffix == ".mp4":

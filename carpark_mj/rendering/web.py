@@ -31,11 +31,9 @@ from carpark_mj.types import ENDINGS, State
 
 
 class LiveLot:
-    """A lot, its cars on a `Stage`, and the policy that drives them.
+    """A lot, its cars on a `Stage` at the present instant, and the policy that drives.
 
     Attributes:
-        stage: the scene, always at the present instant.
-        extent: (2,) half widths of the lot [m].
         goal_pose: (agents, 3) goal bays; NaN for agents that explore.
         goal_size: (agents, 2) sizes of goal bays [m]; NaN for agents that explore.
         seconds: simulated time since the start [s].
@@ -205,9 +203,6 @@ def make_viewer(
 
     Returns:
         The viewer of mjviser and its server of viser.
-
-    Raises:
-        OSError: mjviser is not installed.
     """
     require_web()
     import mjviser

@@ -40,7 +40,8 @@ def build_scene(
 ) -> mujoco.MjSpec:
     """Builds the scene of one lot, all cars at the origin.
 
-    Hulls of agents' cars, parked cars and walls collide with each other.
+    Hulls of agents' cars, parked cars and walls collide with each other. Cameras are
+    `topdown`, `overview`, `agentK/chase` and `agentK/driver`.
 
     Args:
         layout: one layout (no batch dimension).
@@ -55,10 +56,6 @@ def build_scene(
             of `params`; the names of the second begin with `agentK/kind1/`...
         suspension: springs between the contact wheels and the cars.
         movers: obstacles that move by themselves, bodies `mover0`...
-
-    Returns:
-        A spec; cameras are `topdown`, `overview`, `agentK/chase` and
-        `agentK/driver`.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "carpark"
@@ -128,13 +125,8 @@ def drivable_scene(
 ) -> mujoco.MjSpec:
     """Builds a scene on contact wheels, all cars placed and at rest.
 
-    Args:
-        layout: the lot.
-        params: the vehicle of all cars.
-        agent_pose: (num_agents, 3) footprint centres of the cars to drive.
-        parked_pose: (num_parked_cars, 3) footprint centres of the parked cars.
-        suspension: springs between the wheels and the cars to drive.
-        movers: other obstacles, which stay where they are.
+    Poses (n, 3) are those of the footprints' centres of the cars to drive and of the parked
+    ones; movers stay where they are. See `build_scene`.
     """
     spec = build_scene(
         layout,
