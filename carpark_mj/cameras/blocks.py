@@ -168,7 +168,8 @@ class Seat:
 def seat(blocks: Blocks, agent: jax.Array, pose_w: jax.Array, eye: jax.Array) -> Seat:
     """Blocks as the camera of one agent sees them.
 
-    The car is at pose_w (3,), the eye (3,) in its frame, from its middle on the ground [m].
+    The car is at pose_w (3,), the eye (3,) in its frame, from its middle on the ground
+    [m].
     """
     yaw = blocks.pose_w[:, 2]
     turn = yaw - pose_w[2]

@@ -72,8 +72,8 @@ def fold(
         things: pytree of arrays (n, ...).
         padding: one of them that changes nothing, arrays (...).
         meet: `best` after a thing, arrays (...).
-        matters: (n,) bool, the things that can change something, to save passes over the
-            others; None = all.
+        matters: (n,) bool, the things that can change something; passes over the others
+            are saved. None = all.
     """
     if matters is not None:
         first = jnp.argsort(~matters)
@@ -144,7 +144,7 @@ def cover(
         x: (...) ahead of the place along the car's axis [m].
         y: (...) to the left [m].
         line_width: of bays [m].
-        reach: most distance of a point and a line's width from the place [m]; None = any.
+        reach: largest distance of points and lines from the place [m]; None = any.
     """
     own = jnp.arange(layout.num_bays) == goal
     kinds = jnp.where(own, OWN_BAY, BAY)

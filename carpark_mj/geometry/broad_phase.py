@@ -70,11 +70,8 @@ def least_near(
 ) -> jax.Array:
     """The least number (num_agents,) of those found for each agent, at most `limit`.
 
-    Args:
-        bound: (num_agents, n) lower bounds of the numbers; see `visit_near`.
-        find: the numbers (num_agents, k) at indices (num_agents, k).
-        limit: larger numbers need not be found.
-        chunk: see `visit_near`.
+    `bound` (num_agents, n) has lower bounds of the numbers, `find` gives the numbers
+    (num_agents, k) at indices (num_agents, k); see `visit_near`.
     """
 
     def visit(least: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
@@ -86,15 +83,10 @@ def least_near(
 
 
 def box_gaps(point: jax.Array, pose: jax.Array, size: jax.Array) -> jax.Array:
-    """Distances (num_agents, n) [m] from points to boxes; 0 inside.
+    """Distances (num_agents, n) [m] from points (num_agents, 2) to boxes; 0 inside.
 
     `geometry.point_box_distance` of every pair, but by coordinates, which vectorises:
     on a CPU a table of many pairs takes a fifth of the time.
-
-    Args:
-        point: (num_agents, 2) [m].
-        pose: (n, 3).
-        size: (n, 2) [m].
     """
     cos, sin = jnp.cos(pose[:, 2]), jnp.sin(pose[:, 2])
     x = point[:, :1] - pose[:, 0]
@@ -105,13 +97,7 @@ def box_gaps(point: jax.Array, pose: jax.Array, size: jax.Array) -> jax.Array:
 
 
 def disc_gaps(point: jax.Array, centre: jax.Array, radius: jax.Array) -> jax.Array:
-    """Distances (num_agents, n) [m] from points to the rims of discs; < 0 inside.
-
-    Args:
-        point: (num_agents, 2) [m].
-        centre: (n, 2) [m].
-        radius: (n,) [m].
-    """
+    """Distances (num_agents, n) [m] from points to the rims of discs; < 0 inside."""
     x = point[:, :1] - centre[:, 0]
     y = point[:, 1:] - centre[:, 1]
     return jnp.sqrt(x * x + y * y) - radius

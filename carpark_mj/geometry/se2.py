@@ -135,7 +135,7 @@ def nearest(
         count: how many to return; padded where there are fewer.
 
     Returns:
-        (num_agents, count) int indices and (num_agents, count) bool, whether present.
+        (num_agents, count) int indices, and bool whether present.
     """
     distance = norm(own_xy[:, None] - xy)
     distance = jnp.where(mask, distance, jnp.inf)

@@ -35,11 +35,7 @@ def observe(config: EnvConfig, state: State) -> jax.Array:
 
 
 def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.Array:
-    """The observations (count, observation_size) float32 of values by field.
-
-    Raises:
-        ValueError: the values do not match the encoder's fields.
-    """
+    """The observations (count, observation_size) float32 of values by field."""
     fields = make_fields(config)
     _require_fit(config.observation.encoding, fields, values, count)
     # XLA would compute the values within the concatenation, some of them repeatedly.

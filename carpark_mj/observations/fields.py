@@ -144,16 +144,13 @@ CAR_FIELDS = (
 def localise(
     own_pose: jax.Array, pose: jax.Array, size: jax.Array, present: jax.Array
 ) -> dict[str, jax.Array]:
-    """Describes tracked cars in the observers' frames.
+    """`CAR_FIELDS` (num_agents, count, k) of tracked cars in the observers' frames.
 
     Args:
         own_pose: (num_agents, 3) observers.
         pose: (num_agents, count, 3) tracked cars, world frame.
         size: (num_agents, count, 2) [m].
         present: (num_agents, count) bool; absent cars give zeros.
-
-    Returns:
-        `CAR_FIELDS` (num_agents, count, k).
     """
     local = to_local(own_pose[:, None], pose)
     xy = local[..., :2]

@@ -51,11 +51,6 @@ def cast_rays(
     evenly spaced counter-clockwise in the body frame. The distance counts from the
     car's own outline to the nearest obstacle: 0 means touching at any bearing, 1 that
     no obstacle is within reach. It is exact for boxes and discs.
-
-    Args:
-        config: the rays.
-        motion: the agents (num_agents,).
-        obstacles: of the lot, agents included.
     """
     own_pose, own_size = motion.pose_w, motion.size
     count, reach = config.count, config.reach
@@ -83,12 +78,9 @@ def _shorten(
 ) -> jax.Array:
     """Free distances (num_agents, count) cut where they meet any of n obstacles.
 
-    Args:
-        free: so far [m].
-        gap: (num_agents, n) from the agents' centres to the obstacles; inf = no such.
-        group: the obstacles.
-        origin: (num_agents, 1, 1, 2) where the rays begin [m].
-        direction: (num_agents, 1, count, 2) unit vectors.
+    `gap` (num_agents, n) is that from the agents' centres to the obstacles, inf where
+    there is none; rays begin at (num_agents, 1, 1, 2) along unit vectors (num_agents,
+    1, count, 2).
     """
     if not is_crowded(*gap.shape):
         found = take(group, None).ray_distance(origin, direction)
@@ -107,10 +99,7 @@ def _shorten(
 def ring_fields(config: RingConfig, high: float, where: str) -> list[Field]:
     """The counts as agents observe them: now, then the past, the oldest first.
 
-    Args:
-        config: the rings.
-        high: largest value.
-        where: end of the fields' meaning, the circle and its unit.
+    `high` is their largest value, `where` ends their meaning: the circle and its unit.
     """
     objects = "walls and discs, cars too," if config.cars else "walls and discs"
     meaning = f"{objects} within {where}, capped"
@@ -243,11 +232,8 @@ def _echoes(
 ) -> jax.Array:
     """Distances (agents, n, sensors) [m] to each of a group within cones.
 
-    Args:
-        group: n obstacles.
-        origin: (agents, 1, sensors, 2) apexes of the cones [m].
-        axis: (agents, 1, sensors) directions of their axes [rad].
-        spread: half the angle of a cone [rad].
+    `origin` (agents, 1, sensors, 2) has their apexes [m], `axis` (agents, 1, sensors)
+    the directions of their axes, `spread` is half their angle [rad].
     """
     offset = origin - group.pose_w[:, None, :2]
     if type(group) is Boxes:

@@ -71,12 +71,7 @@ def reset(
 ) -> Sensors | None:
     """The sensors, reset without history for agents that have respawned.
 
-    Args:
-        config: errors.
-        sensors: of all agents (num_agents,).
-        motion: of the cars (num_agents,), respawned.
-        respawned: (num_agents,) bool.
-        key: consumed.
+    `motion` is that of the cars after that; `key` is consumed.
     """
     if sensors is None:
         return None
@@ -133,16 +128,11 @@ def begin_odometry(config: SensorConfig, pose_w: jax.Array, key: jax.Array) -> O
 def reckon(
     odometry: Odometry, before_w: jax.Array, after_w: jax.Array, offset: jax.Array
 ) -> Odometry:
-    """The odometry of cars (...) after a way.
+    """The odometry of cars (...) that have moved between two true poses (..., 3).
 
-    The rear axle's wheels measure how far it rolled and how much it turned, not how it
-    slipped to the side.
-
-    Args:
-        odometry: at the start.
-        before_w: (..., 3) true poses of the footprints' centres at the start.
-        after_w: (..., 3) true poses at the end, less than half a turn away.
-        offset: (...) from the rear axles to the centres [m].
+    The rear axle's wheels measure how far it rolled and how much it turned, less than
+    half a turn, not how it slipped to the side. `offset` (...) is from the rear axles
+    to the footprints' centres, whose poses these are [m].
     """
     way = move_forward(after_w, -offset) - move_forward(before_w, -offset)
     turned = wrap_angle(way[..., 2])

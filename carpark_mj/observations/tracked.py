@@ -32,16 +32,10 @@ def track_agents(
     present: jax.Array | None = None,
     num_observers: int | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """The `count` nearest other agents of poses (num_agents, 3).
+    """The `count` agents nearest to each of the first `num_observers`; None = all.
 
-    Args:
-        count: how many.
-        pose: (num_agents, 3).
-        present: (num_agents,) bool, see `State.present`.
-        num_observers: how many of them track, the first; None = all.
-
-    Returns:
-        Indices and presence (num_observers, count), see `geometry.nearest`.
+    Poses are (num_agents, 3), `present` (num_agents,) is `State.present`. Returns
+    indices and presence (num_observers, count), see `geometry.nearest`.
     """
     xy, others = pose[:, :2], other_agents(pose.shape[0], present)
     return nearest(xy[:num_observers], xy, others[:num_observers], count)
@@ -91,12 +85,10 @@ Shared = Callable[[Sight, jax.Array], jax.Array]
 
 
 def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
-    """The nearest other agents.
+    """The nearest `count` other agents, with what they share.
 
-    Args:
-        count: how many.
-        share: what is observed of them in addition to their poses.
-        num_tracked_bays: from which agents choose their goals; 0 = they are fixed.
+    `num_tracked_bays` is the number from which agents choose their goals; 0 = they are
+    fixed.
     """
     shared = _shared(share, num_tracked_bays)
 
@@ -201,12 +193,10 @@ _MOVER_FIELDS = (
 
 
 def movers_part(count: int, in_sight: bool) -> Part:
-    """The nearest movers.
+    """The nearest `count` movers.
 
-    Args:
-        count: how many.
-        in_sight: whether only those are observed whose centre can be seen from the own
-            one, past other agents, parked cars and walls.
+    With `in_sight` only those are observed whose centre can be seen from the own one,
+    past other agents, parked cars and walls.
     """
 
     def fill(sight: Sight) -> dict[str, jax.Array]:

@@ -43,8 +43,8 @@ def draw_lots(
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Draws a family's training lots as episodes start in them, half of the bays full.
 
-    Yields a caption and a picture (height, width, 3) uint8 of each; the seed is that of the
-    first lot, `size` the width and height of a picture [pixels].
+    Yields a caption and a picture (height, width, 3) uint8 of each; the seed is that of
+    the first lot, `size` the width and height of a picture [pixels].
     """
     env = ParkingEnv(
         EnvConfig(

@@ -46,8 +46,8 @@ def choose_gl() -> str | None:
     MuJoCo picks its back end when it is imported and fails to import if the library is
     missing, so this runs first. A value the user has set is kept if it can work.
 
-    Returns None, or a sentence that names the missing library; MuJoCo can then be imported
-    but not render.
+    Returns None, or a sentence that names the missing library; MuJoCo can then be
+    imported but not render.
     """
     wanted = _wanted()
     if sys.platform != "linux":

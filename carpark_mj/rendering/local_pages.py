@@ -34,8 +34,8 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | 
     """Reason to refuse a request; None for our own page, opened on this machine.
 
     Any page open in the same browser can send requests here. A page cannot choose the
-    headers `Host`, the name of the requested server, and `Origin`, its own site. `reads`
-    tells whether the request is for a file and changes nothing.
+    headers `Host`, the name of the requested server, and `Origin`, its own site.
+    `reads` tells whether the request is for a file and changes nothing.
     """
     if len(hosts) != 1 or not LOCAL.fullmatch(hosts[0]):
         return f"Host must be that of this machine, localhost, not {', '.join(hosts)}"

@@ -105,7 +105,7 @@ class Stage:
         self._update()
 
     def fill_frames(self, aspect: float) -> None:
-        """Moves `LOT_CAMERAS` so that the lot fills frames of width / height `aspect`."""
+        """Moves `LOT_CAMERAS` so that the lot fills frames of an aspect ratio."""
         for name in LOT_CAMERAS:
             eye, quat = frame_lot(name, np.asarray(self.layout.extent), aspect)
             camera = self.model.camera(name)

@@ -63,7 +63,8 @@ def draw_labels(
     """Labels agents with discs and goals with squares, both with the agent's index.
 
     What the agent does, or how its episode has ended, stands below its disc, and for a
-    moment where an episode has just ended. Returns a new frame (height, width, 3) uint8.
+    moment where an episode has just ended. Returns a new frame (height, width, 3)
+    uint8.
     """
     from PIL import Image, ImageDraw
 
@@ -130,8 +131,8 @@ def draw_status(frame: np.ndarray, seen: Snapshot) -> np.ndarray:
 def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
     """The cameras that a flag names, with the resolution of their part of a frame.
 
-    The flag is a rig by name, or one of its cameras, as `surround:0`; `size` is the width
-    and height of a frame [pixels]. None if there is no rig of that name.
+    The flag is a rig by name, or one of its cameras, as `surround:0`; `size` is the
+    width and height of a frame [pixels]. None if there is no rig of that name.
     """
     name, colon, index = camera.partition(":")
     if name not in RIGS:
@@ -162,7 +163,7 @@ class CarCameras:
         channel: Channel,
         size: tuple[int, int],
     ) -> None:
-        """Compiles nothing yet; `rig` is `car_cameras` for frames of this size [pixels]."""
+        """Compiles nothing yet; the rig is `car_cameras` for frames of this size."""
         self._recording, self._size = recording, size
         heights = Heights.of(env.fleet)
         sizes = [(car.length, car.width) for car in env.fleet.agents]

@@ -125,8 +125,8 @@ def drivable_scene(
 ) -> mujoco.MjSpec:
     """Builds a scene on contact wheels, all cars placed and at rest.
 
-    Poses (n, 3) are those of the footprints' centres of the cars to drive and of the parked
-    ones; movers stay where they are. See `build_scene`.
+    Poses (n, 3) are those of the footprints' centres of the cars to drive and of the
+    parked ones; movers stay where they are. See `build_scene`.
     """
     spec = build_scene(
         layout,

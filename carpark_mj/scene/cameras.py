@@ -43,8 +43,9 @@ def fit_eye(
 def view_yaw(extent: np.ndarray, aspect: float = LEAST_ASPECT) -> float:
     """Direction [rad] that is to the right in the frames of `LOT_CAMERAS`.
 
-    A lot of half widths `extent` (2,) [m] is seen from the south, or from the west if its
-    longer side then lies along the frame's; `aspect` is width over height of the frame.
+    A lot of half widths `extent` (2,) [m] is seen from the south, or from the west if
+    its longer side then lies along the frame's; `aspect` is width over height of the
+    frame.
     """
     x, y = extent if aspect >= 1.0 else extent[::-1]
     return -math.pi / 2 if y > _LONG * x else 0.0
@@ -53,8 +54,10 @@ def view_yaw(extent: np.ndarray, aspect: float = LEAST_ASPECT) -> float:
 def frame_lot(
     camera: str, extent: np.ndarray, aspect: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,) [m] and quaternion (4,) of `topdown` or `overview`, so that a lot of
-    half widths `extent` (2,) [m] fills a frame of width over height `aspect`.
+    """Position (3,) [m] and quaternion (4,) at which a camera shows the whole lot.
+
+    The camera is `topdown` or `overview`; a lot of half widths `extent` (2,) [m] fills
+    a frame of width over height `aspect`.
     """
     corners = np.array(list(itertools.product((-1, 1), (-1, 1), (0, 1))))
     corners = corners * [*(np.asarray(extent, float) + _MARGIN), _TALL]

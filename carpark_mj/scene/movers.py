@@ -135,8 +135,8 @@ def add_solids(
 ) -> None:
     """Bodies `mover0`... of the solids alone, which only the geoms `hulls` touch.
 
-    So the door of a parked car and people between two of them do not push these. Groups may
-    have shapes instead of arrays; their sizes are set later.
+    So the door of a parked car and people between two of them do not push these. Groups
+    may have shapes instead of arrays; their sizes are set later.
     """
     slide, spin, roll = COLLIDES["friction"]
     for number, group, _ in _rows(groups):

@@ -49,10 +49,7 @@ class Batch:
     def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
         """Takes an environment; it is compiled by the first calls.
 
-        Args:
-            env: environment of one lot.
-            num_lots: at least 1.
-            restart: whether a lot resets when all its agents have finished.
+        `restart` tells whether a lot resets when all its agents have finished.
         """
         require_count("num_lots", num_lots, 1)
         self.env: Any = env  # adapters know of which kind
@@ -122,19 +119,12 @@ class Batch:
         return seen
 
     def step(self, action: jax.Array | np.ndarray) -> TimeStep:
-        """Advances all lots by a control step.
-
-        Args:
-            action: of `action_shape`; see `ParkingEnv.step`.
+        """Advances all lots by a control step; actions are of `action_shape`.
 
         Returns:
             The time step, all (num_lots, num_agents, ...). Where an episode has begun,
             `observation` is that of the new episode and `final_observation` the last of
             the old one.
-
-        Raises:
-            ResetNeeded: before the first `reset`.
-            ValueError: another shape.
         """
         require_shape("actions", action, self.action_shape)
         self._state, timestep = self._programs.step(self.state, action)

@@ -46,9 +46,7 @@ class GoalParking(ParkingEnv):
         """Builds the environment; see `ParkingEnv`.
 
         Raises:
-            ValueError: several agents, respawn, a dynamic goal, observations without a
-                field that reveals the goal, or a reward that does not follow from poses
-                and crashes.
+            ValueError: settings under which goals cannot be relabelled.
         """
         super().__init__(config, physics)
         config = self.config
@@ -160,11 +158,8 @@ class _Goals:
     ) -> np.ndarray:
         """Rewards (...) of features (..., 6), as `step` pays them.
 
-        Args:
-            achieved_goal: at the end of the step.
-            desired_goal: of the same shape.
-            info: of the step, or one for each row; without a key `crashed` there is no
-                crash penalty.
+        There is an info of the step, or one for each row; without a key `crashed` there
+        is no crash penalty.
         """
         rows = [info] if isinstance(info, Mapping) else info
         crashed = np.array([row.get("crashed", False) for row in rows], np.float32)

@@ -221,14 +221,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         camera: str = "topdown",
         **options: Unpack[Options],
     ) -> None:
-        """Makes the environments; see `ParkEnv`.
-
-        Args:
-            num_envs: number of environments.
-            render_mode: None or `rgb_array`.
-            camera: see `ParkEnv`.
-            **options: see `Options`.
-        """
+        """Makes environments; see `ParkEnv`. The render mode is None or `rgb_array`."""
         require_render_mode(render_mode, self.metadata["render_modes"])
         env = self._make(options)
         require_count("num_envs", num_envs, 1)
@@ -271,13 +264,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
     def read_options(
         self, options: Given | list[dict[str, Any]]
     ) -> ResetOptions | None:
-        """Options of `reset` as arrays; None if all are empty.
-
-        Raises:
-            TypeError: not dictionaries.
-            ValueError: a wrong number of dictionaries, an unknown key or an impossible
-                value.
-        """
+        """Options of `reset` as arrays; None if all are empty."""
         each = options if isinstance(options, list) else [options] * self.num_envs
         if len(each) != self.num_envs:
             raise ValueError(

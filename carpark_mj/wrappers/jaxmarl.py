@@ -44,13 +44,10 @@ class JaxMarlAgents(MultiAgentEnv):
     def __init__(
         self, env: AgentsEnvironment, space: spaces.Box | spaces.Dict, *, discrete: bool
     ) -> None:
-        """Wraps an environment.
+        """Wraps an environment in which agents that have finished wait for the others.
 
-        Args:
-            env: in which agents that have finished wait for the others.
-            space: of an agent's observations.
-            discrete: actions are () rows of `action_table`, as for Q-learning;
-                otherwise numbers in [-1, 1].
+        With `discrete` actions are () rows of `action_table`, as for Q-learning;
+        otherwise numbers in [-1, 1].
         """
         super().__init__(env.num_agents)
         self._env = env
@@ -125,13 +122,7 @@ class JaxMarlParking(JaxMarlAgents):
     """A lot in which agents park; see `JaxMarlAgents`."""
 
     def __init__(self, *, discrete: bool = False, **options: Unpack[Options]) -> None:
-        """Builds the environment.
-
-        Args:
-            discrete: actions are () rows of `action_table`, as for Q-learning;
-                otherwise (2,) steer and pedal.
-            **options: see `carpark_mj.wrappers.options.Options`.
-        """
+        """Builds the environment from `Options`; see `JaxMarlAgents` for `discrete`."""
         config = configure(options)
         env, space = share(JointEnv, config), observation_space(config)
         super().__init__(env, space, discrete=discrete)

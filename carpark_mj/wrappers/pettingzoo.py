@@ -85,15 +85,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         render_mode: str | None,
         fps: float,
     ) -> None:
-        """Wraps an environment; see `parallel_env`.
-
-        Args:
-            env: in which agents that have finished wait for the others.
-            space: of an agent's observations.
-            screen: draws its states.
-            render_mode: see `parallel_env`.
-            fps: control steps per second.
-        """
+        """Wraps an environment in which finished agents wait; see `parallel_env`."""
         require_render_mode(render_mode, RENDER_MODES)
         self._screen = screen
         self._lots = NumpyBatch(env, 1, restart=False)

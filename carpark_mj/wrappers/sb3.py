@@ -29,13 +29,7 @@ class ParkVecEnv(VecEnv):
     """
 
     def __init__(self, name: str, num_envs: int = 1, **options: Any) -> None:
-        """Makes the environments.
-
-        Args:
-            name: a Gymnasium id of this package.
-            num_envs: number of environments.
-            **options: of the id, see `carpark_mj.wrappers.gymnasium_env`.
-        """
+        """Makes environments by a Gymnasium id of this package, with its options."""
         env = gymnasium.make_vec(name, num_envs, **options)
         if not isinstance(env, ParkVectorEnv):
             raise ValueError(f"{name!r} is not an environment of carpark_mj")

@@ -37,10 +37,7 @@ class TorchBatch:
 
         NaN and actions out of range are sanitized and counted on the device
         (`carpark_mj.mdp.actions`); a check here would have to wait for the device.
-
-        Args:
-            action: (num_lots, num_agents, size) on `device`; may require gradients,
-                which end here.
+        Actions (num_lots, num_agents, size) may require gradients, which end here.
         """
         dtype = torch.float32 if self.batch.env.action_spec.continuous else torch.int32
         timestep = self.batch.step(_to_jax(action.to(dtype), self.device))

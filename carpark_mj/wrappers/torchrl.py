@@ -56,19 +56,11 @@ class TorchRLAgents(EnvBase):
         device: torch.device | str | None,
         discrete: bool,
     ) -> None:
-        """Wraps an environment; it is compiled by the first reset and step.
+        """Wraps an environment in which agents that have finished wait for the others.
 
-        Args:
-            env: in which agents that have finished wait for the others.
-            space: of an agent's observations.
-            screen: draws its states.
-            lots: number of lots.
-            device: must be JAX's; None = that.
-            discrete: actions are rows of `action_table`; otherwise numbers in [-1, 1].
-
-        Raises:
-            ValueError: another device than JAX's, or continuous actions where some
-                parts are indices.
+        It is compiled by the first reset and step. The device must be JAX's (None =
+        that); with `discrete` actions are rows of `action_table`, otherwise numbers in
+        [-1, 1].
         """
         spec = env.action_spec
         require_discrete(spec, discrete)
