@@ -7,7 +7,6 @@ The object holds constants only; everything that changes is in `State`.
 
 import copy
 import dataclasses
-import reprlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,11 +15,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
-from carpark_mj.config.checks import require_choice, require_kind
-from carpark_mj.episodes import Episodes, StepKeys
-from carpark_mj.fleet.checks import check_cars, check_exits, check_occupancy, check_room
-from carpark_mj.fleet.draw import Fleet
-from carpark_mj.fleet.randomization import check_randomization
+from carpark_mj.config.checks import require_choice
 from carpark_mj.layouts import (
     Layout,
     layout_config,
@@ -28,11 +23,10 @@ from carpark_mj.layouts import (
     member_shares,
 )
 from carpark_mj.layouts.registry import Split, lot_key, lot_number
-from carpark_mj.mdp import actions, metrics, rewards, terminations
+from carpark_mj.mdp import actions, goals, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec
-from carpark_mj.mdp.goals import make_goals
+from carpark_mj.mdp.collisions import kerb_stops
 from carpark_mj.mdp.progress import drives_wrong_way
-from carpark_mj.mdp.reset_options import ResetOptions, check_starts, read_reset_options
 from carpark_mj.observations import (
     make_fields,
     observation_size,
@@ -50,6 +44,15 @@ from carpark_mj.physics.base import (
 )
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.pytrees import own_buffers
+from carpark_mj.spawning.checks import check_cars, check_exits, check_numbers
+from carpark_mj.spawning.fleet import Fleet
+from carpark_mj.spawning.randomization import check_randomization
+from carpark_mj.spawning.reset_options import (
+    ResetOptions,
+    check_starts,
+    read_reset_options,
+)
+from carpark_mj.spawning.spawner import Spawner, StepKeys
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
@@ -75,7 +78,6 @@ class ParkingEnv:
         vehicle: parameters of the car that `config.vehicle` names, or a custom car.
         fleet: presets that the cars are drawn from.
         layout_config: the lot, or the family it is drawn from.
-        goals: how goals are decided.
         physics: the back end.
     """
 
@@ -97,17 +99,10 @@ class ParkingEnv:
             ValueError: the lot cannot hold the cars asked for, the randomization
                 could draw an impossible car, there is no such preset, or JAX computes
                 in float64.
-            TypeError: the config, the back end or the car has another type, or the back
-                end lacks a method.
+            TypeError: the back end lacks a method.
         """
         require_float32()
-        if not isinstance(config, EnvConfig | None):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise TypeError(
-                f"config must be an EnvConfig, not {config!r}; "
-                "`carpark_mj.registry.environment` gives those that have a name"
-            )
-        require_kind("vehicle", vehicle, VehicleParameters | None)
-        config = config if config is not None else EnvConfig()
+        config = config or EnvConfig()
         if physics is not None:
             physics = require_physics(physics)
             if physics.config != config.physics_config:
@@ -120,20 +115,16 @@ class ParkingEnv:
         self._layout = make_layout(self.layout_config) if fixed else None
         for params in self.fleet.agents:
             check_randomization(config.randomization, params, config.sim.steepest)
-        check_room(config, self.layout_config)
-        check_occupancy(config, self.layout_config)
+        check_numbers(config, self.layout_config)
         check_exits(config, self.layout_config)
         check_cars(config, self.fleet, self.layout_config, self._layout)
-        self.goals = make_goals(config)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
         if config.episode.kerb_speed and not isinstance(self.physics, Halting):
             raise ValueError(
                 "episode.kerb_speed needs physics whose cars a kerb can stop, mjx or "
                 f"bicycle, not {self.physics.config.back_end}"
             )
-        self._episodes = Episodes(
-            config, self.fleet, self.goals, self.physics, self._layout
-        )
+        self._spawner = Spawner(config, self.fleet, self.physics, self._layout)
 
     def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
         """The environment with some settings replaced by values, which may be traced.
@@ -210,13 +201,9 @@ class ParkingEnv:
             The state and the observations (num_agents, observation_size).
 
         Raises:
-            TypeError: `key` is not a JAX key (but a seed, say), or `options` has
-                another type.
             ValueError: an unknown split; unless traced, a number of agents or a member
                 out of range, or impossible options.
         """
-        if not isinstance(key, jax.Array):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise TypeError(f"key must be as jax.random.key(0) gives, not {key!r}")
         require_choice("split", split, Split)
         members = len(member_shares(self.layout_config))
         _require_index("member", member, 0, members - 1)
@@ -247,7 +234,7 @@ class ParkingEnv:
         """Starts a given lot, which must have enough bays for cars and goals."""
         _require_index("num_present", num_present, 1, self.num_agents)
         given = read_reset_options(self.config, options)
-        state = self._episodes.begin_lot(layout, key, num_present, given)
+        state = self._spawner.begin_lot(layout, key, num_present, given)
         if given and not _is_traced((state, given)):
             check_starts(self.config, given, state)
         return own_buffers(state), observe(self.config, state)
@@ -267,52 +254,45 @@ class ParkingEnv:
 
         Raises:
             ValueError: an action of another shape.
-            TypeError: `state` is not a `State`, or `action` is not an array of real
-                numbers.
         """
-        require_kind("state", state, State)
         shape = (self.config.num_agents, self.action_spec.size)
-        if not is_real(action):
-            raise TypeError(
-                f"action must be an array of real numbers, not {reprlib.repr(action)}"
-            )
-        given = jnp.shape(action)
-        if given != shape:
-            raise ValueError(f"action must be of shape {shape}, not {given}")
-        config, before, keys = self.config, state, self._episodes.split_keys(state.key)
+        if action.shape != shape:
+            raise ValueError(f"action must be of shape {shape}, not {action.shape}")
+        config, before = self.config, state
+        keys = self._spawner.split_keys(state.key)
         act = actions.parse(config, self._stop_finished(before, action))
-        chosen = self.goals.choose(before, act.goal_choice)
-        after = self._move(chosen, act.controls, keys)
+        after = goals.choose_goals(config, before, act.goal_choice)
+        after = self._move(after, act.controls, keys)
         with jax.named_scope("terminations"):
             events = terminations.detect_events(config.episode, after)
-            ended = self._episodes.end(after, events, keys)
+            state = self._spawner.end(after, events, keys.relocate)
         with jax.named_scope("goals"):
-            ended, goal_events = self.goals.update(before, ended, events)
-            target = self.goals.target_bay(after)
-        wrong_way = drives_wrong_way(after.layout, after.motion)
-        layout, one_way = after.layout, after.layout.one_way
+            state, goal_events = goals.update_goals(config, before, state, events)
+            target = goals.target_bays(after)
+        layout = after.layout
         transition = Transition(
             before,
             after,
-            layout.parked_pose[target],
-            events,
-            goal_events,
-            wrong_way,
-            act.invalid,
-            None if one_way is None else one_way[target],
+            target_pose=layout.parked_pose[target],
+            events=events,
+            goal_events=goal_events,
+            wrong_way=drives_wrong_way(layout, after.motion),
+            invalid_action=act.invalid,
+            one_way=None if layout.one_way is None else layout.one_way[target],
         )
         with jax.named_scope("rewards"):
             terms = rewards.reward_terms(config, transition)
         with jax.named_scope("metrics"):
             stats = metrics.update_stats(config, transition, terms)
-        ended = dataclasses.replace(ended, stats=stats, key=keys.next)
-        with jax.named_scope("spawning"):
-            state = self._episodes.begin(ended, events, keys)
+        state = dataclasses.replace(state, stats=stats, key=keys.next)
+        if config.episode.respawn:
+            with jax.named_scope("spawning"):
+                state = self._spawner.spawn(state, events.done, keys.spawn)
         with jax.named_scope("observations"):
             observation = observe(config, state)
             final_observation = None
             if config.episode.final_observation:
-                final_observation = observe(config, self.goals.track(after))
+                final_observation = observe(config, goals.track_bays(config, after))
         return own_buffers(state), TimeStep(
             observation=observation,
             reward=jnp.sum(jnp.stack(list(terms.values())), axis=0),
@@ -334,13 +314,12 @@ class ParkingEnv:
             from carpark_mj.physics import emergency_brake  # only such cars load it
 
             controls = emergency_brake.override(config.sim, state, controls)
-        movers = self._episodes.step_movers(state, keys)
+        movers = self._spawner.step_movers(state, keys.movers)
         physics = advance(self.physics, state.physics, controls, state.movers, movers)
         motion = self.physics.read(physics)
         if isinstance(self.physics, Halting) and config.episode.kerb_speed:
-            from carpark_mj.mdp import kerbs  # only such environments load it
-
-            physics = self.physics.halt(physics, *kerbs.stops(config, state, motion))
+            stops = kerb_stops(config, state, motion)
+            physics = self.physics.halt(physics, *stops)
             motion = self.physics.read(physics)
         all_drive = config.episode.respawn and state.present is None
         if not (all_drive or config.physics_config.contacts):

@@ -132,24 +132,13 @@ def step_movers(
 
 
 def _groups(mover: Mover, state: Any) -> tuple[Group, ...]:
-    """The obstacles of a mover, checked."""
+    """The obstacles of a mover, of its kind."""
     groups = tuple(mover.obstacles(state))
     if not groups or not all(type(group) in (Boxes, Discs) for group in groups):
         raise ValueError(
             f"the obstacles of the mover {mover.mover!r} must be at least one group, "
             f"Boxes or Discs, not {groups!r}"
         )
-    for group in groups:
-        n = jnp.shape(group.pose_w)[:1]
-        pose, size = ((*n, 3), (*n, 2)) if type(group) is Boxes else ((*n, 2), n)
-        wanted = {"pose_w": pose, "size": size, "velocity_w": (*n, 2), "mask": n}
-        for name, shape in wanted.items():
-            value = getattr(group, name)
-            if value is not None and jnp.shape(value) != shape:
-                raise ValueError(
-                    f"the mover {mover.mover!r} has {type(group).__name__} whose "
-                    f"{name} is of shape {jnp.shape(value)}, not {shape}"
-                )
     return tuple(
         _strong(dataclasses.replace(g, trace_w=None, kind=mover.kind)) for g in groups
     )

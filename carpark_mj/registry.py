@@ -61,7 +61,7 @@ ANYWHERE = EnvConfig(
         reeds_shepp_reach=20.0,
         alignment=0.0,
         closeness=0.0,
-        time=2.5,  # dear, against standing where they might turn either way
+        time=2.5,  # high: penalises waiting
     ),
     observation=_OBSERVATION,
     # [est] of loaded or worn cars on a dry or wet surface.
@@ -79,9 +79,9 @@ ANYWHERE = EnvConfig(
     ),
 )
 
-# Up to four of them among people of whom more or fewer give way, carts, and drivers.
-# Whoever waits for others needs more time; who hits a person pays `person` besides the
-# crash. Cars have emergency braking for people: what remains to learn is to get on
+# Up to four cars among people of whom more or fewer give way, carts, and drivers.
+# Waiting takes time, so episodes are longer; hitting a person costs `person` besides
+# the crash. Cars have emergency braking for people: what remains to learn is to get on
 # without it.
 CONSIDERATE = dataclasses.replace(
     ANYWHERE,
@@ -98,8 +98,8 @@ CONSIDERATE = dataclasses.replace(
     ),
     observation=dataclasses.replace(_OBSERVATION, tracked_agents=3, tracked_movers=6),
 )
-# The same for cars that see: of others, the lot and their bay they know what four
-# cameras show, of themselves what the car tells, and a route until the bay is in view.
+# The same with cameras: others, the lot and the bay are seen by four cameras; the own
+# motion is measured, and a route leads on until the bay is in view.
 SEES = dataclasses.replace(
     ANYWHERE,
     num_agents=4,

@@ -328,19 +328,19 @@ def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
 
 
 # `(run, status, error)`, as soon as a run ends.
-Tell = Callable[[Run, Status, str], None]
-# `(runs, folder of the sweep, sampled actions, tell)`.
-Train = Callable[[list[Run], Path, bool, Tell], None]
+Report = Callable[[Run, Status, str], None]
+# `(runs, folder of the sweep, sampled actions, report)`.
+Train = Callable[[list[Run], Path, bool, Report], None]
 
 
-def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, tell: Tell) -> None:
+def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) -> None:
     """Trains runs side by side, from their last checkpoints on, and evaluates them.
 
     Args:
         runs: that can share a program.
         sweep: folder of the sweep.
         stochastic: evaluate sampled actions.
-        tell: called with what becomes of each run.
+        report: called with the outcome of each run.
     """
     from carpark_mj.cli import evaluate
     from carpark_mj.training.ppo.train import MAX_SKIPPED, finish, train_runs
@@ -359,9 +359,9 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, tell: Tell) -> Non
                 )
                 evaluate.main(settings)
         except Exception as error:  # the others are still to be evaluated
-            tell(by_folder[folder], "failed", _sentence(error))
+            report(by_folder[folder], "failed", _sentence(error))
         else:
-            tell(by_folder[folder], "done", "")
+            report(by_folder[folder], "done", "")
 
     # Side by side they go on from the same checkpoint: a kill between two checkpoints
     # leaves runs of a group with different ones.
@@ -380,10 +380,10 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, tell: Tell) -> Non
         ended = train_runs(configs, finish_run)
         for folder, outcome in ended:
             if outcome == "stopped":
-                tell(by_folder[folder], "stopped", "")
+                report(by_folder[folder], "stopped", "")
             if outcome == "diverged":
                 error = f"{MAX_SKIPPED} updates in a row were non-finite"
-                tell(by_folder[folder], "failed", error)
+                report(by_folder[folder], "failed", error)
         if any(outcome == "stopped" for _, outcome in ended):
             return
 
@@ -417,20 +417,20 @@ class Work:
             configure_jax()
             keep_compiled_programs()
         left = [r for r in self.runs if read_outcome(self.sweep, r).status != "done"]
-        begun, told = time.monotonic(), set[Run]()
+        begun, reported = time.monotonic(), set[Run]()
 
-        def tell(run: Run, status: Status, error: str = "") -> None:
+        def report(run: Run, status: Status, error: str = "") -> None:
             seconds = (time.monotonic() - begun) / len(left)
             write_outcome(self.sweep, run, Outcome(status, error, seconds))
-            told.add(run)
+            reported.add(run)
 
         try:
             if left:
-                self.train(left, self.sweep, self.stochastic, tell)
+                self.train(left, self.sweep, self.stochastic, report)
         except Exception as error:  # of any kind: the other jobs go on
             for run in left:
-                if run not in told:
-                    tell(run, "failed", _sentence(error))
+                if run not in reported:
+                    report(run, "failed", _sentence(error))
 
     def checkpoint(self) -> DelayedSubmission:
         """Before the end of its time on a cluster: the job is queued again."""

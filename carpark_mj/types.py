@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config import ContextName
 from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts.routes import Routes
 from carpark_mj.layouts.types import Layout
@@ -164,7 +163,7 @@ class EpisodeStats:
         invalid_actions: steps whose action was NaN or out of range.
         wrong_way: part of the path driven against the lanes [m]; None in lots that
             never have lanes.
-        tallies: all others by name, see `carpark_mj.mdp.metrics.tallies`.
+        tallies: all others by name, see `carpark_mj.mdp.metrics`.
     """
 
     episode_return: jax.Array
@@ -291,7 +290,7 @@ class GoalEvents:
         lost_untracked: lost its goal, which is no longer among the tracked bays.
         lost_taken: lost its goal, where another agent has parked.
         contexts: situations in which the agent should give way, by name; see
-            `carpark_mj.mdp.giving_way`.
+            `carpark_mj.mdp.goals`.
     """
 
     continue_explore: jax.Array
@@ -301,7 +300,7 @@ class GoalEvents:
     stop_goal: jax.Array
     lost_untracked: jax.Array
     lost_taken: jax.Array
-    contexts: dict[ContextName, jax.Array]
+    contexts: dict[str, jax.Array]
 
     @property
     def exploring(self) -> jax.Array:

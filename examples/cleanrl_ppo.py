@@ -34,7 +34,7 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
-from carpark_mj.tasks.joint import JointEnv
+from carpark_mj.tasks.environment import JointEnv
 from carpark_mj.wrappers.torch_batch import TorchBatch
 
 

@@ -22,12 +22,11 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp import fixed_goals
-from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.clearance import RANGE
-from carpark_mj.mdp.metrics.safety import HORIZON
-from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing
+from carpark_mj.mdp.parked_cars import BayFits
+from carpark_mj.mdp.safety import HORIZON, RANGE
 from carpark_mj.observations import ContinuousObservation, make_fields
+from carpark_mj.spawning import goals as fixed_goals
+from carpark_mj.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.types import NO_BAY, State, TimeStep
 
 PRESENT = 2

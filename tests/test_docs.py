@@ -7,7 +7,6 @@ import re
 import shlex
 from operator import attrgetter
 from pathlib import Path
-from typing import get_args
 
 import pytest
 from helpers.cars import ROAD_CARS
@@ -40,11 +39,11 @@ from carpark_mj.cli.vehicles import VehiclesConfig
 from carpark_mj.config import (
     REWARD_TERMS,
     REWARDS,
-    ContextName,
     EnvConfig,
     GivingWayConfig,
     RewardConfig,
 )
+from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table, observation_size
 from carpark_mj.policy.outside import markdown_inputs
@@ -182,7 +181,7 @@ def test_the_terms_of_dynamic_goals_are_all_there_with_their_defaults():
 
 def test_contexts_environments_and_layouts_are_all_named():
     named = [row[0].split("`")[0] for row in cells(MDP, "contexts")]
-    assert tuple(named) == get_args(ContextName)
+    assert tuple(named) == CONTEXTS
     ours = {row[0] for row in cells(MDP, "environments")}
     papers = {row[0] for row in cells(MDP, "environments of papers")}
     assert ours == {*ENVIRONMENTS} - papers

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from helpers.sliding import HALT, slide, start
+from helpers.sliding import HALT, slide
 
 from carpark_mj.env import ParkingEnv
 
@@ -44,26 +44,8 @@ def test_eager_results_can_be_donated():
         ({"num_present": np.ones(2, int)}, ValueError, "num_present must be a whole"),
         ({"member": 1}, ValueError, r"member must lie in \[0, 0\], not 1"),
         ({"member": 0.5}, ValueError, "member must be a whole number"),
-        ({"options": 3}, TypeError, "options must be of ResetOptions or None, not 3"),
     ],
 )
 def test_a_reset_refuses_what_has_no_meaning(change, error, message):
     with pytest.raises(error, match=message):
         slide()[0].reset(jax.random.key(0), **change)
-
-
-@pytest.mark.parametrize(
-    ("state", "action", "message"),
-    [
-        (None, HALT, "state must be of State, not None"),
-        (3, HALT, "state must be of State, not 3"),
-        ("s", HALT * 1j, "action must be an array of real numbers"),
-        ("s", None, "action must be an array of real numbers, not None"),
-        ("s", HALT.tolist(), "action must be an array of real numbers"),
-        ("s", HALT.astype(str), "action must be an array of real numbers"),
-    ],
-)
-def test_a_step_takes_a_state_and_real_numbers(state, action, message):
-    env, _, begun = start()
-    with pytest.raises(TypeError, match=message):
-        env.step(begun if state == "s" else state, action)

@@ -24,8 +24,7 @@ FLOORS = (
     ("cameras",),
     ("mdp", "physics"),
     ("movers",),
-    ("fleet", "identification"),
-    ("episodes",),
+    ("spawning", "identification"),
     ("env",),
     ("tasks",),
     ("registry", "registration", "policy"),
@@ -56,10 +55,18 @@ WITHOUT_MUJOCO = (
 AROUND_TASK = {"vehicle", "scene", "physics"}
 
 
+def loaded_nodes(tree):
+    """All nodes but those only type checkers read."""
+    for node in ast.iter_child_nodes(tree):
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            yield node
+            yield from loaded_nodes(node)
+
+
 def imports_of(path):
-    """Dotted names of everything a file imports, at any depth."""
+    """Dotted names of everything a file loads, at any depth."""
     names = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in loaded_nodes(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         if isinstance(node, ast.ImportFrom):
@@ -70,6 +77,8 @@ def imports_of(path):
 
 def part_of(path):
     """The part of the library a file belongs to: `carpark_mj/<part>…`."""
+    if path == LIBRARY / "config" / "env.py":  # made of the settings of all parts
+        return "env"
     return path.relative_to(LIBRARY).parts[0].removesuffix(".py")
 
 

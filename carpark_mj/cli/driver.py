@@ -13,7 +13,6 @@ from carpark_mj.config import (
     SensorConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.checks import parked_cars_needed
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy import runs
 from carpark_mj.policy.acting import AnyPolicy
@@ -22,6 +21,7 @@ from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.named import POLICIES
 from carpark_mj.policy.networks import Policy
 from carpark_mj.registry import environment
+from carpark_mj.spawning.checks import parked_cars_needed
 
 
 def command_help(text: str | None) -> str:

@@ -16,8 +16,7 @@ import tyro
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import require_unset
-from carpark_mj.editor.document import EXTENT, Draft
-from carpark_mj.editor.picture import Picture, read_picture
+from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.files import require_writable
 from carpark_mj.layouts.files import FARTHEST

@@ -25,13 +25,13 @@ from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
-from carpark_mj.fleet.checks import has_exits
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
 from carpark_mj.rendering.gl import missing_display
 from carpark_mj.rendering.local_pages import HOST, PORT, check_port
 from carpark_mj.rendering.web import LiveLot, make_live_viewer, make_viewer, require_web
 from carpark_mj.scene.build import drivable_scene, scene_xml
+from carpark_mj.spawning.checks import has_exits
 from carpark_mj.vehicle import VehicleParameters, preset
 
 PROGRAM = "carpark_mj scene"

@@ -1,107 +1,101 @@
-"""Frozen, validated configuration of the environment: the only home of its defaults.
+"""Frozen, validated configuration of the environment, and registries of its parts.
 
-Impossible settings raise a one-sentence `ValueError` at construction.
+Settings live beside the code that reads them and are loaded on first use, as that code
+in turn names `EnvConfig`. Impossible settings raise a one-sentence `ValueError`.
 """
+# ruff: noqa: F401
+# pyright: reportUnusedImport=false
 
-from carpark_mj.config.back_ends import (
-    PHYSICS,
-    PhysicsChoice,
-    PhysicsConfig,
-    physics_config,
-)
-from carpark_mj.config.env import EnvConfig
-from carpark_mj.config.fleet import FleetConfig, JitterConfig
-from carpark_mj.config.giving_way import ContextName, GivingWayConfig, Scheme
-from carpark_mj.config.goals import GoalConfig, GoalRewards
-from carpark_mj.config.insertion import data, insert, is_data, setting
-from carpark_mj.config.layouts import (
-    LAYOUTS,
-    LayoutChoice,
-    LayoutConfig,
-    register_layout,
-    require_layout,
-)
-from carpark_mj.config.metrics import METRICS, Metric, MetricsConfig, register_metric
-from carpark_mj.config.observations import (
-    ENCODERS,
-    ObservationConfig,
-    RayConfig,
-    RingConfig,
-    SensorConfig,
-    ShareConfig,
-    UltrasoundConfig,
-)
-from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
-from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
-from carpark_mj.config.randomization import RandomizationConfig
-from carpark_mj.config.reward_terms import (
-    REWARD_TERMS,
-    ExtraTerms,
-    RewardTerm,
-    term_settings,
-)
-from carpark_mj.config.rewards import REWARDS, RewardConfig
-from carpark_mj.config.spawning import RelocationRule, SpawnConfig
-from carpark_mj.config.terminations import (
-    PARKED_RULES,
-    WORLD_UNIT,
-    EpisodeConfig,
-    ParkedRule,
-    find_rules,
-)
+import importlib
+from typing import TYPE_CHECKING, Any
 
-__all__ = [
-    "CONTACT_SIM_DT",
-    "ENCODERS",
-    "LAYOUTS",
-    "METRICS",
-    "MOVERS",
-    "PARKED_RULES",
-    "PHYSICS",
-    "REWARDS",
-    "REWARD_TERMS",
-    "WORLD_UNIT",
-    "ContextName",
-    "EnvConfig",
-    "EpisodeConfig",
-    "ExtraTerms",
-    "FleetConfig",
-    "GivingWayConfig",
-    "GoalConfig",
-    "GoalRewards",
-    "JitterConfig",
-    "LayoutChoice",
-    "LayoutConfig",
-    "Metric",
-    "MetricsConfig",
-    "Mover",
-    "ObservationConfig",
-    "ObstacleKind",
-    "ParkedRule",
-    "PhysicsChoice",
-    "PhysicsConfig",
-    "RandomizationConfig",
-    "RayConfig",
-    "RelocationRule",
-    "RewardConfig",
-    "RewardTerm",
-    "RingConfig",
-    "Scheme",
-    "SensorConfig",
-    "ShareConfig",
-    "SimConfig",
-    "SpawnConfig",
-    "Surface",
-    "TyresName",
-    "UltrasoundConfig",
-    "data",
-    "find_rules",
-    "insert",
-    "is_data",
-    "physics_config",
-    "register_layout",
-    "register_metric",
-    "require_layout",
-    "setting",
-    "term_settings",
-]
+if TYPE_CHECKING:
+    from carpark_mj.config.back_ends import (
+        PHYSICS,
+        PhysicsChoice,
+        PhysicsConfig,
+        physics_config,
+    )
+    from carpark_mj.config.checks import data
+    from carpark_mj.config.env import EnvConfig, insert, is_data, setting
+    from carpark_mj.config.layouts import (
+        LAYOUTS,
+        LayoutChoice,
+        LayoutConfig,
+        register_layout,
+        require_layout,
+    )
+    from carpark_mj.config.observations import (
+        ENCODERS,
+        ObservationConfig,
+        RayConfig,
+        RingConfig,
+        SensorConfig,
+        ShareConfig,
+        UltrasoundConfig,
+    )
+    from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
+    from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
+    from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig, Scheme
+    from carpark_mj.mdp.metrics import METRICS, Metric, MetricsConfig, register_metric
+    from carpark_mj.mdp.rewards import (
+        REWARD_TERMS,
+        REWARDS,
+        ExtraTerms,
+        GoalRewards,
+        RewardConfig,
+        RewardTerm,
+        term_settings,
+    )
+    from carpark_mj.mdp.terminations import (
+        PARKED_RULES,
+        WORLD_UNIT,
+        EpisodeConfig,
+        ParkedRule,
+        find_rules,
+    )
+    from carpark_mj.spawning.config import (
+        FleetConfig,
+        JitterConfig,
+        RandomizationConfig,
+        RelocationRule,
+        SpawnConfig,
+    )
+
+_NAMES = {
+    "config.back_ends": ("PHYSICS", "PhysicsChoice", "PhysicsConfig", "physics_config"),
+    "config.checks": ("data",),
+    "config.env": ("EnvConfig", "insert", "is_data", "setting"),
+    "config.layouts": (
+        *("LAYOUTS", "LayoutChoice", "LayoutConfig", "register_layout"),
+        "require_layout",
+    ),
+    "config.observations": (
+        *("ENCODERS", "ObservationConfig", "RayConfig", "RingConfig", "SensorConfig"),
+        *("ShareConfig", "UltrasoundConfig"),
+    ),
+    "config.obstacles": ("MOVERS", "Mover", "ObstacleKind"),
+    "config.physics": ("CONTACT_SIM_DT", "SimConfig", "Surface", "TyresName"),
+    "mdp.goals": ("GivingWayConfig", "GoalConfig", "Scheme"),
+    "mdp.metrics": ("METRICS", "Metric", "MetricsConfig", "register_metric"),
+    "mdp.rewards": (
+        *("REWARDS", "REWARD_TERMS", "ExtraTerms", "GoalRewards", "RewardConfig"),
+        *("RewardTerm", "term_settings"),
+    ),
+    "mdp.terminations": (
+        *("PARKED_RULES", "WORLD_UNIT", "EpisodeConfig", "ParkedRule", "find_rules"),
+    ),
+    "spawning.config": (
+        *("FleetConfig", "JitterConfig", "RandomizationConfig", "RelocationRule"),
+        "SpawnConfig",
+    ),
+}
+_HOMES = {name: home for home, names in _NAMES.items() for name in names}
+
+__all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"carpark_mj.{_HOMES[name]}"), name)

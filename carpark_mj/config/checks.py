@@ -88,71 +88,59 @@ def require_name(name: str, value: str, known: Iterable[str]) -> None:
         raise ValueError(unknown_name(name, value, names))
 
 
-def require_whole(config: object, minimum: int, *names: str) -> None:
-    """Refuses attributes that are not whole numbers of at least a minimum."""
-    for name in names:
-        require_count(name, getattr(config, name), minimum)
+def require_number(name: str, value: Any, bounds: Bounds) -> None:
+    """Refuses a value that is no number within bounds, or does not fit 32 bits.
+
+    Raises:
+        ValueError: naming the value and what is allowed.
+    """
+    if not (is_finite(value) and bounds.admit(value)):
+        raise ValueError(f"{name} must {bounds}, not {value!r}")
+    if not _fits(value):
+        raise ValueError(f"{name} must fit 32 bits, not {value!r}")
 
 
 def require_count(name: str, value: Any, minimum: int) -> None:
     """Refuses values other than whole numbers of at least a minimum."""
     if type(value) is bool or not isinstance(value, numbers.Integral):
         raise ValueError(f"{name} must be a whole number, not {value!r}")
-    if value < minimum:
-        raise ValueError(f"{name} must be at least {minimum}, not {value}")
-    _require_representable(name, value)
+    require_number(name, value, Bounds(ge=minimum))
+
+
+def require_whole(config: object, minimum: int, *names: str) -> None:
+    """Refuses attributes that are not whole numbers of at least a minimum."""
+    for name in names:
+        require_count(name, getattr(config, name), minimum)
+
+
+def _require_all(config: object, bounds: Bounds, names: Iterable[str]) -> None:
+    for name in names:
+        require_number(name, getattr(config, name), bounds)
 
 
 def require_finite(config: object, *names: str) -> None:
-    """Refuses attributes that are NaN or infinite, in float32; None is allowed."""
-    for name in names:
-        value = getattr(config, name)
-        if value is not None and not (is_finite(value) and abs(value) <= LARGEST):
-            raise ValueError(f"{name} must be finite, not {value}")
+    """Refuses attributes that are NaN or infinite; None is allowed."""
+    given = [name for name in names if getattr(config, name) is not None]
+    _require_all(config, Bounds(), given)
 
 
 def require_at_least(config: object, minimum: float, *names: str) -> None:
-    """Refuses attributes below a minimum, too large for JAX, or no numbers."""
-    for name in names:
-        value = getattr(config, name)
-        if not (is_finite(value) and value >= minimum):
-            raise ValueError(f"{name} must be at least {minimum}, not {value}")
-        _require_representable(name, value)
+    """Refuses attributes below a minimum."""
+    _require_all(config, Bounds(ge=minimum), names)
 
 
 def require_positive(config: object, *names: str) -> None:
-    """Refuses attributes that are not positive, or too large or small for JAX."""
-    for name in names:
-        value = getattr(config, name)
-        if not (is_finite(value) and value > 0):
-            raise ValueError(f"{name} must be positive, not {value}")
-        if value < SMALLEST:
-            raise ValueError(f"{name} must be at least {SMALLEST:.3g}, not {value}")
-        _require_representable(name, value)
-
-
-def _require_representable(name: str, value: Any) -> None:
-    """Refuses a number that is too large for int32 or float32."""
-    whole = isinstance(value, numbers.Integral)
-    most: float = LARGEST_WHOLE if whole else LARGEST
-    if value > most:
-        raise ValueError(f"{name} must be at most {most:.10g}, not {value}")
+    """Refuses attributes that are not positive."""
+    _require_all(config, Bounds(gt=0.0), names)
 
 
 def require_ratio(config: object, *names: str) -> None:
     """Refuses attributes outside [0, 1]."""
-    for name in names:
-        value = getattr(config, name)
-        if not (is_finite(value) and 0.0 <= value <= 1.0):
-            raise ValueError(f"{name} must lie in [0, 1], not {value}")
+    _require_all(config, Bounds(ge=0.0, le=1.0), names)
 
 
 def require_range(name: str, value: Range, least: float, most: float) -> None:
-    """Refuses a range that is empty, not finite or not within bounds.
-
-    Raises:
-        ValueError: naming the value and what is allowed.
-    """
+    """Refuses a range that is empty, not finite or not within bounds."""
     good = all(map(math.isfinite, value))
     if not (good and least <= value[0] <= value[1] <= most):
         within = f" within [{least:.4g}, {most:.4g}]" if math.isfinite(most) else ""
@@ -164,11 +152,7 @@ def require_range(name: str, value: Range, least: float, most: float) -> None:
 def require_within(
     config: object, least: float, most: float, unit: str, *names: str
 ) -> None:
-    """Refuses implausible attributes, which may be in another unit.
-
-    Raises:
-        ValueError: naming the attribute, its value, the bounds and the unit.
-    """
+    """Refuses implausible attributes, which may be in another unit."""
     for name in names:
         value = getattr(config, name)
         if not (is_finite(value) and least <= value <= most):
@@ -185,23 +169,29 @@ def require_kind(name: str, value: object, kind: Any) -> None:
         TypeError: naming the argument, its value and the type.
     """
     if not isinstance(value, kind):
+        kinds = get_args(kind) or (kind,)
+        names = ["None" if k is NoneType else k.__name__ for k in kinds]
         raise TypeError(
-            f"{name} must be of {_kind_names(kind)}, not {reprlib.repr(value)}"
+            f"{name} must be of {' or '.join(names)}, not {reprlib.repr(value)}"
         )
 
 
 def require_unset(config: Any, where: str, *names: str) -> None:
-    """Refuses attributes other than their defaults where they have no effect.
-
-    Raises:
-        ValueError: naming the attribute, its value and where that is.
-    """
+    """Refuses attributes other than their defaults where they have no effect."""
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if field.name in names and value != field.default:
             raise ValueError(
                 f"{field.name} {value!r} has no effect {where}: leave it out"
             )
+
+
+def data(default: Any) -> Any:
+    """A field of a config whose number only enters into arithmetic.
+
+    Runs side by side may differ in it, see `carpark_mj.config.is_data`.
+    """
+    return dataclasses.field(default=default, metadata={"data": True})
 
 
 class CheckedConfig:
@@ -329,11 +319,6 @@ def _describe(hint: Any) -> str:
         length = "" if parts[-1] is ... else f" of {len(parts)}"
         return f"a tuple{length}, each item {_describe(parts[0])}"
     return _NAMES.get(origin or hint, f"of {getattr(hint, '__name__', hint)}")
-
-
-def _kind_names(kind: Any) -> str:
-    kinds = kind.__args__ if hasattr(kind, "__args__") else (kind,)
-    return " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
 
 
 def is_finite(value: Any) -> bool:

@@ -1,7 +1,9 @@
 """The environment's configuration."""
 
+import copy
 import dataclasses
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, TypeVar
 
 from carpark_mj.config.back_ends import PhysicsChoice, PhysicsConfig, physics_config
 from carpark_mj.config.checks import (
@@ -12,19 +14,24 @@ from carpark_mj.config.checks import (
     require_bounds,
     require_types,
 )
-from carpark_mj.config.fleet import FleetConfig, JitterConfig
-from carpark_mj.config.giving_way import GivingWayConfig
-from carpark_mj.config.goals import GoalConfig
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
-from carpark_mj.config.metrics import MetricsConfig
 from carpark_mj.config.observations import ENCODERS, ObservationConfig, SensorConfig
 from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.config.physics import SimConfig
-from carpark_mj.config.randomization import RandomizationConfig
-from carpark_mj.config.rewards import RewardConfig
-from carpark_mj.config.spawning import SpawnConfig
-from carpark_mj.config.terminations import EpisodeConfig, find_rules
 from carpark_mj.config.vehicles import with_parameters
+from carpark_mj.extensions import unknown_name
+from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig
+from carpark_mj.mdp.metrics import MetricsConfig
+from carpark_mj.mdp.rewards import ExtraTerms, RewardConfig
+from carpark_mj.mdp.terminations import EpisodeConfig, find_rules
+from carpark_mj.spawning.config import (
+    FleetConfig,
+    JitterConfig,
+    RandomizationConfig,
+    SpawnConfig,
+)
+
+Config = TypeVar("Config")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,123 +117,99 @@ class EnvConfig:
         require_bounds(self)
         object.__setattr__(self, "vehicle", with_parameters(self.vehicle))
         make_movers(self.movers)  # refuses unknown names
-        physics = self.physics_config
-        if (self.min_agents or 1) > self.num_agents:
-            raise ValueError(
-                f"min_agents must be at most num_agents {self.num_agents}, not "
-                f"{self.min_agents}"
-            )
-        if self.giving_way.scheme is not None and not self.goals.dynamic:
-            raise ValueError(
-                f"giving_way.scheme {self.giving_way.scheme!r} needs dynamic goals, "
-                "goals.dynamic = True"
-            )
+        for wrong, message in self._contradictions():
+            if wrong:
+                raise ValueError(message)
         if self.goals.dynamic:
             self.reward.goals.check()
-            if self.goals.may_repeat:
-                raise ValueError(
-                    "goals.may_repeat needs fixed goals, goals.dynamic = False"
-                )
-            if self.goals.drive_out:
-                raise ValueError(
-                    "goals.drive_out needs fixed goals, goals.dynamic = False"
-                )
-        elif self.goals.num_tracked_bays != GoalConfig.num_tracked_bays:
-            raise ValueError(
-                f"goals.num_tracked_bays {self.goals.num_tracked_bays} needs dynamic "
-                "goals, goals.dynamic = True"
-            )
-        elif self.goals.slots_by_distance:
-            raise ValueError(
-                "goals.slots_by_distance needs dynamic goals, goals.dynamic = True"
-            )
-        spawn = self.spawn
-        if self.goals.drive_out and (
-            spawn.close_ratio
-            or spawn.conflict_ratio
-            or spawn.reverse_ratio
-            or spawn.misaligned_ratio
-        ):
-            raise ValueError(
-                "goals.drive_out needs starts at random: spawn.close_ratio, "
-                "conflict_ratio, reverse_ratio and misaligned_ratio = 0"
-            )
-        if self.goals.drive_out and (self.num_parked_cars or self.fleet.agents):
-            raise ValueError(
-                "goals.drive_out needs bays without parked cars that fit every agent: "
-                "num_parked_cars = 0 and no fleet.agents"
-            )
+        self.physics_config.check(self)
+        self.observation.check(self)
+
+    def _contradictions(self) -> Iterator[tuple[bool, str]]:
+        """Combinations that would compute nonsense: whether one holds, and why not."""
+        goals, spawn, episode = self.goals, self.spawn, self.episode
+        physics, scheme = self.physics_config, self.giving_way.scheme
+        yield (
+            (self.min_agents or 1) > self.num_agents,
+            f"min_agents must be at most num_agents {self.num_agents}, not "
+            f"{self.min_agents}",
+        )
+        yield (
+            goals.drive_out and goals.dynamic,
+            "goals.drive_out needs fixed goals, goals.dynamic = False",
+        )
+        yield (
+            goals.drive_out and any(spawn.ratios),
+            "goals.drive_out needs starts at random: spawn.close_ratio, "
+            "conflict_ratio, reverse_ratio and misaligned_ratio = 0",
+        )
+        yield (
+            goals.drive_out and bool(self.num_parked_cars or self.fleet.agents),
+            "goals.drive_out needs bays without parked cars that fit every agent: "
+            "num_parked_cars = 0 and no fleet.agents",
+        )
+        other = f"a physics other than {physics.back_end}"
+        only_fixed = goals.dynamic or not physics.steers
         for name in ("reverse_ratio", "misaligned_ratio"):
-            ratio = getattr(spawn, name)
-            if ratio and (self.goals.dynamic or not physics.steers):
-                raise ValueError(
-                    f"spawn.{name} {ratio} needs fixed goals and cars that steer: "
-                    f"goals.dynamic = False, and a physics other than "
-                    f"{physics.back_end}"
-                )
-        rules = find_rules(self.episode.parked_rule)
-        if spawn.misaligned_ratio and not all(rule.inside_lines for rule in rules):
-            raise ValueError(
-                f"spawn.misaligned_ratio {spawn.misaligned_ratio} needs a parked rule "
-                "that asks for the lines of the bay, as strict, not "
-                f"{self.episode.parked_rule}"
+            yield (
+                bool(getattr(spawn, name)) and only_fixed,
+                f"spawn.{name} {getattr(spawn, name)} needs fixed goals and cars that "
+                f"steer: goals.dynamic = False, and {other}",
             )
-        if self.randomization.is_on and not physics.randomized:
-            raise ValueError(
-                f"randomization has no effect in {physics.back_end} physics, whose "
-                "cars have no such parameters: leave it off, or use another physics"
-            )
-        if self.follows_routes and (self.goals.dynamic or not physics.steers):
-            raise ValueError(
-                "reward.route and observation.route need fixed goals and cars that "
-                "steer: goals.dynamic = False, and a physics other than "
-                f"{physics.back_end}"
-            )
-        if self.reward.reeds_shepp_reach and not physics.steers:
-            raise ValueError(
-                f"reward.reeds_shepp_reach {self.reward.reeds_shepp_reach} needs cars "
-                f"that steer: a physics other than {physics.back_end}"
-            )
-        if self.sim.emergency_brake and not physics.actuated:
-            raise ValueError(
-                f"sim.emergency_brake {self.sim.emergency_brake} needs cars that brake "
-                f"by a pedal: a physics other than {physics.back_end}"
-            )
-        scale = self.episode.hitbox_scale
-        if scale != 1.0 and physics.contacts:
-            raise ValueError(
-                f"episode.hitbox_scale must be 1 in {physics.back_end} physics, where "
-                f"crashes are contacts, not {scale}"
-            )
-        physics.check(self)
-        self._check_observation()
-
-    def _check_observation(self) -> None:
-        """Refuses an observation that does not fit the rest.
-
-        Raises:
-            ValueError: naming the setting and what it needs.
-        """
-        observation, scheme = self.observation, self.giving_way.scheme
-        observation.check(self)
-        if self.fleet.agents and not observation.sees_own_car:
-            raise ValueError(
-                "fleet.agents needs observation.own_car = True of the encoding "
-                "'continuous': agents with different cars must observe their own car"
-            )
+        rules = find_rules(episode.parked_rule)
+        yield (
+            bool(spawn.misaligned_ratio) and not all(x.inside_lines for x in rules),
+            f"spawn.misaligned_ratio {spawn.misaligned_ratio} needs a parked rule that "
+            f"asks for the lines of the bay, as strict, not {episode.parked_rule}",
+        )
+        yield (
+            self.randomization.is_on and not physics.randomized,
+            f"randomization has no effect in {physics.back_end} physics, whose cars "
+            "have no such parameters: leave it off, or use another physics",
+        )
+        yield (
+            self.follows_routes and only_fixed,
+            "reward.route and observation.route need fixed goals and cars that steer: "
+            f"goals.dynamic = False, and {other}",
+        )
+        reach, brake = self.reward.reeds_shepp_reach, self.sim.emergency_brake
+        yield (
+            bool(reach) and not physics.steers,
+            f"reward.reeds_shepp_reach {reach} needs cars that steer: {other}",
+        )
+        yield (
+            bool(brake) and not physics.actuated,
+            f"sim.emergency_brake {brake} needs cars that brake by a pedal: {other}",
+        )
+        yield (
+            episode.hitbox_scale != 1.0 and physics.contacts,
+            f"episode.hitbox_scale must be 1 in {physics.back_end} physics, where "
+            f"crashes are contacts, not {episode.hitbox_scale}",
+        )
+        observation = self.observation
+        yield (
+            bool(self.fleet.agents) and not observation.sees_own_car,
+            "fleet.agents needs observation.own_car = True of the encoding "
+            "'continuous': agents with different cars must observe their own car",
+        )
+        if scheme is None:
+            return
+        yield (
+            not goals.dynamic,
+            f"giving_way.scheme {scheme!r} needs dynamic goals, goals.dynamic = True",
+        )
         wanted, found = self.giving_way.global_information, observation.sees_everywhere
-        if scheme is not None and found != wanted:
-            raise ValueError(
-                f"giving_way.scheme {scheme!r} needs observation.global_information = "
-                f"{wanted}, not {found}"
-            )
+        yield (
+            found != wanted,
+            f"giving_way.scheme {scheme!r} needs observation.global_information = "
+            f"{wanted}, not {found}",
+        )
         tracked = observation.tracked.agents or observation.tracked.cars
-        context = self.giving_way.context or ""
-        if context.startswith("local") and not tracked:
-            raise ValueError(
-                f"giving_way.scheme {scheme!r} is about tracked agents: observation "
-                "must track at least 1, not 0"
-            )
+        yield (
+            (self.giving_way.context or "").startswith("local") and not tracked,
+            f"giving_way.scheme {scheme!r} is about tracked agents: observation must "
+            "track at least 1, not 0",
+        )
 
     @property
     def physics_config(self) -> PhysicsConfig:
@@ -248,3 +231,68 @@ class EnvConfig:
     def varies(self) -> bool:
         """Whether the number, kinds, poses in bays or sizes of parked cars vary."""
         return self.fleet.is_on or self.jitter.is_on or self.occupancy is not None
+
+
+def is_data(config: Any, path: str) -> bool:
+    """Whether a setting, as `reward.park`, can have other values in one program.
+
+    It must be a number: None and truth values decide what is computed.
+
+    Raises:
+        ValueError: there is no such setting.
+    """
+    value = setting(config, path)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    while not isinstance(config, ExtraTerms):
+        name, _, rest = path.partition(".")
+        if not rest:
+            [field] = [x for x in dataclasses.fields(config) if x.name == name]
+            return "data" in field.metadata
+        config, path = getattr(config, name), rest
+    return not config.is_fixed(path)
+
+
+def setting(config: Any, path: str) -> Any:
+    """The value of a setting by its path.
+
+    Raises:
+        ValueError: there is no such setting.
+    """
+    if isinstance(config, ExtraTerms):
+        return config[_require_setting(config, path)]
+    name, dot, rest = path.partition(".")
+    value = getattr(config, _require_setting(config, name))
+    return setting(value, rest) if dot else value
+
+
+def insert(config: Config, values: Mapping[str, Any]) -> Config:
+    """A config with other values, which may be traced and are not checked, by path.
+
+    Raises:
+        ValueError: there is no such setting.
+    """
+    new = copy.copy(config)
+    for path, value in values.items():
+        if isinstance(new, ExtraTerms):
+            new[_require_setting(new, path)] = value
+            continue
+        name, dot, rest = path.partition(".")
+        _require_setting(new, name)
+        value = insert(getattr(new, name), {rest: value}) if dot else value
+        object.__setattr__(new, name, value)  # it is frozen
+    return new
+
+
+def _names(config: Any) -> list[str]:
+    if isinstance(config, ExtraTerms):
+        return list(config)
+    is_config = dataclasses.is_dataclass(config)
+    return [x.name for x in dataclasses.fields(config)] if is_config else []
+
+
+def _require_setting(config: Any, name: str) -> str:
+    """The name, which must be that of a setting of the config."""
+    if name not in (names := _names(config)):
+        raise ValueError(unknown_name(f"{type(config).__name__} setting", name, names))
+    return name

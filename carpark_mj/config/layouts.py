@@ -106,27 +106,14 @@ def layout_format(name: str) -> str:
     return name.rpartition(".")[2] if "." in name else ""
 
 
-def require_layout_file(name: str) -> None:
-    """Refuses a file of an unknown format.
-
-    Raises:
-        ValueError: with the known formats.
-    """
-    if layout_format(name) not in LAYOUT_FORMATS:
-        known = ", ".join(f".{suffix}" for suffix in LAYOUT_FORMATS)
-        raise ValueError(f"a layout file must end in one of {known}, not {name!r}")
-
-
 def require_layout(name: str) -> None:
     """Refuses what is neither the name of a layout nor that of a layout file.
 
     Raises:
-        ValueError: with the known names.
+        ValueError: with the known names or formats.
     """
-    if layout_format(name):
-        require_layout_file(name)
-    else:
-        _ = LAYOUTS[name]
+    suffix = layout_format(name)
+    _ = LAYOUT_FORMATS[suffix] if suffix else LAYOUTS[name]
 
 
 # tyro turns a union with dataclasses into subcommands; as a flag a layout is its name.

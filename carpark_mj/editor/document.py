@@ -1,9 +1,12 @@
-"""The document of the editor: a layout file, its draft and its faults."""
+"""The document of the editor: a layout file, its draft, its faults, and a picture.
+
+The picture lies to scale under the drawing, as a site plan or an aerial photograph.
+"""
 
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -18,8 +21,14 @@ from carpark_mj.layouts.files import (
 )
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout
-from carpark_mj.reading import read_text
+from carpark_mj.reading import read_bytes, read_text
 
+KINDS = {
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+    ".webp": "image/webp",
+}
 EXTENT = (20.0, 15.0)  # m, half widths of a new lot
 LEAST_ROWS = 64  # of each kind in a checked layout; more are powers of two
 # Rows that are added and masked.
@@ -32,15 +41,41 @@ _FILLERS: dict[str, dict[str, Any]] = {
 }
 
 
-class Draft:
-    """A layout file that is edited; changes that are not saved are kept beside it.
+class Picture(NamedTuple):
+    """A picture whose middle is the lot's origin."""
 
-    Attributes:
-        out: the file to save to.
-        kept: the file of unsaved changes.
-        document: the lot, as the page last had it.
-        saved: the lot without unsaved changes.
+    data: bytes
+    kind: str  # media type
+    size: tuple[float, float]  # width and height [m]
+
+
+def read_picture(path: Path, scale: float = 0.0, width: float = 0.0) -> Picture:
+    """Reads a picture.
+
+    Args:
+        path: of the file.
+        scale: metres per pixel; 0 to use `width`.
+        width: of the picture [m].
+
+    Raises:
+        ValueError: it is no such picture.
+        OSError: it cannot be read.
     """
+    from matplotlib.image import imread
+
+    if path.suffix.lower() not in KINDS:
+        raise ValueError(f"a picture must end in one of {', '.join(KINDS)}, not {path}")
+    data = read_bytes(path)
+    try:
+        rows, columns = imread(path).shape[:2]
+    except Exception as error:  # decoders raise many kinds
+        raise ValueError(f"cannot read the picture {path}: {error}") from None
+    scale = scale or width / columns
+    return Picture(data, KINDS[path.suffix.lower()], (scale * columns, scale * rows))
+
+
+class Draft:
+    """A layout file that is edited; changes that are not saved are kept beside it."""
 
     def __init__(
         self, out: Path, source: Path | None = None, extent: Any = EXTENT
@@ -55,9 +90,11 @@ class Draft:
         Raises:
             ValueError: a file is no layout; one with faults is.
         """
-        self.out, self.kept = out, out.with_suffix(".draft.json")
+        self.out = out
+        self.kept = out.with_suffix(".draft.json")  # of unsaved changes
         empty = {"format": FORMAT, "bays": [], "spawns": [], "extent": [*extent]}
         self.saved = complete(empty) if source is None else _read(source)
+        # As the page last had it.
         self.document = _read(self.kept) if self.kept.exists() else self.saved
 
     def check(self, document: dict[str, Any]) -> list[dict[str, Any]]:
@@ -106,13 +143,13 @@ def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
     for message, kinds, places in list_faults(layout, DesignCar().size):
         hard = {tuple(place) for place in of_any_car.get(message, [])}
         for grave in (True, False):
-            told = [
+            rows = [
                 [f"{kind}s/{row}" for kind, row in zip(kinds, place, strict=True)]
                 for place in places.tolist()
                 if (tuple(place) in hard) == grave
             ]
-            if told:
-                found.append({"text": message, "places": told, "grave": grave})
+            if rows:
+                found.append({"text": message, "places": rows, "grave": grave})
     return found
 
 

@@ -8,8 +8,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-from carpark_mj.editor.document import Draft
-from carpark_mj.editor.picture import Picture
+from carpark_mj.editor.document import Draft, Picture
 from carpark_mj.layouts.files import choices
 from carpark_mj.reading import parse_object
 from carpark_mj.rendering.local_pages import HOST, NO_FRAMES, refusal

@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from carpark_mj.config.metrics import Metric
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.evaluation.catalogue import START_STEPS, metrics
+from carpark_mj.mdp.metrics import Metric
 from carpark_mj.types import ENDINGS
 
 HITS = tuple(f"hit_{kind.label}" for kind in ObstacleKind)
+
+MOVED = 0.1  # m, the path of a car that has moved
+SPEEDS = (0.0, 0.5, 1.0, 2.0)  # m/s, where classes begin; the last has no end
+_CONTACT = Metric("contact", "", "contact with a person at a speed of a class", "rate")
 
 Row = dict[str, Any]  # an episode: its metrics, and which it is, by name
 
@@ -155,3 +159,35 @@ def _quantiles(values: Sequence[float], shares: dict[str, float]) -> dict[str, f
         return dict.fromkeys(shares, math.nan)
     found = np.quantile(values, list(shares.values()), method="inverted_cdf")
     return dict(zip(shares, map(float, found), strict=True))
+
+
+def contacts(rows: Sequence[Row]) -> dict[str, Any] | None:
+    """How often people were hit by cars that moved; None without people.
+
+    A car that never moved cannot hit a person, for people do not walk into cars.
+
+    Returns:
+        `episodes`, those in which the car moved; `any`, the rate of contacts with its
+        95 % interval and count (see `pool`), and the same by class of
+        speed, as in `0.5..1`.
+    """
+    if not rows or not {"hit_person", "peak_contact_speed"} <= rows[0].keys():
+        return None
+    moved = [row for row in rows if row["path"] > MOVED]
+    found: dict[str, Any] = {
+        "episodes": len(moved),
+        "any": _contact_rate(moved, 0, math.inf),
+    }
+    for low, high in zip(SPEEDS, (*SPEEDS[1:], math.inf), strict=True):
+        name = f"{low:g}.." + (f"{high:g}" if high < math.inf else "")
+        found[name] = _contact_rate(moved, low, high)
+    return found
+
+
+def _contact_rate(rows: Sequence[Row], low: float, high: float) -> dict[str, float]:
+    def hits(row: Row) -> float:
+        return float(row["hit_person"] and low <= row["peak_contact_speed"] < high)
+
+    rate = pool(_CONTACT, [row | {"contact": hits(row)} for row in rows])
+    assert isinstance(rate, dict)
+    return rate

@@ -5,9 +5,8 @@ registered (`carpark_mj.config.metrics`). An evaluation has a column for each in
 table of episodes, and one or several aggregates.
 """
 
-from carpark_mj.config.metrics import METRICS, Metric, Pool
-from carpark_mj.mdp.clearance import RANGE
-from carpark_mj.mdp.metrics.safety import HORIZON
+from carpark_mj.mdp.metrics import METRICS, Metric, Pool
+from carpark_mj.mdp.safety import HORIZON, RANGE
 
 # How episodes add up.
 POOLS: dict[Pool, str] = {

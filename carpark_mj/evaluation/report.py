@@ -9,9 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from carpark_mj.evaluation.aggregation import HITS
+from carpark_mj.evaluation.aggregation import HITS, contacts
 from carpark_mj.evaluation.catalogue import DRIVING, GOALS, OUTCOME, SAFETY, metrics
-from carpark_mj.evaluation.contacts import contacts
 from carpark_mj.evaluation.evaluator import Evaluation
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.types import ENDINGS, OUTCOMES

@@ -3,8 +3,8 @@
 from carpark_mj.layouts.car_park import CarParkConfig
 from carpark_mj.layouts.files import FromFileConfig
 from carpark_mj.layouts.lot import AngledConfig, LotConfig
-from carpark_mj.layouts.mixture_config import MixtureConfig
 from carpark_mj.layouts.registry import (
+    MixtureConfig,
     layout_config,
     make_layout,
     member_shares,

@@ -34,7 +34,6 @@ from carpark_mj.config.layouts import (
     FAMILIES,
     LAYOUT_FORMATS,
     layout_format,
-    require_layout_file,
 )
 from carpark_mj.extensions import unknown_name
 from carpark_mj.layouts import build
@@ -261,7 +260,6 @@ class FromFileConfig(FixedLayoutConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_layout_file(self.path)
         _read(self.path, self._content)  # refuses a bad file
 
     def __eq__(self, other: object) -> bool:

@@ -17,45 +17,14 @@ from flax import struct
 from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import Bounds, IntRange, Natural, Range
 from carpark_mj.geometry import move_forward
-from carpark_mj.layouts import standards
-from carpark_mj.layouts.build import (
-    Group,
-    assemble,
-    bays,
-    cell_poses,
-    chances,
-    discs,
-    draw,
-    draw_int,
-    lanes,
-    least_lane,
-    mirror,
-    require_aisle,
-    require_least,
-    row_depth,
-    spawns_in,
-    two_lanes,
-    walls,
-)
-from carpark_mj.layouts.standards import (
-    ACCESSIBLE_WIDTH,
-    AISLE_ANGLES,
-    AISLE_WIDTHS,
-    BOLLARD_RADIUS,
-    FAMILY_WIDTH,
-    PILLAR_CLEARANCE,
-    PILLAR_RADIUS,
-    PILLAR_SETBACK,
-    WALL_GAP,
-    DesignCar,
-    Entry,
-    one_way_aisle,
-)
+from carpark_mj.layouts import build, standards
+from carpark_mj.layouts.standards import DesignCar, Entry
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 
 ENTRANCE_LENGTH = 7.0  # m, from the outer wall to the gate: longer than a car
 ENTRANCE_WIDTH = 6.0  # m, two lanes
-PILLAR_GAP = 2 * (PILLAR_RADIUS + PILLAR_CLEARANCE)  # m between the bays beside it
+# m between the bays beside a pillar
+PILLAR_GAP = 2 * (standards.PILLAR_RADIUS + standards.PILLAR_CLEARANCE)
 BOLLARD_INSET = 0.4  # m from the ends of a row's last strip
 SLACK = 1e-3  # m, tolerance for bays that fit exactly
 
@@ -109,32 +78,37 @@ class LotConfig(LayoutConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_least(self, self.car.width, "bay_width")
-        require_least(self, self.car.length, "bay_length")
-        require_least(self, 2 * least_lane(self.car), "cross_aisle")
+        build.require_least(self, self.car.width, "bay_width")
+        build.require_least(self, self.car.length, "bay_length")
+        build.require_least(self, 2 * build.least_lane(self.car), "cross_aisle")
         if self.two_way and self.angle[0] < 90.0:
             raise ValueError(
                 f"two_way needs perpendicular bays, angle (90, 90), not {self.angle}"
             )
-        wide = self.num_accessible * ACCESSIBLE_WIDTH + self.num_family * FAMILY_WIDTH
-        if wide > self.bays_per_row[0] * self.bay_width[0]:
+        row = self.bays_per_row[0] * self.bay_width[0]
+        if self._wide > row:
             raise ValueError(
                 f"num_accessible {self.num_accessible} and num_family "
-                f"{self.num_family} need {wide} m, a row may have no more than "
-                f"{self.bays_per_row[0] * self.bay_width[0]:.2f} m"
+                f"{self.num_family} need {self._wide} m, a row may have no more than "
+                f"{row:.2f} m"
             )
-        lane = least_lane(self.car) * (2 if self.two_way else 1)
+        lane = build.least_lane(self.car) * (2 if self.two_way else 1)
         for entry in self._entries(self.extra_aisle[0], self.bay_width[0]):
-            require_aisle(round(entry.aisle, 3), max(entry.least(self.car), lane))
+            build.require_aisle(round(entry.aisle, 3), max(entry.least(self.car), lane))
 
     @property
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
-        wide = self.num_accessible * ACCESSIBLE_WIDTH + self.num_family * FAMILY_WIDTH
         low, width = self.bays_per_row[0], self.bay_width[0]
-        kept = math.floor((low * width - wide) / width + 1e-6)
+        kept = math.floor((low * width - self._wide) / width + 1e-6)
         first = self.num_accessible + self.num_family + kept
         return first + (2 * self.num_aisles[0] - 1) * low
+
+    @property
+    def _wide(self) -> float:
+        """Width of the wide bays together [m]."""
+        accessible = self.num_accessible * standards.ACCESSIBLE_WIDTH
+        return accessible + self.num_family * standards.FAMILY_WIDTH
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -145,13 +119,14 @@ class LotConfig(LayoutConfig):
         # Neither the standard nor the least aisle is monotonic between the ends.
         angles = [float(angle) for angle in np.linspace(*self.angle, 25)]
         return tuple(
-            Entry(one_way_aisle(a) + extra_aisle, bay_width, a) for a in angles
+            Entry(standards.one_way_aisle(a) + extra_aisle, bay_width, a)
+            for a in angles
         )
 
     def generate(self, key: jax.Array) -> Layout:
         """Draws a car park whose aisles run along x; the first entrance is at -x."""
         plan = _draw_plan(self, key)
-        return assemble(
+        return build.assemble(
             plan.half + jnp.array([ENTRANCE_LENGTH, 0.0]),
             *_rows(self, plan),
             *_outer_walls(self, plan),
@@ -198,17 +173,19 @@ class _Plan:
 
 
 def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
-    chance = chances(key, 9)
-    count = draw_int(chance[0], config.num_aisles)
-    per_row = draw_int(chance[1], config.bays_per_row)
-    degrees = draw(chance[2], config.angle)
-    bay_width = draw(chance[3], config.bay_width)
-    bay_length = draw(chance[4], config.bay_length)
-    standard = jnp.interp(degrees, jnp.array(AISLE_ANGLES), jnp.array(AISLE_WIDTHS))
-    aisle = standard + draw(chance[5], config.extra_aisle)
-    cross = draw(chance[6], config.cross_aisle)
-    end = draw(chance[7], config.end_width)
-    entrances = draw_int(chance[8], config.num_entrances)
+    chance = build.chances(key, 9)
+    count = build.draw_int(chance[0], config.num_aisles)
+    per_row = build.draw_int(chance[1], config.bays_per_row)
+    degrees = build.draw(chance[2], config.angle)
+    bay_width = build.draw(chance[3], config.bay_width)
+    bay_length = build.draw(chance[4], config.bay_length)
+    standard = jnp.interp(
+        degrees, jnp.array(standards.AISLE_ANGLES), jnp.array(standards.AISLE_WIDTHS)
+    )
+    aisle = standard + build.draw(chance[5], config.extra_aisle)
+    cross = build.draw(chance[6], config.cross_aisle)
+    end = build.draw(chance[7], config.end_width)
+    entrances = build.draw_int(chance[8], config.num_entrances)
 
     angle = jnp.radians(degrees)
     sin, cos = jnp.sin(angle), jnp.cos(angle)
@@ -217,11 +194,11 @@ def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
     row = per_row * bay_width + gaps
     field = (row + 2 * end) / sin + bay_length * cos
     # Wide bays at an angle are deeper; they lie in the first row, at the bottom.
-    wide = ACCESSIBLE_WIDTH if config.num_accessible else 0.0
-    wide = max(wide, FAMILY_WIDTH if config.num_family else 0.0)
-    below = WALL_GAP + jnp.maximum(wide - bay_width, 0.0) * cos
-    module = 2 * row_depth(bay_width, bay_length, angle) + aisle
-    height = count * module + below + WALL_GAP
+    wide = standards.ACCESSIBLE_WIDTH if config.num_accessible else 0.0
+    wide = max(wide, standards.FAMILY_WIDTH if config.num_family else 0.0)
+    below = standards.WALL_GAP + jnp.maximum(wide - bay_width, 0.0) * cos
+    module = 2 * build.row_depth(bay_width, bay_length, angle) + aisle
+    height = count * module + below + standards.WALL_GAP
     number = jnp.arange(config.num_aisles[1])
     aisle_y = (number + 0.5) * module + below - height / 2
     return _Plan(
@@ -241,7 +218,7 @@ def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
     )
 
 
-def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
+def _rows(config: LotConfig, plan: _Plan) -> list[build.Group]:
     """Bays, strips at the ends of the rows and pillars; (aisles, 2 sides, cells)."""
     num_aisles, most = config.num_aisles[1], config.bays_per_row[1]
     shape = (num_aisles, 2, most)
@@ -251,8 +228,8 @@ def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
     family = first & (cell < config.num_accessible + config.num_family) & ~accessible
     kind = jnp.where(accessible, BayKind.ACCESSIBLE, BayKind.STANDARD)
     kind = jnp.where(family, BayKind.FAMILY, kind)
-    width = jnp.where(accessible, ACCESSIBLE_WIDTH, plan.bay_width)
-    width = jnp.where(family, FAMILY_WIDTH, width)
+    width = jnp.where(accessible, standards.ACCESSIBLE_WIDTH, plan.bay_width)
+    width = jnp.where(family, standards.FAMILY_WIDTH, width)
     every = config.pillar_every
     pillar = (cell > 0) & (cell % every == 0) if every else jnp.zeros(most, bool)
     far = jnp.cumsum(width + jnp.where(pillar, PILLAR_GAP, 0.0), axis=-1)
@@ -262,24 +239,28 @@ def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
     def place(near: jax.Array, width: jax.Array) -> jax.Array:
         """Poses of cells whose near lines lie so far behind the first bay's."""
         offset = (near + plan.end) / jnp.sin(plan.angle)
-        pose = cell_poses(offset, width, plan.bay_length, plan.angle)
+        pose = build.cell_poses(offset, width, plan.bay_length, plan.angle)
         pose = pose - jnp.stack([plan.field / 2, -plan.aisle / 2, jnp.zeros(())])
         # Aisles alternate in direction if they have one; bays of the second side lie
         # to the right of it.
         way = jnp.where(jnp.arange(num_aisles) % 2 == 0, 1.0, -1.0)
         way = jnp.ones_like(way) if config.two_way else way
         side = jnp.array([1.0, -1.0])
-        pose = mirror(pose, way[:, None, None], side[:, None])
+        pose = build.mirror(pose, way[:, None, None], side[:, None])
         return pose.at[..., 1].add(plan.aisle_y[:, None, None])
 
     bay_pose = place(far - width, width)
     bay_size = jnp.stack([jnp.broadcast_to(plan.bay_length, shape), width], axis=-1)
-    groups = [bays(bay_pose, bay_size, kind, mask)]
+    groups = [build.bays(bay_pose, bay_size, kind, mask)]
     if every:
         gap = jnp.full(shape, PILLAR_GAP)
-        setback = plan.bay_length / 2 - PILLAR_SETBACK - PILLAR_RADIUS
+        setback = (
+            plan.bay_length / 2 - standards.PILLAR_SETBACK - standards.PILLAR_RADIUS
+        )
         centre = move_forward(place(far - width - gap, gap), setback)[..., :2]
-        groups.append(discs(centre, PILLAR_RADIUS, DiscKind.PILLAR, mask & pillar))
+        groups.append(
+            build.discs(centre, standards.PILLAR_RADIUS, DiscKind.PILLAR, mask & pillar)
+        )
     if config.row_ends != "open":
         # The strip fills what wide bays leave of their row, if it stays within the row.
         rest = jnp.minimum(plan.end + plan.row - last, plan.bay_width)
@@ -289,52 +270,61 @@ def _rows(config: LotConfig, plan: _Plan) -> list[Group]:
     return groups
 
 
-def _strips(config: LotConfig, plan: _Plan, pose: jax.Array, width: jax.Array) -> Group:
+def _strips(
+    config: LotConfig, plan: _Plan, pose: jax.Array, width: jax.Array
+) -> build.Group:
     """Islands or pairs of bollards at the ends of the rows (aisles, 2 sides, 2)."""
     mask = plan.aisle_mask[:, None, None]
     if config.row_ends == "islands":
         length = jnp.broadcast_to(plan.bay_length, width.shape)
-        return walls(pose, jnp.stack([length, width], axis=-1), WallKind.ISLAND, mask)
+        return build.walls(
+            pose, jnp.stack([length, width], axis=-1), WallKind.ISLAND, mask
+        )
     reach = plan.bay_length / 2 - BOLLARD_INSET
     centre = jnp.stack(
         [move_forward(pose, reach), move_forward(pose, -reach)], axis=-2
     )[..., :2]
-    return discs(centre, BOLLARD_RADIUS, DiscKind.BOLLARD, mask[..., None])
+    return build.discs(
+        centre, standards.BOLLARD_RADIUS, DiscKind.BOLLARD, mask[..., None]
+    )
 
 
-def _lanes(config: LotConfig, plan: _Plan) -> list[Group]:
+def _lanes(config: LotConfig, plan: _Plan) -> list[build.Group]:
     """Lanes of aisles, cross aisles and entrances, and spawn regions in them."""
     zero = jnp.zeros_like(plan.aisle_y)
     pose = jnp.stack([zero, plan.aisle_y, zero], axis=-1)
     size = jnp.stack([plan.field, plan.aisle])
     if config.two_way:
-        pose, size = two_lanes(pose, jnp.broadcast_to(size, (*zero.shape, 2)))
+        pose, size = build.two_lanes(pose, jnp.broadcast_to(size, (*zero.shape, 2)))
         mask = jnp.stack([plan.aisle_mask] * 2, axis=-1)
     else:
         backwards = (jnp.arange(zero.shape[0]) % 2 == 1) != config.back_in
         pose = pose.at[:, 2].set(jnp.where(backwards, jnp.pi, 0.0))
         mask = plan.aisle_mask
-    groups = [lanes(pose, size, mask=mask), spawns_in(config.car, pose, size, mask)]
+    groups = [
+        build.lanes(pose, size, mask=mask),
+        build.spawns_in(config.car, pose, size, mask),
+    ]
 
     side = jnp.array([-1.0, 1.0])
     x = side * (plan.field + plan.cross) / 2
     pose = jnp.stack([x, jnp.zeros(2), jnp.full(2, jnp.pi / 2)], axis=-1)
     size = jnp.broadcast_to(jnp.stack([plan.cross, 2 * plan.half[1]])[::-1], (2, 2))
-    pose, size = two_lanes(pose, size)
-    groups += [lanes(pose, size), spawns_in(config.car, pose, size)]
+    pose, size = build.two_lanes(pose, size)
+    groups += [build.lanes(pose, size), build.spawns_in(config.car, pose, size)]
 
     x = side * (plan.half[0] + ENTRANCE_LENGTH / 2)
     inwards = jnp.array([0.0, jnp.pi])
     pose = jnp.stack([x, plan.entrance_y, inwards], axis=-1)
     size = jnp.broadcast_to(jnp.array([ENTRANCE_LENGTH, ENTRANCE_WIDTH]), (2, 2))
-    pose, size = two_lanes(pose, size)
-    groups.append(lanes(pose, size, mask=plan.entrance_mask[:, None]))
+    pose, size = build.two_lanes(pose, size)
+    groups.append(build.lanes(pose, size, mask=plan.entrance_mask[:, None]))
     # Only on the way in: no car starts at a closed gate and heads for it.
     pose, size = pose[:, 0], size[:, 0]
-    return [*groups, spawns_in(config.car, pose, size, plan.entrance_mask)]
+    return [*groups, build.spawns_in(config.car, pose, size, plan.entrance_mask)]
 
 
-def _outer_walls(config: LotConfig, plan: _Plan) -> list[Group]:
+def _outer_walls(config: LotConfig, plan: _Plan) -> list[build.Group]:
     """Walls around the lot with openings at the entrances, and the gates in them."""
     thick = jnp.float32(config.wall_thickness)
     kind = WallKind.WALL if config.boundary == "wall" else WallKind.KERB
@@ -342,7 +332,7 @@ def _outer_walls(config: LotConfig, plan: _Plan) -> list[Group]:
     zero = jnp.zeros(())
     y = half_y + thick / 2
     long = jnp.stack([2 * (half_x + thick), thick])
-    ends = walls(
+    ends = build.walls(
         jnp.stack([jnp.stack([zero, s * y, zero]) for s in (-1, 1)]), long, kind
     )
     # Two pieces on each side, which meet at the entrance's middle if there is none.
@@ -358,7 +348,7 @@ def _outer_walls(config: LotConfig, plan: _Plan) -> list[Group]:
             half_y - plan.entrance_y - opening / 2,
         ]
     )
-    pieces = walls(
+    pieces = build.walls(
         pieces, jnp.stack([jnp.broadcast_to(thick, (2, 2)), length], axis=-1), kind
     )
     x = side * (half_x + (ENTRANCE_LENGTH + thick) / 2)
@@ -367,8 +357,13 @@ def _outer_walls(config: LotConfig, plan: _Plan) -> list[Group]:
         [jnp.stack([x, plan.entrance_y + s * aside, 0 * x], axis=-1) for s in (-1, 1)]
     )
     size = jnp.stack([ENTRANCE_LENGTH - thick, thick])
-    flanks = walls(flanks, size, kind, plan.entrance_mask)
+    flanks = build.walls(flanks, size, kind, plan.entrance_mask)
     x = side * (half_x + ENTRANCE_LENGTH + thick / 2)
     gate = jnp.stack([x, plan.entrance_y, 0 * x], axis=-1)
     size = jnp.stack([thick, ENTRANCE_WIDTH + 2 * thick])
-    return [ends, pieces, flanks, walls(gate, size, WallKind.GATE, plan.entrance_mask)]
+    return [
+        ends,
+        pieces,
+        flanks,
+        build.walls(gate, size, WallKind.GATE, plan.entrance_mask),
+    ]

@@ -111,21 +111,21 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
         for name, layout in layouts
     ]
     cells = [
-        (max(x * metre, LETTER * max(map(len, told))), y * metre + LINE * len(told))
-        for (x, y), told in zip(sizes, lines, strict=True)
+        (max(x * metre, LETTER * max(map(len, title))), y * metre + LINE * len(title))
+        for (x, y), title in zip(sizes, lines, strict=True)
     ]
     places, high = _pack(cells, GAP * SHEET)
     foot = 5 * LINE
     figure = Figure(figsize=(SHEET, high + foot))
     FigureCanvasAgg(figure)
-    for (_, layout), size, told, (x, y) in zip(
+    for (_, layout), size, title, (x, y) in zip(
         layouts, sizes, lines, places, strict=True
     ):
         width, height = size * metre
         top = 1 - y / (high + foot)
         text: dict[str, Any] = {"fontsize": FONT, "va": "top", "linespacing": 1.1}
-        figure.text(x / SHEET, top, "\n".join(told), **text)
-        low = top - (height + LINE * len(told)) / (high + foot)
+        figure.text(x / SHEET, top, "\n".join(title), **text)
+        low = top - (height + LINE * len(title)) / (high + foot)
         box = (x / SHEET, low, width / SHEET, height / (high + foot))
         draw_layout(figure.add_axes(box), layout)
     _legend(figure, layouts, metre)

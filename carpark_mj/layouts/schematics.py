@@ -18,23 +18,7 @@ import numpy as np
 
 from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import Count, NonNegative, Range
-from carpark_mj.layouts import standards
-from carpark_mj.layouts.build import (
-    assemble,
-    bays,
-    boundary,
-    chances,
-    draw,
-    draw_int,
-    lanes,
-    least_lane,
-    require_aisle,
-    require_least,
-    spawns,
-    spawns_in,
-    two_lanes,
-    walls,
-)
+from carpark_mj.layouts import build, standards
 from carpark_mj.layouts.standards import DesignCar, Entry
 from carpark_mj.layouts.types import Layout, WallKind
 
@@ -66,10 +50,12 @@ class StreetConfig(LayoutConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_least(self, self.car.width, "bay_width")
-        require_least(self, self.car.length, "bay_length")
+        build.require_least(self, self.car.width, "bay_width")
+        build.require_least(self, self.car.length, "bay_length")
         least = self._entry(0).least(self.car)
-        require_aisle(self.aisle_width[0], max(least, 2 * least_lane(self.car)))
+        build.require_aisle(
+            self.aisle_width[0], max(least, 2 * build.least_lane(self.car))
+        )
 
     @property
     def min_bays(self) -> int:
@@ -92,12 +78,12 @@ class StreetConfig(LayoutConfig):
         Cars in perpendicular bays point at the street, in parallel bays along the lane
         beside them.
         """
-        chance = chances(key, 5)
-        count = draw_int(chance[0], self.bays_per_side)
-        width = draw(chance[1], self.bay_width)
-        length = draw(chance[2], self.bay_length)
-        aisle = draw(chance[3], self.aisle_width)
-        end = draw(chance[4], self.end_length)
+        chance = build.chances(key, 5)
+        count = build.draw_int(chance[0], self.bays_per_side)
+        width = build.draw(chance[1], self.bay_width)
+        length = build.draw(chance[2], self.bay_length)
+        aisle = build.draw(chance[3], self.aisle_width)
+        end = build.draw(chance[4], self.end_length)
         along, across = (length, width) if self.parallel else (width, length)
         row = jnp.arange(self.bays_per_side[1])
         x = (row + 0.5 - count / 2) * along
@@ -113,14 +99,14 @@ class StreetConfig(LayoutConfig):
         half = jnp.stack(
             [count * along / 2 + end, aisle / 2 + across + standards.WALL_GAP]
         )
-        lane, lane_size = two_lanes(jnp.zeros(3), jnp.stack([2 * half[0], aisle]))
+        lane, lane_size = build.two_lanes(jnp.zeros(3), jnp.stack([2 * half[0], aisle]))
         kind = WallKind.KERB if self.parallel else WallKind.WALL
-        return assemble(
+        return build.assemble(
             half,
-            bays(pose, jnp.stack([length, width]), mask=row < count),
-            boundary(half[0], half[1], self.wall_thickness, kind),
-            lanes(lane, lane_size),
-            spawns_in(self.car, lane, lane_size),
+            build.bays(pose, jnp.stack([length, width]), mask=row < count),
+            build.boundary(half[0], half[1], self.wall_thickness, kind),
+            build.lanes(lane, lane_size),
+            build.spawns_in(self.car, lane, lane_size),
         )
 
 
@@ -225,11 +211,11 @@ class SquareConfig(LayoutConfig):
         wall_sizes += [(span, self.wall_thickness)] * 2
         wall_sizes += [(2 * face, self.wall_thickness)] * 2
         side = 2 * (half - self.spawn_margin)
-        return assemble(
+        return build.assemble(
             (face, face),
-            bays(np.array(bay_poses), (depth, self.bay_width)),
-            walls(np.array(wall_poses), np.array(wall_sizes)),
-            spawns([(0.0, 0.0, 0.0)], (side, side), math.pi),
+            build.bays(np.array(bay_poses), (depth, self.bay_width)),
+            build.walls(np.array(wall_poses), np.array(wall_sizes)),
+            build.spawns([(0.0, 0.0, 0.0)], (side, side), math.pi),
         )
 
 

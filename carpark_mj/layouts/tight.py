@@ -11,21 +11,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import Range
-from carpark_mj.layouts import standards
-from carpark_mj.layouts.build import (
-    Group,
-    assemble,
-    bays,
-    boundary,
-    chances,
-    draw,
-    draw_int,
-    lanes,
-    require_aisle,
-    require_least,
-    spawns_in,
-    walls,
-)
+from carpark_mj.layouts import build, standards
 from carpark_mj.layouts.standards import (
     DesignCar,
     Entry,
@@ -56,7 +42,7 @@ class TightConfig(LayoutConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         entry = self._entry(0)
-        require_aisle(entry.aisle, entry.least(self.car))
+        build.require_aisle(entry.aisle, entry.least(self.car))
 
     @property
     def room(self) -> TightBay:
@@ -85,19 +71,19 @@ def draw_tight_bay(
         (2,) length and width, (2,) extent along and across the aisle [m], and the
         heading of bays on the left of an aisle along +x [rad].
     """
-    excess = draw(chance[0], config.room.excess)
+    excess = build.draw(chance[0], config.room.excess)
     if config.orientation == "parallel":
-        width = draw(chance[1], standards.PARALLEL_WIDTH)
+        width = build.draw(chance[1], standards.PARALLEL_WIDTH)
         size = jnp.stack([config.car.length + excess, width])
         return size, size, 0.0
-    length = draw(chance[1], standards.BAY_LENGTH)
+    length = build.draw(chance[1], standards.BAY_LENGTH)
     size = jnp.stack([length, config.car.width + excess])
     return size, size[::-1], -jnp.pi / 2
 
 
 def two_way_aisle(
     car: DesignCar, length: jax.Array, y: jax.Array, width: float
-) -> tuple[Group, Group]:
+) -> tuple[build.Group, build.Group]:
     """An undivided aisle along x about x = 0, and spawn regions for both directions."""
     size = jnp.stack([length, jnp.float32(width)])
     pose = jnp.stack(
@@ -106,7 +92,7 @@ def two_way_aisle(
             for yaw in (0, jnp.pi)
         ]
     )
-    return lanes(pose[:1], size, one_way=False), spawns_in(car, pose, size)
+    return build.lanes(pose[:1], size, one_way=False), build.spawns_in(car, pose, size)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +116,7 @@ class DeadEndConfig(TightConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_least(self, 2 * self.car.length, "approach")
+        build.require_least(self, 2 * self.car.length, "approach")
 
     @property
     def min_bays(self) -> int:
@@ -139,11 +125,11 @@ class DeadEndConfig(TightConfig):
 
     def generate(self, key: jax.Array) -> Layout:
         """Draws an aisle along x whose blind end lies at +x."""
-        chance = chances(key, 5)
-        count = draw_int(chance[0], self.bays_per_side)
+        chance = build.chances(key, 5)
+        count = build.draw_int(chance[0], self.bays_per_side)
         size, cell, yaw = draw_tight_bay(self, chance[1:3])
-        approach = draw(chance[3], self.approach)
-        end = draw(chance[4], self.end_length)
+        approach = build.draw(chance[3], self.approach)
+        end = build.draw(chance[4], self.end_length)
         aisle = self.room.aisle
         depth = cell[1] + standards.WALL_GAP
         half_x = (approach + count * cell[0] + end) / 2
@@ -163,11 +149,11 @@ class DeadEndConfig(TightConfig):
         block = jnp.stack(
             [jnp.stack([block_x, s * block_y, 0 * depth]) for s in (1, -1)]
         )
-        return assemble(
+        return build.assemble(
             jnp.stack([half_x, half_y]),
-            bays(bay_pose, size, mask=row < count),
-            boundary(half_x, half_y, self.wall_thickness, WallKind.WALL),
-            walls(block, jnp.stack([approach, depth])),
+            build.bays(bay_pose, size, mask=row < count),
+            build.boundary(half_x, half_y, self.wall_thickness, WallKind.WALL),
+            build.walls(block, jnp.stack([approach, depth])),
             *two_way_aisle(self.car, 2 * half_x, jnp.zeros(()), aisle),
         )
 
@@ -195,11 +181,11 @@ class GarageRowConfig(TightConfig):
 
     def generate(self, key: jax.Array) -> Layout:
         """Draws a row along x, its bays at the left of the aisle."""
-        chance = chances(key, 4)
+        chance = build.chances(key, 4)
         most, thickness = self.num_bays[1], self.wall_thickness
-        count = draw_int(chance[0], self.num_bays)
+        count = build.draw_int(chance[0], self.num_bays)
         size, cell, yaw = draw_tight_bay(self, chance[1:3])
-        end = draw(chance[3], self.end_length)
+        end = build.draw(chance[3], self.end_length)
         aisle = self.room.aisle
         pitch = cell[0] + thickness
         row = jnp.arange(most)
@@ -217,11 +203,11 @@ class GarageRowConfig(TightConfig):
         post_pose = jnp.stack(
             jnp.broadcast_arrays(post_x, edge + depth / 2, 0.0), axis=-1
         )
-        return assemble(
+        return build.assemble(
             jnp.stack([half_x, half_y]),
-            bays(bay_pose, size, mask=row < count),
-            boundary(half_x, half_y, thickness, WallKind.WALL),
-            walls(
+            build.bays(bay_pose, size, mask=row < count),
+            build.boundary(half_x, half_y, thickness, WallKind.WALL),
+            build.walls(
                 post_pose,
                 jnp.stack([jnp.float32(thickness), depth]),
                 mask=post <= count,

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import Feature, Group, Plan, on_same_level
+from carpark_mj.maps.features import Feature, Group, Plan, first_names, on_same_level
 from carpark_mj.maps.fit import Box, around, leaning, parallelogram
 
 # Sizes [m] of bays between lines, a wider range than `layouts.standards` has. Twice the
@@ -29,7 +29,6 @@ MOST_PAIRS = 10_000  # of lines with room for a bay between them
 ACROSS, ALONG = (5.0, 2.5), (6.0, 2.0)
 LONG, WIDE = (4.2, 7.5), (1.85, 4.2)  # m, of the pieces of a row
 NEAREST_ROAD = 12.0  # m from a road, for a spot drawn as a point
-NAMED = 5  # groups that a note names
 FILLED = 0.8  # share of the rectangle around a row with other than four corners
 SURVEYED = 0.1  # of a spot that a row of full spots may lack
 WITHIN = 0.97  # share of a bay beside an aisle that must be in the car park
@@ -192,8 +191,7 @@ def lay_out(plan: Plan) -> Plan:
         drawn += [piece.centroid for piece in pieces]
         features += [_bay(group, piece, k) for k, piece in enumerate(pieces)]
         if pieces and not alone:
-            told = f"{len(pieces)} of {group.count or '?'} in {group.name}"
-            laid.append(told)
+            laid.append(f"{len(pieces)} of {group.count or '?'} in {group.name}")
         elif not (pieces or inside) and (group.count or group.is_row):
             count = group.count or "?"
             lost[group.name] = f"an area without a row or aisles for its spots: {count}"
@@ -208,8 +206,7 @@ def lay_out(plan: Plan) -> Plan:
         else:
             features.append(_bay(group, shape, 0))
     if laid:
-        told = ", ".join(laid[:NAMED]) + ", ..." * (len(laid) > NAMED)
-        notes.append(f"spots laid out that are not drawn: {told}")
+        notes.append(f"spots laid out that are not drawn: {first_names(laid)}")
     if points:
         notes.append(f"{len(points)} spots are points: bays across the nearest road")
     return dataclasses.replace(

@@ -15,7 +15,7 @@ from carpark_mj.layouts.types import BayKind
 WGS84 = "EPSG:4326"
 FARTHEST = 1_000.0  # m from the middle: maps of at most 2 km
 Tag = Literal["bay", "lane", "wall", "kerb", "pillar", "drivable", "start"]
-MOST_KINDS = 10  # named in a message
+MOST_KINDS, NAMED = 10, 5  # kinds and names in a message
 BEND = 0.5  # m between a curved lane and its straight parts
 LINE_THICKNESS = 0.2  # m of walls and kerbs drawn as lines
 
@@ -177,8 +177,8 @@ def on_level(plan: Plan, level: str | None = None) -> Plan:
             lost[group.name] = f"on level {group.level or 0}, not {chosen}"
     notes = list(plan.notes)
     if len(counts) > 1:
-        told = ", ".join(f"{name or '?'} ({n})" for name, n in counts.most_common())
-        notes.append(f"level {chosen} of these, by their spots: {told}; see --level")
+        levels = ", ".join(f"{name or '?'} ({n})" for name, n in counts.most_common())
+        notes.append(f"level {chosen} of these, by their spots: {levels}; see --level")
     return Plan(kept, unknown, lost, groups, notes)
 
 
@@ -189,6 +189,11 @@ def on_same_level(road: Feature, group: Group) -> bool:
 
 def _levels(one: Feature | Group, default: str) -> list[str]:
     return [name.strip() for name in (one.level or default).split(";")]
+
+
+def first_names(names: list[str]) -> str:
+    """The first names of a list, for a message."""
+    return ", ".join(names[:NAMED]) + ", ..." * (len(names) > NAMED)
 
 
 def commonest(counts: Counter[str]) -> str:

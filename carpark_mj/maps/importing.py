@@ -18,7 +18,14 @@ from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
 from carpark_mj.maps.bays import lay_out
 from carpark_mj.maps.commonroad import commonroad_features
-from carpark_mj.maps.features import LINE_THICKNESS, Feature, Plan, commonest, on_level
+from carpark_mj.maps.features import (
+    LINE_THICKNESS,
+    Feature,
+    Plan,
+    commonest,
+    first_names,
+    on_level,
+)
 from carpark_mj.maps.fit import Box, around, best_fits, boxes, cut_free, joined_lanes
 from carpark_mj.maps.osm_xml import (
     is_lanelet2,
@@ -43,7 +50,6 @@ STRETCH = 0.1  # m by which a spot may be too short for the car
 SLIVER = 0.08  # m, thinner walls are dropped
 THINNEST = 0.02  # m, of a wall
 LEAST_START = 0.05  # m that a start is long and wide
-NAMED = 5  # spots of a kind that the report names
 LEANING = 0.02  # share of a bay outside the outline of a spot that leans
 NOSE = 0.3  # m to spare in a bay that is led out into the aisle
 AHEAD = 1.0  # m in front of a spot, where its aisle is
@@ -89,11 +95,10 @@ class Report:
         left: dict[str, list[str]] = {}
         for name, why in self.lost.items():
             kind, _, detail = why.partition(": ")
-            told = f"{name} ({detail})" if detail else name
-            left.setdefault(kind, []).append(told)
+            left.setdefault(kind, []).append(f"{name} ({detail})" if detail else name)
         for kind, names in left.items():
-            told = ", ".join(names[:NAMED]) + ", ..." * (len(names) > NAMED)
-            lines.append(f"left out, {kind}: {len(names)} spots, {told}")
+            listed = first_names(names)
+            lines.append(f"left out, {kind}: {len(names)} spots, {listed}")
         if self.stretched:
             lines.append(
                 f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "

@@ -175,7 +175,7 @@ def _add_aisle(plan: Plan, name: str, ground: Any, one_way: bool) -> None:
     for box in boxes(wide):
         dx, dy = (box.length / 2 * f(box.yaw) for f in (math.cos, math.sin))
         line = shapely.LineString([(box.x - dx, box.y - dy), (box.x + dx, box.y + dy)])
-        plan.features += lane_features(name, line, box.width, one_way)
+        plan.features.extend(lane_features(name, line, box.width, one_way))
 
 
 def geojson_features(path: Path, crs: str | None = None) -> Plan:

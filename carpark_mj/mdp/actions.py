@@ -3,13 +3,16 @@
 Jitted code cannot raise, so NaN and numbers out of range are replaced and counted.
 """
 
+from __future__ import annotations
+
 import dataclasses
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,9 +86,8 @@ def sanitize_action(
     """Replaces NaN and numbers out of range in actions (..., spec.size).
 
     Returns:
-        The numbers (..., spec.continuous) and the indices (..., choices) int32, see
-        `sanitize_numbers` and `sanitize_indices`, and (...) bool, whether any was
-        replaced.
+        The numbers (..., spec.continuous), the indices (..., choices) int32, and (...)
+        bool, whether any was replaced.
     """
     numbers, invalid = sanitize_numbers(action[..., : spec.continuous])
     indices = action[..., spec.continuous :].astype(jnp.int32)
@@ -96,12 +98,7 @@ def sanitize_action(
 
 
 def sanitize_numbers(numbers: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Brings numbers (..., k) into [-1, 1].
-
-    Returns:
-        Numbers (..., k), NaN replaced by 0 and the rest clipped, and (...) bool,
-        whether any was replaced.
-    """
+    """Numbers (..., k) in [-1, 1], NaN as 0, and (...) bool, whether any changed."""
     invalid = ~(jnp.abs(numbers) <= 1.0)
     sanitized = jnp.where(jnp.isnan(numbers), 0.0, jnp.clip(numbers, -1.0, 1.0))
     return sanitized, jnp.any(invalid, axis=-1)
@@ -110,15 +107,10 @@ def sanitize_numbers(numbers: jax.Array) -> tuple[jax.Array, jax.Array]:
 def sanitize_indices(
     indices: jax.Array, choices: tuple[int, ...]
 ) -> tuple[jax.Array, jax.Array]:
-    """Brings indices (..., k) into the ranges of their branches.
+    """Indices (..., k) int32 in the ranges of their branches of `choices`.
 
-    Args:
-        indices: any numbers.
-        choices: number of choices in each of the k branches.
-
-    Returns:
-        Indices (..., k) int32: the middle one for NaN, the nearest for other invalid
-        numbers; and (...) bool, whether any was replaced.
+    The middle one for NaN, the nearest for other invalid numbers; and (...) bool,
+    whether any was replaced.
     """
     most = jnp.array(choices, jnp.float32) - 1
     value = indices.astype(jnp.float32)

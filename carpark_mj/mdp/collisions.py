@@ -3,23 +3,43 @@
 Physics with contacts reports them. Otherwise, and with movers in any case, footprints
 are tested for overlap at every traced instant, and in between with discs, which may be
 thin; in crowded lots near pairs only.
+
+Kerbs and wheel stops are low obstacles that wheels may touch slowly, if
+`EpisodeConfig.kerb_speed` is set. The body passes over them; the rectangle about the
+tyres, as wide as a kerb's height allows them to come, does not. A car that touches one
+slowly is stopped dead before it, a faster one has crashed into a wall.
 """
+
+from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry import norm
+from carpark_mj.geometry import move_forward, norm
 from carpark_mj.geometry.broad_phase import MARGIN, is_crowded, visit_near
-from carpark_mj.geometry.obstacles import Group, Merged, by_shape, merge, take
+from carpark_mj.geometry.obstacles import Boxes, Group, Merged, by_shape, merge, take
+from carpark_mj.layouts.types import Layout, WallKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import Motion, State
 
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig, EpisodeConfig
+
 HITS_CHUNK = 3  # pairs per agent tested at a time for overlap: few are near
+
+KERB_HEIGHT = 0.1  # m, of kerbs and wheel stops
+STOP_DEPTH = 0.15  # m
+STOP_INSET = 0.3  # m, from the lines on either side of its bay
+TYRE_WIDTH = 0.2  # m [est]
+PARALLEL = 2.4  # length over width of a bay from which it is parallel to its lane
+
+_Hits = dict[ObstacleKind, jax.Array]
 
 
 def find_hits(
@@ -27,10 +47,8 @@ def find_hits(
 ) -> dict[str, jax.Array]:
     """What each agent touched during the step that led to a state.
 
-    Args:
-        state: of the lot at the end of the step.
-        hitbox_scale: () factor on all cars' lengths and widths. It has no effect in
-            physics with contacts.
+    `hitbox_scale` () multiplies all cars' lengths and widths; it has no effect in
+    physics with contacts.
 
     Returns:
         (num_agents,) bool by the labels of `ObstacleKind`; in a collision of two agents
@@ -42,18 +60,13 @@ def find_hits(
         kinds = {*always, *(group.kind for group in movers.groups)}
         columns = jnp.moveaxis(motion.touched, -1, 0)
         hits = {k: columns[k] for k in sorted(kinds) if k < columns.shape[0]}
-        return _labelled(_add_hits(hits, motion, movers.groups))
-    motion = dataclasses.replace(motion, size=motion.size * hitbox_scale)
-    size = parked_cars.size * hitbox_scale
-    parked_cars = dataclasses.replace(parked_cars, size=size)
-    obstacles = lot_obstacles(state.layout, motion, parked_cars, movers)
-    return _labelled(_add_hits({}, motion, obstacles))
-
-
-_Hits = dict[ObstacleKind, jax.Array]
-
-
-def _labelled(hits: _Hits) -> dict[str, jax.Array]:
+        hits = _add_hits(hits, motion, movers.groups)
+    else:
+        motion = dataclasses.replace(motion, size=motion.size * hitbox_scale)
+        size = parked_cars.size * hitbox_scale
+        parked_cars = dataclasses.replace(parked_cars, size=size)
+        obstacles = lot_obstacles(state.layout, motion, parked_cars, movers)
+        hits = _add_hits({}, motion, obstacles)
     return {kind.label: hit for kind, hit in hits.items()}
 
 
@@ -102,3 +115,81 @@ def trace_radius(motion: Motion) -> jax.Array:
     """Radii (num_agents,) [m] of circles about final centres that hold all traces."""
     offset = motion.trace_w[..., :2] - motion.trace_w[:, -1:, :2]
     return norm(motion.size) / 2 + norm(offset).max(axis=1) + MARGIN
+
+
+def find_hits_and_kerbs(config: EpisodeConfig, state: State) -> dict[str, jax.Array]:
+    """`find_hits` with kerbs that only wheels touch; those stopped do not any more."""
+    kerb = state.layout.wall_kind == WallKind.KERB
+    walls = dataclasses.replace(state.layout, wall_mask=state.layout.wall_mask & ~kerb)
+    hits = find_hits(dataclasses.replace(state, layout=walls), config.hitbox_scale)
+    touched = touches_kerb(config, state, state.motion.trace_w).any(axis=1)
+    name = ObstacleKind.WALL.label
+    return hits | {name: hits[name] | touched}
+
+
+def kerb_stops(
+    config: EnvConfig, state: State, motion: Motion
+) -> tuple[jax.Array, jax.Array]:
+    """Cars that a kerb stops in a step, and how.
+
+    Args:
+        config: the environment.
+        state: at the start of the step.
+        motion: of its cars at the end, as if there were no kerbs.
+
+    Returns:
+        (num_agents,) bool, those that touch one slowly, and their traces
+        (num_agents, k, 3), which end at the last instant before they touch.
+    """
+    trace_w = motion.trace_w
+    count = trace_w.shape[1]
+    touched = touches_kerb(config.episode, state, trace_w)
+    first = jnp.argmax(touched, axis=1)[:, None]
+    earlier = jnp.concatenate([state.motion.pose_w[:, None], trace_w[:, :-1]], axis=1)
+    speed = norm((trace_w - earlier)[..., :2]) * (count / config.sim.ctrl_dt)
+    slow = jnp.take_along_axis(speed, first, 1)[:, 0] <= config.episode.kerb_speed
+    held = jnp.take_along_axis(earlier, first[..., None], axis=1)
+    after = (jnp.arange(count) >= first)[..., None]
+    return touched.any(axis=1) & slow, jnp.where(after, held, trace_w)
+
+
+def touches_kerb(config: EpisodeConfig, state: State, trace_w: jax.Array) -> jax.Array:
+    """(num_agents, k) bool, whose wheels touch a kerb at poses (num_agents, k, 3)."""
+    obstacles = low_obstacles(config, state.layout)
+    pose, size = wheel_boxes(state, trace_w)
+    overlap = obstacles.overlap(pose[:, :, None], size[:, None, None])
+    return (overlap & obstacles.counts(len(trace_w))[:, None]).any(-1)
+
+
+def low_obstacles(config: EpisodeConfig, layout: Layout) -> Boxes:
+    """Kerbs of a lot, and the wheel stops of its bays that are not parallel ones."""
+    kerb = layout.wall_mask & (layout.wall_kind == WallKind.KERB)
+    kerbs = layout.wall_pose, layout.wall_size, kerb
+    if not config.wheel_stops:
+        return Boxes(*kerbs[:2], mask=kerb, kind=ObstacleKind.WALL)
+    length, width = layout.bay_size[..., 0], layout.bay_size[..., 1]
+    to_centre = length / 2 - config.wheel_stops + STOP_DEPTH / 2
+    stops = (
+        move_forward(layout.bay_pose, -to_centre),
+        jnp.stack([jnp.full_like(width, STOP_DEPTH), width - 2 * STOP_INSET], -1),
+        layout.bay_mask & (length < PARALLEL * width),
+    )
+    pose, size, mask = map(jnp.concatenate, zip(kerbs, stops, strict=True))
+    return Boxes(pose, size, mask=mask, kind=ObstacleKind.WALL)
+
+
+def wheel_boxes(state: State, pose_w: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Rectangles about the tyres, at the height of a kerb, of cars at poses.
+
+    Poses (num_agents, ..., 3) are of the footprints' centres.
+
+    Returns:
+        Poses (num_agents, ..., 3) and sizes (num_agents, 2).
+    """
+    car = state.physics.vehicle
+    # A wheel of radius r touches an edge at height h this far ahead of its hub.
+    reach = jnp.sqrt(2 * car.wheel_radius * KERB_HEIGHT - KERB_HEIGHT**2)
+    ahead = car.wheelbase / 2 - car.centre_offset
+    ahead = jnp.expand_dims(ahead, range(1, pose_w.ndim - 1))
+    size = jnp.stack([car.wheelbase + 2 * reach, car.track_width + TYRE_WIDTH], -1)
+    return move_forward(pose_w, ahead), size

@@ -1,89 +1,345 @@
-"""Goals: which bay an agent heads for, and how that is decided.
+"""Goals: which bay an agent heads for.
 
-Two kinds behind one interface, chosen when an environment is built: `FixedGoals`, drawn
-by the environment for each episode, and `DynamicGoals`, chosen by the agents themselves
-at every step.
+Fixed goals are drawn by the environment for each episode (`carpark_mj.spawning.goals`)
+and last as long. Dynamic goals are chosen by the agents: at the start of every step to
+explore, or to head for a bay they track. The options of an agent do not depend on the
+choices of the others, so their order does not matter. At the end of the step agents
+lose goals in which another agent has parked, and goals that they no longer track.
+
+A bay is free if it holds no parked car, even if it is another agent's goal or an agent
+is in it (Tanner 2022). An agent tracks the nearest free bays. A bay keeps its slot for
+as long as it is tracked, as in the study's text, so that the index of a choice means
+the same bay from step to step. With `GoalConfig.slots_by_distance` the bays are sorted
+by distance at every step, as in the study's program.
+
+*Giving way*. An agent with a goal is in a *context* if some other agent is strictly
+nearer to that goal (centres, world distance) and also, in the notation of Tanner 2022:
+
+| context | the nearer agent |
+|---|---|
+| `local_same` (L,S) | is tracked and has the same goal |
+| `local_any` (L,A) | is tracked |
+| `global_same` (G,S) | has the same goal |
+| `global_any` (G,A) | any |
+| `untracked_same` (G+,S) | is not tracked and has the same goal |
+| `untracked_any` (G+,A) | is not tracked |
+| `untracked_other` (G+,A) | is not tracked and does not have the same goal |
+| `only_untracked_same` (G+,S) | as in (G,S), but no agent as in (L,S) |
+| `only_untracked_any` (G+,A) | as in (G,A), but no agent as in (L,A) |
+| `global_same_not_local_any` | as in (G,S), but no agent as in (L,A) |
+
+The study defines G+ by an intersection that equals L, and calls it disjoint from L.
+Only the set differences `only_untracked_*` are disjoint from L; published figures come
+from `untracked_same` and `untracked_other`. The last row measures whether agents that
+are penalized in (L,A) only also give way to agents that they do not track.
+
+The situation of a step is what agents observe when they choose: poses and tracked
+agents at its start. Agents choose in the order of their numbers, as in the study. Each
+sees the new goals of agents before it and the old goals of agents after it. All cars
+move after the last choice.
 """
 
-from typing import Protocol
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import jax
+import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
-from carpark_mj.mdp.spawning.placing import Placing, SpawnInputs
-from carpark_mj.types import Events, GoalEvents, State
+from carpark_mj.config.checks import Bounds, CheckedConfig, Count, data
+from carpark_mj.geometry import nearest, norm
+from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.parked_cars import bay_fits, free_bays
+from carpark_mj.types import NO_BAY, Events, GoalEvents, State
 
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
-class Goals(Protocol):
-    """How the goals of agents are decided."""
-
-    def init_tracked_bays(self) -> jax.Array | None:
-        """Tracked bays of a lot in which no agent tracks any yet, see `State`."""
-        ...
-
-    def track(self, state: State) -> State:
-        """Updates tracked bays; goals that are no longer among them are lost."""
-        ...
-
-    def place_first(
-        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
-    ) -> Placing:
-        """Start pose of one agent () of a lot that begins; `key` is consumed."""
-        ...
-
-    def place(
-        self, inputs: SpawnInputs, placing: Placing, agent: jax.Array, key: jax.Array
-    ) -> Placing:
-        """Goal and start pose of one agent () that begins an episode.
-
-        Args:
-            inputs: what stays the same for all agents of a step.
-            placing: all agents; of this one where its last episode ended.
-            agent: () int32 index.
-            key: consumed.
-        """
-        ...
-
-    def choose(self, state: State, choice: jax.Array | None) -> State:
-        """Goals as the agents (num_agents,) choose them at the start of a step."""
-        ...
-
-    def target_bay(self, state: State) -> jax.Array:
-        """The bay that each agent (num_agents,) heads for, `Transition.target_pose`."""
-        ...
-
-    def update(
-        self, before: State, after: State, events: Events
-    ) -> tuple[State, GoalEvents | None]:
-        """Goals and tracked bays at the end of a step, before new episodes begin.
-
-        Args:
-            before: at the start of the step, goals not chosen yet.
-            after: at its end, goals as chosen, parked cars relocated.
-            events: of the step.
-        """
-        ...
-
-    def begin(
-        self, state: State, placing: Placing, begun: jax.Array, key: jax.Array | None
-    ) -> State:
-        """Goals and tracked bays of agents whose episodes have begun.
-
-        Args:
-            state: with all agents placed.
-            placing: how they were placed.
-            begun: (num_agents,) bool, who begins.
-            key: consumed; None = no agent begins with a goal of its own choice.
-        """
-        ...
+Scheme = Literal["L,L,S", "L,L,A", "G,L,S", "G,L,A", "G,G,S", "G,G,A"]
+CONTEXTS = (
+    "local_same",
+    "local_any",
+    "global_same",
+    "global_any",
+    "untracked_same",
+    "untracked_any",
+    "untracked_other",
+    "only_untracked_same",
+    "only_untracked_any",
+    "global_same_not_local_any",
+)
 
 
-def make_goals(config: EnvConfig) -> Goals:
-    """The goals that `GoalConfig.dynamic` asks for."""
-    if config.goals.dynamic:
-        from carpark_mj.mdp.dynamic_goals import DynamicGoals
+@dataclasses.dataclass(frozen=True)
+class GoalConfig(CheckedConfig):
+    """How agents get their goals.
 
-        return DynamicGoals(config)
-    from carpark_mj.mdp.fixed_goals import FixedGoals
+    Attributes:
+        dynamic: every agent chooses its goal at every step among the free bays it
+            tracks; otherwise the environment draws one for each episode.
+        num_tracked_bays: nearest free bays that an agent tracks (n_space).
+        slots_by_distance: renumber the tracked bays at every step, the nearest first;
+            otherwise a bay keeps its slot while it is tracked.
+        may_repeat: whether the goal of an episode may be that of the one before; fixed
+            goals only.
+        drive_out: an agent that starts in a bay drives to an exit of the lot, all
+            others to bays; fixed goals only, in layouts with exits.
+    """
 
-    return FixedGoals(config)
+    dynamic: bool = False
+    num_tracked_bays: Count = 1
+    slots_by_distance: bool = False
+    may_repeat: bool = False
+    drive_out: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class GivingWayConfig(CheckedConfig):
+    """Asks agents to give up goals that another agent is nearer to.
+
+    A scheme (a, b, c) of Tanner 2022 is written "a,b,c". With a = G the
+    agents see global information about the bays they track, with L they do not. (b, c)
+    is the enforced context: a goal is bad if another agent is nearer to it that is
+    tracked (b = L) or anywhere (b = G), and has the same goal (c = S) or any (c = A).
+
+    Attributes:
+        scheme: "a,b,c", one of the six of the study: "L,L,S", "L,L,A", "G,L,S",
+            "G,L,A", "G,G,S", "G,G,A"; None = no context is enforced. Needs dynamic
+            goals.
+        bad_goal: reward for keeping a bad goal, in place of `continue_goal`; at most 0.
+            The study sweeps 0 to -0.2.
+    """
+
+    scheme: Scheme | None = None
+    bad_goal: Annotated[float, Bounds(le=0.0)] = data(0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.scheme is None and self.bad_goal:
+            raise ValueError(
+                f"bad_goal {self.bad_goal} needs a scheme, one of "
+                f"{sorted(get_args(Scheme))}"
+            )
+
+    @property
+    def global_information(self) -> bool:
+        """Whether the scheme shows the agents global information."""
+        return self.scheme is not None and self.scheme.startswith("G")
+
+    @property
+    def context(self) -> str | None:
+        """The context in which keeping the goal is bad; None if none is enforced."""
+        if self.scheme is None:
+            return None
+        _, where, goal = self.scheme.split(",")
+        return {"L": "local", "G": "global"}[where] + {"S": "_same", "A": "_any"}[goal]
+
+
+def init_tracked_bays(config: EnvConfig) -> jax.Array | None:
+    """Empty slots (num_agents, num_tracked_bays) int32; None if goals are fixed."""
+    if not config.goals.dynamic:
+        return None
+    shape = config.num_agents, config.goals.num_tracked_bays
+    return jnp.full(shape, NO_BAY, jnp.int32)
+
+
+def choose_goals(config: EnvConfig, state: State, choice: jax.Array | None) -> State:
+    """The state with goals as active agents (num_agents,) choose them.
+
+    `choice` is 0 = explore, k = the bay in slot k - 1; an empty slot, and any other
+    number, keeps the goal. None if goals are fixed.
+    """
+    if not config.goals.dynamic:
+        return state
+    tracked, goal = state.tracked_bays, state.goal
+    assert choice is not None
+    assert tracked is not None
+    number = jnp.arange(1, tracked.shape[1] + 1)
+    here = (choice[:, None] == number) & (tracked != NO_BAY)
+    chosen = jnp.min(jnp.where(here, tracked, NO_BAY), axis=1)
+    chosen = jnp.where(here.any(axis=1), chosen, goal)
+    chosen = jnp.where(choice == 0, NO_BAY, chosen).astype(jnp.int32)
+    return dataclasses.replace(state, goal=jnp.where(state.active, chosen, goal))
+
+
+def target_bays(state: State) -> jax.Array:
+    """The bay that each agent (num_agents,) heads for; `Transition.target_pose`."""
+    if state.tracked_bays is None:
+        return state.goal
+    return target_bay(state.layout, state.goal, state.tracked_bays, state.motion.xy)[0]
+
+
+def target_bay(
+    layout: Layout, goal: jax.Array, tracked_bays: jax.Array, xy: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Each agent's goal or, while it explores, the nearest bay it tracks.
+
+    Args:
+        layout: the lot.
+        goal: (num_agents,) int32.
+        tracked_bays: (num_agents, num_tracked_bays) int32.
+        xy: (num_agents, 2) centres of the agents [m].
+
+    Returns:
+        (num_agents,) int32, and (num_agents,) bool, whether the bay exists.
+    """
+    rows = jnp.minimum(tracked_bays, layout.num_bays - 1)
+    gap = norm(layout.bay_pose[rows, :2] - xy[:, None])
+    rank = jnp.argmin(jnp.where(tracked_bays != NO_BAY, gap, jnp.inf), axis=1)
+    near = jnp.take_along_axis(tracked_bays, rank[:, None], axis=1)[:, 0]
+    bay = jnp.where(goal != NO_BAY, goal, near)
+    return jnp.minimum(bay, layout.num_bays - 1), bay != NO_BAY
+
+
+def update_goals(
+    config: EnvConfig, before: State, after: State, events: Events
+) -> tuple[State, GoalEvents | None]:
+    """Drops lost goals and updates tracked bays at the end of a step.
+
+    Args:
+        config: the environment.
+        before: at the start of the step, goals not chosen yet.
+        after: at its end, goals as chosen, parked cars relocated.
+        events: of the step.
+
+    Returns:
+        The state, and what happened to goals, all False for agents that had finished;
+        None if goals are fixed.
+    """
+    if not config.goals.dynamic:
+        return after, None
+    taken = taken_by_others(after.goal, events.parked) & ~events.done
+    # Where finished agents stay, those that have parked stand in their bays.
+    respawn = config.episode.respawn
+    leaves = events.done if respawn else events.done & ~events.parked
+    state = dataclasses.replace(
+        after, goal=jnp.where(taken | leaves, NO_BAY, after.goal)
+    )
+    tracking = track_bays(config, state)
+    old, chosen, active = before.goal, after.goal, before.active
+    had, has = active & (old != NO_BAY), active & (chosen != NO_BAY)
+    return tracking, GoalEvents(
+        continue_explore=active & ~had & ~has,
+        stop_explore=~had & has,
+        continue_goal=had & has & (old == chosen),
+        change_goal=had & has & (old != chosen),
+        stop_goal=had & ~has,
+        lost_untracked=state.goal != tracking.goal,
+        lost_taken=taken,
+        contexts=find_contexts(before, chosen, tracks(config, before)),
+    )
+
+
+def taken_by_others(goal: jax.Array, parked: jax.Array) -> jax.Array:
+    """(num_agents,) bool, whose goal is a bay where another agent has just parked."""
+    same = (goal[:, None] == goal) & ~jnp.eye(goal.shape[0], dtype=bool)
+    return (same & parked).any(axis=1) & ~parked
+
+
+def track_bays(config: EnvConfig, state: State) -> State:
+    """The state with tracked bays up to date, and goals not among them lost.
+
+    Agents that have finished occupy their goals. Fixed goals leave the state as it is.
+    """
+    if state.tracked_bays is None:
+        return state
+    layout, goal = state.layout, state.goal
+    standing = jnp.where(state.active, NO_BAY, goal)
+    free = free_bays(layout, jnp.concatenate([state.parked_cars.bay, standing]))
+    size = state.physics.vehicle.size
+    usable = bay_fits(config, layout, size, state.parked_cars.size).agents
+    seen = config.observation.bays_in_view(state)
+    if seen is not None:
+        usable = seen if usable is None else seen & usable
+    if usable is not None:
+        free = free & usable
+    before = state.tracked_bays
+    if config.goals.slots_by_distance:  # empty: the nearest enters the first slot
+        before = jnp.full_like(before, NO_BAY)
+    tracked = nearest_bays(layout, state.motion.xy, free, before)
+    lost = (goal != NO_BAY) & ~(tracked == goal[:, None]).any(axis=1) & state.active
+    goal = jnp.where(lost, NO_BAY, goal)
+    return dataclasses.replace(state, tracked_bays=tracked, goal=goal)
+
+
+def nearest_bays(
+    layout: Layout, xy: jax.Array, free: jax.Array, tracked_bays: jax.Array
+) -> jax.Array:
+    """Finds the free bays (bays,) or (num_agents, bays) nearest to agents at `xy`.
+
+    Bays that are still among them keep their slots in `tracked_bays` (num_agents,
+    num_tracked_bays). New bays take the slots that become empty, the nearest bay the
+    first slot; a slot without a bay is `NO_BAY`.
+    """
+    num_agents, num_slots = tracked_bays.shape
+    free = jnp.broadcast_to(free, (num_agents, layout.num_bays))
+    bay, present = nearest(xy, layout.bay_pose[:, :2], free, num_slots)
+    bay, present = bay[:, None, :], present[:, None, :]  # (agents, slots, ranks)
+    same = (tracked_bays[:, :, None] == bay) & present
+    empty = ~same.any(axis=2, keepdims=True)
+    newcomer = present & ~same.any(axis=1, keepdims=True)
+    # The k-th newcomer enters the k-th empty slot.
+    turn = jnp.cumsum(empty, axis=1) == jnp.cumsum(newcomer, axis=2)
+    here = same | (turn & empty & newcomer)
+    return jnp.min(jnp.where(here, bay, NO_BAY), axis=2).astype(jnp.int32)
+
+
+def tracks(config: EnvConfig, state: State) -> jax.Array:
+    """(num_agents, num_agents) bool, [i, j] whether agent i tracks agent j.
+
+    By their measured poses.
+    """
+    found = config.observation.tracks_agents(state)
+    count = state.goal.shape[0]
+    return jnp.zeros((count, count), bool) if found is None else found
+
+
+def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
+    """Goals (num_agents, num_agents), [i, j] that of agent j when agent i chooses.
+
+    `before` (num_agents,) are the goals at the start of the step, `after` those chosen.
+    """
+    number = jnp.arange(before.shape[0])
+    return jnp.where(number < number[:, None], after, before)
+
+
+def find_contexts(
+    before: State, chosen: jax.Array, tracked: jax.Array
+) -> dict[str, jax.Array]:
+    """Contexts (num_agents,) bool of each agent by name, see the table above.
+
+    Agents that have finished are in no context and cause none; one that explored is in
+    none.
+
+    Args:
+        before: at the start of the step, goals not chosen yet.
+        chosen: (num_agents,) int32 goals chosen.
+        tracked: (num_agents, num_agents) bool, [i, j] whether agent i tracks agent j.
+    """
+    goal, active = before.goal, before.active
+    aim = before.layout.bay_pose[jnp.minimum(goal, before.layout.num_bays - 1), :2]
+    distance = norm(before.motion.xy - aim[:, None])
+    better = distance < jnp.diagonal(distance)[:, None]
+    # The agent's own distance, computed twice, may round differently.
+    own = jnp.eye(goal.shape[0], dtype=bool)
+    better = better & ~own & active & active[:, None] & (goal != NO_BAY)[:, None]
+    same = goals_in_turn(goal, chosen) == goal[:, None]
+
+    def some(condition: jax.Array) -> jax.Array:
+        return (better & condition).any(axis=1)
+
+    local_same, local_any = some(tracked & same), some(tracked)
+    global_same, global_any = some(same), better.any(axis=1)
+    return {
+        "local_same": local_same,
+        "local_any": local_any,
+        "global_same": global_same,
+        "global_any": global_any,
+        "untracked_same": some(~tracked & same),
+        "untracked_any": some(~tracked),
+        "untracked_other": some(~tracked & ~same),
+        "only_untracked_same": global_same & ~local_same,
+        "only_untracked_any": global_any & ~local_any,
+        "global_same_not_local_any": global_same & ~local_any,
+    }

@@ -1,21 +1,24 @@
-"""Parked cars: their poses in bays, and which one moves when an agent has parked.
+"""Bays and the cars parked in them: which fit where, and which one is relocated.
 
 An agent that has parked is replaced by a parked car, so that the numbers of parked cars
 and of free bays stay the same (Tanner 2022, section 3.2.1).
 """
 
+from __future__ import annotations
+
 import dataclasses
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.geometry import norm, to_world
 from carpark_mj.geometry.obstacles import touches
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.bays import fits
-from carpark_mj.observations.tracked import tracks_parked_cars
 from carpark_mj.types import NO_BAY, Events, ParkedCars, State
+
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
 _Relocation = tuple[jax.Array, jax.Array, jax.Array]  # bays, moved, agents waiting
 
@@ -23,19 +26,60 @@ AWAY = 1e4  # m from the lot, where absent cars are placed in a row
 _QUEUE = 20.0  # m between them
 
 
+class BayFits(NamedTuple):
+    """Bays that cars of different sizes can use; None = all of them.
+
+    Attributes:
+        agents: (num_agents, bays) bool, bays that can be an agent's goal.
+        parked_cars: (num_parked_cars, bays) bool, bays that a parked car can stand in.
+    """
+
+    agents: jax.Array | None = None
+    parked_cars: jax.Array | None = None
+
+
+def fits(bay_size: jax.Array, car_size: jax.Array, slack: float = 0.0) -> jax.Array:
+    """(..., bays) bool, cars (..., 2) that fit into bays (bays, 2) with `slack` [m]."""
+    return jnp.all(car_size[..., None, :] + slack <= bay_size, axis=-1)
+
+
+def bay_fits(
+    config: EnvConfig, layout: Layout, agent_size: jax.Array, parked_size: jax.Array
+) -> BayFits:
+    """Bays that the cars of a lot can use; None where all cars are of one size.
+
+    Agents of several kinds need the slack of the parked rule in force. Sizes are
+    (num_agents, 2) and (num_parked_cars, 2) [m].
+    """
+    if not config.varies:
+        return BayFits()
+    agents = None
+    if config.fleet.agents:
+        agents = fits(layout.bay_size, agent_size, config.episode.slack)
+    return BayFits(agents, fits(layout.bay_size, parked_size))
+
+
+def free_bays(layout: Layout, taken: jax.Array) -> jax.Array:
+    """(bays,) bool, the bays of a lot less those in `taken` (k,) int32."""
+    # No scatter: XLA on a CPU aborts where it fuses this one for a single agent.
+    number = jnp.arange(layout.num_bays)
+    return layout.bay_mask & (taken[:, None] != number).all(axis=0)
+
+
+def marked(layout: Layout, bay: jax.Array) -> jax.Array:
+    """(bays,) bool, true at the indices `bay` (k,) int32; `NO_BAY` marks nothing."""
+    # No scatter, as in `free_bays`.
+    return (bay[:, None] == jnp.arange(layout.num_bays)).any(axis=0)
+
+
 def stand_in_bay(
     bay_pose: jax.Array, bay_size: jax.Array, size: jax.Array, offset: jax.Array
 ) -> jax.Array:
-    """Poses (..., 3) of cars with offsets from the middle of their bays.
+    """Poses (..., 3) of cars (..., 2) [m] in bays, off the middle by wished offsets.
 
     A car that fits into its bay stays within the lines: first its heading is clipped,
-    then its position. A car that does not fit is centred.
-
-    Args:
-        bay_pose: (..., 3).
-        bay_size: (..., 2) [m].
-        size: (..., 2) footprints of the cars [m].
-        offset: (..., 3) desired position and heading, bay frame [m, m, rad].
+    then its position. A car that does not fit is centred. Offsets (..., 3) are in the
+    bay's frame [m, m, rad].
     """
     # Turned by h, a box reaches r cos(h - phi) along and r sin(h + phi) across, with
     # its diagonal r and phi = atan(width / length).
@@ -57,8 +101,8 @@ def stand_in_bay(
         ],
         axis=-1,
     )
-    room = jnp.maximum(bay_size - reach, 0.0) / 2
-    xy = jnp.clip(offset[..., :2], -room, room)
+    gap = jnp.maximum(bay_size - reach, 0.0) / 2
+    xy = jnp.clip(offset[..., :2], -gap, gap)
     return to_world(bay_pose, jnp.concatenate([xy, yaw[..., None]], axis=-1))
 
 
@@ -81,9 +125,9 @@ def place_absent_agents(pose_w: jax.Array, present: jax.Array | None) -> jax.Arr
 
 def _away(count: int) -> jax.Array:
     """Poses (count, 3) where absent parked cars stand."""
-    place = AWAY + _QUEUE * jnp.arange(count, dtype=jnp.float32)
-    zero = jnp.zeros_like(place)
-    return jnp.stack([place, zero, zero], axis=-1)
+    x = AWAY + _QUEUE * jnp.arange(count, dtype=jnp.float32)
+    zero = jnp.zeros_like(x)
+    return jnp.stack([x, zero, zero], axis=-1)
 
 
 def in_bays(layout: Layout, cars: ParkedCars, bay: jax.Array) -> ParkedCars:
@@ -102,18 +146,10 @@ def relocate_parked_cars(
 ) -> ParkedCars:
     """Moves a parked car into every bay where an agent has just parked.
 
-    None moves to where a mover is.
-
     `SpawnConfig.relocation` says which: the car farthest from all agents, so that no
     agent observes the move (`furthest`), a random one that no agent tracks, if there is
-    any (`random`), or a random one (`any`). A car moves at most once in a step, and
-    only into a bay that it fits into.
-
-    Args:
-        config: the rule, and how many parked cars an agent tracks.
-        state: at the end of the step, before new episodes begin.
-        events: of the step.
-        key: consumed.
+    any (`random`), or a random one (`any`). A car moves at most once in a step, only
+    into a bay that it fits into, and never to where a mover is. `key` is consumed.
     """
     cars, layout, rule = state.parked_cars, state.layout, config.spawn.relocation
     if cars.bay.shape[0] == 0:
@@ -154,3 +190,14 @@ def relocate_parked_cars(
         lambda carry: carry[2].any(), move, (cars.bay, none, events.parked)
     )
     return in_bays(layout, cars, bay)
+
+
+def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
+    """(num_agents, num_parked_cars) bool, [i, j] whether agent i tracks parked car j.
+
+    By their measured poses.
+    """
+    found = config.observation.tracks_parked_cars(state)
+    if found is None:
+        return jnp.zeros((state.goal.shape[0], state.parked_cars.bay.shape[0]), bool)
+    return found if state.present is None else found & state.present[:, None]

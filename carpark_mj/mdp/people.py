@@ -5,23 +5,23 @@ encounters in van der Horst 1990 ("A time-based analysis of road user behaviour"
 gap below 0.5 m at more than 1 m/s.
 """
 
+from __future__ import annotations
+
 import functools
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import (
-    REWARD_TERMS,
-    EnvConfig,
-    Metric,
-    RewardTerm,
-    register_metric,
-)
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry.obstacles import Group
-from carpark_mj.mdp.clearance import RANGE
-from carpark_mj.mdp.metrics.safety import HORIZON, collision_times
+from carpark_mj.mdp.metrics import Metric, register_metric
+from carpark_mj.mdp.rewards import REWARD_TERMS, RewardTerm
+from carpark_mj.mdp.safety import HORIZON, RANGE, collision_times
 from carpark_mj.types import State, Transition
+
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
 PERSON = ObstacleKind.PERSON
 CLOSE_TIME = 1.5  # s, of a near miss

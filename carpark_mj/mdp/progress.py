@@ -1,26 +1,28 @@
 """Progress of a step: potential, approach to a target, direction of travel, effort."""
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import (
-    REWARD_TERMS,
-    WORLD_UNIT,
-    EnvConfig,
-    RewardConfig,
-    RewardTerm,
-)
 from carpark_mj.geometry import heading_error, move_forward, norm, reeds_shepp_length
 from carpark_mj.layouts.routes import has_lanes, lane_distance
 from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.terminations import WORLD_UNIT
 from carpark_mj.types import Motion, Transition, Vehicle
+
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig, RewardConfig
 
 NEARER = 1e-5 * WORLD_UNIT / 16  # m, 1e-5 points of Tanner's finer grid: rounding
 ALIGNMENT_RANGE = 4.0  # m, at which the alignment reward has faded to 1/e
 MOVING = 0.05  # m/s, slower cars have no direction of travel
+# Beyond this angle to the lane's direction a car drives against it; up to it a car
+# crosses the lane or turns in it, on its way into a bay or out of one.
+AGAINST = math.radians(120.0)
 
 
 def goal_potential(
@@ -34,14 +36,8 @@ def goal_potential(
 
     Progress terms are undiscounted differences of it, so closed loops earn nothing. The
     misalignment with the bay's axis counts more the nearer the goal is; either way
-    round is right if either end may go in first.
-
-    Args:
-        weights: of distance and misalignment.
-        pose_w: (..., 3).
-        goal_pose: (..., 3).
-        distance: (...) distance to go [m]; None = straight.
-        one_way: (...) bool, see `Transition.one_way`.
+    round is right if either end may go in first, see `Transition.one_way`. Without a
+    `distance` (...) [m] the way to go is straight.
     """
     if distance is None:
         distance = norm(pose_w[..., :2] - goal_pose[..., :2])
@@ -58,15 +54,9 @@ def mix_in_maneuver(
     goal_pose: jax.Array,
     one_way: jax.Array | None = None,
 ) -> jax.Array:
-    """Distances to go (...) [m], near the goal those of Reeds-Shepp paths.
+    """Distances to go (...) [m], within `reach` of the goal those of Reeds-Shepp paths.
 
-    Args:
-        reach: `RewardConfig.reeds_shepp_reach`.
-        distance: (...) straight or along the lanes [m].
-        car: (...) parameters.
-        motion: (...) of the cars.
-        goal_pose: (..., 3).
-        one_way: (...) bool, see `Transition.one_way`.
+    See `RewardConfig.reeds_shepp_reach` and `Transition.one_way`.
     """
     radius = car.wheelbase / jnp.tan(car.max_steering)
     back = -car.centre_offset
@@ -94,18 +84,12 @@ def is_nearer(
     a = after_xy - target_xy
     gained = (b - a) * (b + a)
     gained = gained[..., 0] + gained[..., 1]
-    both = norm(b) + norm(a)
-    return gained > NEARER * both
+    return gained > NEARER * (norm(b) + norm(a))
 
 
 def direction_of_travel(motion: Motion) -> jax.Array:
     """Sign (...) of the speed along the car's axis; 0 below `MOVING`."""
     return jnp.sign(motion.speed) * (jnp.abs(motion.speed) > MOVING)
-
-
-# Beyond this angle to the lane's direction a car drives against it; up to it a car
-# crosses the lane or turns in it, on its way into a bay or out of one.
-AGAINST = math.radians(120.0)
 
 
 def drives_wrong_way(layout: Layout, motion: Motion) -> jax.Array | None:
@@ -153,36 +137,3 @@ def effort(config: EnvConfig, transition: Transition) -> Effort:
         turn=turn / physics.largest_turn(vehicle, ctrl_dt),
         speed=jnp.abs(after.speed) / top,
     )
-
-
-def approach(config: EnvConfig, transition: Transition) -> jax.Array:
-    """Reward per step that ends nearer to the goal, penalty per step that does not."""
-    before, after = transition.before.motion, transition.after.motion
-    nearer = is_nearer(before.xy, after.xy, transition.target_pose[:, :2])
-    paid = jnp.where(nearer, 1.0, -1.0)
-    goals = transition.goal_events
-    return paid if goals is None else jnp.where(goals.exploring, 0.0, paid)
-
-
-def smoothness(
-    config: EnvConfig, transition: Transition, by_speed: float = 0.0
-) -> jax.Array:
-    """Penalty per step, times the steering change as a share of the largest.
-
-    `PhysicsConfig.turn` is the steering change. With `by_speed` the penalty is
-    multiplied by the speed as a share of the top speed.
-    """
-    used = effort(config, transition)
-    return used.turn * used.speed if by_speed else used.turn
-
-
-def reverse(config: EnvConfig, transition: Transition) -> jax.Array:
-    """Penalty per step in reverse."""
-    return direction_of_travel(transition.after.motion) < 0.0
-
-
-REWARD_TERMS.register("approach", RewardTerm(approach, per_step=True))
-REWARD_TERMS.register(
-    "smoothness", RewardTerm(smoothness, -1, per_step=True, fixed=("by_speed",))
-)
-REWARD_TERMS.register("reverse", RewardTerm(reverse, -1, per_step=True))

@@ -54,10 +54,8 @@ ENTRY_INSET = 1.0  # m from the beginning of a track to the axle of who comes in
 CLEAR = 9.0  # m about a car that comes in
 ABSENCE = 5.0  # s, shortest
 # Fields of `Traffic` that a plan changes.
-CHANGING = (
-    *("pose", "path", "way", "speed", "steering"),
-    *("phase", "track", "next_track", "bay", "clock"),
-)
+MOTION = ("pose", "path", "way", "speed", "steering")
+INTENT = ("phase", "track", "next_track", "bay", "clock")
 TRIES = 8  # places that are tried for a driver
 APART = 8.0  # m between drivers when a lot begins
 FAR = 1e4  # m, where those are who are away
@@ -92,7 +90,7 @@ def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic
     row = (jnp.arange(n) == who) & (good | comes)
     changes = {
         name: choose(row, getattr(new, name), getattr(traffic, name))
-        for name in CHANGING
+        for name in (*MOTION, *INTENT)
     }
     turn = (traffic.turn + 1) % n
     return dataclasses.replace(traffic, turn=turn, **changes)
@@ -104,7 +102,9 @@ def _begins_well(own: Traffic, start: jax.Array) -> jax.Array:
     return (start > own.way + stop) & (start < own.way + stop + EARLY)
 
 
-def _pick(key: jax.Array, cost: jax.Array, good: jax.Array):
+def _pick(
+    key: jax.Array, cost: jax.Array, good: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """One of those that are good, likelier where costs are low; and if any is."""
     score = jax.random.gumbel(key, cost.shape) - cost
     index = jnp.argmax(jnp.where(good, score, -jnp.inf))
@@ -119,7 +119,7 @@ def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
     swing = jnp.where(jax.random.bernoulli(swing_key), SWING, 0.0)
     beside = to_world(tracks.pose, jnp.stack([0.0, swing, 0.0]))
     along, beyond, bend = crossing(line, beside)
-    arc = tangent(bend, jnp.float32(RADIUS))
+    arc = tangent(bend)
     start, leaves = along - arc, beyond + arc
     good = tracks.mask & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
     good = good & _begins_well(own, start) & (along < length[own.track] + CROSSING)
@@ -127,7 +127,7 @@ def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
     index, found = _pick(key, jnp.zeros_like(start), good)
     rest = length[index] - NOSE - leaves[index]
     path = _arc_path(line, start[index], bend[index], rest, 1.0)
-    return dataclasses.replace(own, path=path, next_track=_int(index)), found
+    return dataclasses.replace(own, path=path, next_track=index), found
 
 
 def _park(
@@ -139,7 +139,7 @@ def _park(
         [layout.bay_pose[:, :2], wrap_angle(layout.bay_pose[:, 2:] + jnp.pi)], axis=-1
     )
     along, beyond, bend = crossing(line, pose)
-    arc = tangent(bend, jnp.float32(RADIUS))
+    arc = tangent(bend)
     start, rest = along - arc, -OFFSET - (beyond + arc)
     good = layout.bay_mask & (layout.bay_kind != BayKind.EXIT)
     if layout.bay_end is not None:
@@ -157,7 +157,7 @@ def _park(
         lot.motion.size,
     )
     path = _arc_path(line, start[index], bend[index], rest[index], 1.0)
-    new = dataclasses.replace(own, path=path, phase=jnp.int32(PARK), bay=_int(index))
+    new = dataclasses.replace(own, path=path, phase=jnp.int32(PARK), bay=index)
     return new, found & ~there.any()
 
 
@@ -167,7 +167,7 @@ def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Ar
     line = own.pose.at[2].add(jnp.pi)
     lanes = tracks.pose.at[:, 2].add(jnp.pi)
     along, beyond, bend = crossing(line, lanes)
-    arc = tangent(bend, jnp.float32(RADIUS))
+    arc = tangent(bend)
     start, place = along - arc, -(beyond + arc + BACK_ON)
     good = tracks.mask & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
     good = good & (start > 0.1) & (along < LONGEST)
@@ -181,7 +181,7 @@ def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Ar
         path=path,
         way=jnp.float32(0.0),
         phase=jnp.int32(BACK_OUT),
-        next_track=_int(index),
+        next_track=index,
         clock=jnp.float32(0.0),
     )
     return new, found & due
@@ -204,8 +204,8 @@ def _enter(
         path=track_path(tracks, index),
         way=jnp.float32(ENTRY_INSET),
         phase=jnp.int32(DRIVE),
-        track=_int(index),
-        next_track=_int(index),
+        track=index,
+        next_track=index,
         bay=jnp.int32(NO_BAY),
         clock=zero,
     )
@@ -233,10 +233,6 @@ def _is_free(layout: Layout, pose: jax.Array, bay: jax.Array) -> jax.Array:
     discs = boxes_overlap(pose, size, disc, discs)
     meets = (bays & others).any() | (walls & layout.wall_mask).any()
     return ~(meets | (discs & layout.disc_mask).any())
-
-
-def _int(index: jax.Array) -> jax.Array:
-    return index.astype(jnp.int32)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,10 +1,10 @@
-"""What drivers see on their paths, and which of two goes first.
+"""What drivers see on their paths, and which of two has priority.
 
 Paths are cut into sections; a section is the box that the car sweeps there. A driver
-sees the first of its sections that somebody is in, or is bound to be in: the way in
-which another driver can stop counts, longer if that driver goes first. Of a pair the
-one that yields reckons with a control step of acceleration of the other. So the ways
-in which drivers stop never come to overlap, and attentive drivers never collide.
+reacts to the nearest section that is occupied now or lies within another car's stopping
+distance, or farther ahead of a car with priority. The car that yields allows for a
+control step of acceleration of the other. So stopping distances never overlap, and
+attentive drivers never collide.
 """
 
 from typing import NamedTuple

@@ -9,12 +9,13 @@ import jax.numpy as jnp
 
 from carpark_mj.config.checks import Positive
 from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
-from carpark_mj.geometry import box_distance, boxes_overlap, move_forward, to_world
+from carpark_mj.geometry import box_distance, move_forward, to_world
 from carpark_mj.geometry.obstacles import Boxes, Group, touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.bodies import meet
 from carpark_mj.movers.people import Places, make_places
 from carpark_mj.movers.stopping import cars_of, would_hit
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import State
 
 BEAM = 0.15  # m, thickness of a barrier
@@ -198,7 +199,7 @@ class DoorState(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Door(Mover):
-    """A door that opens beside a free bay, at another parked car each time.
+    """A door that opens where there is room beside a parked car, another each time.
 
     It swings neither where a car can no longer stop nor into anybody.
 
@@ -232,9 +233,11 @@ class Door(Mover):
         zero = jnp.zeros(())
         beside = to_world(pose, jnp.stack([zero, side * (size[1] + BESIDE) / 2, zero]))
         room = jnp.stack([size[0], zero + BESIDE])
+        parked, *walls = lot_obstacles(lot.layout, None, cars)
         others = cars.present & (jnp.arange(cars.bay.shape[0]) != car)
-        taken = boxes_overlap(beside, room - 0.2, cars.pose_w, cars.size) & others
-        opens = opens & ~taken.any() & cars.present[car]
+        bodies = [dataclasses.replace(parked, mask=others), *walls]
+        opens = opens & cars.present[car]
+        opens = opens & ~touches(beside[None], room - 0.2, bodies)[0]
         opens = opens & ~would_hit(lot, beside, room, dt)
         clock = jnp.where(closed, jnp.where(opens, 0.0, -1.0), state.clock + dt)
         goal = jnp.clip(jnp.minimum(clock, 2 * SWING + OPEN - clock) / SWING, 0.0, 1.0)

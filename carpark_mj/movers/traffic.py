@@ -66,13 +66,6 @@ def turn_back(path: Path) -> Path:
     return Path(end, yaw, straight, -path.bend, radius, total, gear)
 
 
-def straight_path(pose: jax.Array, total: jax.Array, radius: jax.Array) -> Path:
-    """Straight paths from poses (..., 3), forwards; `radius` of later arcs."""
-    one, nothing = jnp.ones_like(total), jnp.zeros_like(total)
-    radius = jnp.broadcast_to(radius, total.shape)
-    return Path(pose[..., :2], pose[..., 2], total, nothing, radius, total, one)
-
-
 def crossing(
     pose: jax.Array, other: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -93,9 +86,9 @@ def crossing(
     return cross(other[..., 2]) / sine, cross(pose[..., 2]) / sine, bend
 
 
-def tangent(bend: jax.Array, radius: jax.Array) -> jax.Array:
+def tangent(bend: jax.Array) -> jax.Array:
     """Way (...) [m] from the end of an arc to where its tangents cross."""
-    return radius * jnp.tan(jnp.minimum(jnp.abs(bend), 2.8) / 2.0)
+    return RADIUS * jnp.tan(jnp.minimum(jnp.abs(bend), 2.8) / 2.0)
 
 
 @struct.dataclass
@@ -126,7 +119,11 @@ def make_tracks(layout: Layout) -> Tracks:
     pose = move_forward(jnp.concatenate([ahead, back]), -jnp.tile(size[:, 0], 2) / 2)
     of_lanes = pose, jnp.tile(size[:, 0], 2), jnp.concatenate([mask, mask & both])
     rows = zip(of_lanes, _ring(layout), strict=True)
-    return _entries(layout, *(jnp.concatenate(row) for row in rows))
+    pose, length, mask = (jnp.concatenate(row) for row in rows)
+    # Tracks that begin at the lot's border are entries; if none does, all are.
+    long = mask & (length >= SHORTEST)
+    border = long & (jnp.abs(pose[:, :2]) > layout.extent - BORDER).any(axis=-1)
+    return Tracks(pose, length, mask, jnp.where(border.any(), border, long))
 
 
 def _ring(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -139,15 +136,6 @@ def _ring(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
     has_ring = layout.spawn_mask[0] & ~layout.lane_mask.any()
     mask = jnp.broadcast_to(has_ring, (4,))
     return jnp.concatenate([xy, yaw[:, None]], axis=-1), length, mask
-
-
-def _entries(
-    layout: Layout, pose: jax.Array, length: jax.Array, mask: jax.Array
-) -> Tracks:
-    """Tracks that begin at the lot's border are entries; if none does, all are."""
-    long = mask & (length >= SHORTEST)
-    border = long & (jnp.abs(pose[:, :2]) > layout.extent - BORDER).any(axis=-1)
-    return Tracks(pose, length, mask, jnp.where(border.any(), border, long))
 
 
 @struct.dataclass
@@ -198,6 +186,8 @@ def choose(mask: jax.Array, new: Tree, old: Tree) -> Tree:
 
 
 def track_path(tracks: Tracks, track: jax.Array) -> Path:
-    """Paths (n,) along tracks to their ends."""
-    total = jnp.maximum(tracks.length[track] - NOSE, 0.1)
-    return straight_path(tracks.pose[track], total, jnp.float32(RADIUS))
+    """Paths (n,) along tracks to their ends, forwards."""
+    pose, total = tracks.pose[track], jnp.maximum(tracks.length[track] - NOSE, 0.1)
+    one, nothing = jnp.ones_like(total), jnp.zeros_like(total)
+    radius = jnp.full_like(total, RADIUS)
+    return Path(pose[..., :2], pose[..., 2], total, nothing, radius, total, one)

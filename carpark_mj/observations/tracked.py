@@ -6,7 +6,6 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.config.observations import ShareConfig
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import nearest, norm, ray_box_distance, rotate, to_local
@@ -23,7 +22,7 @@ from carpark_mj.observations.fields import (
     repeated,
     repeated_values,
 )
-from carpark_mj.types import NO_BAY, ParkedCars, State
+from carpark_mj.types import NO_BAY, ParkedCars
 
 
 def track_agents(
@@ -63,21 +62,6 @@ def mark(index: jax.Array, present: jax.Array, count: int) -> jax.Array:
     """Which of `count` are tracked, (num_agents, count) bool, by `geometry.nearest`."""
     same = index[..., None] == jnp.arange(count)
     return jnp.any(same & present[..., None], axis=1)
-
-
-def tracks(config: EnvConfig, state: State) -> jax.Array:
-    """Whether agent i tracks agent j by its measured pose, (num_agents, num_agents)."""
-    found = config.observation.tracks_agents(state)
-    count = state.goal.shape[0]
-    return jnp.zeros((count, count), bool) if found is None else found
-
-
-def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
-    """Whether agents track parked cars, (num_agents, num_parked_cars) bool."""
-    found = config.observation.tracks_parked_cars(state)
-    if found is None:
-        return jnp.zeros((state.goal.shape[0], state.parked_cars.bay.shape[0]), bool)
-    return found if state.present is None else found & state.present[:, None]
 
 
 # Values (num_agents, count, k) of the agents (num_agents, count) that each tracks.

@@ -16,7 +16,6 @@ from carpark_mj.reading import TEXT, Archive, ArrayForm, parse_object
 
 # The arrays, a row for each control step.
 STEPS = ("observations", "actions", "rewards", "terminated", "truncated", "poses")
-_MOST_HEADER = 2**24  # bytes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +83,7 @@ def load_demonstration(path: Path) -> Demonstration:
         raise ValueError(
             f"{path} is not a demonstration that carpark_mj.play has saved"
         )
-    text = str(archive.read({"header": ArrayForm(TEXT, ())}, _MOST_HEADER)["header"])
+    text = str(archive.read({"header": ArrayForm(TEXT, ())})["header"])
     what = f"the header of {path}"
     header = parse_object(text, what, config=dict, seed=int, config_version=int)
     version = header["config_version"]

@@ -19,7 +19,6 @@ from carpark_mj.reading import Archive, ArrayForm, parse_object, require_entries
 
 FORMAT = "carpark_mj checkpoint 1"
 _HEADER = "header"
-_MOST_HEADER = 2**24  # bytes
 
 
 class CheckpointError(Exception):
@@ -77,7 +76,7 @@ def read_header(path: Path, **kinds: type) -> dict[str, Any]:
     """
     form = ArrayForm(np.dtype(np.uint8), ("bytes",))
     with _open(path) as archive:
-        data = archive.read({_HEADER: form}, _MOST_HEADER)[_HEADER].tobytes()
+        data = archive.read({_HEADER: form})[_HEADER].tobytes()
         header = parse_object(data.decode(errors="replace"), f"the header of {path}")
         if header.get("format") != FORMAT:
             raise ValueError(

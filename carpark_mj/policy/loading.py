@@ -1,19 +1,15 @@
-"""Loads policies, networks and tables, from checkpoints of runs or policies alone."""
+"""Loads policies from checkpoints of runs and of policies alone."""
 
 import dataclasses
-import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_kind
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import cardinalities, make_fields, observation_size
+from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.observations.fields import ORDERED
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -26,7 +22,7 @@ from carpark_mj.policy.networks import (
     network_inputs,
 )
 from carpark_mj.policy.runs import (
-    Q_LEARNING,
+    ALGORITHMS,
     check_version,
     find_policy,
     from_dict,
@@ -36,6 +32,18 @@ from carpark_mj.precision import require_float32
 
 # Locations of a run, which a checkpoint of a policy alone does not store.
 FOLDER_SETTINGS = ("name", "runs_dir", "resume", "warm_start")
+
+
+class Algorithm(Protocol):
+    """How checkpoints become policies whose header has this `algorithm`."""
+
+    def shapes(self, header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
+        """Shapes of a policy's parameters by kind."""
+        ...
+
+    def policy(self, parameters: Any, header: dict[str, Any], env: EnvConfig) -> Policy:
+        """The policy of parameters, in an environment."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,9 +68,6 @@ def load_policy(
 ) -> LoadedPolicy:
     """Loads a pretrained policy, or that of a run folder or checkpoint file.
 
-    For Q-learning it is the table with the highest return in the last episodes before
-    the checkpoint; tables are always deterministic.
-
     Args:
         run: name of a pretrained policy, or a path; a `Path` is never a name.
         deterministic: take a distribution's mode instead of samples.
@@ -82,8 +87,7 @@ def load_policy(
     config = network_config(header)
     _require_fit(run, config, own, env)
     if config is None:
-        table = jnp.asarray(parameters["table"][header["best"]])
-        policy = make_table_policy(table, cardinalities(env), action_spec(env).choices)
+        policy = _algorithm(header).policy(parameters, header, env)
     else:
         networks = make_networks(config, make_fields(env), action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
@@ -94,8 +98,8 @@ def load_policy(
 def save_policy(run: str | Path, out: Path) -> None:
     """Writes a checkpoint of a policy without its training state.
 
-    It holds the normalizer and the averaged actor (or the tables of Q-learning), and
-    the settings of the run less its folder.
+    It holds the normalizer and the averaged actor, or the parameters of another
+    algorithm, and the settings of the run less its folder.
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
@@ -114,7 +118,12 @@ def _read(path: Path, header: dict[str, Any]) -> tuple[EnvConfig, Any]:
     check_version(header, path)
     try:
         env = from_dict(EnvConfig, header["config"]["env"])
-        template = _template(header, env)
+        config = network_config(header)
+        if config is None:
+            template = _algorithm(header).shapes(header, env)
+        else:
+            shapes = network_shapes(config, env)
+            template = {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
     except KeyError as error:
         raise CheckpointError(f"{path} has no setting {error}") from None
     except (TypeError, ValueError) as error:
@@ -125,24 +134,14 @@ def _read(path: Path, header: dict[str, Any]) -> tuple[EnvConfig, Any]:
 
 
 def network_config(header: dict[str, Any]) -> NetworkConfig | None:
-    """Networks of a checkpoint with this header; None for the tables of Q-learning."""
-    if header.get("algorithm") == Q_LEARNING:
+    """Networks of a checkpoint with this header; None if its algorithm has none."""
+    if "algorithm" in header:
         return None
     return from_dict(NetworkConfig, header["config"]["networks"])
 
 
-def _template(header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
-    """Shapes of a policy's parameters by kind."""
-    config = network_config(header)
-    if config is None:
-        num_seeds = header["config"]["num_seeds"]
-        if not 0 <= header["best"] < num_seeds:
-            raise ValueError(f"best must be below {num_seeds}, not {header['best']}")
-        states = math.prod(cardinalities(env))
-        shape = (num_seeds, states, math.prod(action_spec(env).choices))
-        return {"table": jax.ShapeDtypeStruct(shape, np.float32)}
-    shapes = network_shapes(config, env)
-    return {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
+def _algorithm(header: dict[str, Any]) -> Algorithm:
+    return ALGORITHMS[header["algorithm"]].load()
 
 
 def network_shapes(config: NetworkConfig, env: EnvConfig) -> dict[str, Any]:
@@ -183,40 +182,3 @@ def _require_fit(
             f"{run} was trained for other actions ({action_spec(own)}) than this "
             f"environment's ({action_spec(env)})"
         )
-
-
-def state_index(observation: jax.Array, sizes: Sequence[int]) -> jax.Array:
-    """Rows (...) int32 of a table for observations (..., n) of integers.
-
-    Args:
-        observation: of whole numbers; outside its range the nearest row.
-        sizes: how many values each number can have, `cardinalities`.
-    """
-    strides = np.cumprod([1, *sizes[:0:-1]])[::-1]
-    most = jnp.array(sizes) - 1
-    number = jnp.clip(observation.astype(jnp.int32), 0, most)
-    return jnp.sum(number * jnp.array(strides, jnp.int32), axis=-1)
-
-
-def action_choices(action: jax.Array, choices: Sequence[int]) -> jax.Array:
-    """Indices (..., n) int32 into the branches of an action (...), the last fastest."""
-    return jnp.stack(jnp.unravel_index(action, tuple(choices)), axis=-1)
-
-
-def make_table_policy(
-    table: jax.Array, sizes: Sequence[int], choices: Sequence[int]
-) -> Policy:
-    """A policy that takes the action of highest value, the first of equals.
-
-    Args:
-        table: (states, actions) values.
-        sizes: of the observation's numbers, `cardinalities`.
-        choices: of the action's branches, `ActionSpec.choices`.
-    """
-    best = action_choices(jnp.argmax(table, axis=-1), choices)
-
-    def policy(observation: jax.Array, key: jax.Array):
-        del key
-        return best[state_index(observation, sizes)], {}
-
-    return policy

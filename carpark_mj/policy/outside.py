@@ -264,8 +264,8 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
         "max_speed": car.max_speed,
         "max_steering": car.max_steering,
     }
-    told = ("pose", "size", "speed", "steering", "max_steering")
-    values |= {f"other_{name}": values[name][other] for name in told}
+    shared = ("pose", "size", "speed", "steering", "max_steering")
+    values |= {f"other_{name}": values[name][other] for name in shared}
     values |= {"other_mask": present[other], "other_priority": other < agent}
     end = jnp.zeros_like(layout.bay_kind) if layout.bay_end is None else layout.bay_end
     if bays is None:

@@ -27,7 +27,7 @@ from carpark_mj.config import (
 from carpark_mj.config.checks import require_kind, require_type
 from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.config.obstacles import MOVERS, Mover
-from carpark_mj.extensions import unknown_name
+from carpark_mj.extensions import Entry, Registry, unknown_name
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 
@@ -38,7 +38,8 @@ _WIDER: dict[Any, Any] = {  # types of values that flags know the names of only
     str: LayoutConfig | PhysicsConfig | str,
     tuple[str, ...]: tuple[Mover | str, ...],
 }
-Q_LEARNING = "q_learning"  # `algorithm` in the header of a table's checkpoint
+# By `algorithm` in the header of checkpoints without networks, see `loading.Algorithm`.
+ALGORITHMS: Registry[Entry] = Registry("algorithm")
 FOLDER = Path(__file__).resolve().parent / "pretrained"
 
 

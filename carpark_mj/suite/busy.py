@@ -27,8 +27,8 @@ from carpark_mj.layouts.build import (
 )
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout, WallKind
-from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.movers.pedestrians import Pedestrians
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.levels import (
     EXTRA_LEVELS,
     Cases,

@@ -28,7 +28,7 @@ from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.registry import TEST, lot_key
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout, WallKind, layout_maxima, pad_layout
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite import moving_car, tpcap
 from carpark_mj.suite.hope import HopeConfig
 

@@ -244,8 +244,8 @@ def read_settings(
         return dataclasses.replace(config, preset=preset.preset)
     if not config.resume:
         raise ValueError("resume must name the folder of a run, not ''")
-    kept = read_config(type(default), Path(config.resume))
     changed = [flag for flag in flags if flag not in (*RESUME_FLAGS, "--preset")]
+    kept = config if changed else read_config(type(default), Path(config.resume))
     if name not in ("", kept.preset):
         changed.append("--preset")
     if changed:

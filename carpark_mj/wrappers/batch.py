@@ -19,7 +19,6 @@ from gymnasium.error import ResetNeeded
 from carpark_mj.config.checks import require_count
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp.reset_options import ResetOptions, check_starts
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
@@ -27,6 +26,7 @@ from carpark_mj.rendering.gl import missing_display
 from carpark_mj.rendering.recording import Snapshot, aimed_at
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_names
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
 

@@ -12,10 +12,10 @@ from gymnasium import spaces
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import Layout
-from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.observations import make_fields
 from carpark_mj.physics.base import Physics
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.goal_pose import (
     FEATURES,
     NUM_FEATURES,

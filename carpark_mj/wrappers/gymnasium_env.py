@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import (
     RENDER_MODES,
     NumpyBatch,

@@ -13,8 +13,7 @@ from gymnasium import spaces
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box, Dict, Discrete
 
-from carpark_mj.tasks.environment import AgentsEnvironment
-from carpark_mj.tasks.joint import JointEnv
+from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.types import ENDINGS
 from carpark_mj.wrappers.batch import require_shape
 from carpark_mj.wrappers.options import (

@@ -22,12 +22,12 @@ from carpark_mj.config.checks import is_finite, require_count, require_kind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations import Field, make_fields
 from carpark_mj.observations.compose import BRIGHTEST, VECTOR
 from carpark_mj.policy.runs import from_json
 from carpark_mj.precision import is_real
 from carpark_mj.registry import environment
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import preset
 

@@ -10,9 +10,8 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.env_logger import EnvLogger
 
 from carpark_mj.config.checks import require_kind
-from carpark_mj.mdp.reset_options import ResetOptions
-from carpark_mj.tasks.environment import AgentsEnvironment
-from carpark_mj.tasks.joint import JointEnv
+from carpark_mj.spawning.reset_options import ResetOptions
+from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.wrappers.batch import (
     RENDER_MODES,
     NumpyBatch,

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import torch
 
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.environment import Environment
 from carpark_mj.wrappers.batch import Batch, Seeds, Step
 

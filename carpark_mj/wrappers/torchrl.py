@@ -11,9 +11,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from carpark_mj.mdp.reset_options import ResetOptions
-from carpark_mj.tasks.environment import AgentsEnvironment
-from carpark_mj.tasks.joint import JointEnv
+from carpark_mj.spawning.reset_options import ResetOptions
+from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.wrappers.batch import Screen
 from carpark_mj.wrappers.options import (
     Options,

@@ -13,11 +13,11 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import move_forward
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.kerbs import HEIGHT
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.mdp.collisions import KERB_HEIGHT
 from carpark_mj.observations.sensors import reckon
 from carpark_mj.physics.gravity import grade_at
 from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import Motion, Odometry
 from carpark_mj.vehicle import VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import CREEP_SPEED
@@ -195,9 +195,9 @@ def wheel_stop(
     )
     found = float(to_end) + float(length) / 2 - params.centre_offset
     radius = params.wheel_radius
-    expected = distance + np.sqrt(2 * radius * HEIGHT - HEIGHT**2)
+    expected = distance + np.sqrt(2 * radius * KERB_HEIGHT - KERB_HEIGHT**2)
     study.row(
-        f"wheel stop {100 * HEIGHT:g} cm high, touched at 0.4 m/s, rear axle",
+        f"wheel stop {100 * KERB_HEIGHT:g} cm high, touched at 0.4 m/s, rear axle",
         "d + sqrt(2 r h - h^2)",
         "m",
         found,

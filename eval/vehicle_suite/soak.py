@@ -14,9 +14,9 @@ from flax import struct
 from rich.progress import track
 
 from carpark_mj.config import RandomizationConfig, SimConfig
-from carpark_mj.fleet.randomization import randomize
 from carpark_mj.mdp.actions import sanitize_numbers
 from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.spawning.randomization import randomize
 from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
 
 ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)

@@ -13,8 +13,7 @@ import pytest
 from helpers.mutating import with_junk
 
 from carpark_mj.cli.layouts import main
-from carpark_mj.editor.document import Draft, find_faults
-from carpark_mj.editor.picture import read_picture
+from carpark_mj.editor.document import Draft, find_faults, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.files import complete, document_text, read_json

@@ -7,7 +7,7 @@ import pytest
 
 from carpark_mj.evaluation import catalogue
 from carpark_mj.evaluation.catalogue import GOALS, POOLS, metrics
-from carpark_mj.mdp.metrics.tallies import CONTEXTS, COUNTS
+from carpark_mj.mdp.metrics import CONTEXTS, COUNTS
 
 PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
 

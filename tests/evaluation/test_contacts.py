@@ -2,8 +2,7 @@
 
 import pytest
 
-from carpark_mj.evaluation.aggregation import wilson_interval
-from carpark_mj.evaluation.contacts import contacts
+from carpark_mj.evaluation.aggregation import contacts, wilson_interval
 
 
 def episode(path=9.0, hit=0.0, speed=0.0):

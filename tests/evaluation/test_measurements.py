@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from carpark_mj.config.metrics import METRICS
 from carpark_mj.config.obstacles import ObstacleKind, hit_kinds
 from carpark_mj.evaluation.catalogue import GOALS, POOLS, metrics
+from carpark_mj.mdp.metrics import METRICS
 
 BY_NAME = {metric.name: metric for metric in metrics()}
 

@@ -12,7 +12,7 @@ from helpers.states import parked_at, state_of
 from carpark_mj.geometry import broad_phase
 from carpark_mj.geometry.broad_phase import visit_near
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.rewards import agent_clearance
+from carpark_mj.mdp.safety import agent_clearance
 from carpark_mj.types import Motion
 
 AGENTS, PARKED, WALLS, TRACES = 12, 20, 8, 4

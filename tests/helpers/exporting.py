@@ -7,8 +7,8 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import cardinalities, make_fields, observation_size
-from carpark_mj.policy.loading import LoadedPolicy, make_table_policy
+from carpark_mj.observations import make_fields, observation_size
+from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.networks import (
     NetworkConfig,
     init_normalizer,
@@ -23,11 +23,6 @@ from carpark_mj.policy.onnx_export import random_observations
 def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPolicy:
     """A policy with random weights, whose statistics are those of random numbers."""
     size, keys = observation_size(env), jax.random.split(jax.random.key(seed), 3)
-    if env.observation.encoding == "indices":
-        sizes, choices = cardinalities(env), env.physics_config.choices
-        table = jax.random.normal(keys[0], (np.prod(sizes), np.prod(choices)))
-        policy = make_table_policy(table, sizes, choices)
-        return LoadedPolicy(env, policy, 0, Path("none"))
     config = NetworkConfig((16,), (16,), encoder)
     fields = make_fields(env)
     networks = make_networks(config, fields, action_spec(env))

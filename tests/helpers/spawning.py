@@ -9,8 +9,8 @@ from helpers.states import parked_at
 
 from carpark_mj.config import SpawnConfig
 from carpark_mj.layouts import Layout
-from carpark_mj.mdp.spawning.placing import Surroundings
 from carpark_mj.obstacles import lot_obstacles
+from carpark_mj.spawning.placing import Surroundings
 
 
 def surroundings_of(

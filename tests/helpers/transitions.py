@@ -10,7 +10,7 @@ from helpers.states import state_of
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp import metrics
-from carpark_mj.mdp.metrics.tallies import CONTEXTS
+from carpark_mj.mdp.metrics import CONTEXTS
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.types import Events, GoalEvents, Motion, Transition
 

@@ -9,7 +9,7 @@ import numpy as np
 from carpark_mj.config import EnvConfig, EpisodeConfig, Mover
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry.obstacles import Boxes
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.scripts import ScriptedBox, ScriptedPerson
 from carpark_mj.vehicle import COMPACT
 

@@ -27,8 +27,7 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.tight import draw_tight_bay
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.poses import spawn_pose, spawn_shapes
+from carpark_mj.spawning.starts import draw_uniform, spawn_pose, spawn_shapes
 from carpark_mj.vehicle import COMPACT
 
 KEYS = 60

@@ -14,12 +14,9 @@ import pytest
 from helpers.observing import observed
 from helpers.rules import LIMITS
 from helpers.scenes import cars
-from helpers.sliding import SlidePhysics
 from helpers.states import hand_cars, parked_at, parked_in, state_of
 
-from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.config import (
-    GoalConfig,
     RayConfig,
     RewardConfig,
     SpawnConfig,
@@ -33,16 +30,20 @@ from carpark_mj.layouts import (
     pad_layout,
 )
 from carpark_mj.layouts.files import layout_text, read_json
-from carpark_mj.mdp.bays import BayFits
-from carpark_mj.mdp.parked_cars import poses_in_bays
+from carpark_mj.mdp.parked_cars import BayFits, poses_in_bays
 from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.misaligned import misaligned_pose, misaligned_shapes
-from carpark_mj.mdp.spawning.placing import SpawnInputs, start_placing, surroundings
-from carpark_mj.mdp.spawning.reverse import parked_right, paths_out, reverse_shapes
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _poses_in_bay
+from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.spawning.special_starts import (
+    clamp_to_bay_end,
+    misaligned_pose,
+    misaligned_shapes,
+    paths_out,
+    reverse_shapes,
+)
+from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.tasks.goal_pose import goal_features
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
@@ -153,12 +154,13 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
     draws = draw_uniform(shapes, jax.random.key(0))
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
-        nose_out = parked_right(layout, jnp.int32(end), draws.nose_out)
+        nose_out = clamp_to_bay_end(layout, jnp.int32(end), draws.nose_out)
         right = draws._replace(nose_out=nose_out)
         paths = paths_out(car, jnp.int32(0), jnp.zeros(3), right)
         assert set(np.round(np.cos(paths[:, 0, 2]), 5)) == facing
     np.testing.assert_array_equal(
-        parked_right(layout, jnp.int32(BayEnd.EITHER), draws.nose_out), draws.nose_out
+        clamp_to_bay_end(layout, jnp.int32(BayEnd.EITHER), draws.nose_out),
+        draws.nose_out,
     )
 
 
@@ -184,22 +186,3 @@ def test_misaligned_starts_stand_as_the_car_must_park(layout):
     assert 0.3 < nose_in[0].mean() < 0.7
     assert nose_in[1].all()
     assert not nose_in[2].any()
-
-
-@pytest.mark.parametrize("dynamic", [False, True])
-def test_an_environment_runs_on_such_a_lot(path, dynamic):
-    config = EnvConfig(
-        layout=str(path),
-        num_agents=1,
-        num_parked_cars=1,
-        goals=GoalConfig(dynamic=dynamic),
-    )
-    env = ParkingEnv(config, SlidePhysics())
-
-    def run(key):
-        state, _ = env.reset(key)
-        return env.step(state, jnp.zeros((1, env.action_spec.size)))
-
-    state, timestep = jax.eval_shape(run, jax.random.key(0))
-    assert state.layout.bay_end.shape == (3,)
-    assert timestep.reward.shape == (1,)

@@ -7,17 +7,9 @@ from helpers.scenes import lot
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.bays import (
-    BayFits,
-    Wanted,
-    bay_fits,
-    draw_bays,
-    fits,
-    free_bays,
-    marked,
-    shuffled_bays,
-)
+from carpark_mj.mdp.parked_cars import BayFits, bay_fits, fits, free_bays, marked
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.spawning.fleet import Wanted, draw_bays, shuffled_bays
 from carpark_mj.types import NO_BAY
 
 ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(4)])

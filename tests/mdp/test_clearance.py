@@ -5,14 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import cars, lot, moved, moved_cars, polygons
+from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry.broad_phase import is_crowded
-from carpark_mj.geometry.obstacles import Boxes, Discs
-from carpark_mj.mdp import clearance
-from carpark_mj.mdp.clearance import RANGE, agent_clearance, clearances
+from carpark_mj.mdp import safety as clearance
 from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.mdp.safety import RANGE, agent_clearance, clearances
 from carpark_mj.obstacles import lot_obstacles
 
 LOTS, AGENTS, PARKED, WALLS, DISCS, TRACES = 60, 4, 5, 3, 4, 3
@@ -97,46 +96,6 @@ def test_clearance_is_shapely_s_distance_and_zero_just_where_cars_are_hit(scene)
     assert hits.keys() == got.keys()
     for kind, hit in hits.items():
         np.testing.assert_array_equal(hit, got[kind] == 0.0)
-
-
-def test_clearance_does_not_depend_on_the_frame(scene):
-    layout, motion, parked = scene
-    shift = (5.0, -3.0, 1.1)
-    centre = jnp.pad(layout.disc_centre, ((0, 0), (0, 0), (0, 1)))
-    layout = layout.replace(
-        wall_pose=moved(layout.wall_pose, shift),
-        disc_centre=moved(centre, shift)[..., :2],
-    )
-    parked = parked.replace(pose_w=moved(parked.pose_w, shift))
-    got, _ = run(layout, moved_cars(motion, shift), parked)
-    for name, gap in run(*scene)[0].items():
-        np.testing.assert_allclose(got[name], gap, atol=1e-4, err_msg=name)
-
-
-def test_nobody_near_costs_no_exact_test_and_counts_as_the_range(monkeypatch):
-    tested = []
-
-    def counted(exact):
-        def wrapped(*args):
-            jax.debug.callback(lambda: tested.append(exact.__name__))
-            return exact(*args)
-
-        return wrapped
-
-    for shape in (Boxes, Discs):
-        exact = staticmethod(counted(shape._distance))
-        monkeypatch.setattr(shape, "_distance", exact)
-    plan = lot([(0, 0, 0)], [(40, 0, 0)], discs=[(0, 40, 1)])
-    parked = parked_at([(-40, 0, 0), (0, 0, 0)], 3.0, [True, False])
-    search = jax.jit(gaps_of)
-    far = search(plan, cars([(0, 0, 0), (0, -40, 0)]), parked)
-    jax.effects_barrier()
-    assert tested == []
-    for gap in far.values():
-        np.testing.assert_array_equal(gap, RANGE)
-    search(plan, cars([(0, 0, 0), (0, -10, 0)]), parked)
-    jax.effects_barrier()
-    assert set(tested) == {"box_distance"}
 
 
 def test_an_agent_alone_in_an_empty_lot_is_far_from_everything():

@@ -23,8 +23,13 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, ObstacleKind, SimConfig
 from carpark_mj.geometry import box_corners, box_disc_distance, point_box_distance
 from carpark_mj.geometry.obstacles import NO_MOVERS, Discs, Movers
 from carpark_mj.layouts import WallKind, build, make_layout
-from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.kerbs import HEIGHT, find_hits_and_kerbs, low_obstacles, stops
+from carpark_mj.mdp.collisions import (
+    KERB_HEIGHT,
+    find_hits,
+    find_hits_and_kerbs,
+    kerb_stops,
+    low_obstacles,
+)
 
 
 @jax.jit
@@ -215,7 +220,7 @@ def test_a_parked_car_is_hit_where_it_stands_and_not_in_its_bay():
 
 # A hand's car has its rear axle 1.25 m behind the middle of 4 m x 2 m, wheels of radius
 # 0.3 m: the rear tyres reach a kerb this far behind the middle.
-TYRE = 1.25 + np.sqrt(2 * 0.3 * HEIGHT - HEIGHT**2)
+TYRE = 1.25 + np.sqrt(2 * 0.3 * KERB_HEIGHT - KERB_HEIGHT**2)
 SLOW = EnvConfig(episode=EpisodeConfig(kerb_speed=0.5), sim=SimConfig(trace_dt=0.05))
 
 
@@ -242,7 +247,7 @@ def test_a_kerb_touches_a_wheel_where_mujoco_says():
     spec.worldbody.add_geom(type=kinds[0], pos=[0, 0, 0.3], **wheel)
     for gap in (0.01, -0.01):  # m, of the tyre's edge from the kerb's face
         x = -(TYRE - 1.25) - 0.1 - gap
-        place = {"pos": [x, 0, HEIGHT / 2], "size": [0.1, 0.4, HEIGHT / 2]}
+        place = {"pos": [x, 0, KERB_HEIGHT / 2], "size": [0.1, 0.4, KERB_HEIGHT / 2]}
         kerb = spec.worldbody.add_geom(type=kinds[1], **place)
         model = spec.compile()
         data = mujoco.MjData(model)
@@ -263,7 +268,7 @@ def test_a_kerb_stops_a_slow_car_before_it_and_a_fast_one_crashes():
         before, motion = reversing(speed)
         layout = kerb_lot(-face - 0.1)
         state = state_of(layout, before, 0)
-        stopped, trace = stops(SLOW, state, motion)
+        stopped, trace = kerb_stops(SLOW, state, motion)
         assert stopped == slow
         np.testing.assert_array_equal(trace[0, :3], motion.trace_w[0, :3])
         np.testing.assert_array_equal(trace[0, 3], motion.trace_w[0, 2])
@@ -272,9 +277,9 @@ def test_a_kerb_stops_a_slow_car_before_it_and_a_fast_one_crashes():
         assert find_hits_and_kerbs(SLOW.episode, after)["wall"] == (not slow)
     # Nor is what it does not touch stopped, and walls are walls.
     before, motion = reversing(0.4)
-    assert not stops(SLOW, state_of(kerb_lot(-TYRE - 0.2), before, 0), motion)[0]
+    assert not kerb_stops(SLOW, state_of(kerb_lot(-TYRE - 0.2), before, 0), motion)[0]
     wall = kerb_lot(-TYRE, kind=WallKind.WALL)
-    assert not stops(SLOW, state_of(wall, before, 0), motion)[0]
+    assert not kerb_stops(SLOW, state_of(wall, before, 0), motion)[0]
     assert find_hits_and_kerbs(SLOW.episode, state_of(wall, motion, 0))["wall"]
 
 

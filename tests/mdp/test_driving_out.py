@@ -9,8 +9,8 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.fixed_goals import goal_of_start
-from carpark_mj.mdp.spawning.placing import start_placing
+from carpark_mj.spawning.goals import goal_of_start
+from carpark_mj.spawning.placing import start_placing
 from carpark_mj.suite.metadrive import METADRIVE
 from carpark_mj.types import NO_BAY
 

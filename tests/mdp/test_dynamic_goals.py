@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics, placed
-from helpers.transitions import CHOICES
 
 from carpark_mj.config import (
     EnvConfig,
@@ -22,7 +21,6 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.registry import DYNAMIC
 from carpark_mj.types import NO_BAY
 
 AGENTS, SLOTS, BAYS = 4, 3, 36
@@ -202,131 +200,6 @@ def test_without_respawning_a_parked_agent_keeps_its_bay_from_the_others():
 
 
 # Whatever happens
-
-
-def drive(env, num_steps, seed, parks):
-    """Random driving and choosing; states before and after every step, numpy.
-
-    With a chance of `parks` an agent with a goal is put into its bay beforehand.
-    """
-    spec, agents = env.action_spec, env.num_agents
-
-    def one(state, key):
-        keys = jax.random.split(key, 5)
-        index = jax.random.randint(keys[0], (agents, 9), 0, jnp.array([999] * 9))
-        index = index[:, : len(spec.choices)] % jnp.array(spec.choices)
-        goal = state.goal
-        held = jnp.argmax(state.tracked_bays == goal[:, None], axis=1) + 1
-        held = jnp.where(goal == NO_BAY, 0, held)
-        keep = jax.random.bernoulli(keys[1], 0.7, (agents,))
-        index = index.at[:, -1].set(jnp.where(keep, held, index[:, -1]))
-        numbers = jax.random.uniform(keys[2], (agents, spec.continuous), minval=-0.5)
-        action = jnp.concatenate([numbers, index], axis=1) if spec.continuous else index
-        if parks:
-            put = jax.random.bernoulli(keys[3], parks, (agents,)) & (goal != NO_BAY)
-            pose = state.layout.bay_pose[jnp.minimum(goal, BAYS - 1)]
-            physics = env.physics.place(state.physics, put, pose, state.physics.vehicle)
-            state = state.replace(physics=physics, motion=env.physics.read(physics))
-        after, timestep = env.step(state, action)
-        bare = [x.replace(physics=None, key=None) for x in (state, after)]
-        return after, (*bare, timestep)
-
-    def run(key):
-        state, _ = env.reset(key)
-        return jax.lax.scan(one, state, jax.random.split(key, num_steps))[1]
-
-    return jax.device_get(jax.jit(run)(jax.random.key(seed)))
-
-
-def check(env, before, after, timestep):
-    """The invariants of dynamic goals over a stretch of time."""
-    events, goals = timestep.events, timestep.goal_events
-    agents = env.num_agents
-    parked_bay = np.sort(after.parked_cars.bay, axis=1)
-    assert (np.diff(parked_bay, axis=1) > 0).all()  # none lost, none doubled
-    assert (parked_bay >= 0).all()
-    assert (parked_bay < BAYS).all()
-    # Tracked bays are the nearest free ones.
-    bays = after.layout.bay_pose[0, :, :2]
-    free = np.ones((len(parked_bay), BAYS), bool)
-    np.put_along_axis(free, parked_bay, False, axis=1)
-    xy = after.motion.pose_w[:, :, None, :2]
-    gap = np.where(free[:, None], np.linalg.norm(xy - bays, axis=-1), np.inf)
-    count = env.config.goals.num_tracked_bays
-    nearest = np.sort(gap, axis=-1)[..., :count]
-    found = np.sort(np.take_along_axis(gap, after.tracked_bays, axis=-1), axis=-1)
-    np.testing.assert_allclose(found, nearest, atol=1e-4)
-    # A bay that stays among them keeps its slot.
-    old, new = before.tracked_bays[~events.done], after.tracked_bays[~events.done]
-    stays = (old[:, :, None] == new[:, None, :]).any(axis=2)
-    np.testing.assert_array_equal(old[stays], new[stays])
-    # Goals are tracked, those that new episodes start with too; lost ones are none.
-    goal = after.goal
-    assert (
-        (goal == NO_BAY) | (after.tracked_bays == goal[..., None]).any(axis=-1)
-    ).all()
-    lost = goals.lost_untracked | goals.lost_taken
-    assert not (lost & events.done).any()
-    goes_on = ~events.done
-    kept = np.where(lost, NO_BAY, timestep.goal)
-    np.testing.assert_array_equal(goal[goes_on], kept[goes_on])
-    # One transition each; rewards are what the transitions pay.
-    names = CHOICES
-    flags = np.stack([getattr(goals, name) for name in names])
-    assert (flags.sum(axis=0) == 1).all()
-    terms, pay = timestep.reward_terms, env.config.reward.goals
-    paid = {name: getattr(pay, name) for name in names} | {"stop_goal": pay.stop}
-    for name, flag in zip(names, flags, strict=True):
-        np.testing.assert_allclose(terms[name], paid[name] * flag, atol=1e-7)
-    np.testing.assert_allclose(terms["lost_goal"], pay.stop * goals.lost_untracked)
-    np.testing.assert_allclose(timestep.reward, sum(terms.values()), atol=1e-5)
-    assert not (events.parked & goals.exploring).any()
-    for name in {"approach"} & terms.keys():  # where it is a term
-        assert not terms[name][goals.exploring].any()
-    assert (terms["progress"][goals.exploring] <= 0).all()
-    # Metrics of an episode are the sums of what happened in it.
-    sums = {name: np.zeros(agents) for name in timestep.metrics if name in vars(goals)}
-    assert {"lost_untracked", "lost_taken", "stop_goal", "change_goal"} <= set(sums)
-    explored, length = np.zeros(agents), np.zeros(agents)
-    for t in range(len(goal)):
-        explored, length = explored + goals.exploring[t], length + 1
-        steps = timestep.metrics["explored_steps"][t], timestep.metrics["length"][t]
-        np.testing.assert_array_equal(steps, (explored, length))
-        for name in sums:
-            sums[name] += getattr(goals, name)[t]
-            np.testing.assert_array_equal(timestep.metrics[name][t], sums[name])
-            sums[name][events.done[t]] = 0
-        explored[events.done[t]], length[events.done[t]] = 0, 0
-    assert np.isfinite(timestep.observation).all()
-    return goals, events
-
-
-def test_invariants_when_many_park_and_goals_are_shared():
-    env = ParkingEnv(CONFIG, SlidePhysics())
-    goals, events = check(env, *drive(env, 300, seed=1, parks=0.1))
-    assert events.parked.sum() > 20
-    for name in (*CHOICES, "lost_untracked", "lost_taken"):
-        assert getattr(goals, name).any(), name
-
-
-def test_invariants_of_the_named_environment():
-    env = ParkingEnv(dataclasses.replace(DYNAMIC, physics="bicycle"))
-    goals, _ = check(env, *drive(env, 60, seed=2, parks=0.0))
-    assert goals.lost_untracked.any()
-    assert goals.stop_explore.any()
-
-
-def test_half_of_the_close_starts_have_the_bay_beside_them_for_a_goal():
-    spawn = dataclasses.replace(CONFIG.spawn, close_ratio=1.0)
-    env = ParkingEnv(dataclasses.replace(CONFIG, spawn=spawn), SlidePhysics())
-    _, after, timestep = drive(env, 300, seed=3, parks=0.1)
-    fresh = timestep.events.done
-    begun = after.goal[fresh]
-    assert len(begun) > 50
-    # Not all: the bay may be taken, or not be among the nearest.
-    assert 0.25 < (begun != NO_BAY).mean() < 0.6
-    tracked = (after.tracked_bays[fresh] == begun[:, None]).any(axis=1)
-    np.testing.assert_array_equal(tracked, begun != NO_BAY)
 
 
 def test_agents_of_a_fleet_track_only_bays_they_fit_in():

@@ -81,20 +81,6 @@ def test_agents_that_are_done_see_what_they_would_without_respawning():
     assert (after.step == jnp.where(done, 0, 1)).all()
 
 
-def test_asking_for_final_observations_changes_nothing_else():
-    env, reset, step = make()
-    _, _, plain = make(final_observation=False)
-    state = start(env, reset)
-    with_it, without = step(state, ACTION), plain(state, ACTION)
-    bare = with_it[1].replace(final_observation=None)
-    for got, expected in zip(
-        jax.tree.leaves((with_it[0].replace(key=None), bare)),
-        jax.tree.leaves((without[0].replace(key=None), without[1])),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(got, expected)
-
-
 CHOOSING = dataclasses.replace(CONFIG, goals=GoalConfig(dynamic=True))
 
 

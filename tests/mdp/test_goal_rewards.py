@@ -19,8 +19,8 @@ from carpark_mj.config import (
     RewardConfig,
 )
 from carpark_mj.layouts import Maxima, pad_layout
+from carpark_mj.mdp.goals import target_bay
 from carpark_mj.mdp.rewards import dynamic_progress, reward_terms, term_weights
-from carpark_mj.mdp.tracked_bays import target_bay
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.types import NO_BAY
 
@@ -211,10 +211,3 @@ def test_agents_that_diverged_or_had_finished_get_nothing_for_their_goals():
         assert not term[:2].any(), name
     assert float(paid["continue_goal"][2]) == pytest.approx(-0.1)
     assert paid["progress"][2] != 0.0
-
-
-def test_the_published_weights_are_the_defaults():
-    pay = GoalRewards()
-    assert (pay.continue_explore, pay.stop_explore, pay.continue_goal) == (-0.002, 0, 0)
-    assert pay.change_goal == pay.stop == -0.05
-    assert GoalRewards(change_goal=-0.3, stop_explore=-0.2).stop == pytest.approx(-0.1)

@@ -1,7 +1,5 @@
 """Where parked cars stand in their bays, and which makes room for an agent."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,18 +16,17 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local, to_world
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.bays import free_bays, shuffled_bays
 from carpark_mj.mdp.parked_cars import (
     AWAY,
     in_bays,
     poses_in_bays,
     relocate_parked_cars,
     stand_in_bay,
+    tracks_parked_cars,
 )
-from carpark_mj.mdp.spawning.draws import pick
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.fields import FAR
-from carpark_mj.observations.tracked import tracks_parked_cars
+from carpark_mj.spawning.fleet import shuffled_bays
 from carpark_mj.types import NO_BAY
 
 COUNT = 3000
@@ -248,78 +245,12 @@ def test_two_agents_that_park_in_one_step_each_get_a_car(config):
     np.testing.assert_array_equal(np.sort(after, axis=1), [[0, 5]] * 100)
 
 
-def longest_stays(moves, seed=0, ends=4000, lots=8):
-    """Longest stay of cars in any bay, in ends of episodes, and cars after each.
-
-    Agents stand anywhere and park in random free bays: as if they chose their goals.
-    """
-    layout = make_layout("square")
-
-    def end(carry, key):
-        goal, bay = carry
-        keys = jax.random.split(key, 4)
-        agent = jax.random.randint(keys[0], (), 0, 3)
-        xy = jax.random.uniform(keys[1], (3, 2), minval=-11.8, maxval=11.8)
-        scores = jax.random.uniform(keys[2], (layout.num_bays,))
-        goal = goal.at[agent].set(pick(free_bays(layout, bay), scores))
-        motion = cars(jnp.pad(xy, ((0, 0), (0, 1))))
-        state = state_of(layout, motion, goal, parked_cars=parked_in(layout, bay))
-        events = no_events(3, parked=jnp.arange(3) == agent)
-        bay = moves(state, events, keys[3])
-        return (goal, bay), bay
-
-    def run(key):
-        order = shuffled_bays(layout, key)
-        start = order[:3], order[3:19]
-        return jax.lax.scan(end, start, jax.random.split(key, ends))[1]
-
-    keys = jax.random.split(jax.random.key(seed), lots)
-    bay = np.asarray(jax.jit(jax.vmap(run))(keys))
-    taken = (bay[..., None] == np.arange(36)).any(axis=2)
-    stay = longest = np.zeros((lots, 36), int)
-    for k in range(ends):
-        stay = np.where(taken[:, k], stay + 1, 0)
-        longest = np.maximum(longest, stay)
-    return longest, bay
-
-
-@pytest.mark.parametrize("rule", ["furthest", "random"])
-def test_no_bay_stays_occupied_for_ever_while_another_is_free(rule):
-    """Theorem 2 of Tanner 2022: relocation is free of deadlocks."""
-    relocate = functools.partial(relocate_parked_cars, RULES[rule])
-    longest, bay = longest_stays(lambda *args: relocate(*args).bay)
-    assert bay.shape[2] == 16
-    assert (np.diff(np.sort(bay, axis=2), axis=2) > 0).all()  # all there, all apart
-    assert longest.max() < 2000  # of 4,000 ends
-    assert longest.min() > 0  # and every bay has its turn
-
-
-def test_a_rule_that_always_moves_the_same_car_would_be_a_deadlock():
-    def first_car(state, events, key):
-        del key
-        goal = state.goal[jnp.argmax(events.parked)]
-        return state.parked_cars.bay.at[0].set(goal)
-
-    assert longest_stays(first_car)[0].max() == 4000
-
-
 def test_the_farthest_car_is_found_where_cars_stand_not_in_their_bays():
     state = row_of([0], [2, 3], [0.0])
     # The car of bay 3, 30 m away, has been pushed to 3 m from the agent.
     pushed = state.parked_cars.pose_w.at[1, 0].set(3.0)
     state = state.replace(parked_cars=state.parked_cars.replace(pose_w=pushed))
     assert relocated(FURTHEST, state, [0]).bay.tolist() == [0, 3]
-
-
-def test_nothing_moves_when_nobody_has_parked():
-    state = row_of([0, 5], [1, 3, 4], [0, 0])
-    after = relocated(FURTHEST, state, [])
-    np.testing.assert_array_equal(after.bay, state.parked_cars.bay)
-
-
-def test_without_parked_cars_nothing_is_relocated():
-    state = row_of([0], [], [0])
-    assert relocated(FURTHEST, state, [0]).bay.shape == (0,)
 
 
 class PushedPhysics(SlidePhysics):

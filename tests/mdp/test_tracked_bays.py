@@ -1,6 +1,7 @@
 """Which free bays agents track, in which slots, and what they head for."""
 
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,14 +9,25 @@ import numpy as np
 from helpers.scenes import cars, lot
 from helpers.states import parked_in, state_of
 
+from carpark_mj.config import GoalConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.tracked_bays import target_bay, track_bays, update_tracked_bays
+from carpark_mj.mdp.goals import nearest_bays, target_bay, track_bays
 from carpark_mj.types import NO_BAY
 
 # Five bays in a row, 4 m apart, and as many bays' worth of padding.
 ROW = pad_layout(
     lot([(x, 10.0, math.pi / 2) for x in (0, 4, 8, 12, 16)]), Maxima(8, 1, 1, 0, 1)
 )
+
+
+def track(state, usable=None, by_distance=False):
+    """Tracked bays of a state; all are usable if None."""
+    config = SimpleNamespace(
+        varies=False,
+        goals=GoalConfig(dynamic=True, slots_by_distance=by_distance),
+        observation=SimpleNamespace(bays_in_view=lambda state: usable),
+    )
+    return track_bays(config, state).tracked_bays
 
 
 def tracked_at(x, taken=(), tracked=None, count=2, by_distance=False):
@@ -27,7 +39,7 @@ def tracked_at(x, taken=(), tracked=None, count=2, by_distance=False):
         parked_cars=parked_in(ROW, list(taken)),
         tracked_bays=[[NO_BAY] * count if tracked is None else tracked],
     )
-    return update_tracked_bays(state, None, by_distance).tracked_bays[0].tolist()
+    return track(state, None, by_distance)[0].tolist()
 
 
 def test_an_agent_that_tracks_none_yet_numbers_the_nearest_bays_by_distance():
@@ -65,14 +77,14 @@ def test_the_bays_of_finished_agents_are_not_free_and_goals_of_others_are():
         active=jnp.array([False, True, False]),
         tracked_bays=[[NO_BAY] * 2] * 3,
     )
-    assert update_tracked_bays(state, None).tracked_bays.tolist() == [[1, 2]] * 3
+    assert track(state).tolist() == [[1, 2]] * 3
 
 
 def test_only_usable_bays_are_tracked():
     usable = jnp.zeros((2, 8), bool).at[0, 3].set(True).at[1, 1:].set(True)
     motion = cars([(0.0, 0.0, 0.0)] * 2)
     state = state_of(ROW, motion, NO_BAY, tracked_bays=[[NO_BAY] * 2] * 2)
-    tracked = update_tracked_bays(state, usable).tracked_bays
+    tracked = track(state, usable)
     assert tracked.tolist() == [[3, NO_BAY], [1, 2]]
 
 
@@ -83,7 +95,7 @@ def test_tracking_on_random_states_keeps_slots_and_finds_the_nearest():
         place, cars_key = jax.random.split(key)
         xy = jax.random.uniform(place, (agents, 2), minval=-20, maxval=20)
         free = jax.random.bernoulli(cars_key, 0.12, (agents, 36))
-        after = track_bays(layout, xy, free, tracked)
+        after = nearest_bays(layout, xy, free, tracked)
         return after, (xy, free, tracked, after)
 
     keys = jax.random.split(jax.random.key(0), 300)

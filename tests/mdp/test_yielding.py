@@ -9,8 +9,7 @@ from helpers.paying import GOAL, MAX_STEPS, events, step, terms
 from helpers.scenes import cars
 
 from carpark_mj.config import EnvConfig, RewardConfig
-from carpark_mj.mdp.rewards import reward_terms
-from carpark_mj.mdp.yielding import NEAR, STANDS
+from carpark_mj.mdp.rewards import NEAR, STANDS, reward_terms
 
 ON_A_LINE = [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (12.0, 0.0, 0.0)]
 REWARD = RewardConfig(time=1.0, extra={"yielding": 1.0})

@@ -13,7 +13,7 @@ from carpark_mj.config.layouts import LAYOUTS
 from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.geometry.obstacles import Discs, Movers
-from carpark_mj.layouts.mixture_config import MixtureConfig
+from carpark_mj.layouts.registry import MixtureConfig
 from carpark_mj.movers import Drivers, driving
 from carpark_mj.movers.traffic import AWAY, DRIVE, OFFSET, SIZE, STAY, track_path
 from carpark_mj.types import NO_BAY

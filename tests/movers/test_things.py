@@ -100,7 +100,15 @@ def test_a_barrier_opens_for_drivers_too():
         assert states.is_open[-1] == float(present)
 
 
-def test_a_door_opens_beside_a_free_bay_only():
+def test_door_opens_only_where_there_is_room(monkeypatch):
+    free = np.array([2, 5])  # bays with a wall instead of a car
+    pose, size = LOT.bay_pose[free], jnp.array([[5.0, 2.6]] * 2)
+    kind, mask = jnp.zeros(2, jnp.int32), jnp.ones(2, bool)
+    lot = dataclasses.replace(
+        LOT, wall_pose=pose, wall_size=size, wall_kind=kind, wall_mask=mask
+    )
+    walls = polygons(pose, size)
+    monkeypatch.setattr(f"{__name__}.LOT", lot)
     boxes, state = watch(Door(pause=1.0), AWAY)
     there = boxes.mask[:, 0]
     assert 0.1 < there.mean() < 0.95
@@ -110,6 +118,7 @@ def test_a_door_opens_beside_a_free_bay_only():
     for number, pose in enumerate(np.asarray(PARKED.pose_w)):
         others = state.car[there] != number
         assert not shapely.intersects(door[others], polygons(pose, (4.0, 1.8))).any()
+    assert not shapely.intersects(door[:, None], walls).any()
 
 
 @pytest.mark.parametrize("mover", [Cart(pause=1.0), RailCar(), Door(pause=1.0)])

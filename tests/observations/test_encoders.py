@@ -13,8 +13,9 @@ from helpers.states import config_of, state_of
 
 from carpark_mj.config import ENCODERS, EnvConfig, FleetConfig, ObservationConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.goals import tracks
+from carpark_mj.mdp.parked_cars import tracks_parked_cars
 from carpark_mj.observations import Field, make_fields, observe
-from carpark_mj.observations.tracked import tracks, tracks_parked_cars
 from carpark_mj.policy.runs import from_dict
 
 LOT = lot([(0.0, 0.0, 0.0)])

@@ -19,6 +19,8 @@ from carpark_mj.config import (
 )
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.routes import make_routes
+from carpark_mj.mdp.goals import tracks
+from carpark_mj.mdp.parked_cars import tracks_parked_cars
 from carpark_mj.observations import (
     ContinuousObservation,
     make_fields,
@@ -26,7 +28,6 @@ from carpark_mj.observations import (
     observe,
 )
 from carpark_mj.observations.sensors import init_sensors
-from carpark_mj.observations.tracked import tracks, tracks_parked_cars
 from carpark_mj.types import NO_BAY
 
 BASE = ContinuousObservation()

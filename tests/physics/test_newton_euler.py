@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import RandomizationConfig, SimConfig
-from carpark_mj.fleet.randomization import randomize
 from carpark_mj.physics.coordinates import (
     CarDynamics,
     CarIndex,
@@ -23,6 +22,7 @@ from carpark_mj.physics.mjx_step import MjxStep, with_masses
 from carpark_mj.physics.newton_euler import advance
 from carpark_mj.physics.tyres import init_tyres
 from carpark_mj.physics.vectors import cross, multiply, to_world
+from carpark_mj.spawning.randomization import randomize
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.drive import init_actuators
 from carpark_mj.vehicle.mjcf import car_model

@@ -6,13 +6,13 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.draw import Fleet
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.rendering.recording import record
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.types import ParkedCars
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.parameters import scaled

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from helpers.cars import ROAD_CARS
 
-from carpark_mj.scene import looks
+from carpark_mj.scene import looks, parts
 from carpark_mj.scene.car_mesh import SPOKES, car_meshes, driver_eye, standing_wheels
 from carpark_mj.scene.looks import STYLES, nearest_style
-from carpark_mj.scene.parts import FIXED, add_looks, shape_name
+from carpark_mj.scene.parts import add_looks, shape_name
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.mjcf import hub_positions
 
@@ -24,7 +24,7 @@ STUB = dataclasses.replace(COMPACT, rear_overhang=COMPACT.wheel_radius, length=3
 OWN = {"taxi": TAXI, "stub": STUB}
 CARS = [pytest.param(p, id=n) for n, p in (ROAD_CARS | OWN).items()]
 FIXED = ("body", "cage", "glass", "headlights", "tail_lights", "trim")
-SEEN = (*FIXED, "tyres", "rims")
+SEEN = (*parts.FIXED, "tyres", "rims")
 
 
 def whole(params):

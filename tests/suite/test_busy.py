@@ -11,7 +11,7 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.reset_options import ResetOptions
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite import busy as held_out
 from carpark_mj.suite.busy import CART, CASES, GROUPS, BusyAisle
 from carpark_mj.suite.evaluation import suite_env

@@ -5,8 +5,7 @@ from helpers.rolling import check_roll_out
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.tasks.environment import AgentsEnvironment
-from carpark_mj.tasks.joint import JointEnv
+from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.wrappers.goal import GoalParking, goal_config
 
 SMALL = EnvConfig(num_parked_cars=2, physics="bicycle")

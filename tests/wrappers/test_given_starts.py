@@ -146,7 +146,7 @@ def test_torchrl_takes_those_of_all_lots():
     pytest.importorskip("torchrl")
     import jax.numpy as jnp
 
-    from carpark_mj.mdp.reset_options import ResetOptions
+    from carpark_mj.spawning.reset_options import ResetOptions
     from carpark_mj.wrappers.torchrl import TorchRLParking
 
     env = TorchRLParking(2, config=QUICK, agents=1, seed=0)

@@ -52,7 +52,7 @@ def require_run(config: PPOConfig) -> None:
         )
     theirs = network_config(checkpoints.read_header(path))
     if theirs is None:
-        raise ValueError(f"{config.warm_start} has tables, a warm start needs networks")
+        raise ValueError(f"{config.warm_start} has no networks for a warm start")
     names = ["encoder", "policy_layers"]
     if config.networks.encoder == "set":
         names += ["own_size", "entity_size", "picture_size"]

@@ -1,6 +1,7 @@
 """Tanner 2022 (arXiv 2206.13338): agents on a grid around a square."""
 
 from carpark_mj.extensions import Entry
+from carpark_mj.policy.runs import ALGORITHMS
 from carpark_mj.programs import STUDY_PROGRAMS
 from carpark_mj.training.ppo.parts import PRESET_ENTRIES, VARIANTS
 from carpark_papers.tanner import environments, grid, indices, observation
@@ -21,6 +22,9 @@ STUDY_PROGRAMS.register(
     ),
 )
 
+ALGORITHMS.register(
+    "q_learning", Entry("carpark_papers.tanner.q_learning.tables:TABLES")
+)
 _PRESETS = "carpark_papers.tanner.presets"
 for _name, _summary in {
     "fixed": "GPU",

@@ -12,7 +12,6 @@ from helpers.scenes import polygons
 
 from carpark_mj.config import LAYOUTS, EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.fleet.checks import check_room
 from carpark_mj.layouts import (
     BayKind,
     layout_config,
@@ -22,8 +21,9 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.files import layout_text
-from carpark_mj.mdp.reset_options import ResetOptions
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.spawning.checks import check_numbers
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_papers.pandita.layouts import SlotsConfig, centre_lines
 
 NAMES = [name for name in LAYOUTS if name.startswith("slots")]
@@ -187,10 +187,10 @@ def test_a_second_agent_is_refused_for_it_has_no_bay(tmp_path):
     mixed = mixture([SlotsConfig(), "square"])
     for layout in ("slots", "slots_parallel", mixed, str(path)):
         one = EnvConfig(layout=layout, num_agents=1, num_parked_cars=11)
-        check_room(one, layout_config(layout))
+        check_numbers(one, layout_config(layout))
         two = dataclasses.replace(one, num_agents=2, num_parked_cars=3)
         with pytest.raises(ValueError, match="num_agents must be at most 1"):
-            check_room(two, layout_config(layout))
+            check_numbers(two, layout_config(layout))
 
 
 def test_a_van_is_not_sent_into_a_bay_it_does_not_fit():

@@ -18,10 +18,9 @@ from carpark_mj.config import (
     RewardConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.giving_way import find_contexts, goals_in_turn
-from carpark_mj.mdp.metrics.tallies import CONTEXTS
+from carpark_mj.mdp.goals import find_contexts, goals_in_turn, tracks
+from carpark_mj.mdp.metrics import CONTEXTS
 from carpark_mj.observations import ContinuousObservation, observation_size
-from carpark_mj.observations.tracked import tracks
 from carpark_mj.registry import environment
 from carpark_mj.types import NO_BAY
 from carpark_papers.tanner.observation import TannerObservation
@@ -221,7 +220,12 @@ OUT = NO_BAY
 FAR_AWAY = (40.0, OUT)
 LOCAL_ANY = {"local_any", "global_any"}
 LOCAL_SAME = LOCAL_ANY | {"local_same", "global_same"}
-UNSEEN_OTHER = {"global_any", "untracked_any", "untracked_other", "only_untracked_any"}
+UNSEEN_OTHER = {
+    "global_any",
+    "untracked_any",
+    "untracked_other",
+    "only_untracked_any",
+}
 UNSEEN_SAME = {
     "global_any",
     "global_same",

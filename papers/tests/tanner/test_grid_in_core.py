@@ -1,6 +1,7 @@
 """What the core makes of the study's tasks: integer actions, starts, refusals."""
 
 import dataclasses
+from pathlib import Path
 
 import gymnasium
 import jax
@@ -26,12 +27,12 @@ from carpark_mj.config import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import action_spec, parse
+from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import relocate_parked_cars
-from carpark_mj.mdp.reset_options import ResetOptions, check_starts
-from carpark_mj.observations import make_fields
+from carpark_mj.observations import cardinalities, make_fields
 from carpark_mj.observations.compose import observation_sets
-from carpark_mj.observations.tracked import tracks
 from carpark_mj.planning.policy import planner_policy
+from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.onnx_export import (
     largest_difference,
     make_model,
@@ -39,6 +40,7 @@ from carpark_mj.policy.onnx_export import (
     rounding_error,
 )
 from carpark_mj.registry import environment
+from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.suite.evaluation import suite_env
 from carpark_mj.types import NO_BAY
 from carpark_mj.wrappers.goal import GoalParking, goal_config
@@ -49,6 +51,7 @@ from carpark_papers.tanner.environments import (
 )
 from carpark_papers.tanner.grid import FINE
 from carpark_papers.tanner.observation import TannerObservation
+from carpark_papers.tanner.q_learning.tables import make_table_policy
 
 
 @pytest.mark.parametrize(
@@ -279,13 +282,24 @@ def test_sets_without_a_mask_are_always_present():
     assert jax.tree.all(jax.tree.map(lambda bits: bits.all(), present))
 
 
-@pytest.mark.parametrize("name", ["tanner-dynamic", "tanner-qlearning-rings"])
-def test_an_exported_model_acts_like_its_policy(name):
+def table_policy(env, seed=1):
+    sizes, choices = cardinalities(env), env.physics_config.choices
+    shape = np.prod(sizes), np.prod(choices)
+    table = jax.random.normal(jax.random.key(seed), shape)
+    policy = make_table_policy(table, sizes, choices)
+    return LoadedPolicy(env, policy, 0, Path("none"))
+
+
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [("tanner-dynamic", untrained), ("tanner-qlearning-rings", table_policy)],
+)
+def test_an_exported_model_acts_like_its_policy(name, make):
     env = environment(name)
-    loaded, seen = untrained(env), observations(env, 1000)
+    loaded, seen = make(env), observations(env, 1000)
     model = make_model(loaded)
     assert largest_difference(model, loaded, seen) <= 1e-5
-    assert largest_difference(model, untrained(env, seed=2), seen) > 0.01
+    assert largest_difference(model, make(env, seed=2), seen) > 0.01
     if name == "tanner-qlearning-rings":
         np.testing.assert_array_equal(seen, np.round(seen))
         assert rounding_error(loaded, seen) == 0.0

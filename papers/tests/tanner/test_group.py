@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import GivingWayConfig, RewardConfig, insert
-from carpark_mj.config.goals import GoalRewards
+from carpark_mj.mdp.rewards import GoalRewards
 from carpark_mj.policy import runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig

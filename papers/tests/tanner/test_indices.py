@@ -14,9 +14,6 @@ from helpers.states import config_of, parked_at, parked_in, state_of
 from carpark_mj.config import WORLD_UNIT, RingConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.spawning.draws import draw_uniform
-from carpark_mj.mdp.spawning.placing import Surroundings
-from carpark_mj.mdp.spawning.poses import random_pose, spawn_shapes
 from carpark_mj.observations import (
     cardinalities,
     make_fields,
@@ -24,7 +21,12 @@ from carpark_mj.observations import (
     observe,
 )
 from carpark_mj.obstacles import lot_obstacles
-from carpark_papers.tanner.environments import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
+from carpark_mj.spawning.placing import Surroundings
+from carpark_mj.spawning.starts import draw_uniform, random_pose, spawn_shapes
+from carpark_papers.tanner.environments import (
+    TANNER_QLEARNING,
+    TANNER_QLEARNING_RINGS,
+)
 from carpark_papers.tanner.indices import IndexObservation
 from carpark_papers.tanner.observation import TannerObservation
 
@@ -181,7 +183,10 @@ def started(x, y, heading, level=0):
         level=jnp.array([level], jnp.int32),
     )
     return dataclasses.replace(
-        state, physics=physics, motion=env.physics.read(physics), goal=goal
+        state,
+        physics=physics,
+        motion=env.physics.read(physics),
+        goal=goal,
     )
 
 

@@ -14,12 +14,7 @@ from helpers.programs import exit_code
 from carpark_mj.cli import evaluate
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate as evaluate_policy
-from carpark_mj.policy.loading import (
-    action_choices,
-    load_policy,
-    make_table_policy,
-    state_index,
-)
+from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.training.run_folder import LOCK, open_run
 from carpark_papers.tanner.environments import (
@@ -29,6 +24,11 @@ from carpark_papers.tanner.environments import (
 from carpark_papers.tanner.q_learning import program as q_learning
 from carpark_papers.tanner.q_learning import train
 from carpark_papers.tanner.q_learning.config import QLearningConfig
+from carpark_papers.tanner.q_learning.tables import (
+    action_choices,
+    make_table_policy,
+    state_index,
+)
 from carpark_papers.tanner.q_learning.train import (
     QLearner,
     Training,
@@ -244,7 +244,9 @@ def test_what_cannot_be_is_refused_in_a_sentence(run, capsys, tmp_path):
     with pytest.raises(ValueError, match=r"needs env.episode.respawn = True"):
         QLearner(dataclasses.replace(SMALL, env=frozen))
     assert exit_code(q_learning, ["--resume", str(folder), "--gamma", "0.5"]) == 2
-    assert "a resumed run keeps its own settings: drop gamma" in capsys.readouterr().err
+    assert (
+        "a resumed run keeps its own settings: drop --gamma" in capsys.readouterr().err
+    )
     assert exit_code(q_learning, ["--resume", str(tmp_path / "none")]) == 2
     assert "no run at" in capsys.readouterr().err
     (path,) = checkpoint_files(folder)

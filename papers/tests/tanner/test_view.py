@@ -13,8 +13,9 @@ from helpers.states import config_of, parked_at, state_of
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.goals import tracks
+from carpark_mj.mdp.parked_cars import tracks_parked_cars
 from carpark_mj.observations import observe
-from carpark_mj.observations.tracked import tracks, tracks_parked_cars
 from carpark_mj.types import NO_BAY
 from carpark_papers.tanner.indices import IndexObservation
 from carpark_papers.tanner.observation import TannerObservation, ViewConfig, in_view

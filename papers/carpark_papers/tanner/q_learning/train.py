@@ -19,11 +19,11 @@ from carpark_mj.evaluation.keys import training_key
 from carpark_mj.files import write_csv
 from carpark_mj.observations import cardinalities
 from carpark_mj.policy import checkpoints, runs
-from carpark_mj.policy.loading import action_choices, state_index
 from carpark_mj.training.loop import NAME, Loop, two_panels
 from carpark_mj.training.run_folder import read_header
 from carpark_mj.types import OUTCOMES, State
 from carpark_papers.tanner.q_learning.config import QLearningConfig
+from carpark_papers.tanner.q_learning.tables import action_choices, state_index
 
 CHUNK = 5000  # control steps between looks at the clock
 
@@ -340,7 +340,7 @@ def save(folder: Path, config: QLearningConfig, run: Run) -> None:
     means = [part.mean() if len(part) else -np.inf for part in recent]
     steps = run.chunks * CHUNK * config.num_lots * config.env.num_agents
     header: dict[str, Any] = {
-        "algorithm": runs.Q_LEARNING,
+        "algorithm": "q_learning",
         "config": dataclasses.asdict(config),
         "chunks": run.chunks,
         "env_steps": steps * config.num_seeds,

@@ -1,1 +1,0 @@
-"""The cars of an environment: presets drawn, randomized and checked."""

@@ -1,0 +1,284 @@
+"""The cars of an environment: drawn from presets, for bays they fit in.
+
+Parked cars are drawn when a lot is reset, agents at every spawn. All of it is data, so
+nothing recompiles.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.config import EnvConfig
+from carpark_mj.config.vehicles import READ, is_name
+from carpark_mj.layouts import Layout
+from carpark_mj.mdp.parked_cars import fits, free_bays, poses_in_bays
+from carpark_mj.spawning.reset_options import ResetOptions, given_goals, kept_clear
+from carpark_mj.types import NO_BAY, ParkedCars
+from carpark_mj.vehicle import (
+    VEHICLES,
+    Vehicle,
+    VehicleParameters,
+    make_vehicle,
+    preset,
+)
+from carpark_mj.vehicle.parameters import scaled
+
+
+class Start(NamedTuple):
+    """The cars and goals of a lot that begins.
+
+    Attributes:
+        goal: (num_agents,) int32 goals, `NO_BAY` where agents choose them.
+        parked_cars: the parked cars, in their bays.
+        vehicles: nominal parameters of the agents' cars (num_agents,).
+        kind: (num_agents,) int32 which of the fleet's kinds they are.
+    """
+
+    goal: jax.Array
+    parked_cars: ParkedCars
+    vehicles: Vehicle
+    kind: jax.Array
+
+
+class Fleet:
+    """The presets that the cars of an environment are drawn from; constants only.
+
+    Attributes:
+        agent_names: presets of the kinds of cars that agents drive.
+        agents: their parameters.
+        parked_names: the same for parked cars.
+        parked_cars: their parameters.
+        mixed: whether agents drive cars of several kinds, drawn at every spawn.
+    """
+
+    def __init__(self, config: EnvConfig, vehicle: VehicleParameters) -> None:
+        """Looks the presets up; `vehicle` stands for an empty list.
+
+        Raises:
+            ValueError: an unknown preset; the message lists the known ones.
+        """
+        self._config = config
+        names = config.fleet
+        own_name = _known_as(config.vehicle)
+        if vehicle != preset(config.vehicle):
+            own_name = VEHICLES.name_of(vehicle) or "custom car"
+        self.agent_names = tuple(map(_known_as, names.agents)) or (own_name,)
+        self.parked_names = tuple(map(_known_as, names.parked_cars)) or (own_name,)
+        self.agents = tuple(map(preset, names.agents)) or (vehicle,)
+        self.parked_cars = tuple(map(preset, names.parked_cars)) or (vehicle,)
+        self.mixed = bool(names.agents)
+        kinds = [make_vehicle(params) for params in self.agents]
+        self._kinds: Vehicle = jax.tree.map(lambda *x: jnp.stack(x), *kinds)
+        self._size = make_vehicle(vehicle).size
+        weights = names.agent_weights or (1.0,) * len(self.agents)
+        self._weights = jnp.array(weights, jnp.float32)
+        weights = names.parked_weights or (1.0,) * len(self.parked_cars)
+        self._parked_weights = jnp.array(weights, jnp.float32)
+
+    def start(
+        self,
+        layout: Layout,
+        key: jax.Array,
+        present: jax.Array | None = None,
+        options: ResetOptions | None = None,
+    ) -> Start:
+        """Draws goals, parked cars and the agents' cars of a lot; `key` is consumed.
+
+        `present` (num_agents,) are the agents in the lot, None = all.
+        """
+        config = self._config
+        if config.varies:
+            return self._start_varied(layout, key, present, options)
+        n, m = config.num_agents, config.num_parked_cars
+        goals = 0 if config.goals.dynamic else n
+        order = shuffled_bays(layout, key)
+        goal = order[:goals] if goals else jnp.full(n, NO_BAY, jnp.int32)
+        bay = order[goals : goals + m]
+        if options is not None:  # drawn goals and parked cars keep clear of given ones
+            clear = kept_clear(layout, options, self._size)
+            order = order[jnp.argsort(clear[order], stable=True)]  # these last
+            goal = given_goals(options, n)
+            drawn = (goal == NO_BAY) & (not config.goals.dynamic)
+            goal = jnp.where(drawn, order[jnp.cumsum(drawn) - 1], goal)
+            place = jnp.sum(drawn) + jnp.arange(m)
+            free = place < jnp.sum(layout.bay_mask & ~clear)
+            bay = jnp.where(free, order[place], NO_BAY)
+        size = jnp.broadcast_to(self._size, (m, 2))
+        parked = _in_bays(layout, ParkedCars(bay, jnp.zeros((m, 3)), size))
+        kind = jnp.zeros(n, jnp.int32)
+        return Start(goal, parked, self.of_kind(kind), kind)
+
+    def _start_varied(
+        self,
+        layout: Layout,
+        key: jax.Array,
+        present: jax.Array | None,
+        options: ResetOptions | None,
+    ) -> Start:
+        """`start` where the number, kinds, poses or sizes of parked cars vary."""
+        config = self._config
+        n, m = config.num_agents, config.num_parked_cars
+        goal_key, count_key, scale_key, place_key, offset_key = jax.random.split(key, 5)
+        goal_bays = jnp.broadcast_to(
+            self._goal_bays(layout), (n, len(self.agents), layout.num_bays)
+        )
+        clear = jnp.zeros(layout.num_bays, bool)
+        given = given_goals(options, n)
+        if options is not None:
+            clear = kept_clear(layout, options, self._kinds.size.max(axis=0))
+            own = jnp.arange(layout.num_bays) == given[:, None]
+            usable = jnp.where(given[:, None] == NO_BAY, ~clear, own)
+            goal_bays = goal_bays & usable[:, None]
+        agents = Wanted(
+            fits=goal_bays,
+            weights=self._weights,
+            cars=jnp.ones(n, bool) if present is None else present,
+            anywhere=True,
+        )
+        kind, goal = draw_bays(agents, layout.bay_mask, goal_key)
+        if options is not None:
+            goal = jnp.where(given == NO_BAY, goal, given)
+        if config.goals.dynamic:
+            goal = jnp.full(n, NO_BAY, jnp.int32)
+        sizes = jnp.array([[p.length, p.width] for p in self.parked_cars])
+        sizes = sizes * _uniform(config.jitter.scale, scale_key, (m, 1, 1))
+        parked = Wanted(
+            fits=fits(layout.bay_size, sizes),
+            weights=self._parked_weights,
+            cars=jnp.arange(m) < self._num_parked_cars(layout, count_key),
+            anywhere=False,
+        )
+        free = free_bays(layout, goal) & ~clear
+        parked_kind, bay = draw_bays(parked, free, place_key)
+        jitter, offset = config.jitter, None
+        if jitter.moves:
+            ranges = (jitter.along, jitter.across, jitter.heading)
+            keys = jax.random.split(offset_key, 3)
+            columns = [_uniform(*pair, (m,)) for pair in zip(ranges, keys, strict=True)]
+            offset = jnp.stack(columns, axis=-1)
+        size = sizes[jnp.arange(m), parked_kind]
+        cars = ParkedCars(bay, jnp.zeros((m, 3)), size, offset, parked_kind)
+        if not self.mixed:
+            kind = jnp.zeros_like(kind)
+        return Start(goal, _in_bays(layout, cars), self.of_kind(kind), kind)
+
+    def draw_kinds(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Kinds (num_agents,) int32 of cars drawn by weight, and the next key.
+
+        Without a fleet of agents they are all of the one kind and nothing is drawn.
+        """
+        shape = (self._config.num_agents,)
+        if not self.mixed:
+            return jnp.zeros(shape, jnp.int32), key
+        key, kind_key = jax.random.split(key)
+        logits = jnp.log(self._weights)
+        kind = jax.random.categorical(kind_key, logits, shape=shape)
+        return kind.astype(jnp.int32), key
+
+    def of_kind(self, kind: jax.Array) -> Vehicle:
+        """Nominal parameters of cars of kinds (...) int32."""
+        return jax.tree.map(lambda x: x[kind], self._kinds)
+
+    def parked_vehicles(self, cars: ParkedCars) -> list[VehicleParameters]:
+        """The presets, scaled, of parked cars."""
+        lengths = np.asarray(cars.size, float)[:, 0]
+        kinds = [0] * len(lengths) if cars.kind is None else np.asarray(cars.kind)
+        presets = [self.parked_cars[kind] for kind in kinds]
+        return [
+            scaled(car, length / car.length)
+            for car, length in zip(presets, lengths, strict=True)
+        ]
+
+    def _goal_bays(self, layout: Layout) -> jax.Array:
+        """Bays (kinds, bays) bool that can be goals of each kind of car."""
+        if not self.mixed:  # any bay is a goal for the one kind of car
+            return layout.goal_mask[None]
+        slack = self._config.episode.slack
+        return fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
+
+    def _num_parked_cars(self, layout: Layout, key: jax.Array) -> jax.Array:
+        """How many parked cars the lot has; a whole number within the range."""
+        most = jnp.asarray(self._config.num_parked_cars, jnp.int32)
+        if self._config.occupancy is None:
+            return most
+        low, high = self._config.occupancy
+        bays = jnp.sum(layout.bay_mask)
+        rounding = 1e-4  # 0.3 of 20 bays is 6, in float32 too
+        least = jnp.ceil(low * bays - rounding).astype(jnp.int32)
+        limit = jnp.floor(high * bays + rounding).astype(jnp.int32)
+        count = jax.random.randint(key, (), least, jnp.maximum(limit, least) + 1)
+        return jnp.minimum(count, most)
+
+
+def _known_as(vehicle: str) -> str:
+    """The name of a car that a config names or describes."""
+    return vehicle if is_name(vehicle) else READ.load()(vehicle)[0]
+
+
+def _in_bays(layout: Layout, cars: ParkedCars) -> ParkedCars:
+    return dataclasses.replace(cars, pose_w=poses_in_bays(layout, cars))
+
+
+def _uniform(
+    bounds: tuple[float, float], key: jax.Array, shape: tuple[int, ...]
+) -> jax.Array:
+    low, high = bounds
+    return jax.random.uniform(key, shape, jnp.float32, low, high)
+
+
+def shuffled_bays(layout: Layout, key: jax.Array) -> jax.Array:
+    """Indices (bays,) int32 in random order: bays for goals, reserved ones, padding."""
+    score = jax.random.uniform(key, layout.bay_mask.shape)
+    score = jnp.where(layout.goal_mask, score, score + 1.0)
+    return jnp.argsort(jnp.where(layout.bay_mask, score, 3.0)).astype(jnp.int32)
+
+
+class Wanted(NamedTuple):
+    """Cars of several kinds that need bays.
+
+    Attributes:
+        fits: (cars, kinds, bays) bool.
+        weights: (kinds,) > 0, how often each kind is drawn, in proportion.
+        cars: (cars,) bool, the cars that need one.
+        anywhere: whether a car that fits nowhere still gets a free bay.
+    """
+
+    fits: jax.Array
+    weights: jax.Array
+    cars: jax.Array
+    anywhere: bool
+
+
+def draw_bays(
+    wanted: Wanted, free: jax.Array, key: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Draws kinds of cars and distinct bays for them, one car after the other.
+
+    A kind is drawn by weight among those that fit into a bay of `free` (bays,) left,
+    and then one of these bays. `key` is consumed.
+
+    Returns:
+        (cars,) int32 kinds and (cars,) int32 bays, `NO_BAY` where there is none.
+    """
+    num_bays = free.shape[0]
+
+    def draw(free: jax.Array, car: tuple[jax.Array, jax.Array, jax.Array]):
+        fits, wants, key = car
+        kind_key, bay_key = jax.random.split(key)
+        possible = (fits & free).any(axis=1)
+        logits = jnp.log(wanted.weights)
+        logits = jnp.where(possible | ~possible.any(), logits, -jnp.inf)
+        kind = jax.random.categorical(kind_key, logits)
+        good = free & fits[kind]
+        if wanted.anywhere:
+            good = jnp.where(good.any(), good, free)
+        score = jax.random.uniform(bay_key, (num_bays,))
+        bay = jnp.argmax(jnp.where(good, score, -1.0))
+        bay = jnp.where(wants & good.any(), bay, NO_BAY).astype(jnp.int32)
+        return free & (jnp.arange(num_bays) != bay), (kind.astype(jnp.int32), bay)
+
+    keys = jax.random.split(key, wanted.cars.shape[0])
+    return jax.lax.scan(draw, free, (wanted.fits, wanted.cars, keys))[1]

@@ -1,0 +1,291 @@
+"""Places agents that begin an episode, one after the other, so that they stay apart.
+
+The loop is the same for fixed and dynamic goals; see `spawning.goals`. A start that
+overlaps an obstacle is rejected: an agent without a free start waits.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from carpark_mj.geometry import box_distance, boxes_overlap, norm
+from carpark_mj.geometry.obstacles import NO_MOVERS, Group, Movers, touches
+from carpark_mj.layouts.types import Layout
+from carpark_mj.mdp.parked_cars import BayFits, in_bays
+from carpark_mj.obstacles import lot_obstacles
+from carpark_mj.types import NO_BAY, ParkedCars, Vehicle
+
+
+@struct.dataclass
+class SpawnInputs:
+    """Constants while the agents of a step are placed.
+
+    Attributes:
+        layout: the lot.
+        parked_cars: where they stood before the first is placed.
+        size: (num_agents, 2) footprints of the cars drawn for agents that begin [m];
+            None if spawn regions have room for them all.
+        old_size: (num_agents, 2) footprints of the cars they drove before [m]; None as
+            for `size`.
+        fits: which cars fit into which bays.
+        cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
+            only the centres of cars are known.
+        movers: where they are.
+        clear: whether starts are clear of all that stands, so that only movers can be
+            where an agent starts.
+        first: whether the lot begins: goals are given, and agents that have not been
+            placed yet are nowhere.
+    """
+
+    layout: Layout
+    parked_cars: ParkedCars
+    size: jax.Array | None
+    old_size: jax.Array | None
+    fits: BayFits
+    cars: Vehicle | None = None
+    movers: Movers = NO_MOVERS
+    clear: bool = struct.field(pytree_node=False, default=False)
+    first: bool = struct.field(pytree_node=False, default=False)
+
+
+@struct.dataclass
+class Placing:
+    """Agents while they are placed.
+
+    Attributes:
+        goal: (num_agents,) int32, see `State.goal`.
+        parked_bay: (num_parked_cars,) int32, see `ParkedCars.bay`.
+        pose_w: (num_agents, 3).
+        waiting: (num_agents,) bool, still to be placed.
+        close_bay: (num_agents,) int32 free bay next to which an exploring agent starts,
+            else `NO_BAY`.
+        conflict: (num_agents,) bool, an exploring agent takes another agent's goal if
+            possible.
+        found: (num_agents,) bool, the agent gets the car drawn for it; if that fits
+            into no bay the agent keeps its goal and its car.
+        waited: (num_agents,) int32, see `State.waited`; the agent that has waited
+            longest is placed first.
+        tries: (num_agents,) int32 starts that were rejected; after the first rejection
+            starts are random.
+    """
+
+    goal: jax.Array
+    parked_bay: jax.Array
+    pose_w: jax.Array
+    waiting: jax.Array
+    close_bay: jax.Array
+    conflict: jax.Array
+    found: jax.Array
+    waited: jax.Array
+    tries: jax.Array
+
+    @property
+    def xy(self) -> jax.Array:
+        """(num_agents, 2) centres [m]."""
+        return self.pose_w[:, :2]
+
+    def set(self, agent: jax.Array, **values: jax.Array | bool | int) -> "Placing":
+        """Replaces values of one agent (), by the names of the attributes."""
+        # A choice joins its neighbours in one GPU kernel, `.at[agent].set` does not.
+        own = jnp.arange(self.goal.shape[0]) == agent
+        changes = {}
+        for name, value in values.items():
+            old = getattr(self, name)
+            changes[name] = jnp.where(own[:, None] if old.ndim > 1 else own, value, old)
+        return dataclasses.replace(self, **changes)
+
+
+def start_placing(
+    goal: jax.Array,
+    parked_bay: jax.Array,
+    pose_w: jax.Array,
+    waiting: jax.Array,
+    waited: jax.Array | None = None,
+) -> Placing:
+    """Agents before any is placed; arguments as in `Placing`."""
+    zero = jnp.zeros(goal.shape, jnp.int32)
+    return Placing(
+        goal=goal,
+        parked_bay=parked_bay,
+        pose_w=pose_w,
+        waiting=waiting,
+        close_bay=jnp.full(goal.shape, NO_BAY, jnp.int32),
+        conflict=jnp.zeros(goal.shape, bool),
+        found=jnp.ones(goal.shape, bool),
+        waited=zero if waited is None else waited,
+        tries=zero,
+    )
+
+
+@struct.dataclass
+class Surroundings:
+    """The obstacles of one agent's start pose.
+
+    Attributes:
+        pose_w: (num_agents, 3) the agents.
+        others: (num_agents,) bool, the agents to keep away from.
+        outlines: (num_agents, 2) footprints of the cars that agents drive or are about
+            to drive, whichever is larger [m]; None = unknown.
+        agent: () int32 which agent it is.
+        size: (2,) footprint of the agent's car [m]; None if it fits wherever it can
+            spawn.
+        obstacles: all obstacles but the agents; starts do not overlap them.
+        movers: those of them that `min_distance` applies to, as to agents.
+        clear: whether only movers can be where an agent starts.
+    """
+
+    pose_w: jax.Array
+    others: jax.Array
+    outlines: jax.Array | None
+    agent: jax.Array
+    size: jax.Array | None
+    obstacles: tuple[Group, ...]
+    movers: tuple[Group, ...] = ()
+    clear: bool = struct.field(pytree_node=False, default=False)
+
+    def distance(self, xy: jax.Array) -> jax.Array:
+        """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre.
+
+        Or to the outline of a mover.
+        """
+        gap = norm(xy[:, None] - self.pose_w[:, :2])
+        least = jnp.where(self.others, gap, jnp.inf).min(axis=-1)
+        return self._least(least, lambda mover: mover.gaps(xy))
+
+    def room(self, pose: jax.Array) -> jax.Array:
+        """Clearance (n,) [m] of the car at poses (n, 3) to other agents and movers."""
+        if self.outlines is None:
+            return self.distance(pose[:, :2])
+        own = self.outlines[self.agent]
+        gap = box_distance(pose[:, None], own, self.pose_w, self.outlines)
+        least = jnp.where(self.others, gap, jnp.inf).min(axis=-1)
+        return self._least(least, lambda mover: mover.distance(pose[:, None], own))
+
+    def _least(self, least: jax.Array, find: Callable[[Group], jax.Array]) -> jax.Array:
+        """Numbers (n,), or those (n, m) of movers where these are less."""
+        for mover in self.movers:
+            found = jnp.where(mover.counts(1), find(mover), jnp.inf)
+            least = jnp.minimum(least, found.min(axis=-1, initial=jnp.inf))
+        return least
+
+    def free(self, pose: jax.Array) -> jax.Array:
+        """(n,) bool, whether the car at poses (n, 3) would overlap no obstacle."""
+        if self.outlines is None:
+            return (self.distance(pose[:, :2]) > 0.0) & ~self.touches(pose)
+        own = self.outlines[self.agent]
+        meets = boxes_overlap(pose[:, None], own, self.pose_w, self.outlines)
+        return ~(meets & self.others).any(axis=-1) & ~self.touches(pose)
+
+    def touches(self, pose: jax.Array) -> jax.Array:
+        """(n,) bool, whether the car at poses (n, 3) would overlap any but agents."""
+        if self.size is None:
+            return jnp.zeros(pose.shape[:1], bool)
+        return touches(pose, self.size, self.movers if self.clear else self.obstacles)
+
+    def blocks(self, pose: jax.Array, size: jax.Array) -> jax.Array:
+        """(n,) bool, whether a box (2,) [m] at poses (n, 3) overlaps `obstacles`."""
+        return touches(pose, size, self.obstacles)
+
+
+def surroundings(
+    inputs: SpawnInputs, placing: Placing, agent: jax.Array, placed_only: bool = False
+) -> Surroundings:
+    """The obstacles of an agent's () start pose, goals and parked cars as in `placing`.
+
+    With `placed_only` without agents that are still to be placed, which otherwise count
+    where their last episodes ended.
+    """
+    size, outlines, parked = None, None, inputs.parked_cars
+    if inputs.cars is not None:
+        outlines = inputs.cars.size
+        if inputs.old_size is not None:  # the larger of the old and the new car
+            outlines = jnp.maximum(outlines, inputs.old_size)
+    if inputs.size is not None and inputs.old_size is not None:
+        found = placing.found[agent]
+        size = jnp.where(found, inputs.size[agent], inputs.old_size[agent])
+    if size is not None or inputs.cars is not None:
+        parked = in_bays(inputs.layout, parked, placing.parked_bay)
+    others = jnp.arange(placing.goal.shape[0]) != agent
+    return Surroundings(
+        pose_w=placing.pose_w,
+        others=others & ~placing.waiting if placed_only else others,
+        outlines=outlines,
+        agent=agent,
+        size=size,
+        obstacles=lot_obstacles(inputs.layout, None, parked, inputs.movers),
+        movers=inputs.movers.groups,
+        clear=inputs.clear,
+    )
+
+
+Place = Callable[[SpawnInputs, Placing, jax.Array, jax.Array], Placing]
+# In a lot with room for all (`has_room`) a quarter of all starts is free.
+MAX_TRIES = 1000
+
+
+def place_waiting(
+    place: Place,
+    inputs: SpawnInputs,
+    placing: Placing,
+    key: jax.Array,
+    max_tries: int = MAX_TRIES,
+    accept_last: bool = True,
+) -> Placing:
+    """Places the waiting agents; the others continue their episodes.
+
+    A start that is not free is rejected, with the goal and the car drawn for it, and
+    drawn again up to `max_tries` times. The last is taken, free or not, if
+    `accept_last`; otherwise the agent goes on waiting. `key` is consumed.
+    """
+    num_agents = placing.goal.shape[0]
+    keys = jax.random.split(key, 2 * num_agents)
+
+    def due(placing: Placing) -> jax.Array:
+        return placing.waiting & (placing.tries < max_tries)
+
+    def one(placing: Placing) -> Placing:
+        agent = jnp.argmax(jnp.where(due(placing), placing.waited, -1))
+        tries = placing.tries[agent]
+        again = jax.random.fold_in(keys[num_agents + agent], tries)
+        key = jnp.where(tries == 0, keys[agent], again)
+        placed = place(inputs, placing, agent, key).set(agent, waiting=False)
+        around = surroundings(inputs, placed, agent, placed_only=True)
+        made = around.free(placed.pose_w[agent][None])[0]
+        if accept_last:
+            made = made | (tries + 1 == max_tries)
+        placing = jax.tree.map(lambda x, y: jnp.where(made, x, y), placed, placing)
+        return placing.set(agent, tries=tries + 1)
+
+    # The loop visits waiting agents only: in most steps no episode ends.
+    return jax.lax.while_loop(lambda placing: due(placing).any(), one, placing)
+
+
+FREE = 0.25  # least share of a region's points that are free at any heading
+
+
+def has_room(
+    layout: Layout, size: tuple[float, float], num_agents: int, spacing: float
+) -> bool:
+    """Whether the last agent always finds a free start in the largest spawn region.
+
+    Another car occupies the centres at which boxes would overlap it: their Minkowski
+    sum. That of two l x w boxes turned by t against each other has the area 2 l w +
+    (l^2 + w^2) sin t + 2 l w cos t, and the perimeter 4 (l + w). `size` is that of the
+    largest car [m], `spacing` as in `SpawnConfig`.
+    """
+    length, width = size
+    both, squares = 2 * length * width, length**2 + width**2
+    taken = both + math.hypot(squares, both)
+    # A convex figure of area a and perimeter p holds at most a + p / 2 + 1 points of
+    # the unit grid (Pick).
+    taken += spacing * 2 * (length + width) + spacing**2
+    sides = np.asarray(jax.device_get(layout.spawn_size), float)
+    if spacing:
+        sides = spacing * (2 * np.floor(0.5 * sides / spacing + 1e-4) + 1)
+    area = np.where(layout.spawn_mask, sides[:, 0] * sides[:, 1], 0.0).max(initial=0.0)
+    return bool((num_agents - 1) * taken <= (1 - FREE) * area)

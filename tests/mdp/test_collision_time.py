@@ -1,0 +1,184 @@
+"""Time to collision: by hand, and by moving the boxes a little at a time."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import cars, lot, polygons
+from helpers.states import parked_at
+
+from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
+from carpark_mj.mdp.safety import HORIZON, collision_times
+from carpark_mj.obstacles import lot_obstacles
+
+PAIRS = 400
+TIMES = np.arange(0.0, HORIZON, 0.02)
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    """Boxes, others, velocities; some are at rest, some are aligned."""
+    rng = np.random.default_rng(0)
+
+    def boxes():
+        pose = rng.uniform((-8, -8, -3.1), (8, 8, 3.1), (PAIRS, 3))
+        return np.float32(pose), np.float32(rng.uniform(0.5, 5.0, (PAIRS, 2)))
+
+    pose_a, size_a = boxes()
+    pose_b, size_b = boxes()
+    pose_a[::4, 2] = pose_b[::4, 2] = 0.0
+    velocity = np.float32(rng.uniform(-3, 3, (PAIRS, 2)))
+    velocity[::8, 1] = 0.0
+    velocity[5::40] = 0.0
+    return pose_a, size_a, pose_b, size_b, velocity
+
+
+def check(found, gap_at, moving):
+    """Asserts first contacts (pairs,) [s] by the gaps at any times (pairs, times)."""
+    hit = np.isfinite(found)
+    assert 0.2 < hit.mean() < 0.8
+    assert 0.02 < (found == 0).mean() < 0.4
+    assert not (hit & ~moving & (found > 0)).any()
+    at_contact = gap_at(np.where(hit, found, 0.0)[:, None])[:, 0]
+    assert at_contact[hit].max() < 1e-4  # m, float32 at 30 m
+    before = np.where(hit, found, np.inf)[:, None] - 1e-3 > TIMES
+    early = (gap_at(np.broadcast_to(TIMES, before.shape)) == 0) & before
+    assert not early.any()
+
+
+def moved_boxes(pose, size, velocity, times):
+    """Polygons (pairs, times) of boxes that have moved straight."""
+    pose = np.repeat(np.float64(pose)[:, None], times.shape[1], axis=1)
+    pose[..., :2] += np.float64(velocity)[:, None] * times[..., None]
+    return polygons(pose, np.float64(size)[:, None])
+
+
+def test_boxes_touch_first_when_moving_them_step_by_step_says_so(pairs):
+    pose_a, size_a, pose_b, size_b, velocity = pairs
+    other = polygons(pose_b, size_b)[:, None]
+
+    def gap_at(times):
+        return shapely.distance(moved_boxes(pose_a, size_a, velocity, times), other)
+
+    found = np.asarray(box_contact_time(*pairs), np.float64)
+    check(found, gap_at, velocity.any(axis=1))
+
+
+def test_discs_are_touched_first_when_moving_step_by_step_says_so(pairs):
+    pose, size, where, sizes, velocity = pairs
+    centre, radius = where[:, :2], sizes[:, 0] / 2
+    point = shapely.points(np.float64(centre))[:, None]
+
+    def gap_at(times):
+        boxes = moved_boxes(pose, size, velocity, times)
+        return np.maximum(shapely.distance(boxes, point) - radius[:, None], 0.0)
+
+    found = box_disc_contact_time(pose, size, centre, radius, velocity)
+    check(np.asarray(found, np.float64), gap_at, velocity.any(axis=1))
+
+
+@jax.jit
+def run(layout, motion, parked):
+    return collision_times(motion, lot_obstacles(layout, motion, parked))
+
+
+FAR = 1000.0  # m
+
+
+def times(*poses, speed=0.0, walls=(), discs=(), parked=()):
+    """Times by kind, to the first agent; footprints are 4 m x 2 m, walls 1 m x 1 m.
+
+    Filled up with things far away, so that one compiled program serves all.
+    """
+    poses, walls, discs, parked = (
+        [*given, *[(FAR + 10.0 * k, FAR, 0.1) for k in range(2 - len(given))]]
+        for given in (poses, walls, discs, parked)
+    )
+    plan = lot([(0, 0, 0)], walls, discs=discs)
+    found = run(plan, cars(poses, speed=speed), parked_at(parked, (4.0, 2.0)))
+    return {kind: float(time[0]) for kind, time in found.items()}
+
+
+@pytest.mark.parametrize(
+    ("other", "speeds", "expected"),
+    [
+        ((25.0, 0.0, math.pi), (2.0, 3.0), 21 / 5),  # head-on: 25 m less two halves
+        ((25.0, 1.9, math.pi), (2.0, 3.0), 21 / 5),  # overlapping by 10 cm
+        ((25.0, 2.1, math.pi), (2.0, 3.0), HORIZON),  # passing by
+        ((12.0, 0.0, 0.0), (3.0, 1.0), 8 / 2),  # catching up
+        ((12.0, 0.0, 0.0), (2.0, 2.0), HORIZON),  # following
+        ((12.0, 0.0, 0.0), (1.0, 2.0), HORIZON),  # left behind
+        ((12.0, 0.0, 0.0), (-1.0, -3.0), 8 / 2),  # reversed into
+        ((10.0, -10.0, math.pi / 2), (2.0, 2.0), 7 / 2),  # crossing, both 7 m off
+        ((10.0, -10.0, math.pi / 2), (2.0, 0.8), HORIZON),  # crossing behind
+        ((0.0, 1.5, 0.0), (0.0, 0.0), 0.0),  # at rest, one in the other
+        ((0.0, 2.5, 0.0), (0.0, 0.0), HORIZON),
+    ],
+)
+def test_two_cars_collide_when_they_should(other, speeds, expected):
+    found = times((0, 0, 0), other, speed=speeds)
+    assert found["agent"] == pytest.approx(expected, abs=1e-5)
+    assert found["wall"] == found["parked_car"] == HORIZON
+
+
+def test_what_stands_still_is_hit_at_the_own_speed():
+    found = times(
+        (0, 0, math.pi / 2),
+        speed=(2.0, 0.0),
+        walls=[(0, 12.5, 0), (9, 0, 0)],  # 10 m ahead; beside the way
+        discs=[(1.0, 8.0, 1.0)],  # 5 m ahead
+        parked=[(0, 8, 0), (0, -4.5, 0)],  # 5 m ahead; close behind
+    )
+    assert found == pytest.approx({"agent": HORIZON, "parked_car": 2.5, "wall": 2.5})
+    back = times((0, 0, 0), speed=-0.5, discs=[(-5.0, 1.8, 1.0)])
+    # A disc 0.8 m beyond the corner's line, 5 - 2 m behind: the corner meets it at
+    # sqrt(1 - 0.8^2) = 0.6 m before its centre.
+    assert back["wall"] == pytest.approx((3.0 - 0.6) / 0.5, abs=1e-5)
+
+
+def test_a_collision_beyond_the_horizon_is_none():
+    found = times((0, 0, 0), speed=0.1, parked=[(5.5, 0, 0)])
+    assert found["parked_car"] == HORIZON
+
+
+def test_the_search_among_many_finds_what_testing_all_pairs_finds():
+    rng = np.random.default_rng(1)
+    agents, others, discs = 12, 30, 20
+
+    def poses(count):
+        pose = rng.uniform((-25, -25, -3.1), (25, 25, 3.1), (count, 3))
+        return jnp.asarray(pose, jnp.float32)
+
+    walls = poses(others)
+    parked = parked_at(poses(others), 2.0, jnp.arange(others) % 3 > 0)
+    plan = lot([(0, 0, 0)], walls, discs=np.float32(rng.uniform(0.2, 1, (discs, 3))))
+    plan = plan.replace(disc_centre=poses(discs)[:, :2])
+    motion = cars(poses(agents), speed=rng.uniform(-3, 3, agents))
+    found = run(plan, motion, parked)
+
+    @jax.jit
+    def all_pairs():
+        velocity = rotate(motion.velocity_b, motion.pose_w[:, 2])[:, None]
+        own = motion.pose_w[:, None], motion.size[:, None]
+        relative = velocity - jnp.swapaxes(velocity, 0, 1)
+        to_agents = box_contact_time(*own, motion.pose_w, motion.size, relative)
+        to_parked = box_contact_time(*own, parked.pose_w, parked.size, velocity)
+        to_walls = box_contact_time(*own, walls, plan.wall_size, velocity)
+        disc = plan.disc_centre, plan.disc_radius
+        to_discs = box_disc_contact_time(*own, *disc, velocity)
+        to_agents = jnp.where(jnp.eye(agents, dtype=bool), jnp.inf, to_agents)
+        return to_agents, to_parked, to_walls, to_discs
+
+    to_agents, to_parked, to_walls, to_discs = all_pairs()
+    expected = {
+        "agent": to_agents,
+        "parked_car": jnp.where(parked.present, to_parked, jnp.inf),
+        "wall": jnp.concatenate([to_walls, to_discs], axis=1),
+    }
+    for kind, time in expected.items():
+        nearest = jnp.minimum(jnp.min(time, axis=1), HORIZON)
+        np.testing.assert_allclose(found[kind], nearest, rtol=1e-5, err_msg=kind)
+        assert (nearest < HORIZON).mean() > 0.1

@@ -1,0 +1,250 @@
+"""Cars that cannot drive or stand in a lot are refused, in one sentence."""
+
+import dataclasses
+import json
+import math
+
+import jax
+import jax.numpy as jnp
+import pytest
+from helpers.scenes import lot
+from helpers.sliding import SlidePhysics
+
+from carpark_mj.config import (
+    EnvConfig,
+    EpisodeConfig,
+    FleetConfig,
+    GoalConfig,
+    JitterConfig,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import LotConfig, layout_config, mixture
+from carpark_mj.mdp.collisions import find_hits
+from carpark_mj.observations import ContinuousObservation
+from carpark_mj.spawning.checks import check_cars
+from carpark_mj.spawning.fleet import Fleet
+from carpark_mj.vehicle import COMPACT, PRESETS
+from carpark_mj.vehicle.file import parameters_text
+
+OWN_CAR = ContinuousObservation(own_car=True)
+
+# One-way aisles into which the compact, but not the van backs from a bay of 2.4 m.
+NARROW = LotConfig(
+    two_way=False,
+    bay_width=(2.4, 2.4),
+    bay_length=(5.2, 5.2),
+    extra_aisle=(-3.0, -2.69),
+)
+WIDE = dataclasses.replace(COMPACT, width=2.9, track_width=2.6)
+BAD_ENVIRONMENTS = [
+    (
+        {"fleet": FleetConfig(("lorry",)), "observation": OWN_CAR},
+        r"unknown vehicle 'lorry'; choose from \['city'",
+    ),
+    ({"fleet": FleetConfig(parked_cars=("bus",))}, r"unknown vehicle 'bus'"),
+    (
+        {
+            "layout": "square_compact",
+            "fleet": FleetConfig(("city", "van")),
+            "observation": OWN_CAR,
+        },
+        r"fleet.agents: the van, 4.90 m x 1.90 m, fits with 0.1 m to spare in no bay",
+    ),
+    (
+        {
+            "layout": "street",
+            "num_parked_cars": 1,
+            "jitter": JitterConfig(scale=(1, 2)),
+        },
+        r"parked cars: the compact, 8.51 m x 3.60 m, fits in no bay",
+    ),
+    (
+        {
+            "layout": NARROW,
+            "fleet": FleetConfig(("city", "van")),
+            "observation": OWN_CAR,
+        },
+        r"the van needs an aisle of 4.74 m .* 2.40 m wide .* up to 4.63 m wide",
+    ),
+    (
+        {"layout": "street", "vehicle": parameters_text("float", WIDE)},
+        r"the float, 2.90 m wide, cannot turn into a bay 2.74 m wide",
+    ),
+    ({"occupancy": (0.1, 0.9)}, r"needs num_parked_cars of at least 32, not 16"),
+    (
+        {"goals": GoalConfig(dynamic=True, num_tracked_bays=21)},
+        r"num_tracked_bays must be at most 20 \(36 bays less 16 parked .* not 21",
+    ),
+    (
+        {"physics": "scene", "fleet": FleetConfig(("van",)), "observation": OWN_CAR},
+        r"scene physics has cars of one",
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), BAD_ENVIRONMENTS)
+def test_impossible_fleets_are_refused_at_construction(change, message):
+    with pytest.raises(ValueError, match=message) as refusal:
+        ParkingEnv(EnvConfig(**change))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_car_that_turns_wide_is_refused_only_where_it_gets_into_no_bay():
+    def make(layout, vehicle="van", physics="mjx"):
+        config = EnvConfig(
+            layout=layout, num_parked_cars=4, physics=physics, vehicle=vehicle
+        )
+        return ParkingEnv(config, SlidePhysics() if physics == "mjx" else None)
+
+    with pytest.raises(ValueError, match="the van needs an aisle"):
+        make(NARROW)
+    make(NARROW, "suv")
+    # One member is enough, or one of the widths that the aisles may have.
+    make(mixture((NARROW, "street")))
+    make(dataclasses.replace(NARROW, extra_aisle=(-3.0, -2.5)))
+
+
+BUS = dataclasses.replace(
+    COMPACT,
+    length=12.0,
+    width=2.5,
+    wheelbase=6.0,
+    rear_overhang=3.0,
+    turning_circle=22.0,
+)
+
+
+def drawn(tmp_path, *bays, spawn=(20.0, 1.0), walls=()):
+    """A lot drawn by hand: bays (length, width) in a row along an aisle."""
+    rows = [
+        {"pose": [4.0 * k, 3.0 + length / 2, -math.pi / 2], "size": [length, width]}
+        for k, (length, width) in enumerate(bays)
+    ]
+    path = tmp_path / "lot.json"
+    path.write_text(
+        json.dumps(
+            {
+                "format": "carpark_mj layout 1",
+                "bays": rows,
+                "walls": [{"pose": [0, y, 0], "size": [60, 0.1]} for y in walls],
+                "spawns": [{"pose": [0, 0, 0], "size": spawn}],
+                "extent": [40, 20],
+            }
+        )
+    )
+    return str(path)
+
+
+WIDE = (5.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("bays", "vehicle", "parked", "message"),
+    [
+        ([(4.5, 2.0)] * 4, "van", 0, r"the van, 4.90 m .* 4.50 m long and 2.00 m"),
+        ([WIDE] * 4, BUS, 2, r"the custom car, 12.00 m x 2.50 m, fits in no bay"),
+        ([WIDE] * 4, PRESETS["van"], 0, None),
+        ([WIDE, WIDE, (4.5, 2.0)], PRESETS["van"], 0, r"the van, .* only 2 of .* 3"),
+        ([(3.8, 2.0)] * 4, "city", 2, None),  # too small for the design car
+        ([(3.8, 2.0)] * 4, "compact", 2, r"the compact, .* fits in no bay"),
+    ],
+)
+def test_cars_must_fit_into_the_bays_of_a_lot_drawn_by_hand(
+    bays, vehicle, parked, message, tmp_path
+):
+    named = isinstance(vehicle, str)
+    config = EnvConfig(
+        layout=drawn(tmp_path, *bays),
+        vehicle=vehicle if named else "compact",
+        num_agents=1,
+        num_parked_cars=parked,
+    )
+
+    def make():
+        car = None if named else vehicle
+        return ParkingEnv(config, SlidePhysics(), car)
+
+    if message is None:
+        assert make().num_agents == 1
+        return
+    with pytest.raises(ValueError, match=message) as refusal:
+        make()
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_car_needs_a_start_at_which_it_touches_nothing(tmp_path):
+    """Walls 2.0 m apart: the van has room along them, the bus nowhere."""
+    bays = [(12.5, 3.0)] * 2
+    made = drawn(tmp_path, *bays, walls=(-1.1, 1.1), spawn=(20.0, 0.1))
+
+    def make(car):
+        config = EnvConfig(layout=made, num_agents=1, num_parked_cars=0)
+        return ParkingEnv(config, SlidePhysics(), car)
+
+    with pytest.raises(ValueError, match=r"the custom car, .* finds no start"):
+        make(BUS)
+    env = make(PRESETS["van"])  # at an angle it would touch them
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 100))
+    hits = jax.jit(jax.vmap(find_hits))(state)
+    assert not hits["wall"].any()
+
+
+def test_a_custom_car_has_no_name_but_its_own():
+    config = EnvConfig(vehicle="sedan")
+    for car, name in (
+        (PRESETS["sedan"], "sedan"),
+        (PRESETS["suv"], "suv"),
+        (BUS, "custom car"),
+    ):
+        fleet = Fleet(config, car)
+        assert fleet.agent_names == fleet.parked_names == (name,)
+
+
+def test_a_fleet_that_finds_too_few_goals_is_refused():
+    """Two bays that the van can be parked in, and four agents."""
+    layout = lot([(0.0, 4.0 * k, 0.0) for k in range(8)])
+    size = layout.bay_size.at[2:].set(jnp.array([4.95, 2.5]))
+    layout, square = layout.replace(bay_size=size), layout_config("square")
+
+    def check(names, num_agents, rule="strict"):
+        config = EnvConfig(
+            num_agents=num_agents,
+            num_parked_cars=0,
+            fleet=FleetConfig(names),
+            observation=OWN_CAR,
+            episode=EpisodeConfig(parked_rule=rule),
+        )
+        check_cars(config, Fleet(config, COMPACT), square, layout)
+
+    with pytest.raises(ValueError, match=r"only 2 bays .* the 4 agents of") as refusal:
+        check(("van",), 4)
+    assert "\n" not in str(refusal.value)
+    check(("van",), 2)
+    check(("van", "city"), 4)
+    check(("van",), 4, "precise")  # 4.90 m by 1.90 m without slack
+
+
+@pytest.mark.parametrize(
+    ("num_parked_cars", "num_tracked_bays", "message"),
+    [
+        (16, 21, r"num_tracked_bays must be at most 20 \(36 bays less 16 .*, not 21"),
+        (36, 1, "num_tracked_bays must be at most 0 .*, not 1"),
+        (40, 1, "num_tracked_bays must be at most 0 .*, not 1"),
+    ],
+)
+def test_more_tracked_bays_than_the_lot_has_free_are_refused(
+    num_parked_cars, num_tracked_bays, message
+):
+    config = EnvConfig(
+        num_parked_cars=num_parked_cars, goals=GoalConfig(True, num_tracked_bays)
+    )
+    with pytest.raises(ValueError, match=message) as caught:
+        ParkingEnv(config)
+    assert "\n" not in str(caught.value)
+
+
+def test_there_may_be_more_agents_than_free_bays():
+    env = ParkingEnv(
+        EnvConfig(num_agents=4, num_parked_cars=35, goals=GoalConfig(True, 1))
+    )
+    assert env.num_agents == 4

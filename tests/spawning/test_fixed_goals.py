@@ -1,0 +1,237 @@
+"""Fixed goals: how a lot starts, and how it goes on as episodes end at random."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, check_occupancy, lot
+from helpers.states import parked_in, state_of
+from helpers.transitions import no_events
+
+from carpark_mj.config import EnvConfig, SpawnConfig
+from carpark_mj.layouts import BayKind, Maxima, make_layout, pad_layout
+from carpark_mj.mdp.parked_cars import BayFits, relocate_parked_cars
+from carpark_mj.spawning.fleet import Fleet
+from carpark_mj.spawning.goals import new_goal
+from carpark_mj.spawning.placing import SpawnInputs, start_placing
+from carpark_mj.vehicle import COMPACT
+
+MIN_DISTANCE = 7.38  # m
+CONFIG = EnvConfig(spawn=SpawnConfig(min_distance=MIN_DISTANCE))
+LOTS = 8
+
+
+def start_lot(layout, num_agents, num_parked_cars, key):
+    """Goals and bays of parked cars of a lot that begins."""
+    config = EnvConfig(num_agents=num_agents, num_parked_cars=num_parked_cars)
+    start = Fleet(config, COMPACT).start(layout, key)
+    return start.goal, start.parked_cars.bay
+
+
+def drawn_goal(layout, goal, parked_bay, agent, xy, key):
+    """The lot when one agent has drawn a new goal; agents stand at xy."""
+    pose = jnp.pad(xy, ((0, 0), (0, 1)))
+    inputs = SpawnInputs(layout, parked_in(layout, parked_bay), None, None, BayFits())
+    waiting = jnp.arange(goal.shape[0]) == agent
+    placing = start_placing(goal, parked_bay, pose, waiting)
+    scores = jax.random.uniform(key, (2, layout.num_bays))
+    return new_goal(CONFIG, inputs, placing, agent, scores)
+
+
+def history(layout, num_agents, num_parked_cars, num_steps, seed=0, reach=20.0):
+    """Random episode ends in a batch of lots; goals and parked cars after each.
+
+    Returns:
+        Goals and bays of parked cars at the start, after each end, and whose it was.
+    """
+
+    def end(carry, key):
+        goal, parked_bay = carry
+        keys = jax.random.split(key, 5)
+        agent = jax.random.randint(keys[0], (), 0, num_agents)
+        xy = jax.random.uniform(keys[1], (num_agents, 2), minval=-reach, maxval=reach)
+        parked = jax.random.bernoulli(keys[2]) & (jnp.arange(num_agents) == agent)
+        motion = cars(jnp.pad(xy, ((0, 0), (0, 1))))
+        parked_cars = parked_in(layout, parked_bay)
+        state = state_of(layout, motion, goal, parked_cars=parked_cars)
+        events = no_events(num_agents, parked=parked)
+        bay = relocate_parked_cars(CONFIG, state, events, keys[4]).bay
+        drawn = drawn_goal(layout, goal, bay, agent, xy, keys[3])
+        carry = drawn.goal, drawn.parked_bay
+        return carry, (*carry, agent)
+
+    def run(key):
+        start_key, key = jax.random.split(key)
+        start = start_lot(layout, num_agents, num_parked_cars, start_key)
+        return start, jax.lax.scan(end, start, jax.random.split(key, num_steps))[1]
+
+    keys = jax.random.split(jax.random.key(seed), LOTS)
+    return jax.device_get(jax.jit(jax.vmap(run))(keys))
+
+
+@pytest.mark.parametrize("num_parked_cars", [0, 16, 33])
+def test_a_lot_starts_with_distinct_goals_and_parked_cars_elsewhere(num_parked_cars):
+    layout = make_layout("square")
+    goal, bay = jax.vmap(lambda key: start_lot(layout, 3, num_parked_cars, key))(
+        jax.random.split(jax.random.key(1), 200)
+    )
+    assert goal.shape == (200, 3)
+    assert bay.shape == (200, num_parked_cars)
+    assert goal.dtype == bay.dtype == jnp.int32
+    check_occupancy(goal, bay, np.broadcast_to(layout.bay_mask, (200, 36)))
+
+
+def test_initial_goals_and_parked_cars_are_spread_over_all_bays():
+    layout = make_layout("square")
+    goal, bay = jax.vmap(lambda key: start_lot(layout, 2, 9, key))(
+        jax.random.split(jax.random.key(2), 3600)
+    )
+    goals = np.bincount(np.ravel(goal), minlength=36)
+    parked = np.bincount(np.ravel(bay), minlength=36)
+    # Binomial with means 200 and 900, deviations 14 and 26: five of them.
+    np.testing.assert_allclose(goals, 200, atol=70)
+    np.testing.assert_allclose(parked, 900, atol=130)
+
+
+@pytest.mark.parametrize(
+    ("num_agents", "num_parked_cars"), [(1, 0), (2, 16), (7, 16), (7, 28)]
+)
+def test_no_goal_ever_holds_a_parked_car(num_agents, num_parked_cars):
+    # Four padding bays, which must never be used.
+    layout = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
+    start, (goal, bay, _) = history(layout, num_agents, num_parked_cars, 1500)
+    mask = np.broadcast_to(layout.bay_mask, (LOTS, 1500, 40))
+    check_occupancy(*start, mask[:, 0])
+    check_occupancy(goal, bay, mask)
+    # The number of parked cars is constant, and they do move.
+    assert bay.shape == (LOTS, 1500, num_parked_cars)
+    assert (np.diff(bay, axis=1) != 0).any(axis=1).all()
+
+
+def test_every_bay_becomes_every_agents_goal_and_none_stays_taken_for_ever():
+    layout = make_layout("square")
+    _, (goal, bay, agent) = history(layout, 3, 16, 3000)
+    steps = np.arange(3000)
+    drawn = np.zeros((LOTS, 3, 36), int)
+    for k in range(LOTS):
+        np.add.at(drawn[k], (agent[k], goal[k, steps, agent[k]]), 1)
+    # About 1000 draws per agent over 36 bays, 28 each.
+    assert drawn.min() >= 5
+    taken = (bay[..., None] == np.arange(36)).any(axis=2)  # (lots, steps, bays)
+    assert (~taken).any(axis=1).all()
+    assert taken.any(axis=1).all()
+
+
+# Six bays in a row, 10 m apart, on the x axis.
+ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(6)])
+
+
+def draws(goal, parked_bay, xy, count=400):
+    """Many draws of a goal for agent 0 from one state of the row, as numpy."""
+    goal, parked_bay = jnp.array(goal, jnp.int32), jnp.array(parked_bay, jnp.int32)
+    keys = jax.random.split(jax.random.key(0), count)
+
+    def draw(key):
+        return drawn_goal(ROW, goal, parked_bay, 0, jnp.array(xy), key)
+
+    return jax.device_get(jax.jit(jax.vmap(draw))(keys))
+
+
+def test_a_new_goal_is_uniform_over_bays_that_are_nobodys_goal():
+    after = draws([0, 5], [2], [[0.0, 20.0], [50.0, 20.0]], count=4000)
+    count = np.bincount(after.goal[:, 0], minlength=6)
+    np.testing.assert_array_equal(count[[0, 5]], 0)
+    # Mean 1000, deviation 27: five of them.
+    np.testing.assert_allclose(count[1:5], 1000, atol=140)
+    np.testing.assert_array_equal(after.goal[:, 1], 5)
+    assert after.found.all()
+
+
+def test_a_car_on_the_new_goal_makes_way_to_the_old_goal():
+    after = draws([0, 5], [2, 3], [[0.0, 0.0], [50.0, 20.0]])
+    for bay, car in ((2, 0), (3, 1)):
+        drawn = after.goal[:, 0] == bay
+        assert drawn.any()
+        np.testing.assert_array_equal(after.parked_bay[drawn, car], 0)
+        np.testing.assert_array_equal(after.parked_bay[drawn, 1 - car], 5 - bay)
+    free = np.isin(after.goal[:, 0], [1, 4])
+    np.testing.assert_array_equal(after.parked_bay[free], [[2, 3]] * free.sum())
+
+
+def test_a_car_makes_way_elsewhere_when_another_agent_is_near_the_old_goal():
+    # Agent 1 stands 7 m from bay 0, closer than MIN_DISTANCE.
+    after = draws([0, 5], [2, 3], [[0.0, 0.0], [0.0, 7.0]])
+    evicted = after.goal[:, 0] == 2
+    assert evicted.any()
+    # Bay 5 is a goal, 2 and 3 are taken, 0 is too near: 1 and 4 are left.
+    assert set(after.parked_bay[evicted, 0]) == {1, 4}
+
+
+def test_a_car_makes_way_elsewhere_when_the_old_goal_has_just_been_filled():
+    # As after a relocation: a car stands in agent 0's old goal.
+    after = draws([0, 5], [0, 3], [[0.0, 20.0], [50.0, 20.0]])
+    evicted = after.goal[:, 0] == 3
+    assert evicted.any()
+    assert set(after.parked_bay[evicted, 1]) == {1, 2, 4}
+    np.testing.assert_array_equal(after.parked_bay[:, 0], 0)
+
+
+def test_without_a_refuge_only_bays_without_cars_are_drawn():
+    # Agents 1 and 2 stand near the free bays 0 (the old goal), 1 and 2.
+    after = draws([0, 5, 4], [3], [[0.0, 0.0], [5.0, 1.0], [15.0, 1.0]])
+    assert set(after.goal[:, 0]) == {1, 2}
+    np.testing.assert_array_equal(after.parked_bay, 3)
+
+
+def test_an_agent_keeps_its_goal_when_every_other_bay_is_taken():
+    # No refuge: agent 1 is near the old goal, the only bay without a car.
+    after = draws([0, 5], [1, 2, 3, 4], [[0.0, 0.0], [0.0, 7.0]])
+    np.testing.assert_array_equal(after.goal, [[0, 5]] * 400)
+    np.testing.assert_array_equal(after.parked_bay, [[1, 2, 3, 4]] * 400)
+    np.testing.assert_array_equal(after.found, [[False, True]] * 400)
+
+
+def test_a_full_row_swaps_goal_and_car_when_nobody_is_near():
+    after = draws([0, 5], [1, 2, 3, 4], [[0.0, 0.0], [50.0, 20.0]])
+    assert set(after.goal[:, 0]) == {1, 2, 3, 4}
+    moved = after.parked_bay[np.arange(400), after.goal[:, 0] - 1]
+    np.testing.assert_array_equal(moved, 0)
+
+
+def test_a_car_on_a_goal_that_is_kept_makes_way_even_near_another_agent():
+    # As after a relocation from bay 3: the only bays that are not reserved are goals.
+    kind = jnp.full(6, BayKind.RESERVED).at[jnp.array([1, 5])].set(BayKind.STANDARD)
+    row = ROW.replace(bay_kind=kind)
+    xy = jnp.array([[10.0, 0.0], [30.0, 5.0]])  # agent 1 is 5 m from the free bay
+    goal, parked_bay = jnp.array([1, 5]), jnp.array([1, 0, 2, 4])
+    after = drawn_goal(row, goal, parked_bay, 0, xy, jax.random.key(0))
+    assert after.goal.tolist() == [1, 5]
+    assert after.parked_bay.tolist() == [3, 0, 2, 4]
+
+
+def test_reserved_bays_are_no_goals_and_their_cars_come_back():
+    layout = make_layout("square")
+    kind = jnp.full(36, BayKind.RESERVED).at[2].set(0)
+    layout = layout.replace(bay_kind=kind)
+    _, (goals, bays, _) = history(layout, 1, 35, num_steps=60)
+    assert (goals == 2).all()
+    others = np.delete(np.arange(36), 2)
+    expected = np.broadcast_to(others, bays.shape)
+    np.testing.assert_array_equal(np.sort(bays, axis=-1), expected)
+
+
+@pytest.mark.parametrize("occupancy", [None, (1.0, 1.0)])
+def test_goals_take_reserved_bays_only_when_no_other_is_free(occupancy):
+    layout = make_layout("square")
+    kind = jnp.full(36, BayKind.RESERVED).at[jnp.array([4, 20])].set(0)
+    layout = layout.replace(bay_kind=kind)
+    config = EnvConfig(num_agents=3, num_parked_cars=36, occupancy=occupancy)
+    if occupancy is None:
+        config = EnvConfig(num_agents=3, num_parked_cars=33)
+    fleet = Fleet(config, COMPACT)
+    keys = jax.random.split(jax.random.key(0), 40)
+    start = jax.jit(jax.vmap(lambda key: fleet.start(layout, key)))(keys)
+    goals, bays = np.asarray(start.goal), np.asarray(start.parked_cars.bay)
+    assert (np.isin(goals, [4, 20]).sum(axis=1) == 2).all()
+    assert len(set(goals[~np.isin(goals, [4, 20])].tolist())) > 5
+    assert not (goals[:, :, None] == bays[:, None]).any()

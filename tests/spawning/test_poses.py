@@ -1,0 +1,210 @@
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import lot, polygons
+from helpers.spawning import surroundings_of, walled
+
+from carpark_mj.config import WORLD_UNIT, SpawnConfig
+from carpark_mj.layouts import Maxima, make_layout, pad_layout
+from carpark_mj.spawning.starts import draw_kind, draw_uniform, spawn_pose, spawn_shapes
+
+RANDOM = SpawnConfig(close_ratio=0.0)
+CLOSE = SpawnConfig(close_ratio=1.0)
+NOBODY = jnp.zeros((1, 2)), jnp.zeros(1, bool)
+COUNT = 4000
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def draw_all(config, layout, goal, around, keys):
+    def one(key):
+        draws = draw_uniform(spawn_shapes(config), key)
+        return spawn_pose(config, layout, around, goal, draws)
+
+    return jax.vmap(one)(keys)
+
+
+def draw(config, layout, goal=(0.0, 0.0, 0.0), others=NOBODY, count=COUNT, size=None):
+    """Many spawn poses as numpy."""
+    keys = jax.random.split(jax.random.key(0), count)
+    goal, around = jnp.array(goal, jnp.float32), surroundings_of(layout, *others, size)
+    return np.asarray(draw_all(config, layout, goal, around, keys), np.float64)
+
+
+def people(*xy):
+    return jnp.array(xy, jnp.float32), jnp.ones(len(xy), bool)
+
+
+def two_regions():
+    """A turned square of 8 m at (-10, 0), and 2 m by 8 m at (10, 0); one padding."""
+    layout = lot([(0.0, 20.0, 0.0)])
+    layout = layout.replace(
+        spawn_pose=jnp.array([[-10.0, 0.0, 0.7], [10.0, 0.0, 0.0]]),
+        spawn_size=jnp.array([[8.0, 8.0], [2.0, 8.0]]),
+        spawn_spread=jnp.full(2, jnp.pi),
+        spawn_mask=jnp.ones(2, bool),
+    )
+    return pad_layout(layout, Maxima(1, 0, 0, 0, 3))
+
+
+def test_random_spawns_are_uniform_over_the_region():
+    layout = make_layout("square")
+    side = 42 * 0.5625
+    pose = draw(RANDOM, layout)
+    assert np.abs(pose[:, :2]).max() <= side / 2
+    cell = np.floor((pose[:, :2] / side + 0.5) * 4).astype(int)
+    count = np.bincount(cell[:, 0] * 4 + cell[:, 1], minlength=16)
+    chi_square = ((count - COUNT / 16) ** 2 / (COUNT / 16)).sum()
+    assert chi_square < 37.7  # the 0.1 % quantile at 15 degrees of freedom
+
+
+def test_spawn_headings_are_uniform():
+    for config in (RANDOM, CLOSE):
+        yaw = draw(config, make_layout("square"))[:, 2]
+        assert (np.abs(yaw) <= np.float32(np.pi)).all()
+        count = np.histogram(yaw, bins=12, range=(-np.pi, np.pi))[0]
+        chi_square = ((count - COUNT / 12) ** 2 / (COUNT / 12)).sum()
+        assert chi_square < 31.3  # the 0.1 % quantile at 11 degrees of freedom
+
+
+def test_regions_are_drawn_in_proportion_to_their_area_and_padding_never():
+    layout = two_regions()
+    pose = draw(RANDOM, layout)
+    point = shapely.points(pose[:, :2])
+    regions = polygons(layout.spawn_pose[:2], layout.spawn_size[:2])
+    # 1e-5 m of float32 rounding at the edge.
+    inside = shapely.distance(regions[:, None], point) < 1e-5
+    assert inside.any(axis=0).all()
+    # Areas 64 and 16: 80 %. Deviation 0.6 %, five of them.
+    assert inside[0].mean() == pytest.approx(0.8, abs=0.032)
+
+
+def test_random_spawns_keep_the_distance_to_others_where_there_is_room():
+    # They take a third of the region: all 16 candidates fail once in 1e8 draws.
+    others = people((-9.0, -9.0), (9.0, 9.0))
+    pose = draw(RANDOM, make_layout("square"), others=others)
+    gap = np.linalg.norm(pose[:, None, :2] - np.asarray(others[0]), axis=2).min(axis=1)
+    assert gap.min() > RANDOM.min_distance
+
+
+def test_agents_that_are_masked_are_not_kept_away_from():
+    xy, mask = people((0.0, 0.0), (100.0, 0.0))
+    pose = draw(RANDOM, make_layout("square"), others=(xy, mask.at[0].set(False)))
+    gap = np.linalg.norm(pose[:, :2], axis=1)
+    # 18 m^2 pi of 558 m^2 lie within 4.2 m.
+    assert (gap < 4.2).mean() == pytest.approx(np.pi * 4.2**2 / 23.625**2, abs=0.03)
+
+
+def test_the_farthest_candidate_is_taken_when_none_keeps_the_distance():
+    # An agent in the middle of a square of 4 m: no point is 7.38 m away.
+    layout = lot([(0.0, 20.0, 0.0)], spawn_size=(4.0, 4.0))
+    pose = draw(RANDOM, layout, others=people((0.0, 0.0)))
+    gap = np.linalg.norm(pose[:, :2], axis=1)
+    # Best of 16 uniform draws: mean of max over 16, worked out by sampling.
+    rng = np.random.default_rng(0)
+    sample = np.linalg.norm(rng.uniform(-2, 2, (20000, 16, 2)), axis=2).max(axis=1)
+    # Deviation 0.25 m over sqrt(4000): 0.004 m, five of them.
+    assert gap.mean() == pytest.approx(sample.mean(), abs=0.02)
+
+
+@pytest.mark.parametrize("goal", [(0.0, 18.0, 0.0), (18.0, -13.5, 0.0), (3.0, 2.0, 0)])
+def test_close_spawns_lie_within_close_distance_of_the_point_nearest_the_goal(goal):
+    half = 21 * 0.5625
+    nearest = np.clip(goal[:2], -half, half)
+    pose = draw(CLOSE, make_layout("square"), goal=goal)
+    assert np.abs(pose[:, :2]).max() <= half
+    gap = np.linalg.norm(pose[:, :2] - nearest, axis=1)
+    assert gap.max() <= CLOSE.close_distance + 1e-5  # float32
+    # A walk can be long and it can be short.
+    assert gap.max() > 0.9 * CLOSE.close_distance
+    assert gap.min() < 0.1 * CLOSE.close_distance
+
+
+def test_close_spawns_lie_in_the_region_nearest_the_goal():
+    layout = two_regions()
+    for goal, region in (((-9.0, 20.0, 0.0), 0), ((8.0, 20.0, 0.0), 1)):
+        pose = draw(CLOSE, layout, goal=goal)
+        area = polygons(layout.spawn_pose[region], layout.spawn_size[region])
+        point = shapely.points(pose[:, :2])
+        assert shapely.distance(area, point).max() < 1e-5  # float32
+        nearest = shapely.shortest_line(area, shapely.Point(goal[:2])).coords[0]
+        gap = np.linalg.norm(pose[:, :2] - nearest, axis=1)
+        assert gap.max() <= CLOSE.close_distance + 1e-4  # float32
+
+
+def test_close_ratio_is_the_share_of_close_spawns():
+    config = SpawnConfig(close_ratio=0.3, close_distance=1.0)
+    goal = (0.0, 18.0, 0.0)
+    nearest = np.array([0.0, 21 * 0.5625])
+    gap = np.linalg.norm(
+        draw(config, make_layout("square"), goal)[:, :2] - nearest, axis=1
+    )
+    by_chance = np.pi / 2 / 23.625**2
+    # Deviation 0.7 %: five of them.
+    expected = 0.3 + 0.7 * by_chance
+    assert (gap <= 1.0).mean() == pytest.approx(expected, abs=0.036)
+
+
+def test_starts_are_of_one_kind_at_most_in_their_ratios():
+    config = SpawnConfig(
+        close_ratio=0.2, conflict_ratio=0.4, reverse_ratio=0.25, misaligned_ratio=0.1
+    )
+    numbers = jax.random.uniform(jax.random.key(2), (COUNT,))
+    close, crash, reverse, misaligned = kinds = draw_kind(config, numbers)
+    assert sum(kind.astype(int) for kind in kinds).max() == 1
+    # Deviations 0.6 %, 0.8 %, 0.7 % and 0.5 %: five of them.
+    assert close.mean() == pytest.approx(0.2, abs=0.032)
+    assert crash.mean() == pytest.approx(0.4, abs=0.04)
+    assert reverse.mean() == pytest.approx(0.25, abs=0.035)
+    assert misaligned.mean() == pytest.approx(0.1, abs=0.025)
+
+
+@pytest.mark.parametrize("config", [RANDOM, CLOSE])
+def test_starts_touch_nothing_where_there_is_room(config):
+    # A wall fills the left half: of a car of 4 m by 2 m no corner is there.
+    layout = walled(make_layout("square"), (-10.0, 0.0, 0.0), (20.0, 60.0))
+
+    def share_touching(size):
+        pose = draw(config, layout, goal=(4.0, 18.0, 0.0), size=size)
+        cos, sin = np.abs(np.cos(pose[:, 2])), np.abs(np.sin(pose[:, 2]))
+        return (pose[:, 0] - 2.0 * cos - sin < -1e-5).mean()
+
+    # All 16 candidates touch it once in a thousand draws.
+    assert share_touching((4.0, 2.0)) < 4e-3
+    # A car that fits wherever it can spawn is not measured.
+    assert share_touching(None) > 0.1
+
+
+@pytest.mark.parametrize("config", [RANDOM, CLOSE])
+def test_headings_stray_from_the_regions_no_farther_than_its_spread(config):
+    layout = two_regions().replace(
+        spawn_pose=jnp.array([[-10.0, 0.0, 3.1], [10.0, 0.0, -1.0], [0.0, 0.0, 0.0]]),
+        spawn_spread=jnp.array([0.2, 0.05, 0.0]),
+    )
+    for goal, region in (((-10.0, 9.0, 0.0), 0), ((10.0, 9.0, 0.0), 1)):
+        pose = draw(config, layout, goal=goal)
+        here = (pose[:, 0] < 0) == (region == 0)
+        stray = np.angle(np.exp(1j * (pose[here, 2] - (3.1, -1.0)[region])))
+        spread = (0.2, 0.05)[region]
+        # Uniform: the extremes are met, and the deviation is that of a uniform one.
+        assert spread * 0.98 < np.abs(stray).max() <= spread + 1e-6
+        assert stray.std() == pytest.approx(spread / np.sqrt(3), rel=0.05)
+        assert (np.abs(pose[:, 2]) <= np.pi + 1e-6).all()
+
+
+SPACED_CLOSE = SpawnConfig(close_ratio=1.0, spacing=WORLD_UNIT / 16)
+FAR = (0.0, 60.0, 0.0)  # a goal far above: walks begin in the middle of the upper edge
+
+
+def test_on_a_grid_a_close_spawn_is_a_walk_of_unit_steps_within_the_region():
+    side = 21 * WORLD_UNIT
+    pose = draw(SPACED_CLOSE, make_layout("square"), goal=FAR)[:, :2]
+    steps = (pose - [0.0, side]) / WORLD_UNIT
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
+    assert pose[:, 1].max() <= side + 1e-5
+    # Ten units at most give walks of up to nine steps; some never leave.
+    assert np.abs(np.round(steps)).sum(axis=1).max() <= 9
+    assert (np.abs(steps) < 0.5).all(axis=1).any()

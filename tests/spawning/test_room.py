@@ -1,0 +1,227 @@
+"""Room for starts: nobody starts on top of another, and who finds no room waits."""
+
+import dataclasses
+import functools
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import shapely
+from helpers.scenes import lot, polygons
+from helpers.states import parked_at
+
+from carpark_mj.config import EnvConfig, EpisodeConfig, SpawnConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import SquareConfig, make_layout
+from carpark_mj.mdp.parked_cars import BayFits
+from carpark_mj.spawning.goals import place_agent
+from carpark_mj.spawning.placing import (
+    FREE,
+    SpawnInputs,
+    has_room,
+    place_waiting,
+    start_placing,
+)
+from carpark_mj.types import NO_BAY
+from carpark_mj.vehicle import COMPACT
+
+SIZE = (COMPACT.length, COMPACT.width)
+# 8 agents in a spawn region of 7.3 m x 7.3 m, which has room for three or four.
+CROWD = EnvConfig(
+    layout=SquareConfig(
+        bays_per_side=5,
+        bay_width=2.5,
+        bay_length=5.0,
+        wall_gap=0.3,
+        block_inset=0.2,
+        spawn_margin=2.6,
+    ),
+    num_agents=8,
+    num_parked_cars=4,
+    physics="bicycle",
+    episode=EpisodeConfig(max_steps=12),
+)
+LOTS, STEPS = 24, 60
+
+
+def overlap(pose, size):
+    """(n,) bool, which of cars (n, 3) overlap another."""
+    boxes = polygons(pose, size)
+    meet = shapely.intersects(boxes[:, None], boxes) & ~np.eye(len(pose), dtype=bool)
+    return meet.any(axis=1)
+
+
+@pytest.fixture(scope="module")
+def crowd():
+    """Lots at their start and after every step in which agents drive at random."""
+    env = ParkingEnv(CROWD)
+
+    def run(key):
+        reset_key, key = jax.random.split(key)
+        state, _ = env.reset(reset_key)
+
+        def step(state, key):
+            action = jax.random.uniform(key, (8, 2), minval=-1.0)
+            after, timestep = env.step(state, action)
+            return after, (after.replace(key=jnp.zeros(()), layout=None), timestep)
+
+        first = state.replace(key=jnp.zeros(()), layout=None)
+        return first, jax.lax.scan(step, state, jax.random.split(key, STEPS))[1]
+
+    keys = jax.random.split(jax.random.key(0), LOTS)
+    return jax.device_get(jax.jit(jax.vmap(run))(keys))
+
+
+def test_nobody_starts_on_top_of_another(crowd):
+    first, (after, _) = crowd
+    starts = 0
+    for k in range(LOTS):
+        here = first.present[k]
+        assert not overlap(first.motion.pose_w[k][here], SIZE).any()
+        for t in range(STEPS):
+            begins = after.present[k, t] & (after.step[k, t] == 0)
+            here = np.flatnonzero(after.present[k, t])
+            hit = overlap(after.motion.pose_w[k, t][here], SIZE)
+            assert not hit[begins[here]].any()
+            starts += begins.sum()
+    assert starts > 300
+
+
+def test_who_finds_no_room_is_absent_until_there_is(crowd):
+    first, (after, timestep) = crowd
+    before = jax.tree.map(
+        lambda x, y: np.concatenate([x[:, None], y[:, :-1]], axis=1), first, after
+    )
+    for lots in (first, after):
+        np.testing.assert_array_equal(lots.active, lots.present)
+        np.testing.assert_array_equal(lots.waited > 0, ~lots.present)
+        away = np.abs(lots.motion.pose_w[..., 0]) > 5000.0
+        np.testing.assert_array_equal(away, ~lots.present)
+    waits = before.waited > 0
+    assert 0.1 < waits.mean() < 0.8
+    for part in (timestep.events, timestep.reward_terms):
+        assert not any(x[waits].any() for x in jax.tree.leaves(part))
+    assert not timestep.observation[after.waited > 0].any()
+    stays = waits & (after.waited > 0)
+    np.testing.assert_array_equal(after.waited[stays], before.waited[stays] + 1)
+    comes = waits & after.present
+    assert (after.step[comes] == 0).all()
+    assert comes.any(axis=(0, 1)).all()  # nobody waits for ever
+    # Goals stay apart, those that waiting agents will drive to included.
+    goal = np.sort(after.goal, axis=-1)
+    assert (np.diff(goal, axis=-1) > 0).all()
+
+
+def test_where_nobody_respawns_who_finds_no_room_is_absent():
+    episode = dataclasses.replace(CROWD.episode, respawn=False)
+    env = ParkingEnv(dataclasses.replace(CROWD, episode=episode))
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
+    present = np.asarray(state.present)
+    assert 1 <= present.sum() < 8
+    np.testing.assert_array_equal(state.active, present)
+    np.testing.assert_array_equal(state.takes_part, present)
+    assert (np.asarray(state.goal)[~present] == NO_BAY).all()
+    assert not overlap(np.asarray(state.motion.pose_w)[present], SIZE).any()
+
+
+def test_a_lot_with_room_for_all_knows_of_no_absent_agents():
+    tanner = dataclasses.replace(CROWD, layout="square", num_agents=3)
+    for config in (tanner, dataclasses.replace(CROWD, num_agents=1)):
+        state = jax.eval_shape(ParkingEnv(config).reset, jax.random.key(0))[0]
+        assert state.present is state.waited is None
+
+
+@pytest.mark.parametrize("spacing", [0.0, 0.5625])
+def test_room_for_all_is_room_wherever_the_others_stand(spacing):
+    """They stand as far apart as they can, and across the car that starts."""
+    layout = make_layout("square_compact")
+    most = next(n for n in itertools.count(1) if not has_room(layout, SIZE, n, spacing))
+    most -= 1
+    assert 4 <= most <= 8
+    rng, half = np.random.default_rng(0), float(layout.spawn_size[0, 0]) / 2
+    grid = np.arange(-half, half, 0.1)
+    if spacing:
+        grid = spacing * np.arange(-np.floor(half / spacing), half / spacing)
+    points = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    box = polygons(np.zeros((1, 3)), SIZE)[0]
+    least = 1.0
+    for turn in rng.uniform(-np.pi, np.pi, 20):
+        free = np.ones(len(points), bool)
+        for xy in rng.uniform(-half, half, (most - 1, 2)):
+            other = polygons(np.array([[*xy, turn]]), SIZE)[0]
+            corners = np.array(other.exterior.coords)[:-1, None]
+            corners = corners - np.array(box.exterior.coords)[:-1]
+            blocked = shapely.MultiPoint(corners.reshape(-1, 2)).convex_hull
+            free &= ~shapely.contains_xy(blocked, *points.T)
+        least = min(least, free.mean())
+    assert least >= FREE
+    assert least < 0.7  # the bound is not idle
+
+
+def test_a_start_on_a_car_is_not_made_and_who_has_waited_longest_comes_first():
+    """A stand-in draws starts one beside the other; one place is taken."""
+    layout = lot([(0.0, 20.0, 0.0)], spawn_size=(40.0, 40.0))
+    size = jnp.tile(jnp.array([SIZE]), (4, 1))
+    cars = dataclasses.make_dataclass("Cars", ["size"])(size)
+    inputs = SpawnInputs(layout, parked_at(), None, None, BayFits(), cars)
+    pose = jnp.array([[0.0, 0.0, 0.0]] * 4).at[:, 1].add(10.0 * jnp.arange(4) - 10.0)
+    waiting = jnp.array([True, False, True, True])
+
+    def place(inputs, placing, agent, key):
+        del inputs, key
+        # The x of a start counts the starts made before it; that of agent 3 is taken.
+        made = jnp.sum(~placing.waiting)
+        x = jnp.where(agent == 3, 0.0, 100.0 * made)
+        y = jnp.where(agent == 3, 0.0, 10.0 * agent)
+        return placing.set(agent, pose_w=jnp.stack([x, y, 0.0]), goal=7)
+
+    def placed(accept_last):
+        waited = jnp.array([0, 0, 5, 2])
+        placing = start_placing(
+            jnp.arange(4), jnp.zeros(0, jnp.int32), pose, waiting, waited
+        )
+        return jax.device_get(
+            place_waiting(place, inputs, placing, jax.random.key(0), 3, accept_last)
+        )
+
+    after = placed(accept_last=False)
+    np.testing.assert_array_equal(after.waiting, [False, False, False, True])
+    np.testing.assert_array_equal(after.tries, [1, 0, 1, 3])
+    np.testing.assert_array_equal(after.goal, [7, 1, 7, 3])
+    assert after.pose_w[2, 0] < after.pose_w[0, 0]  # it had waited longer
+    np.testing.assert_array_equal(after.pose_w[3], pose[3])
+    at_last = placed(accept_last=True)
+    assert not at_last.waiting.any()
+    assert at_last.goal[3] == 7
+
+
+def test_starts_after_a_first_try_are_at_random_even_if_all_are_to_be_close():
+    """All close starts are blocked by a car beside the goal."""
+    spawn = SpawnConfig(close_ratio=1.0, close_distance=0.1, min_distance=0.0)
+    config = dataclasses.replace(CROWD, layout="square", num_agents=2, spawn=spawn)
+    env, place = ParkingEnv(config), functools.partial(place_agent, config)
+
+    def start(key):
+        state, _ = env.reset(key)
+        # Both head for one bay, so that a start close to it is taken.
+        inputs = SpawnInputs(
+            state.layout,
+            state.parked_cars,
+            None,
+            None,
+            BayFits(),
+            state.physics.vehicle,
+            first=True,
+        )
+        goal, bay = jnp.array([0, 0]), state.parked_cars.bay
+        placing = start_placing(goal, bay, jnp.zeros((2, 3)), jnp.ones(2, bool))
+        return place_waiting(place, inputs, placing, key)
+
+    keys = jax.random.split(jax.random.key(0), 20)
+    after = jax.device_get(jax.jit(jax.vmap(start))(keys))
+    assert not after.waiting.any()
+    assert (after.tries[:, 1] > 1).any()
+    for pose in after.pose_w:
+        assert not overlap(pose, SIZE).any()
