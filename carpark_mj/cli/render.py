@@ -19,10 +19,10 @@ from carpark_mj.cli.common import MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_positive, require_unset
-from carpark_mj.config.observations import Tracked
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, draw_lots
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import (

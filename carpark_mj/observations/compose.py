@@ -1,15 +1,21 @@
 """The observation vector of an environment: put together and taken apart."""
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.observations.fields import Field
 from carpark_mj.types import State
+
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
+
 
 VECTOR = "vector"  # name of what is no picture
 BRIGHTEST = 255

@@ -1,23 +1,26 @@
 """The continuous encoding: real numbers of order 1 in the observer's body frame."""
 
+from __future__ import annotations
+
 import dataclasses
+from typing import TYPE_CHECKING
 
 import jax
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import Natural
-from carpark_mj.config.observations import (
+from carpark_mj.observations import ego
+from carpark_mj.observations.fields import (
     ENCODERS,
+    Field,
     ObservationConfig,
+    Part,
+    Sight,
+    Tracked,
+)
+from carpark_mj.observations.ranges import (
     RayConfig,
     RingConfig,
-    ShareConfig,
-    Tracked,
     UltrasoundConfig,
-)
-from carpark_mj.observations import ego
-from carpark_mj.observations.fields import Field, Part, Sight
-from carpark_mj.observations.ranges import (
     init_history,
     rays_part,
     rings_part,
@@ -26,6 +29,7 @@ from carpark_mj.observations.ranges import (
 )
 from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tracked import (
+    ShareConfig,
     agents_part,
     mark,
     movers_part,
@@ -34,6 +38,9 @@ from carpark_mj.observations.tracked import (
     track_parked_cars,
 )
 from carpark_mj.types import State
+
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
 
 @dataclasses.dataclass(frozen=True)

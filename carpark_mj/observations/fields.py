@@ -5,19 +5,27 @@ Angles enter as cosine and sine; distances both far (divided by `FAR`) and near
 a lot is larger than the range of a field, the field is clipped.
 """
 
+from __future__ import annotations
+
+import abc
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Self, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config.checks import CheckedConfig
+from carpark_mj.extensions import Registry
 from carpark_mj.geometry import to_local
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.sensors import observed
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY, Motion, State, Vehicle
+
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
 FAR = 20.0  # m, about half a `square` lot
 # Where distances are cut off [FAR]: 160 m. By default lots of the families are up to
@@ -168,6 +176,106 @@ def localise(
 
 
 Tree = TypeVar("Tree")
+
+
+@dataclasses.dataclass(frozen=True)
+class Tracked:
+    """How many of the nearest cars an encoder tracks.
+
+    Attributes:
+        agents: other agents.
+        parked_cars: parked cars.
+        cars: agents and parked cars in one list.
+    """
+
+    agents: int = 0
+    parked_cars: int = 0
+    cars: int = 0
+
+
+class ObservationConfig(CheckedConfig, abc.ABC):
+    """An encoder of observations: a frozen dataclass of its settings.
+
+    It lists the fields of the vector and fills them. The properties and methods below
+    tell the environment what else the encoder needs; a class overrides them where the
+    defaults are wrong.
+
+    Attributes:
+        encoding: its name in `ENCODERS`, the default of each class and never another.
+    """
+
+    encoding: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.encoding != (own := type(self).encoding):
+            raise ValueError(f"encoding must be {own!r}, not {self.encoding!r}")
+
+    @abc.abstractmethod
+    def fields(self, env: EnvConfig) -> Sequence[Field]:
+        """The fields of the vector in order."""
+
+    @abc.abstractmethod
+    def values(self, env: EnvConfig, state: State) -> Mapping[str, jax.Array]:
+        """Values (num_agents, field.size) of all fields by name.
+
+        `observations.sensors.observed(state)` gives the measured poses of cars.
+        """
+
+    def check(self, env: EnvConfig) -> None:
+        """Raises `ValueError` for environments that the encoder does not support."""
+
+    @property
+    def tracked(self) -> Tracked:
+        """How many cars are tracked at most."""
+        return Tracked()
+
+    @property
+    def circles(self) -> tuple[float, ...]:
+        """Diameters of the circles about the car that count objects [m]."""
+        return ()
+
+    @property
+    def sees_own_car(self) -> bool:
+        """Whether agents with different cars can tell which they drive."""
+        return False
+
+    @property
+    def sees_routes(self) -> bool:
+        """Whether it reads `State.routes`."""
+        return False
+
+    @property
+    def sees_everywhere(self) -> bool:
+        """Whether it tells how near all agents are to bays: global information."""
+        return False
+
+    def tracks_agents(self, state: State) -> jax.Array | None:
+        """Whether agents track each other, (num_agents, num_agents); None = none."""
+        del state
+
+    def tracks_parked_cars(self, state: State) -> jax.Array | None:
+        """Whether agents track cars, (num_agents, num_parked_cars); None = none."""
+        del state
+
+    def bays_in_view(self, state: State) -> jax.Array | None:
+        """Bays (num_agents, bays) that agents can track; None = always all."""
+        del state
+
+    def init_memory(self, env: EnvConfig) -> Any:
+        """`State.memory`, a pytree of arrays (num_agents, ...), as episodes begin."""
+        del env
+
+    def remember(self, state: State) -> Any:
+        """`State.memory` once the state belongs to the past."""
+        return state.memory
+
+
+ENCODERS: Registry[type[ObservationConfig]] = Registry(
+    "observation encoding",
+    "carpark_mj.observations.continuous",
+    "carpark_mj.cameras.encoder",
+)
 
 
 @dataclasses.dataclass(frozen=True)

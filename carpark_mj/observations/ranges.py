@@ -1,12 +1,21 @@
 """Distances to obstacles: rays of a laser scanner, rings that count, ultrasound."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import RayConfig, RingConfig, UltrasoundConfig
+from carpark_mj.config.checks import (
+    Bounds,
+    CheckedConfig,
+    Count,
+    Natural,
+    NonNegative,
+    Positive,
+)
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate
 from carpark_mj.geometry.broad_phase import is_crowded, visit_near
@@ -14,6 +23,86 @@ from carpark_mj.geometry.obstacles import Boxes, Group, by_shape, merge, take
 from carpark_mj.geometry.se2 import norm
 from carpark_mj.observations.fields import Field, Part, Sight
 from carpark_mj.types import Motion, State
+
+
+@dataclasses.dataclass(frozen=True)
+class RayConfig(CheckedConfig):
+    """Bearings along which the free distance is observed; none by default.
+
+    Attributes:
+        count: number of rays, evenly spaced about the car from straight ahead; 0 =
+            none. Each measures the distance from the car's outline to the nearest wall,
+            disc, parked car or agent.
+        reach: longest distance measured [m].
+        near: distance [m] up to which the free distance is observed a second time, in
+            units of this distance, so that centimetres are visible; at most `reach`,
+            0 = not observed twice.
+    """
+
+    count: Natural = 0
+    reach: Positive = 10.0
+    near: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.near > self.reach:
+            raise ValueError(
+                f"near must be at most the reach {self.reach}, not {self.near}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class RingConfig(CheckedConfig):
+    """Circles about the car that count the objects they touch; none by default.
+
+    Attributes:
+        diameters: diameters of the circles [m].
+        cap: largest count a ring reports.
+        cars: also count parked cars and other agents, not only walls and discs.
+        history: number of past counts of every ring that are observed (n_h); they are
+            0 at the start of an episode.
+    """
+
+    diameters: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()
+    cap: Count = 2
+    cars: bool = False
+    history: Natural = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len({f"{d:g}" for d in self.diameters}) < len(self.diameters):
+            # Fields are named by the diameters.
+            raise ValueError(f"ring diameters must be different, not {self.diameters}")
+        if self.history and not self.diameters:
+            raise ValueError(f"ring history {self.history} needs ring diameters")
+
+
+@dataclasses.dataclass(frozen=True)
+class UltrasoundConfig(CheckedConfig):
+    """Twelve ultrasonic sensors around the car; off by default.
+
+    Attributes:
+        on: observe them.
+        reach: longest distance measured [m].
+        dead_zone: shortest distance measured [m]; what is nearer reads as this.
+        cone: angle of a sensor's cone [rad].
+        noise: standard deviation of the white noise [m].
+    """
+
+    on: bool = False
+    reach: Positive = 5.0
+    dead_zone: NonNegative = 0.15
+    cone: Annotated[float, Bounds(gt=0.0, lt=math.pi, unit="rad")] = math.radians(60.0)
+    noise: NonNegative = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.dead_zone >= self.reach:
+            raise ValueError(
+                f"dead_zone must be less than the reach {self.reach} m, not "
+                f"{self.dead_zone}"
+            )
+
 
 RAYS = "rays"  # names of the fields
 RAYS_NEAR = "rays_near"

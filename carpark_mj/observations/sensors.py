@@ -9,9 +9,55 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import SensorConfig
+from carpark_mj.config.checks import CheckedConfig, Natural, NonNegative
 from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.types import Motion, Odometry, Reading, Sensors, State
+
+
+@dataclasses.dataclass(frozen=True)
+class SensorConfig(CheckedConfig):
+    """Errors of what agents observe of the cars' motion; none by default.
+
+    Attributes:
+        position_noise: standard deviation of the white noise on x and y [m].
+        heading_noise: standard deviation of the white noise on the yaw [rad].
+        speed_noise: standard deviation of the white noise on the velocity, forward and
+            left [m/s].
+        delay_min: shortest delay of a car's measurements [control steps].
+        delay_max: longest delay [control steps]; the delay is drawn at every spawn.
+        odometry_scale: standard deviation, over episodes, of the relative error of the
+            distance that the wheels measure [m/m]. Where this or one of the next two
+            is not 0, a car knows its pose by dead reckoning from its start.
+        odometry_veer: the same of the heading per distance [rad/m], positive left.
+        odometry_turn: the same of the heading per turn [rad/rad].
+    """
+
+    position_noise: NonNegative = 0.0
+    heading_noise: NonNegative = 0.0
+    speed_noise: NonNegative = 0.0
+    delay_min: Natural = 0
+    delay_max: Natural = 0
+    odometry_scale: NonNegative = 0.0
+    odometry_veer: NonNegative = 0.0
+    odometry_turn: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.delay_max < self.delay_min:
+            raise ValueError(
+                f"delay_max must be at least delay_min {self.delay_min}, not "
+                f"{self.delay_max}"
+            )
+
+    @property
+    def is_on(self) -> bool:
+        """Whether observations differ from the true motion."""
+        return self != SensorConfig()
+
+    @property
+    def dead_reckons(self) -> bool:
+        """Whether cars know their poses by odometry only."""
+        return bool(self.odometry_scale or self.odometry_veer or self.odometry_turn)
 
 
 def init_sensors(

@@ -1,12 +1,13 @@
 """What agents observe of the nearest cars, people and other movers."""
 
+import dataclasses
 import math
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.observations import ShareConfig
+from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import nearest, norm, ray_box_distance, rotate, to_local
 from carpark_mj.geometry.obstacles import Boxes, Group
@@ -23,6 +24,25 @@ from carpark_mj.observations.fields import (
     repeated_values,
 )
 from carpark_mj.types import NO_BAY, ParkedCars
+
+
+@dataclasses.dataclass(frozen=True)
+class ShareConfig(CheckedConfig):
+    """What agents observe of the other agents they track, in addition to their poses.
+
+    Attributes:
+        speeds: observe the speeds of tracked agents.
+        goals: observe the goals of tracked agents: positions of fixed goals, and which
+            of the observer's tracked bays a dynamic goal is.
+        steering: observe the steering of tracked agents.
+        priority: observe which tracked agents have priority, those that come first in
+            the lot, so that two agents of one policy that meet can act differently.
+    """
+
+    speeds: bool = True
+    goals: bool = True
+    steering: bool = False
+    priority: bool = False
 
 
 def track_agents(

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config.observations import Tracked
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.geometry import nearest, wrap_angle
 from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.policy.acting import AnyPolicy, Carry, Step, acts, as_argument, roll_out
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.types import NO_BAY, OUTCOMES, Motion, ParkedCars, State

@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from carpark_mj.config.observations import Tracked
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.gl import why_nothing_is_drawn
 from carpark_mj.rendering.recording import Snapshot, tracked_points
 from carpark_mj.rendering.stage import Stage

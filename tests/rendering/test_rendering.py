@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from helpers.disks import largest_file
 
-from carpark_mj.config.observations import Tracked
 from carpark_mj.layouts import layout_config, make_layout
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.recording import (
     FLASH_SECONDS,
     Flash,

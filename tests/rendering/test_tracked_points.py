@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from carpark_mj.config.observations import Tracked
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.recording import Snapshot, tracked_points
 
 

@@ -64,7 +64,7 @@ class SlotsConfig(LayoutConfig):
     slot_width: Positive = 4.0
     slot_length: Positive = 8.0
     obstacles: bool = True
-    start: Annotated[tuple[float, float], Bounds()] = (10.0, 0.0)
+    start: tuple[float, float] = (10.0, 0.0)
     start_heading: Finite | None = math.pi
     family: str = "slots"
 
@@ -76,6 +76,8 @@ class SlotsConfig(LayoutConfig):
                 f"goal_slot must be a whole number from 0 to {last}, or random (None), "
                 f"not {self.goal_slot!r}"
             )
+        if not all(map(math.isfinite, self.start)):
+            raise ValueError(f"start must be finite, not {self.start}")
         if self.parallel and self.diagonal_shift:
             raise ValueError(
                 f"diagonal_shift must be 0 in parallel slots, not {self.diagonal_shift}"

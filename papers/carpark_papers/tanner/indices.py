@@ -12,8 +12,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig, RingConfig
-from carpark_mj.config.observations import ENCODERS, ObservationConfig
+from carpark_mj.config import ENCODERS, EnvConfig, ObservationConfig, RingConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.observations.fields import Field, Sight
 from carpark_mj.observations.ranges import (

@@ -31,12 +31,23 @@ from typing import Annotated, Any, Literal
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, RingConfig
+from carpark_mj.config import (
+    ENCODERS,
+    WORLD_UNIT,
+    EnvConfig,
+    ObservationConfig,
+    RingConfig,
+)
 from carpark_mj.config.checks import Bounds, CheckedConfig, Natural, Positive
-from carpark_mj.config.observations import ENCODERS, ObservationConfig, Tracked
 from carpark_mj.geometry import nearest, norm, rotate, to_local
 from carpark_mj.observations.ego import goal_code, rivals
-from carpark_mj.observations.fields import Field, Sight, repeated, repeated_values
+from carpark_mj.observations.fields import (
+    Field,
+    Sight,
+    Tracked,
+    repeated,
+    repeated_values,
+)
 from carpark_mj.observations.ranges import (
     init_history,
     ring_counts,
