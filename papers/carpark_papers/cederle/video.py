@@ -92,11 +92,6 @@ def write_drives(path: Path, config: JunctionConfig, drives: Sequence[Drive]) ->
 
     Below its disc stands what a car intends, or how its episode ended; a line leads to
     its goal.
-
-    Args:
-        path: of the `.mp4` or `.gif`.
-        config: of the junction.
-        drives: the episodes.
     """
     missing_gl = choose_gl()
     if missing_gl:

@@ -14,14 +14,13 @@ other slots are `BayKind.RESERVED`.
 
 import dataclasses
 import math
-from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import LayoutConfig, register_layout
-from carpark_mj.config.checks import Bounds, Count, Finite, Positive
+from carpark_mj.config.checks import Count, Finite, Positive
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayKind, Layout, WallKind

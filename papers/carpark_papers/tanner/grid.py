@@ -169,12 +169,7 @@ class GridPhysics(FactoredPhysics[GridState]):
     """
 
     def __init__(self, grid: GridConfig, sim: SimConfig) -> None:
-        """Tabulates the moves.
-
-        Args:
-            grid: granularities.
-            sim: whose control period one step takes.
-        """
+        """Tabulates the moves; one step takes the control period of `sim`."""
         require_plain_ground(sim, "grid")
         self.grid = self.config = grid
         self.ctrl_dt = sim.ctrl_dt

@@ -46,14 +46,11 @@ class Steps:
 def prepare_steps(
     params: PPONetworkParams, networks: PPONetworks, normalizer: Any, steps: Minibatch
 ) -> Steps:
-    """All steps of an update, as one dimension.
+    """All steps (n, ...) of an update, as one dimension.
 
-    Args:
-        params: actor and critic before the update.
-        networks: that take them.
-        normalizer: running statistics, those of the start.
-        steps: (n, ...); of their targets, with lambda from the first step on, and of
-            the critic are the advantages.
+    Advantages are what their targets, with lambda from the first step on, exceed the
+    critic by; actor and critic are those before the update, the statistics those of the
+    start.
     """
     distribution: Any = networks.parametric_action_distribution
     actor: Any = networks.policy_network.apply
@@ -85,15 +82,7 @@ def ml_agents_loss(
     """The loss of a minibatch and its reported parts, like `ppo_loss`.
 
     As in ML-Agents, branches are averaged in the policy's loss and summed in the
-    entropy.
-
-    Args:
-        params: actor and critic.
-        networks: that take them.
-        normalizer: running statistics, those of the start.
-        batch: this device's part of the minibatch.
-        weights: of the terms.
-        key: unused: the entropy of choices is exact.
+    entropy. The key is unused: the entropy of choices is exact.
     """
     del key
     distribution: Any = networks.parametric_action_distribution

@@ -85,15 +85,9 @@ class ViewConfig(CheckedConfig):
 
 
 def in_view(config: ViewConfig, own_pose: jax.Array, xy: jax.Array) -> jax.Array:
-    """Whether points lie in the field of view and the tracking circle of every agent.
+    """Whether points lie in the field of view and tracking circle of each agent.
 
-    Args:
-        config: limits of the view.
-        own_pose: (num_agents, 3) observers.
-        xy: (n, 2) points, or (num_agents, n, 2) points of each agent's own.
-
-    Returns:
-        (num_agents, n) bool.
+    Points are (n, 2), or (num_agents, n, 2) of each agent's own; (num_agents, n) bool.
     """
     offset = xy - own_pose[:, None, :2]
     seen = jnp.ones(offset.shape[:-1], bool)
@@ -115,16 +109,8 @@ def track_cars(
 ) -> tuple[jax.Array, jax.Array]:
     """The nearest among the other agents and parked cars together.
 
-    Args:
-        count: how many.
-        view: where.
-        own_pose: (num_agents, 3) observers.
-        parked_cars: (num_parked_cars,) of the lot.
-        present: (num_agents,) bool, see `State.present`.
-
-    Returns:
-        Indices and presence (num_agents, count), see `geometry.nearest`; indices count
-        the agents first, then the parked cars.
+    Returns indices and presence (num_agents, count), see `geometry.nearest`; indices
+    count the agents first, then the parked cars. `present` is `State.present`.
     """
     own_xy, num_agents = own_pose[:, :2], own_pose.shape[0]
     others, parked = other_agents(num_agents, present), parked_cars.present
@@ -355,13 +341,8 @@ def _describe_cars(
 ) -> dict[str, jax.Array]:
     """Parts of the tracked cars, (num_agents, tracked_cars, 1) each.
 
-    Args:
-        config: what is observed.
-        grid: granularities.
-        state: of the lot.
-        level: (num_agents,) the agents' speeds from the fastest reverse [levels].
-        bays: (num_agents, count) the bays that the observers track and see; unused
-            while goals are fixed.
+    `level` (num_agents,) are the agents' speeds from the fastest reverse, `bays`
+    (num_agents, count) what observers track and see, unused while goals are fixed.
     """
     goal, parked_cars, pose = state.goal, state.parked_cars, observed(state).pose_w
     index, present = track_cars(

@@ -20,15 +20,7 @@ from carpark_papers.cederle.video import JunctionStage
 
 
 def junction_env(**options: Any) -> JunctionEnv:
-    """The environment in which agents that have finished wait for the others.
-
-    Args:
-        **options: fields of `JunctionConfig`.
-
-    Raises:
-        TypeError: unknown option.
-        ValueError: impossible value.
-    """
+    """The environment of a `JunctionConfig` in which finished agents wait."""
     known = {field.name for field in dataclasses.fields(JunctionConfig)} - {"respawn"}
     require_options(options, known)
     config = JunctionConfig(**options, respawn=False)

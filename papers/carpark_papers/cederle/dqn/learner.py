@@ -70,11 +70,7 @@ def make_network(config: DQNConfig) -> QNetwork:
 
 
 def to_learners(x: jax.Array, networks: int) -> jax.Array:
-    """Sorts arrays of agents (batch, agents, ...) by network.
-
-    Returns:
-        (networks, batch * agents / networks, ...).
-    """
+    """Agents (batch, agents, ...) by network, (networks, batch * agents / n, ...)."""
     if networks == 1:
         return x.reshape(1, -1, *x.shape[2:])
     return jnp.moveaxis(x, 1, 0)
@@ -137,12 +133,9 @@ def td_errors(
 ) -> jax.Array:
     """Temporal difference errors (batch,), targets taken as constants.
 
-    Args:
-        batch: transitions.
-        values: (batch, actions) of the online network before the step.
-        next_values: those of the target network after it.
-        next_online: those of the online network after it, which choose the action of
-            double Q-learning; None = plain Q-learning.
+    Values (batch, actions) are those of the online network before the step, of the
+    target network after it, and of the online network after it, which choose the action
+    of double Q-learning; None = plain Q-learning.
     """
     taken = (values, batch.action, batch.reward, batch.discount, next_values)
     errors: Any = (

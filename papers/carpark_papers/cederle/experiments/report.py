@@ -141,12 +141,7 @@ def verdict(published: Published | None, outcomes: Sequence[Outcome]) -> str:
 
 
 def write_report(path: Path, runs: Runs) -> None:
-    """Writes a table for each of the thesis's, and one of its conclusions.
-
-    Args:
-        path: file.
-        runs: finished runs by cell.
-    """
+    """Writes a table for each of the thesis's, and one of its conclusions."""
     lines: list[str] = []
     for table, name in SCENARIOS.items():
         rows = [

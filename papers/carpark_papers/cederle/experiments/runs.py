@@ -255,12 +255,7 @@ class Comparison:
 
 
 def compare(claim: Claim, runs: Runs) -> Comparison:
-    """Judges a claim by the finished runs of its cells.
-
-    Args:
-        claim: the claim.
-        runs: finished runs by cell.
-    """
+    """Judges a claim by the finished runs of its cells."""
     sign = 1.0 if claim.metric in GREATER else -1.0
     found = {
         (cell.table, cell.name): sign

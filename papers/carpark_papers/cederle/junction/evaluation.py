@@ -54,9 +54,7 @@ class Episode:
 def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
     """The junction on which a policy trained with `config` is evaluated.
 
-    Args:
-        config: of the training.
-        jitter: of the starts, so that episodes differ [m].
+    The starts vary by `jitter` [m], so that episodes differ.
     """
     return JunctionEnv(
         dataclasses.replace(
@@ -80,13 +78,7 @@ def begin(env: JunctionEnv, key: jax.Array) -> Episode:
 
 
 def advance(env: JunctionEnv, episode: Episode, action: jax.Array) -> Episode:
-    """Makes a control step.
-
-    Args:
-        env: of `evaluation_env`.
-        episode: not yet `env.config.max_steps` long.
-        action: of all agents.
-    """
+    """Makes a control step with the actions of all agents, in `evaluation_env`."""
     before, out = episode.state, episode.outcomes
     counts = before.active.all() & (episode.step < RETURN_STEPS)
     state, timestep = env.step(before, action)
@@ -113,13 +105,7 @@ def advance(env: JunctionEnv, episode: Episode, action: jax.Array) -> Episode:
 
 
 def evaluate(env: JunctionEnv, policy: Policy, keys: jax.Array) -> Outcomes:
-    """Drives one episode for each key, side by side, as one program.
-
-    Args:
-        env: of `evaluation_env`.
-        policy: actions of all agents from their observations.
-        keys: (episodes,).
-    """
+    """Drives one episode for each key (episodes,), side by side, as one program."""
 
     def whole(key: jax.Array) -> Outcomes:
         def step(episode: Episode, _: None) -> tuple[Episode, None]:
@@ -145,14 +131,10 @@ def car_names(traffic: Scenario) -> list[str]:
 
 
 def summarize(outcomes: Outcomes, traffic: Scenario) -> dict[str, float]:
-    """Means over episodes, as a row of `evaluations.csv`.
+    """Means over the episodes of an evaluation, as a row of `evaluations.csv`.
 
     `A_before_B`, for every pair of cars whose routes cross, is the share of episodes in
     which A crossed the junction and B crossed it later or not at all.
-
-    Args:
-        outcomes: of one evaluation.
-        traffic: missions and human-driven cars.
     """
     returns = np.asarray(outcomes.returns, float)
     passed = np.asarray(outcomes.passed)

@@ -69,10 +69,7 @@ def _boxes(xy: jax.Array, box: Box, pixel: float) -> jax.Array:
 def _cover(local: jax.Array, size: jax.Array, pixel: float) -> jax.Array:
     """Share (...) of pixels that boxes cover; pixels taken as parallel to them.
 
-    Args:
-        local: (..., 2) middles of the pixels in the boxes' frames [m].
-        size: (..., 2) [m].
-        pixel: side of a pixel [m].
+    `local` (..., 2) are the pixels' middles in the boxes' frames, sizes (..., 2) [m].
     """
     half = 0.5 * size
     least = jnp.maximum(local - pixel / 2, -half)

@@ -266,13 +266,8 @@ def heading_at(routes: Routes, along: jax.Array, span: jax.Array) -> jax.Array:
 def speed_cap(routes: Routes, along: jax.Array, braking: float) -> jax.Array:
     """Speeds (...) [m/s] from which cars at `along` (...) can slow down for the curve.
 
-    Args:
-        routes: (...).
-        along: (...) distances of the cars along them [m].
-        braking: deceleration before the curve [m/s^2].
-
-    Returns:
-        inf behind the curve and on straight routes.
+    `braking` is their deceleration before it [m/s^2]; inf behind the curve and on
+    straight routes.
     """
     ahead = jnp.maximum(routes.curve[..., 0] - along, 0.0)
     cap = jnp.sqrt(routes.curve_speed**2 + 2.0 * braking * ahead)

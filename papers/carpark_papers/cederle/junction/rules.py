@@ -118,11 +118,9 @@ EDGES = (-0.5, 0.0, 0.5)
 
 
 def parse(spec: ActionSpec, action: jax.Array) -> jax.Array:
-    """Indices (n,) int32 of the actions that agents ask for.
+    """Indices (n,) int32 of the actions (n,) or (n, 1) that agents ask for.
 
-    Args:
-        spec: `INDEX` or `SCALAR`.
-        action: (n,) or (n, 1); what is NaN or out of range is sanitized as everywhere.
+    What is NaN or out of range is sanitized as everywhere.
     """
     action = action.reshape(-1, 1)
     if spec == INDEX:
@@ -140,12 +138,7 @@ GOAL_RADIUS = 2.0  # m, SMARTS's
 
 
 def detect_events(state: State, max_steps: int) -> Events:
-    """The events of a step, all False for agents that are not active.
-
-    Args:
-        state: at its end, agents not yet removed.
-        max_steps: control steps of an episode.
-    """
+    """The events of a step from the state at its end; False of agents not active."""
     n, motion, task = state.active.shape[0], state.motion, state.task
     own: jax.Array = motion.pose_w[:n]
     corners = box_corners(own, motion.size[:n])
@@ -183,23 +176,13 @@ EVENT = 10.0
 
 
 def pay_progress(unpaid: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Rewards for progress (num_agents,) [m] since the last payments.
-
-    Returns:
-        Rewards, and the progress that stays unpaid.
-    """
+    """Rewards for progress (num_agents,) [m] since the last ones, and what stays unpaid."""
     due = unpaid > LEAST_PROGRESS
     return jnp.where(due, unpaid, 0.0), jnp.where(due, 0.0, unpaid)
 
 
 def reward(rules: RewardRules, progress: jax.Array, events: Events) -> jax.Array:
-    """Rewards (num_agents,) of a step.
-
-    Args:
-        rules: which reading of the study.
-        progress: (num_agents,) rewards for progress.
-        events: of the step.
-    """
+    """Rewards (num_agents,) of a step, given those for progress."""
     failed = events.off_road | events.on_shoulder | events.wrong_way
     failed = failed | events.crashed | events.off_route
     cost = jnp.where(failed, -EVENT, 0.0)

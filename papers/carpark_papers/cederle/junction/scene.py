@@ -184,12 +184,7 @@ def add_paint(spec: mujoco.MjSpec) -> None:
 
 
 def drivable_junction(params: VehicleParameters, pose_w: np.ndarray) -> mujoco.MjSpec:
-    """A self-contained scene on contact wheels, all cars placed and at rest.
-
-    Args:
-        params: the vehicle of all cars.
-        pose_w: (cars, 3) poses of their footprints' centres.
-    """
+    """A self-contained scene on contact wheels, cars at poses (cars, 3) and at rest."""
     spec = drivable_scene(plan(), params, pose_w, np.zeros((0, 3)))
     spec.modelname = "junction"
     add_paint(spec)

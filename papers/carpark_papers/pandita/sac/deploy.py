@@ -102,13 +102,7 @@ def success_matrix(
 def transfer(
     matrix: np.ndarray, kinds: Sequence[str], phases: Sequence[Phase]
 ) -> Transfer:
-    """Average, backward and forward transfer of a success matrix.
-
-    Args:
-        matrix: of `success_matrix`, with a row for each phase and for none.
-        kinds: its columns.
-        phases: of the training.
-    """
+    """Average, backward and forward transfer of a `success_matrix` of kinds."""
     number = {kind: column for column, kind in enumerate(kinds)}
     tasks = [[number[kind] for kind in phase.kinds] for phase in phases]
     success = np.stack([matrix[:, task].mean(axis=1) for task in tasks], axis=1)
@@ -180,13 +174,6 @@ def deploy(
 
     Episodes have keys that training never uses. Where start and goal are fixed, those
     of the deterministic policy are all alike.
-
-    Args:
-        config: of the run.
-        actor: the network.
-        params: its weights.
-        kind: of lot.
-        sampled: sample actions instead of taking the deterministic policy.
     """
     env = share(GoalParking, config.env_of(config.layout(kind)))
     keys = jax.random.split(evaluation_key(config.seed), config.eval_episodes)

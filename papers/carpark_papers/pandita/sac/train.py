@@ -76,15 +76,7 @@ class Watch(BaseCallback):
         log: MetricsLog,
         save: Callable[[], None],
     ) -> None:
-        """Takes what it keeps up to date.
-
-        Args:
-            config: of the run.
-            progress: changed in place.
-            loop: of the run.
-            log: of the run.
-            save: writes a checkpoint.
-        """
+        """Takes what it keeps up to date; `save` writes a checkpoint."""
         super().__init__()
         self._config, self._progress, self._loop = config, progress, loop
         self._log, self._save = log, save

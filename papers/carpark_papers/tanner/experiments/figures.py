@@ -236,11 +236,8 @@ def plan_of(
 ) -> Plan:
     """The sweep of an experiment.
 
-    Args:
-        experiment: which.
-        repeats: of every combination; 0 = as many as are published.
-        seed: first seed.
-        changes: further settings of all runs, in place of the experiment's own.
+    `repeats` are those of every combination (0 = as many as are published), `seed` is
+    the first, `changes` replace the experiment's own settings.
     """
     changed = {field for axis in changes for field in axis.fields}
     fixed = {"eval_episodes": EVAL_EPISODES, **experiment.fixed}
@@ -296,11 +293,7 @@ def write_verdicts(
 ) -> None:
     """Writes a markdown table: a row per metric and point, ours, published, verdict.
 
-    Args:
-        path: file.
-        points: of two sources, ours first.
-        by: settings that the points differ in.
-        metrics: to compare.
+    Points are of two sources, ours first, and differ in the settings `by`.
     """
     sources = list(dict.fromkeys(point.source for point in points))
     found = {(point.source, point.values): point for point in points}

@@ -114,15 +114,7 @@ def cost(
     rate: float,
     side_by_side: int = 1,
 ) -> Cost:
-    """Estimates an experiment.
-
-    Args:
-        experiment: which.
-        runs: its runs.
-        folder: of its sweep.
-        rate: agent steps per second of a run, evaluation included.
-        side_by_side: most runs in one program.
-    """
+    """Estimates an experiment, at a rate in agent steps per second with evaluation."""
     left = [run for run in runs if read_outcome(folder, run).status != "done"]
     seconds = settings_of(left[0]).num_steps / rate * len(left) if left else 0.0
     programs = len(groups(left, side_by_side))
@@ -144,10 +136,7 @@ def choose(
 ) -> tuple[list[Cost], list[Cost]]:
     """Experiments that fit a budget, fewest programs first, and those left out.
 
-    Args:
-        costs: of the experiments.
-        minutes: budget [min]; 0 = no limit.
-        at_once: runs at a time.
+    The budget is in minutes, 0 = no limit, for `at_once` runs at a time.
     """
     chosen: list[Cost] = []
     rest: list[Cost] = []
