@@ -18,8 +18,15 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate
-from carpark_mj.geometry.broad_phase import is_crowded, visit_near
-from carpark_mj.geometry.obstacles import Boxes, Group, by_shape, merge, take
+from carpark_mj.geometry.obstacles import (
+    Boxes,
+    Group,
+    by_shape,
+    is_crowded,
+    merge,
+    take,
+    visit_near,
+)
 from carpark_mj.geometry.se2 import norm
 from carpark_mj.observations.fields import Field, Part, Sight
 from carpark_mj.types import Motion, State

@@ -56,10 +56,10 @@ def control_speed(
     vehicle: Vehicle,
     dt: float,
 ) -> tuple[jax.Array, jax.Array]:
-    """Pedals (cars,) in [-1, 1] that bring cars to target speeds, not negative [m/s].
+    """Pedals (cars,) in [-1, 1] that bring cars to target speeds, at least 0 [m/s].
 
-    `integral` (cars,) is that of the speed's error so far [m]; its value after the control
-    step of `dt` [s] is returned, too.
+    `integral` (cars,) is that of the speed's error so far [m]; its value after the
+    control step of `dt` [s] is returned, too.
     """
     error = target_speed - speed
     summed = integral + error * dt

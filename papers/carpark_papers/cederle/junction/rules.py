@@ -176,7 +176,7 @@ EVENT = 10.0
 
 
 def pay_progress(unpaid: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Rewards for progress (num_agents,) [m] since the last ones, and what stays unpaid."""
+    """Rewards for progress (num_agents,) [m] since the last ones, and the rest."""
     due = unpaid > LEAST_PROGRESS
     return jnp.where(due, unpaid, 0.0), jnp.where(due, 0.0, unpaid)
 
