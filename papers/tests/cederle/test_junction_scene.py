@@ -21,7 +21,7 @@ from carpark_papers.cederle.junction.observations import (
     PAINT,
     draw,
 )
-from carpark_papers.cederle.junction.scene import drivable_junction, write_plan
+from carpark_papers.cederle.junction.scene import drivable_junction
 from carpark_papers.cederle.scene import JunctionSceneConfig, main
 from carpark_papers.cederle.video import JunctionStage
 
@@ -119,8 +119,3 @@ def test_impossible_scenes_are_one_sentence(tmp_path):
     out = str(tmp_path / "a.xml")
     with pytest.raises(ValueError, match="unknown scenario '5av'; choose from"):
         main(JunctionSceneConfig(out=out, scenario="5av"))
-
-
-def test_the_plan_shows_all_scenarios(tmp_path):
-    path = write_plan(tmp_path / "plan.png")
-    assert path.stat().st_size > 10_000
