@@ -162,26 +162,15 @@ class MLAgents(Variant):
 
         Advantages are what targets exceed the critic by, see `prepare_steps`.
         """
-        if config.env.physics_config.continuous:
-            raise ValueError(
-                "variant 'ml-agents' needs actions of choices only, env.physics "
-                f"'grid', not {config.env.physics!r}"
-            )
-        if config.networks.encoder != "flat":
-            raise ValueError(
-                "variant 'ml-agents' needs networks.encoder 'flat', not "
-                f"{config.networks.encoder!r}"
-            )
-        if len(config.env.agent_counts) > 1:
-            raise ValueError(
-                "variant 'ml-agents' needs the same number of agents in all lots, "
-                f"env.min_agents = None, not {config.env.min_agents}"
-            )
-        if config.curriculum.neighbour_share:
-            raise ValueError(
-                "variant 'ml-agents' needs curriculum.neighbour_share 0, not "
-                f"{config.curriculum.neighbour_share}"
-            )
+        needs = {
+            "env.physics 'grid'": not config.env.physics_config.continuous,
+            "networks.encoder 'flat'": config.networks.encoder == "flat",
+            "env.min_agents None": len(config.env.agent_counts) == 1,
+            "curriculum.neighbour_share 0": not config.curriculum.neighbour_share,
+        }
+        for need, is_met in needs.items():
+            if not is_met:
+                raise ValueError(f"variant 'ml-agents' needs {need}")
 
     def initial_weights(self, params: Any, key: jax.Array) -> tuple[Any, jax.Array]:
         """Redraws all weights."""
