@@ -50,6 +50,7 @@ _CABIN = ("cage", "glass")
 # Parts of a car but for its wheels, in the rear axle's frame, and of a wheel.
 FIXED = ("body", *_CABIN, "headlights", "tail_lights", "trim", "shade")
 WHEEL = ("tyre", "rim")
+WHOLE = (*FIXED, "tyres", "rims")  # whose wheels do not move
 
 
 def shape_name(params: VehicleParameters) -> str:
@@ -272,7 +273,7 @@ def add_parked_cars(spec: mujoco.MjSpec, cars: Sequence[VehicleParameters]) -> N
         add_locked_tyres(spec, body, params)
         add_hull(body, params, f"{name}/hull")
         colour = looks.PARKED[k % len(looks.PARKED)]
-        add_looks(spec, body, params, (*FIXED, "tyres", "rims"), colour)
+        add_looks(spec, body, params, WHOLE, colour)
 
 
 def car_prefix(agent: int, kind: int = 0) -> str:

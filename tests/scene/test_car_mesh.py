@@ -24,7 +24,7 @@ STUB = dataclasses.replace(COMPACT, rear_overhang=COMPACT.wheel_radius, length=3
 OWN = {"taxi": TAXI, "stub": STUB}
 CARS = [pytest.param(p, id=n) for n, p in (ROAD_CARS | OWN).items()]
 FIXED = ("body", "cage", "glass", "headlights", "tail_lights", "trim")
-SEEN = (*parts.FIXED, "tyres", "rims")
+SEEN = (*FIXED, "tyres", "rims")
 
 
 def whole(params):
@@ -160,7 +160,7 @@ def test_cars_of_a_shape_share_their_meshes_and_each_has_its_colour():
     looks.add_materials(spec)
     for k, params in enumerate((COMPACT, COMPACT, PRESETS["van"])):
         body = spec.worldbody.add_body(name=f"car{k}", pos=[0.0, 4.0 * k, 0.0])
-        add_looks(spec, body, params, (*FIXED, "tyres", "rims"), looks.agent_colour(k))
+        add_looks(spec, body, params, parts.WHOLE, looks.agent_colour(k))
     model = spec.compile()
     assert model.nmesh == 2 * len(whole(COMPACT))
     assert model.body_mass.sum() == 0.0  # looks weigh nothing
