@@ -16,12 +16,7 @@ from jax.core import Tracer
 
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_choice
-from carpark_mj.layouts import (
-    Layout,
-    layout_config,
-    make_layout,
-    member_shares,
-)
+from carpark_mj.layouts import Layout, layout_config, make_layout, member_shares
 from carpark_mj.layouts.registry import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, goals, metrics, rewards, terminations
 from carpark_mj.mdp.actions import ActionSpec, action_spec

@@ -139,16 +139,6 @@ def require_ratio(config: object, *names: str) -> None:
     _require_all(config, Bounds(ge=0.0, le=1.0), names)
 
 
-def require_range(name: str, value: Range, least: float, most: float) -> None:
-    """Refuses a range that is empty, not finite or not within bounds."""
-    good = all(map(math.isfinite, value))
-    if not (good and least <= value[0] <= value[1] <= most):
-        within = f" within [{least:.4g}, {most:.4g}]" if math.isfinite(most) else ""
-        raise ValueError(
-            f"{name} must be a lowest and a highest number{within}, not {value!r}"
-        )
-
-
 def require_within(
     config: object, least: float, most: float, unit: str, *names: str
 ) -> None:

@@ -25,10 +25,7 @@ def complete_row(row: Row, ctrl_dt: float) -> Row:
     """An episode with derived metrics added, in catalogue order.
 
     Ratios without a denominator are NaN; a ratio whose parts are missing is left out.
-
-    Args:
-        row: `metrics.episode_metrics` at the end of an episode.
-        ctrl_dt: control period [s].
+    `ctrl_dt` is the control period [s].
     """
     at_start = row["crashed"] > 0 and row["length"] <= START_STEPS
     time = row["length"] * ctrl_dt if row["parked"] else math.nan
@@ -102,11 +99,7 @@ def effective_episodes(name: str, rows: Sequence[Row]) -> float:
     1965, at least 1): the variance of the rate with lots as clusters and a stratum for
     each family and number of agents, divided by that of independent episodes. Episodes
     without a lot, of a single lot, or with a rate of 0 or 1 count in full, because they
-    do not show how lots differ.
-
-    Args:
-        name: of a rate.
-        rows: episodes; NaN in `name` is left out.
+    do not show how lots differ. NaN is left out.
     """
     rows = [row for row in rows if not math.isnan(row[name])]
     values = [row[name] for row in rows]

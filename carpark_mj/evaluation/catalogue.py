@@ -62,9 +62,7 @@ OUTCOME = (
     _rate("hit_person", "crashed into a person, if any"),
     _rate("hit_driver", "crashed into another driver, if any"),
     _rate(
-        "crashed_at_start",
-        "crashed in the first step",
-        "Total Crashes StartEpisode",
+        "crashed_at_start", "crashed in the first step", "Total Crashes StartEpisode"
     ),
     Metric("episode_return", "", "sum of rewards", "mean", "Final Mean Reward"),
     Metric("length", "steps", "control steps", "mean", "Final Mean Episode Length"),
@@ -119,26 +117,14 @@ _GAVE_WAY = {
         "a tracked agent nearer to the goal has it too",
         "GaveWayLocalSameGoal",
     ),
-    "local_any": (
-        "a tracked agent is nearer to the goal",
-        "GaveWayLocalAnyGoal",
-    ),
-    "global_same": (
-        "an agent nearer to the goal has it too",
-        "GaveWayGlobalSameGoal",
-    ),
-    "global_any": (
-        "an agent is nearer to the goal",
-        "GaveWayGlobalAnyGoal",
-    ),
+    "local_any": ("a tracked agent is nearer to the goal", "GaveWayLocalAnyGoal"),
+    "global_same": ("an agent nearer to the goal has it too", "GaveWayGlobalSameGoal"),
+    "global_any": ("an agent is nearer to the goal", "GaveWayGlobalAnyGoal"),
     "untracked_same": (
         "an untracked agent nearer to the goal has it too",
         "GaveWayNonLocalSameGoal",
     ),
-    "untracked_any": (
-        "an untracked agent is nearer to the goal",
-        "",
-    ),
+    "untracked_any": ("an untracked agent is nearer to the goal", ""),
     "untracked_other": (
         "an untracked agent nearer to the goal does not have it",
         "GaveWayNonLocalAnyGoal",

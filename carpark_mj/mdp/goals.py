@@ -12,26 +12,9 @@ as long as it is tracked, as in the study's text, so that the index of a choice 
 the same bay from step to step. With `GoalConfig.slots_by_distance` the bays are sorted
 by distance at every step, as in the study's program.
 
-*Giving way*. An agent with a goal is in a *context* if some other agent is strictly
-nearer to that goal (centres, world distance) and also, in the notation of Tanner 2022:
-
-| context | the nearer agent |
-|---|---|
-| `local_same` (L,S) | is tracked and has the same goal |
-| `local_any` (L,A) | is tracked |
-| `global_same` (G,S) | has the same goal |
-| `global_any` (G,A) | any |
-| `untracked_same` (G+,S) | is not tracked and has the same goal |
-| `untracked_any` (G+,A) | is not tracked |
-| `untracked_other` (G+,A) | is not tracked and does not have the same goal |
-| `only_untracked_same` (G+,S) | as in (G,S), but no agent as in (L,S) |
-| `only_untracked_any` (G+,A) | as in (G,A), but no agent as in (L,A) |
-| `global_same_not_local_any` | as in (G,S), but no agent as in (L,A) |
-
-The study defines G+ by an intersection that equals L, and calls it disjoint from L.
-Only the set differences `only_untracked_*` are disjoint from L; published figures come
-from `untracked_same` and `untracked_other`. The last row measures whether agents that
-are penalized in (L,A) only also give way to agents that they do not track.
+*Giving way*: an agent with a goal is in a context of `CONTEXTS` if another agent is
+strictly nearer to that goal (centres, world distance), and is tracked or has the same
+goal; docs/mdp.md has a table of them in the notation of Tanner 2022.
 
 The situation of a step is what agents observe when they choose: poses and tracked
 agents at its start. Agents choose in the order of their numbers, as in the study. Each
@@ -307,7 +290,7 @@ def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
 def find_contexts(
     before: State, chosen: jax.Array, tracked: jax.Array
 ) -> dict[str, jax.Array]:
-    """Contexts (num_agents,) bool of each agent by name, see the table above.
+    """Contexts (num_agents,) bool of each agent by name, see `CONTEXTS`.
 
     Agents that have finished are in no context and cause none; one that explored is in
     none.

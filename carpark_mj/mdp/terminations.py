@@ -8,13 +8,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    Count,
-    NonNegative,
-    Positive,
-    data,
-)
+from carpark_mj.config.checks import CheckedConfig, Count, NonNegative, Positive, data
 from carpark_mj.extensions import Registry
 from carpark_mj.geometry import axis_angle_error, box_inside, norm, rotate, wrap_angle
 from carpark_mj.layouts.types import BayEnd

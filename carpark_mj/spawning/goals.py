@@ -21,12 +21,7 @@ from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.goals import track_bays
 from carpark_mj.mdp.parked_cars import marked
 from carpark_mj.spawning.config import SpawnConfig
-from carpark_mj.spawning.placing import (
-    Placing,
-    SpawnInputs,
-    Surroundings,
-    surroundings,
-)
+from carpark_mj.spawning.placing import Placing, SpawnInputs, Surroundings, surroundings
 from carpark_mj.spawning.special_starts import (
     CourseDraws,
     MisalignedDraws,

@@ -30,14 +30,12 @@ class SpawnInputs:
         parked_cars: where they stood before the first is placed.
         size: (num_agents, 2) footprints of the cars drawn for agents that begin [m];
             None if spawn regions have room for them all.
-        old_size: (num_agents, 2) footprints of the cars they drove before [m]; None as
-            for `size`.
+        old_size: the same of the cars they drove before.
         fits: which cars fit into which bays.
         cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
             only the centres of cars are known.
         movers: where they are.
-        clear: whether starts are clear of all that stands, so that only movers can be
-            where an agent starts.
+        clear: whether only movers can be where an agent starts.
         first: whether the lot begins: goals are given, and agents that have not been
             placed yet are nowhere.
     """

@@ -134,8 +134,7 @@ def near(threshold: float) -> Callable[..., jax.Array]:
 
 
 POSE = REWARD_TERMS.register(
-    "pose",
-    RewardTerm(_pose, sign=-1, fixed=("x", "y", "speed", "heading", "power")),
+    "pose", RewardTerm(_pose, sign=-1, fixed=("x", "y", "speed", "heading", "power"))
 )
 REWARDS.register(
     "pose",

@@ -2,12 +2,7 @@
 
 import pytest
 
-from carpark_mj.config import (
-    EnvConfig,
-    FleetConfig,
-    GivingWayConfig,
-    GoalConfig,
-)
+from carpark_mj.config import EnvConfig, FleetConfig, GivingWayConfig, GoalConfig
 from carpark_mj.observations import ContinuousObservation
 
 DYNAMIC = GoalConfig(dynamic=True)

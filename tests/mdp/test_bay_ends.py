@@ -16,11 +16,7 @@ from helpers.rules import LIMITS
 from helpers.scenes import cars
 from helpers.states import hand_cars, parked_at, parked_in, state_of
 
-from carpark_mj.config import (
-    RayConfig,
-    RewardConfig,
-    SpawnConfig,
-)
+from carpark_mj.config import RayConfig, RewardConfig, SpawnConfig
 from carpark_mj.layouts import (
     BayEnd,
     build,

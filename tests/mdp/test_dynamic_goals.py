@@ -12,12 +12,7 @@ import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics, placed
 
-from carpark_mj.config import (
-    EnvConfig,
-    EpisodeConfig,
-    FleetConfig,
-    GoalConfig,
-)
+from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import ContinuousObservation
@@ -54,8 +49,7 @@ def start(respawn=True, pose=APART, goal=None):
     if goal is not None:
         goal = jnp.asarray(goal, jnp.int32)
         state = state.replace(
-            goal=goal,
-            tracked_bays=jnp.full((AGENTS, SLOTS), NO_BAY).at[:, 0].set(goal),
+            goal=goal, tracked_bays=jnp.full((AGENTS, SLOTS), NO_BAY).at[:, 0].set(goal)
         )
     return env, step, state
 

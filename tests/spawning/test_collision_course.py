@@ -45,13 +45,7 @@ def try_all(config, layout, around, goal_xy, targets, keys):
 
 
 def attempts(
-    config=COURSE,
-    layout=None,
-    xy=XY,
-    goal=GOAL,
-    targets=OTHERS,
-    size=None,
-    count=2000,
+    config=COURSE, layout=None, xy=XY, goal=GOAL, targets=OTHERS, size=None, count=2000
 ):
     """Many attempts for agent 0: poses, and which of them succeeded."""
     layout = layout if layout is not None else make_layout("square")

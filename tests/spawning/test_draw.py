@@ -25,9 +25,7 @@ from carpark_mj.mdp.parked_cars import AWAY, relocate_parked_cars
 from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.types import NO_BAY
-from carpark_mj.vehicle import (
-    PRESETS,
-)
+from carpark_mj.vehicle import PRESETS
 
 AGENTS, PARKED = ("city", "suv", "van"), ("city", "sedan", "van")
 CONFIG = EnvConfig(

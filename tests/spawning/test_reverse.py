@@ -13,12 +13,7 @@ from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at, parked_in
 
 from carpark_mj.config import EnvConfig, SpawnConfig
-from carpark_mj.layouts import (
-    layout_config,
-    layout_maxima,
-    make_layout,
-    pad_layout,
-)
+from carpark_mj.layouts import layout_config, layout_maxima, make_layout, pad_layout
 from carpark_mj.mdp.parked_cars import BayFits, fits, poses_in_bays
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.spawning.fleet import shuffled_bays

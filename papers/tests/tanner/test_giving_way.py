@@ -18,7 +18,13 @@ from carpark_mj.config import (
     RewardConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.goals import find_contexts, goals_in_turn, tracks
+from carpark_mj.mdp.goals import (
+    find_contexts,
+    goals_in_turn,
+    init_tracked_bays,
+    track_bays,
+    tracks,
+)
 from carpark_mj.mdp.metrics import CONTEXTS
 from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.registry import environment
@@ -301,9 +307,9 @@ def drive():
     step = jax.jit(env.step)
 
     def drive(poses, *choices, goal=(BAY, BAY), tracked=None):
-        empty = env.goals.init_tracked_bays()
+        empty = init_tracked_bays(env.config)
         state = placed(env, start, poses).replace(tracked_bays=empty)
-        state = env.goals.track(state)
+        state = track_bays(env.config, state)
         assert (state.tracked_bays[:, 0] == BAY).all()
         if tracked is not None:
             state = state.replace(tracked_bays=jnp.array(tracked, jnp.int32))
