@@ -15,7 +15,13 @@ from carpark_mj.cameras.blocks import Heights
 from carpark_mj.cameras.rig import RIGS, Rig, Seen
 from carpark_mj.cameras.see import see
 from carpark_mj.config import ENCODERS, EnvConfig
-from carpark_mj.observations import ContinuousObservation, Field, Part, Sight, ego
+from carpark_mj.observations import (
+    ContinuousObservation,
+    Field,
+    ObservationInput,
+    Part,
+    ego,
+)
 from carpark_mj.vehicle import preset
 
 Channel = Literal["depth", "seen"]
@@ -97,7 +103,7 @@ class CameraObservation(ContinuousObservation):
         }
         heights = _heights(env)
 
-        def fill(sight: Sight) -> dict[str, jax.Array]:
+        def fill(sight: ObservationInput) -> dict[str, jax.Array]:
             pictures = see(rig, sight.state, heights)
             values = {"depth": pictures.depth / rig.reach, "seen": pictures.seen}
             count = sight.motion.size.shape[0]
@@ -112,7 +118,7 @@ class CameraObservation(ContinuousObservation):
             parts = [part for part in parts if part is not ego.GOAL]
         return [*parts, Part(pictured, fill)]
 
-    def see(self, env: EnvConfig, sight: Sight) -> dict[str, jax.Array]:
+    def see(self, env: EnvConfig, sight: ObservationInput) -> dict[str, jax.Array]:
         """Those of the default encoder and the pictures; see `goal`."""
         values = super().see(env, sight)
         if self.goal == "seen" and self.route:

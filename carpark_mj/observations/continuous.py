@@ -13,8 +13,8 @@ from carpark_mj.observations.fields import (
     ENCODERS,
     Field,
     ObservationConfig,
+    ObservationInput,
     Part,
-    Sight,
     Tracked,
 )
 from carpark_mj.observations.ranges import (
@@ -133,9 +133,9 @@ class ContinuousObservation(ObservationConfig):
 
     def values(self, env: EnvConfig, state: State) -> dict[str, jax.Array]:
         """See `ObservationConfig.values`."""
-        return self.see(env, Sight.of(state))
+        return self.see(env, ObservationInput.of(state))
 
-    def see(self, env: EnvConfig, sight: Sight) -> dict[str, jax.Array]:
+    def see(self, env: EnvConfig, sight: ObservationInput) -> dict[str, jax.Array]:
         """Values (num_observers, field.size) of all fields by name."""
         values = {}
         for part in self.parts(env):

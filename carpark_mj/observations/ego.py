@@ -21,8 +21,8 @@ from carpark_mj.observations.fields import (
     NEAR,
     POSE_FIELDS,
     Field,
+    ObservationInput,
     Part,
-    Sight,
     distance_field,
     far,
     localise,
@@ -37,7 +37,7 @@ from carpark_mj.types import NO_BAY, Motion
 _GoalField = functools.partial(Field, reveals_goal=True)
 
 
-def _motion(sight: Sight) -> dict[str, jax.Array]:
+def _motion(sight: ObservationInput) -> dict[str, jax.Array]:
     motion, vehicle = sight.motion, sight.vehicle
     return {
         "speed": (motion.speed / vehicle.max_speed)[..., None],
@@ -66,7 +66,7 @@ MOTION = Part(
 )
 
 
-def _goal(sight: Sight) -> dict[str, jax.Array]:
+def _goal(sight: ObservationInput) -> dict[str, jax.Array]:
     layout, motion, goal = sight.layout, sight.motion, sight.goal
     goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
     local = to_local(motion.pose_w, layout.parked_pose[goal])
@@ -109,7 +109,7 @@ GOAL = Part(
 )
 
 
-def _lines(sight: Sight) -> dict[str, jax.Array]:
+def _lines(sight: ObservationInput) -> dict[str, jax.Array]:
     layout, motion, goal = sight.layout, sight.motion, sight.goal
     goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
     room = box_room(motion.pose_w, motion.size, goal_pose, goal_size)
@@ -131,17 +131,17 @@ LINES = Part(
 )
 
 
-def on_last_stretch(sight: Sight) -> jax.Array:
+def on_last_stretch(sight: ObservationInput) -> jax.Array:
     """Whether routes turn no more before the goal, (num_observers,) bool."""
     goal_xy = sight.layout.bay_pose[sight.goal, :2]
     return (_route_left(sight).next_xy == goal_xy).all(axis=-1)
 
 
-def _route_left(sight: Sight) -> RouteLeft:
+def _route_left(sight: ObservationInput) -> RouteLeft:
     return route_to(sight.state.routes, sight.layout, sight.motion.xy, sight.goal)
 
 
-def _route(sight: Sight) -> dict[str, jax.Array]:
+def _route(sight: ObservationInput) -> dict[str, jax.Array]:
     motion, route = sight.motion, _route_left(sight)
     position = rotate(route.next_xy - motion.xy, -motion.pose_w[..., 2])
     return {"route_next": far(position), "route_length": far(route.length[..., None])}
@@ -158,7 +158,7 @@ ROUTE = Part(
 )
 
 
-def _car(sight: Sight) -> dict[str, jax.Array]:
+def _car(sight: ObservationInput) -> dict[str, jax.Array]:
     vehicle = sight.vehicle
     radius = vehicle.wheelbase / jnp.tan(vehicle.max_steering)
     return {
@@ -195,7 +195,7 @@ _LANE_FIELDS = (
 )
 
 
-def _lane(sight: Sight) -> dict[str, jax.Array]:
+def _lane(sight: ObservationInput) -> dict[str, jax.Array]:
     """Of the lane nearest to every agent; zeros without lanes."""
     layout, own_pose = sight.layout, sight.motion.pose_w
     if not has_lanes(layout):
@@ -240,7 +240,7 @@ _RIVAL_FIELDS = (
 def choice_part(num_tracked_bays: int) -> Part:
     """Which of the tracked bays an agent has chosen."""
 
-    def fill(sight: Sight) -> dict[str, jax.Array]:
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         bays = sight.tracked_bays
         choice = goal_code(sight.goal[:, None], bays)[:, 0]
         return {"goal_choice": jax.nn.one_hot(choice, num_tracked_bays + 1)}
@@ -254,7 +254,7 @@ def choice_part(num_tracked_bays: int) -> Part:
 def bays_part(count: int, global_information: bool) -> Part:
     """The tracked bays, with who is near them if there is global information."""
 
-    def fill(sight: Sight) -> dict[str, jax.Array]:
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         layout, motion, bays = sight.layout, sight.motion, sight.tracked_bays
         values = _localise_bays(layout, motion, bays)
         if global_information:
@@ -306,7 +306,7 @@ def rivals(
     return jnp.min(gap, axis=-1), jnp.min(jnp.where(wants, gap, jnp.inf), axis=-1)
 
 
-def _rival_values(sight: Sight, bays: jax.Array) -> dict[str, jax.Array]:
+def _rival_values(sight: ObservationInput, bays: jax.Array) -> dict[str, jax.Array]:
     """`_RIVAL_FIELDS` (num_observers, count, k) of bays (num_observers, count).
 
     Zeros where there is no bay or claim.
@@ -321,7 +321,7 @@ def _rival_values(sight: Sight, bays: jax.Array) -> dict[str, jax.Array]:
     }
 
 
-def _goal_rivals(sight: Sight) -> dict[str, jax.Array]:
+def _goal_rivals(sight: ObservationInput) -> dict[str, jax.Array]:
     found = _rival_values(sight, sight.goal[:, None])
     return {f"goal_{name}": value[:, 0] for name, value in found.items()}
 

@@ -279,8 +279,8 @@ ENCODERS: Registry[type[ObservationConfig]] = Registry(
 
 
 @dataclasses.dataclass(frozen=True)
-class Sight:
-    """What agents know of their lot.
+class ObservationInput:
+    """What fields are filled from: the state of a lot as its agents measure it.
 
     Attributes:
         state: of the lot.
@@ -350,4 +350,4 @@ class Part:
     """Neighbouring fields, and their values (num_observers, field.size) by name."""
 
     fields: tuple[Field, ...]
-    fill: Callable[[Sight], dict[str, jax.Array]]
+    fill: Callable[[ObservationInput], dict[str, jax.Array]]

@@ -28,7 +28,7 @@ from carpark_mj.geometry.obstacles import (
     visit_near,
 )
 from carpark_mj.geometry.se2 import norm
-from carpark_mj.observations.fields import Field, Part, Sight
+from carpark_mj.observations.fields import Field, ObservationInput, Part
 from carpark_mj.types import Motion, State
 
 
@@ -119,7 +119,7 @@ CHUNK = 8  # obstacles whose rays are computed at a time in a crowded lot
 def rays_part(config: RayConfig) -> Part:
     """The field `rays`, and `rays_near` if the rays are to be seen in centimetres."""
 
-    def fill(sight: Sight) -> dict[str, jax.Array]:
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         free = cast_rays(config, sight.motion, sight.obstacles)
         if not config.near:
             return {RAYS: free}
@@ -205,7 +205,7 @@ def ring_fields(config: RingConfig, high: float, where: str) -> list[Field]:
 def rings_part(config: RingConfig) -> Part:
     """The counts in units of the cap."""
 
-    def fill(sight: Sight) -> dict[str, jax.Array]:
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         counts = ring_counts(config, sight)
         return {name: count / config.cap for name, count in counts.items()}
 
@@ -213,7 +213,7 @@ def rings_part(config: RingConfig) -> Part:
     return Part(tuple(ring_fields(config, 1.0, circle)), fill)
 
 
-def count_rings(config: RingConfig, sight: Sight) -> jax.Array:
+def count_rings(config: RingConfig, sight: ObservationInput) -> jax.Array:
     """Counts (num_observers, rings) int32, up to the cap, about the sensed positions.
 
     There is no broad phase: the distance is the cheapest test.
@@ -231,7 +231,7 @@ def count_rings(config: RingConfig, sight: Sight) -> jax.Array:
     return jnp.minimum(count, config.cap)
 
 
-def ring_counts(config: RingConfig, sight: Sight) -> dict[str, jax.Array]:
+def ring_counts(config: RingConfig, sight: ObservationInput) -> dict[str, jax.Array]:
     """Counts now and in the past by their fields' names, (num_observers, 1) each.
 
     The past is `State.memory`, see `init_history`.
@@ -260,7 +260,7 @@ def update_history(config: RingConfig, state: State) -> jax.Array | None:
     """The past once the counts of the state belong to it; see `init_history`."""
     if not config.history:
         return None
-    counts = count_rings(config, Sight.of(state)).astype(jnp.int32)
+    counts = count_rings(config, ObservationInput.of(state)).astype(jnp.int32)
     return jnp.concatenate([state.memory[:, 1:], counts[:, None]], axis=1)
 
 
@@ -287,7 +287,7 @@ SENSORS = (
 def ultrasound_part(config: UltrasoundConfig) -> Part:
     """The field `ultrasound`."""
 
-    def fill(sight: Sight) -> dict[str, jax.Array]:
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         distance = echo_distances(config, sight)
         if config.noise:
             key = jax.random.fold_in(sight.state.key, _NOISE)
@@ -304,7 +304,7 @@ def ultrasound_part(config: UltrasoundConfig) -> Part:
     return Part((Field(ULTRASOUND, len(SENSORS), 0.0, 1.0, meaning),), fill)
 
 
-def echo_distances(config: UltrasoundConfig, sight: Sight) -> jax.Array:
+def echo_distances(config: UltrasoundConfig, sight: ObservationInput) -> jax.Array:
     """Distances (num_observers, 12) [m] without noise; at most the reach."""
     motion = sight.motion
     x, y, yaw = jnp.array(SENSORS).T

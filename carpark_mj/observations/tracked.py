@@ -15,8 +15,8 @@ from carpark_mj.observations.ego import goal_code
 from carpark_mj.observations.fields import (
     CAR_FIELDS,
     Field,
+    ObservationInput,
     Part,
-    Sight,
     far,
     localise,
     position_field,
@@ -85,7 +85,7 @@ def mark(index: jax.Array, present: jax.Array, count: int) -> jax.Array:
 
 
 # Values (num_agents, count, k) of the agents (num_agents, count) that each tracks.
-Shared = Callable[[Sight, jax.Array], jax.Array]
+Shared = Callable[[ObservationInput, jax.Array], jax.Array]
 
 
 def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
@@ -96,7 +96,7 @@ def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
     """
     shared = _shared(share, num_tracked_bays)
 
-    def fill(sight: Sight) -> dict[str, jax.Array]:
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         agents, present = sight.agents, sight.state.present
         index, present = track_agents(
             count, agents.pose_w, present, sight.num_observers
@@ -114,7 +114,7 @@ def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
 def parked_cars_part(count: int) -> Part:
     """The nearest `count` parked cars."""
 
-    def fill(sight: Sight) -> dict[str, jax.Array]:
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         own_pose = sight.motion.pose_w
         cars = _at_least_one(sight.state.parked_cars)
         index, present = track_parked_cars(count, own_pose, cars)
@@ -147,29 +147,29 @@ def _shared(share: ShareConfig, num_tracked_bays: int) -> list[tuple[Field, Shar
     return shared
 
 
-def _speed(sight: Sight, index: jax.Array) -> jax.Array:
+def _speed(sight: ObservationInput, index: jax.Array) -> jax.Array:
     max_speed = sight.vehicle.max_speed
     return (sight.agents.speed[index] / max_speed[:, None])[..., None]
 
 
-def _goal_choice(sight: Sight, index: jax.Array) -> jax.Array:
+def _goal_choice(sight: ObservationInput, index: jax.Array) -> jax.Array:
     bays = sight.tracked_bays
     goal = sight.state.goal[index]
     return jax.nn.one_hot(goal_code(goal, bays), bays.shape[1] + 2)
 
 
-def _shared_goal(sight: Sight, index: jax.Array) -> jax.Array:
+def _shared_goal(sight: ObservationInput, index: jax.Array) -> jax.Array:
     goal_pose = sight.layout.parked_pose[sight.state.goal]
     local = to_local(sight.motion.pose_w[:, None], goal_pose[index])
     return far(local[..., :2])
 
 
-def _steering(sight: Sight, index: jax.Array) -> jax.Array:
+def _steering(sight: ObservationInput, index: jax.Array) -> jax.Array:
     steering = sight.agents.steering / sight.state.physics.vehicle.max_steering
     return steering[index][..., None]
 
 
-def _priority(sight: Sight, index: jax.Array) -> jax.Array:
+def _priority(sight: ObservationInput, index: jax.Array) -> jax.Array:
     number, count = sight.number, index.shape[0]
     own = jnp.arange(count) if number is None else number[:count]
     before = (index if number is None else number[index]) < own[:, None]
@@ -203,7 +203,7 @@ def movers_part(count: int, in_sight: bool) -> Part:
     past other agents, parked cars and walls.
     """
 
-    def fill(sight: Sight) -> dict[str, jax.Array]:
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         own, groups = sight.motion, sight.state.movers.groups
         pose, size, velocity, there, person, round_ = _table(groups)
         mask = jnp.broadcast_to(there, (own.xy.shape[0], *there.shape))
@@ -247,7 +247,7 @@ def _table(groups: tuple[Group, ...]) -> tuple[jax.Array, ...]:
     return tuple(jnp.concatenate(column) for column in zip(*rows, strict=True))
 
 
-def _hidden(sight: Sight, xy: jax.Array) -> jax.Array:
+def _hidden(sight: ObservationInput, xy: jax.Array) -> jax.Array:
     """(num_observers, n) bool, whether a box lies before points (n, 2)."""
     own = sight.motion.xy
     way = xy - own[:, None]

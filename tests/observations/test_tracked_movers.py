@@ -15,7 +15,7 @@ from carpark_mj.geometry import rotate
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.compose import observation_sets
-from carpark_mj.observations.fields import Sight
+from carpark_mj.observations.fields import ObservationInput
 from carpark_mj.observations.tracked import PACE, movers_part
 from carpark_mj.policy.encoder import SetEncoder
 
@@ -44,7 +44,7 @@ def see(
         movers=Movers((), tuple((group,) for group in movers)),
     )
     part = movers_part(count, in_sight)
-    values = part.fill(Sight.of(state))
+    values = part.fill(ObservationInput.of(state))
     assert [*values]
     assert {*values} == {field.name for field in part.fields}
     for field in part.fields:

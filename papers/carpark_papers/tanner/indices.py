@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from carpark_mj.config import ENCODERS, EnvConfig, ObservationConfig, RingConfig
 from carpark_mj.geometry import to_local
-from carpark_mj.observations.fields import Field, Sight
+from carpark_mj.observations.fields import Field, ObservationInput
 from carpark_mj.observations.ranges import (
     init_history,
     ring_counts,
@@ -86,7 +86,7 @@ class IndexObservation(ObservationConfig):
             "level": (level + grid.max_reverse)[:, None],
             "bearing": bearing[:, None],
         }
-        return values | ring_counts(self.rings, Sight.of(state))
+        return values | ring_counts(self.rings, ObservationInput.of(state))
 
     @property
     def circles(self) -> tuple[float, ...]:

@@ -43,7 +43,7 @@ from carpark_mj.geometry import nearest, norm, rotate, to_local
 from carpark_mj.observations.ego import goal_code, rivals
 from carpark_mj.observations.fields import (
     Field,
-    Sight,
+    ObservationInput,
     Tracked,
     repeated,
     repeated_values,
@@ -250,7 +250,7 @@ class TannerObservation(ObservationConfig):
         else:
             values |= {f"goal_{name}": value[:, 0] for name, value in described.items()}
 
-        counts = ring_counts(self.rings, Sight.of(state))
+        counts = ring_counts(self.rings, ObservationInput.of(state))
         values |= {name: count / (self.rings.cap + 1) for name, count in counts.items()}
         if self.tracked_cars:
             cars = _describe_cars(self, grid, state, level, bays)
