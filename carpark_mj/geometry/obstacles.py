@@ -28,23 +28,18 @@ Tree = TypeVar("Tree")
 
 @struct.dataclass
 class Group:
-    """Obstacles of a shape and a kind, (n,) in a lot; world frame.
+    """Obstacles of a shape and a kind, (n,) in a lot; world frame."""
 
-    Attributes:
-        pose_w: (..., 3) centres and headings of boxes, (..., 2) centres of discs.
-        size: (..., 2) lengths and widths of boxes, (...) radii of discs [m].
-        velocity_w: (..., 2) of the centres [m/s]; None = they stand still.
-        mask: (...) bool, which of them there are; None = all.
-        trace_w: (n, k, 3 or 2) `pose_w` at the traced instants of the last control
-            step, see `Motion.trace_w`; None = they stood still.
-        kind: what they are.
-    """
-
+    # (..., 3) centres and headings of boxes, (..., 2) centres of discs
     pose_w: jax.Array
-    size: jax.Array
+    size: jax.Array  # (..., 2) lengths and widths of boxes, (...) radii of discs [m]
+    # (..., 2) of the centres [m/s]; None = they stand still
     velocity_w: jax.Array | None = None
-    mask: jax.Array | None = None
+    mask: jax.Array | None = None  # (...) bool, which of them there are; None = all
+    # (n, k, 3 or 2) `pose_w` at the traced instants of the last control step, see
+    # `Motion.trace_w`; None = they stood still
     trace_w: jax.Array | None = None
+    # what they are
     kind: ObstacleKind = struct.field(pytree_node=False, default=ObstacleKind.MOVER)
 
     # Of boxes (pose, size) with this shape (pose_w, size).
@@ -169,19 +164,12 @@ def take(tree: Tree, index: Any) -> Tree:
 
 
 class Merged(NamedTuple):
-    """The groups of one shape as one.
+    """The groups of one shape as one."""
 
-    Attributes:
-        group: all their obstacles, with traces, without velocities and masks.
-        counts: (num_agents, n) bool, which of them each agent can hit.
-        excursion: (n,) see `Group.excursion`.
-        kind: (n,) `ObstacleKind`, static.
-    """
-
-    group: Group
-    counts: jax.Array
-    excursion: jax.Array
-    kind: np.ndarray
+    group: Group  # all their obstacles, with traces, without velocities and masks
+    counts: jax.Array  # (num_agents, n) bool, which of them each agent can hit
+    excursion: jax.Array  # (n,) see `Group.excursion`
+    kind: np.ndarray  # (n,) `ObstacleKind`, static
 
 
 def merge(groups: Sequence[Group], num_agents: int) -> Merged:
@@ -212,14 +200,10 @@ def by_shape(groups: Sequence[Group]) -> list[Sequence[Group]]:
 
 @struct.dataclass
 class Movers:
-    """The movers of a lot.
+    """The movers of a lot."""
 
-    Attributes:
-        states: their own, in the order of `EnvConfig.movers`.
-        obstacles: of each, at the end of the last control step, traced.
-    """
-
-    states: tuple[Any, ...] = ()
+    states: tuple[Any, ...] = ()  # their own, in the order of `EnvConfig.movers`
+    # of each, at the end of the last control step, traced
     obstacles: tuple[tuple[Group, ...], ...] = ()
 
     @property
