@@ -1,12 +1,15 @@
 """OpenGL: the off-screen back end, chosen before MuJoCo is imported, and windows."""
 
+from __future__ import annotations
+
 import ctypes
 import os
 import sys
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 MISSING_GL = (
     "off-screen OpenGL is not available: install the system package libegl1 with a "
@@ -134,8 +137,7 @@ class Window:
     def show(self, picture: np.ndarray) -> None:
         """Shows a picture (height, width, 3) uint8 and reads the keys."""
         self._glfw.make_context_current(self._window)
-        flipped = np.ascontiguousarray(picture[::-1]).ravel()
-        self._draw(flipped, None, self._viewport, self._context)
+        self._draw(picture[::-1].ravel(), None, self._viewport, self._context)
         self._glfw.swap_buffers(self._window)
         self._glfw.poll_events()
 

@@ -207,7 +207,7 @@ def make_viewer(
     require_web()
     import mjviser
 
-    from carpark_mj.rendering.local_pages import LocalServer
+    from carpark_mj.rendering.local_server import LocalServer
 
     server = LocalServer(HOST, port, "carpark_mj")
     # mjviser prefers a material's colour to the geom's own, which is the car's.

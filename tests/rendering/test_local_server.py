@@ -14,7 +14,8 @@ import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from carpark_mj.rendering.local_pages import HOST, LocalServer
+from carpark_mj.rendering.local_pages import HOST
+from carpark_mj.rendering.local_server import LocalServer
 
 
 @pytest.fixture(scope="module")
