@@ -32,16 +32,23 @@ class CameraObservation(ContinuousObservation):
     """What the default encoder observes, and pictures of the car's cameras.
 
     Cars are as tall as the presets that the environment's config names.
+
+    Attributes:
+        rig: name of the cameras in `RIGS`.
+        width: of a picture [pixels].
+        height: of a picture [pixels].
+        reach: depths are at most this [m].
+        channels: what of the pictures.
+        goal: `pose` = its place is among the numbers; `seen` = only pictures tell it,
+            where pixels show the own bay. A `route` then leads there, and is zeros on
+            its last stretch while a camera sees the bay.
     """
 
-    rig: str = "surround"  # name of the cameras in `RIGS`
-    width: int = 64  # of a picture [pixels]
-    height: int = 48  # of a picture [pixels]
-    reach: float = 50.0  # depths are at most this [m]
-    channels: tuple[Channel, ...] = ("depth", "seen")  # what of the pictures
-    # `pose` = its place is among the numbers; `seen` = only pictures tell it,
-    # where pixels show the own bay. A `route` then leads there, and is zeros on
-    # its last stretch while a camera sees the bay
+    rig: str = "surround"
+    width: int = 64
+    height: int = 48
+    reach: float = 50.0
+    channels: tuple[Channel, ...] = ("depth", "seen")
     goal: Literal["pose", "seen"] = "pose"
     encoding: str = "cameras"
 
@@ -52,16 +59,13 @@ class CameraObservation(ContinuousObservation):
             raise ValueError(
                 f"channels must be one or both of depth and seen, not {self.channels}"
             )
-        if self.goal == "seen":
-            if "seen" not in self.channels:
-                raise ValueError(
-                    f"goal 'seen' needs the channel seen of {self.channels}"
-                )
-            for name in ("lines", "global_information"):
-                if getattr(self, name):
-                    raise ValueError(
-                        f"{name} tells where the goal is: goal must be 'pose'"
-                    )
+        if self.goal == "pose":
+            return
+        if "seen" not in self.channels:
+            raise ValueError(f"goal 'seen' needs the channel seen of {self.channels}")
+        for name in ("lines", "global_information"):
+            if getattr(self, name):
+                raise ValueError(f"{name} tells where the goal is: goal must be 'pose'")
 
     def check(self, env: EnvConfig) -> None:
         """See `ObservationConfig.check`."""
