@@ -248,7 +248,7 @@ class FaultConfig(CheckedConfig):
 
 @struct.dataclass
 class Faults:
-    """Faults of the cameras of cars (num_agents, cameras, ...)."""
+    """Faults of the cameras of cars (num_agents, cameras, ...), for an episode."""
 
     turn: jax.Array  # (..., 3, 3) rotations of the rays in the body's frame
     shift: jax.Array  # (..., 3) of the cameras in the body's frame [m]

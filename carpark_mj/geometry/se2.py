@@ -16,19 +16,21 @@ Tree = TypeVar("Tree")
 def with_gradient(
     function: Callable[..., Tree], like: Callable[..., Tree]
 ) -> Callable[..., Tree]:
-    """The function, with the gradients of an equal function."""
+    """The function, with the gradients of an equal function.
+
+    A loop of data-dependent length, for one, has no gradient in reverse mode.
+    """
     wrapped = jax.custom_jvp(function)
     wrapped.defjvp(lambda args, tangents: jax.jvp(like, args, tangents))
     return wrapped
 
 
 def finite_slope(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """The function with non-finite derivatives replaced by 0.
+    """The function, elementwise, with non-finite derivatives replaced by 0.
 
+    The square root of 0 has an infinite slope. Where such a value is masked out, like
+    the distance of a car to itself, the chain rule gives NaN: 0 times infinity.
     `jnp.abs` at 0 is alike. The values are those of the function, bit for bit.
-
-    Args:
-        function: elementwise, of arrays that broadcast.
     """
 
     @jax.custom_jvp

@@ -216,7 +216,9 @@ def rings_part(config: RingConfig) -> Part:
 def count_rings(config: RingConfig, sight: ObservationInput) -> jax.Array:
     """Counts (num_observers, rings) int32, up to the cap, about the sensed positions.
 
-    There is no broad phase: the distance is the cheapest test.
+    Objects are walls, each counted once, discs, movers and, with `RingConfig.cars`,
+    parked cars and other agents. There is no broad phase: the distance is the cheapest
+    test.
     """
     motion = sight.motion
     cars = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR)
@@ -329,7 +331,9 @@ def _echoes(
     """Distances (agents, n, sensors) [m] to each of a group within cones.
 
     `origin` (agents, 1, sensors, 2) has their apexes [m], `axis` (agents, 1, sensors)
-    the directions of their axes, `spread` is half their angle [rad].
+    the directions of their axes, `spread` is half their angle [rad]. The nearest point
+    of a convex shape within a cone is the shape's nearest point, or else lies on an
+    edge of the cone, so the distance is exact for boxes and discs.
     """
     offset = origin - group.pose_w[:, None, :2]
     if type(group) is Boxes:

@@ -163,7 +163,13 @@ def _read(config: SensorConfig, motion: Motion, key: jax.Array) -> Reading:
 
 
 def begin_odometry(config: SensorConfig, pose_w: jax.Array, key: jax.Array) -> Odometry:
-    """Odometry of cars that start at poses (num_agents, 3); `key` is consumed."""
+    """Odometry of cars that start at poses (num_agents, 3); `key` is consumed.
+
+    The errors are the systematic ones of Borenstein and Feng ("Measurement and
+    correction of systematic odometry errors in mobile robots", 1996): wheels of another
+    size than assumed, of different sizes left and right, and another track width. They
+    last an episode, at whose start the pose is known.
+    """
     spread = jnp.array(
         [config.odometry_scale, config.odometry_veer, config.odometry_turn],
         pose_w.dtype,

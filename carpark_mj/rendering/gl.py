@@ -1,4 +1,7 @@
-"""OpenGL: the off-screen back end, chosen before MuJoCo is imported, and windows."""
+"""OpenGL: the off-screen back end, chosen before MuJoCo is imported, and windows.
+
+Nothing heavy is imported here.
+"""
 
 from __future__ import annotations
 

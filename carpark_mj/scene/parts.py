@@ -69,7 +69,11 @@ def add_looks(
     parts: tuple[str, ...],
     paint: looks.Colour = looks.RIM,
 ) -> None:
-    """Adds visual geoms to a body; the first car of a shape adds its meshes, too."""
+    """Adds visual geoms to a body; mass properties are the vehicle's.
+
+    The first car of a shape adds its meshes, which are written into the model: an
+    exported scene needs no files.
+    """
     shape = shape_name(params)
     if spec.mesh(f"{shape}/body") is None:
         for part, mesh in (car_meshes(params) | standing_wheels(params)).items():
