@@ -54,7 +54,6 @@ def test_sizes_are_those_of_the_study(name, size):
     assert junctions.env(scenario=name).observation_shape == (size,)
 
 
-IMAGES = junctions.env(scenario="2av-hd")
 CONFIG = RasterConfig()
 SMALL = {"observation": "image", "raster": RasterConfig(pixels=20)}
 drawn = jax.jit(draw, static_argnums=0)
@@ -95,7 +94,7 @@ def exact(state, agent):
 
 
 def test_images_are_those_of_areas_exactly_where_edges_lie_along_the_pixels():
-    state = junctions.begin(IMAGES)
+    state = junctions.begin(ENV)
     image = np.asarray(drawn(CONFIG, state), float)
     assert image.shape == (2, 84, 84)
     for agent in range(2):
@@ -107,7 +106,7 @@ def test_images_are_those_of_areas_exactly_where_edges_lie_along_the_pixels():
 
 def test_images_of_cars_in_a_curve_are_those_of_areas_but_for_edges():
     poses = [[0.5, 0.2, -2.2], [-9.0, -1.65, 0.0], [1.0, -5.0, 1.8]]
-    state = junctions.with_poses(junctions.begin(IMAGES), poses)
+    state = junctions.with_poses(junctions.begin(ENV), poses)
     image = np.asarray(drawn(CONFIG, state), float)
     for agent in range(2):
         error = np.abs(image[agent] - exact(state, agent))
@@ -118,7 +117,7 @@ def test_images_of_cars_in_a_curve_are_those_of_areas_but_for_edges():
 def test_the_car_heads_up_and_left_is_left():
     """Seen from the west, the car from the east is ahead on the left."""
     poses = [[8.0, 1.65, np.pi], [-7.0, -1.65, 0.0], [1.65, -30.0, np.pi / 2]]
-    state = junctions.with_poses(junctions.begin(IMAGES), poses)
+    state = junctions.with_poses(junctions.begin(ENV), poses)
     image = np.asarray(drawn(CONFIG, state))[1]
     rows, columns = np.nonzero(image > 240)
     side = 50 / 84
@@ -129,7 +128,7 @@ def test_the_car_heads_up_and_left_is_left():
 
 def test_cars_that_have_left_are_not_drawn():
     poses = [[8.0, 1.65, np.pi], [-7.0, -1.65, 0.0], [1.65, -9.0, np.pi / 2]]
-    state = junctions.with_poses(junctions.begin(IMAGES), poses)
+    state = junctions.with_poses(junctions.begin(ENV), poses)
     alone = dataclasses.replace(state, present=jnp.array([False, True, False]))
     assert (drawn(CONFIG, state)[1] == OTHER_CAR).any()
     assert not (drawn(CONFIG, alone)[1] > PAINT).any()
