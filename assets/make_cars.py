@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from carpark_mj.scene.car_mesh import car_meshes, standing_wheels
-from carpark_mj.scene.mesh import DECIMALS
+from carpark_mj.scene.car_mesh import DECIMALS, car_meshes, standing_wheels
 from carpark_mj.vehicle import PRESETS, VehicleParameters
 
 FOLDER = Path(__file__).parent / "cars"

@@ -10,20 +10,20 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any, NoReturn
 
-_ROOM = "carpark_mj.wrappers"
+_ADAPTERS = "carpark_mj.wrappers"
 # Entry points of one environment and of many by id.
 ENTRY_POINTS: dict[str, tuple[str, str]] = {
     "carpark_mj/Park-v0": (
-        f"{_ROOM}.gymnasium_env:ParkEnv",
-        f"{_ROOM}.gymnasium_vector:ParkVectorEnv",
+        f"{_ADAPTERS}.gymnasium_env:ParkEnv",
+        f"{_ADAPTERS}.gymnasium_env:ParkVectorEnv",
     ),
     "carpark_mj/ParkGoal-v0": (
-        f"{_ROOM}.gymnasium_goal:ParkGoalEnv",
-        f"{_ROOM}.gymnasium_goal:ParkGoalVectorEnv",
+        f"{_ADAPTERS}.goal:ParkGoalEnv",
+        f"{_ADAPTERS}.goal:ParkGoalVectorEnv",
     ),
     "carpark_mj/ParkMany-v0": (
         "carpark_mj.registration:refuse_single",
-        f"{_ROOM}.gymnasium_vector:ParkManyVectorEnv",
+        f"{_ADAPTERS}.gymnasium_env:ParkManyVectorEnv",
     ),
 }
 

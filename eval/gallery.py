@@ -28,8 +28,7 @@ from PIL import Image, ImageDraw, ImageOps, ImageSequence
 from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.programs import render
-from carpark_mj.rendering.overlays import font
-from carpark_mj.rendering.video import write_video
+from carpark_mj.rendering.video import font, write_video
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "gallery.md"

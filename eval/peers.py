@@ -31,8 +31,9 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.process import run_command
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.config.checks import CheckedConfig, Count
+from carpark_mj.env import ParkingEnv
 from carpark_mj.wrappers.batch import Batch, NumpyBatch
-from carpark_mj.wrappers.options import shared_env
+from carpark_mj.wrappers.options import share
 
 Peer = Literal["core", "highway-env"]
 PARKING = "highway_env:parking-v0"
@@ -92,7 +93,7 @@ def core(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
     from carpark_mj.wrappers.torch_batch import TorchBatch
 
     episode = EpisodeConfig(final_observation=True)
-    env = shared_env(EnvConfig(num_agents=1, episode=episode))
+    env = share(ParkingEnv, EnvConfig(num_agents=1, episode=episode))
     batch, numpy_batch = Batch(env, lots), NumpyBatch(env, lots)
     torch_batch = TorchBatch(env, lots)
     for each in (batch, numpy_batch, torch_batch):

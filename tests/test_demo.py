@@ -19,7 +19,7 @@ from carpark_mj.cli.export import environment_rows
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.outside import plain_values
-from carpark_mj.scene.export import drivable_scene, scene_xml
+from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.types import Motion
 
 pytestmark = pytest.mark.slow

@@ -14,7 +14,7 @@ from carpark_mj.cli.export import environment_rows
 from carpark_mj.cli.scene import SceneConfig, make_scene, vehicle
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.onnx_export import make_car_model, make_session
-from carpark_mj.scene.export import scene_xml
+from carpark_mj.scene.build import scene_xml
 
 onnxruntime = pytest.importorskip("onnxruntime")
 

@@ -31,8 +31,8 @@ from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import make_fields
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.scene.car_look import shape_name
 from carpark_mj.scene.car_mesh import car_meshes
+from carpark_mj.scene.parts import shape_name
 from carpark_mj.vehicle import COMPACT, PRESETS, VEHICLES, make_vehicle
 
 ROOT = Path(__file__).parents[1]

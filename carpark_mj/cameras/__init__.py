@@ -4,13 +4,29 @@ Every obstacle is an upright box or cylinder, so that each pixel's ray meets it 
 ground in closed form, for any number of lots on any device.
 """
 
-from carpark_mj.cameras.birds_eye import BirdsEye, channels, see_from_above
 from carpark_mj.cameras.blocks import Heights
-from carpark_mj.cameras.colour import COLOURS, colours, grey, paint
-from carpark_mj.cameras.faults import FaultConfig, Faults, draw_faults, noisy_depth
-from carpark_mj.cameras.lens import Lens
-from carpark_mj.cameras.rig import RIGS, Camera, Rig, Seen
-from carpark_mj.cameras.see import Pictures, see
+from carpark_mj.cameras.rig import (
+    RIGS,
+    Camera,
+    FaultConfig,
+    Faults,
+    Lens,
+    Rig,
+    Seen,
+    draw_faults,
+    noisy_depth,
+)
+from carpark_mj.cameras.see import (
+    COLOURS,
+    BirdsEye,
+    Pictures,
+    channels,
+    colours,
+    grey,
+    paint,
+    see,
+    see_from_above,
+)
 
 __all__ = [
     "COLOURS",

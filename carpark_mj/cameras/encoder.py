@@ -15,7 +15,13 @@ from carpark_mj.cameras.blocks import Heights
 from carpark_mj.cameras.rig import RIGS, Rig, Seen
 from carpark_mj.cameras.see import see
 from carpark_mj.config import ENCODERS, EnvConfig
-from carpark_mj.observations import ContinuousObservation, Field, Part, Sight, ego
+from carpark_mj.observations import (
+    ContinuousObservation,
+    Field,
+    ObservationInput,
+    Part,
+    ego,
+)
 from carpark_mj.vehicle import preset
 
 Channel = Literal["depth", "seen"]
@@ -53,16 +59,13 @@ class CameraObservation(ContinuousObservation):
             raise ValueError(
                 f"channels must be one or both of depth and seen, not {self.channels}"
             )
-        if self.goal == "seen":
-            if "seen" not in self.channels:
-                raise ValueError(
-                    f"goal 'seen' needs the channel seen of {self.channels}"
-                )
-            for name in ("lines", "global_information"):
-                if getattr(self, name):
-                    raise ValueError(
-                        f"{name} tells where the goal is: goal must be 'pose'"
-                    )
+        if self.goal == "pose":
+            return
+        if "seen" not in self.channels:
+            raise ValueError(f"goal 'seen' needs the channel seen of {self.channels}")
+        for name in ("lines", "global_information"):
+            if getattr(self, name):
+                raise ValueError(f"{name} tells where the goal is: goal must be 'pose'")
 
     def check(self, env: EnvConfig) -> None:
         """See `ObservationConfig.check`."""
@@ -104,7 +107,7 @@ class CameraObservation(ContinuousObservation):
         }
         heights = _heights(env)
 
-        def fill(sight: Sight) -> dict[str, jax.Array]:
+        def fill(sight: ObservationInput) -> dict[str, jax.Array]:
             pictures = see(rig, sight.state, heights)
             values = {"depth": pictures.depth / rig.reach, "seen": pictures.seen}
             count = sight.motion.size.shape[0]
@@ -119,7 +122,7 @@ class CameraObservation(ContinuousObservation):
             parts = [part for part in parts if part is not ego.GOAL]
         return [*parts, Part(pictured, fill)]
 
-    def see(self, env: EnvConfig, sight: Sight) -> dict[str, jax.Array]:
+    def see(self, env: EnvConfig, sight: ObservationInput) -> dict[str, jax.Array]:
         """Those of the default encoder and the pictures; see `goal`."""
         values = super().see(env, sight)
         if self.goal == "seen" and self.route:

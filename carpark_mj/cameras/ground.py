@@ -1,12 +1,13 @@
-"""The ground: asphalt with bays, lines and arrows, and grass around the lot."""
+"""What rays hit, as whole numbers, and the ground: asphalt, bays, lines, grass."""
 
 import functools
+from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.cameras.hits import fold
 from carpark_mj.cameras.rig import Seen
 from carpark_mj.geometry.se2 import norm, rotate
 from carpark_mj.layouts.types import (
@@ -23,6 +24,86 @@ from carpark_mj.layouts.types import (
     Layout,
 )
 
+# A hit is a whole number whose order is that of the distance, so that a running minimum
+# keeps what is hit, too: the bits of the distance (float32), the last seven of which
+# hold the shade and what is seen. That costs 16 um of depth a metre.
+SEEN_BITS, SHADE_BITS = 4, 3
+SHADES = 2**SHADE_BITS - 1  # the brightest
+_LOW = 2 ** (SEEN_BITS + SHADE_BITS) - 1
+_INFINITY = 0x7F800000  # its bits
+MISS = 2**31 - 1  # after all others
+CHUNK = 8  # things that a pass over the pixels meets
+
+Tree = TypeVar("Tree")
+
+
+def encode(
+    distance: jax.Array, seen: jax.Array | int, shade: jax.Array | int
+) -> jax.Array:
+    """Hits of distances [m], at least 0, of what is seen and shades up to `SHADES`."""
+    bits = jax.lax.bitcast_convert_type(distance, jnp.int32)
+    return (bits & ~_LOW) | (shade << SEEN_BITS) | seen
+
+
+def sky_hit(seen: int) -> int:
+    """The hit of a ray that meets nothing."""
+    return _INFINITY | (SHADES << SEEN_BITS) | seen
+
+
+def decode(hit: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Distances [m], what is seen, and shades."""
+    far = hit >= _INFINITY
+    middle = (hit & ~_LOW) | (_LOW // 2)  # of what has been cut off
+    bits = jnp.where(far, _INFINITY, middle)
+    distance = jax.lax.bitcast_convert_type(bits, jnp.float32)
+    return distance, hit & (2**SEEN_BITS - 1), (hit >> SEEN_BITS) & SHADES
+
+
+def fold(
+    best: jax.Array,
+    things: Tree,
+    padding: Tree,
+    meet: Callable[[jax.Array, Tree], jax.Array],
+    matters: jax.Array | None = None,
+) -> jax.Array:
+    """Meets things one after the other, `CHUNK` of them in each pass over the pixels.
+
+    No array of pixels times things exists.
+
+    Args:
+        best: of the pixels, before.
+        things: pytree of arrays (n, ...).
+        padding: one of them that changes nothing, arrays (...).
+        meet: `best` after a thing, arrays (...).
+        matters: (n,) bool, the things that can change something; passes over the others
+            are saved. None = all.
+    """
+    if matters is not None:
+        first = jnp.argsort(~matters)
+        things = jax.tree.map(lambda x: x[first], things)
+    count = jax.tree.leaves(things)[0].shape[0]
+    missing = -count % CHUNK
+
+    def chunks(x: jax.Array, other: jax.Array) -> jax.Array:
+        rest = jnp.broadcast_to(jnp.asarray(other, x.dtype), (missing, *x.shape[1:]))
+        return jnp.concatenate([x, rest]).reshape(-1, CHUNK, *x.shape[1:])
+
+    def visit(best: jax.Array, chunk: Tree) -> jax.Array:
+        for k in range(CHUNK):
+            best = meet(best, jax.tree.map(lambda x: x[k], chunk))  # noqa: B023
+        return best
+
+    ready = jax.tree.map(chunks, things, padding)
+    if matters is None:
+        return jax.lax.scan(lambda *at: (visit(*at), None), best, ready)[0]
+    return jax.lax.fori_loop(
+        0,
+        -(-matters.sum() // CHUNK),
+        lambda k, best: visit(best, jax.tree.map(lambda x: x[k], ready)),
+        best,
+    )
+
+
 # Covers of the ground, the upper ones last: what they show, and their heights [m].
 ASPHALT, BAY, OWN_BAY, ARROW, LINE, GRASS = range(6)
 SHOWS = (Seen.FLOOR, Seen.BAY, Seen.OWN_BAY, Seen.LINE, Seen.LINE, Seen.FLOOR)
@@ -31,34 +112,21 @@ HEIGHTS = (0.0, 0.0, 0.0, ARROW_HEIGHT, LINE_HEIGHT, VERGE_HEIGHT)
 
 @struct.dataclass
 class Place:
-    """A point on a car, about which the ground is looked at.
+    """A point on a car, about which the ground is looked at."""
 
-    Attributes:
-        xy_w: (2,) [m].
-        yaw: () the car's heading [rad].
-    """
-
-    xy_w: jax.Array
-    yaw: jax.Array
+    xy_w: jax.Array  # (2,) [m]
+    yaw: jax.Array  # () the car's heading [rad]
 
 
 @struct.dataclass
 class _Patches:
-    """Rectangles (n,) on the ground.
+    """Rectangles (n,) on the ground."""
 
-    Attributes:
-        xy: (n, 2) the place in the frame of the rectangle [m].
-        cos: (n,) of the rectangle's heading less the car's.
-        sin: (n,) of the same.
-        half: (n, 2) half length and half width [m], negative where there is none.
-        cover: (n,) int32.
-    """
-
-    xy: jax.Array
-    cos: jax.Array
+    xy: jax.Array  # (n, 2) the place in the frame of the rectangle [m]
+    cos: jax.Array  # (n,) of the rectangle's heading less the car's
     sin: jax.Array
-    half: jax.Array
-    cover: jax.Array
+    half: jax.Array  # (n, 2) half length and width [m], negative where there is none
+    cover: jax.Array  # (n,) int32
 
 
 def cover(
@@ -79,8 +147,7 @@ def cover(
         x: (...) ahead of the place along the car's axis [m].
         y: (...) to the left [m].
         line_width: of bays [m].
-        reach: of the points from the place and of a line's width, at most [m]; None =
-            any.
+        reach: largest distance of points and lines from the place [m]; None = any.
     """
     own = jnp.arange(layout.num_bays) == goal
     kinds = jnp.where(own, OWN_BAY, BAY)
@@ -132,10 +199,7 @@ def _lay(best: jax.Array, patches: _Patches, x: jax.Array, y: jax.Array, fill, r
 def is_near(xy: jax.Array, half: jax.Array, reach: float) -> jax.Array:
     """Whether rectangles (n,) may come within a distance [m] of a place, (n,) bool.
 
-    Args:
-        xy: (n, 2) the place in their frames [m].
-        half: (n, 2) their half lengths and widths [m], negative where there is none.
-        reach: the distance [m].
+    The place (n, 2) is in their frames, as are their `half` lengths and widths (n, 2).
     """
     beyond = jnp.maximum(jnp.abs(xy) - half, 0.0)
     return (norm(beyond) < reach) & (half[:, 0] > 0.0)

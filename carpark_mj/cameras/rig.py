@@ -1,20 +1,97 @@
-"""Cameras on a car: where they sit, what they look through, and named sets of them."""
+"""Cameras on a car: lenses, where they sit, named sets of them, and their faults."""
 
 import dataclasses
 import enum
 import functools
 import math
+from typing import Annotated, Literal
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
-from carpark_mj.cameras.lens import Lens
 from carpark_mj.config.checks import (
+    Bounds,
     CheckedConfig,
-    require_finite,
-    require_positive,
-    require_whole,
+    Count,
+    Finite,
+    Natural,
+    NonNegative,
+    Positive,
+    Range,
 )
 from carpark_mj.extensions import Registry
+from carpark_mj.geometry.se2 import norm
+
+Projection = Literal["pinhole", "fisheye"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Lens(CheckedConfig):
+    """A lens whose picture is round about its axis.
+
+    A ray at an angle to the axis falls at a radius of g (1 + k1 g² + k2 g⁴ + ...); g is
+    the angle of an equidistant fisheye (Kannala and Brandt 2006), the tangent of a
+    pinhole camera (Brown 1971).
+
+    Attributes:
+        projection: which of the two.
+        fov: angle that the width of the picture spans [rad].
+        distortion: k1, k2...; none by default.
+    """
+
+    projection: Projection = "pinhole"
+    fov: Annotated[float, Bounds(gt=0.0, le=2 * math.pi, unit="rad")] = math.pi / 2
+    distortion: Annotated[tuple[float, ...], Bounds()] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.projection == "pinhole" and self.fov >= math.pi:
+            raise ValueError(
+                f"fov of a pinhole camera must be less than pi rad, not {self.fov:g}"
+            )
+
+    def radius(self, angle: np.ndarray) -> np.ndarray:
+        """Radii in the picture of rays at angles to the axis [rad], no unit."""
+        g = np.tan(angle) if self.projection == "pinhole" else np.asarray(angle)
+        terms = (k * g ** (2 * n) for n, k in enumerate(self.distortion, start=1))
+        return g * (1.0 + sum(terms, np.zeros_like(g)))
+
+    def directions(self, width: int, height: int) -> np.ndarray:
+        """Unit vectors (height, width, 3) of the pixels' middles, rows from the top.
+
+        In the frame of the camera: x along the axis, y left, z up.
+        """
+        scale = float(self.radius(np.array(self.fov / 2))) / (width / 2)
+        left = width / 2 - 0.5 - np.arange(width)
+        up = height / 2 - 0.5 - np.arange(height)
+        left, up = (scale * x for x in np.meshgrid(left, up))
+        radius = np.hypot(left, up)
+        angle = self._angle(radius, width, height)
+        aside = np.sin(angle) / np.where(radius > 0.0, radius, 1.0)
+        return np.stack([np.cos(angle), aside * left, aside * up], axis=-1)
+
+    def _angle(self, radius: np.ndarray, width: int, height: int) -> np.ndarray:
+        """Angles [rad] to the axis of rays that fall at radii; inverts `radius`."""
+        most = math.pi / 2 - 1e-6 if self.projection == "pinhole" else math.pi
+        angles = np.linspace(0.0, most, 4096)
+        radii = self.radius(angles)
+        rising = np.append(np.diff(radii) > 0.0, True)
+        known = len(radii) if rising.all() else int(np.argmin(rising)) + 1
+        if radius.max() > radii[known - 1]:
+            degrees = 2.0 * math.degrees(angles[known - 1])
+            raise ValueError(
+                f"fov {math.degrees(self.fov):g} degrees over {width} pixels and "
+                f"{height} of height reaches beyond {degrees:.0f} degrees in the "
+                "corners, where the lens shows nothing: choose a smaller one"
+            )
+        low, high = np.zeros_like(radius), np.full_like(radius, angles[known - 1])
+        for _ in range(60):
+            middle = (low + high) / 2
+            below = self.radius(middle) < radius
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return (low + high) / 2
 
 
 class Seen(enum.IntEnum):
@@ -55,21 +132,17 @@ class Camera(CheckedConfig):
         lens: what it looks through.
     """
 
-    position: tuple[float, float, float]
-    yaw: float = 0.0
-    pitch: float = 0.0
-    roll: float = 0.0
+    position: Annotated[tuple[float, float, float], Bounds()]
+    yaw: Finite = 0.0
+    pitch: Finite = 0.0
+    roll: Finite = 0.0
     lens: Lens = dataclasses.field(default_factory=Lens)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_finite(self, "yaw", "pitch", "roll")
         x, y, z = self.position
-        if not (all(map(math.isfinite, self.position)) and z > 0.0):
-            raise ValueError(
-                f"position of a camera must be finite and above the ground, not "
-                f"{self.position}"
-            )
+        if z <= 0.0:
+            raise ValueError(f"a camera must be above the ground, not at {x, y, z}")
         if max(abs(x), abs(y)) <= 1.0 and z <= BODY[-1]:
             raise ValueError(
                 f"position {self.position} lies inside the body, where a camera sees "
@@ -102,15 +175,13 @@ class Rig(CheckedConfig):
     """
 
     cameras: tuple[Camera, ...]
-    width: int = 64
-    height: int = 48
-    reach: float = 50.0
+    width: Count = 64
+    height: Count = 48
+    reach: Positive = 50.0
     shaded: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 1, "width", "height")
-        require_positive(self, "reach")
         if self.width * self.height > MOST_PIXELS:
             raise ValueError(
                 f"width x height must be at most {MOST_PIXELS} pixels, not "
@@ -150,3 +221,80 @@ RIGS: Registry[Rig] = Registry("camera rig")
 RIGS.register("surround", Rig((FRONT, REAR, LEFT, RIGHT)))
 RIGS.register("rear", Rig((REAR,)))
 RIGS.register("windscreen", Rig((WINDSCREEN,)))
+
+
+@dataclasses.dataclass(frozen=True)
+class FaultConfig(CheckedConfig):
+    """How wrong cameras can be; not at all by default.
+
+    Attributes:
+        turn: standard deviation of their mounting about each axis [rad].
+        shift: standard deviation of their mounting along each axis [m].
+        spots: number of spots of dirt on each lens.
+        spot_size: largest radius of a spot over the height of the picture.
+        exposure: range of the factor on brightness.
+        depth_noise: standard deviation of the noise on depth over the depth.
+        colour_noise: standard deviation of the noise on colours, which lie in [0, 1].
+    """
+
+    turn: NonNegative = 0.0
+    shift: NonNegative = 0.0
+    spots: Natural = 0
+    spot_size: NonNegative = 0.1
+    exposure: Annotated[Range, Bounds(ge=0.0)] = (1.0, 1.0)
+    depth_noise: NonNegative = 0.0
+    colour_noise: NonNegative = 0.0
+
+
+@struct.dataclass
+class Faults:
+    """Faults of the cameras of cars (num_agents, cameras, ...), for an episode."""
+
+    turn: jax.Array  # (..., 3, 3) rotations of the rays in the body's frame
+    shift: jax.Array  # (..., 3) of the cameras in the body's frame [m]
+    spots: jax.Array  # (..., n, 3) row, column and radius of dirt [picture heights]
+    exposure: jax.Array  # (...) factor on brightness
+
+
+def draw_faults(
+    config: FaultConfig, rig: Rig, num_agents: int, key: jax.Array
+) -> Faults:
+    """Faults of an episode; `key` is consumed."""
+    lead = (num_agents, len(rig.cameras))
+    turn_key, shift_key, spot_key, exposure_key = jax.random.split(key, 4)
+    angle = config.turn * jax.random.normal(turn_key, (*lead, 3))
+    most = jnp.array([1.0, rig.width / rig.height, config.spot_size])
+    low, high = config.exposure
+    return Faults(
+        turn=_rotation(angle),
+        shift=config.shift * jax.random.normal(shift_key, (*lead, 3)),
+        spots=most * jax.random.uniform(spot_key, (*lead, config.spots, 3)),
+        exposure=jax.random.uniform(exposure_key, lead, minval=low, maxval=high),
+    )
+
+
+def noisy_depth(
+    config: FaultConfig, depth: jax.Array, reach: float, key: jax.Array
+) -> jax.Array:
+    """Depths (...) [m] with noise, at most the reach; `key` is consumed."""
+    noise = config.depth_noise * jax.random.normal(key, depth.shape)
+    return jnp.where(depth < reach, jnp.clip(depth * (1.0 + noise), 0.0, reach), depth)
+
+
+def _rotation(angle: jax.Array) -> jax.Array:
+    """Rotations (..., 3, 3) by vectors (..., 3) [rad]."""
+    cross = jnp.swapaxes(jnp.cross(angle[..., None, :], jnp.eye(3)), -1, -2)
+    size = jnp.linalg.norm(angle, axis=-1)[..., None, None]
+    first, second = jnp.sinc(size / jnp.pi), jnp.sinc(size / (2 * jnp.pi)) ** 2 / 2
+    return jnp.eye(3) + first * cross + second * (cross @ cross)  # Rodrigues
+
+
+def is_dirty(rig: Rig, spots: jax.Array) -> jax.Array:
+    """Pixels (..., height, width) under any of the spots (..., n, 3)."""
+    row = (jnp.arange(rig.height) + 0.5)[:, None] / rig.height
+    column = (jnp.arange(rig.width) + 0.5) / rig.height
+    place = spots[..., None, None, :]
+    off = jnp.stack(
+        jnp.broadcast_arrays(row - place[..., 0], column - place[..., 1]), axis=-1
+    )
+    return jnp.any(norm(off) < place[..., 2], axis=-3)

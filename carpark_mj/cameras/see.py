@@ -1,25 +1,44 @@
-"""What the cameras of all cars of a lot see: depth, what it is, and how bright."""
+"""What cars see: depth, kinds and colours of their cameras, or a view from above."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.cameras.blocks import Heights, lot_blocks
-from carpark_mj.cameras.faults import Faults, is_dirty
+from carpark_mj.cameras.blocks import (
+    AMBIENT,
+    DIFFUSE,
+    SUN,
+    Heights,
+    Seat,
+    lot_blocks,
+    seat,
+    trace,
+)
 from carpark_mj.cameras.ground import (
     GRASS,
     HEIGHTS,
     LINE,
+    SHADES,
     SHOWS,
     Place,
     cover,
+    decode,
+    encode,
+    fold,
     is_grass,
+    is_near,
+    sky_hit,
 )
-from carpark_mj.cameras.hits import SHADES, decode, encode, sky_hit
-from carpark_mj.cameras.rig import Rig, Seen
-from carpark_mj.cameras.trace import AMBIENT, DIFFUSE, SUN, seat, trace
+from carpark_mj.cameras.rig import BODY, Faults, Rig, Seen, is_dirty
+from carpark_mj.config.checks import CheckedConfig, Count, Positive
 from carpark_mj.geometry.se2 import rotate
+from carpark_mj.layouts.types import LINE_WIDTH
 from carpark_mj.types import State
 
 _SKY = sky_hit(int(Seen.SKY))
@@ -29,17 +48,13 @@ _BRIGHT = round(SHADES * (AMBIENT + DIFFUSE * SUN[2]))  # of what lies flat
 
 @struct.dataclass
 class Pictures:
-    """Pictures of the cameras of cars, rows from the top (..., height, width).
+    """Pictures of the cameras of cars, rows from the top (..., height, width)."""
 
-    Attributes:
-        depth: from the camera along the pixel's ray [m], at most the rig's reach.
-        seen: uint8, `Seen`.
-        shade: uint8 brightness in [0, `SHADES`], the same for all unless the rig is
-            `shaded`.
-    """
-
+    # from the camera along the pixel's ray [m], at most the rig's reach
     depth: jax.Array
-    seen: jax.Array
+    seen: jax.Array  # uint8, `Seen`
+    # uint8 brightness in [0, `SHADES`], the same for all unless the rig is
+    # `shaded`
     shade: jax.Array
 
 
@@ -75,7 +90,7 @@ def see(
     def look(
         agent: jax.Array, goal: jax.Array, pose_w: jax.Array, eye: jax.Array, rays
     ):
-        hit = _ground(state, goal, pose_w, eye, rays[above:])
+        hit = _ground_hits(state, goal, pose_w, eye, rays[above:])
         hit = jnp.concatenate([jnp.full(above, _SKY), hit])
         around = [seat(blocks, agent, pose_w, eye) for blocks in (boxes, cylinders)]
         return trace(hit, rays, around[0], around[1], rig.shaded)
@@ -103,7 +118,7 @@ def see(
     )
 
 
-def _ground(
+def _ground_hits(
     state: State, goal: jax.Array, pose_w: jax.Array, eye: jax.Array, rays: jax.Array
 ) -> jax.Array:
     """Hits of rays (..., 3) with the ground, or the sky."""
@@ -126,3 +141,140 @@ def _ground(
     )
     ground = encode(down_to(height), shows, _BRIGHT)
     return jnp.where(drop > _LEAST_DROP, ground, _SKY)
+
+
+# RGB in [0, 1] in full light.
+COLOURS: dict[Seen, tuple[float, float, float]] = {
+    Seen.FLOOR: (0.28, 0.29, 0.31),
+    Seen.LINE: (0.95, 0.95, 0.92),
+    Seen.OWN_BAY: (0.24, 0.62, 0.36),
+    Seen.BAY: (0.36, 0.38, 0.44),
+    Seen.WALL: (0.66, 0.65, 0.62),
+    Seen.CAR: (0.84, 0.40, 0.22),
+    Seen.PERSON: (0.97, 0.75, 0.12),
+    Seen.KERB: (0.76, 0.76, 0.74),
+    Seen.SKY: (0.72, 0.82, 0.92),
+    Seen.OWN_CAR: (0.16, 0.17, 0.20),
+}
+Channel = Literal["colour", "depth", "seen"]
+DARK = 20.0  # m, depth that is black
+LUMA = (0.299, 0.587, 0.114)  # Rec. 601: what a camera's grey weighs
+
+
+def colours(
+    pictures: Pictures,
+    faults: Faults | None = None,
+    noise: float = 0.0,
+    key: jax.Array | None = None,
+) -> jax.Array:
+    """RGB (..., height, width, 3) in [0, 1]; faces are as bright as in the sun.
+
+    Faults give the exposure; noise of a standard deviation consumes the key.
+    """
+    palette = jnp.array([COLOURS[kind] for kind in Seen])
+    rgb = palette[pictures.seen] * (pictures.shade[..., None] / SHADES)
+    if faults is not None:
+        rgb = rgb * faults.exposure[..., None, None, None]
+    if noise:
+        if key is None:
+            raise ValueError(f"noise {noise} needs a key")
+        rgb = rgb + noise * jax.random.normal(key, rgb.shape)
+    return jnp.clip(rgb, 0.0, 1.0)
+
+
+def paint(pictures: Pictures, channel: Channel) -> jax.Array:
+    """Pictures to look at (..., height, width, 3) uint8.
+
+    `colour` has the shades of the sun, `depth` is the brighter the nearer, `seen` has a
+    colour for each kind.
+    """
+    if channel == "depth":
+        near = 1.0 - jnp.minimum(pictures.depth / DARK, 1.0)
+        rgb = jnp.repeat(near[..., None], 3, axis=-1)
+    elif channel == "seen":
+        rgb = jnp.array([COLOURS[kind] for kind in Seen])[pictures.seen]
+    else:
+        rgb = colours(pictures)
+    return (255.0 * rgb).astype(jnp.uint8)
+
+
+def grey(rgb: jax.Array) -> jax.Array:
+    """Brightness (...) in [0, 1] of colours (..., 3)."""
+    return rgb @ jnp.array(LUMA)
+
+
+_ANY_HEIGHT = Heights((1.0,), (1.0,))
+
+
+@dataclasses.dataclass(frozen=True)
+class BirdsEye(CheckedConfig):
+    """A square picture about the footprint's centre.
+
+    Attributes:
+        pixels: of a side.
+        span: length of a side [m].
+    """
+
+    pixels: Count = 84
+    span: Positive = 21.0
+
+
+def see_from_above(config: BirdsEye, state: State) -> jax.Array:
+    """Pictures (num_agents, pixels, pixels) uint8 `Seen`, rows from the front.
+
+    Lines are at least as wide as a pixel.
+    """
+    boxes, cylinders = lot_blocks(state, _ANY_HEIGHT, of_cars=(BODY,))
+    side = config.span * (0.5 - (np.arange(config.pixels) + 0.5) / config.pixels)
+    x, y = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
+    line_width = max(LINE_WIDTH, config.span / config.pixels)
+    ahead, left = jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32)
+    reach = config.span / math.sqrt(2) + line_width
+
+    def look(agent: jax.Array, goal: jax.Array, pose_w: jax.Array) -> jax.Array:
+        place = Place(pose_w[:2], pose_w[2])
+        kind = cover(state.layout, goal, place, ahead, left, line_width, reach)
+        seen = jnp.array(SHOWS, jnp.int32)[kind]
+        for blocks, inside in ((boxes, _in_box), (cylinders, _in_disc)):
+            if blocks.low.shape[0]:
+                seats = seat(blocks, agent, pose_w, jnp.zeros(3))
+                seen = _stand(seen, seats, ahead, left, inside, reach)
+        return seen
+
+    agents = jnp.arange(state.goal.shape[0])
+    seen = jax.vmap(look)(agents, state.goal, state.motion.pose_w)
+    return seen.astype(jnp.uint8).reshape(-1, config.pixels, config.pixels)
+
+
+def channels(seen: jax.Array, kinds: Sequence[Seen] = tuple(Seen)) -> jax.Array:
+    """Pictures (..., height, width, kinds) bool: whether a pixel shows each kind."""
+    return seen[..., None] == jnp.array(kinds, seen.dtype)
+
+
+def _stand(
+    seen: jax.Array,
+    seats: Seat,
+    ahead: jax.Array,
+    left: jax.Array,
+    inside: Callable[..., jax.Array],
+    reach: float,
+) -> jax.Array:
+    """Pixels (n,) with what stands there; `Seen` has the ground's kinds first."""
+
+    def meet(seen: jax.Array, block: Seat) -> jax.Array:
+        x = block.eye[0] + block.cos * ahead + block.sin * left
+        y = block.eye[1] + block.cos * left - block.sin * ahead
+        return jnp.maximum(seen, jnp.where(inside(block, x, y), block.seen, 0))
+
+    nothing = jax.tree.map(lambda value: jnp.full_like(value[0], -1), seats)
+    return fold(
+        seen, seats, nothing, meet, is_near(seats.eye[:, :2], seats.half, reach)
+    )
+
+
+def _in_box(box: Seat, x: jax.Array, y: jax.Array) -> jax.Array:
+    return (jnp.abs(x) <= box.half[0]) & (jnp.abs(y) <= box.half[1])
+
+
+def _in_disc(disc: Seat, x: jax.Array, y: jax.Array) -> jax.Array:
+    return (x * x + y * y <= disc.half[0] ** 2) & (disc.half[0] > 0.0)

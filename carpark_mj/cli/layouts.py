@@ -166,7 +166,7 @@ def run_scene(layout: Layout) -> list[str]:
 
     Every bay holds a parked car; cars to drive stand in the first spawn regions.
     """
-    from carpark_mj.scene.export import drivable_scene, try_out
+    from carpark_mj.scene.build import drivable_scene, try_out
     from carpark_mj.vehicle import COMPACT
 
     starts = np.asarray(layout.spawn_pose[layout.spawn_mask][:NUM_DRIVEN])

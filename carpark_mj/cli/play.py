@@ -20,8 +20,7 @@ import numpy as np
 
 from carpark_mj.config.checks import require_unset
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.window import Window, has_display
+from carpark_mj.rendering.gl import Window, choose_gl, has_display
 
 if not has_display():
     choose_gl()  # before MuJoCo is imported; windows have an OpenGL of their own

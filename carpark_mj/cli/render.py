@@ -14,27 +14,37 @@ from PIL import Image
 from rich.progress import track
 
 from carpark_mj.cameras import RIGS, Rig
-from carpark_mj.cameras.colour import Channel
+from carpark_mj.cameras.see import Channel
 from carpark_mj.cli.common import MAX_SECONDS
 from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_positive, require_unset
-from carpark_mj.config.observations import Tracked
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
-from carpark_mj.rendering.car_cameras import CarCameras, car_cameras
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, draw_lots
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.recording import Recording, record, recording_stage
+from carpark_mj.rendering.recording import (
+    Recording,
+    frames_per_second,
+    num_frames,
+    record,
+    recording_stage,
+)
 from carpark_mj.rendering.renderer import (
     LotRenderer,
     RenderingError,
     Show,
     camera_names,
 )
-from carpark_mj.rendering.snapshot import frames_per_second, num_frames
-from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
+from carpark_mj.rendering.video import (
+    CarCameras,
+    car_cameras,
+    draw_frame,
+    frame_stride,
+    write_video,
+)
 from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 
 

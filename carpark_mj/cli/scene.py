@@ -27,11 +27,10 @@ from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
-from carpark_mj.rendering.live import LiveLot
+from carpark_mj.rendering.gl import missing_display
 from carpark_mj.rendering.local_pages import HOST, PORT, check_port
-from carpark_mj.rendering.web import make_live_viewer, make_viewer, require_web
-from carpark_mj.rendering.window import missing_display
-from carpark_mj.scene.export import drivable_scene, scene_xml
+from carpark_mj.rendering.web import LiveLot, make_live_viewer, make_viewer, require_web
+from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.checks import has_exits
 from carpark_mj.vehicle import VehicleParameters, preset
 

@@ -25,15 +25,6 @@ if TYPE_CHECKING:
         register_layout,
         require_layout,
     )
-    from carpark_mj.config.observations import (
-        ENCODERS,
-        ObservationConfig,
-        RayConfig,
-        RingConfig,
-        SensorConfig,
-        ShareConfig,
-        UltrasoundConfig,
-    )
     from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
     from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
     from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig, Scheme
@@ -54,6 +45,10 @@ if TYPE_CHECKING:
         ParkedRule,
         find_rules,
     )
+    from carpark_mj.observations.fields import ENCODERS, ObservationConfig
+    from carpark_mj.observations.ranges import RayConfig, RingConfig, UltrasoundConfig
+    from carpark_mj.observations.sensors import SensorConfig
+    from carpark_mj.observations.tracked import ShareConfig
     from carpark_mj.spawning.config import (
         FleetConfig,
         JitterConfig,
@@ -70,10 +65,6 @@ _NAMES = {
         *("LAYOUTS", "LayoutChoice", "LayoutConfig", "register_layout"),
         "require_layout",
     ),
-    "config.observations": (
-        *("ENCODERS", "ObservationConfig", "RayConfig", "RingConfig", "SensorConfig"),
-        *("ShareConfig", "UltrasoundConfig"),
-    ),
     "config.obstacles": ("MOVERS", "Mover", "ObstacleKind"),
     "config.physics": ("CONTACT_SIM_DT", "SimConfig", "Surface", "TyresName"),
     "mdp.goals": ("GivingWayConfig", "GoalConfig", "Scheme"),
@@ -85,6 +76,10 @@ _NAMES = {
     "mdp.terminations": (
         *("PARKED_RULES", "WORLD_UNIT", "EpisodeConfig", "ParkedRule", "find_rules"),
     ),
+    "observations.fields": ("ENCODERS", "ObservationConfig"),
+    "observations.ranges": ("RayConfig", "RingConfig", "UltrasoundConfig"),
+    "observations.sensors": ("SensorConfig",),
+    "observations.tracked": ("ShareConfig",),
     "spawning.config": (
         *("FleetConfig", "JitterConfig", "RandomizationConfig", "RelocationRule"),
         "SpawnConfig",

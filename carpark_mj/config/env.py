@@ -15,7 +15,6 @@ from carpark_mj.config.checks import (
     require_types,
 )
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
-from carpark_mj.config.observations import ENCODERS, ObservationConfig, SensorConfig
 from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.config.physics import SimConfig
 from carpark_mj.config.vehicles import with_parameters
@@ -24,6 +23,8 @@ from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig
 from carpark_mj.mdp.metrics import MetricsConfig
 from carpark_mj.mdp.rewards import ExtraTerms, RewardConfig
 from carpark_mj.mdp.terminations import EpisodeConfig, find_rules
+from carpark_mj.observations.fields import ENCODERS, ObservationConfig
+from carpark_mj.observations.sensors import SensorConfig
 from carpark_mj.spawning.config import (
     FleetConfig,
     JitterConfig,
@@ -72,7 +73,7 @@ class EnvConfig:
         episode: when episodes end.
         reward: reward weights.
         observation: encoder of what agents observe; named encoders are in
-            `carpark_mj.config.observations.ENCODERS`.
+            `carpark_mj.config.ENCODERS`.
         randomization: parameters that differ between cars.
         sensors: noise, delay and drift of what agents observe.
         metrics: optional measurements.

@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax.lax import optimization_barrier
 
-from carpark_mj.geometry.gradients import finite_slope, sqrt
-from carpark_mj.geometry.se2 import norm, rotate, to_local
+from carpark_mj.geometry.se2 import finite_slope, norm, rotate, sqrt, to_local
 
 # Signs of the four corners in the box frame, counter-clockwise from front left.
 _CORNER_SIGNS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
@@ -27,17 +26,10 @@ def box_corners(pose: jax.Array, size: jax.Array) -> jax.Array:
 
 
 class _Pair(NamedTuple):
-    """How boxes a and b lie to each other; (...) each.
+    """How boxes a and b lie to each other; (...) each."""
 
-    Attributes:
-        b_in_a: x and y of the centre of b in the frame of a [m].
-        a_in_b: x and y of the centre of a in the frame of b [m].
-        cos: of the heading of b less that of a.
-        sin: of the same.
-    """
-
-    b_in_a: tuple[jax.Array, jax.Array]
-    a_in_b: tuple[jax.Array, jax.Array]
+    b_in_a: tuple[jax.Array, jax.Array]  # x and y of b's centre in a's frame [m]
+    a_in_b: tuple[jax.Array, jax.Array]  # x and y of a's centre in b's frame [m]
     cos: jax.Array
     sin: jax.Array
 
@@ -61,14 +53,9 @@ def boxes_overlap(
 ) -> jax.Array:
     """Whether the interiors of oriented boxes intersect (separating axis theorem).
 
-    Args:
-        pose_a: (..., 3) centre poses [m, m, rad].
-        size_a: (..., 2) length and width [m].
-        pose_b: (..., 3) centre poses, broadcastable against `pose_a`.
-        size_b: (..., 2) length and width [m].
-
-    Returns:
-        (...) bool; boxes that only touch do not overlap. Any NaN gives False.
+    Poses (..., 3) [m, m, rad] are those of the centres, sizes (..., 2) lengths and
+    widths [m]; all broadcast. Boxes that only touch do not overlap. Any NaN gives
+    False.
     """
     # Half extents of each box along the other's axes follow from |cos| and |sin| of
     # the heading difference; the four axes of two rectangles are all that can separate.
@@ -155,12 +142,8 @@ def _least_gap(
 ) -> jax.Array:
     """Squared distance (...) [m^2] from a box to the nearest corner of another.
 
-    Args:
-        centre: x and y of the other's centre in the box's frame [m].
-        half: (..., 2) half length and half width of the other [m].
-        own_half: (..., 2) of the box [m].
-        cos: of the other's heading in the box's frame.
-        sin: of the same.
+    The other's centre (x, y) [m] and the cosine and sine of its heading are in the
+    box's frame; half lengths and widths (..., 2) [m] are its own and the box's.
     """
     gaps = []
     for ahead, aside in _CORNER_SIGNS:
@@ -185,14 +168,8 @@ def box_disc_overlap(
 ) -> jax.Array:
     """Whether the interiors of boxes (..., 3), (..., 2) and discs intersect.
 
-    Args:
-        pose: (..., 3) centre poses of the boxes [m, m, rad].
-        size: (..., 2) length and width [m].
-        centre: (..., 2) centres of the discs [m].
-        radius: (...) radii [m].
-
-    Returns:
-        (...) bool; what only touches does not overlap. Any NaN gives False.
+    Discs have centres (..., 2) and radii (...) [m]. What only touches does not overlap.
+    Any NaN gives False.
     """
     return point_box_distance(centre, pose, size) < radius
 
@@ -261,16 +238,10 @@ def _slab(
 def ray_box_distance(
     origin: jax.Array, direction: jax.Array, pose: jax.Array, size: jax.Array
 ) -> jax.Array:
-    """Distance [m] along rays to boxes (..., 3), (..., 2): the slab test.
+    """Distance (...) [m] along rays to boxes (..., 3), (..., 2): the slab test.
 
-    Args:
-        origin: (..., 2) starts of the rays [m].
-        direction: (..., 2) unit vectors.
-        pose: (..., 3) centre poses of the boxes [m, m, rad].
-        size: (..., 2) length and width [m].
-
-    Returns:
-        (...) 0 from inside, inf without a hit; a ray along an edge misses.
+    Rays start at `origin` (..., 2) [m] along unit vectors (..., 2). 0 from inside, inf
+    without a hit; a ray along an edge misses.
     """
     offset = origin - pose[..., :2]
     # Once for a box, not for each of its rays, which XLA would do to save memory.
@@ -323,21 +294,12 @@ def box_contact_time(
     size_b: jax.Array,
     velocity: jax.Array,
 ) -> jax.Array:
-    """Time [s] until box a overlaps box b if it moves straight, without turning.
+    """Time (...) [s] until box a overlaps box b if it moves straight, without turning.
 
     The separating axis test for moving convex objects (Ericson, Real-Time Collision
     Detection, 2005, section 5.5.2): they overlap while their shadows on all four axes
-    do.
-
-    Args:
-        pose_a: (..., 3) centre poses [m, m, rad].
-        size_a: (..., 2) length and width [m].
-        pose_b: (..., 3).
-        size_b: (..., 2) [m].
-        velocity: (..., 2) of a as seen from b, world axes [m/s].
-
-    Returns:
-        (...) 0 where they overlap, inf where they never will or only touch.
+    do. `velocity` (..., 2) is that of a as seen from b, world axes [m/s]. 0 where they
+    overlap, inf where they never will or only touch.
     """
     local = to_local(pose_a, pose_b)
     turn = local[..., 2]

@@ -1,7 +1,13 @@
-"""Groups of boxes and discs that cars can hit.
+"""Groups of boxes and discs that cars can hit, and a broad phase for pairs of them.
 
 A group has one shape and one kind. Both are static, so that needless computations are
 never traced: walls stand still, and only agents leave themselves out.
+
+In the broad phase every pair gets a cheap lower bound of its gap. The exact and costly
+test then visits the pairs whose bound is below a limit, nearest first and a few per
+agent at a time, until none is left. The result is exact in any lot, and the cost of the
+tests grows with the number of near pairs. In small lots testing every pair is cheaper:
+`is_crowded` decides by the static shapes, so that no key changes the program.
 """
 
 import dataclasses
@@ -15,7 +21,6 @@ from flax import struct
 
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import boxes
-from carpark_mj.geometry.broad_phase import box_gaps, disc_gaps
 from carpark_mj.geometry.se2 import norm
 
 Tree = TypeVar("Tree")
@@ -23,23 +28,18 @@ Tree = TypeVar("Tree")
 
 @struct.dataclass
 class Group:
-    """Obstacles of a shape and a kind, (n,) in a lot; world frame.
+    """Obstacles of a shape and a kind, (n,) in a lot; world frame."""
 
-    Attributes:
-        pose_w: (..., 3) centres and headings of boxes, (..., 2) centres of discs.
-        size: (..., 2) lengths and widths of boxes, (...) radii of discs [m].
-        velocity_w: (..., 2) of the centres [m/s]; None = they stand still.
-        mask: (...) bool, which of them there are; None = all.
-        trace_w: (n, k, 3 or 2) `pose_w` at the traced instants of the last control
-            step, see `Motion.trace_w`; None = they stood still.
-        kind: what they are.
-    """
-
+    # (..., 3) centres and headings of boxes, (..., 2) centres of discs
     pose_w: jax.Array
-    size: jax.Array
+    size: jax.Array  # (..., 2) lengths and widths of boxes, (...) radii of discs [m]
+    # (..., 2) of the centres [m/s]; None = they stand still
     velocity_w: jax.Array | None = None
-    mask: jax.Array | None = None
+    mask: jax.Array | None = None  # (...) bool, which of them there are; None = all
+    # (n, k, 3 or 2) `pose_w` at the traced instants of the last control step, see
+    # `Motion.trace_w`; None = they stood still
     trace_w: jax.Array | None = None
+    # what they are
     kind: ObstacleKind = struct.field(pytree_node=False, default=ObstacleKind.MOVER)
 
     # Of boxes (pose, size) with this shape (pose_w, size).
@@ -126,7 +126,9 @@ class Boxes(Group):
     _distance = staticmethod(boxes.box_distance)
     _contact_time = staticmethod(boxes.box_contact_time)
     _corners = staticmethod(boxes.box_corners)
-    _gaps = staticmethod(box_gaps)
+    _gaps = staticmethod(
+        lambda xy, pose, size: boxes.point_box_distance(xy[:, None], pose, size)
+    )
     _ray_distance = staticmethod(boxes.ray_box_distance)
 
 
@@ -138,7 +140,7 @@ class Discs(Group):
     _distance = staticmethod(boxes.box_disc_distance)
     _contact_time = staticmethod(boxes.box_disc_contact_time)
     _corners = staticmethod(lambda centre, radius: centre[..., None, :])
-    _gaps = staticmethod(disc_gaps)
+    _gaps = staticmethod(lambda xy, centre, radius: norm(xy[:, None] - centre) - radius)
     _ray_distance = staticmethod(boxes.ray_disc_distance)
 
     def hit(self, trace: jax.Array, size: jax.Array) -> jax.Array:
@@ -162,19 +164,12 @@ def take(tree: Tree, index: Any) -> Tree:
 
 
 class Merged(NamedTuple):
-    """The groups of one shape as one.
+    """The groups of one shape as one."""
 
-    Attributes:
-        group: all their obstacles, with traces, without velocities and masks.
-        counts: (num_agents, n) bool, which of them each agent can hit.
-        excursion: (n,) see `Group.excursion`.
-        kind: (n,) `ObstacleKind`, static.
-    """
-
-    group: Group
-    counts: jax.Array
-    excursion: jax.Array
-    kind: np.ndarray
+    group: Group  # all their obstacles, with traces, without velocities and masks
+    counts: jax.Array  # (num_agents, n) bool, which of them each agent can hit
+    excursion: jax.Array  # (n,) see `Group.excursion`
+    kind: np.ndarray  # (n,) `ObstacleKind`, static
 
 
 def merge(groups: Sequence[Group], num_agents: int) -> Merged:
@@ -205,14 +200,10 @@ def by_shape(groups: Sequence[Group]) -> list[Sequence[Group]]:
 
 @struct.dataclass
 class Movers:
-    """The movers of a lot.
+    """The movers of a lot."""
 
-    Attributes:
-        states: their own, in the order of `EnvConfig.movers`.
-        obstacles: of each, at the end of the last control step, traced.
-    """
-
-    states: tuple[Any, ...] = ()
+    states: tuple[Any, ...] = ()  # their own, in the order of `EnvConfig.movers`
+    # of each, at the end of the last control step, traced
     obstacles: tuple[tuple[Group, ...], ...] = ()
 
     @property
@@ -222,3 +213,72 @@ class Movers:
 
 
 NO_MOVERS = Movers()
+
+
+# Pairs above which the bounds pay, measured on two CPU cores.
+MANY_PAIRS = 500
+# What float32 may lose of a bound at coordinates of some hundred metres.
+MARGIN = 1e-3  # m
+
+Carry = TypeVar("Carry")
+
+
+def is_crowded(num_agents: int, num_others: int) -> bool:
+    """Whether a lot has so many pairs of agents and others that the bounds pay."""
+    return num_agents * num_others > MANY_PAIRS
+
+
+def visit_near(
+    bound: jax.Array,
+    limit: Callable[[Carry], jax.Array],
+    visit: Callable[[Carry, jax.Array, jax.Array], Carry],
+    carry: Carry,
+    chunk: int,
+) -> Carry:
+    """Visits for each agent everything whose bound is below its limit, nearest first.
+
+    Args:
+        bound: (num_agents, n) lower bounds [m]; inf or NaN is never visited.
+        limit: of a carry, (num_agents,) [m]; it may shrink as the carry improves.
+        visit: `(carry, index, valid) -> carry` with (num_agents, k) indices below n,
+            each given once; those not valid must change nothing.
+        carry: the first.
+        chunk: how many to visit per agent at a time, k = min(chunk, n).
+
+    Returns:
+        The last carry.
+    """
+    chunk = min(chunk, bound.shape[1])
+    rows = jnp.arange(bound.shape[0])[:, None]
+
+    def is_left(state: tuple[jax.Array, Carry]) -> jax.Array:
+        bound, carry = state
+        return jnp.any(jnp.min(bound, axis=1) < limit(carry))
+
+    def go_on(state: tuple[jax.Array, Carry]) -> tuple[jax.Array, Carry]:
+        bound, carry = state
+        near, index = jax.lax.top_k(-bound, chunk)
+        carry = visit(carry, index, -near < limit(carry)[:, None])
+        return bound.at[rows, index].set(jnp.inf), carry
+
+    if chunk == 0:
+        return carry
+    bound = jnp.where(jnp.isnan(bound), jnp.inf, bound)
+    return jax.lax.while_loop(is_left, go_on, (bound, carry))[1]
+
+
+def least_near(
+    bound: jax.Array, find: Callable[[jax.Array], jax.Array], limit: float, chunk: int
+) -> jax.Array:
+    """The least number (num_agents,) of those found for each agent, at most `limit`.
+
+    `bound` (num_agents, n) has lower bounds of the numbers, `find` gives the numbers
+    (num_agents, k) at indices (num_agents, k); see `visit_near`.
+    """
+
+    def visit(least: jax.Array, index: jax.Array, valid: jax.Array) -> jax.Array:
+        found = jnp.where(valid, find(index), jnp.inf)
+        return jnp.minimum(least, jnp.min(found, axis=1))
+
+    start = jnp.full(bound.shape[0], limit, bound.dtype)
+    return visit_near(bound, lambda least: least, visit, start, chunk)

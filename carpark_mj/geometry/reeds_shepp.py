@@ -8,8 +8,15 @@ tried in four mirror images (time reversed, sides swapped, both), some also back
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry.gradients import arccos, arcsin, arctan2, hypot, sqrt
-from carpark_mj.geometry.se2 import to_local, wrap_angle
+from carpark_mj.geometry.se2 import (
+    arccos,
+    arcsin,
+    arctan2,
+    hypot,
+    sqrt,
+    to_local,
+    wrap_angle,
+)
 
 _HALF = jnp.pi / 2
 # A turn of 0 may come out as this much in the other direction: without it a car that

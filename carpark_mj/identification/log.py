@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -122,7 +123,8 @@ def read_log(path: Path) -> DriveLog:
         measured,
         tuple(name for name in names if name not in COLUMNS),
     )
-    _check(path, log, values)
+    for fault in _faults(log, values):
+        raise ValueError(f"{path}: {fault}")
     return log
 
 
@@ -149,36 +151,29 @@ def _value(row: CsvRow, column: str, quantity: str) -> float:
     return value
 
 
-def _check(path: Path, log: DriveLog, values: dict[str, np.ndarray]) -> None:
-    steps = np.diff(log.time)
+def _faults(log: DriveLog, values: dict[str, np.ndarray]) -> Iterator[str]:
+    """What makes a log useless."""
+    steps, lasts = np.diff(log.time), log.time[-1] - log.time[0]
     if not (steps > 0).all():
-        row = int(np.argmin(steps > 0))
-        raise ValueError(
-            f"{path}: time must increase from row to row, not go from "
-            f"{log.time[row]:g} to {log.time[row + 1]:g} s"
-        )
-    lasts = log.time[-1] - log.time[0]
+        first, second = log.time[np.argmin(steps > 0) :][:2]
+        yield f"time must increase, not go from {first:g} to {second:g} s"
     if not SHORTEST <= lasts <= LONGEST:
-        raise ValueError(
-            f"{path}: the drive must last {SHORTEST:g} to {LONGEST:g} s, not {lasts:g}"
-        )
-    if steps.max() > WIDEST_GAP:
-        raise ValueError(
-            f"{path}: rows must be at most {WIDEST_GAP:g} s apart, not "
-            f"{steps.max():g}, after {log.time[steps.argmax()]:g} s"
-        )
+        yield f"the drive must last {SHORTEST:g} to {LONGEST:g} s, not {lasts:g}"
+    if (gap := steps.max()) > WIDEST_GAP:
+        after = log.time[steps.argmax()]
+        apart = f"{gap:g}, after {after:g} s"
+        yield f"rows must be at most {WIDEST_GAP:g} s apart, not {apart}"
     for name, (most, unit) in LARGEST.items():
-        if name in values and np.nanmax(np.abs(values[name]), initial=0.0) > most:
-            raise ValueError(
-                f"{path}: {name} must lie within ±{most:g} {unit}".rstrip()
-                + f", not reach {np.nanmax(np.abs(values[name])):g}"
-            )
+        reached = np.nanmax(np.abs(values.get(name, 0.0)), initial=0.0)
+        if reached > most:
+            within = f"{name} must lie within ±{most:g} {unit}".rstrip()
+            yield f"{within}, not reach {reached:g}"
     for name, column in log.measured.items():
         if np.isfinite(column).sum() < 2 * lasts:
-            raise ValueError(f"{path}: {name} must have at least 2 values per second")
+            yield f"{name} must have at least 2 values per second"
     speed = np.abs(log.speed)
-    if not SLOWEST <= speed.max() <= FASTEST:
-        raise ValueError(
-            f"{path}: the car must reach {SLOWEST:g} to {FASTEST:g} m/s, not "
-            f"{speed.max():.3g} (at {log.time[speed.argmax()]:g} s)"
+    if not SLOWEST <= (fastest := speed.max()) <= FASTEST:
+        yield (
+            f"the car must reach {SLOWEST:g} to {FASTEST:g} m/s, not {fastest:.3g} "
+            f"(at {log.time[speed.argmax()]:g} s)"
         )

@@ -72,6 +72,11 @@ def require_aisle(aisle: float, least: float) -> None:
         )
 
 
+def stacked(*columns: Any) -> jax.Array:
+    """Poses or sizes (..., n) of columns (...) that broadcast against each other."""
+    return jnp.stack(jnp.broadcast_arrays(*columns), axis=-1)
+
+
 def cell_poses(
     offset: jax.Array, width: jax.Array, length: jax.Array, angle: jax.Array
 ) -> jax.Array:
@@ -88,8 +93,7 @@ def cell_poses(
     # is half a width back and half a length in.
     x = offset + width / sin - width / 2 * sin + length / 2 * cos
     y = width / 2 * cos + length / 2 * sin
-    x, y, yaw = jnp.broadcast_arrays(x, y, angle + jnp.pi)
-    return jnp.stack([x, y, yaw], axis=-1)
+    return stacked(x, y, angle + jnp.pi)
 
 
 def row_depth(width: jax.Array, length: jax.Array, angle: jax.Array) -> jax.Array:
@@ -101,7 +105,7 @@ def mirror(pose: jax.Array, flip_x: jax.Array, flip_y: jax.Array) -> jax.Array:
     """Mirrors poses (..., 3) of boxes; flips are +1 (as it is) or -1."""
     x, y, yaw = pose[..., 0] * flip_x, pose[..., 1] * flip_y, pose[..., 2]
     yaw = jnp.arctan2(jnp.sin(yaw) * flip_y, jnp.cos(yaw) * flip_x)
-    return jnp.stack(jnp.broadcast_arrays(x, y, yaw), axis=-1)
+    return stacked(x, y, yaw)
 
 
 def _rows(row: str, mask: Any, **values: Any) -> Group:
@@ -198,20 +202,11 @@ def two_lanes(pose: Any, size: Any) -> tuple[jax.Array, jax.Array]:
 def boundary(half_x: Any, half_y: Any, thickness: float, kind: WallKind) -> Group:
     """Four walls around a rectangle whose inner faces are at +-half_x and +-half_y."""
     half_x, half_y = jnp.float32(half_x), jnp.float32(half_y)
-    zero, off = jnp.zeros_like(half_x), thickness / 2
-    poses = [
-        (zero, -half_y - off, zero),
-        (zero, half_y + off, zero),
-        (-half_x - off, zero, zero),
-        (half_x + off, zero, zero),
-    ]
-    across = (2 * (half_x + thickness), zero + thickness)
-    along = (zero + thickness, 2 * half_y)
-    return walls(
-        jnp.stack([jnp.stack(pose) for pose in poses]),
-        jnp.stack([jnp.stack(size) for size in (across, across, along, along)]),
-        kind,
-    )
+    x = jnp.array([0.0, 0.0, -1.0, 1.0]) * (half_x + thickness / 2)
+    y = jnp.array([-1.0, 1.0, 0.0, 0.0]) * (half_y + thickness / 2)
+    across = stacked(2 * (half_x + thickness), thickness)
+    along = stacked(thickness, 2 * half_y)
+    return walls(stacked(x, y, 0.0), jnp.stack([across, across, along, along]), kind)
 
 
 def assemble(extent: Any, *groups: Group) -> Layout:

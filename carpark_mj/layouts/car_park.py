@@ -255,5 +255,5 @@ def _all_reached(layout: Layout) -> jax.Array:
     return jnp.all(reached | ~layout.lane_mask[:, None] | ~layout.bay_mask)
 
 
-DRAGON_LAKE = register_layout("dragon_lake", CarParkConfig("dragon_lake"))
-SAN_JOSE = register_layout("san_jose", CarParkConfig("san_jose"))
+register_layout("dragon_lake", CarParkConfig("dragon_lake"))
+register_layout("san_jose", CarParkConfig("san_jose"))

@@ -250,7 +250,7 @@ def _rows(config: LotConfig, plan: _Plan) -> list[build.Group]:
         return pose.at[..., 1].add(plan.aisle_y[:, None, None])
 
     bay_pose = place(far - width, width)
-    bay_size = jnp.stack([jnp.broadcast_to(plan.bay_length, shape), width], axis=-1)
+    bay_size = build.stacked(plan.bay_length, width)
     groups = [build.bays(bay_pose, bay_size, kind, mask)]
     if every:
         gap = jnp.full(shape, PILLAR_GAP)
@@ -276,10 +276,8 @@ def _strips(
     """Islands or pairs of bollards at the ends of the rows (aisles, 2 sides, 2)."""
     mask = plan.aisle_mask[:, None, None]
     if config.row_ends == "islands":
-        length = jnp.broadcast_to(plan.bay_length, width.shape)
-        return build.walls(
-            pose, jnp.stack([length, width], axis=-1), WallKind.ISLAND, mask
-        )
+        size = build.stacked(plan.bay_length, width)
+        return build.walls(pose, size, WallKind.ISLAND, mask)
     reach = plan.bay_length / 2 - BOLLARD_INSET
     centre = jnp.stack(
         [move_forward(pose, reach), move_forward(pose, -reach)], axis=-2
@@ -291,14 +289,14 @@ def _strips(
 
 def _lanes(config: LotConfig, plan: _Plan) -> list[build.Group]:
     """Lanes of aisles, cross aisles and entrances, and spawn regions in them."""
-    zero = jnp.zeros_like(plan.aisle_y)
-    pose = jnp.stack([zero, plan.aisle_y, zero], axis=-1)
+    num_aisles = config.num_aisles[1]
+    pose = build.stacked(0.0, plan.aisle_y, 0.0)
     size = jnp.stack([plan.field, plan.aisle])
     if config.two_way:
-        pose, size = build.two_lanes(pose, jnp.broadcast_to(size, (*zero.shape, 2)))
+        pose, size = build.two_lanes(pose, jnp.broadcast_to(size, (num_aisles, 2)))
         mask = jnp.stack([plan.aisle_mask] * 2, axis=-1)
     else:
-        backwards = (jnp.arange(zero.shape[0]) % 2 == 1) != config.back_in
+        backwards = (jnp.arange(num_aisles) % 2 == 1) != config.back_in
         pose = pose.at[:, 2].set(jnp.where(backwards, jnp.pi, 0.0))
         mask = plan.aisle_mask
     groups = [
@@ -308,14 +306,14 @@ def _lanes(config: LotConfig, plan: _Plan) -> list[build.Group]:
 
     side = jnp.array([-1.0, 1.0])
     x = side * (plan.field + plan.cross) / 2
-    pose = jnp.stack([x, jnp.zeros(2), jnp.full(2, jnp.pi / 2)], axis=-1)
+    pose = build.stacked(x, 0.0, jnp.pi / 2)
     size = jnp.broadcast_to(jnp.stack([plan.cross, 2 * plan.half[1]])[::-1], (2, 2))
     pose, size = build.two_lanes(pose, size)
     groups += [build.lanes(pose, size), build.spawns_in(config.car, pose, size)]
 
     x = side * (plan.half[0] + ENTRANCE_LENGTH / 2)
     inwards = jnp.array([0.0, jnp.pi])
-    pose = jnp.stack([x, plan.entrance_y, inwards], axis=-1)
+    pose = build.stacked(x, plan.entrance_y, inwards)
     size = jnp.broadcast_to(jnp.array([ENTRANCE_LENGTH, ENTRANCE_WIDTH]), (2, 2))
     pose, size = build.two_lanes(pose, size)
     groups.append(build.lanes(pose, size, mask=plan.entrance_mask[:, None]))
@@ -329,41 +327,29 @@ def _outer_walls(config: LotConfig, plan: _Plan) -> list[build.Group]:
     thick = jnp.float32(config.wall_thickness)
     kind = WallKind.WALL if config.boundary == "wall" else WallKind.KERB
     half_x, half_y = plan.half[0], plan.half[1]
-    zero = jnp.zeros(())
-    y = half_y + thick / 2
-    long = jnp.stack([2 * (half_x + thick), thick])
-    ends = build.walls(
-        jnp.stack([jnp.stack([zero, s * y, zero]) for s in (-1, 1)]), long, kind
-    )
-    # Two pieces on each side, which meet at the entrance's middle if there is none.
     side = jnp.array([-1.0, 1.0])
+    pose = build.stacked(0.0, side * (half_y + thick / 2), 0.0)
+    ends = build.walls(pose, build.stacked(2 * (half_x + thick), thick), kind)
+    # Two pieces on each side, which meet at the entrance's middle if there is none.
     opening = jnp.where(plan.entrance_mask, ENTRANCE_WIDTH, 0.0)
     low = (-half_y + plan.entrance_y - opening / 2) / 2
     high = (half_y + plan.entrance_y + opening / 2) / 2
-    x = jnp.broadcast_to(side * (half_x + thick / 2), (2, 2))
-    pieces = jnp.stack([x, jnp.stack([low, high]), jnp.zeros((2, 2))], axis=-1)
+    x = side * (half_x + thick / 2)
+    pose = build.stacked(x, jnp.stack([low, high]), 0.0)
     length = jnp.stack(
         [
             half_y + plan.entrance_y - opening / 2,
             half_y - plan.entrance_y - opening / 2,
         ]
     )
-    pieces = build.walls(
-        pieces, jnp.stack([jnp.broadcast_to(thick, (2, 2)), length], axis=-1), kind
-    )
+    pieces = build.walls(pose, build.stacked(thick, length), kind)
     x = side * (half_x + (ENTRANCE_LENGTH + thick) / 2)
     aside = (ENTRANCE_WIDTH + thick) / 2
-    flanks = jnp.stack(
-        [jnp.stack([x, plan.entrance_y + s * aside, 0 * x], axis=-1) for s in (-1, 1)]
-    )
+    pose = build.stacked(x, plan.entrance_y + side[:, None] * aside, 0.0)
     size = jnp.stack([ENTRANCE_LENGTH - thick, thick])
-    flanks = build.walls(flanks, size, kind, plan.entrance_mask)
+    flanks = build.walls(pose, size, kind, plan.entrance_mask)
     x = side * (half_x + ENTRANCE_LENGTH + thick / 2)
-    gate = jnp.stack([x, plan.entrance_y, 0 * x], axis=-1)
+    pose = build.stacked(x, plan.entrance_y, 0.0)
     size = jnp.stack([thick, ENTRANCE_WIDTH + 2 * thick])
-    return [
-        ends,
-        pieces,
-        flanks,
-        build.walls(gate, size, WallKind.GATE, plan.entrance_mask),
-    ]
+    gates = build.walls(pose, size, WallKind.GATE, plan.entrance_mask)
+    return [ends, pieces, flanks, gates]

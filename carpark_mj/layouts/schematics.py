@@ -90,12 +90,8 @@ class StreetConfig(LayoutConfig):
         y = (aisle + across) / 2
         # Left of the lane along +x, then right of it.
         yaws = (jnp.pi, 0.0) if self.parallel else (-jnp.pi / 2, jnp.pi / 2)
-        pose = jnp.stack(
-            [
-                jnp.stack(jnp.broadcast_arrays(x, side * y, yaw), axis=-1)
-                for side, yaw in zip((1.0, -1.0), yaws, strict=True)
-            ]
-        )
+        side, yaw = jnp.array([[1.0], [-1.0]]), jnp.array(yaws)[:, None]
+        pose = build.stacked(x, side * y, yaw)
         half = jnp.stack(
             [count * along / 2 + end, aisle / 2 + across + standards.WALL_GAP]
         )

@@ -86,12 +86,7 @@ def two_way_aisle(
 ) -> tuple[build.Group, build.Group]:
     """An undivided aisle along x about x = 0, and spawn regions for both directions."""
     size = jnp.stack([length, jnp.float32(width)])
-    pose = jnp.stack(
-        [
-            jnp.stack([jnp.zeros_like(y), y, jnp.full_like(y, yaw)])
-            for yaw in (0, jnp.pi)
-        ]
-    )
+    pose = build.stacked(0.0, y, jnp.array([0.0, jnp.pi]))
     return build.lanes(pose[:1], size, one_way=False), build.spawns_in(car, pose, size)
 
 
@@ -138,17 +133,12 @@ class DeadEndConfig(TightConfig):
         x = approach - half_x + (row + 0.5) * cell[0]
         y = (aisle + cell[1]) / 2
         turn = 0.0 if self.orientation == "perpendicular" else jnp.pi
-        bay_pose = jnp.stack(
-            [
-                jnp.stack(jnp.broadcast_arrays(x, s * y, s * yaw + way), axis=-1)
-                for s, way in ((1.0, turn), (-1.0, 0.0))
-            ]
-        )
+        side = jnp.array([1.0, -1.0])
+        yaw = jnp.array([[yaw + turn], [-yaw]])
+        bay_pose = build.stacked(x, side[:, None] * y, yaw)
         block_y = (aisle + depth) / 2
         block_x = approach / 2 - half_x
-        block = jnp.stack(
-            [jnp.stack([block_x, s * block_y, 0 * depth]) for s in (1, -1)]
-        )
+        block = build.stacked(block_x, side * block_y, 0.0)
         return build.assemble(
             jnp.stack([half_x, half_y]),
             build.bays(bay_pose, size, mask=row < count),
@@ -197,21 +187,13 @@ class GarageRowConfig(TightConfig):
         depth = cell[1] + standards.WALL_GAP
         half_y = (aisle + depth) / 2
         edge = half_y - depth
-        bay_pose = jnp.stack(
-            jnp.broadcast_arrays(bay_x, edge + cell[1] / 2, yaw), axis=-1
-        )
-        post_pose = jnp.stack(
-            jnp.broadcast_arrays(post_x, edge + depth / 2, 0.0), axis=-1
-        )
+        bay_pose = build.stacked(bay_x, edge + cell[1] / 2, yaw)
+        post_pose = build.stacked(post_x, edge + depth / 2, 0.0)
         return build.assemble(
             jnp.stack([half_x, half_y]),
             build.bays(bay_pose, size, mask=row < count),
             build.boundary(half_x, half_y, thickness, WallKind.WALL),
-            build.walls(
-                post_pose,
-                jnp.stack([jnp.float32(thickness), depth]),
-                mask=post <= count,
-            ),
+            build.walls(post_pose, build.stacked(thickness, depth), mask=post <= count),
             *two_way_aisle(self.car, 2 * half_x, edge - aisle / 2, aisle),
         )
 

@@ -22,8 +22,17 @@ import numpy as np
 
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import move_forward, norm
-from carpark_mj.geometry.broad_phase import MARGIN, is_crowded, visit_near
-from carpark_mj.geometry.obstacles import Boxes, Group, Merged, by_shape, merge, take
+from carpark_mj.geometry.obstacles import (
+    MARGIN,
+    Boxes,
+    Group,
+    Merged,
+    by_shape,
+    is_crowded,
+    merge,
+    take,
+    visit_near,
+)
 from carpark_mj.layouts.types import Layout, WallKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import Motion, State

@@ -7,10 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry import box_distance, norm, rotate
-from carpark_mj.geometry.broad_phase import MARGIN, box_gaps, is_crowded, least_near
-from carpark_mj.geometry.gradients import with_gradient
-from carpark_mj.geometry.obstacles import Group, take
+from carpark_mj.geometry import box_distance, norm, point_box_distance, rotate
+from carpark_mj.geometry.obstacles import MARGIN, Group, is_crowded, least_near, take
+from carpark_mj.geometry.se2 import with_gradient
 from carpark_mj.mdp.collisions import trace_radius
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import Motion, Transition
@@ -44,7 +43,7 @@ def _near_agent_gap(pose: jax.Array, size: jax.Array) -> jax.Array:
         return box_distance(pose[:, None], size[:, None], pose[index], size[index])
 
     reach = norm(size) / 2
-    bound = box_gaps(pose[:, :2], pose, size) - reach[:, None]
+    bound = point_box_distance(pose[:, None, :2], pose, size) - reach[:, None]
     return least_near(jnp.where(own, jnp.inf, bound), find, jnp.inf, CHUNK)
 
 

@@ -150,9 +150,7 @@ def _roll(traffic: Traffic, target: jax.Array, faster: jax.Array, dt: float) -> 
         middle = advance(middle, speed, steering, car.wheelbase, step)
         way = way + rear * step
     pose = jnp.where(rolls[:, None], move_forward(middle, -to_middle), traffic.pose)
-    path = traffic.path
-    ahead = jnp.stack([jnp.cos(path.yaw), jnp.sin(path.yaw)], axis=-1)
-    along = jnp.sum((pose[:, :2] - path.origin) * ahead, axis=-1)
+    path, along = traffic.path, traffic.path.along(pose[:, :2])
     way = jnp.where((way < path.straight) & (along < path.straight), along, way)
     return dataclasses.replace(
         traffic, pose=pose, speed=faster, steering=steering, way=way
@@ -200,8 +198,6 @@ def _go_on(key: jax.Array, traffic: Traffic, stays: tuple[float, float]) -> Traf
     joins = turned | backed | drops
     track = jnp.where(turned | backed, traffic.next_track, traffic.track)
     path = choose(joins, track_path(traffic.tracks, track), path)
-    ahead = jnp.stack([jnp.cos(path.yaw), jnp.sin(path.yaw)], axis=-1)
-    along = jnp.sum((traffic.pose[:, :2] - path.origin) * ahead, axis=-1)
     stay = jax.random.uniform(key, phase.shape, minval=stays[0], maxval=stays[1])
     phase = jnp.where(backed | drops, DRIVE, jnp.where(parked, STAY, phase))
     phase = jnp.where(to_bay, PARK, jnp.where(to_track, BACK_OUT, phase))
@@ -209,7 +205,7 @@ def _go_on(key: jax.Array, traffic: Traffic, stays: tuple[float, float]) -> Traf
     return dataclasses.replace(
         traffic,
         path=path,
-        way=jnp.where(joins, along, way),
+        way=jnp.where(joins, path.along(traffic.pose[:, :2]), way),
         phase=phase,
         track=track,
         next_track=jnp.where(to_track, track, traffic.next_track),

@@ -40,6 +40,11 @@ class Path:
         """(...) way to the end of the arc [m]."""
         return self.straight + self.radius * jnp.abs(self.bend)
 
+    def along(self, xy: jax.Array) -> jax.Array:
+        """Ways (...) to points (..., 2) along the first line [m]."""
+        ahead = jnp.stack([jnp.cos(self.yaw), jnp.sin(self.yaw)], axis=-1)
+        return jnp.sum((xy - self.origin) * ahead, axis=-1)
+
     def at(self, way: jax.Array) -> jax.Array:
         """Poses (..., k, 3) of the car's rear axle after ways (..., k) [m]."""
         straight, bend, radius, yaw, gear = (

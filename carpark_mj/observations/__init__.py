@@ -9,14 +9,13 @@ from carpark_mj.observations.compose import (
     unpack,
 )
 from carpark_mj.observations.continuous import ContinuousObservation
-from carpark_mj.observations.fields import Field
-from carpark_mj.observations.parts import Part, Sight
+from carpark_mj.observations.fields import Field, ObservationInput, Part
 
 __all__ = [
     "ContinuousObservation",
     "Field",
+    "ObservationInput",
     "Part",
-    "Sight",
     "cardinalities",
     "make_fields",
     "markdown_table",

@@ -1,31 +1,46 @@
 """The continuous encoding: real numbers of order 1 in the observer's body frame."""
 
+from __future__ import annotations
+
 import dataclasses
+from typing import TYPE_CHECKING
 
 import jax
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import Natural
-from carpark_mj.config.observations import (
+from carpark_mj.observations import ego
+from carpark_mj.observations.fields import (
     ENCODERS,
+    Field,
     ObservationConfig,
+    ObservationInput,
+    Part,
+    Tracked,
+)
+from carpark_mj.observations.ranges import (
     RayConfig,
     RingConfig,
-    ShareConfig,
-    Tracked,
     UltrasoundConfig,
+    init_history,
+    rays_part,
+    rings_part,
+    ultrasound_part,
+    update_history,
 )
-from carpark_mj.observations import bay_fields, ego
-from carpark_mj.observations.fields import Field
-from carpark_mj.observations.parts import Part, Sight
-from carpark_mj.observations.rays import rays_part
-from carpark_mj.observations.rings import init_history, rings_part, update_history
 from carpark_mj.observations.sensors import observed
-from carpark_mj.observations.tracked_cars import agents_part, parked_cars_part
-from carpark_mj.observations.tracked_movers import movers_part
-from carpark_mj.observations.tracking import mark, track_agents, track_parked_cars
-from carpark_mj.observations.ultrasound import ultrasound_part
+from carpark_mj.observations.tracked import (
+    ShareConfig,
+    agents_part,
+    mark,
+    movers_part,
+    parked_cars_part,
+    track_agents,
+    track_parked_cars,
+)
 from carpark_mj.types import State
+
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,10 +101,10 @@ class ContinuousObservation(ObservationConfig):
         parked_cars = min(self.tracked_parked_cars, max(env.num_parked_cars, 1))
         parts = [ego.MOTION, ego.GOAL]
         if num_bays:
-            parts.append(bay_fields.choice_part(num_bays))
-            parts.append(bay_fields.bays_part(num_bays, self.global_information))
+            parts.append(ego.choice_part(num_bays))
+            parts.append(ego.bays_part(num_bays, self.global_information))
         elif self.global_information:
-            parts.append(bay_fields.RIVALS)
+            parts.append(ego.RIVALS)
         if self.lines:
             parts.append(ego.LINES)
         if self.route:
@@ -118,9 +133,9 @@ class ContinuousObservation(ObservationConfig):
 
     def values(self, env: EnvConfig, state: State) -> dict[str, jax.Array]:
         """See `ObservationConfig.values`."""
-        return self.see(env, Sight.of(state))
+        return self.see(env, ObservationInput.of(state))
 
-    def see(self, env: EnvConfig, sight: Sight) -> dict[str, jax.Array]:
+    def see(self, env: EnvConfig, sight: ObservationInput) -> dict[str, jax.Array]:
         """Values (num_observers, field.size) of all fields by name."""
         values = {}
         for part in self.parts(env):

@@ -1,5 +1,9 @@
-"""What an agent observes of itself, its goal and its lane."""
+"""What an agent observes of itself, its goal, the bays it tracks, and its lane.
 
+Lists of bays hold `NO_BAY` where there is none.
+"""
+
+import dataclasses
 import functools
 import math
 
@@ -8,21 +12,32 @@ import jax.numpy as jnp
 
 from carpark_mj.geometry import box_room, norm, rotate, to_local
 from carpark_mj.layouts.routes import RouteLeft, has_lanes, nearest_lane, route_to
+from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import (
     CLOSE,
     FAR,
     FARTHEST,
     LENGTH,
     NEAR,
+    POSE_FIELDS,
     Field,
+    ObservationInput,
+    Part,
+    distance_field,
     far,
+    localise,
+    mask_field,
+    position_field,
+    repeated,
+    repeated_values,
+    unit_vector,
 )
-from carpark_mj.observations.parts import Part, Sight
+from carpark_mj.types import NO_BAY, Motion
 
 _GoalField = functools.partial(Field, reveals_goal=True)
 
 
-def _motion(sight: Sight) -> dict[str, jax.Array]:
+def _motion(sight: ObservationInput) -> dict[str, jax.Array]:
     motion, vehicle = sight.motion, sight.vehicle
     return {
         "speed": (motion.speed / vehicle.max_speed)[..., None],
@@ -51,7 +66,7 @@ MOTION = Part(
 )
 
 
-def _goal(sight: Sight) -> dict[str, jax.Array]:
+def _goal(sight: ObservationInput) -> dict[str, jax.Array]:
     layout, motion, goal = sight.layout, sight.motion, sight.goal
     goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
     local = to_local(motion.pose_w, layout.parked_pose[goal])
@@ -60,9 +75,7 @@ def _goal(sight: Sight) -> dict[str, jax.Array]:
     values = {
         "goal_position": far(xy),
         "goal_near": jnp.clip(xy / NEAR, -1.0, 1.0),
-        "goal_heading": jnp.stack(
-            [jnp.cos(local[..., 2]), jnp.sin(local[..., 2])], axis=-1
-        ),
+        "goal_heading": unit_vector(local[..., 2]),
         "goal_distance": far(norm(xy)[..., None]),
         "in_bay": jnp.clip(inverse[..., :2] / NEAR, -1.0, 1.0),
         "goal_size": (goal_size - motion.size) / LENGTH,
@@ -72,28 +85,14 @@ def _goal(sight: Sight) -> dict[str, jax.Array]:
 
 GOAL = Part(
     (
-        _GoalField(
-            "goal_position",
-            2,
-            -FARTHEST,
-            FARTHEST,
-            f"goal centre, body frame [{FAR:g} m]",
-            metres=FAR,
-        ),
+        position_field("goal_position", "goal centre", reveals_goal=True),
         _GoalField(
             "goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"
         ),
         _GoalField(
             "goal_heading", 2, -1.0, 1.0, "cos and sin of goal heading minus own"
         ),
-        _GoalField(
-            "goal_distance",
-            1,
-            0.0,
-            FARTHEST,
-            f"to the goal centre [{FAR:g} m]",
-            metres=FAR,
-        ),
+        distance_field("goal_distance", "to the goal centre", reveals_goal=True),
         _GoalField(
             "in_bay", 2, -1.0, 1.0, f"own centre, goal frame [{NEAR:g} m], clipped"
         ),
@@ -110,7 +109,7 @@ GOAL = Part(
 )
 
 
-def _lines(sight: Sight) -> dict[str, jax.Array]:
+def _lines(sight: ObservationInput) -> dict[str, jax.Array]:
     layout, motion, goal = sight.layout, sight.motion, sight.goal
     goal_pose, goal_size = layout.bay_pose[goal], layout.bay_size[goal]
     room = box_room(motion.pose_w, motion.size, goal_pose, goal_size)
@@ -132,49 +131,34 @@ LINES = Part(
 )
 
 
-def on_last_stretch(sight: Sight) -> jax.Array:
+def on_last_stretch(sight: ObservationInput) -> jax.Array:
     """Whether routes turn no more before the goal, (num_observers,) bool."""
     goal_xy = sight.layout.bay_pose[sight.goal, :2]
     return (_route_left(sight).next_xy == goal_xy).all(axis=-1)
 
 
-def _route_left(sight: Sight) -> RouteLeft:
+def _route_left(sight: ObservationInput) -> RouteLeft:
     return route_to(sight.state.routes, sight.layout, sight.motion.xy, sight.goal)
 
 
-def _route(sight: Sight) -> dict[str, jax.Array]:
+def _route(sight: ObservationInput) -> dict[str, jax.Array]:
     motion, route = sight.motion, _route_left(sight)
     position = rotate(route.next_xy - motion.xy, -motion.pose_w[..., 2])
-    return {
-        "route_next": far(position),
-        "route_length": far(route.length[..., None]),
-    }
+    return {"route_next": far(position), "route_length": far(route.length[..., None])}
 
 
 ROUTE = Part(
     (
-        _GoalField(
-            "route_next",
-            2,
-            -FARTHEST,
-            FARTHEST,
-            f"where the route along the lanes turns next, body frame [{FAR:g} m]",
-            metres=FAR,
+        position_field(
+            "route_next", "where the route along the lanes turns next", True
         ),
-        _GoalField(
-            "route_length",
-            1,
-            0.0,
-            FARTHEST,
-            f"length of the route to the goal [{FAR:g} m]",
-            metres=FAR,
-        ),
+        distance_field("route_length", "length of the route to the goal", True),
     ),
     _route,
 )
 
 
-def _car(sight: Sight) -> dict[str, jax.Array]:
+def _car(sight: ObservationInput) -> dict[str, jax.Array]:
     vehicle = sight.vehicle
     radius = vehicle.wheelbase / jnp.tan(vehicle.max_steering)
     return {
@@ -211,7 +195,7 @@ _LANE_FIELDS = (
 )
 
 
-def _lane(sight: Sight) -> dict[str, jax.Array]:
+def _lane(sight: ObservationInput) -> dict[str, jax.Array]:
     """Of the lane nearest to every agent; zeros without lanes."""
     layout, own_pose = sight.layout, sight.motion.pose_w
     if not has_lanes(layout):
@@ -221,7 +205,7 @@ def _lane(sight: Sight) -> dict[str, jax.Array]:
     yaw = layout.lane_pose[index, 2] - own_pose[:, 2]
     values = {
         "lane_present": present[:, None],
-        "lane_heading": jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1),
+        "lane_heading": unit_vector(yaw),
         "lane_one_way": layout.lane_one_way[index, None],
     }
     return {
@@ -230,3 +214,123 @@ def _lane(sight: Sight) -> dict[str, jax.Array]:
 
 
 LANE = Part(_LANE_FIELDS, _lane)
+
+
+_BAY_FIELDS = (
+    mask_field("bay"),
+    *POSE_FIELDS,
+    Field(
+        "size", 2, 0.0, 2.0, f"length and width less own [{LENGTH:g} m]", metres=LENGTH
+    ),
+    distance_field("distance", "to its centre"),
+)
+_RIVAL_FIELDS = (
+    distance_field("nearest_agent", "from it to the nearest of all agents"),
+    Field(
+        "claim",
+        2,
+        0.0,
+        FARTHEST,
+        f"1 and that of the nearest with this goal [{FAR:g} m]; 0",
+        metres=FAR,
+    ),
+)
+
+
+def choice_part(num_tracked_bays: int) -> Part:
+    """Which of the tracked bays an agent has chosen."""
+
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
+        bays = sight.tracked_bays
+        choice = goal_code(sight.goal[:, None], bays)[:, 0]
+        return {"goal_choice": jax.nn.one_hot(choice, num_tracked_bays + 1)}
+
+    meaning = "one-hot: exploring, or which tracked bay is the goal"
+    size = num_tracked_bays + 1
+    field = Field("goal_choice", size, 0.0, 1.0, meaning, reveals_goal=True)
+    return Part((field,), fill)
+
+
+def bays_part(count: int, global_information: bool) -> Part:
+    """The tracked bays, with who is near them if there is global information."""
+
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
+        layout, motion, bays = sight.layout, sight.motion, sight.tracked_bays
+        values = _localise_bays(layout, motion, bays)
+        if global_information:
+            values |= _rival_values(sight, bays)
+        return repeated_values("bay", values)
+
+    fields = [*_BAY_FIELDS, *(_RIVAL_FIELDS if global_information else ())]
+    return Part(tuple(repeated("bay", count, fields)), fill)
+
+
+def _localise_bays(
+    layout: Layout, motion: Motion, bays: jax.Array
+) -> dict[str, jax.Array]:
+    """`_BAY_FIELDS` (num_agents, count, k) of bays; zeros for `NO_BAY`."""
+    room = layout.bay_size[bays] - motion.size[:, None]
+    values = localise(motion.pose_w, layout.parked_pose[bays], room, bays != NO_BAY)
+    distance = jnp.minimum(norm(values["position"]), FARTHEST)[..., None]
+    return values | {"distance": distance}
+
+
+def goal_code(goal: jax.Array, bays: jax.Array) -> jax.Array:
+    """Goals (num_agents, count) as numbers (num_agents, count) that observers know.
+
+    0 is exploring (`NO_BAY`), 1 to n which of the `bays` (num_agents, n) an observer
+    tracks, n + 1 a bay it does not track.
+    """
+    match = bays[:, None] == goal[..., None]
+    code = jnp.where(match.any(-1), 1 + jnp.argmax(match, -1), 1 + bays.shape[1])
+    return jnp.where(goal == NO_BAY, 0, code)
+
+
+def rivals(
+    layout: Layout, agent_xy: jax.Array, goal: jax.Array, bays: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """How near agents are to bays: global information (Tanner 2022, eq. 3.7).
+
+    Args:
+        layout: the lot.
+        agent_xy: (num_agents, 2) centres [m], the observers' too.
+        goal: (num_agents,) bays.
+        bays: (num_agents, count) asked for.
+
+    Returns:
+        (num_agents, count) distances [m] to the bays' centres, of the nearest agent and
+        of the nearest that has the bay as goal, inf if none has.
+    """
+    gap = norm(layout.bay_pose[bays][..., None, :2] - agent_xy)
+    wants = bays[..., None] == goal
+    return jnp.min(gap, axis=-1), jnp.min(jnp.where(wants, gap, jnp.inf), axis=-1)
+
+
+def _rival_values(sight: ObservationInput, bays: jax.Array) -> dict[str, jax.Array]:
+    """`_RIVAL_FIELDS` (num_observers, count, k) of bays (num_observers, count).
+
+    Zeros where there is no bay or claim.
+    """
+    nearest, claim = rivals(sight.layout, sight.agents.xy, sight.state.goal, bays)
+    present, claimed = bays != NO_BAY, jnp.isfinite(claim)
+    claimed = claimed & present
+    claim = far(jnp.where(claimed, claim, 0.0))
+    return {
+        "nearest_agent": far(jnp.where(present, nearest, 0.0)[..., None]),
+        "claim": jnp.stack([claimed.astype(claim.dtype), claim], axis=-1),
+    }
+
+
+def _goal_rivals(sight: ObservationInput) -> dict[str, jax.Array]:
+    found = _rival_values(sight, sight.goal[:, None])
+    return {f"goal_{name}": value[:, 0] for name, value in found.items()}
+
+
+# The agents near a fixed goal.
+RIVALS = Part(
+    tuple(
+        dataclasses.replace(field, name=f"goal_{field.name}", reveals_goal=True)
+        for field in _RIVAL_FIELDS
+    ),
+    _goal_rivals,
+)

@@ -1,17 +1,31 @@
-"""A field of the observation vector: a slice with a name, a range and a meaning.
+"""Fields of the observation vector: what they mean, and what they are filled from.
 
 Angles enter as cosine and sine; distances both far (divided by `FAR`) and near
 (divided by `NEAR` and clipped), so that metres and centimetres are both visible. Where
 a lot is larger than the range of a field, the field is clipped.
 """
 
+from __future__ import annotations
+
+import abc
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config.checks import CheckedConfig
+from carpark_mj.extensions import Registry
 from carpark_mj.geometry import to_local
+from carpark_mj.geometry.obstacles import Group
+from carpark_mj.layouts.types import Layout
+from carpark_mj.observations.sensors import observed
+from carpark_mj.obstacles import lot_obstacles
+from carpark_mj.types import NO_BAY, Motion, State, Vehicle
+
+if TYPE_CHECKING:
+    from carpark_mj.config import EnvConfig
 
 FAR = 20.0  # m, about half a `square` lot
 # Where distances are cut off [FAR]: 160 m. By default lots of the families are up to
@@ -72,9 +86,34 @@ class Field:
     gamma: float = 1.0
 
 
+def position_field(name: str, meaning: str, reveals_goal: bool = False) -> Field:
+    """A point (2,) in the body frame in units of `FAR`, see `far`."""
+    meaning = f"{meaning}, body frame [{FAR:g} m]"
+    return Field(
+        *(name, 2, -FARTHEST, FARTHEST, meaning), metres=FAR, reveals_goal=reveals_goal
+    )
+
+
+def distance_field(name: str, meaning: str, reveals_goal: bool = False) -> Field:
+    """A distance in units of `FAR`, see `far`."""
+    meaning = f"{meaning} [{FAR:g} m]"
+    return Field(name, 1, 0.0, FARTHEST, meaning, metres=FAR, reveals_goal=reveals_goal)
+
+
+def mask_field(entity: str) -> Field:
+    """Whether an entity of a group is present."""
+    meaning = f"padding mask: 1 if the {entity} exists, else all its numbers are 0"
+    return Field("present", 1, 0.0, 1.0, meaning, is_mask=True)
+
+
 def far(distance: jax.Array) -> jax.Array:
     """Distances or coordinates (...) [m] in units of `FAR`, within `FARTHEST`."""
     return jnp.clip(distance / FAR, -FARTHEST, FARTHEST)
+
+
+def unit_vector(yaw: jax.Array) -> jax.Array:
+    """Cosine and sine (..., 2) of angles (...) [rad]."""
+    return jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
 
 
 def repeated(group: str, count: int, fields: Iterable[Field]) -> list[Field]:
@@ -99,26 +138,12 @@ def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.A
 
 
 POSE_FIELDS = (
-    Field(
-        "position",
-        2,
-        -FARTHEST,
-        FARTHEST,
-        f"its centre, x and y, body frame [{FAR:g} m]",
-        metres=FAR,
-    ),
+    position_field("position", "its centre, x and y"),
     Field("near_position", 2, -1.0, 1.0, f"the same [{NEAR * 2:g} m], clipped"),
     Field("heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
 )
 CAR_FIELDS = (
-    Field(
-        "present",
-        1,
-        0.0,
-        1.0,
-        "padding mask: 1 if the car exists, else all its numbers are 0",
-        is_mask=True,
-    ),
+    mask_field("car"),
     *POSE_FIELDS,
     Field("size", 2, 0.0, 2.0, f"length and width [{LENGTH:g} m]"),
 )
@@ -127,16 +152,13 @@ CAR_FIELDS = (
 def localise(
     own_pose: jax.Array, pose: jax.Array, size: jax.Array, present: jax.Array
 ) -> dict[str, jax.Array]:
-    """Describes tracked cars in the observers' frames.
+    """`CAR_FIELDS` (num_agents, count, k) of tracked cars in the observers' frames.
 
     Args:
         own_pose: (num_agents, 3) observers.
         pose: (num_agents, count, 3) tracked cars, world frame.
         size: (num_agents, count, 2) [m].
         present: (num_agents, count) bool; absent cars give zeros.
-
-    Returns:
-        `CAR_FIELDS` (num_agents, count, k).
     """
     local = to_local(own_pose[:, None], pose)
     xy = local[..., :2]
@@ -144,10 +166,188 @@ def localise(
         "present": jnp.ones_like(local[..., :1]),
         "position": far(xy),
         "near_position": jnp.clip(xy / (2 * NEAR), -1.0, 1.0),
-        "heading": jnp.stack([jnp.cos(local[..., 2]), jnp.sin(local[..., 2])], axis=-1),
+        "heading": unit_vector(local[..., 2]),
         "size": size / LENGTH,
     }
     return {
         name: jnp.where(present[..., None], value, 0.0)
         for name, value in values.items()
     }
+
+
+Tree = TypeVar("Tree")
+
+
+@dataclasses.dataclass(frozen=True)
+class Tracked:
+    """How many of the nearest cars an encoder tracks.
+
+    Attributes:
+        agents: other agents.
+        parked_cars: parked cars.
+        cars: agents and parked cars in one list.
+    """
+
+    agents: int = 0
+    parked_cars: int = 0
+    cars: int = 0
+
+
+class ObservationConfig(CheckedConfig, abc.ABC):
+    """An encoder of observations: a frozen dataclass of its settings.
+
+    It lists the fields of the vector and fills them. The properties and methods below
+    tell the environment what else the encoder needs; a class overrides them where the
+    defaults are wrong.
+
+    Attributes:
+        encoding: its name in `ENCODERS`, the default of each class and never another.
+    """
+
+    encoding: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.encoding != (own := type(self).encoding):
+            raise ValueError(f"encoding must be {own!r}, not {self.encoding!r}")
+
+    @abc.abstractmethod
+    def fields(self, env: EnvConfig) -> Sequence[Field]:
+        """The fields of the vector in order."""
+
+    @abc.abstractmethod
+    def values(self, env: EnvConfig, state: State) -> Mapping[str, jax.Array]:
+        """Values (num_agents, field.size) of all fields by name.
+
+        `observations.sensors.observed(state)` gives the measured poses of cars.
+        """
+
+    def check(self, env: EnvConfig) -> None:
+        """Raises `ValueError` for environments that the encoder does not support."""
+
+    @property
+    def tracked(self) -> Tracked:
+        """How many cars are tracked at most."""
+        return Tracked()
+
+    @property
+    def circles(self) -> tuple[float, ...]:
+        """Diameters of the circles about the car that count objects [m]."""
+        return ()
+
+    @property
+    def sees_own_car(self) -> bool:
+        """Whether agents with different cars can tell which they drive."""
+        return False
+
+    @property
+    def sees_routes(self) -> bool:
+        """Whether it reads `State.routes`."""
+        return False
+
+    @property
+    def sees_everywhere(self) -> bool:
+        """Whether it tells how near all agents are to bays: global information."""
+        return False
+
+    def tracks_agents(self, state: State) -> jax.Array | None:
+        """Whether agents track each other, (num_agents, num_agents); None = none."""
+        del state
+
+    def tracks_parked_cars(self, state: State) -> jax.Array | None:
+        """Whether agents track cars, (num_agents, num_parked_cars); None = none."""
+        del state
+
+    def bays_in_view(self, state: State) -> jax.Array | None:
+        """Bays (num_agents, bays) that agents can track; None = always all."""
+        del state
+
+    def init_memory(self, env: EnvConfig) -> Any:
+        """`State.memory`, a pytree of arrays (num_agents, ...), as episodes begin."""
+        del env
+
+    def remember(self, state: State) -> Any:
+        """`State.memory` once the state belongs to the past."""
+        return state.memory
+
+
+ENCODERS: Registry[type[ObservationConfig]] = Registry(
+    "observation encoding",
+    "carpark_mj.observations.continuous",
+    "carpark_mj.cameras.encoder",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservationInput:
+    """What fields are filled from: the state of a lot as its agents measure it.
+
+    Attributes:
+        state: of the lot.
+        agents: measured motion of all (num_agents,); `state.motion` is the true one.
+        num_observers: how many of them observe, the first; None = all, as in `values`
+            of parts (num_agents, k).
+        number: (num_agents,) numbers that give priority; None = 0, 1, 2...
+    """
+
+    state: State
+    agents: Motion
+    num_observers: int | None = None
+    number: jax.Array | None = None
+
+    @classmethod
+    def of(cls, state: State) -> Self:
+        """What all agents know."""
+        return cls(state, observed(state))
+
+    @property
+    def motion(self) -> Motion:
+        """Measured motion of the observers."""
+        return self._of_observers(self.agents)
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of the lot."""
+        return self.state.layout
+
+    @property
+    def goal(self) -> jax.Array:
+        """(num_observers,) bays."""
+        return self._of_observers(self.state.goal)
+
+    @property
+    def tracked_bays(self) -> jax.Array:
+        """(num_observers, num_tracked_bays) of agents that choose their goals."""
+        assert self.state.tracked_bays is not None
+        return self._of_observers(self.state.tracked_bays)
+
+    @property
+    def obstacles(self) -> tuple[Group, ...]:
+        """All obstacles, agents first and at their measured poses."""
+        state = self.state
+        return lot_obstacles(state.layout, self.agents, state.parked_cars, state.movers)
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The observers' cars."""
+        return self._of_observers(self.state.physics.vehicle)
+
+    def with_goal(self, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        """Values (num_observers, k) about the goal; zeros without a goal."""
+        if self.state.tracked_bays is None:
+            return values
+        has_goal = (self.goal != NO_BAY)[:, None]
+        return {name: jnp.where(has_goal, x, 0.0) for name, x in values.items()}
+
+    def _of_observers(self, tree: Tree) -> Tree:
+        if self.num_observers is None:
+            return tree
+        return jax.tree.map(lambda x: x[: self.num_observers], tree)
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """Neighbouring fields, and their values (num_observers, field.size) by name."""
+
+    fields: tuple[Field, ...]
+    fill: Callable[[ObservationInput], dict[str, jax.Array]]

@@ -9,8 +9,55 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import SensorConfig
-from carpark_mj.types import Motion, Reading, Sensors, State
+from carpark_mj.config.checks import CheckedConfig, Natural, NonNegative
+from carpark_mj.geometry import move_forward, wrap_angle
+from carpark_mj.types import Motion, Odometry, Reading, Sensors, State
+
+
+@dataclasses.dataclass(frozen=True)
+class SensorConfig(CheckedConfig):
+    """Errors of what agents observe of the cars' motion; none by default.
+
+    Attributes:
+        position_noise: standard deviation of the white noise on x and y [m].
+        heading_noise: standard deviation of the white noise on the yaw [rad].
+        speed_noise: standard deviation of the white noise on the velocity, forward and
+            left [m/s].
+        delay_min: shortest delay of a car's measurements [control steps].
+        delay_max: longest delay [control steps]; the delay is drawn at every spawn.
+        odometry_scale: standard deviation, over episodes, of the relative error of the
+            distance that the wheels measure [m/m]. Where this or one of the next two
+            is not 0, a car knows its pose by dead reckoning from its start.
+        odometry_veer: the same of the heading per distance [rad/m], positive left.
+        odometry_turn: the same of the heading per turn [rad/rad].
+    """
+
+    position_noise: NonNegative = 0.0
+    heading_noise: NonNegative = 0.0
+    speed_noise: NonNegative = 0.0
+    delay_min: Natural = 0
+    delay_max: Natural = 0
+    odometry_scale: NonNegative = 0.0
+    odometry_veer: NonNegative = 0.0
+    odometry_turn: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.delay_max < self.delay_min:
+            raise ValueError(
+                f"delay_max must be at least delay_min {self.delay_min}, not "
+                f"{self.delay_max}"
+            )
+
+    @property
+    def is_on(self) -> bool:
+        """Whether observations differ from the true motion."""
+        return self != SensorConfig()
+
+    @property
+    def dead_reckons(self) -> bool:
+        """Whether cars know their poses by odometry only."""
+        return bool(self.odometry_scale or self.odometry_veer or self.odometry_turn)
 
 
 def init_sensors(
@@ -24,8 +71,6 @@ def init_sensors(
         return None
     odometry = None
     if config.dead_reckons:
-        from carpark_mj.observations.odometry import begin_odometry  # only they load it
-
         key, odometry_key = jax.random.split(key)
         odometry = begin_odometry(config, motion.pose_w, odometry_key)
     reading_key, delay_key = jax.random.split(key)
@@ -42,20 +87,15 @@ def init_sensors(
 def measure(
     config: SensorConfig, before: State, motion: Motion, key: jax.Array
 ) -> Sensors | None:
-    """The sensors with the measurement of a control step.
+    """The sensors with the measurement of a control step; `key` is consumed.
 
-    Args:
-        config: errors.
-        before: the lot at the start of the step.
-        motion: of the cars (num_agents,) at its end.
-        key: consumed.
+    The lot is that at the start of the step, `motion` of the cars (num_agents,) that at
+    its end.
     """
     sensors = before.sensors
     if sensors is None:
         return None
     if sensors.odometry is not None:
-        from carpark_mj.observations.odometry import reckon
-
         offset = before.physics.vehicle.centre_offset
         odometry = reckon(sensors.odometry, before.motion.pose_w, motion.pose_w, offset)
         sensors = dataclasses.replace(sensors, odometry=odometry)
@@ -77,12 +117,7 @@ def reset(
 ) -> Sensors | None:
     """The sensors, reset without history for agents that have respawned.
 
-    Args:
-        config: errors.
-        sensors: of all agents (num_agents,).
-        motion: of the cars (num_agents,), respawned.
-        respawned: (num_agents,) bool.
-        key: consumed.
+    `motion` is that of the cars after that; `key` is consumed.
     """
     if sensors is None:
         return None
@@ -125,3 +160,40 @@ def _read(config: SensorConfig, motion: Motion, key: jax.Array) -> Reading:
         yaw_rate=motion.yaw_rate,
         steering=motion.steering,
     )
+
+
+def begin_odometry(config: SensorConfig, pose_w: jax.Array, key: jax.Array) -> Odometry:
+    """Odometry of cars that start at poses (num_agents, 3); `key` is consumed.
+
+    The errors are the systematic ones of Borenstein and Feng ("Measurement and
+    correction of systematic odometry errors in mobile robots", 1996): wheels of another
+    size than assumed, of different sizes left and right, and another track width. They
+    last an episode, at whose start the pose is known.
+    """
+    spread = jnp.array(
+        [config.odometry_scale, config.odometry_veer, config.odometry_turn],
+        pose_w.dtype,
+    )
+    return Odometry(pose_w, spread * jax.random.normal(key, pose_w.shape))
+
+
+def reckon(
+    odometry: Odometry, before_w: jax.Array, after_w: jax.Array, offset: jax.Array
+) -> Odometry:
+    """The odometry of cars (...) that have moved between two true poses (..., 3).
+
+    The rear axle's wheels measure how far it rolled and how much it turned, less than
+    half a turn, not how it slipped to the side. `offset` (...) is from the rear axles
+    to the footprints' centres, whose poses these are [m].
+    """
+    way = move_forward(after_w, -offset) - move_forward(before_w, -offset)
+    turned = wrap_angle(way[..., 2])
+    course = before_w[..., 2] + turned / 2
+    rolled = way[..., 0] * jnp.cos(course) + way[..., 1] * jnp.sin(course)
+    scale, veer, turn = (odometry.error[..., i] for i in range(3))
+    believed = (1.0 + turn) * turned + veer * rolled
+    rear = move_forward(odometry.pose_w, -offset)
+    yaw = rear[..., 2] + believed / 2
+    rear = move_forward(rear.at[..., 2].set(yaw), (1.0 + scale) * rolled)
+    rear = rear.at[..., 2].set(wrap_angle(yaw + believed / 2))
+    return Odometry(move_forward(rear, offset), odometry.error)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 
-from carpark_mj.geometry.gradients import with_gradient
+from carpark_mj.geometry.se2 import with_gradient
 
 Tree = TypeVar("Tree")
 

@@ -11,7 +11,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.play.demonstration import STEPS, Demonstration
 from carpark_mj.policy.acting import Step, as_argument
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.live import LiveLot
+from carpark_mj.rendering.web import LiveLot
 
 
 class DrivenLot(LiveLot):

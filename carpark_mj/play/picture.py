@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from carpark_mj.play.driven import DrivenLot
-from carpark_mj.rendering.overlays import draw_labels, draw_status
 from carpark_mj.rendering.renderer import LotRenderer
-from carpark_mj.rendering.video import write_video
+from carpark_mj.rendering.video import draw_labels, draw_status, write_video
 
 SIZE = (1280, 720)  # pixels
 

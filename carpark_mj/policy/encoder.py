@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 from flax import linen
 
+from carpark_mj.observations.compose import OWN, ObservationSets
 from carpark_mj.observations.fields import ORDERED
-from carpark_mj.observations.sets import OWN, ObservationSets
 from carpark_mj.policy import entities
 from carpark_mj.policy.entities import EntityLayers
 

@@ -20,8 +20,8 @@ from jax.tree_util import Partial
 
 from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Positive
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.compose import OWN, ObservationSets, observation_sets
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import OWN, ObservationSets, observation_sets
 from carpark_mj.policy.distributions import MIN_STD, action_distribution
 from carpark_mj.policy.encoder import SetEncoder
 

@@ -22,8 +22,7 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.observations import ContinuousObservation, Field, make_fields
-from carpark_mj.observations.compose import join
-from carpark_mj.observations.sets import is_picture
+from carpark_mj.observations.compose import is_picture, join
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.networks import MIN_DEVIATION

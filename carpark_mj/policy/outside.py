@@ -17,8 +17,8 @@ from carpark_mj.geometry.obstacles import Boxes, Discs, by_shape, merge
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.parked_cars import place_absent_agents
-from carpark_mj.observations import Sight
-from carpark_mj.observations.bay_fields import goal_code
+from carpark_mj.observations import ObservationInput
+from carpark_mj.observations.ego import goal_code
 from carpark_mj.observations.sensors import observed
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY, Motion, ParkedCars, State
@@ -147,7 +147,7 @@ class _Physics(NamedTuple):
     vehicle: Any
 
 
-def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> Sight:
+def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
     """The view of a car from all of `INPUTS`, by name."""
 
     def cars(name: str) -> jax.Array:
@@ -203,7 +203,9 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> Sight:
         routes=routes,
     )
     before = jnp.concatenate([jnp.zeros(1, bool), given["other_priority"]])
-    return Sight(state, motion, num_observers=1, number=-before.astype(jnp.int32))
+    return ObservationInput(
+        state, motion, num_observers=1, number=-before.astype(jnp.int32)
+    )
 
 
 def _layout(rows: Rows, given: Mapping[str, jax.Array]) -> Layout:

@@ -10,10 +10,10 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import layout_config
-from carpark_mj.rendering.overlays import font
+from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.renderer import LotRenderer
-from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.video import font
 
 FAMILIES = (
     "square",
@@ -43,14 +43,8 @@ def draw_lots(
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Draws a family's training lots as episodes start in them, half of the bays full.
 
-    Args:
-        family: name of the layout.
-        size: width and height of a picture [pixels].
-        camera: a camera of `LotRenderer`.
-        seed: of the first lot, the next has the next seed.
-
-    Yields:
-        A caption and a picture (height, width, 3) uint8 for each.
+    Yields a caption and a picture (height, width, 3) uint8 of each; the seed is that of
+    the first lot, `size` the width and height of a picture [pixels].
     """
     env = ParkingEnv(
         EnvConfig(
@@ -65,16 +59,12 @@ def draw_lots(
         parked_pose = np.asarray(state.parked_cars.pose_w)
         goal = np.asarray(state.goal)
         seen = Snapshot(
-            seconds=0.0,
             pose_w=np.asarray(state.motion.pose_w),
             steering=np.asarray(state.motion.steering),
             goal_pose=np.asarray(state.layout.bay_pose)[goal],
             goal_size=np.asarray(state.layout.bay_size)[goal],
             parked_pose=parked_pose,
             active=np.zeros(NUM_AGENTS, bool),  # no lines to the goals
-            state=("",) * NUM_AGENTS,
-            tally={},
-            flashes=(),
         )
         stage = Stage(state.layout, env.vehicle, NUM_AGENTS, len(parked_pose))
         renderer = LotRenderer(stage, camera, size)

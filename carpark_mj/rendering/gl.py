@@ -1,8 +1,18 @@
-"""Chooses MuJoCo's OpenGL before MuJoCo is imported; imports nothing heavy itself."""
+"""OpenGL: the off-screen back end, chosen before MuJoCo is imported, and windows.
+
+Nothing heavy is imported here.
+"""
+
+from __future__ import annotations
 
 import ctypes
 import os
 import sys
+import warnings
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
 
 MISSING_GL = (
     "off-screen OpenGL is not available: install the system package libegl1 with a "
@@ -20,26 +30,19 @@ _GLFW = ("glfw", "glx", "enable", "enabled", "on", "true", "1")
 _OFF = ("disable", "disabled", "off", "false", "0")
 
 
-def wanted_gl() -> str:
-    """The value of `MUJOCO_GL`, as MuJoCo reads it.
-
-    Raises:
-        ValueError: MuJoCo knows no such value.
-    """
-    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if sys.platform == "linux" and wanted not in ("", *_LIBRARIES, *_GLFW, *_OFF):
-        raise ValueError(f"MUJOCO_GL must be egl, osmesa or glfw, not {wanted!r}")
-    return wanted
+def _wanted() -> str:
+    """The value of `MUJOCO_GL`, as MuJoCo reads it."""
+    return os.environ.get("MUJOCO_GL", "").lower().strip()
 
 
 def check_gl() -> None:
-    """Refuses a value of `MUJOCO_GL` with which MuJoCo cannot be imported.
-
-    Raises:
-        ValueError: MuJoCo knows no such value, or its library is missing.
-    """
-    wanted = wanted_gl()
-    if sys.platform == "linux" and not _loads(_LIBRARIES.get(wanted)):
+    """Raises `ValueError` where MuJoCo cannot be imported with `MUJOCO_GL`."""
+    wanted = _wanted()
+    if sys.platform != "linux" or wanted in ("", *_GLFW, *_OFF):
+        return
+    if wanted not in _LIBRARIES:
+        raise ValueError(f"MUJOCO_GL must be egl, osmesa or glfw, not {wanted!r}")
+    if not _loads(_LIBRARIES[wanted]):
         raise ValueError(f"{_MISSING[wanted]} (MUJOCO_GL={wanted})")
 
 
@@ -49,19 +52,15 @@ def choose_gl() -> str | None:
     MuJoCo picks its back end when it is imported and fails to import if the library is
     missing, so this runs first. A value the user has set is kept if it can work.
 
-    Returns:
-        None on success, else a sentence that names the missing library; MuJoCo can then
-        be imported but not render.
-
-    Raises:
-        ValueError: MuJoCo does not know the value the user has set.
+    Returns None, or a sentence that names the missing library; MuJoCo can then be
+    imported but not render.
     """
+    wanted = _wanted()
     if sys.platform != "linux":
         return None  # macOS and Windows have one OpenGL each
-    wanted = wanted_gl()
-    if wanted in (*_GLFW, *_OFF):
-        return _windows_only(wanted)
-    for name in [wanted] if wanted else list(_LIBRARIES):
+    if wanted not in ("", *_LIBRARIES):
+        return _without_off_screen(wanted)
+    for name in [wanted] if wanted else _LIBRARIES:
         if _loads(_LIBRARIES[name]):
             os.environ["MUJOCO_GL"] = name
             return None
@@ -71,15 +70,13 @@ def choose_gl() -> str | None:
 
 def why_nothing_is_drawn(error: Exception) -> str:
     """A sentence on MuJoCo's failure to open OpenGL."""
-    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
-    advice = _MISSING.get(wanted) or _windows_only(wanted)
-    return f"{advice or MISSING_GL}; the error was: {' '.join(str(error).split())}"
+    wanted = _wanted()
+    advice = _MISSING.get(wanted) or _without_off_screen(wanted) or MISSING_GL
+    return f"{advice}; the error was: {' '.join(str(error).split())}"
 
 
-def _windows_only(wanted: str) -> str | None:
+def _without_off_screen(wanted: str) -> str | None:
     """What is missing for a back end that draws with GLFW, or not at all."""
-    from carpark_mj.rendering.window import missing_display
-
     if wanted in _OFF:
         return f"MUJOCO_GL={wanted} turns pictures off: unset it"
     if missing := missing_display():
@@ -90,10 +87,87 @@ def _windows_only(wanted: str) -> str | None:
     return None
 
 
-def _loads(library: str | None) -> bool:
-    """Whether a library can be loaded; none can."""
+def _loads(library: str) -> bool:
     try:
         ctypes.CDLL(library)
     except OSError:
         return False
     return True
+
+
+NO_DISPLAY = "no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset)"
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+
+
+def has_display() -> bool:
+    """Whether the user has a display, one that can be reached or not."""
+    return sys.platform != "linux" or any(map(os.environ.get, _DISPLAYS))
+
+
+def missing_display() -> str | None:
+    """Why no window can be opened; None if one can."""
+    if not has_display():
+        return NO_DISPLAY
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what the sentence says
+        if glfw.init():
+            return None
+    names = (name for name in _DISPLAYS if os.environ.get(name))
+    shown = ", ".join(f"{name}={os.environ[name]}" for name in names)
+    return f"no window can be opened on the display{shown and f' ({shown})'}"
+
+
+class Window:
+    """A window of GLFW's, in which MuJoCo draws the pixels."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        """Opens it for pictures of a width and height [pixels]; it needs a display."""
+        if missing := missing_display():
+            raise OSError(missing)
+        import glfw
+        import mujoco
+
+        glfw.window_hint(glfw.RESIZABLE, False)
+        self._glfw, self._draw = glfw, mujoco.mjr_drawPixels
+        self._window: Any = glfw.create_window(*size, "carpark_mj", None, None)
+        glfw.make_context_current(self._window)
+        empty = mujoco.MjModel.from_xml_string("<mujoco/>")
+        self._context = mujoco.MjrContext(empty, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._viewport = mujoco.MjrRect(0, 0, *size)
+
+    def show(self, picture: np.ndarray) -> None:
+        """Shows a picture (height, width, 3) uint8 and reads the keys."""
+        self._glfw.make_context_current(self._window)
+        self._draw(picture[::-1].ravel(), None, self._viewport, self._context)
+        self._glfw.swap_buffers(self._window)
+        self._glfw.poll_events()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the user has closed it."""
+        return bool(self._glfw.window_should_close(self._window))
+
+    def held(self, names: tuple[str, ...]) -> set[str]:
+        """Which of some keys are held, by GLFW's names without `KEY_`."""
+        glfw = self._glfw
+        return {
+            name
+            for name in names
+            if glfw.get_key(self._window, getattr(glfw, f"KEY_{name}")) == glfw.PRESS
+        }
+
+    def gamepad(self) -> tuple[list[float], list[int]] | None:
+        """Axes and buttons of the first gamepad in GLFW's order; None without one."""
+        glfw = self._glfw
+        if not glfw.joystick_is_gamepad(glfw.JOYSTICK_1):
+            return None
+        state = glfw.get_gamepad_state(glfw.JOYSTICK_1)
+        return (list(state.axes), list(state.buttons)) if state else None
+
+    def close(self) -> None:
+        """Closes it."""
+        self._glfw.make_context_current(self._window)
+        self._context.free()
+        self._glfw.destroy_window(self._window)

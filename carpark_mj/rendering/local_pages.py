@@ -1,4 +1,4 @@
-"""Where pages for the browser are served, and who may use them."""
+"""Pages for browsers on this machine: where they are served, who may use them."""
 
 import re
 from collections.abc import Sequence
@@ -11,11 +11,7 @@ LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
 
 
 def check_port(port: int) -> None:
-    """Refuses a number that is not a port; viser would silently choose another one.
-
-    Raises:
-        ValueError: naming it.
-    """
+    """Refuses a number that is not a port; viser would silently choose another one."""
     if not 1 <= port <= LAST_PORT:
         raise ValueError(f"port must be 1 to {LAST_PORT}, not {port}")
 
@@ -25,11 +21,7 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | 
 
     Any page open in the same browser can send requests here. A page cannot choose the
     headers `Host`, the name of the requested server, and `Origin`, its own site.
-
-    Args:
-        hosts: values of the header `Host`.
-        origins: values of the header `Origin`.
-        reads: whether the request is for a file and changes nothing.
+    `reads` tells whether the request is for a file and changes nothing.
     """
     if len(hosts) != 1 or not LOCAL.fullmatch(hosts[0]):
         return f"Host must be that of this machine, localhost, not {', '.join(hosts)}"

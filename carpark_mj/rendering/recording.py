@@ -1,6 +1,7 @@
-"""Records a policy in one lot, for the renderer."""
+"""Records a policy in one lot, and what is visible at one instant of that."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -10,12 +11,13 @@ import numpy as np
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.evaluation.keys import evaluation_key
-from carpark_mj.geometry import wrap_angle
+from carpark_mj.geometry import nearest, wrap_angle
 from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.policy.acting import AnyPolicy, Carry, Step, acts, as_argument, roll_out
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.types import Motion, ParkedCars, State
+from carpark_mj.types import NO_BAY, OUTCOMES, Motion, ParkedCars, State
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,45 +25,33 @@ class Recording:
     """A stretch of driving in one lot; `t` control steps, `k` poses in each.
 
     Absent agents and parked cars are left out.
-
-    Attributes:
-        layout: the lot.
-        ctrl_dt: control period [s].
-        pose_w: (t, k, agents, 3) footprint centres; the last of each step is the
-            pose at its end, before any respawn.
-        steering: (t, agents) bicycle angles at the end of the steps [rad].
-        speed: (t, agents) signed speeds at the end of the steps [m/s].
-        goal: (t, agents) goals during the steps, `NO_BAY` of agents that explore.
-        parked_pose: (t, k, parked cars, 3) centres of the parked cars, see
-            `parked_trace`.
-        active: (t, agents) bool.
-        parked: (t, agents) bool, the agent parked in this step.
-        crashed: (t, agents) bool, the agent crashed in this step.
-        timed_out: (t, agents) bool, the agent timed out in this step.
-        step: (t, agents) control steps made in the episode, this one included.
-        kind: (t, agents) which of the fleet's kinds of cars they drive; None if it has
-            one.
-        parked_cars: (parked cars,) as the lot began; None if all are alike.
-        tracked_bays: (t, agents, slots) bays tracked during the steps, `NO_BAY` in
-            empty slots; None while goals are fixed.
-        movers: obstacles that move by themselves, (t, ...) in front.
     """
 
-    layout: Layout
-    ctrl_dt: float
+    layout: Layout  # the lot
+    ctrl_dt: float  # control period [s]
+    # (t, k, agents, 3) footprint centres; the last of each step is the pose at
+    # its end, before any respawn
     pose_w: np.ndarray
-    steering: np.ndarray
-    speed: np.ndarray
+    steering: np.ndarray  # (t, agents) bicycle angles at the end of the steps [rad]
+    speed: np.ndarray  # (t, agents) signed speeds at the end of the steps [m/s]
+    # (t, agents) goals during the steps, `NO_BAY` of agents that explore
     goal: np.ndarray
+    # (t, k, parked cars, 3) centres of the parked cars, see `parked_trace`
     parked_pose: np.ndarray
-    active: np.ndarray
-    parked: np.ndarray
-    crashed: np.ndarray
-    timed_out: np.ndarray
-    step: np.ndarray
+    active: np.ndarray  # (t, agents) bool
+    parked: np.ndarray  # (t, agents) bool, the agent parked in this step
+    crashed: np.ndarray  # (t, agents) bool, the agent crashed in this step
+    timed_out: np.ndarray  # (t, agents) bool, the agent timed out in this step
+    step: np.ndarray  # (t, agents) control steps made in the episode, this one included
+    # (t, agents) which of the fleet's kinds of cars they drive; None if it has
+    # one
     kind: np.ndarray | None = None
+    # (parked cars,) as the lot began; None if all are alike
     parked_cars: ParkedCars | None = None
+    # (t, agents, slots) bays tracked during the steps, `NO_BAY` in empty slots;
+    # None while goals are fixed
     tracked_bays: np.ndarray | None = None
+    # obstacles that move by themselves, (t, ...) in front
     movers: tuple[Group, ...] = ()
 
 
@@ -84,11 +74,6 @@ def parked_trace(before: State, after: State, motion: Motion) -> jax.Array:
 
     Physics tells where pushed cars are at its end; until then they are on a straight
     line. A car that is relocated at the end stays where it was.
-
-    Args:
-        before: the step.
-        after: it.
-        motion: of the agents in it.
     """
     start, end = before.parked_cars, after.parked_cars
     push = end.pose_w - start.pose_w
@@ -153,3 +138,149 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
         movers=movers,
         **frames,
     )
+
+
+FLASH_SECONDS = 0.8  # how long an ended episode flashes
+STANDING = 0.1  # m/s, slower cars stand
+
+
+@dataclasses.dataclass(frozen=True)
+class Flash:
+    """An episode that has just ended."""
+
+    pose_w: np.ndarray  # (3,) where the car was
+    agent: int  # whose it was
+    outcome: str  # one of `OUTCOMES`
+    age: float  # 0 when it ended, 1 when the flash is over
+
+
+@dataclasses.dataclass(frozen=True)
+class Snapshot:
+    """One instant."""
+
+    pose_w: np.ndarray  # (agents, 3) footprint centres
+    steering: np.ndarray  # (agents,) bicycle angles [rad]
+    goal_pose: np.ndarray  # (agents, 3) goal bays; NaN for agents that explore
+    # (agents, 2) sizes of goal bays [m]; NaN for agents that explore
+    goal_size: np.ndarray
+    parked_pose: np.ndarray  # (parked cars, 3) footprint centres
+    active: np.ndarray  # (agents,) bool, the agent's episode is running
+    seconds: float = 0.0  # since the start
+    # a word or two per agent: what it does, or how its episode ended
+    state: tuple[str, ...] = ()
+    # numbers to show by name: episodes ended so far, by outcome
+    tally: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    flashes: tuple[Flash, ...] = ()  # episodes that ended a moment ago
+    # (agents,) which of the fleet's kinds of cars they drive; None if it has one
+    kind: np.ndarray | None = None
+    # (agents, slots, 2) centres of tracked bays, NaN in empty slots; None while
+    # goals are fixed
+    tracked_bay_xy: np.ndarray | None = None
+    movers: tuple[Group, ...] = ()  # obstacles that move by themselves
+
+    def place(self, stage: Stage) -> None:
+        """Places all cars and movers; wheels roll by the distance since the last."""
+        stage.place(
+            self.pose_w, self.steering, self.parked_pose, self.kind, self.movers
+        )
+
+
+def num_frames(recording: Recording) -> int:
+    """Poses recorded, one after every traced instant."""
+    return recording.pose_w.shape[0] * recording.pose_w.shape[1]
+
+
+def frames_per_second(recording: Recording) -> float:
+    """Frame rate at which all frames of a recording play in real time."""
+    return recording.pose_w.shape[1] / recording.ctrl_dt
+
+
+def snapshot(recording: Recording, index: int) -> Snapshot:
+    """The recorded instant `index`, from 0 to `num_frames(recording)` - 1."""
+    traces = recording.pose_w.shape[1]
+    step, trace = divmod(index, traces)
+    goal_pose, goal_size = aimed_at(recording.layout, recording.goal[step])
+    bay_xy, bays = None, recording.tracked_bays
+    if bays is not None:
+        pose, _ = aimed_at(recording.layout, bays[step].reshape(-1))
+        bay_xy = pose[:, :2].reshape(*bays.shape[1:], 2)
+    # What happens in a step is known when it is over.
+    over = (index + 1) // traces
+    ended = {name: getattr(recording, name) for name in OUTCOMES}
+    seconds = (index + 1) / frames_per_second(recording)
+    flashes = []
+    for name, events in ended.items():
+        for when, agent in np.argwhere(events[:over]):
+            age = (seconds - (when + 1) * recording.ctrl_dt) / FLASH_SECONDS
+            if age < 1.0:
+                pose = recording.pose_w[when, -1, agent]
+                flashes.append(Flash(pose, int(agent), name, float(max(age, 0.0))))
+    return Snapshot(
+        seconds=seconds,
+        pose_w=recording.pose_w[step, trace],
+        steering=recording.steering[step],
+        goal_pose=goal_pose,
+        goal_size=goal_size,
+        parked_pose=recording.parked_pose[step, trace],
+        active=recording.active[step],
+        state=tuple(_state(recording, step, agent) for agent in range(len(goal_pose))),
+        tally={name: int(events[:over].sum()) for name, events in ended.items()},
+        flashes=tuple(flashes),
+        kind=None if recording.kind is None else recording.kind[step],
+        tracked_bay_xy=bay_xy,
+        movers=tuple(take(group, step).instant(trace) for group in recording.movers),
+    )
+
+
+def aimed_at(layout: Layout, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (agents, 3) and sizes (agents, 2) of goals (agents,); NaN of `NO_BAY`."""
+    has_goal = (goal != NO_BAY)[:, None]
+    bay = np.minimum(goal, layout.num_bays - 1)
+    pose, size = np.asarray(layout.bay_pose)[bay], np.asarray(layout.bay_size)[bay]
+    return np.where(has_goal, pose, np.nan), np.where(has_goal, size, np.nan)
+
+
+def _state(recording: Recording, step: int, agent: int) -> str:
+    if not recording.active[step, agent]:
+        if recording.step[step, agent] == 1:  # this one, and none before it
+            return "waits"
+        for name in OUTCOMES:
+            if getattr(recording, name)[:step, agent].any():
+                return name.replace("_", " ")
+        return "diverged"
+    speed = recording.speed[step, agent]
+    moving = "drives" if speed > 0 else "reverses"
+    state = "stands" if abs(speed) < STANDING else moving
+    exploring = recording.goal[step, agent] == NO_BAY
+    return f"{state}, explores" if exploring else state
+
+
+def tracked_points(snapshot: Snapshot, tracked: Tracked) -> list[tuple[int, Any]]:
+    """(agent, point (2,)) for every car and every bay an agent tracks."""
+    agents, parked = snapshot.pose_w[:, :2], snapshot.parked_pose[:, :2]
+    others = ~np.eye(len(agents), dtype=bool)
+    parked_mask = np.ones((len(agents), len(parked)), bool)
+    both = np.concatenate([agents, parked]), np.concatenate([others, parked_mask], 1)
+    pairs = []
+    for points, mask, count in (
+        (agents, others, tracked.agents),
+        (parked, parked_mask, tracked.parked_cars),
+        (*both, tracked.cars),
+    ):
+        if not count or not len(points):
+            continue
+        index, present = nearest(
+            jnp.asarray(agents), jnp.asarray(points), jnp.asarray(mask), count
+        )
+        pairs += [
+            (int(agent), points[int(index[agent, slot])])
+            for agent, slot in np.argwhere(np.asarray(present))
+        ]
+    if snapshot.tracked_bay_xy is not None:
+        pairs += [
+            (agent, point)
+            for agent, points in enumerate(snapshot.tracked_bay_xy)
+            for point in points
+            if not np.isnan(point).any()
+        ]
+    return pairs

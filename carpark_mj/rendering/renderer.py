@@ -4,20 +4,80 @@ import dataclasses
 import math
 import sys
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from carpark_mj.config.observations import Tracked
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.gl import why_nothing_is_drawn
-from carpark_mj.rendering.markers import Markers
-from carpark_mj.rendering.snapshot import Snapshot, tracked_points
+from carpark_mj.rendering.recording import Snapshot, tracked_points
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LOT_CAMERAS
-from carpark_mj.scene.car_look import cabin_geoms
-from carpark_mj.scene.materials import agent_colour
-from carpark_mj.scene.parts import HULL_GROUP
+from carpark_mj.scene.looks import agent_colour
+from carpark_mj.scene.parts import HULL_GROUP, cabin_geoms
+
+Rgba = tuple[float, float, float, float]
+
+MARKER_HEIGHT = 0.01  # m, height of markers that lie on the asphalt
+CIRCLE_SIDES = 40
+
+
+class Markers:
+    """Adds geoms to an `MjvScene` for one frame."""
+
+    def __init__(self, scene: Any) -> None:
+        """Draws into `scene`, on top of the model's geoms."""
+        self._scene = scene
+
+    def _add(self, kind: Any, rgba: Rgba, position: Sequence[float]) -> Any:
+        scene = self._scene
+        if scene.ngeom >= scene.maxgeom:
+            raise RuntimeError(f"the scene is full: {scene.maxgeom} geoms")
+        geom = scene.geoms[scene.ngeom]
+        place = np.array(position, float)
+        mujoco.mjv_initGeom(
+            geom, kind, np.zeros(3), place, np.eye(3).ravel(), np.array(rgba)
+        )
+        # What MuJoCo leaves uninitialised; see-through geoms are drawn by distance.
+        geom.objtype, geom.objid = mujoco.mjtObj.mjOBJ_UNKNOWN, -1
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+        geom.segid = scene.ngeom
+        geom.camdist = np.linalg.norm(place - scene.camera[0].pos)
+        geom.castshadow = 0
+        scene.ngeom += 1
+        return geom
+
+    def bay(self, pose: np.ndarray, size: np.ndarray, rgba: Rgba) -> None:
+        """Fills a bay of pose (3,) and size (2,)."""
+        where = [pose[0], pose[1], MARKER_HEIGHT]
+        geom = self._add(mujoco.mjtGeom.mjGEOM_PLANE, rgba, where)
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        geom.mat[:] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
+        geom.size[:] = [size[0] / 2 - 0.15, size[1] / 2 - 0.15, 0.0]
+
+    def line(
+        self, start: np.ndarray, end: np.ndarray, rgba: Rgba, radius: float, z: float
+    ) -> None:
+        """A line between two points (2,) at height `z`."""
+        kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+        ends = [np.array([p[0], p[1], z], float) for p in (start, end)]
+        geom = self._add(kind, rgba, np.mean(ends, axis=0))
+        mujoco.mjv_connector(geom, kind, radius, *ends)
+
+    def circle(
+        self, centre: np.ndarray, radius: float, rgba: Rgba, width: float
+    ) -> None:
+        """A circle about a point (2,) on the ground, of flat sides that meet."""
+        half_side = (radius + width / 2) * math.tan(math.pi / CIRCLE_SIDES)
+        for angle in np.linspace(0.0, 2 * math.pi, CIRCLE_SIDES, endpoint=False):
+            cos, sin = math.cos(angle), math.sin(angle)
+            where = [centre[0] + radius * cos, centre[1] + radius * sin, 0.03]
+            geom = self._add(mujoco.mjtGeom.mjGEOM_BOX, rgba, where)
+            geom.mat[:] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
+            geom.size[:] = [width / 2, half_side, MARKER_HEIGHT]
+
 
 FLASH_COLOURS = {
     "parked": (0.20, 0.85, 0.35),
@@ -32,16 +92,11 @@ class RenderingError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Show:
-    """Extras to draw: of the agent that a camera follows, otherwise of all.
+    """Extras to draw: of the agent that a camera follows, otherwise of all."""
 
-    Attributes:
-        tracked: what is linked to an agent, and with it the bays it tracks; None =
-            nothing.
-        rings: diameters of the circles about an agent [m].
-    """
-
+    # what is linked to an agent, and with it the bays it tracks; None = nothing
     tracked: Tracked | None = None
-    rings: tuple[float, ...] = ()
+    rings: tuple[float, ...] = ()  # diameters of the circles about an agent [m]
 
 
 class _Renderer(mujoco.Renderer):
@@ -106,10 +161,6 @@ class LotRenderer:
             camera: see `camera_names`.
             size: width and height of a frame [pixels].
             show: extras to draw.
-
-        Raises:
-            RenderingError: no GL.
-            ValueError: no such camera.
         """
         self._show = show or Show()
         self.cameras = camera_names(camera, stage.num_agents)
@@ -134,9 +185,7 @@ class LotRenderer:
 
     def place(self, seen: Snapshot) -> None:
         """Places all cars; wheels roll by the distance since the last call."""
-        self._stage.place(
-            seen.pose_w, seen.steering, seen.parked_pose, seen.kind, seen.movers
-        )
+        seen.place(self._stage)
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
         """Draws the placed cars, (height, width, 3) uint8, by one of `cameras`."""
@@ -206,11 +255,7 @@ def camera_names(camera: str, num_agents: int | None = None) -> tuple[str, ...]:
     """Names of the scene's cameras for a camera flag, left to right.
 
     `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its wheel, `split`
-    (topdown and chase:0) or `split:K`.
-
-    Args:
-        camera: the flag.
-        num_agents: in the scene; None if it is not known yet.
+    (topdown and chase:0) or `split:K`. `num_agents` is None if it is not known yet.
 
     Raises:
         ValueError: no such camera; the message lists them.

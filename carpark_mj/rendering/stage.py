@@ -17,15 +17,7 @@ from carpark_mj.vehicle.parameters import VehicleParameters
 
 
 class Stage:
-    """A compiled scene and the poses of everything in it.
-
-    Attributes:
-        layout: the lot.
-        params: vehicle of all cars, where none are given apart.
-        num_agents: agents.
-        model: the compiled scene.
-        data: its state.
-    """
+    """A compiled scene, `model` and `data`, and the poses of everything in it."""
 
     def __init__(
         self,
@@ -92,8 +84,7 @@ class Stage:
             pose_w: (agents, 3) footprint centres.
             steering: (agents,) bicycle angles [rad].
             parked_pose: (parked cars, 3) footprint centres.
-            kind: (agents,) which of the kinds of cars each agent drives; None if there
-                is one.
+            kind: (agents,) which of the kinds of cars they drive; None if there is one.
             movers: as many as the scene was made for.
         """
         if kind is not None:
@@ -114,11 +105,7 @@ class Stage:
         self._update()
 
     def fill_frames(self, aspect: float) -> None:
-        """Moves `LOT_CAMERAS` so that the lot fills frames; the cars stay.
-
-        Args:
-            aspect: width over height of the frames.
-        """
+        """Moves `LOT_CAMERAS` so that the lot fills frames of an aspect ratio."""
         for name in LOT_CAMERAS:
             eye, quat = frame_lot(name, np.asarray(self.layout.extent), aspect)
             camera = self.model.camera(name)

@@ -1,20 +1,237 @@
-"""Frames of a recording, and writing them as mp4 or GIF."""
+"""Frames of a recording with labels or from a car's cameras, as mp4 or GIF."""
 
 import contextlib
+import dataclasses
+import math
 import re
 import subprocess
 import warnings
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import jax
 import numpy as np
 
+from carpark_mj.cameras import RIGS, Heights, Rig, paint, see
+from carpark_mj.cameras.see import Channel
+from carpark_mj.env import ParkingEnv
 from carpark_mj.files import write_atomically
-from carpark_mj.rendering.overlays import draw_labels, draw_status
-from carpark_mj.rendering.recording import Recording
-from carpark_mj.rendering.renderer import LotRenderer
-from carpark_mj.rendering.snapshot import frames_per_second, num_frames, snapshot
+from carpark_mj.geometry.obstacles import Movers, take
+from carpark_mj.rendering.recording import (
+    Recording,
+    Snapshot,
+    frames_per_second,
+    num_frames,
+    snapshot,
+)
+from carpark_mj.rendering.renderer import FLASH_COLOURS, LotRenderer
+from carpark_mj.scene.looks import agent_colour
+from carpark_mj.types import Motion, State
+
+Colour = tuple[int, int, int]
+
+LABEL_HEIGHT = 1.7  # m, above a car's roof
+WHITE: Colour = (255, 255, 255)
+BLACK: Colour = (15, 15, 15)
+BEHIND_TEXT = (10, 10, 12, 190)  # behind text
+
+
+@cache
+def font(pixels: int) -> Any:
+    """The font of all captions, this many pixels high."""
+    from PIL import ImageFont
+
+    return ImageFont.load_default(pixels)
+
+
+def _rgb(colour: tuple[float, ...]) -> Colour:
+    r, g, b = (round(255 * c) for c in colour[:3])
+    return r, g, b
+
+
+def _ink(colour: Colour) -> Colour:
+    """Black or white, whichever reads better on the colour (ITU-R BT.601 luma)."""
+    luma = 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2]
+    return BLACK if luma > 140 else WHITE
+
+
+def draw_labels(
+    frame: np.ndarray, renderer: LotRenderer, seen: Snapshot, camera: str
+) -> np.ndarray:
+    """Labels agents with discs and goals with squares, both with the agent's index.
+
+    What the agent does, or how its episode has ended, stands below its disc, and for a
+    moment where an episode has just ended. Returns a new frame (height, width, 3)
+    uint8.
+    """
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(frame)
+    draw = ImageDraw.Draw(image, "RGBA")
+    radius = max(9, round(renderer.height / 55))
+    large, small = font(round(radius * 1.5)), font(round(radius * 1.15))
+
+    def tag(x: float, y: float, text: str, ink: Colour) -> None:
+        box = draw.textbbox((x, y), text, font=small, anchor="mt")
+        draw.rounded_rectangle(
+            (box[0] - 3, box[1] - 2, box[2] + 3, box[3] + 2), 3, fill=BEHIND_TEXT
+        )
+        draw.text((x, y), text, ink, font=small, anchor="mt")
+
+    for flash in seen.flashes:
+        pixel = renderer.project(np.array([*flash.pose_w[:2], LABEL_HEIGHT]), camera)
+        if pixel is not None:
+            text = f"{flash.agent} {flash.outcome.replace('_', ' ')}"
+            tag(
+                pixel[0],
+                pixel[1] - 3 * radius,
+                text,
+                _rgb(FLASH_COLOURS[flash.outcome]),
+            )
+    for agent, state in enumerate(seen.state):
+        colour = _rgb(agent_colour(agent))
+        for pose, height, shape in (
+            (seen.goal_pose[agent], 0.0, draw.rectangle),
+            (seen.pose_w[agent], LABEL_HEIGHT, draw.ellipse),
+        ):
+            if np.isnan(pose).any():  # of an agent that explores
+                continue
+            pixel = renderer.project(np.array([pose[0], pose[1], height]), camera)
+            if pixel is None:
+                continue
+            x, y = pixel
+            box = (x - radius, y - radius, x + radius, y + radius)
+            shape(box, fill=colour, outline=WHITE, width=2)
+            draw.text((x, y), str(agent), _ink(colour), font=large, anchor="mm")
+            if shape == draw.ellipse and state:
+                tag(x, y + radius + 3, state, WHITE)
+    return np.asarray(image)
+
+
+def draw_status(frame: np.ndarray, seen: Snapshot) -> np.ndarray:
+    """Writes clock and tallies into the top left corner."""
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(frame)
+    draw = ImageDraw.Draw(image, "RGBA")
+    size = max(12, round(frame.shape[0] / 40))
+    tallies = [f"{name.replace('_', ' ')} {n}" for name, n in seen.tally.items()]
+    text = "\n".join([f"{seen.seconds:.1f} s", *tallies])
+    corner = (size * 0.9, size * 0.7)
+    box = draw.multiline_textbbox(corner, text, font=font(size))
+    pad = size * 0.4
+    ground = (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad)
+    draw.rounded_rectangle(ground, pad, fill=BEHIND_TEXT)
+    draw.multiline_text(corner, text, WHITE, font=font(size))
+    return np.asarray(image)
+
+
+def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
+    """The cameras that a flag names, with the resolution of their part of a frame.
+
+    The flag is a rig by name, or one of its cameras, as `surround:0`; `size` is the
+    width and height of a frame [pixels]. None if there is no rig of that name.
+    """
+    name, colon, index = camera.partition(":")
+    if name not in RIGS:
+        return None
+    cameras = RIGS[name].cameras
+    if colon:
+        if not (index.isdecimal() and int(index) < len(cameras)):
+            raise ValueError(
+                f"unknown camera {camera!r}; choose {name} or {name}:K with K from 0 "
+                f"to {len(cameras) - 1}"
+            )
+        cameras = (cameras[int(index)],)
+    rows, columns = _grid(len(cameras))
+    width, height = size[0] // columns, size[1] // rows
+    return dataclasses.replace(
+        RIGS[name], cameras=cameras, width=width, height=height, shaded=True
+    )
+
+
+class CarCameras:
+    """Draws instants of a recording as the cameras of the first agent see them."""
+
+    def __init__(
+        self,
+        env: ParkingEnv,
+        recording: Recording,
+        rig: Rig,
+        channel: Channel,
+        size: tuple[int, int],
+    ) -> None:
+        """Compiles nothing yet; the rig is `car_cameras` for frames of this size."""
+        self._recording, self._size = recording, size
+        heights = Heights.of(env.fleet)
+        sizes = [(car.length, car.width) for car in env.fleet.agents]
+        self._sizes = np.array(sizes, np.float32)
+
+        def draw(state: State) -> jax.Array:
+            return paint(see(rig, state, heights, viewers=1), channel)[0]
+
+        self._draw = jax.jit(draw)
+
+    def draw(self, index: int) -> np.ndarray:
+        """The recorded instant `index`: all pictures in a grid, (height, width, 3)."""
+        pictures = np.asarray(
+            self._draw(_camera_state(self._recording, self._sizes, index))
+        )
+        _, columns = _grid(len(pictures))
+        height, width = pictures.shape[1:3]
+        frame = np.zeros((*self._size[::-1], 3), np.uint8)
+        for k, picture in enumerate(pictures):
+            y, x = k // columns * height, k % columns * width
+            frame[y : y + height, x : x + width] = picture
+        return frame
+
+
+def _grid(count: int) -> tuple[int, int]:
+    """Rows and columns for a number of pictures."""
+    columns = math.ceil(math.sqrt(count))
+    return -(-count // columns), columns
+
+
+def _camera_state(recording: Recording, sizes: np.ndarray, index: int) -> State:
+    """What cameras read of the state at an instant."""
+    step, trace = divmod(index, recording.pose_w.shape[1])
+    pose_w: Any = recording.pose_w[step, trace]
+    kind = None if recording.kind is None else recording.kind[step]
+    still: Any = np.zeros_like(pose_w)
+    size: Any = sizes[np.zeros(len(pose_w), int) if kind is None else kind]
+    motion = Motion(
+        pose_w=pose_w,
+        velocity_b=still[:, :2],
+        yaw_rate=still[:, 0],
+        steering=still[:, 0],
+        size=size,
+        trace_w=pose_w[:, None],
+        finite=still[:, 0] == 0.0,
+    )
+    groups = tuple(take(group, step).instant(trace) for group in recording.movers)
+    parked_cars, unread = recording.parked_cars, cast(Any, None)
+    assert parked_cars is not None
+    return State(
+        physics=unread,
+        motion=motion,
+        layout=recording.layout,
+        goal=recording.goal[step],
+        tracked_bays=None,
+        parked_cars=dataclasses.replace(
+            parked_cars, pose_w=recording.parked_pose[step, trace]
+        ),
+        memory=None,
+        step=recording.step[step],
+        active=recording.active[step],
+        stats=unread,
+        sensors=None,
+        key=unread,
+        kind=kind,
+        movers=Movers((), (groups,)),
+    )
+
 
 GIF_GREYS, GIF_COLOURS = 48, 144  # palette entries
 CHROMA = 40  # of 255; less is grey
@@ -47,7 +264,6 @@ def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
     The file is written atomically.
 
     Raises:
-        ValueError: another suffix.
         OSError: the file cannot be written, or FFmpeg refuses the frame rate.
     """
     if path.suffix == ".mp4":

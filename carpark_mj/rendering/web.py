@@ -3,17 +3,173 @@
 import functools
 import importlib.util
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import jax
 import mujoco
 import numpy as np
 
-from carpark_mj.rendering.live import LiveLot
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.mdp.parked_cars import AWAY
+from carpark_mj.policy.acting import (
+    AnyPolicy,
+    Carry,
+    Step,
+    acts,
+    as_argument,
+    control_step,
+)
 from carpark_mj.rendering.local_pages import HOST, PORT
+from carpark_mj.rendering.recording import Snapshot, aimed_at, parked_trace
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
-from carpark_mj.scene.materials import ASPHALT, agent_colour
+from carpark_mj.scene.looks import ASPHALT, agent_colour
 from carpark_mj.scene.parts import GROUND, VERGE_GAP
+from carpark_mj.types import ENDINGS, State
+
+
+class LiveLot:
+    """A lot, its cars on a `Stage` at the present instant, and the policy that drives.
+
+    Attributes:
+        goal_pose: (agents, 3) goal bays; NaN for agents that explore.
+        goal_size: (agents, 2) sizes of goal bays [m]; NaN for agents that explore.
+        seconds: simulated time since the start [s].
+        traces: traced poses in a control step.
+    """
+
+    def __init__(self, env: ParkingEnv, policy: AnyPolicy, seed: int) -> None:
+        """Compiles and starts a lot, of those for training."""
+        self._env, self._policy = env, as_argument(policy)
+        reset_key, self._key = jax.random.split(evaluation_key(seed))
+        self._reset = jax.jit(env.reset)
+        self._step = jax.jit(self._control_step)
+        self._start = Carry(*self._reset(reset_key))
+        state = self._start.state
+        layout = state.layout
+        self.extent = np.asarray(layout.extent)
+        self._layout = jax.device_get(layout)
+        config = env.config
+        self._shows = np.flatnonzero(state.takes_part)
+        self.stage = Stage(
+            layout,
+            env.vehicle,
+            len(self._shows),
+            config.num_parked_cars,
+            env.fleet.agents,
+            env.fleet.parked_vehicles(state.parked_cars),
+            state.movers.groups,
+        )
+        self.traces = self._run_once()
+        # One call of `step` is one traced pose.
+        self.stage.model.opt.timestep = config.sim.ctrl_dt / self.traces
+        self.reset()
+
+    def _control_step(self, policy, carry, key):
+        carry, step = control_step(self._env, acts(policy), carry, key)
+        timestep, motion = step.timestep, step.timestep.motion
+        seen = {
+            "pose_w": motion.trace_w[self._shows].swapaxes(0, 1),
+            "steering": motion.steering[self._shows],
+            "kind": self._kind(step.before),
+            "parked_pose": parked_trace(step.before, step.after, motion),
+            "goal": step.after.goal[self._shows],
+            "movers": step.after.movers.groups,
+            **self._record(step),
+            **{name: getattr(timestep.events, name).sum() for name in ENDINGS},
+        }
+        return carry, seen
+
+    def _record(self, step: Step) -> dict[str, jax.Array]:
+        """What else to keep of a control step, by name; nothing here."""
+        return {}
+
+    def _run_once(self) -> int:
+        """Compiles; returns the number of poses traced in a control step."""
+        _, seen = self._step(self._policy, self._start, self._key)
+        return seen["pose_w"].shape[0]
+
+    def reset(self) -> None:
+        """Restarts the lot with the same random keys."""
+        self._carry = self._start
+        state = self._start.state
+        self._steps = self._trace = 0
+        self._seen = None
+        self._ended = dict.fromkeys(ENDINGS, 0)
+        self.seconds = 0.0
+        self._aim(np.asarray(state.goal[self._shows]))
+        motion = jax.tree.map(lambda x: x[self._shows], state.motion)
+        self.stage.reset()
+        self._place(
+            np.asarray(motion.pose_w),
+            np.asarray(motion.steering),
+            np.asarray(state.parked_cars.pose_w),
+            self._kind(state),
+            state.movers.groups,
+        )
+
+    def _kind(self, state: State) -> jax.Array | None:
+        """Which kinds of cars (agents,) are driven; None if there is one."""
+        return None if state.kind is None else state.kind[self._shows]
+
+    @property
+    def begins(self) -> bool:
+        """Whether the next call of `step` begins a control step."""
+        return self._seen is None or self._trace == len(self._seen["pose_w"])
+
+    def step(self) -> bool:
+        """Advances by one traced pose; True if a control step has begun with it."""
+        begins = self.begins
+        if begins:
+            key = jax.random.fold_in(self._key, self._steps)
+            self._carry, seen = self._step(self._policy, self._carry, key)
+            self._seen = jax.device_get(seen)
+            self._steps, self._trace = self._steps + 1, 0
+            self.seconds = self._steps * self._env.config.sim.ctrl_dt
+            self._aim(self._seen["goal"])
+            for name in ENDINGS:
+                self._ended[name] += int(self._seen[name])
+        seen = self._seen
+        assert seen is not None
+        pose, parked_pose = (
+            seen[name][self._trace] for name in ("pose_w", "parked_pose")
+        )
+        movers = tuple(group.instant(self._trace) for group in seen["movers"])
+        self._place(pose, seen["steering"], parked_pose, seen["kind"], movers)
+        self._trace += 1
+        return begins
+
+    def snapshot(self) -> Snapshot:
+        """The present instant, as pictures show it."""
+        pose_w, steering, parked_pose, kind, movers = self._shown
+        return Snapshot(
+            seconds=self.seconds,
+            pose_w=pose_w,
+            steering=steering,
+            goal_pose=self.goal_pose,
+            goal_size=self.goal_size,
+            parked_pose=parked_pose,
+            active=np.abs(pose_w[:, 0]) < AWAY / 2,  # who waits for room is absent
+            state=("",) * len(pose_w),
+            tally=dict(self.tally()),
+            kind=kind,
+            movers=movers,
+        )
+
+    def _place(self, *shown: Any) -> None:
+        """Places cars and movers; see `Stage.place`."""
+        self._shown = shown
+        self.stage.place(*shown)
+
+    def _aim(self, goal: np.ndarray) -> None:
+        self.goal_pose, self.goal_size = aimed_at(self._layout, goal)
+
+    def tally(self) -> Iterator[tuple[str, float]]:
+        """Episodes ended so far, by outcome."""
+        return iter(self._ended.items())
+
 
 MISSING_WEB = 'the browser view needs mjviser: pip install "carpark_mj[web]"'
 DAYLIGHT = 0.5  # of the environment
@@ -47,9 +203,6 @@ def make_viewer(
 
     Returns:
         The viewer of mjviser and its server of viser.
-
-    Raises:
-        OSError: mjviser is not installed.
     """
     require_web()
     import mjviser

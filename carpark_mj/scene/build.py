@@ -1,9 +1,10 @@
-"""Builds the MuJoCo scene of a lot with `MjSpec`.
+"""Builds the MuJoCo scene of a lot with `MjSpec`, and exports it.
 
 One builder serves three purposes: the renderer's pictures, the `scene` back end in
 which all cars and walls collide, and exported models to drive in the viewer.
 """
 
+import math
 from collections.abc import Sequence
 
 import mujoco
@@ -11,15 +12,18 @@ import numpy as np
 
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.scene import cameras, markings, materials, parts
+from carpark_mj.scene import cameras, looks, markings, parts
+from carpark_mj.scene.markings import add_bay_numbers
 from carpark_mj.scene.movers import add_movers
-from carpark_mj.scene.numbers import add_bay_numbers
 from carpark_mj.vehicle.contact_wheels import (
     add_contact_wheels,
     add_controls,
+    rolling_loss,
     set_contact_options,
 )
-from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.disc_brake import FULL_BRAKE
+from carpark_mj.vehicle.mjcf import add_car
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 OFFSCREEN_WIDTH, OFFSCREEN_HEIGHT = 1920, 1080  # largest frame the renderer may ask for
 
@@ -36,7 +40,8 @@ def build_scene(
 ) -> mujoco.MjSpec:
     """Builds the scene of one lot, all cars at the origin.
 
-    Hulls of agents' cars, parked cars and walls collide with each other.
+    Hulls of agents' cars, parked cars and walls collide with each other. Cameras are
+    `topdown`, `overview`, `agentK/chase` and `agentK/driver`.
 
     Args:
         layout: one layout (no batch dimension).
@@ -51,17 +56,13 @@ def build_scene(
             of `params`; the names of the second begin with `agentK/kind1/`...
         suspension: springs between the contact wheels and the cars.
         movers: obstacles that move by themselves, bodies `mover0`...
-
-    Returns:
-        A spec; cameras are `topdown`, `overview`, `agentK/chase` and
-        `agentK/driver`.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "carpark"
     spec.visual.global_.offwidth = OFFSCREEN_WIDTH
     spec.visual.global_.offheight = OFFSCREEN_HEIGHT
     extent = np.asarray(layout.extent, float)
-    materials.add_materials(spec)
+    looks.add_materials(spec)
     parts.add_ground(spec)
     parts.add_verge(spec, extent)
     markings.add_bay_lines(spec, layout)
@@ -88,3 +89,137 @@ def build_scene(
     parts.add_lights(spec, extent)
     cameras.add_lot_cameras(spec, extent)
     return spec
+
+
+SETTLING = 5.0  # s, after which a car placed on the ground is at rest
+
+_GUIDE = """
+  A {place} with {agents} to drive, made by carpark_mj.
+  Open it with `python -m mujoco.viewer`: drop the file into the window.
+
+  Sliders of car K (panel "Control"):
+    agentK/steer  target angle of the bicycle model's wheel [rad], left positive,
+                  reached at {rate:g} rad/s; two joint equalities turn the wheels
+    agentK/drive  {reverse:.2f} to 1: motor torque with engine braking; the driven
+                  wheels settle at about this times {speed:g} m/s, less
+                  {loss:.2f} m/s for rolling resistance. In a curve front wheels are
+                  faster than the car.
+    agentK/brake  0 to 1: disc brakes on the four wheels, up to the torque of
+                  {brake:.1f} m/s^2. The wheels lock before that: their tyres slide at
+                  {grip:.1f} m/s^2. The brake holds the car on a slope, too: on 20 %
+                  it creeps by less than 1 mm in a minute.
+
+  Contact wheels roll without slip up to a friction of {friction:g}. Cars, parked cars
+  (on locked wheels) and walls collide. Cameras: topdown, overview, agentK/chase,
+  agentK/driver.
+"""
+
+
+def drivable_scene(
+    layout: Layout,
+    params: VehicleParameters,
+    agent_pose: np.ndarray,
+    parked_pose: np.ndarray,
+    suspension: bool = False,
+    movers: Sequence[Group] = (),
+) -> mujoco.MjSpec:
+    """Builds a scene on contact wheels, all cars placed and at rest.
+
+    Poses (n, 3) are those of the footprints' centres of the cars to drive and of the
+    parked ones; movers stay where they are. See `build_scene`.
+    """
+    spec = build_scene(
+        layout,
+        params,
+        len(agent_pose),
+        (params,) * len(parked_pose),
+        contact_wheels=True,
+        suspension=suspension,
+        movers=movers,
+    )
+    height, pitch = rest_attitude(params, suspension)
+    for k, pose in enumerate(agent_pose):
+        _place(spec.body(f"agent{k}/car"), params, pose, height, pitch)
+    for k, pose in enumerate(parked_pose):
+        _place(spec.body(f"parked{k}"), params, pose)
+    return spec
+
+
+def try_out(spec: mujoco.MjSpec, seconds: float = 1.0) -> list[str]:
+    """Compiles a drivable scene and drives it, every car on half throttle in a curve.
+
+    Returns:
+        MuJoCo's warnings by name (`BADQACC`...), a sentence each.
+    """
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for k in range(model.nu):
+        share = {"steer": 0.5, "drive": 0.5, "brake": 0.0}
+        kind = model.actuator(k).name.rsplit("/", 1)[-1]
+        data.ctrl[k] = share[kind] * model.actuator_ctrlrange[k, 1]
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    names = [name.removeprefix("mjWARN_") for name in mujoco.mjtWarning.__members__]
+    return [
+        f"{names[k]}, {data.warning[k].number} times"
+        for k in range(mujoco.mjtWarning.mjNWARNING)
+        if data.warning[k].number
+    ]
+
+
+def rest_attitude(
+    params: VehicleParameters, suspension: bool = False
+) -> tuple[float, float]:
+    """Height [m] and pitch [rad] at which a car on contact wheels is at rest."""
+    spec = mujoco.MjSpec()
+    set_contact_options(spec)
+    parts.add_ground(spec)
+    add_car(spec.worldbody, spec, params, "", servos=False, suspension=suspension)
+    add_contact_wheels(spec, params, "", parts.GROUND, suspension)
+    add_controls(spec, params, "")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for _ in range(round(SETTLING / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    w, _, y, _ = data.qpos[3:7]
+    return float(data.qpos[2]), 2.0 * math.atan2(y, w)
+
+
+def _place(
+    body: mujoco.MjsBody,
+    params: VehicleParameters,
+    centre: np.ndarray,
+    height: float = 0.0,
+    pitch: float = 0.0,
+) -> None:
+    x, y, yaw = (float(value) for value in centre)
+    offset = params.centre_offset
+    body.pos = [x - offset * math.cos(yaw), y - offset * math.sin(yaw), height]
+    turn, tilt, quat = np.zeros((3, 4))
+    mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), yaw)
+    mujoco.mju_axisAngle2Quat(tilt, np.array([0.0, 1.0, 0.0]), pitch)
+    mujoco.mju_mulQuat(quat, turn, tilt)
+    body.quat = quat
+
+
+def scene_xml(
+    spec: mujoco.MjSpec, params: VehicleParameters, place: str = "car park"
+) -> str:
+    """The scene as MJCF text, with a guide to its controls at the top.
+
+    It is well-formed XML for other readers too: comments must not contain `--`.
+    """
+    spec.compile()
+    agents = sum(body.name.startswith("agent") for body in spec.worldbody.bodies)
+    guide = _GUIDE.format(
+        place=place,
+        agents="1 car" if agents == 1 else f"{agents} cars",
+        rate=params.steering_rate,
+        reverse=-params.max_reverse_speed / params.max_speed,
+        speed=params.max_speed,
+        loss=rolling_loss(params),
+        brake=FULL_BRAKE * params.tyre.friction * GRAVITY,
+        grip=params.tyre.friction * GRAVITY,
+        friction=params.tyre.friction,
+    )
+    return f"<!--{guide}-->\n{spec.to_xml()}"

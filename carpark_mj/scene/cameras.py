@@ -23,10 +23,10 @@ _LONG = 1.05  # over its width; a longer lot is seen from its side
 def fit_eye(
     points: np.ndarray, axes: np.ndarray, fovy: float, aspect: float
 ) -> np.ndarray:
-    """The nearest eye (3,) [m] from which a camera sees all points.
+    """The nearest eye (3,) [m] from which a camera sees all points (n, 3) [m].
 
     Args:
-        points: (n, 3) in the world [m].
+        points: in the world.
         axes: (3, 3) columns right, up and back of the camera.
         fovy: vertical field of view [deg].
         aspect: width over height of the frame.
@@ -43,12 +43,9 @@ def fit_eye(
 def view_yaw(extent: np.ndarray, aspect: float = LEAST_ASPECT) -> float:
     """Direction [rad] that is to the right in the frames of `LOT_CAMERAS`.
 
-    The lot is seen from the south, or from the west if its longer side then lies along
-    the frame's.
-
-    Args:
-        extent: (2,) half widths of the lot [m].
-        aspect: width over height of the frame.
+    A lot of half widths `extent` (2,) [m] is seen from the south, or from the west if
+    its longer side then lies along the frame's; `aspect` is width over height of the
+    frame.
     """
     x, y = extent if aspect >= 1.0 else extent[::-1]
     return -math.pi / 2 if y > _LONG * x else 0.0
@@ -57,15 +54,10 @@ def view_yaw(extent: np.ndarray, aspect: float = LEAST_ASPECT) -> float:
 def frame_lot(
     camera: str, extent: np.ndarray, aspect: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where `topdown` or `overview` stands to fill a frame with the lot.
+    """Position (3,) [m] and quaternion (4,) at which a camera shows the whole lot.
 
-    Args:
-        camera: name of the camera.
-        extent: (2,) half widths of the lot [m].
-        aspect: width over height of the frame.
-
-    Returns:
-        Position (3,) [m] and quaternion (4,).
+    The camera is `topdown` or `overview`; a lot of half widths `extent` (2,) [m] fills
+    a frame of width over height `aspect`.
     """
     corners = np.array(list(itertools.product((-1, 1), (-1, 1), (0, 1))))
     corners = corners * [*(np.asarray(extent, float) + _MARGIN), _TALL]

@@ -1,18 +1,99 @@
 """A car's meshes from its parameters: body, cage, glass, lights, trim, tyre and rim.
 
-Every car has the silhouette of a style (`scene.car_style`), stretched to its own
-length, width, height, wheelbase, overhangs and wheels. All parts are watertight. Frame:
-the MJCF body's (rear axle on the ground, x forward, y left, z up); tyre and rim about
-their hub.
+Every car has the silhouette of a style (`scene.looks`), stretched to its own length,
+width, height, wheelbase, overhangs and wheels. All parts are watertight. Frame: the
+MJCF body's (rear axle on the ground, x forward, y left, z up); tyre and rim about their
+hub.
 """
 
+from collections.abc import Sequence
+from typing import cast
+
+import mujoco
 import numpy as np
 import trimesh
 
-from carpark_mj.scene.car_style import STYLES, CarStyle, nearest_style
-from carpark_mj.scene.mesh import DECIMALS, block, loft, merge, revolve
+from carpark_mj.scene.looks import STYLES, CarStyle, nearest_style
 from carpark_mj.vehicle.mjcf import hub_positions
 from carpark_mj.vehicle.parameters import VehicleParameters
+
+DECIMALS = 4  # of a coordinate [m]: the same numbers on every machine
+
+
+def merge(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """One mesh of several."""
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(list(parts)))
+
+
+def make_mesh(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
+    """A mesh of rounded vertices (n, 3) [m] and triangles (m, 3), facing outwards."""
+    vertices = np.round(vertices, DECIMALS) + 0.0  # no negative zeros
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
+
+
+def loft(rings: np.ndarray) -> trimesh.Trimesh:
+    """A skin over rings (stations, points, 3) [m], closed at both ends.
+
+    The points of a ring run round it; at the ends point k is joined with point -1 - k,
+    so that a ring may be any outline that is mirrored about a line.
+    """
+    stations, points, _ = rings.shape
+    index = np.arange(stations * points).reshape(stations, points)
+    around = np.roll(index, -1, axis=1)
+    corners = (index[:-1], index[1:], around[1:], around[:-1])
+    quads = [np.stack(corners, -1).reshape(-1, 4)]
+    half = np.arange(points // 2 - 1)
+    for ring, turn in ((index[0], 1), (index[-1], -1)):
+        cap = np.stack([ring[half], ring[half + 1], ring[-2 - half], ring[-1 - half]])
+        quads.append(cap.T[:, ::turn])
+    quad = np.concatenate(quads)
+    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+    return make_mesh(rings.reshape(-1, 3), faces)
+
+
+def revolve(profile: np.ndarray, sections: int) -> trimesh.Trimesh:
+    """A closed profile (points, 2) of (radius, y) [m] turned about the y axis."""
+    points = len(profile)
+    angle = 2 * np.pi * np.arange(sections) / sections
+    radius, y = profile.T
+    vertices = np.stack(
+        [
+            np.outer(np.cos(angle), radius),
+            np.tile(y, (sections, 1)),
+            np.outer(np.sin(angle), radius),
+        ],
+        -1,
+    )
+    index = np.arange(sections * points).reshape(sections, points)
+    ahead = np.roll(index, -1, axis=0)
+    faces = [
+        (index, ahead, np.roll(ahead, -1, axis=1)),
+        (index, np.roll(ahead, -1, axis=1), np.roll(index, -1, axis=1)),
+    ]
+    triangles = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in faces])
+    return make_mesh(vertices.reshape(-1, 3), triangles)
+
+
+def block(low: Sequence[float], high: Sequence[float]) -> trimesh.Trimesh:
+    """An upright box between two corners (3,) [m]."""
+    (x0, y0, z0), (x1, y1, z1) = low, high
+    ring = [(y0, z0), (y0, z1), (y1, z1), (y1, z0)]
+    return loft(np.array([[(x, y, z) for y, z in ring] for x in (x0, x1)]))
+
+
+def add_mesh(spec: mujoco.MjSpec, name: str, mesh: trimesh.Trimesh) -> None:
+    """Adds a mesh to a model as data, without a file."""
+    spec.add_mesh(
+        name=name,
+        uservert=np.asarray(mesh.vertices).ravel().tolist(),
+        userface=np.asarray(mesh.faces).ravel().tolist(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        smoothnormal=False,
+    )
+
 
 SECTIONS = 16  # of a wheel
 SPOKES = 5
@@ -20,13 +101,8 @@ ARCH_GAP = 0.05  # m, between tyre and wheel arch
 RIM = 0.66  # radius of the rim over the tyre's
 # Half width in plan over the car's, along the length from the nose.
 _PLAN = (
-    (0.0, 0.80),
-    (0.02, 0.90),
-    (0.08, 0.97),
-    (0.16, 1.0),
-    (0.86, 1.0),
-    (0.98, 0.93),
-    (1.0, 0.85),
+    (0.0, 0.02, 0.08, 0.16, 0.86, 0.98, 1.0),
+    (0.80, 0.90, 0.97, 1.0, 1.0, 0.93, 0.85),
 )
 # The body's section: height between underside and upper edge, and half width.
 _RISE = np.array([0.0, 0.30, 0.60, 0.86, 1.0])
@@ -108,14 +184,14 @@ def _shell(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     nose, tail = _x(params, np.array([0.0, 1.0]))
     arches = _arches(params)
     arches = arches[(arches > tail) & (arches < nose)]
-    plain = _x(params, np.array([u for u, _ in (*style.top, *_PLAN)]))
+    plain = _x(params, np.array([*style.top[0], *_PLAN[0]]))
     # Stations close to an arch's own would make slivers.
     free = np.abs(plain[:, None] - arches).min(axis=1) > 0.06
     x = np.concatenate([plain[free], arches, [nose, tail]])
     x = np.unique(np.round(x, DECIMALS))
     u = 1.0 - (x + params.rear_overhang) / params.length
-    top = params.height * np.interp(u, *np.transpose(style.top))
-    half = params.width / 2 * np.interp(u, *np.transpose(_PLAN))
+    top = params.height * np.interp(u, *style.top)
+    half = params.width / 2 * np.interp(u, *_PLAN)
     under = style.clearance + 0.06 * np.interp(u, [0, 0.08, 0.9, 1], [1, 0, 0, 1])
     low = _lower_edge(params, x, under)
     z = under[:, None] + (top - under)[:, None] * _RISE
@@ -193,8 +269,8 @@ def _pair(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:
 def _lights(params: VehicleParameters, style: CarStyle) -> dict[str, trimesh.Trimesh]:
     nose, tail = _x(params, np.array([0.0, 1.0]))
     half, height = params.width / 2, params.height
-    bonnet = np.interp(0.0, *np.transpose(style.top)) * height
-    boot = np.interp(1.0, *np.transpose(style.top)) * height
+    bonnet = np.interp(0.0, *style.top) * height
+    boot = np.interp(1.0, *style.top) * height
     z = boot - (0.26 if style.tall_lights else 0.15), boot - 0.01
     deep = 0.16
     return {
@@ -213,7 +289,7 @@ def _trim(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     """Dark parts: underbody between the wheels, grille, bumper slots, dashboard."""
     nose, tail = _x(params, np.array([0.0, 1.0]))
     half = params.width / 2
-    bonnet = np.interp(0.0, *np.transpose(style.top)) * params.height
+    bonnet = np.interp(0.0, *style.top) * params.height
     (foot, belt), _, _, (foot_rear, _) = style.windows
     inner = params.track_width / 2 - params.tyre_width / 2 - 0.6 * params.wheel_radius
     reach = params.wheel_radius + 2 * ARCH_GAP

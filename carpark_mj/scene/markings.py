@@ -1,4 +1,4 @@
-"""Paint on the asphalt: bay lines, and arrows along one-way lanes."""
+"""Paint on the asphalt: bay lines and numbers, and arrows along one-way lanes."""
 
 import math
 
@@ -17,8 +17,9 @@ from carpark_mj.layouts.types import (
     LINE_WIDTH,
     Layout,
 )
-from carpark_mj.scene import materials
-from carpark_mj.scene.mesh import add_mesh, merge
+from carpark_mj.scene import looks
+from carpark_mj.scene.cameras import view_yaw
+from carpark_mj.scene.car_mesh import add_mesh, merge
 from carpark_mj.scene.parts import yaw_quat
 
 
@@ -41,11 +42,7 @@ def add_bay_lines(spec: mujoco.MjSpec, layout: Layout) -> None:
                 pos=[x + cos * dx - sin * dy, y + sin * dx + cos * dy, 0.0],
                 quat=yaw_quat(yaw),
                 size=[half_x, half_y, LINE_HEIGHT],
-                rgba=materials.LINE,
-                castshadow=False,
-                contype=0,
-                conaffinity=0,
-                group=1,
+                **looks.PAINT,
             )
 
 
@@ -82,9 +79,76 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
                 meshname="arrow",
                 pos=[x + along * math.cos(yaw), y + along * math.sin(yaw), 0.0],
                 quat=yaw_quat(yaw),
-                rgba=materials.LINE,
-                castshadow=False,
-                contype=0,
-                conaffinity=0,
-                group=1,
+                **looks.PAINT,
+            )
+
+
+HEIGHT, WIDTH = 0.42, 0.24  # m, of a digit
+STROKE = 0.06  # m
+SPACING = 0.32  # m, from digit to digit
+THICKNESS = 0.008  # m
+EDGE_DISTANCE = 0.30  # m, from the open end of the bay to the middle of its number
+
+# Segments in units of a digit's half width and half height: (x, y, horizontal).
+_SEGMENTS = {
+    "a": (0, 1, True),
+    "b": (1, 0.5, False),
+    "c": (1, -0.5, False),
+    "d": (0, -1, True),
+    "e": (-1, -0.5, False),
+    "f": (-1, 0.5, False),
+    "g": (0, 0, True),
+}
+_DIGITS = (
+    "abcdef",
+    "bc",
+    "abged",
+    "abgcd",
+    "fgbc",
+    "afgcd",
+    "afgedc",
+    "abc",
+    "abcdefg",
+    "abcdfg",
+)
+
+
+def digit_mesh(digit: int) -> trimesh.Trimesh:
+    """One digit in the xy-plane, upright along +y, centred on the origin."""
+    strokes = []
+    for name in _DIGITS[digit]:
+        x, y, horizontal = _SEGMENTS[name]
+        long, across = (WIDTH, HEIGHT / 2)[not horizontal], STROKE
+        extent = (long, across) if horizontal else (across, long)
+        stroke = trimesh.creation.box((*extent, THICKNESS))
+        stroke.apply_translation(
+            (x * (WIDTH - STROKE) / 2, y * (HEIGHT - STROKE) / 2, 0.0)
+        )
+        strokes.append(stroke)
+    return merge(strokes)
+
+
+def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
+    """Paints every bay's index at its open end, upright for the lot's cameras."""
+    right = view_yaw(np.asarray(layout.extent, float))
+    for digit in range(10):
+        mesh = digit_mesh(digit)
+        add_mesh(spec, f"digit{digit}", mesh)
+    for bay in np.flatnonzero(np.asarray(layout.bay_mask)):
+        x, y, yaw = np.asarray(layout.bay_pose[bay], float)
+        reach = float(layout.bay_size[bay, 0]) / 2 - EDGE_DISTANCE
+        x, y = x + reach * math.cos(yaw), y + reach * math.sin(yaw)
+        turn = yaw + math.pi / 2  # read from the aisle
+        if math.cos(turn - right) < -1e-3:  # upside down
+            turn += math.pi
+        text = str(bay)
+        for place, digit in enumerate(text):
+            along = (place - (len(text) - 1) / 2) * SPACING
+            spec.worldbody.add_geom(
+                name=f"bay{bay}/digit{place}",
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=f"digit{digit}",
+                pos=[x + along * math.cos(turn), y + along * math.sin(turn), 0.0],
+                quat=[math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)],
+                **looks.PAINT,
             )

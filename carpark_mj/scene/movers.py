@@ -15,7 +15,7 @@ import numpy as np
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry.obstacles import Boxes, Group
 from carpark_mj.layouts.types import MOVER_HEIGHTS
-from carpark_mj.scene import materials
+from carpark_mj.scene import looks
 from carpark_mj.scene.parts import COLLIDES, HIDDEN, HULL_GROUP, yaw_quat
 
 LONGER_IS_CAR = 3.0  # m
@@ -34,73 +34,60 @@ class Part(NamedTuple):
     shape: Any
     pos: tuple[float, float, float]
     size: tuple[float, float, float]
-    colour: materials.Colour
+    colour: looks.Colour
     quat: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
 
 
 def _wheels(x: float, y: float, radius: float, width: float) -> list[Part]:
     return [
-        Part(
-            _CYLINDER,
-            (i * x, j * y, radius),
-            (radius, width, 0),
-            materials.TYRE,
-            _AXLE,
-        )
+        Part(_CYLINDER, (i * x, j * y, radius), (radius, width, 0), looks.TYRE, _AXLE)
         for i in (-1, 1)
         for j in (-1, 1)
     ]
 
 
-_LEG = Part(_CAPSULE, (0, 0, -0.41), (0.08, 0.35, 0), materials.TROUSERS)
+_LEG = Part(_CAPSULE, (0, 0, -0.41), (0.08, 0.35, 0), looks.TROUSERS)
 _CART = [
-    Part(_BOX, (0, 0, 0.2), (1.0, 1.0, 0.03), materials.TRIM),
-    Part(_BOX, (0.1, 0, 0.62), (0.85, 0.95, 0.3), materials.MOVER),
-    Part(_BOX, (-0.95, 0, 1.0), (0.05, 0.95, 0.03), materials.TRIM),
+    Part(_BOX, (0, 0, 0.2), (1.0, 1.0, 0.03), looks.TRIM),
+    Part(_BOX, (0.1, 0, 0.62), (0.85, 0.95, 0.3), looks.MOVER),
+    Part(_BOX, (-0.95, 0, 1.0), (0.05, 0.95, 0.03), looks.TRIM),
     *_wheels(0.8, 0.85, 0.09, 0.03),
 ]
 _CAR = [
-    Part(_BOX, (0, 0, 0.55), (1.0, 1.0, 0.33), materials.MOVER),
-    Part(_BOX, (-0.08, 0, 1.13), (0.5, 0.85, 0.27), materials.GLASS),
-    Part(_BOX, (-0.08, 0, 1.41), (0.45, 0.82, 0.02), materials.MOVER),
+    Part(_BOX, (0, 0, 0.55), (1.0, 1.0, 0.33), looks.MOVER),
+    Part(_BOX, (-0.08, 0, 1.13), (0.5, 0.85, 0.27), looks.GLASS),
+    Part(_BOX, (-0.08, 0, 1.41), (0.45, 0.82, 0.02), looks.MOVER),
     *_wheels(0.6, 0.9, 0.31, 0.11),
 ]
 
 
 def _person(number: int) -> list[Part]:
-    coat = materials.COATS[number % len(materials.COATS)]
+    coat = looks.COATS[number % len(looks.COATS)]
     arms = [
         Part(_CAPSULE, (0, side * 0.24, 1.08), (0.055, 0.24, 0), coat) for side in LEGS
     ]
     return [
         Part(_CAPSULE, (0, 0, 1.12), (0.17, 0.19, 0), coat),
-        Part(_BALL, (0, 0, 1.58), (0.12, 0, 0), materials.SKIN),
+        Part(_BALL, (0, 0, 1.58), (0.12, 0, 0), looks.SKIN),
         *arms,
     ]
 
 
 class Shape(NamedTuple):
-    """A mover and its size.
+    """A mover and its size."""
 
-    Attributes:
-        parts: what is seen of it.
-        solid: with which cars collide, in metres.
-        scale: (3,) of the parts' x, y and z.
-        is_person: whether it has legs.
-    """
-
-    parts: list[Part]
-    solid: Part
-    scale: np.ndarray
-    is_person: bool
+    parts: list[Part]  # what is seen of it
+    solid: Part  # with which cars collide, in metres
+    scale: np.ndarray  # (3,) of the parts' x, y and z
+    is_person: bool  # whether it has legs
 
 
 def _solid(group: Group, size: np.ndarray) -> Part:
     """The solid of an obstacle of a size, (2,) of boxes and () of discs [m]."""
     half = MOVER_HEIGHTS[type(group)] / 2
     if isinstance(group, Boxes):
-        return Part(_BOX, (0, 0, half), (*size / 2, half), materials.MOVER)
-    return Part(_CYLINDER, (0, 0, half), (float(size), half, 0), materials.MOVER)
+        return Part(_BOX, (0, 0, half), (*size / 2, half), looks.MOVER)
+    return Part(_CYLINDER, (0, 0, half), (float(size), half, 0), looks.MOVER)
 
 
 def _shape(group: Group, row: int, number: int) -> Shape:
@@ -148,12 +135,8 @@ def add_solids(
 ) -> None:
     """Bodies `mover0`... of the solids alone, which only the geoms `hulls` touch.
 
-    So the door of a parked car and people between two of them do not push these.
-
-    Args:
-        spec: the scene.
-        groups: obstacles, or their shapes instead of arrays; their sizes are set later.
-        hulls: names of geoms.
+    So the door of a parked car and people between two of them do not push these. Groups
+    may have shapes instead of arrays; their sizes are set later.
     """
     slide, spin, roll = COLLIDES["friction"]
     for number, group, _ in _rows(groups):

@@ -1,6 +1,7 @@
 """The parts of a lot's scene; each function adds one kind of thing to a spec."""
 
 import math
+import zlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,25 +19,97 @@ from carpark_mj.layouts.types import (
     Layout,
     WallKind,
 )
-from carpark_mj.scene import car_look, materials
+from carpark_mj.scene import looks
 from carpark_mj.scene.cameras import add_car_cameras
+from carpark_mj.scene.car_mesh import add_mesh, car_meshes, standing_wheels
+from carpark_mj.scene.looks import nearest_style
 from carpark_mj.vehicle.locked_tyres import add_locked_tyres
 from carpark_mj.vehicle.mjcf import WHEELS, add_car
 from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.presets import PRESETS
+
+# What a mesh depends on; cars that agree in it look alike.
+_SHAPE = (
+    *("length", "width", "height", "wheelbase", "track_width"),
+    *("rear_overhang", "wheel_radius", "tyre_width"),
+)
+# Part: material, colour (None: the car's), whether it casts a shadow.
+_LOOKS = {
+    "body": ("paint", None, True),
+    "cage": ("paint", None, True),
+    "glass": ("glass", looks.GLASS, True),
+    "headlights": ("lamp", looks.HEADLIGHT, False),
+    "tail_lights": ("lamp", looks.TAIL_LIGHT, False),
+    "trim": ("rubber", looks.TRIM, True),
+    "shade": ("rubber", looks.SHADE, False),
+    "tyre": ("rubber", looks.TYRE, True),
+    "rim": ("metal", looks.RIM, False),
+}
+_LOOKS |= {"tyres": _LOOKS["tyre"], "rims": _LOOKS["rim"]}
+_CABIN = ("cage", "glass")
+# Parts of a car but for its wheels, in the rear axle's frame, and of a wheel.
+FIXED = ("body", *_CABIN, "headlights", "tail_lights", "trim", "shade")
+WHEEL = ("tyre", "rim")
+WHOLE = (*FIXED, "tyres", "rims")  # whose wheels do not move
+
+
+def shape_name(params: VehicleParameters) -> str:
+    """Name of a car's shape: its preset's, with a check sum if it is not quite that."""
+    name = nearest_style(params)
+    shape = [getattr(params, field) for field in _SHAPE]
+    if shape == [getattr(PRESETS[name], field) for field in _SHAPE]:
+        return name
+    return f"{name}_{zlib.crc32(repr(shape).encode()):08x}"
+
+
+def add_looks(
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    params: VehicleParameters,
+    parts: tuple[str, ...],
+    paint: looks.Colour = looks.RIM,
+) -> None:
+    """Adds visual geoms to a body; mass properties are the vehicle's.
+
+    The first car of a shape adds its meshes, which are written into the model: an
+    exported scene needs no files.
+    """
+    shape = shape_name(params)
+    if spec.mesh(f"{shape}/body") is None:
+        for part, mesh in (car_meshes(params) | standing_wheels(params)).items():
+            add_mesh(spec, f"{shape}/{part}", mesh)
+    for part in parts:
+        material, colour, shadow = _LOOKS[part]
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=f"{shape}/{part}",
+            material=material,
+            rgba=colour or paint,
+            castshadow=shadow,
+            contype=0,
+            conaffinity=0,
+            group=2,
+            mass=0.0,
+        )
+
+
+def cabin_geoms(model: mujoco.MjModel, car: int) -> np.ndarray:
+    """Ids of the geoms that are roof, pillars and glass of a car, by its body."""
+    own = np.flatnonzero((model.geom_bodyid == car) & (model.geom_dataid >= 0))
+    parts = [model.mesh(model.geom_dataid[g]).name.rpartition("/")[2] for g in own]
+    return own[np.isin(parts, _CABIN)]
+
 
 GROUND = "ground"
 VERGE = 20.0  # reach of the grass, in the lot's larger half width
 HULL_GROUP = 3  # hidden by default, like all collision geoms
 _WALL_COLOURS = {
-    WallKind.WALL: materials.CONCRETE,
-    WallKind.KERB: materials.KERB,
-    WallKind.ISLAND: materials.GREEN,
-    WallKind.GATE: materials.GATE,
+    WallKind.WALL: looks.CONCRETE,
+    WallKind.KERB: looks.KERB,
+    WallKind.ISLAND: looks.GREEN,
+    WallKind.GATE: looks.GATE,
 }
-_DISC_COLOURS = {
-    DiscKind.PILLAR: materials.CONCRETE,
-    DiscKind.BOLLARD: materials.GATE,
-}
+_DISC_COLOURS = {DiscKind.PILLAR: looks.CONCRETE, DiscKind.BOLLARD: looks.GATE}
 HIDDEN = -50.0  # m, under the ground: where things are that are not there
 # Hulls crush like springs with dampers. In a barrier test at 15.6 m/s a passenger car
 # is crushed by 0.6 m [est], which is a linear stiffness k = m v^2 / x^2 (Gabler and
@@ -67,8 +140,8 @@ def add_ground(spec: mujoco.MjSpec) -> None:
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=materials.ZENITH[:3],
-        rgb2=materials.HORIZON[:3],
+        rgb1=looks.ZENITH[:3],
+        rgb2=looks.HORIZON[:3],
         width=128,
         height=128,
     )
@@ -79,8 +152,8 @@ def add_ground(spec: mujoco.MjSpec) -> None:
         mark=mujoco.mjtMark.mjMARK_RANDOM,
         random=0.08,
         markrgb=[0.30, 0.31, 0.33],
-        rgb1=materials.ASPHALT[:3],
-        rgb2=materials.ASPHALT[:3],
+        rgb1=looks.ASPHALT[:3],
+        rgb2=looks.ASPHALT[:3],
         width=256,
         height=256,
     )
@@ -113,11 +186,7 @@ def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=[*centre, 0.0],
             size=[*size, VERGE_HEIGHT],
-            rgba=materials.GRASS,
-            castshadow=False,
-            contype=0,
-            conaffinity=0,
-            group=1,
+            **looks.PAINT | {"rgba": looks.GRASS},
         )
 
 
@@ -144,7 +213,7 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
 
         low = height < WALL_HEIGHT
         if low:
-            box(height, rgba=colour, group=1, contype=0, conaffinity=0)
+            box(height, rgba=colour, **looks.VISUAL)
         box(
             WALL_HEIGHT,
             name=f"wall{wall}",
@@ -207,8 +276,8 @@ def add_parked_cars(spec: mujoco.MjSpec, cars: Sequence[VehicleParameters]) -> N
             body.add_joint(name=f"{name}/{suffix}", type=kind, axis=axis)
         add_locked_tyres(spec, body, params)
         add_hull(body, params, f"{name}/hull")
-        colour = materials.PARKED[k % len(materials.PARKED)]
-        car_look.add_standing_car(spec, body, params, colour)
+        colour = looks.PARKED[k % len(looks.PARKED)]
+        add_looks(spec, body, params, WHOLE, colour)
 
 
 def car_prefix(agent: int, kind: int = 0) -> str:
@@ -229,10 +298,9 @@ def add_agents(
         prefix = car_prefix(k, kind)
         car = add_car(spec.worldbody, spec, params, prefix, servos, suspension)
         add_hull(car, params, f"{prefix}hull")
-        car_look.add_body_look(spec, car, params, materials.agent_colour(k))
+        add_looks(spec, car, params, FIXED, looks.agent_colour(k))
         for name in WHEELS:
-            wheel = spec.body(f"{prefix}wheel_{name}")
-            car_look.add_wheel_look(spec, wheel, params)
+            add_looks(spec, spec.body(f"{prefix}wheel_{name}"), params, WHEEL)
         add_car_cameras(car, params, prefix)
 
 
@@ -250,7 +318,7 @@ def add_lights(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
     spec.visual.headlight.ambient = [0.42, 0.42, 0.44]
     spec.visual.headlight.diffuse = [0.18, 0.18, 0.18]
     spec.visual.headlight.specular = [0.0, 0.0, 0.0]
-    spec.visual.rgba.haze = materials.HORIZON
+    spec.visual.rgba.haze = looks.HORIZON
     quality = spec.visual.quality
     quality.shadowsize = 4096
     # Lines and pillars look as round, flat faces as even, with far fewer triangles.

@@ -19,9 +19,8 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row
 from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.recording import Recording
+from carpark_mj.rendering.recording import Recording, frames_per_second, num_frames
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.snapshot import frames_per_second, num_frames
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, write_video
 from carpark_mj.suite.evaluation import Drives, has_moving_car, suite_env, worst_first

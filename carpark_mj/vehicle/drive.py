@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.geometry.gradients import finite_slope
+from carpark_mj.geometry.se2 import finite_slope
 from carpark_mj.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:  # only cars with delays load it

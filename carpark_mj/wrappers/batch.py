@@ -1,6 +1,6 @@
-"""A batch of lots, reset and stepped by one compiled call; as JAX or NumPy arrays.
+"""A batch of lots, reset and stepped by one compiled call, and its pictures.
 
-All adapters build on a batch, or on the same as torch tensors (`torch_batch.py`).
+All adapters build on a batch, as JAX or NumPy arrays, or as torch tensors (`torchrl`).
 Observations are arrays, or dictionaries of arrays where `ParkingEnv.unpack` gives some.
 """
 
@@ -17,9 +17,15 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from carpark_mj.config.checks import require_count
+from carpark_mj.geometry.obstacles import Group
+from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
+from carpark_mj.rendering.gl import missing_display
+from carpark_mj.rendering.recording import Snapshot, aimed_at
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_names
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
@@ -33,32 +39,18 @@ Seeds = int | Sequence[int | None] | None
 
 
 class Batch:
-    """Lots of one environment on JAX's device.
+    """`num_lots` lots of one environment `env` on JAX's device.
 
     With `EpisodeConfig.respawn` each agent auto-resets in its lot. Without it, agents
     wait until all of their lot have finished. The lot then resets in the same call,
     with another layout if it is random.
-
-    Attributes:
-        env: environment of one lot.
-        num_lots: lots in the batch.
     """
 
     def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
         """Takes an environment; it is compiled by the first calls.
 
-        Args:
-            env: environment of one lot.
-            num_lots: at least 1.
-            restart: whether a lot resets when all its agents have finished.
-
-        Raises:
-            ValueError: `num_lots` is not a whole number of at least 1.
-            TypeError: `env` is not an environment.
+        `restart` tells whether a lot resets when all its agents have finished.
         """
-        if not isinstance(env, Environment):  # pyright: ignore[reportUnnecessaryIsInstance]
-            kind = type(env).__name__
-            raise TypeError(f"env must be an environment, as a ParkingEnv, not {kind}")
         require_count("num_lots", num_lots, 1)
         self.env: Any = env  # adapters know of which kind
         self.num_lots, self._restart = num_lots, restart
@@ -79,11 +71,7 @@ class Batch:
 
     @property
     def state(self) -> State:
-        """State (num_lots, ...) of the lots; the next step reuses its buffers.
-
-        Raises:
-            ResetNeeded: before the first `reset`.
-        """
+        """State (num_lots, ...) of the lots; the next step reuses its buffers."""
         if self._state is None:
             raise ResetNeeded("call reset before the first step")
         return self._state
@@ -106,8 +94,7 @@ class Batch:
             Observations (num_lots, num_agents, ...).
 
         Raises:
-            ValueError: a seed out of range, a wrong number of seeds, or impossible
-                options; the lots stay as they were.
+            ValueError: impossible seeds or options; the lots stay as they were.
         """
         if seed is None and self._state is not None:
             keys = self._state.key
@@ -126,26 +113,18 @@ class Batch:
     def restart(self, due: np.ndarray | jax.Array) -> Any:
         """Resets some lots, `due` (num_lots,) bool, with their own random numbers.
 
-        Returns:
-            Observations as `reset` returns; zeros for the other lots.
+        Returns observations as `reset` does; zeros for the other lots.
         """
         self._state, seen = self._programs.restart(self.state, jnp.asarray(due))
         return seen
 
     def step(self, action: jax.Array | np.ndarray) -> TimeStep:
-        """Advances all lots by a control step.
-
-        Args:
-            action: of `action_shape`; see `ParkingEnv.step`.
+        """Advances all lots by a control step; actions are of `action_shape`.
 
         Returns:
             The time step, all (num_lots, num_agents, ...). Where an episode has begun,
             `observation` is that of the new episode and `final_observation` the last of
             the old one.
-
-        Raises:
-            ResetNeeded: before the first `reset`.
-            ValueError: another shape.
         """
         require_shape("actions", action, self.action_shape)
         self._state, timestep = self._programs.step(self.state, action)
@@ -193,12 +172,7 @@ class NumpyBatch(Batch):
         return jax.tree.map(np.array, self.reset(seed, options))
 
     def step_numpy(self, action: Any) -> Step:
-        """See `step`.
-
-        Raises:
-            ValueError: also if an action is NaN, not a real number, or not an integer
-                on the grid.
-        """
+        """See `step`; refuses NaN, and numbers that are no integers on the grid."""
         given = np.asarray(action)
         if not is_real(given):
             raise ValueError(f"actions must be real numbers, not {given.dtype}")
@@ -219,13 +193,15 @@ class NumpyBatch(Batch):
 def require_shape(
     name: str, array: jax.Array | np.ndarray, shape: tuple[int, ...] | None
 ) -> None:
-    """Refuses an array of another shape.
-
-    Raises:
-        ValueError: naming both shapes.
-    """
+    """Refuses an array of another shape."""
     if array.shape != shape:
         raise ValueError(f"{name} must have the shape {shape}, not {array.shape}")
+
+
+def require_render_mode(render_mode: str | None, modes: Sequence[str]) -> None:
+    """Refuses a mode other than None and those given."""
+    if render_mode not in (None, *modes):
+        raise ValueError(f"unknown render_mode {render_mode!r}; choose from {modes}")
 
 
 class _Programs(NamedTuple):
@@ -321,3 +297,119 @@ def _seeds(seed: Seeds, num_lots: int) -> np.ndarray:
         raise ValueError(f"seeds must be one for each of {num_lots} lots, not {seed}")
     pairs = zip(given, drawn, strict=True)
     return np.array([d if s is None else s for s, d in pairs], np.uint32)
+
+
+SIZE = 960, 540  # pixels
+RENDER_MODES = ["human", "rgb_array"]
+
+
+class Screen:
+    """Shows lots of one environment; lots that look alike share a scene."""
+
+    def __init__(
+        self, env: Any, camera: str = "topdown", num_cars: int | None = None
+    ) -> None:
+        """Opens nothing yet.
+
+        Args:
+            env: a `ParkingEnv`, or what a subclass draws.
+            camera: see `carpark_mj.rendering.renderer.camera_names`.
+            num_cars: number of cars that cameras can follow; None = the agents.
+        """
+        camera_names(camera, env.num_agents if num_cars is None else num_cars)
+        self._env, self._camera = env, camera
+        self._open_nothing()
+
+    def _open_nothing(self) -> None:
+        self._stages: dict[bytes, Stage] = {}  # the last is the one used last
+        self._renderer: LotRenderer | None = None
+        self._window: Any = None
+        self._in_window: Stage | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies open their own windows and renderers."""
+        return {"_env": self._env, "_camera": self._camera}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._open_nothing()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return copy.copy(self)
+
+    def picture(self, state: Any, lot: int = 0) -> np.ndarray:
+        """Draws a lot of a batch, (height, width, 3) uint8; it needs OpenGL."""
+        stage, seen = self._place(state, lot)
+        if self._renderer is None:
+            self._renderer = LotRenderer(stage, self._camera, SIZE)
+        self._renderer.show_lot(stage)
+        draw, cameras = self._renderer.draw, self._renderer.cameras
+        return np.concatenate([draw(seen, name) for name in cameras], axis=1)
+
+    def show(self, state: Any, lot: int = 0) -> None:
+        """Shows a lot of a batch in MuJoCo's window; it needs a display."""
+        if missing := missing_display():  # MuJoCo's viewer would end the program
+            raise RenderingError(
+                f"render_mode 'human': {missing}; 'rgb_array' needs none"
+            )
+        stage, _ = self._place(state, lot)
+        if stage is not self._in_window:
+            self._close_window()
+            import mujoco.viewer
+
+            self._window = mujoco.viewer.launch_passive(stage.model, stage.data)
+            self._in_window = stage
+        self._window.sync()
+
+    def close(self) -> None:
+        """Closes what is open; it opens again if used."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._close_window()
+        self._renderer, self._stages = None, {}
+
+    def _close_window(self) -> None:
+        if self._window is not None:
+            self._window.close()
+        self._window = self._in_window = None
+
+    def _place(self, state: Any, lot: int) -> tuple[Stage, Snapshot]:
+        """The scene of a lot with its cars in their places."""
+        names = ("layout", "motion", "parked_cars", "goal", "active", "movers", "kind")
+        parts = tuple(getattr(state, name) for name in names)
+        parts = jax.device_get(jax.tree.map(lambda x: x[lot], parts))
+        layout, motion, parked_cars, goal, active, movers, kind = parts
+        stage = self._stage(layout, parked_cars, movers.groups, most=len(state.goal))
+        goal_pose, goal_size = aimed_at(layout, goal)
+        seen = Snapshot(
+            pose_w=motion.pose_w,
+            steering=motion.steering,
+            goal_pose=goal_pose,
+            goal_size=goal_size,
+            parked_pose=parked_cars.pose_w,
+            active=active,
+            kind=kind,
+            movers=movers.groups,
+        )
+        seen.place(stage)
+        return stage, seen
+
+    def _stage(
+        self, layout: Layout, parked_cars: Any, movers: Sequence[Group], most: int
+    ) -> Stage:
+        """The scene of a lot and its parked cars; the `most` used last are kept."""
+        looks = parked_cars.size, parked_cars.kind, [group.size for group in movers]
+        env, drawn = self._env, jax.tree.leaves((layout, looks))
+        key = b"".join(part.tobytes() for part in drawn)
+        self._stages[key] = self._stages.pop(key, None) or Stage(
+            layout,
+            env.vehicle,
+            env.num_agents,
+            env.config.num_parked_cars,
+            env.fleet.agents,
+            env.fleet.parked_vehicles(parked_cars),
+            movers,
+        )
+        if len(self._stages) > most:
+            del self._stages[next(iter(self._stages))]
+        return self._stages[key]

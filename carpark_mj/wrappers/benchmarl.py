@@ -36,7 +36,7 @@ class ParkingTaskClass(TaskClass):
     """A `TorchRLParking`; the task's config holds its options.
 
     Algorithms with continuous actions use steer and pedal, all others rows of
-    `carpark_mj.wrappers.action_table`.
+    `carpark_mj.wrappers.options`.
     """
 
     def get_env_fun(

@@ -87,14 +87,9 @@ class BraxParking(Env):
         member: jax.Array | None = None,
         num_present: jax.Array | None = None,
     ) -> BraxState:
-        """Redraws some lots and cuts off the episodes running in them.
+        """Redraws the lots (n,) int32 and cuts off the episodes running in them.
 
-        Args:
-            state: of all lots.
-            lots: (n,) int32 which lots.
-            keys: (n,) consumed.
-            member: (n,) int32, see `reset`.
-            num_present: (n,) int32, see `reset`.
+        Args are those of `reset`; the keys (n,) are consumed.
         """
         fresh = self.reset(keys, member, num_present)
         num_lots = state.done.shape[0] // self.env.num_agents

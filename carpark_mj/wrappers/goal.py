@@ -1,18 +1,19 @@
-"""Goal poses that can be relabelled (HER): observations in three parts."""
+"""Goal poses that can be relabelled (HER): `carpark_mj/ParkGoal-v0`."""
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from gymnasium import spaces
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.observations import make_fields
-from carpark_mj.observations.fields import Field
 from carpark_mj.physics.base import Physics
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.goal_pose import (
@@ -24,29 +25,28 @@ from carpark_mj.tasks.goal_pose import (
     pose_norm,
 )
 from carpark_mj.types import State, TimeStep
+from carpark_mj.wrappers.batch import NumpyBatch
+from carpark_mj.wrappers.gymnasium_env import (
+    ONE_AGENT,
+    ParkEnv,
+    ParkVectorEnv,
+    one_agent,
+)
+from carpark_mj.wrappers.options import Options, configure, share, vector_space
 
 
 class GoalParking(ParkingEnv):
     """One agent whose observation ends with its own features and those of its goal.
 
-    The observation is a vector of three parts, see `unpack`: the fields that do not
+    The observation is a vector of three parts, see `unpack`: the `fields` that do not
     reveal the goal, and `FEATURES` of the car and of the goal, free of noise.
-
-    Attributes:
-        fields: of the first part.
-        goal_fields: of the second and the third part.
     """
-
-    fields: tuple[Field, ...]
-    goal_fields = FEATURES
 
     def __init__(self, config: EnvConfig, physics: Physics | None = None) -> None:
         """Builds the environment; see `ParkingEnv`.
 
         Raises:
-            ValueError: several agents, respawn, a dynamic goal, observations without a
-                field that reveals the goal, or a reward that does not follow from poses
-                and crashes.
+            ValueError: settings under which goals cannot be relabelled.
         """
         super().__init__(config, physics)
         config = self.config
@@ -80,8 +80,7 @@ class GoalParking(ParkingEnv):
     def unpack(self, observation: jax.Array) -> dict[str, jax.Array]:
         """The parts of vectors (..., observation_size) by Gymnasium's names."""
         own = len(self._kept)
-        ends = [own, own + NUM_FEATURES]
-        parts = jnp.split(observation, ends, axis=-1)
+        parts = jnp.split(observation, [own, own + NUM_FEATURES], axis=-1)
         names = "observation", "achieved_goal", "desired_goal"
         return dict(zip(names, parts, strict=True))
 
@@ -117,3 +116,77 @@ class GoalParking(ParkingEnv):
         own: Any = observation[:, self._kept]
         parts = own, car_features(state.motion), goal_features(state)
         return jnp.concatenate(parts, axis=-1)
+
+
+Info = Mapping[str, Any]  # of a step
+
+
+def goal_config(options: Options) -> EnvConfig:
+    """The configuration of one agent from options.
+
+    By default the reward is `pose`, and both the goal pose and the parked rule end an
+    episode.
+    """
+    config = one_agent(configure({"reward": "pose", **options}, ONE_AGENT))
+    if "rule" in options:
+        return config
+    rule = f"{config.episode.parked_rule},pose"
+    episode = dataclasses.replace(config.episode, parked_rule=rule)
+    return dataclasses.replace(config, episode=episode)
+
+
+class _Goals:
+    """The reward as a function of goals, as learners that relabel goals call it."""
+
+    _batch: NumpyBatch
+    _config = staticmethod(goal_config)
+
+    def _make(self, options: Options) -> GoalParking:
+        return share(GoalParking, self._config(options))
+
+    def _space(self, env: GoalParking) -> spaces.Dict:
+        own, goal = (
+            vector_space(env.config, fields) for fields in (env.fields, FEATURES)
+        )
+        return spaces.Dict(observation=own, achieved_goal=goal, desired_goal=goal)
+
+    def compute_reward(
+        self,
+        achieved_goal: np.ndarray,
+        desired_goal: np.ndarray,
+        info: Info | Sequence[Info],
+    ) -> np.ndarray:
+        """Rewards (...) of features (..., 6), as `step` pays them.
+
+        There is an info of the step, or one for each row; without a key `crashed` there
+        is no crash penalty.
+        """
+        rows = [info] if isinstance(info, Mapping) else info
+        crashed = np.array([row.get("crashed", False) for row in rows], np.float32)
+        if isinstance(info, Mapping):
+            crashed = crashed[0]
+        return self._batch.env.rewards(achieved_goal, desired_goal, crashed)
+
+
+class ParkGoalEnv(_Goals, ParkEnv):
+    """One agent drives to a pose; the rest is as in `ParkEnv`.
+
+    - observation: a dictionary of `observation` (fields that do not reveal the goal),
+      `achieved_goal` and `desired_goal` (6,): x, y, vx, vy, cos and sin of the heading
+      in the world frame, see `carpark_mj.tasks.goal_pose`.
+    - reward: `compute_reward(achieved_goal, desired_goal, info)`, by default that of
+      `carpark_mj.config.REWARDS["pose"]`.
+    - end: terminated when the goal is reached, parked or crashed.
+    - info: `is_success` (reached or parked) and `crashed`.
+    """
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """See `ParkEnv.step`; the reward is exactly that of `compute_reward`."""
+        seen, _, terminated, truncated, info = super().step(action)
+        goals = seen["achieved_goal"], seen["desired_goal"]
+        reward = float(self.compute_reward(*goals, info))
+        return seen, reward, terminated, truncated, info
+
+
+class ParkGoalVectorEnv(_Goals, ParkVectorEnv):
+    """`carpark_mj/ParkGoal-v0` many times; see `ParkVectorEnv` and `ParkGoalEnv`."""

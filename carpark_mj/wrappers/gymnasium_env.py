@@ -1,4 +1,4 @@
-"""One agent in one lot as a Gymnasium environment: `carpark_mj/Park-v0`."""
+"""Gymnasium environments of one agent in a lot, and of batches of lots."""
 
 import dataclasses
 import inspect
@@ -8,25 +8,40 @@ from typing import Any, Unpack
 import gymnasium
 import jax
 import numpy as np
+from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
-from carpark_mj.wrappers.batch import NumpyBatch, require_shape
-from carpark_mj.wrappers.gymnasium_spaces import (
-    action_space,
-    observation_space,
+from carpark_mj.spawning.reset_options import ResetOptions
+from carpark_mj.wrappers.batch import (
+    RENDER_MODES,
+    NumpyBatch,
+    Screen,
+    Seeds,
+    require_render_mode,
+    require_shape,
 )
-from carpark_mj.wrappers.options import OPTIONS, Options, configure, shared_env
-from carpark_mj.wrappers.reset_options import as_reset_options
-from carpark_mj.wrappers.screen import RENDER_MODES, Screen
+from carpark_mj.wrappers.options import (
+    OPTIONS,
+    Options,
+    array_action_space,
+    as_reset_options,
+    configure,
+    observation_space,
+    share,
+)
 
 ONE_AGENT = tuple(name for name in OPTIONS if name != "agents")
+Given = dict[str, Any] | None  # options of `reset` for one agent
 
 
-class TimeLimited:
-    """A spec that says after how many steps episodes are truncated."""
+class Parking:
+    """What single environments and batches share."""
 
     _batch: NumpyBatch
     _spec: EnvSpec | None = None
@@ -42,9 +57,25 @@ class TimeLimited:
             spec.max_episode_steps = self._batch.env.config.episode.max_steps
         self._spec = spec
 
+    def _make(self, options: Options) -> ParkingEnv:
+        return share(ParkingEnv, one_agent(configure(options, ONE_AGENT)))
 
-class ParkEnv(TimeLimited, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
-    """One agent parks.
+    def _space(self, env: ParkingEnv) -> spaces.Space[Any]:
+        """Space of an agent's observations."""
+        return observation_space(env.config)
+
+    def _open(
+        self, env: ParkingEnv, render_mode: str | None, camera: str
+    ) -> dict[str, Any]:
+        """Sets what draws; returns the metadata."""
+        self.render_mode = render_mode
+        self._screen = Screen(share(ParkingEnv, env.config), camera)
+        metadata: Any = type(self).metadata  # pyright: ignore[reportAttributeAccessIssue]
+        return {**metadata, "render_fps": round(1.0 / env.config.sim.ctrl_dt)}
+
+
+class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
+    """One agent parks: `carpark_mj/Park-v0`.
 
     - observation: (size,) float32, the fields of `docs/mdp.md`; with cameras a
       dictionary, see `carpark_mj.observations.unpack`.
@@ -75,38 +106,25 @@ class ParkEnv(TimeLimited, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[r
             TypeError: an unknown option.
             ValueError: an impossible one.
         """
-        if render_mode not in (None, *RENDER_MODES):
-            raise ValueError(
-                f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}, or "
-                "'rgb_array_list' in gymnasium.make"
-            )
+        require_render_mode(render_mode, RENDER_MODES)
         if (steps := _asked_steps(inspect.currentframe())) is not None:
             options["max_episode_steps"] = steps
-        self._batch = NumpyBatch(self._make(options), 1, restart=False)
-        env = self._batch.env
-        self.render_mode = render_mode
-        frames_per_second = round(1.0 / env.config.sim.ctrl_dt)
-        self.metadata = {**self.metadata, "render_fps": frames_per_second}
-        self.observation_space = observation_space(env)
-        self.action_space = action_space(env.action_spec)
-        self._screen = Screen(shared_env(env.config), camera)
+        env = self._make(options)
+        self._batch = NumpyBatch(env, 1, restart=False)
+        self.metadata = self._open(env, render_mode, camera)
+        self.observation_space = self._space(env)
+        self.action_space = array_action_space(env.action_spec)
         self._running = False
 
-    def _make(self, options: Options) -> ParkingEnv:
-        return shared_env(one_agent(configure(options, ONE_AGENT)))
-
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | None = None, options: Given = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begins an episode in another lot.
+        """Begins an episode in another lot; returns observation and info.
 
         Args:
             seed: in [0, 2**32); None = continue with the lot's own random numbers.
-            options: `pose`, `speed` and `goal` of the start, drawn where left out;
-                see `carpark_mj.wrappers.reset_options`.
-
-        Returns:
-            What the agent observes, and the info.
+            options: `pose`, `speed` and `goal` of the start, drawn where left out; see
+                `carpark_mj.wrappers.options.as_reset_options`.
 
         Raises:
             ValueError: a seed out of range, an unknown option, or an impossible start,
@@ -180,3 +198,152 @@ def one_agent(config: EnvConfig) -> EnvConfig:
         config.episode, respawn=False, final_observation=False
     )
     return dataclasses.replace(config, num_agents=1, min_agents=None, episode=episode)
+
+
+class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
+    """`carpark_mj/Park-v0` many times; every environment is a lot with one agent.
+
+    Environment i reset with a seed gives the episodes of `ParkEnv` reset with seed + i.
+    Environments auto-reset in the same step: `final_obs` and `final_info` of the infos
+    hold the end of the episode, as in Gymnasium's `SyncVectorEnv`.
+    """
+
+    autoreset_mode = AutoresetMode.SAME_STEP  # TorchRL reads it, Gymnasium the next
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "autoreset_mode": autoreset_mode,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        camera: str = "topdown",
+        **options: Unpack[Options],
+    ) -> None:
+        """Makes environments; see `ParkEnv`. The render mode is None or `rgb_array`."""
+        require_render_mode(render_mode, self.metadata["render_modes"])
+        env = self._make(options)
+        require_count("num_envs", num_envs, 1)
+        if num_envs % env.num_agents:
+            raise ValueError(
+                "num_envs must be a multiple of the number of agents, "
+                f"{env.num_agents}, not {num_envs}"
+            )
+        self._batch = NumpyBatch(env, num_envs // env.num_agents)
+        self.num_envs = num_envs
+        self.metadata = self._open(env, render_mode, camera)
+        self.single_observation_space = self._space(env)
+        self.single_action_space = array_action_space(env.action_spec)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    @property
+    def num_lots(self) -> int:
+        """Lots, of `num_envs` / `num_lots` agents each."""
+        return self._batch.num_lots
+
+    def reset(
+        self, *, seed: Seeds = None, options: Given | list[dict[str, Any]] = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begins an episode in every environment.
+
+        Args:
+            seed: lot i gets seed + i, or the i-th of a sequence; see `Batch.reset`.
+            options: see `ParkEnv.reset`; one dictionary for all environments, or one
+                for each. They apply to the episodes that begin now only.
+
+        Returns:
+            Observations (num_envs, ...), and infos as `step` returns them.
+        """
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        given = self.read_options(options)
+        no = np.zeros(self.num_envs, bool)
+        return self._by_env(self._batch.reset_numpy(seed, given)), _infos(no, no, ~no)
+
+    def read_options(
+        self, options: Given | list[dict[str, Any]]
+    ) -> ResetOptions | None:
+        """Options of `reset` as arrays; None if all are empty."""
+        each = options if isinstance(options, list) else [options] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ValueError(
+                "options must be a dictionary, or one for each of the "
+                f"{self.num_envs} environments, not {len(each)}"
+            )
+        return as_reset_options(each, self._batch.action_shape[:2])
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advances all environments by a control step; `actions` (num_envs, size)."""
+        actions = np.asarray(actions)
+        require_shape("actions", actions, self.action_space.shape)
+        step = self._batch.step_numpy(actions.reshape(self._batch.action_shape))
+        terminated, truncated = step.terminated.ravel(), step.truncated.ravel()
+        crashed = step.crashed.ravel()
+        success, done = terminated & ~crashed, terminated | truncated
+        infos = _infos(success & ~done, crashed & ~done, np.ones_like(done))
+        if done.any():
+            infos["final_info"] = _infos(success, crashed, done)
+            infos["final_obs"] = self._final_observations(step.final_observation, done)
+            infos["_final_info"] = infos["_final_obs"] = done
+        observation = self._by_env(step.observation)
+        return observation, step.reward.ravel(), terminated, truncated, infos
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture (height, width, 3) uint8 of every lot, or None."""
+        if self.render_mode is None:
+            return None
+        state, lots = self._batch.state, range(self.num_lots)
+        return tuple(self._screen.picture(state, lot) for lot in lots)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Closes the renderer."""
+        self._screen.close()
+
+    def _by_env(self, observation: Any) -> Any:
+        """Observations (num_envs, ...) from those of agents in lots."""
+        return jax.tree.map(
+            lambda x: x.reshape(self.num_envs, *x.shape[2:]), observation
+        )
+
+    def _final_observations(self, seen: Any, done: np.ndarray) -> np.ndarray:
+        """Observations (num_envs,) of the environments that are done; else None."""
+        each = self._by_env(seen)
+        final = np.full(self.num_envs, None, dtype=object)
+        for index in np.flatnonzero(done):
+            final[index] = jax.tree.map(lambda x: x[index], each)  # noqa: B023
+        return final
+
+
+def _infos(
+    success: np.ndarray, crashed: np.ndarray, known: np.ndarray
+) -> dict[str, Any]:
+    """Infos (num_envs,), and for which environments they are known."""
+    infos = {"is_success": success, "crashed": crashed}
+    infos |= {f"_{name}": known for name in infos}
+    return {name: values.copy() for name, values in infos.items()}
+
+
+class ParkManyVectorEnv(ParkVectorEnv):
+    """`carpark_mj/ParkMany-v0`: every environment is an agent, several share a lot.
+
+    Environments k n to k n + n - 1 are the n agents of lot k. Each agent auto-resets in
+    the same lot and step while the others drive on, so lots keep their layouts until
+    `reset`.
+    """
+
+    def _make(self, options: Options) -> ParkingEnv:
+        config = configure(options)
+        if config.min_agents not in (None, config.num_agents):
+            raise ValueError(
+                "min_agents must be None, as every environment is an agent, not "
+                f"{config.min_agents}"
+            )
+        episode = dataclasses.replace(
+            config.episode, respawn=True, final_observation=True
+        )
+        # None and not that number: lots without room for all are refused.
+        config = dataclasses.replace(config, episode=episode, min_agents=None)
+        return share(ParkingEnv, config)

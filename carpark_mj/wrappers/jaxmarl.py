@@ -15,9 +15,15 @@ from jaxmarl.environments.spaces import Box, Dict, Discrete
 
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.types import ENDINGS
-from carpark_mj.wrappers.action_table import action_table
-from carpark_mj.wrappers.options import Options, configure, share
-from carpark_mj.wrappers.spaces import observation_space
+from carpark_mj.wrappers.batch import require_shape
+from carpark_mj.wrappers.options import (
+    Options,
+    action_table,
+    configure,
+    observation_space,
+    require_discrete,
+    share,
+)
 
 Arrays = dict[str, jax.Array]
 
@@ -35,31 +41,17 @@ class JaxMarlAgents(MultiAgentEnv):
     outcomes = ENDINGS
 
     def __init__(
-        self,
-        env: AgentsEnvironment,
-        space: spaces.Box | spaces.Dict,
-        *,
-        discrete: bool,
+        self, env: AgentsEnvironment, space: spaces.Box | spaces.Dict, *, discrete: bool
     ) -> None:
-        """Wraps an environment.
+        """Wraps an environment in which agents that have finished wait for the others.
 
-        Args:
-            env: in which agents that have finished wait for the others.
-            space: of an agent's observations.
-            discrete: actions are () rows of `action_table`, as for Q-learning;
-                otherwise numbers in [-1, 1].
-
-        Raises:
-            ValueError: continuous actions where some parts are indices.
+        With `discrete` actions are () rows of `action_table`, as for Q-learning;
+        otherwise numbers in [-1, 1].
         """
         super().__init__(env.num_agents)
         self._env = env
         spec = env.action_spec
-        if spec.choices and not discrete:
-            raise ValueError(
-                "the grid and dynamic goals have actions that are indices: give "
-                "discrete=True"
-            )
+        require_discrete(spec, discrete)
         self._table = jnp.asarray(action_table(spec)) if discrete else None
         act = Box(-1.0, 1.0, (spec.size,))
         if self._table is not None:
@@ -77,16 +69,9 @@ class JaxMarlAgents(MultiAgentEnv):
     def step_env(
         self, key: jax.Array, state: Any, actions: Arrays
     ) -> tuple[Arrays, Any, Arrays, Arrays, Arrays]:
-        """A step without reset; it consumes `key` instead of the state's own.
-
-        Raises:
-            ValueError: actions of another shape.
-        """
+        """A step without reset; it consumes `key` instead of the state's own."""
         action = jnp.stack([actions[agent] for agent in self.agents])
-        if action.shape != self._action_shape:
-            raise ValueError(
-                f"actions must be of shape {self._action_shape}, not {action.shape}"
-            )
+        require_shape("actions", action, self._action_shape)
         if self._table is not None:
             action = self._table[action]
         state, step = self._env.step(dataclasses.replace(state, key=key), action)
@@ -136,18 +121,7 @@ class JaxMarlParking(JaxMarlAgents):
     """A lot in which agents park; see `JaxMarlAgents`."""
 
     def __init__(self, *, discrete: bool = False, **options: Unpack[Options]) -> None:
-        """Builds the environment.
-
-        Args:
-            discrete: actions are () rows of `action_table`, as for Q-learning;
-                otherwise (2,) steer and pedal.
-            **options: see `carpark_mj.wrappers.options.Options`.
-
-        Raises:
-            TypeError: unknown option.
-            ValueError: impossible value, or continuous actions where some parts are
-                indices.
-        """
+        """Builds the environment from `Options`; see `JaxMarlAgents` for `discrete`."""
         config = configure(options)
         env, space = share(JointEnv, config), observation_space(config)
         super().__init__(env, space, discrete=discrete)

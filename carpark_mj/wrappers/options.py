@@ -1,10 +1,15 @@
-"""Options of the environments that other libraries make by name."""
+"""What all adapters share: options of environments and of `reset`, and spaces."""
 
 import dataclasses
 import functools
+import itertools
+import math
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypedDict, TypeVar
+
+import numpy as np
+from gymnasium import spaces
 
 from carpark_mj.config import (
     REWARDS,
@@ -13,10 +18,18 @@ from carpark_mj.config import (
     PhysicsChoice,
     RewardConfig,
 )
+from carpark_mj.config.checks import is_finite, require_count, require_kind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations import Field, make_fields
+from carpark_mj.observations.compose import BRIGHTEST, VECTOR
 from carpark_mj.policy.runs import from_json
+from carpark_mj.precision import is_real
 from carpark_mj.registry import environment
+from carpark_mj.spawning.reset_options import ResetOptions
+from carpark_mj.types import NO_BAY
+from carpark_mj.vehicle import preset
 
 
 class Options(TypedDict, total=False):
@@ -50,11 +63,8 @@ Env = TypeVar("Env", bound=ParkingEnv)
 OPTIONS = tuple(Options.__annotations__)
 _KINDS = typing.get_type_hints(Options)
 _FIELDS = {
-    "layout": "layout",
-    "agents": "num_agents",
-    "parked_cars": "num_parked_cars",
-    "vehicle": "vehicle",
-    "physics": "physics",
+    **{name: name for name in ("layout", "vehicle", "physics")},
+    **{name: f"num_{name}" for name in ("agents", "parked_cars")},
 }
 _EPISODE = {"rule": "parked_rule", "max_episode_steps": "max_steps"}
 
@@ -73,8 +83,6 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
     config = given.get("config", EnvConfig())
     if isinstance(config, str):
         config = environment(config)
-    if not isinstance(config, EnvConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise ValueError(f"config must be an EnvConfig or a name, not {config!r}")
     changes, episode = (
         {fields[name]: given[name] for name in fields if name in given}
         for fields in (_FIELDS, _EPISODE)
@@ -92,11 +100,7 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
 
 
 def require_options(options: Mapping[str, Any], allowed: Iterable[str]) -> None:
-    """Refuses unknown options in Python's words, which TorchRL's `GymEnv` looks for.
-
-    Raises:
-        TypeError: naming the first, and what is allowed.
-    """
+    """Refuses unknown options in Python's words, which TorchRL's `GymEnv` looks for."""
     for name in options:
         if name not in allowed:
             raise TypeError(
@@ -105,12 +109,175 @@ def require_options(options: Mapping[str, Any], allowed: Iterable[str]) -> None:
             )
 
 
-def shared_env(config: EnvConfig) -> ParkingEnv:
-    """The environment of a configuration, made and compiled only once."""
-    return share(ParkingEnv, config)
-
-
 @functools.lru_cache(maxsize=32)
 def share(kind: type[Env], config: EnvConfig) -> Env:
-    """The environment of one kind for a configuration, made only once."""
+    """The environment of one kind for a configuration, made and compiled only once."""
     return kind(config)
+
+
+KEYS = ("pose", "speed", "goal")
+
+
+def as_reset_options(
+    options: Sequence[Mapping[str, Any] | None], shape: tuple[int, int]
+) -> ResetOptions | None:
+    """Options (*shape, ...) of those of single agents; None if all are empty.
+
+    Args:
+        options: of each agent of each lot: `pose`, start pose (x, y, yaw) of the
+            footprint's centre in the world frame [m, m, rad]; `speed`, forwards
+            positive [m/s]; `goal`, the index of a bay. Missing poses and goals are
+            drawn; a car without a speed begins at rest.
+        shape: lots and agents in a lot.
+    """
+    rows = [_checked(row) for row in options]
+    if not any(rows):
+        return None
+    nothing = {"pose": (np.nan,) * 3, "speed": np.nan, "goal": NO_BAY}
+    given: dict[str, Any] = {
+        key: np.array([row.get(key, nothing[key]) for row in rows], dtype)
+        for key, dtype in zip(KEYS, (np.float32, np.float32, np.int32), strict=True)
+        if any(key in row for row in rows)
+    }
+    return ResetOptions(
+        **{key: x.reshape(*shape, *x.shape[1:]) for key, x in given.items()}
+    )
+
+
+def _checked(options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The options of an agent."""
+    require_kind("options", options, Mapping | None)
+    row = dict(options or {})
+    for key in row:
+        if key not in KEYS:
+            raise ValueError(f"unknown option {key!r} of reset; choose from {KEYS}")
+    if "pose" in row:
+        pose = row["pose"]
+        if np.shape(pose) != (3,) or not all(map(is_finite, pose)):
+            raise ValueError(
+                f"pose must be three finite numbers (x, y, yaw), not {pose!r}"
+            )
+    if "speed" in row and not is_finite(row["speed"]):
+        raise ValueError(f"speed must be a finite number, not {row['speed']!r}")
+    if "goal" in row:
+        require_count("goal", row["goal"], 0)
+    return row
+
+
+# [est] Steering to 1/5 of its limit and the pedal to 1/3, both with a zero.
+STEERS, PEDALS = 11, 7
+
+
+def action_table(spec: ActionSpec) -> np.ndarray:
+    """Actions (number, spec.size): steering x pedal x choices, the last fastest.
+
+    On the grid, where all parts are choices, the list is complete.
+    """
+    ends = (-1.0, 1.0)
+    parts = (np.linspace(*ends, STEERS), np.linspace(*ends, PEDALS))[: spec.continuous]
+    indices = tuple(np.arange(n) for n in spec.choices)
+    return np.array(list(itertools.product(*parts, *indices)), spec.dtype)
+
+
+def observation_space(config: EnvConfig) -> spaces.Box | spaces.Dict:
+    """Space of what `ParkingEnv.unpack` gives: a vector, or that and pictures."""
+    fields = make_fields(config)
+    pictures = [field for field in fields if field.shape]
+    vector = vector_space(config, (field for field in fields if not field.shape))
+    if not pictures:
+        return vector
+    parts: dict[str, spaces.Space[Any]] = {VECTOR: vector}
+    for field in pictures:
+        parts[field.name] = spaces.Box(0, BRIGHTEST, field.shape, np.uint8)
+    return spaces.Dict(parts)
+
+
+def vector_space(config: EnvConfig, fields: Iterable[Field]) -> spaces.Box:
+    """The vector (size,) float32 of some fields.
+
+    Bounds are the ranges of the fields. If walls do not keep cars on the lot, or cars
+    are faster than in a car park, bounds of lengths and speeds are what a car can reach
+    in an episode; those of a yaw rate reach as far as the back end turns cars. Noise of
+    sensors is unbounded.
+    """
+    fields = tuple(fields)
+    size = [field.size for field in fields]
+    more = np.array([_excess(config, field) for field in fields])
+    low = np.array([field.low for field in fields])
+    high = np.array([field.high for field in fields]) + more
+    low = np.where(low < 0.0, low - more, low)
+    low, high = (np.repeat(x.astype(np.float32), size) for x in (low, high))
+    # Zeros are what absent and finished agents observe.
+    return spaces.Box(np.minimum(low, 0.0), np.maximum(high, 0.0), dtype=np.float32)
+
+
+def _excess(config: EnvConfig, field: Field) -> float:
+    """By how much the numbers of a field may exceed its range."""
+    lot, physics = layout_config(config.layout), config.physics_config
+    fast = not physics.keeps_ranges
+    varies = bool(field.metres or field.speed)
+    if varies and config.sensors.is_on:
+        return math.inf
+    turns = physics.top_yaw_rate(config.sim.ctrl_dt) if field.is_yaw_rate else 0.0
+    if turns > field.high:
+        return turns - field.high
+    if not varies or (lot.is_enclosed and not fast):
+        return 0.0
+    cars = [preset(name) for name in (config.vehicle, *config.fleet.agents)]
+    fastest = 1.5 * max(max(c.max_speed, c.max_reverse_speed) for c in cars)
+    if field.speed:
+        return fastest / field.speed if fast else 0.0
+    files = [part.layout for part in lot.parts if part.layout is not None]
+    extent = max((float(np.max(x.extent)) for x in files), default=0.0)
+    way = fastest * config.episode.max_steps * config.sim.ctrl_dt
+    return 2.0 * (way + 2.0 * extent) / field.metres  # of two cars from each other
+
+
+def action_space(spec: ActionSpec) -> spaces.Space[Any]:
+    """The action of an agent.
+
+    A `Box` of numbers in [-1, 1], a `MultiDiscrete` of indices, or a `Tuple` of both.
+    """
+    numbers = spaces.Box(-1.0, 1.0, (spec.continuous,), np.float32)
+    if not spec.choices:
+        return numbers
+    indices = spaces.MultiDiscrete([*spec.choices], dtype=np.int32)
+    return spaces.Tuple((numbers, indices)) if spec.continuous else indices
+
+
+def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
+    """An element of `action_space` as the vector (size,) that the environment takes.
+
+    Raises:
+        AssertionError: not of that space, but for numbers out of range.
+    """
+    try:
+        parts = [np.asarray(x) for x in (action if type(action) is tuple else [action])]
+        flat = np.concatenate(parts, axis=-1, dtype=np.float32)
+        good = all(map(is_real, parts)) and flat.shape == (spec.size,)
+    except (TypeError, ValueError):
+        flat, good = np.zeros(0), False
+    if not (good and np.isfinite(flat).all()):
+        raise AssertionError(
+            f"an action must be of {action_space(spec)}, not {action!r}"
+        )
+    return flat.astype(spec.dtype)
+
+
+def require_discrete(spec: ActionSpec, discrete: bool) -> None:
+    """Refuses continuous actions where some parts are indices."""
+    if spec.choices and not discrete:
+        raise ValueError(
+            "the grid and dynamic goals have actions that are indices: give "
+            "discrete=True"
+        )
+
+
+def array_action_space(spec: ActionSpec) -> spaces.Space[Any]:
+    """The action of an agent as one array: numbers in [-1, 1], or indices."""
+    if spec.continuous and spec.choices:
+        raise ValueError(
+            "an array holds numbers or indices: goals.dynamic must be False except "
+            "with physics whose controls are indices"
+        )
+    return action_space(spec)

@@ -12,11 +12,21 @@ from pettingzoo.utils.env_logger import EnvLogger
 from carpark_mj.config.checks import require_kind
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
-from carpark_mj.wrappers.batch import NumpyBatch
-from carpark_mj.wrappers.options import Options, configure, share
-from carpark_mj.wrappers.reset_options import as_reset_options
-from carpark_mj.wrappers.screen import RENDER_MODES, Screen
-from carpark_mj.wrappers.spaces import action_space, flat_action, observation_space
+from carpark_mj.wrappers.batch import (
+    RENDER_MODES,
+    NumpyBatch,
+    Screen,
+    require_render_mode,
+)
+from carpark_mj.wrappers.options import (
+    Options,
+    action_space,
+    as_reset_options,
+    configure,
+    flat_action,
+    observation_space,
+    share,
+)
 
 Results = tuple[
     dict[str, Any],
@@ -28,9 +38,7 @@ Results = tuple[
 
 
 def parallel_env(
-    render_mode: str | None = None,
-    camera: str = "topdown",
-    **options: Unpack[Options],
+    render_mode: str | None = None, camera: str = "topdown", **options: Unpack[Options]
 ) -> "AgentsParallelEnv":
     """A lot with several agents, each with one episode.
 
@@ -58,12 +66,8 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
     """Agents `agent_0`... have one episode each and leave when it ends.
 
     Actions out of range are clipped. In infos `is_success` is true in the step in which
-    the agent parks or arrives, `crashed` in the step in which it crashes.
-
-    Attributes:
-        agents: agents that are still driving.
-        possible_agents: all agents; with `EnvConfig.min_agents` a lot may have fewer.
-        state_space: of `state()`.
+    the agent parks or arrives, `crashed` in the step in which it crashes. With
+    `EnvConfig.min_agents` a lot may have fewer than `possible_agents`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -80,22 +84,8 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         render_mode: str | None,
         fps: float,
     ) -> None:
-        """Wraps an environment; see `parallel_env`.
-
-        Args:
-            env: in which agents that have finished wait for the others.
-            space: of an agent's observations.
-            screen: draws its states.
-            render_mode: see `parallel_env`.
-            fps: control steps per second.
-
-        Raises:
-            ValueError: unknown render mode.
-        """
-        if render_mode not in (None, *RENDER_MODES):
-            raise ValueError(
-                f"unknown render_mode {render_mode!r}; choose from {RENDER_MODES}"
-            )
+        """Wraps an environment in which finished agents wait; see `parallel_env`."""
+        require_render_mode(render_mode, RENDER_MODES)
         self._screen = screen
         self._lots = NumpyBatch(env, 1, restart=False)
         self._observation: np.ndarray | None = None
@@ -117,7 +107,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Steer and pedal (2,) in [-1, 1]; see `carpark_mj.wrappers.spaces`."""
+        """Steer and pedal (2,) in [-1, 1]; see `carpark_mj.wrappers.options`."""
         return self._spaces[agent][1]
 
     def reset(
@@ -129,11 +119,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
             seed: of this and all later lots; None continues the random numbers of the
                 last seed, or of one from the operating system.
             options: by the names of agents, each with `pose`, `speed` and `goal` of its
-                start, drawn where left out; see `carpark_mj.wrappers.reset_options`.
-
-        Raises:
-            ValueError: a seed out of range, an unknown agent or option, or an
-                impossible start, such as an unknown bay or a pose on a wall.
+                start, drawn where left out; see `carpark_mj.wrappers.options`.
         """
         given = self._read_options(options)
         observation = self._lots.reset_numpy(seed, given)
@@ -156,9 +142,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         Raises:
             AssertionError: a step before `reset`, a missing agent, a wrong shape, or
                 numbers that are not finite.
-            TypeError: `actions` is not a dictionary.
         """
-        require_kind("actions", actions, dict)
         if self._observation is None:
             EnvLogger.error_step_before_reset()
         if not self.agents:
@@ -185,20 +169,13 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
             for agent in self.agents
         }
         observations = self._by_agent(step.observation)
-        self.agents = [
-            agent
-            for agent in self.agents
-            if not (terminations[agent] or truncations[agent])
-        ]
+        ended = {a for a in self.agents if terminations[a] or truncations[a]}
+        self.agents = [agent for agent in self.agents if agent not in ended]
         self._show()
         return observations, rewards, terminations, truncations, infos
 
     def state(self) -> np.ndarray:
-        """Observations of all agents in a row; zeros for agents that have left.
-
-        Returns:
-            (num_agents * numbers observed,).
-        """
+        """Observations of all agents in a row (n,); zeros for agents that have left."""
         if self._observation is None:
             EnvLogger.error_state_before_reset()
             raise AssertionError
@@ -223,9 +200,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
     def _read_options(self, options: dict[str, Any] | None) -> ResetOptions | None:
         require_kind("options", options, dict | None)
         by_agent = options or {}
-        if by_agent == {
-            "options": 1
-        }:  # PettingZoo's tests pass it to every environment
+        if by_agent == {"options": 1}:  # PettingZoo's tests pass it
             by_agent = {}
         for agent in by_agent:
             if agent not in self.possible_agents:

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvStepReturn,
 )
 
-from carpark_mj.wrappers.gymnasium_vector import ParkVectorEnv
+from carpark_mj.wrappers.gymnasium_env import ParkVectorEnv
 
 
 class ParkVecEnv(VecEnv):
@@ -29,17 +29,7 @@ class ParkVecEnv(VecEnv):
     """
 
     def __init__(self, name: str, num_envs: int = 1, **options: Any) -> None:
-        """Makes the environments.
-
-        Args:
-            name: a Gymnasium id of this package.
-            num_envs: number of environments.
-            **options: of the id, see `carpark_mj.wrappers.gymnasium_vector`.
-
-        Raises:
-            ValueError: an id of another package, or an impossible option.
-            TypeError: an unknown option.
-        """
+        """Makes environments by a Gymnasium id of this package, with its options."""
         env = gymnasium.make_vec(name, num_envs, **options)
         if not isinstance(env, ParkVectorEnv):
             raise ValueError(f"{name!r} is not an environment of carpark_mj")
@@ -66,12 +56,7 @@ class ParkVecEnv(VecEnv):
     def set_options(
         self, options: list[dict[str, Any]] | dict[str, Any] | None = None
     ) -> None:
-        """Sets the options of the next `reset`.
-
-        Raises:
-            TypeError: not dictionaries.
-            ValueError: see `ParkVectorEnv.read_options`.
-        """
+        """Sets the options of the next `reset`, see `ParkVectorEnv.read_options`."""
         self._env.read_options(options)
         super().set_options(options)
 
@@ -80,12 +65,7 @@ class ParkVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Advances all environments by a control step.
-
-        Raises:
-            ResetNeeded: before the first `reset`.
-            ValueError: actions of another shape, or NaN.
-        """
+        """Advances all environments by a control step."""
         actions = cast(np.ndarray, self._actions)
         observation, reward, terminated, truncated, infos = self._env.step(actions)
         done = terminated | truncated
@@ -117,11 +97,7 @@ class ParkVecEnv(VecEnv):
     def set_attr(
         self, attr_name: str, value: Any, indices: VecEnvIndices = None
     ) -> None:
-        """Refuses: the environments are one.
-
-        Raises:
-            AttributeError: always.
-        """
+        """Raises `AttributeError`: the environments are one."""
         raise AttributeError(f"{attr_name!r} of single environments cannot be set")
 
     def env_method(

@@ -14,13 +14,9 @@ from carpark_mj.wrappers.batch import Batch, Seeds, Step
 
 
 class TorchBatch:
-    """Lots of one environment; tensors share memory with JAX's arrays.
+    """A `Batch` whose tensors share memory with JAX's arrays, on their `device`.
 
     Tensors are never overwritten: the batch reuses only the buffers of its own state.
-
-    Attributes:
-        batch: the batch with JAX arrays.
-        device: of all tensors, JAX's device.
     """
 
     def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
@@ -29,12 +25,7 @@ class TorchBatch:
         self.device = torch.from_dlpack(jax.numpy.zeros(1)).device
 
     def reset(self, seed: Seeds = None, options: ResetOptions | None = None) -> Any:
-        """Begins all lots; see `Batch.reset`.
-
-        Returns:
-            Observations (num_lots, num_agents, observation_size) float32, or a
-            dictionary with pictures, see `carpark_mj.observations.unpack`.
-        """
+        """Begins all lots; see `Batch.reset`."""
         return _to_torch(self.batch.reset(seed, options))
 
     def restart(self, due: torch.Tensor) -> Any:
@@ -46,14 +37,7 @@ class TorchBatch:
 
         NaN and actions out of range are sanitized and counted on the device
         (`carpark_mj.mdp.actions`); a check here would have to wait for the device.
-
-        Args:
-            action: (num_lots, num_agents, size) on `device`; may require gradients,
-                which end here.
-
-        Raises:
-            ResetNeeded: before the first `reset`.
-            ValueError: another shape or device.
+        Actions (num_lots, num_agents, size) may require gradients, which end here.
         """
         dtype = torch.float32 if self.batch.env.action_spec.continuous else torch.int32
         timestep = self.batch.step(_to_jax(action.to(dtype), self.device))

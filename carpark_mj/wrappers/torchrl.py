@@ -13,10 +13,15 @@ from torchrl.envs import EnvBase
 
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
-from carpark_mj.wrappers.action_table import action_table
-from carpark_mj.wrappers.options import Options, configure, share
-from carpark_mj.wrappers.screen import Screen
-from carpark_mj.wrappers.spaces import observation_space
+from carpark_mj.wrappers.batch import Screen
+from carpark_mj.wrappers.options import (
+    Options,
+    action_table,
+    configure,
+    observation_space,
+    require_discrete,
+    share,
+)
 from carpark_mj.wrappers.torch_batch import TorchBatch
 
 GROUP = "agents"
@@ -36,13 +41,9 @@ class TorchRLAgents(EnvBase):
     its lot is reset; with `rewards.joint` of junctions it still earns the sum over all
     agents. All tensors are on JAX's device and share memory with its arrays. NaN and
     actions out of range are sanitized, not refused.
-
-    Attributes:
-        group_map: names of the agents of the group.
-        success: name of success in `info`.
     """
 
-    success = "parked"
+    success = "parked"  # name of success in `info`
 
     def __init__(
         self,
@@ -54,26 +55,14 @@ class TorchRLAgents(EnvBase):
         device: torch.device | str | None,
         discrete: bool,
     ) -> None:
-        """Wraps an environment; it is compiled by the first reset and step.
+        """Wraps an environment in which agents that have finished wait for the others.
 
-        Args:
-            env: in which agents that have finished wait for the others.
-            space: of an agent's observations.
-            screen: draws its states.
-            lots: number of lots.
-            device: must be JAX's; None = that.
-            discrete: actions are rows of `action_table`; otherwise numbers in [-1, 1].
-
-        Raises:
-            ValueError: another device than JAX's, or continuous actions where some
-                parts are indices.
+        It is compiled by the first reset and step. The device must be JAX's (None =
+        that); with `discrete` actions are rows of `action_table`, otherwise numbers in
+        [-1, 1].
         """
         spec = env.action_spec
-        if spec.choices and not discrete:
-            raise ValueError(
-                "the grid and dynamic goals have actions that are indices: give "
-                "discrete=True"
-            )
+        require_discrete(spec, discrete)
         self._lots = TorchBatch(env, lots, restart=False)
         on = self._lots.device
         if device is not None and torch.empty(0, device=device).device != on:
@@ -120,12 +109,7 @@ class TorchRLAgents(EnvBase):
         tensordict: TensorDictBase | None = None,
         options: ResetOptions | None = None,
     ) -> TensorDict:
-        """Begins the lots that `_reset` (lots, 1) marks; without it, all.
-
-        Args:
-            tensordict: with `_reset`, or without.
-            options: starts of all lots, see `Batch.reset`.
-        """
+        """Begins the lots that `_reset` (lots, 1) marks; without it, all."""
         due = None if tensordict is None else tensordict.get("_reset", None)
         if due is None:
             observation, self._seed = self._lots.reset(self._seed, options), None
@@ -227,11 +211,6 @@ class TorchRLParking(TorchRLAgents):
             discrete: actions are rows of `action_table`; otherwise steer and pedal in
                 [-1, 1].
             **options: see `carpark_mj.wrappers.options.Options`.
-
-        Raises:
-            TypeError: unknown option.
-            ValueError: impossible value, another device than JAX's, or continuous
-                actions where some parts are indices.
         """
         config = configure(options)
         env, space = share(JointEnv, config), observation_space(config)

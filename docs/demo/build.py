@@ -27,7 +27,7 @@ from carpark_mj.mdp.parked_cars import fits
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.onnx_export import inputs_of, make_car_model
 from carpark_mj.policy.outside import Rows, plain_values
-from carpark_mj.scene.export import drivable_scene, scene_xml
+from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.config import RandomizationConfig
 from carpark_mj.types import State
 

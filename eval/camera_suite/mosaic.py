@@ -19,7 +19,7 @@ from carpark_mj.cameras import (
     see,
     see_from_above,
 )
-from carpark_mj.cameras.colour import Channel
+from carpark_mj.cameras.see import Channel
 from carpark_mj.files import write_atomically
 
 CHANNELS: tuple[Channel, ...] = ("depth", "seen", "colour")

@@ -12,7 +12,7 @@ from concurrent import futures
 from pathlib import Path
 
 from carpark_mj.cli.process import patient_interrupts
-from carpark_mj.config.checks import require_at_least, require_whole
+from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.files import require_writable
 
 LEAST = 1.0  # min that must be left for a run to begin
@@ -28,18 +28,12 @@ def is_evaluated(folder: Path) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A training with a seed; experiments with the same training share it.
+    """A training with a seed; experiments with the same training share it."""
 
-    Attributes:
-        program: of `carpark_mj study`, which trains.
-        folder: of the run.
-        flags: of the program, for a new run.
-        finished: whether the run in a folder is finished.
-    """
-
-    program: str
-    folder: Path
-    flags: tuple[str, ...]
+    program: str  # of `carpark_mj study`, which trains
+    folder: Path  # of the run
+    flags: tuple[str, ...]  # of the program, for a new run
+    # whether the run in a folder is finished
     finished: Callable[[Path], bool] = is_evaluated
 
     @property
@@ -64,8 +58,8 @@ class Job:
 
 def run_jobs(
     jobs: Sequence[Job],
-    workers: int,
-    minutes: float,
+    workers: Natural,
+    minutes: NonNegative,
     clock: Callable[[], float] = time.monotonic,
 ) -> list[Job]:
     """Runs unfinished jobs; returns the failed ones.
@@ -109,7 +103,7 @@ def run_jobs(
 
 
 @dataclasses.dataclass(frozen=True)
-class RepeatConfig:
+class RepeatConfig(CheckedConfig):
     """Settings of a program that repeats the trainings of a paper over seeds.
 
     Attributes:
@@ -123,15 +117,13 @@ class RepeatConfig:
 
     all: bool = False
     list: bool = False
-    seeds: int = 5
+    seeds: Count = 5
     minutes: float = 0.0
     workers: int = 0
     runs_dir: str = "runs"
 
     def __post_init__(self) -> None:
-        require_whole(self, 1, "seeds")
-        require_whole(self, 0, "workers")
-        require_at_least(self, 0, "minutes")
+        super().__post_init__()
         if 0 < self.minutes <= LEAST:
             raise ValueError(
                 f"minutes must be more than {LEAST:g} (shorter runs do not begin), or "

@@ -18,8 +18,7 @@ from carpark_mj.observations import unpack as unpack_fields
 from carpark_mj.observations.fields import FAR
 from carpark_mj.observations.sensors import observed
 from carpark_mj.registry import environment
-from carpark_mj.wrappers.gymnasium_env import ParkEnv
-from carpark_mj.wrappers.gymnasium_vector import ParkVectorEnv
+from carpark_mj.wrappers.gymnasium_env import ParkEnv, ParkVectorEnv
 
 OBSERVATION = CameraObservation(
     1, 1, rings=RingConfig(), rays=RayConfig(), width=6, height=4

@@ -9,8 +9,8 @@ import pytest
 from helpers.scenes import cars, lot
 from helpers.states import parked_at, state_of
 
-from carpark_mj.geometry import broad_phase
-from carpark_mj.geometry.broad_phase import visit_near
+from carpark_mj.geometry import obstacles as near
+from carpark_mj.geometry.obstacles import visit_near
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.safety import agent_clearance
 from carpark_mj.types import Motion
@@ -125,12 +125,12 @@ def compiled(crowded):
         return jnp.stack([*hits.values()], axis=-1), agent_clearance(motion)
 
     def call(*scene):
-        before = broad_phase.MANY_PAIRS
-        broad_phase.MANY_PAIRS = 0 if crowded else 10**9
+        before = near.MANY_PAIRS
+        near.MANY_PAIRS = 0 if crowded else 10**9
         try:
             return jax.tree.map(np.asarray, run(*scene))
         finally:
-            broad_phase.MANY_PAIRS = before
+            near.MANY_PAIRS = before
 
     return call
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.geometry import box_distance, norm, ray_box_distance, reeds_shepp_length
-from carpark_mj.geometry.gradients import arccos, finite_slope, hypot, sqrt
+from carpark_mj.geometry.se2 import arccos, finite_slope, hypot, sqrt
 
 BOX = jnp.array([4.0, 2.0])
 

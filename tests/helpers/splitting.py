@@ -20,8 +20,8 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
 from carpark_mj.training.ppo.collect import AXIS, Rollout
 from carpark_mj.training.ppo.learn import learn, network_params

@@ -20,7 +20,7 @@ from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout, mix
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.files import layout_text, read_json
 from carpark_mj.suite.tpcap import EDGE, TPCAP_CAR, read_tpcap
-from carpark_mj.wrappers.options import Options, configure, shared_env
+from carpark_mj.wrappers.options import Options, configure, share
 
 HAND = {
     "format": "carpark_mj layout 1",
@@ -63,7 +63,10 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
     path = str(written(tmp_path, HAND))
     before = FromFileConfig(path)
     options: Options = {"layout": path, "agents": 1, "parked_cars": 0}
-    mixed, env = mixture([path, "square_compact"]), shared_env(configure(options))
+    mixed, env = (
+        mixture([path, "square_compact"]),
+        share(ParkingEnv, configure(options)),
+    )
     assert before == FromFileConfig(path)
     assert make_layout(path).extent.tolist() == [10, 10]
     written(tmp_path, HAND | {"extent": [12, 10]})
@@ -71,7 +74,7 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
     assert make_layout(before).extent.tolist() == [10, 10]
     assert before != FromFileConfig(path)
     assert mixed != mixture([path, "square_compact"])
-    key, after = jax.random.key(0), shared_env(configure(options))
+    key, after = jax.random.key(0), share(ParkingEnv, configure(options))
     assert [e.draw_layout(key).extent[0] for e in (env, after)] == [10, 12]
 
 

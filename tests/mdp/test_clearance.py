@@ -8,7 +8,7 @@ import shapely
 from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at, state_of
 
-from carpark_mj.geometry.broad_phase import is_crowded
+from carpark_mj.geometry.obstacles import is_crowded
 from carpark_mj.mdp import safety as clearance
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.safety import RANGE, agent_clearance, clearances

@@ -21,9 +21,10 @@ from helpers.scenes import (
 from helpers.states import config_of, parked_at, parked_in, state_of
 
 from carpark_mj.config import RayConfig, RingConfig
-from carpark_mj.geometry import broad_phase, ray_box_distance, ray_disc_distance
+from carpark_mj.geometry import obstacles as near
+from carpark_mj.geometry import ray_box_distance, ray_disc_distance
 from carpark_mj.observations import ContinuousObservation, make_fields, observe
-from carpark_mj.observations.rays import cast_rays
+from carpark_mj.observations.ranges import cast_rays
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY, ParkedCars
 
@@ -136,12 +137,12 @@ def compiled(crowded):
         return REACH * cast(RayConfig(COUNT, REACH), layout, motion, parked)
 
     def call(*scene):
-        before = broad_phase.MANY_PAIRS
-        broad_phase.MANY_PAIRS = 0 if crowded else 10**9
+        before = near.MANY_PAIRS
+        near.MANY_PAIRS = 0 if crowded else 10**9
         try:
             return np.asarray(run(*scene))
         finally:
-            broad_phase.MANY_PAIRS = before
+            near.MANY_PAIRS = before
 
     return call
 

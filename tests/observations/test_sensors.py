@@ -23,8 +23,13 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.observations.odometry import reckon
-from carpark_mj.observations.sensors import init_sensors, measure, observed, reset
+from carpark_mj.observations.sensors import (
+    init_sensors,
+    measure,
+    observed,
+    reckon,
+    reset,
+)
 from carpark_mj.types import Odometry
 
 KEY = jax.random.key(0)

@@ -9,8 +9,8 @@ import pytest
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.observations import ContinuousObservation, make_fields
+from carpark_mj.observations.compose import OWN, observation_sets
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import OWN, observation_sets
 
 FIXED = EnvConfig(num_agents=4, num_parked_cars=5)
 CONFIGS = {

@@ -14,9 +14,9 @@ from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.observations import ContinuousObservation, make_fields
-from carpark_mj.observations.parts import Sight
-from carpark_mj.observations.sets import observation_sets
-from carpark_mj.observations.tracked_movers import PACE, movers_part
+from carpark_mj.observations.compose import observation_sets
+from carpark_mj.observations.fields import ObservationInput
+from carpark_mj.observations.tracked import PACE, movers_part
 from carpark_mj.policy.encoder import SetEncoder
 
 FACING = np.array([(0.0, 0.0, np.pi / 2)])  # north
@@ -44,7 +44,7 @@ def see(
         movers=Movers((), tuple((group,) for group in movers)),
     )
     part = movers_part(count, in_sight)
-    values = part.fill(Sight.of(state))
+    values = part.fill(ObservationInput.of(state))
     assert [*values]
     assert {*values} == {field.name for field in part.fields}
     for field in part.fields:

@@ -11,11 +11,11 @@ from helpers.scenes import cars, fields_of, lot, polygons
 from helpers.states import config_of, parked_at, state_of
 
 from carpark_mj.config import RayConfig, RingConfig, UltrasoundConfig
-from carpark_mj.observations import ContinuousObservation, Sight, observe
-from carpark_mj.observations.ultrasound import SENSORS, echo_distances
+from carpark_mj.observations import ContinuousObservation, ObservationInput, observe
+from carpark_mj.observations.ranges import SENSORS, echo_distances
 
 CONFIG = UltrasoundConfig(on=True)
-echoes = jax.jit(lambda state: echo_distances(CONFIG, Sight.of(state)))
+echoes = jax.jit(lambda state: echo_distances(CONFIG, ObservationInput.of(state)))
 observe_jit = jax.jit(observe, static_argnums=0)
 
 

@@ -11,7 +11,7 @@ from helpers.states import any_hit, state_of
 
 from carpark_mj.config import MOVERS, EnvConfig, Mover, ObstacleKind
 from carpark_mj.config.obstacles import hit_kinds, make_movers
-from carpark_mj.geometry import broad_phase
+from carpark_mj.geometry import obstacles as near
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.obstacles import begin_movers, step_movers, trace_still
@@ -84,7 +84,7 @@ def test_a_heading_turns_the_short_way():
 
 @pytest.mark.parametrize("crowded", [False, True])
 def test_it_is_hit_at_any_traced_instant_and_by_its_kind(monkeypatch, crowded):
-    monkeypatch.setattr(broad_phase, "MANY_PAIRS", 0 if crowded else 10**9)
+    monkeypatch.setattr(near, "MANY_PAIRS", 0 if crowded else 10**9)
 
     @dataclasses.dataclass(frozen=True)
     class Gate(Hands):

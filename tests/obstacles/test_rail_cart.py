@@ -18,11 +18,10 @@ from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.obstacles import trace_still
 from carpark_mj.policy.named import zero_policy
-from carpark_mj.rendering.recording import record, recording_stage
+from carpark_mj.rendering.recording import record, recording_stage, snapshot
 from carpark_mj.rendering.renderer import LotRenderer
-from carpark_mj.rendering.snapshot import snapshot
-from carpark_mj.scene.export import drivable_scene
-from carpark_mj.scene.materials import MOVER
+from carpark_mj.scene.build import drivable_scene
+from carpark_mj.scene.looks import MOVER
 
 FOLDER = PACKAGES / "rail_cart"
 TRACES = 4  # of `SlidePhysics`

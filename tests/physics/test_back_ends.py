@@ -29,7 +29,7 @@ from carpark_mj.play.driven import DrivenLot
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.suite.evaluation import suite_env
-from carpark_mj.wrappers.spaces import observation_space
+from carpark_mj.wrappers.options import observation_space
 
 BASE = EnvConfig(
     num_agents=2,

@@ -13,7 +13,7 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.physics.contact import WheelIndex, contact_car_model, with_wheels
 from carpark_mj.physics.coordinates import CarIndex
 from carpark_mj.physics.mjx_step import mjx  # pyright: ignore[reportAttributeAccessIssue]
-from carpark_mj.scene.export import drivable_scene
+from carpark_mj.scene.build import drivable_scene
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS
 from vehicle_suite import formulas, suspension

@@ -15,8 +15,8 @@ from brax.training.types import Transition
 from scipy import special, stats
 
 from carpark_mj.mdp.actions import ActionSpec, sanitize_indices
+from carpark_mj.observations.compose import OWN
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.distributions import action_distribution
 from carpark_mj.policy.named import random_policy, zero_policy
 from carpark_mj.policy.networks import (

@@ -11,7 +11,7 @@ import pytest
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields
-from carpark_mj.observations.sets import OWN, ObservationSets
+from carpark_mj.observations.compose import OWN, ObservationSets
 from carpark_mj.policy import entities
 from carpark_mj.policy.networks import (
     Arithmetic,

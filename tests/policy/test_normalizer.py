@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.observations.sets import OWN, EntitySet, ObservationSets
+from carpark_mj.observations.compose import OWN, EntitySet, ObservationSets
 from carpark_mj.policy.networks import (
     MIN_DEVIATION,
     init_normalizer,

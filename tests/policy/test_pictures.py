@@ -9,8 +9,8 @@ import pytest
 from flax import linen
 
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.compose import OWN, observation_sets
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import OWN, observation_sets
 from carpark_mj.policy.encoder import patches
 from carpark_mj.policy.networks import (
     Arithmetic,

@@ -8,8 +8,8 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.policy.named import random_policy
 from carpark_mj.rendering import recording as record_module
-from carpark_mj.rendering.live import LiveLot
 from carpark_mj.rendering.recording import record
+from carpark_mj.rendering.web import LiveLot
 
 
 @pytest.fixture(scope="module")

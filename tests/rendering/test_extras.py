@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from carpark_mj.config.observations import Tracked
 from carpark_mj.layouts import make_layout
+from carpark_mj.observations.fields import Tracked
+from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.renderer import LotRenderer, Show, followed_agents
-from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import COMPACT
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from carpark_mj.rendering.markers import CIRCLE_SIDES, Markers
+from carpark_mj.rendering.renderer import CIRCLE_SIDES, Markers
 
 
 @pytest.fixture

@@ -24,10 +24,9 @@ from carpark_mj.policy.networks import (
     network_inputs,
 )
 from carpark_mj.rendering import recording as record_module
-from carpark_mj.rendering.car_cameras import CarCameras, car_cameras
-from carpark_mj.rendering.live import LiveLot
-from carpark_mj.rendering.recording import parked_trace, record
-from carpark_mj.rendering.snapshot import num_frames
+from carpark_mj.rendering.recording import num_frames, parked_trace, record
+from carpark_mj.rendering.video import CarCameras, car_cameras
+from carpark_mj.rendering.web import LiveLot
 from carpark_mj.types import NO_BAY
 
 

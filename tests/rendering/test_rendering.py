@@ -8,26 +8,27 @@ import numpy as np
 import pytest
 from helpers.disks import largest_file
 
-from carpark_mj.config.observations import Tracked
 from carpark_mj.layouts import layout_config, make_layout
-from carpark_mj.rendering.overlays import draw_labels, draw_status
-from carpark_mj.rendering.recording import Recording
-from carpark_mj.rendering.renderer import (
-    FLASH_COLOURS,
-    LotRenderer,
-    Show,
-)
-from carpark_mj.rendering.snapshot import (
+from carpark_mj.observations.fields import Tracked
+from carpark_mj.rendering.recording import (
     FLASH_SECONDS,
     Flash,
+    Recording,
     Snapshot,
     frames_per_second,
     num_frames,
     snapshot,
 )
+from carpark_mj.rendering.renderer import FLASH_COLOURS, LotRenderer, Show
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
-from carpark_mj.scene.materials import agent_colour
+from carpark_mj.rendering.video import (
+    draw_frame,
+    draw_labels,
+    draw_status,
+    frame_stride,
+    write_video,
+)
+from carpark_mj.scene.looks import agent_colour
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT
 
@@ -285,10 +286,7 @@ def test_it_does_not_matter_whether_cars_or_cameras_are_placed_first(camera):
 
 def test_a_renderer_that_goes_on_with_another_lot_draws_it_as_a_new_one():
     # With arrows on its lanes the second has one mesh more, and it is longer.
-    lots = [
-        LAYOUT,
-        jax.device_get(layout_config("street").generate(jax.random.key(0))),
-    ]
+    lots = [LAYOUT, jax.device_get(layout_config("street").generate(jax.random.key(0)))]
     what = seen(goal=GOAL[:1].repeat(2))
     stages = [Stage(layout, COMPACT, 2, 2) for layout in lots]
     new = []

@@ -3,8 +3,7 @@
 import numpy as np
 
 from carpark_mj.layouts import make_layout
-from carpark_mj.rendering.recording import Recording
-from carpark_mj.rendering.snapshot import aimed_at, snapshot
+from carpark_mj.rendering.recording import Recording, aimed_at, snapshot
 from carpark_mj.types import NO_BAY
 
 

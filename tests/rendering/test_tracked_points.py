@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from carpark_mj.config.observations import Tracked
-from carpark_mj.rendering.snapshot import Snapshot, tracked_points
+from carpark_mj.observations.fields import Tracked
+from carpark_mj.rendering.recording import Snapshot, tracked_points
 
 
 def seen(pose, parked):

@@ -18,8 +18,8 @@ from carpark_mj.cli.scene import SceneConfig, complete
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web
-from carpark_mj.rendering.live import LiveLot
 from carpark_mj.rendering.local_pages import HOST
+from carpark_mj.rendering.web import LiveLot
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 

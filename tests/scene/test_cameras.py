@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from carpark_mj.layouts import make_layout
+from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.renderer import LotRenderer
-from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import fit_eye, frame_lot, view_yaw
-from carpark_mj.scene.materials import ASPHALT, ZENITH, agent_colour
-from carpark_mj.scene.numbers import add_bay_numbers
+from carpark_mj.scene.looks import ASPHALT, ZENITH, agent_colour
+from carpark_mj.scene.markings import add_bay_numbers
 from carpark_mj.vehicle import PRESETS
 
 LAYOUT = make_layout("square")

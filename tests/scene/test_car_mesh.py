@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from helpers.cars import ROAD_CARS
 
-from carpark_mj.scene import materials
-from carpark_mj.scene.car_look import add_standing_car, shape_name
+from carpark_mj.scene import looks, parts
 from carpark_mj.scene.car_mesh import SPOKES, car_meshes, driver_eye, standing_wheels
-from carpark_mj.scene.car_style import STYLES, nearest_style
+from carpark_mj.scene.looks import STYLES, nearest_style
+from carpark_mj.scene.parts import add_looks, shape_name
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.mjcf import hub_positions
 
@@ -157,10 +157,10 @@ def test_a_car_of_one_s_own_takes_the_most_similar_style():
 
 def test_cars_of_a_shape_share_their_meshes_and_each_has_its_colour():
     spec = mujoco.MjSpec()
-    materials.add_materials(spec)
+    looks.add_materials(spec)
     for k, params in enumerate((COMPACT, COMPACT, PRESETS["van"])):
         body = spec.worldbody.add_body(name=f"car{k}", pos=[0.0, 4.0 * k, 0.0])
-        add_standing_car(spec, body, params, materials.agent_colour(k))
+        add_looks(spec, body, params, parts.WHOLE, looks.agent_colour(k))
     model = spec.compile()
     assert model.nmesh == 2 * len(whole(COMPACT))
     assert model.body_mass.sum() == 0.0  # looks weigh nothing
@@ -169,7 +169,7 @@ def test_cars_of_a_shape_share_their_meshes_and_each_has_its_colour():
         for g in range(model.ngeom)
         if model.mesh(model.geom_dataid[g]).name.endswith("/body")
     }
-    colours = np.array([materials.agent_colour(k) for k in range(3)], np.float32)
+    colours = np.array([looks.agent_colour(k) for k in range(3)], np.float32)
     assert painted == {tuple(colour.round(3).tolist()) for colour in colours}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.scenes import lot
 
-from carpark_mj.scene import materials, parts
+from carpark_mj.scene import looks, parts
 from carpark_mj.vehicle import COMPACT, PRESETS
 
 SPEED = 3.0  # m/s
@@ -26,7 +26,7 @@ def model(second):
     spec.option.gravity = [0.0, 0.0, 0.0]
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    materials.add_materials(spec)
+    looks.add_materials(spec)
     nose = COMPACT.length - COMPACT.rear_overhang
     parts.add_agents(spec, COMPACT, 1)
     if second == "wall":

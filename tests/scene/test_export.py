@@ -15,8 +15,8 @@ import pytest
 from carpark_mj.cli.scene import SceneConfig, default_env, main, make_scene
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.scene import car_look
-from carpark_mj.scene.export import drivable_scene, try_out
+from carpark_mj.scene import parts
+from carpark_mj.scene.build import drivable_scene, try_out
 from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.parameters import GRAVITY
 
@@ -221,7 +221,7 @@ def test_looks_change_no_mass_and_no_motion(monkeypatch):
         return model, data
 
     with_looks, moved = drive()
-    monkeypatch.setattr(car_look, "_add_looks", lambda *_: None)
+    monkeypatch.setattr(parts, "add_looks", lambda *_: None)
     without, expected = drive()
     assert with_looks.nmesh > without.nmesh
     for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_M0"):

@@ -89,11 +89,7 @@ def test_the_scene_survives_a_round_trip_through_xml(layout):
     spec = build_scene(layout, COMPACT, 1, (COMPACT,))
     model = spec.compile()
     again = mujoco.MjModel.from_xml_string(spec.to_xml())
-    assert (again.nbody, again.ngeom, again.nq) == (
-        model.nbody,
-        model.ngeom,
-        model.nq,
-    )
+    assert (again.nbody, again.ngeom, again.nq) == (model.nbody, model.ngeom, model.nq)
 
 
 def test_people_walk_on_two_legs_and_carts_stand_on_the_ground():

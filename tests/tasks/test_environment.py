@@ -6,8 +6,7 @@ from helpers.rolling import check_roll_out
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
-from carpark_mj.wrappers.goal import GoalParking
-from carpark_mj.wrappers.gymnasium_goal import goal_config
+from carpark_mj.wrappers.goal import GoalParking, goal_config
 
 SMALL = EnvConfig(num_parked_cars=2, physics="bicycle")
 ENVIRONMENTS = {

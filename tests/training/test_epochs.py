@@ -13,8 +13,8 @@ from jax.flatten_util import ravel_pytree
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
 from carpark_mj.training.ppo import variants
 from carpark_mj.training.ppo.collect import AXIS, Rollout

@@ -19,8 +19,8 @@ from jax.sharding import PartitionSpec
 
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.observations.compose import OWN
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import OWN
 from carpark_mj.policy.networks import MIN_DEVIATION, NetworkConfig, make_networks
 from carpark_mj.training.ppo.collect import AXIS, Rollout, compute_advantages
 from carpark_mj.training.ppo.learn import learn, network_params

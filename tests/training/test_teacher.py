@@ -17,8 +17,8 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.observations.sets import ObservationSets
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
 from carpark_mj.training.ppo import learner as learners
 from carpark_mj.training.ppo import warm_start as teachers

@@ -11,7 +11,7 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.observations.sets import OWN
+from carpark_mj.observations.compose import OWN
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer
 from carpark_mj.training.ppo.collect import (
     AXIS,

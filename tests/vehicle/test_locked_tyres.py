@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.coulomb import slide
 
-from carpark_mj.scene import materials, parts
+from carpark_mj.scene import looks, parts
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.parameters import GRAVITY
 
@@ -20,7 +20,7 @@ VAN = PRESETS["van"]
 def parked(params):
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.002
-    materials.add_materials(spec)
+    looks.add_materials(spec)
     parts.add_parked_cars(spec, (params,))
     return spec.compile()
 

@@ -15,7 +15,7 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.vehicles import main
 from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.policy.runs import from_dict
-from carpark_mj.scene.car_style import STYLES, nearest_style
+from carpark_mj.scene.looks import STYLES, nearest_style
 from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle, preset
 from carpark_mj.vehicle.file import parameters_text, read_sheet

@@ -3,7 +3,7 @@
 import numpy as np
 
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.wrappers.action_table import action_table
+from carpark_mj.wrappers.options import action_table
 
 
 def test_numbers_come_in_equal_steps_with_a_zero():

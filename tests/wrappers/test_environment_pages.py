@@ -8,10 +8,8 @@ from carpark_mj.config import PARKED_RULES, REWARDS, EnvConfig
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import markdown_table
 from carpark_mj.registration import ENTRY_POINTS
-from carpark_mj.wrappers.goal import GoalParking
-from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv
-from carpark_mj.wrappers.gymnasium_goal import ParkGoalEnv, goal_config
-from carpark_mj.wrappers.gymnasium_vector import ParkManyVectorEnv
+from carpark_mj.wrappers.goal import GoalParking, ParkGoalEnv, goal_config
+from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv, ParkManyVectorEnv
 from carpark_mj.wrappers.options import OPTIONS
 
 # Page, the class whose arguments it lists, and which of the options that takes.

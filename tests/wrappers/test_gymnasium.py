@@ -29,9 +29,9 @@ from carpark_mj.observations import make_fields
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.rendering.renderer import RenderingError
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.wrappers import screen
+from carpark_mj.wrappers import batch
 from carpark_mj.wrappers.gymnasium_env import one_agent
-from carpark_mj.wrappers.spaces import observation_space
+from carpark_mj.wrappers.options import observation_space
 
 OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1]]
 PARK, GOAL, MANY = OURS
@@ -309,7 +309,7 @@ def test_every_lot_of_a_vector_has_its_picture_and_its_scene_is_built_once(
             built.append(self)
             super().__init__(*args)
 
-    monkeypatch.setattr(screen, "Stage", Counted)
+    monkeypatch.setattr(batch, "Stage", Counted)
     options = {"render_mode": "rgb_array", "layout": "street", "parked_cars": 6}
     vector = gymnasium.make_vec(PARK, 2, **options)
     vector.reset(seed=0)
@@ -348,7 +348,7 @@ def test_a_window_shows_every_step(monkeypatch):
             self.closed += 1
 
     window = Window()
-    monkeypatch.setattr("carpark_mj.wrappers.screen.missing_display", lambda: None)
+    monkeypatch.setattr("carpark_mj.wrappers.batch.missing_display", lambda: None)
     monkeypatch.setattr("mujoco.viewer.launch_passive", lambda *_: window)
     env = make(render_mode="human", config=SHORT)
     env.reset(seed=0)

@@ -12,8 +12,7 @@ import pytest
 from carpark_mj.config import REWARDS
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.tasks.goal_pose import POSE, pose_norm
-from carpark_mj.wrappers.goal import GoalParking
-from carpark_mj.wrappers.gymnasium_goal import goal_config
+from carpark_mj.wrappers.goal import GoalParking, goal_config
 
 GOAL = "carpark_mj/ParkGoal-v0"
 ONE = goal_config({})

@@ -3,8 +3,9 @@
 import dataclasses
 
 from carpark_mj.config import REWARDS, EnvConfig, EpisodeConfig
+from carpark_mj.env import ParkingEnv
 from carpark_mj.registry import SQUARE
-from carpark_mj.wrappers.options import configure, shared_env
+from carpark_mj.wrappers.options import configure, share
 
 
 def test_every_option_sets_its_field():
@@ -36,4 +37,5 @@ def test_options_change_a_config_or_a_named_environment():
 
 
 def test_an_environment_is_made_once():
-    assert shared_env(EnvConfig(num_agents=1)) is shared_env(EnvConfig(num_agents=1))
+    config = EnvConfig(num_agents=1)
+    assert share(ParkingEnv, config) is share(ParkingEnv, config)

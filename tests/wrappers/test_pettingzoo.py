@@ -12,7 +12,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import carpark_mj
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.wrappers.spaces import flat_action
+from carpark_mj.wrappers.options import flat_action
 
 SMALL = {"agents": 3, "parked_cars": 2, "physics": "bicycle"}
 

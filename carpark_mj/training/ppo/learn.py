@@ -15,7 +15,7 @@ from brax.training.agents.ppo.networks import PPONetworks
 from jax.flatten_util import ravel_pytree
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.observations.sets import ObservationSets
+from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.policy.networks import update_normalizer
 from carpark_mj.training.ppo.collect import (
     AXIS,

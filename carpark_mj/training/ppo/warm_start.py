@@ -24,9 +24,9 @@ import numpy as np
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields, observe
+from carpark_mj.observations.compose import OWN, observation_sets, part_name
 from carpark_mj.observations.fields import ORDERED, Field
-from carpark_mj.observations.rays import RAYS, RAYS_NEAR
-from carpark_mj.observations.sets import OWN, observation_sets, part_name
+from carpark_mj.observations.ranges import RAYS, RAYS_NEAR
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.loading import load_policy, network_config, network_shapes
 from carpark_mj.policy.networks import NetworkConfig

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 
 from carpark_mj.config import ENCODERS, EnvConfig
 from carpark_mj.geometry import point_box_distance
-from carpark_mj.observations import ContinuousObservation, Field, Part, Sight
+from carpark_mj.observations import ContinuousObservation, Field, ObservationInput, Part
 from carpark_mj.observations.fields import FAR, FARTHEST, far
 
 
-def distance(sight: Sight) -> dict[str, jax.Array]:
+def distance(sight: ObservationInput) -> dict[str, jax.Array]:
     """From the own centre, which the sensors tell, to the nearest wall."""
     layout, own_xy = sight.layout, sight.motion.xy
     gap = point_box_distance(own_xy[:, None], layout.wall_pose, layout.wall_size)

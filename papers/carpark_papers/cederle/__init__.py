@@ -13,8 +13,7 @@ STUDY_PROGRAMS.register(
 STUDY_PROGRAMS.register(
     "junction_tables",
     Entry(
-        "carpark_papers.cederle.experiments.program:run",
-        "the tables of Cederle 2023",
+        "carpark_papers.cederle.experiments.program:run", "the tables of Cederle 2023"
     ),
 )
 STUDY_PROGRAMS.register(

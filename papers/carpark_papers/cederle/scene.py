@@ -14,7 +14,7 @@ from carpark_mj.cli.common import run_command
 from carpark_mj.cli.driver import command_help
 from carpark_mj.cli.scene import SceneOutput, complete, require_view, show_scene
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.scene.export import scene_xml
+from carpark_mj.scene.build import scene_xml
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
 from carpark_papers.cederle.junction.cars import road_car

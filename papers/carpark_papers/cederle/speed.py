@@ -17,14 +17,14 @@ from rich.table import Table
 
 from carpark_mj.benchmarking.worker import best_time
 from carpark_mj.cli.common import enable_output_fusion
-from carpark_mj.config.checks import require_whole
+from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
 from carpark_papers.cederle.junction.config import CarModel, Encoding
 from carpark_papers.cederle.junction.rules import ACTIONS
 
 
 @dataclasses.dataclass(frozen=True)
-class JunctionSpeedConfig:
+class JunctionSpeedConfig(CheckedConfig):
     """Settings of `carpark_mj study junction_speed`.
 
     Attributes:
@@ -39,12 +39,12 @@ class JunctionSpeedConfig:
     scenario: str = "3av-hd"
     cars: tuple[CarModel, ...] = ("path", "bicycle", "mjx")
     observations: tuple[Encoding, ...] = ("vector", "image")
-    junctions: int = 64
-    steps: int = 50
-    repeats: int = 5
+    junctions: Count = 64
+    steps: Count = 50
+    repeats: Count = 5
 
     def __post_init__(self) -> None:
-        require_whole(self, 1, "junctions", "steps", "repeats")
+        super().__post_init__()
         for name in ("cars", "observations"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must name at least one")

@@ -9,20 +9,18 @@ import mujoco
 import numpy as np
 
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.overlays import draw_labels, draw_status
+from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.snapshot import Snapshot
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.rendering.video import write_video
+from carpark_mj.rendering.video import draw_labels, draw_status, write_video
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import VehicleParameters, preset
 from carpark_papers.cederle.junction.cars import road_car
 from carpark_papers.cederle.junction.config import JunctionConfig
 from carpark_papers.cederle.junction.evaluation import car_names
 from carpark_papers.cederle.junction.roads import LANE_WIDTH
-from carpark_papers.cederle.junction.rules import ACTIONS
+from carpark_papers.cederle.junction.rules import ACTIONS, State
 from carpark_papers.cederle.junction.scene import add_paint, plan
-from carpark_papers.cederle.junction.types import State
 
 _FAR = -500.0  # m, where cars are put that have left
 
@@ -81,16 +79,11 @@ ENDS = ("crashed", "arrived", "off_road", "off_route", "timed_out", "diverged")
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """An episode as it went.
+    """An episode as it went."""
 
-    Attributes:
-        states: after each control step, on the host, without images.
-        actions: (num_agents,) indices of `ACTIONS` that led there.
-        ended: (num_agents, len(ENDS)) bool, which of `ENDS` had happened by then.
-    """
-
-    states: Sequence[State]
-    actions: Sequence[np.ndarray]
+    states: Sequence[State]  # after each control step, on the host, without images
+    actions: Sequence[np.ndarray]  # (num_agents,) indices of `ACTIONS` that led there
+    # (num_agents, len(ENDS)) bool, which of `ENDS` had happened by then
     ended: Sequence[np.ndarray]
 
 
@@ -99,11 +92,6 @@ def write_drives(path: Path, config: JunctionConfig, drives: Sequence[Drive]) ->
 
     Below its disc stands what a car intends, or how its episode ended; a line leads to
     its goal.
-
-    Args:
-        path: of the `.mp4` or `.gif`.
-        config: of the junction.
-        drives: the episodes.
     """
     missing_gl = choose_gl()
     if missing_gl:

@@ -2,9 +2,9 @@
 
 from carpark_mj.extensions import Entry
 from carpark_mj.programs import STUDY_PROGRAMS
-from carpark_papers.pandita import highway, layouts, task
+from carpark_papers.pandita import layouts, task
 
-__all__ = ["highway", "layouts", "task"]
+__all__ = ["layouts", "task"]
 
 STUDY_PROGRAMS.register(
     "sac",

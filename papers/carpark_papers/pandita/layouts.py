@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import LayoutConfig, register_layout
-from carpark_mj.config.checks import require_positive, require_whole
+from carpark_mj.config.checks import Count, Finite, Positive
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
@@ -55,36 +55,28 @@ class SlotsConfig(LayoutConfig):
         family: fixed.
     """
 
-    slots_per_row: int = 6
+    slots_per_row: Count = 6
     goal_slot: int | None = 2
-    diagonal_shift: float = 0.0
+    diagonal_shift: Finite = 0.0
     parallel: bool = False
-    half_corridor: float = 10.0
-    slot_width: float = 4.0
-    slot_length: float = 8.0
+    half_corridor: Positive = 10.0
+    slot_width: Positive = 4.0
+    slot_length: Positive = 8.0
     obstacles: bool = True
     start: tuple[float, float] = (10.0, 0.0)
-    start_heading: float | None = math.pi
+    start_heading: Finite | None = math.pi
     family: str = "slots"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 1, "slots_per_row")
         last = 2 * self.slots_per_row - 1
         if self.goal_slot is not None and not 0 <= self.goal_slot <= last:
             raise ValueError(
                 f"goal_slot must be a whole number from 0 to {last}, or random (None), "
                 f"not {self.goal_slot!r}"
             )
-        require_positive(self, "half_corridor", "slot_width", "slot_length")
-        for name, value in (
-            ("diagonal_shift", self.diagonal_shift),
-            ("start", self.start[0]),
-            ("start", self.start[1]),
-            ("start_heading", self.start_heading or 0.0),
-        ):
-            if not math.isfinite(value):
-                raise ValueError(f"{name} must be finite, not {getattr(self, name)!r}")
+        if not all(map(math.isfinite, self.start)):
+            raise ValueError(f"start must be finite, not {self.start}")
         if self.parallel and self.diagonal_shift:
             raise ValueError(
                 f"diagonal_shift must be 0 in parallel slots, not {self.diagonal_shift}"

@@ -4,8 +4,8 @@ import dataclasses
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts import layout_config
+from carpark_mj.wrappers.goal import ParkGoalEnv, ParkGoalVectorEnv
 from carpark_mj.wrappers.gymnasium_env import one_agent
-from carpark_mj.wrappers.gymnasium_goal import ParkGoalEnv, ParkGoalVectorEnv
 from carpark_mj.wrappers.options import Options, configure
 
 SLOTS_OPTIONS = ("config", "layout", "parked_cars", "max_episode_steps")

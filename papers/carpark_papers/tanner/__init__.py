@@ -18,8 +18,7 @@ STUDY_PROGRAMS.register(
 STUDY_PROGRAMS.register(
     "tanner",
     Entry(
-        "carpark_papers.tanner.experiments.program:run",
-        "the figures of Tanner 2022",
+        "carpark_papers.tanner.experiments.program:run", "the figures of Tanner 2022"
     ),
 )
 

@@ -19,7 +19,7 @@ import numpy as np
 from flax import struct
 
 from carpark_mj.config import PHYSICS, WORLD_UNIT, EnvConfig, PhysicsConfig, SimConfig
-from carpark_mj.config.checks import require_whole
+from carpark_mj.config.checks import Count
 from carpark_mj.physics.base import FactoredPhysics, require_plain_ground
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.vehicle import Vehicle
@@ -43,13 +43,13 @@ class GridConfig(PhysicsConfig):
         back_end: fixed.
     """
 
-    points: int = 16
-    speed_step: int = 4
-    headings: int = 24
-    max_forward: int = 4
-    max_reverse: int = 2
-    max_acceleration: int = 2
-    max_turn: int = 3
+    points: Count = 16
+    speed_step: Count = 4
+    headings: Count = 24
+    max_forward: Count = 4
+    max_reverse: Count = 2
+    max_acceleration: Count = 2
+    max_turn: Count = 3
     turn_at_rest: bool = False
     back_end: str = "grid"
     continuous = 0
@@ -59,11 +59,6 @@ class GridConfig(PhysicsConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        numbers = {f.name for f in dataclasses.fields(self)} - {
-            "turn_at_rest",
-            "back_end",
-        }
-        require_whole(self, 1, *sorted(numbers))
         if 2 * self.max_turn >= self.headings:
             raise ValueError(
                 f"max_turn must be less than half of {self.headings} headings, not "
@@ -157,21 +152,13 @@ def bearing_index(grid: GridConfig, local: jax.Array) -> jax.Array:
 
 @struct.dataclass
 class GridState:
-    """Cars on the grid; any leading batch shape, all but `vehicle` int32.
+    """Cars on the grid; any leading batch shape, all but `vehicle` int32."""
 
-    Attributes:
-        point: (..., 2) x and y of the footprint's centre [points].
-        level: (...) of speed, forwards positive.
-        heading: (...) index in [0, headings), clockwise from +y.
-        turn: (...) headings turned in the last step, clockwise positive.
-        vehicle: parameters, of which only the size has an effect.
-    """
-
-    point: jax.Array
-    level: jax.Array
-    heading: jax.Array
-    turn: jax.Array
-    vehicle: Vehicle
+    point: jax.Array  # (..., 2) x and y of the footprint's centre [points]
+    level: jax.Array  # (...) of speed, forwards positive
+    heading: jax.Array  # (...) index in [0, headings), clockwise from +y
+    turn: jax.Array  # (...) headings turned in the last step, clockwise positive
+    vehicle: Vehicle  # parameters, of which only the size has an effect
 
 
 class GridPhysics(FactoredPhysics[GridState]):
@@ -182,12 +169,7 @@ class GridPhysics(FactoredPhysics[GridState]):
     """
 
     def __init__(self, grid: GridConfig, sim: SimConfig) -> None:
-        """Tabulates the moves.
-
-        Args:
-            grid: granularities.
-            sim: whose control period one step takes.
-        """
+        """Tabulates the moves; one step takes the control period of `sim`."""
         require_plain_ground(sim, "grid")
         self.grid = self.config = grid
         self.ctrl_dt = sim.ctrl_dt

@@ -12,12 +12,10 @@ import math
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig, RingConfig
-from carpark_mj.config.observations import ENCODERS, ObservationConfig
+from carpark_mj.config import ENCODERS, EnvConfig, ObservationConfig, RingConfig
 from carpark_mj.geometry import to_local
-from carpark_mj.observations.fields import Field
-from carpark_mj.observations.parts import Sight
-from carpark_mj.observations.rings import (
+from carpark_mj.observations.fields import Field, ObservationInput
+from carpark_mj.observations.ranges import (
     init_history,
     ring_counts,
     ring_fields,
@@ -64,12 +62,7 @@ class IndexObservation(ObservationConfig):
         top, last = grid.num_levels - 1, grid.headings - 1
         fields = [
             Field(
-                "level",
-                1,
-                0.0,
-                top,
-                "own speed from fastest reverse",
-                speed=math.inf,
+                "level", 1, 0.0, top, "own speed from fastest reverse", speed=math.inf
             ),
             Field(
                 "bearing",
@@ -93,7 +86,7 @@ class IndexObservation(ObservationConfig):
             "level": (level + grid.max_reverse)[:, None],
             "bearing": bearing[:, None],
         }
-        return values | ring_counts(self.rings, Sight.of(state))
+        return values | ring_counts(self.rings, ObservationInput.of(state))
 
     @property
     def circles(self) -> tuple[float, ...]:

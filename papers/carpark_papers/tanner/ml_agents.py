@@ -32,41 +32,25 @@ LAST_LAYER = 0.1  # factor on the initial weights of the actor's last layer
 
 @struct.dataclass
 class Steps:
-    """Steps (..., size) to learn from, with outputs of the networks before the update.
+    """Steps (..., size) to learn from, with outputs of the networks before them."""
 
-    Attributes:
-        observation: of the agents.
-        raw_action: of the agents.
-        log_prob: (..., k) log-probabilities of its branches before the update.
-        advantage: of the action, normalised.
-        target: of the critic.
-        value: of the critic before the update.
-        weight: see `Minibatch`.
-    """
-
-    observation: jax.Array
-    raw_action: jax.Array
-    log_prob: jax.Array
-    advantage: jax.Array
-    target: jax.Array
-    value: jax.Array
-    weight: jax.Array
+    observation: jax.Array  # of the agents
+    raw_action: jax.Array  # of the agents
+    log_prob: jax.Array  # (..., k) log-probabilities of its branches before the update
+    advantage: jax.Array  # of the action, normalised
+    target: jax.Array  # of the critic
+    value: jax.Array  # of the critic before the update
+    weight: jax.Array  # see `Minibatch`
 
 
 def prepare_steps(
-    params: PPONetworkParams,
-    networks: PPONetworks,
-    normalizer: Any,
-    steps: Minibatch,
+    params: PPONetworkParams, networks: PPONetworks, normalizer: Any, steps: Minibatch
 ) -> Steps:
-    """All steps of an update, as one dimension.
+    """All steps (n, ...) of an update, as one dimension.
 
-    Args:
-        params: actor and critic before the update.
-        networks: that take them.
-        normalizer: running statistics, those of the start.
-        steps: (n, ...); of their targets, with lambda from the first step on, and of
-            the critic are the advantages.
+    Advantages are what their targets, with lambda from the first step on, exceed the
+    critic by; actor and critic are those before the update, the statistics those of the
+    start.
     """
     distribution: Any = networks.parametric_action_distribution
     actor: Any = networks.policy_network.apply
@@ -98,15 +82,7 @@ def ml_agents_loss(
     """The loss of a minibatch and its reported parts, like `ppo_loss`.
 
     As in ML-Agents, branches are averaged in the policy's loss and summed in the
-    entropy.
-
-    Args:
-        params: actor and critic.
-        networks: that take them.
-        normalizer: running statistics, those of the start.
-        batch: this device's part of the minibatch.
-        weights: of the terms.
-        key: unused: the entropy of choices is exact.
+    entropy. The key is unused: the entropy of choices is exact.
     """
     del key
     distribution: Any = networks.parametric_action_distribution
@@ -186,26 +162,15 @@ class MLAgents(Variant):
 
         Advantages are what targets exceed the critic by, see `prepare_steps`.
         """
-        if config.env.physics_config.continuous:
-            raise ValueError(
-                "variant 'ml-agents' needs actions of choices only, env.physics "
-                f"'grid', not {config.env.physics!r}"
-            )
-        if config.networks.encoder != "flat":
-            raise ValueError(
-                "variant 'ml-agents' needs networks.encoder 'flat', not "
-                f"{config.networks.encoder!r}"
-            )
-        if len(config.env.agent_counts) > 1:
-            raise ValueError(
-                "variant 'ml-agents' needs the same number of agents in all lots, "
-                f"env.min_agents = None, not {config.env.min_agents}"
-            )
-        if config.curriculum.neighbour_share:
-            raise ValueError(
-                "variant 'ml-agents' needs curriculum.neighbour_share 0, not "
-                f"{config.curriculum.neighbour_share}"
-            )
+        needs = {
+            "env.physics 'grid'": not config.env.physics_config.continuous,
+            "networks.encoder 'flat'": config.networks.encoder == "flat",
+            "env.min_agents None": len(config.env.agent_counts) == 1,
+            "curriculum.neighbour_share 0": not config.curriculum.neighbour_share,
+        }
+        for need, is_met in needs.items():
+            if not is_met:
+                raise ValueError(f"variant 'ml-agents' needs {need}")
 
     def initial_weights(self, params: Any, key: jax.Array) -> tuple[Any, jax.Array]:
         """Redraws all weights."""

@@ -26,26 +26,36 @@ Where the study's text and its reference implementation disagree:
 
 import dataclasses
 import math
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, RingConfig
-from carpark_mj.config.checks import CheckedConfig, require_whole
-from carpark_mj.config.observations import ENCODERS, ObservationConfig, Tracked
+from carpark_mj.config import (
+    ENCODERS,
+    WORLD_UNIT,
+    EnvConfig,
+    ObservationConfig,
+    RingConfig,
+)
+from carpark_mj.config.checks import Bounds, CheckedConfig, Natural, Positive
 from carpark_mj.geometry import nearest, norm, rotate, to_local
-from carpark_mj.observations.bay_fields import goal_code, rivals
-from carpark_mj.observations.fields import Field, repeated, repeated_values
-from carpark_mj.observations.parts import Sight
-from carpark_mj.observations.rings import (
+from carpark_mj.observations.ego import goal_code, rivals
+from carpark_mj.observations.fields import (
+    Field,
+    ObservationInput,
+    Tracked,
+    repeated,
+    repeated_values,
+)
+from carpark_mj.observations.ranges import (
     init_history,
     ring_counts,
     ring_fields,
     update_history,
 )
 from carpark_mj.observations.sensors import observed
-from carpark_mj.observations.tracking import mark, other_agents
+from carpark_mj.observations.tracked import mark, other_agents
 from carpark_mj.types import NO_BAY, ParkedCars, State
 from carpark_papers.tanner.grid import (
     GridConfig,
@@ -65,18 +75,8 @@ class ViewConfig(CheckedConfig):
             whole lot.
     """
 
-    field_of_view: float = 360.0
-    diameter: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0.0 < self.field_of_view <= 360.0:
-            raise ValueError(
-                f"field_of_view must lie in (0, 360] deg, not {self.field_of_view}"
-            )
-        diameter = self.diameter
-        if diameter is not None and not (math.isfinite(diameter) and diameter > 0):
-            raise ValueError(f"view diameter must be positive or None, not {diameter}")
+    field_of_view: Annotated[float, Bounds(gt=0.0, le=360.0, unit="deg")] = 360.0
+    diameter: Positive | None = None
 
     @property
     def is_limited(self) -> bool:
@@ -85,15 +85,9 @@ class ViewConfig(CheckedConfig):
 
 
 def in_view(config: ViewConfig, own_pose: jax.Array, xy: jax.Array) -> jax.Array:
-    """Whether points lie in the field of view and the tracking circle of every agent.
+    """Whether points lie in the field of view and tracking circle of each agent.
 
-    Args:
-        config: limits of the view.
-        own_pose: (num_agents, 3) observers.
-        xy: (n, 2) points, or (num_agents, n, 2) points of each agent's own.
-
-    Returns:
-        (num_agents, n) bool.
+    Points are (n, 2), or (num_agents, n, 2) of each agent's own; (num_agents, n) bool.
     """
     offset = xy - own_pose[:, None, :2]
     seen = jnp.ones(offset.shape[:-1], bool)
@@ -115,16 +109,8 @@ def track_cars(
 ) -> tuple[jax.Array, jax.Array]:
     """The nearest among the other agents and parked cars together.
 
-    Args:
-        count: how many.
-        view: where.
-        own_pose: (num_agents, 3) observers.
-        parked_cars: (num_parked_cars,) of the lot.
-        present: (num_agents,) bool, see `State.present`.
-
-    Returns:
-        Indices and presence (num_agents, count), see `geometry.nearest`; indices count
-        the agents first, then the parked cars.
+    Returns indices and presence (num_agents, count), see `geometry.nearest`; indices
+    count the agents first, then the parked cars. `present` is `State.present`.
     """
     own_xy, num_agents = own_pose[:, :2], own_pose.shape[0]
     others, parked = other_agents(num_agents, present), parked_cars.present
@@ -191,7 +177,7 @@ class TannerObservation(ObservationConfig):
         encoding: name of the encoder; as a flag it chooses another.
     """
 
-    tracked_cars: int = 1
+    tracked_cars: Natural = 1
     bay_parts: tuple[BayPart, ...] = BAY_PARTS
     view: ViewConfig = dataclasses.field(default_factory=ViewConfig)
     share: TannerShare = dataclasses.field(default_factory=TannerShare)
@@ -203,7 +189,6 @@ class TannerObservation(ObservationConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_whole(self, 0, "tracked_cars")
         if len(set(self.bay_parts)) < len(self.bay_parts):
             raise ValueError(f"bay_parts must be different, not {self.bay_parts}")
 
@@ -265,7 +250,7 @@ class TannerObservation(ObservationConfig):
         else:
             values |= {f"goal_{name}": value[:, 0] for name, value in described.items()}
 
-        counts = ring_counts(self.rings, Sight.of(state))
+        counts = ring_counts(self.rings, ObservationInput.of(state))
         values |= {name: count / (self.rings.cap + 1) for name, count in counts.items()}
         if self.tracked_cars:
             cars = _describe_cars(self, grid, state, level, bays)
@@ -356,13 +341,8 @@ def _describe_cars(
 ) -> dict[str, jax.Array]:
     """Parts of the tracked cars, (num_agents, tracked_cars, 1) each.
 
-    Args:
-        config: what is observed.
-        grid: granularities.
-        state: of the lot.
-        level: (num_agents,) the agents' speeds from the fastest reverse [levels].
-        bays: (num_agents, count) the bays that the observers track and see; unused
-            while goals are fixed.
+    `level` (num_agents,) are the agents' speeds from the fastest reverse, `bays`
+    (num_agents, count) what observers track and see, unused while goals are fixed.
     """
     goal, parked_cars, pose = state.goal, state.parked_cars, observed(state).pose_w
     index, present = track_cars(

@@ -15,15 +15,15 @@ import jax.numpy as jnp
 from carpark_mj.policy import runs
 from carpark_mj.training.run_folder import open_run
 from carpark_papers.cederle.dqn.config import DQNConfig
-from carpark_papers.cederle.dqn.learner import DQNLearner
-from carpark_papers.cederle.dqn.train import load_or_init, train
-from carpark_papers.cederle.dqn.update import (
+from carpark_papers.cederle.dqn.learner import (
+    DQNLearner,
     QNetwork,
     Transition,
     td_errors,
     to_agents,
     to_learners,
 )
+from carpark_papers.cederle.dqn.train import load_or_init, train
 
 TINY = DQNConfig(
     name="tiny",

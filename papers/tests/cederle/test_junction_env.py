@@ -8,12 +8,7 @@ import pytest
 from helpers.rolling import check_roll_out
 
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv, RewardRules
-from carpark_papers.cederle.junction.rules import (
-    INDEX,
-    SCALAR,
-    parse,
-    target_speeds,
-)
+from carpark_papers.cederle.junction.rules import INDEX, SCALAR, parse, target_speeds
 
 PAIR = junctions.env()
 MIXED = junctions.env(scenario="3av-hd")

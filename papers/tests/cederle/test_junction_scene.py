@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.geometry import box_corners
-from carpark_mj.scene.export import try_out
+from carpark_mj.scene.build import try_out
 from carpark_mj.scene.parts import HULL_GROUP
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import RasterConfig
@@ -21,7 +21,7 @@ from carpark_papers.cederle.junction.observations import (
     PAINT,
     draw,
 )
-from carpark_papers.cederle.junction.scene import drivable_junction, write_plan
+from carpark_papers.cederle.junction.scene import drivable_junction
 from carpark_papers.cederle.scene import JunctionSceneConfig, main
 from carpark_papers.cederle.video import JunctionStage
 
@@ -119,8 +119,3 @@ def test_impossible_scenes_are_one_sentence(tmp_path):
     out = str(tmp_path / "a.xml")
     with pytest.raises(ValueError, match="unknown scenario '5av'; choose from"):
         main(JunctionSceneConfig(out=out, scenario="5av"))
-
-
-def test_the_plan_shows_all_scenarios(tmp_path):
-    path = write_plan(tmp_path / "plan.png")
-    assert path.stat().st_size > 10_000

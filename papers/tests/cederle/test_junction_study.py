@@ -1,13 +1,14 @@
-"""The junction's study: published data, jobs, verdicts, conclusions, report, curves."""
+"""The junction's tables, and the numbers on its page."""
 
 import json
 import math
+import re
+from pathlib import Path
 
 import pytest
 from helpers.programs import exit_code
 
 from carpark_papers.cederle.experiments import program as junction_study
-from carpark_papers.cederle.experiments.claims import CLAIMS, Claim, compare
 from carpark_papers.cederle.experiments.report import (
     draw_curves,
     published_curve,
@@ -17,14 +18,18 @@ from carpark_papers.cederle.experiments.report import (
 from carpark_papers.cederle.experiments.runs import (
     BESIDE,
     CELLS,
+    CLAIMS,
+    Claim,
     Outcome,
     Published,
     cells_of,
+    compare,
     is_finished,
     make_job,
     read_outcome,
     tail,
 )
+from carpark_papers.cederle.junction import SCENARIOS
 from carpark_papers.cederle.junction.config import scenario
 from carpark_papers.cederle.training.families import read_junction_settings
 
@@ -267,3 +272,22 @@ def test_the_study_takes_one_of_its_choices(capsys):
     assert "unknown table '6.5'; choose from 6.1, 6.2, 6.3, 6.4" in error
     assert exit_code(junction_study, ["--list"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == len(CELLS) == 44
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "junction.md").read_text()
+
+
+def test_the_code_runs():
+    first, pettingzoo = re.findall(r"^```python\n(.*?)^```", PAGE, re.M | re.S)
+    exec(first.replace("64", "2").replace("mjx", "path"), {})
+    pytest.importorskip("pettingzoo")
+    exec(pettingzoo, {})
+
+
+def test_scenarios_have_their_ways_in_the_table():
+    table = PAGE.split("## Scenarios")[1].split("## Actions")[0]
+    rows = dict(re.findall(r"^\| `([\w-]+)` \|.*\| ([\d., ]+) \|$", table, re.M))
+    assert rows == {
+        name: ", ".join(f"{mission.length:.1f}" for mission in scenario.missions)
+        for name, scenario in SCENARIOS.items()
+    }

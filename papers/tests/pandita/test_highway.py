@@ -10,7 +10,7 @@ import pytest
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.vehicle import make_vehicle, preset
-from carpark_papers.pandita.highway import HighwayPhysics
+from carpark_papers.pandita.task import HighwayPhysics
 
 SIM = SimConfig(sim_dt=1 / 15, trace_dt=1 / 15)
 PHYSICS = HighwayPhysics(SIM)

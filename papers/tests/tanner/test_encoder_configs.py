@@ -28,7 +28,7 @@ DYNAMIC = GoalConfig(dynamic=True)
         (TannerObservation, {"tracked_cars": -1}, "tracked_cars must be at least 0"),
         (TannerObservation, {"bay_parts": ("size",)}, "bay_parts .* one of .*'size'"),
         (TannerObservation, {"bay_parts": ("bearing",) * 2}, "must be different"),
-        (TannerObservation, {"encoding": "indices"}, "encoding of .* 'tanner', not"),
+        (TannerObservation, {"encoding": "indices"}, "encoding must be .tanner., not"),
         (IndexObservation, {"encoding": "words"}, "'indices', not 'words'"),
     ],
 )

@@ -19,7 +19,7 @@ from carpark_mj.mdp.terminations import detect_events
 from carpark_mj.observations import make_fields
 from carpark_mj.registry import ENVIRONMENTS, environment
 from carpark_mj.vehicle import make_vehicle, preset
-from carpark_mj.wrappers.spaces import observation_space
+from carpark_mj.wrappers.options import observation_space
 from carpark_papers.tanner.environments import TANNER_QLEARNING
 from carpark_papers.tanner.grid import COARSE, FINE, GridConfig, GridPhysics
 
@@ -176,10 +176,7 @@ def test_reading_is_in_metres_and_counter_clockwise_radians():
     physics, state = start(COARSE, [[0.0, 0.0, math.pi / 2], [3 * WORLD_UNIT, 0, 0]])
     state = physics.step(state, jnp.array([[2, 2], [0, KEEP]]))
     vehicle = physics.read(state)
-    expected = [
-        [WORLD_UNIT, WORLD_UNIT, math.pi / 4],
-        [2 * WORLD_UNIT, 0.0, 0.0],
-    ]
+    expected = [[WORLD_UNIT, WORLD_UNIT, math.pi / 4], [2 * WORLD_UNIT, 0.0, 0.0]]
     np.testing.assert_allclose(vehicle.pose_w, expected, atol=1e-6)
     per_second = WORLD_UNIT / 0.2
     np.testing.assert_allclose(vehicle.speed, [per_second, -per_second], rtol=1e-6)

@@ -30,7 +30,7 @@ from carpark_mj.mdp.actions import action_spec, parse
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import relocate_parked_cars
 from carpark_mj.observations import cardinalities, make_fields
-from carpark_mj.observations.sets import observation_sets
+from carpark_mj.observations.compose import observation_sets
 from carpark_mj.planning.policy import planner_policy
 from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.onnx_export import (
@@ -43,8 +43,7 @@ from carpark_mj.registry import environment
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.suite.evaluation import suite_env
 from carpark_mj.types import NO_BAY
-from carpark_mj.wrappers.goal import GoalParking
-from carpark_mj.wrappers.gymnasium_goal import goal_config
+from carpark_mj.wrappers.goal import GoalParking, goal_config
 from carpark_papers.tanner.environments import (
     TANNER_DYNAMIC,
     TANNER_FIXED,

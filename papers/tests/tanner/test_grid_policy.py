@@ -13,7 +13,7 @@ from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.registry import environment
-from carpark_mj.rendering.live import LiveLot
+from carpark_mj.rendering.web import LiveLot
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import load_or_init, save

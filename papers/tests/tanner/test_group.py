@@ -53,11 +53,7 @@ DYNAMIC = dataclasses.replace(
         giving_way=GivingWayConfig("G,G,A", bad_goal=-0.2),
         reward=RewardConfig(
             extra={"approach": 0.6, "smoothness": 2.0, "reverse": 5.0},
-            goals=GoalRewards(
-                stop_explore=-0.03,
-                continue_goal=0.04,
-                stop_goal=-0.02,
-            ),
+            goals=GoalRewards(stop_explore=-0.03, continue_goal=0.04, stop_goal=-0.02),
         ),
     ),
 )

@@ -1,4 +1,4 @@
-"""A hand-worked episode on the grid: what every reward term comes to in all."""
+"""Rewards, returns and effort of the study."""
 
 import dataclasses
 
@@ -6,11 +6,75 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.paying import GOAL, MAX_STEPS, STEERING_CHANGE, terms
+from helpers.scenes import cars, lot
+from helpers.states import HandPhysics, hand_cars
+from helpers.transitions import no_events, transition
 
-from carpark_mj.config import WORLD_UNIT, RewardConfig
+from carpark_mj.config import REWARDS, WORLD_UNIT, EnvConfig, RewardConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.progress import Effort, effort
 from carpark_mj.mdp.rewards import TERMS
+from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_papers.tanner.environments import TANNER_QLEARNING
+from carpark_papers.tanner.grid import FINE, GridPhysics, GridState
+
+TANNER = REWARDS["tanner"]
+
+
+def driven(distances, speed=1.0, steering=0.0):
+    """Steps along the bay's axis with the given distances to the goal."""
+    x = GOAL[0] - np.asarray(distances, np.float64)
+    poses = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
+    steering = np.broadcast_to(steering, x.shape)
+    before = cars(poses[:-1], speed, steering[:-1])
+    return terms(TANNER, before, cars(poses[1:], speed, steering[1:]), GOAL)
+
+
+def test_an_episode_of_tanners_that_always_approaches_sums_to_his_numbers():
+    got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1))
+    total = {name: term.sum() for name, term in got.items()}
+    expected = {"time": -0.2, "approach": 0.15, "progress": 0.0, "reverse": 0.0}
+    for name, value in expected.items():
+        assert total[name] == pytest.approx(value, abs=1e-6), name  # float32
+    assert sum(total.values()) == pytest.approx(-0.05, abs=1e-6)
+
+
+def test_an_episode_of_tanners_that_stands_still_is_as_bad_as_one_that_leaves():
+    for distances in (np.full(MAX_STEPS + 1, 10.0), np.linspace(10, 30, MAX_STEPS + 1)):
+        got = driven(distances)
+        assert got["approach"].sum() == pytest.approx(-0.15, abs=1e-6)  # float32
+        assert got["time"].sum() == pytest.approx(-0.2, abs=1e-6)
+
+
+def test_an_episode_of_tanners_in_reverse_costs_the_whole_reverse_sum():
+    got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1), speed=-1.0)
+    assert got["reverse"].sum() == pytest.approx(-0.1, abs=1e-6)  # float32
+    for still in (0.0, -1e-6):  # on tyres a car that its brakes hold is never at 0
+        got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1), speed=still)
+        assert got["reverse"].sum() == 0.0
+
+
+def test_an_episode_of_tanners_with_all_the_steering_there_is_costs_its_sum():
+    steering = STEERING_CHANGE * (np.arange(MAX_STEPS + 1) % 2)
+    got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1), steering=steering)
+    assert got["smoothness"].sum() == pytest.approx(-0.05, abs=1e-6)  # float32
+
+
+def test_smoothness_can_count_times_the_speed():
+    steering = STEERING_CHANGE * (np.arange(MAX_STEPS + 1) % 2)
+    poses = [(0.0, 0.0, 0.0)] * (MAX_STEPS + 1)
+    speed = np.linspace(-2.0, 3.0, MAX_STEPS)
+    before = cars(poses[:-1], 0.0, steering[:-1])
+    after = cars(poses[1:], speed, steering[1:])
+    plain = RewardConfig(extra={"smoothness": 0.05})
+    got = terms(plain, before, after, GOAL)["smoothness"]
+    assert got.sum() == pytest.approx(-0.05, abs=1e-6)
+    by_speed = RewardConfig(extra={"smoothness": 0.05, "smoothness.by_speed": 1.0})
+    got = terms(by_speed, before, after, GOAL)["smoothness"]
+    expected = -0.05 / MAX_STEPS * np.abs(speed) / 3.0
+    np.testing.assert_allclose(got, expected, atol=1e-9)
+
 
 WEIGHTS = RewardConfig(
     park=10.0,
@@ -106,3 +170,67 @@ def test_an_episode_whose_time_is_up(grid):
     events, totals = drive(grid, (0, 0), [(2, 1), (1, 1), (0, 1)], step=82)
     assert events.timed_out.all()
     assert totals == expected(time=-0.5 * 3 / 85, approach=(2 - 1) / 85)
+
+
+LOT = lot([(0.0, 0.0, 0.0)])
+
+
+def grid_cars(points, level=0, turn=0):
+    """The grid's cars (n,) at points, as its physics shows them."""
+    physics = GridPhysics(FINE, EnvConfig().sim)
+    count = len(points)
+    vehicle = jax.tree.map(
+        lambda x: jnp.broadcast_to(x, (count, *x.shape)), make_vehicle(COMPACT)
+    )
+    zero = jnp.zeros(count, jnp.int32)
+    return physics.read(
+        GridState(
+            point=jnp.asarray(points, jnp.int32),
+            level=zero + jnp.asarray(level, jnp.int32),
+            heading=zero,
+            turn=zero + jnp.asarray(turn, jnp.int32),
+            vehicle=vehicle,
+        )
+    )
+
+
+def step(config, before, after):
+    count = before.yaw_rate.shape[0]
+    return transition(
+        config,
+        LOT,
+        before,
+        after,
+        {"physics": HandPhysics(hand_cars(before))},
+        target_pose=jnp.zeros((count, 3)),
+        events=no_events(count),
+    )
+
+
+def test_effort_on_the_grid_is_turn_and_level_over_the_most_there_are():
+    still, turn, level = grid_cars([(0, 0)] * 5), [-3, -1, 0, 2, 3], [4, 2, 0, -1, -2]
+    after = grid_cars([(0, 0)] * 5, level, turn)
+    config = EnvConfig(physics="grid", num_agents=5)
+    got = effort(config, step(config, still, after))
+    np.testing.assert_allclose(got.turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
+    np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
+
+
+def test_a_car_that_obeys_at_once_turns_from_lock_to_lock_at_most():
+    lock = float(hand_cars(cars([(0.0, 0.0, 0.0)])).max_steering[0])
+    poses = [(0.0, 0.0, 0.0)] * 3
+    before = cars(poses, steering=[lock, lock, lock])
+    after = cars(poses, steering=[lock, 0.0, -lock])
+    config = EnvConfig(physics="highway", vehicle="highway", num_agents=3)
+    got = effort(config, step(config, before, after))
+    np.testing.assert_allclose(got.turn, [0.0, 0.5, 1.0], atol=1e-6)
+
+
+def test_efforts_have_one_number_an_agent():
+    one = grid_cars([(0, 0)] * 4)
+    for physics in ("mjx", "grid"):
+        config = EnvConfig(physics=physics, num_agents=4)
+        got = effort(config, step(config, one, one))
+        assert isinstance(got, Effort)
+        assert got.turn.shape == got.speed.shape == (4,)
+        assert got.turn.dtype == got.speed.dtype == jnp.float32

@@ -32,12 +32,7 @@ from carpark_papers.tanner.experiments.figures import (
     published_values,
     verdict,
 )
-from carpark_papers.tanner.experiments.program import (
-    Cost,
-    choose,
-    cost,
-    measured_rate,
-)
+from carpark_papers.tanner.experiments.program import Cost, choose, cost, measured_rate
 
 EACH = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda e: e.name)
 
@@ -224,10 +219,7 @@ def test_what_exceeds_the_budget_is_not_run(tmp_path, capsys):
         ([], "give one of --figure NUMBER, --all and --list"),
         (["--all", "--list"], "give one of"),
         (["--figure", "5.21"], "unknown figure '5.21'; choose from 5.1, 5.2"),
-        (
-            ["--figure", "5.1"],
-            "figure 5.1 is not a sweep; tabular: carpark_mj study",
-        ),
+        (["--figure", "5.1"], "figure 5.1 is not a sweep; tabular: carpark_mj study"),
         (["--all", "--minutes", "-1"], "minutes must be at least 0, not -1"),
         (["--figure", "5.8", "--set", "num_steps=1,2"], "set takes one value each"),
         (["--figure", "5.8", "--set", "tracked_cars=1"], "is given twice"),

@@ -12,12 +12,7 @@ import pytest
 from helpers.scenes import cars, fields_of, lot, moved, moved_cars, moved_lot
 from helpers.states import config_of, parked_at, state_of
 
-from carpark_mj.config import (
-    WORLD_UNIT,
-    EnvConfig,
-    EpisodeConfig,
-    RingConfig,
-)
+from carpark_mj.config import WORLD_UNIT, EnvConfig, EpisodeConfig, RingConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import make_fields, observation_size, observe

@@ -8,27 +8,19 @@ import jax
 import numpy as np
 from gymnasium import spaces
 
-from carpark_mj.rendering.snapshot import Snapshot
+from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.vehicle import VehicleParameters, preset
+from carpark_mj.wrappers.batch import Screen
 from carpark_mj.wrappers.options import require_options
-from carpark_mj.wrappers.screen import Screen
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
 from carpark_papers.cederle.junction.cars import road_car
-from carpark_papers.cederle.junction.types import State
+from carpark_papers.cederle.junction.rules import State
 from carpark_papers.cederle.video import JunctionStage
 
 
 def junction_env(**options: Any) -> JunctionEnv:
-    """The environment in which agents that have finished wait for the others.
-
-    Args:
-        **options: fields of `JunctionConfig`.
-
-    Raises:
-        TypeError: unknown option.
-        ValueError: impossible value.
-    """
+    """The environment of a `JunctionConfig` in which finished agents wait."""
     known = {field.name for field in dataclasses.fields(JunctionConfig)} - {"respawn"}
     require_options(options, known)
     config = JunctionConfig(**options, respawn=False)

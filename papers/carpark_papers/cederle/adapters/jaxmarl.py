@@ -15,15 +15,7 @@ class JaxMarlJunction(JaxMarlAgents):
     outcomes = ("arrived", "crashed", "off_road", "off_route", "timed_out", "diverged")
 
     def __init__(self, **options: Any) -> None:
-        """Builds the environment.
-
-        Args:
-            **options: fields of `JunctionConfig` but `respawn`.
-
-        Raises:
-            TypeError: unknown option.
-            ValueError: impossible value.
-        """
+        """Builds the environment from fields of `JunctionConfig` but `respawn`."""
         env = junction_env(**options)
         super().__init__(
             env, observation_box(env), discrete=env.config.action == "index"

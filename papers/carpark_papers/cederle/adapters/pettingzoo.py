@@ -13,20 +13,13 @@ from carpark_papers.cederle.adapters.common import (
 def junction_parallel_env(
     render_mode: str | None = None, camera: str = "topdown", **options: Any
 ) -> AgentsParallelEnv:
-    """A junction whose agents have one episode each.
+    """A junction whose agents have one episode each; options as `parallel_env`.
+
+    The others are fields of `JunctionConfig` but `respawn`.
 
     Examples:
         >>> env = junction_parallel_env(scenario="3av-hd", observation="image")
         >>> observations, infos = env.reset(seed=0)
-
-    Args:
-        render_mode: `rgb_array`, `human` (a window, drawn at every step) or None.
-        camera: of `render`; `topdown`, `overview`, `chase:K`, `driver:K`, `split:K`.
-        **options: fields of `JunctionConfig` but `respawn`.
-
-    Raises:
-        TypeError: unknown option.
-        ValueError: impossible value.
     """
     env = junction_env(**options)
     screen = JunctionScreen(env, camera)

@@ -31,17 +31,10 @@ class TorchRLJunction(TorchRLAgents):
         seed: int | None = None,
         **options: Any,
     ) -> None:
-        """Builds the environment.
+        """Builds junctions from fields of `JunctionConfig` but `respawn`.
 
-        Args:
-            junctions: how many.
-            device: must be JAX's; None = that.
-            seed: of junction 0, the next has the next; None = unpredictable.
-            **options: fields of `JunctionConfig` but `respawn`.
-
-        Raises:
-            TypeError: unknown option.
-            ValueError: impossible value, or another device than JAX's.
+        The device must be JAX's (None = that); junction i has `seed` + i, None =
+        unpredictable.
         """
         env = junction_env(**options)
         super().__init__(

@@ -45,12 +45,7 @@ class GreedyPolicy:
     """
 
     def __init__(self, policy: Callable[[Any], Any], first: TensorDictBase) -> None:
-        """Stands at the start of the episodes.
-
-        Args:
-            policy: actions of all agents.
-            first: what its own environments begin with, (episodes,).
-        """
+        """Stands where its own environments begin, `first` (episodes,)."""
         self._policy, self._seen = policy, first
 
     @torch.no_grad()

@@ -1,11 +1,15 @@
 """Settings and presets of BenchMARL's algorithms."""
 
 import dataclasses
-from typing import Any
+from typing import Annotated, Any
 
 from carpark_mj.config.checks import (
-    require_at_least,
-    require_positive,
+    Bounds,
+    Count,
+    Natural,
+    NonNegative,
+    Positive,
+    Ratio,
     require_ratio,
     require_whole,
 )
@@ -50,26 +54,26 @@ class BenchMARLConfig(JunctionRunConfig):
     algorithm: Algorithm = "mappo"
     shared: bool = True
     end: EndRule = "all"
-    checkpoint_minutes: float = 5.0
-    repeat: int = 1
-    unroll: int = 32
-    updates: int = 4
-    batch_size: int = 1024
+    checkpoint_minutes: Positive = 5.0
+    repeat: Count = 1
+    unroll: Count = 32
+    updates: Count = 4
+    batch_size: Count = 1024
     buffer_size: int = 100_000
-    random_steps: int = 2_000
-    learning_rate: float = 1e-3
-    critic_learning_rate: float = 1e-3
-    max_gradient: float = 10.0
-    discount: float = 0.99
-    gae_lambda: float = 0.95
-    clip: float = 0.2
-    entropy: float = 0.01
-    tau: float = 0.01
-    epsilon_start: float = 1.0
-    epsilon_end: float = 0.05
-    epsilon_steps: int = 200_000
-    hidden: tuple[int, ...] = (128, 128)
-    recurrent: int = 0
+    random_steps: Natural = 2_000
+    learning_rate: Positive = 1e-3
+    critic_learning_rate: Positive = 1e-3
+    max_gradient: Positive = 10.0
+    discount: Ratio = 0.99
+    gae_lambda: Ratio = 0.95
+    clip: Positive = 0.2
+    entropy: NonNegative = 0.01
+    tau: Ratio = 0.01
+    epsilon_start: NonNegative = 1.0
+    epsilon_end: Ratio = 0.05
+    epsilon_steps: Count = 200_000
+    hidden: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
+    recurrent: Natural = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -89,26 +93,17 @@ class BenchMARLConfig(JunctionRunConfig):
                 f"{self.algorithm} observes vectors here, not {self.observation}: give "
                 "--observation vector"
             )
-        require_whole(
-            self, 1, "repeat", "unroll", "updates", "batch_size", "epsilon_steps"
-        )
         if self.max_steps % self.repeat:
             raise ValueError(
                 f"max_steps must be a multiple of repeat, {self.repeat}, or time would "
                 f"run out within a decision, not {self.max_steps}"
             )
         require_whole(self, self.batch_size, "buffer_size")
-        require_whole(self, 0, "random_steps", "recurrent")
         if self.on_policy and self.batch_size > self.decisions:
             raise ValueError(
                 f"batch_size must be at most {self.decisions}, num_junctions times "
                 f"unroll, not {self.batch_size}"
             )
-        require_positive(
-            self, "learning_rate", "critic_learning_rate", "max_gradient", "clip"
-        )
-        require_ratio(self, "discount", "gae_lambda", "tau", "epsilon_end")
-        require_at_least(self, 0.0, "entropy", "epsilon_start")
         if not self.on_policy and self.epsilon_start < self.epsilon_end:
             raise ValueError(
                 f"epsilon_start must be at least epsilon_end, {self.epsilon_end}, not "
@@ -116,10 +111,8 @@ class BenchMARLConfig(JunctionRunConfig):
             )
         if self.algorithm in ("vdn", "qmix"):
             require_ratio(self, "epsilon_start")
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(
-                f"hidden must be one width or more, each at least 1, not {self.hidden}"
-            )
+        if not self.hidden:
+            raise ValueError("hidden must have one width or more")
 
     @property
     def on_policy(self) -> bool:
@@ -217,7 +210,4 @@ def benchmarl_presets(algorithm: Algorithm) -> dict[str, BenchMARLConfig]:
     own = MADDPG if algorithm == "maddpg" else {}
     study = STUDY_MADDPG if algorithm == "maddpg" else STUDY_MIXING
     base = BenchMARLConfig(algorithm=algorithm, **(OFF_POLICY | own))
-    return {
-        "parallel": base,
-        "cederle": dataclasses.replace(base, **(STUDY | study)),
-    }
+    return {"parallel": base, "cederle": dataclasses.replace(base, **(STUDY | study))}

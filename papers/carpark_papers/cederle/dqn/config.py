@@ -2,14 +2,9 @@
 
 import dataclasses
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
-from carpark_mj.config.checks import (
-    require_choice,
-    require_positive,
-    require_ratio,
-    require_whole,
-)
+from carpark_mj.config.checks import Bounds, Count, Positive, Ratio, require_whole
 from carpark_papers.cederle.training.config import Algorithm, JunctionRunConfig
 
 Optimizer = Literal["adam", "rmsprop"]
@@ -39,20 +34,20 @@ class DQNConfig(JunctionRunConfig):
         hidden: widths of the hidden layers behind vectors.
     """
 
-    checkpoint_minutes: float = 5.0
-    num_junctions: int = 32
-    total_steps: int = 500_000
-    updates: int = 8
-    batch_size: int = 128
+    checkpoint_minutes: Positive = 5.0
+    num_junctions: Count = 32
+    total_steps: Count = 500_000
+    updates: Count = 8
+    batch_size: Count = 128
     buffer_size: int = 50_000
-    random_steps: int = 2_000
+    random_steps: Count = 2_000
     optimizer: Optimizer = "adam"
-    learning_rate: float = 5e-4
-    discount: float = 0.99
-    target_period: int = 200
-    epsilon_end: float = 0.05
-    epsilon_steps: int = 300_000
-    hidden: tuple[int, ...] = (128, 128)
+    learning_rate: Positive = 5e-4
+    discount: Ratio = 0.99
+    target_period: Count = 200
+    epsilon_end: Ratio = 0.05
+    epsilon_steps: Count = 300_000
+    hidden: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -62,16 +57,9 @@ class DQNConfig(JunctionRunConfig):
                 f"pixels must be at least {MIN_PIXELS} for the convolutional network, "
                 f"not {self.pixels}"
             )
-        require_choice("optimizer", self.optimizer, Optimizer)
-        require_whole(self, 1, "updates", "batch_size", "random_steps")
-        require_whole(self, 1, "target_period", "epsilon_steps")
         require_whole(self, max(self.batch_size, self.added), "buffer_size")
-        require_positive(self, "learning_rate")
-        require_ratio(self, "discount", "epsilon_end")
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(
-                f"hidden must be one width or more, each at least 1, not {self.hidden}"
-            )
+        if not self.hidden:
+            raise ValueError("hidden must have one width or more")
 
     @property
     def double(self) -> bool:

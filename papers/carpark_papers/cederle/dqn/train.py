@@ -11,8 +11,7 @@ from carpark_mj.policy import checkpoints, runs
 from carpark_mj.training.loop import Loop, MetricsLog
 from carpark_mj.training.run_folder import open_run, read_header
 from carpark_papers.cederle.dqn.config import DQNConfig
-from carpark_papers.cederle.dqn.learner import DQNLearner
-from carpark_papers.cederle.dqn.update import Report, Training
+from carpark_papers.cederle.dqn.learner import DQNLearner, Report, Training
 from carpark_papers.cederle.junction.evaluation import summarize
 from carpark_papers.cederle.training.evaluations import (
     progress,
@@ -27,17 +26,11 @@ DQN_ALGORITHM = "dqn"  # `algorithm` in the header of a checkpoint
 
 @dataclasses.dataclass
 class Run:
-    """A training with what it has found so far.
+    """A training with what it has found so far."""
 
-    Attributes:
-        training: what learns.
-        evaluations: rows of `evaluations.csv`.
-        chunks: how often `DQNLearner.advance` has run.
-    """
-
-    training: Training
-    evaluations: list[dict[str, Any]]
-    chunks: int
+    training: Training  # what learns
+    evaluations: list[dict[str, Any]]  # rows of `evaluations.csv`
+    chunks: int  # how often `DQNLearner.advance` has run
 
 
 def load_or_init(learner: DQNLearner, folder: Path) -> Run:

@@ -18,13 +18,15 @@ from matplotlib.figure import Figure
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import write_atomically
-from carpark_papers.cederle.experiments.claims import CLAIMS, Runs, compare
 from carpark_papers.cederle.experiments.runs import (
+    CLAIMS,
     SCENARIOS,
     TAIL,
     Cell,
     Outcome,
     Published,
+    Runs,
+    compare,
     tail,
 )
 from carpark_papers.cederle.junction.config import scenario
@@ -139,12 +141,7 @@ def verdict(published: Published | None, outcomes: Sequence[Outcome]) -> str:
 
 
 def write_report(path: Path, runs: Runs) -> None:
-    """Writes a table for each of the thesis's, and one of its conclusions.
-
-    Args:
-        path: file.
-        runs: finished runs by cell.
-    """
+    """Writes a table for each of the thesis's, and one of its conclusions."""
     lines: list[str] = []
     for table, name in SCENARIOS.items():
         rows = [

@@ -1,13 +1,19 @@
-"""The cells of the junction's tables, the trainings behind them, and their outcomes."""
+"""The cells of the junction's tables, their trainings and outcomes, and conclusions.
+
+A comparison of cells is the probability that a run of one does better than one of
+another, ties counted as halves, the mean over pairs of cells; its interval comes from
+resampling the runs of every cell (Agarwal et al. 2021, arXiv 2108.13264).
+"""
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 
+from carpark_mj.analysis import CONFIDENCE, RESAMPLES
 from carpark_mj.reading import read_csv, read_object
 from carpark_papers.cederle.junction.config import CarModel
 from carpark_papers.cederle.training.config import (
@@ -17,6 +23,7 @@ from carpark_papers.cederle.training.config import (
 )
 from carpark_papers.cederle.training.families import presets_of
 from carpark_papers.jobs import Job
+from carpark_papers.reports import ENOUGH
 
 SCENARIOS: dict[str, ScenarioName] = dict(
     zip(("6.1", "6.2", "6.3", "6.4"), get_args(ScenarioName), strict=True)
@@ -28,15 +35,10 @@ BESIDE: tuple[Algorithm, ...] = ("ippo", "mappo")
 
 @dataclasses.dataclass(frozen=True)
 class Published:
-    """The published result of a single run.
+    """The published result of a single run."""
 
-    Attributes:
-        solved: whether an evaluation reached the scenario's threshold.
-        converged_at: "speed" [control steps]; None = did not converge to a value that
-            solves.
-    """
-
-    solved: bool
+    solved: bool  # whether an evaluation reached the scenario's threshold
+    # "speed" [control steps]; None = did not converge to a value that solves
     converged_at: int | None
 
     @property
@@ -47,19 +49,12 @@ class Published:
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """An algorithm in a scenario.
+    """An algorithm in a scenario."""
 
-    Attributes:
-        table: number in the thesis.
-        algorithm: which.
-        cars: `path` or `mjx`.
-        published: None = not in the thesis.
-    """
-
-    table: str
-    algorithm: Algorithm
-    cars: CarModel = "path"
-    published: Published | None = None
+    table: str  # number in the thesis
+    algorithm: Algorithm  # which
+    cars: CarModel = "path"  # `path` or `mjx`
+    published: Published | None = None  # None = not in the thesis
 
     @property
     def scenario(self) -> ScenarioName:
@@ -117,24 +112,15 @@ TAIL = 1 / 6
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """A finished run.
+    """A finished run."""
 
-    Attributes:
-        solved_at: control steps; infinity = not solved.
-        converged_at: the same to convergence.
-        final_return: mean over the last sixth of the steps.
-        unrest: standard deviation of the return over the second half of the steps.
-        crashed: share of the last evaluation's episodes in which an agent crashed.
-        completed: share in which all arrived.
-        curve: steps and returns of the evaluations.
-    """
-
-    solved_at: float
-    converged_at: float
-    final_return: float
-    unrest: float
-    crashed: float
-    completed: float
+    solved_at: float  # control steps; infinity = not solved
+    converged_at: float  # the same to convergence
+    final_return: float  # mean over the last sixth of the steps
+    unrest: float  # standard deviation of the return over the second half of the steps
+    crashed: float  # share of the last evaluation's episodes in which an agent crashed
+    completed: float  # share in which all arrived
+    # steps and returns of the evaluations
     curve: tuple[Sequence[float], Sequence[float]]
 
 
@@ -189,3 +175,117 @@ def tail(steps: Sequence[float], values: Sequence[float], share: float) -> list[
 
 def _steps(found: float | None) -> float:
     return math.inf if found is None else float(found)
+
+
+Key = tuple[str, str]  # table, name of a cell
+Runs = Mapping[Cell, Sequence[Outcome]]
+Metric = Literal["converged_at", "final_return", "unrest"]
+GREATER: tuple[Metric, ...] = ("final_return",)  # is better; of the others less
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """A conclusion of the thesis."""
+
+    text: str  # in its words, shortened
+    metric: Metric  # of `Outcome`, by which it is judged
+    # of cells; the thesis says that the first does better
+    pairs: tuple[tuple[Key, Key], ...]
+
+
+def _across(
+    better: Sequence[str], worse: Sequence[str], tables: Sequence[str]
+) -> tuple[tuple[Key, Key], ...]:
+    """All pairs within tables."""
+    return tuple(((t, b), (t, w)) for t in tables for b in better for w in worse)
+
+
+_ALL, _HUMAN = ("6.1", "6.2", "6.3", "6.4"), ("6.2", "6.4")
+_PLAIN_TO_DOUBLE = (("double", "idqn"), ("double-dueling", "dueling"))
+_PLAIN_TO_DUELING = (("dueling", "idqn"), ("double-dueling", "double"))
+
+CLAIMS = (
+    Claim(
+        "double Q-learning is more stable",
+        "unrest",
+        tuple(((t, b), (t, w)) for t in _ALL for b, w in _PLAIN_TO_DOUBLE),
+    ),
+    Claim(
+        "dueling networks are faster",
+        "converged_at",
+        tuple(((t, b), (t, w)) for t in _ALL for b, w in _PLAIN_TO_DUELING),
+    ),
+    Claim(
+        "dueling networks earn less beside a human-driven car",
+        "final_return",
+        tuple(((t, w), (t, b)) for t in _HUMAN for b, w in _PLAIN_TO_DUELING),
+    ),
+    Claim(
+        "a human-driven car makes learning harder",
+        "converged_at",
+        tuple(
+            ((without, name), (human, name))
+            for without, human in (("6.1", "6.2"), ("6.3", "6.4"))
+            for name in (*DQN, *CENTRAL)
+        ),
+    ),
+    Claim("QMIX is worse than VDN", "final_return", _across(["vdn"], ["qmix"], _ALL)),
+    Claim("independent learning is best", "final_return", _across(DQN, CENTRAL, _ALL)),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """How likely the first of a claim's pairs does better."""
+
+    probability: float  # the mean over pairs; 0.5 = alike
+    low: float  # lower end of its interval
+    high: float  # upper end
+    pairs: int  # that were compared
+    seeds: int  # fewest runs of a cell among them; 0 = a pair is missing
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        if self.seeds < ENOUGH:
+            return "not decided: too few seeds"
+        if self.low > 0.5:
+            return "holds"
+        return "does not hold: the contrary" if self.high < 0.5 else "not decided"
+
+
+def compare(claim: Claim, runs: Runs) -> Comparison:
+    """Judges a claim by the finished runs of its cells."""
+    sign = 1.0 if claim.metric in GREATER else -1.0
+    found = {
+        (cell.table, cell.name): sign
+        * np.array([getattr(r, claim.metric) for r in each])
+        for cell, each in runs.items()
+        if each
+    }
+    pairs = [(b, w) for b, w in claim.pairs if b in found and w in found]
+    if not pairs:
+        return Comparison(np.nan, np.nan, np.nan, 0, 0)
+    used = {key: found[key] for pair in pairs for key in pair}
+    rng = np.random.default_rng(0)
+    drawn = {
+        key: rng.choice(values, (RESAMPLES, len(values)))
+        for key, values in used.items()
+    }
+    half = (1.0 - CONFIDENCE) / 2
+    low, high = np.quantile(_better(drawn, pairs), (half, 1.0 - half))
+    exact = _better({key: values[None] for key, values in used.items()}, pairs)
+    seeds = min(map(len, used.values())) if len(pairs) == len(claim.pairs) else 0
+    return Comparison(float(exact[0]), float(low), float(high), len(pairs), seeds)
+
+
+def _better(
+    values: Mapping[Key, np.ndarray], pairs: Sequence[tuple[Key, Key]]
+) -> np.ndarray:
+    """Probability that the first do better, of each row of values."""
+    means: list[np.ndarray] = []
+    for better, worse in pairs:
+        first, second = values[better][:, :, None], values[worse][:, None, :]
+        wins = (first > second) + 0.5 * (first == second)
+        means.append(wins.mean(axis=(1, 2)))
+    return np.mean(means, axis=0)

@@ -37,13 +37,7 @@ GAIN, INTEGRAL_GAIN = 3.0, 0.6  # 1/s, 1/s^2
 
 
 def steer(routes: Routes, motion: Motion, vehicle: Vehicle) -> jax.Array:
-    """Steering (cars,) in [-1, 1] that leads cars along their routes.
-
-    Args:
-        routes: (cars,).
-        motion: (cars,).
-        vehicle: parameters (cars,).
-    """
+    """Steering (cars,) in [-1, 1] that leads cars (cars,) along their routes."""
     yaw = motion.pose_w[..., 2]
     rear = move_forward(motion.pose_w, -vehicle.centre_offset)[..., :2]
     along, _ = project(routes, rear)
@@ -62,17 +56,10 @@ def control_speed(
     vehicle: Vehicle,
     dt: float,
 ) -> tuple[jax.Array, jax.Array]:
-    """Pedals (cars,) in [-1, 1] that bring cars to their target speeds.
+    """Pedals (cars,) in [-1, 1] that bring cars to target speeds, at least 0 [m/s].
 
-    Args:
-        speed: (cars,) [m/s].
-        target_speed: (cars,) [m/s], not negative.
-        integral: (cars,) of the speed's error so far [m].
-        vehicle: parameters (cars,).
-        dt: control step [s].
-
-    Returns:
-        The pedals, and the integrals after the step.
+    `integral` (cars,) is that of the speed's error so far [m]; its value after the
+    control step of `dt` [s] is returned, too.
     """
     error = target_speed - speed
     summed = integral + error * dt
@@ -97,23 +84,11 @@ class Cars(Protocol):
     """A back end: cars (cars,) that follow routes at target speeds."""
 
     def init(self, routes: Routes, along: jax.Array, speed: jax.Array) -> Any:
-        """Cars on their routes.
-
-        Args:
-            routes: (cars,).
-            along: (cars,) distances of their centres along them [m].
-            speed: (cars,) [m/s].
-        """
+        """Cars at distances (cars,) [m] along their routes, at speeds (cars,) [m/s]."""
         ...
 
     def step(self, state: Any, routes: Routes, target_speed: jax.Array) -> Any:
-        """Advances by one control step.
-
-        Args:
-            state: current state.
-            routes: (cars,).
-            target_speed: (cars,) [m/s]; curves are taken more slowly.
-        """
+        """Advances by one control step; curves are taken more slowly."""
         ...
 
     def read(self, state: Any) -> Motion:
@@ -123,21 +98,13 @@ class Cars(Protocol):
 
 @struct.dataclass
 class PathState:
-    """Points on routes (cars,).
+    """Points on routes (cars,)."""
 
-    Attributes:
-        along: [m].
-        speed: [m/s].
-        yaw_rate: [rad/s].
-        steering: [rad].
-        trace_w: (cars, k, 3) poses within the last control step.
-    """
-
-    along: jax.Array
-    speed: jax.Array
-    yaw_rate: jax.Array
-    steering: jax.Array
-    trace_w: jax.Array
+    along: jax.Array  # [m]
+    speed: jax.Array  # [m/s]
+    yaw_rate: jax.Array  # [rad/s]
+    steering: jax.Array  # [rad]
+    trace_w: jax.Array  # (cars, k, 3) poses within the last control step
 
 
 class PathCars:
@@ -235,15 +202,10 @@ class RoadPhysics(Protocol):
 
 @struct.dataclass
 class SteeredState:
-    """Cars (cars,) and what their drivers remember.
+    """Cars (cars,) and what their drivers remember."""
 
-    Attributes:
-        physics: of the back end.
-        integral: (cars,) of the error in speed [m].
-    """
-
-    physics: Any
-    integral: jax.Array
+    physics: Any  # of the back end
+    integral: jax.Array  # (cars,) of the error in speed [m]
 
 
 def road_car(params: VehicleParameters) -> VehicleParameters:

@@ -8,29 +8,18 @@ import itertools
 from typing import Literal
 
 from carpark_mj.config import SimConfig
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    require_at_least,
-    require_positive,
-    require_whole,
-)
+from carpark_mj.config.checks import CheckedConfig, Count, NonNegative, Positive
 from carpark_mj.config.vehicles import with_parameters
 from carpark_papers.cederle.junction.roads import LANES, Route, path_length
 
 
 @dataclasses.dataclass(frozen=True)
 class Mission:
-    """Start and destination of an automated car.
+    """Start and destination of an automated car."""
 
-    Attributes:
-        route: the lanes.
-        start: offset in the first lane [m].
-        goal: offset in the last lane [m].
-    """
-
-    route: Route
-    start: float
-    goal: float
+    route: Route  # the lanes
+    start: float  # offset in the first lane [m]
+    goal: float  # offset in the last lane [m]
 
     def __post_init__(self) -> None:
         lane = path_length(LANES[self.route.start])
@@ -54,32 +43,20 @@ class Mission:
 
 @dataclasses.dataclass(frozen=True)
 class HumanCar:
-    """A human-driven car: it keeps its lane and ignores all others.
+    """A human-driven car: it keeps its lane and ignores all others."""
 
-    Attributes:
-        route: the lanes; it leaves at the end of the last one.
-        start: offset in the first lane [m].
-        speed: at the start [m/s].
-    """
-
-    route: Route
-    start: float
-    speed: float = 10.0
+    route: Route  # the lanes; it leaves at the end of the last one
+    start: float  # offset in the first lane [m]
+    speed: float = 10.0  # at the start [m/s]
 
 
 @dataclasses.dataclass(frozen=True)
 class Scenario:
-    """Missions and human-driven cars.
+    """Missions and human-driven cars."""
 
-    Attributes:
-        missions: of the automated cars.
-        human_cars: the others.
-        solved: return of all agents together from which the study calls it solved.
-    """
-
-    missions: tuple[Mission, ...]
-    human_cars: tuple[HumanCar, ...]
-    solved: float
+    missions: tuple[Mission, ...]  # of the automated cars
+    human_cars: tuple[HumanCar, ...]  # the others
+    solved: float  # return of all agents together from which the study calls it solved
 
     @property
     def queues(self) -> list[tuple[Mission, Mission | HumanCar, int]]:
@@ -176,14 +153,9 @@ class RasterConfig(CheckedConfig):
         frames: number of images of the last control steps that an agent observes.
     """
 
-    pixels: int = 84
-    extent: float = 50.0
-    frames: int = 3
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_whole(self, 1, "pixels", "frames")
-        require_positive(self, "extent")
+    pixels: Count = 84
+    extent: Positive = 50.0
+    frames: Count = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -218,18 +190,16 @@ class JunctionConfig(CheckedConfig):
     action: ActionKind = "index"
     rewards: RewardRules = dataclasses.field(default_factory=RewardRules)
     end: EndRule = "any"
-    max_steps: int = 75
+    max_steps: Count = 75
     shuffle: bool = False
     probe: bool = False
-    jitter: float = 0.0
+    jitter: NonNegative = 0.0
     respawn: bool = True
     sim: SimConfig = dataclasses.field(default_factory=lambda: SimConfig(ctrl_dt=0.1))
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "vehicle", with_parameters(self.vehicle))
-        require_whole(self, 1, "max_steps")
-        require_at_least(self, 0.0, "jitter")
         for mission in self.traffic.missions:
             lane = path_length(LANES[mission.route.start])
             room = min(mission.start, lane - mission.start)

@@ -26,7 +26,7 @@ from carpark_papers.cederle.junction.roads import (
     project,
     stack_routes,
 )
-from carpark_papers.cederle.junction.types import State, Task, TimeStep
+from carpark_papers.cederle.junction.rules import State, Task, TimeStep
 
 
 class JunctionEnv:
@@ -51,11 +51,7 @@ class JunctionEnv:
     """
 
     def __init__(self, config: JunctionConfig | None = None) -> None:
-        """Builds the constants.
-
-        Raises:
-            ValueError: unknown vehicle, or settings that the physics does not have.
-        """
+        """Builds the constants."""
         self.config = config = config if config is not None else JunctionConfig()
         traffic = config.traffic
         missions, humans = traffic.missions, traffic.human_cars
@@ -98,14 +94,7 @@ class JunctionEnv:
 
     @float32_only
     def reset(self, key: jax.Array) -> tuple[State, jax.Array]:
-        """Begins an episode.
-
-        Args:
-            key: consumed.
-
-        Returns:
-            The state and the observations (num_agents, *observation_shape).
-        """
+        """State and observations (num_agents, *observation_shape) of a new episode."""
         state = self._begin(key)
         if self.config.observation == "image":
             image = self._first_image
@@ -151,13 +140,8 @@ class JunctionEnv:
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         """Advances by one control step.
 
-        Args:
-            state: current state.
-            action: (num_agents,) or (num_agents, 1); that of finished agents is
-                ignored.
-
-        Returns:
-            The next state, and what agents get from the step.
+        Actions are (num_agents,) or (num_agents, 1); those of finished agents are
+        ignored.
         """
         config, before, n = self.config, state, self.num_agents
         state = self._move(before, rules.parse(self.action_spec, action))
@@ -231,11 +215,7 @@ LEAVING = 0.01  # m before the end of the route, at which a human-driven car lea
 
 
 def make_cars(config: JunctionConfig) -> Cars:
-    """Builds the back end that a configuration names.
-
-    Raises:
-        ValueError: unknown vehicle, or settings that the physics does not have.
-    """
+    """Builds the back end that a configuration names."""
     if config.cars == "path":
         return PathCars(config.sim)
     physics = BicyclePhysics if config.cars == "bicycle" else MjxPhysics

@@ -15,7 +15,7 @@ from flax import struct
 
 from carpark_papers.cederle.junction.config import JunctionConfig, Scenario
 from carpark_papers.cederle.junction.env import JunctionEnv
-from carpark_papers.cederle.junction.types import State
+from carpark_papers.cederle.junction.rules import State
 
 Policy = Callable[[jax.Array], jax.Array]  # observations to actions, of all agents
 
@@ -26,59 +26,39 @@ NEVER = 2**31 - 1  # of `Outcomes.passed`
 
 @struct.dataclass
 class Outcomes:
-    """Outcomes of episodes (episodes,).
+    """Outcomes of episodes (episodes,)."""
 
-    Attributes:
-        returns: undiscounted rewards of all agents together, to the study's end: the
-            first agent is done, or `RETURN_STEPS` are over.
-        length: control steps to that end.
-        crashed: an agent crashed, before that end or after it.
-        completed: all agents arrived, before that end or after it.
-        passed: (episodes, cars) control steps after which the car was across the
-            junction, `NEVER` if it did not get there; cars in the scenario's order,
-            whichever agents have got the missions.
-    """
-
+    # undiscounted rewards of all agents together, to the study's end: the first
+    # agent is done, or `RETURN_STEPS` are over
     returns: jax.Array
-    length: jax.Array
-    crashed: jax.Array
-    completed: jax.Array
+    length: jax.Array  # control steps to that end
+    crashed: jax.Array  # an agent crashed, before that end or after it
+    completed: jax.Array  # all agents arrived, before that end or after it
+    # (episodes, cars) control steps after which the car was across the junction,
+    # `NEVER` if it did not get there; cars in the scenario's order, whichever
+    # agents have got the missions
     passed: jax.Array
 
 
 @struct.dataclass
 class Episode:
-    """An episode under way.
+    """An episode under way."""
 
-    Attributes:
-        state: of the junction.
-        observation: of all agents.
-        arrived: (num_agents,) bool so far.
-        step: () int32 control steps made.
-        outcomes: so far, of this one episode.
-    """
-
-    state: State
-    observation: jax.Array
-    arrived: jax.Array
-    step: jax.Array
-    outcomes: Outcomes
+    state: State  # of the junction
+    observation: jax.Array  # of all agents
+    arrived: jax.Array  # (num_agents,) bool so far
+    step: jax.Array  # () int32 control steps made
+    outcomes: Outcomes  # so far, of this one episode
 
 
 def evaluation_env(config: JunctionConfig, jitter: float) -> JunctionEnv:
     """The junction on which a policy trained with `config` is evaluated.
 
-    Args:
-        config: of the training.
-        jitter: of the starts, so that episodes differ [m].
+    The starts vary by `jitter` [m], so that episodes differ.
     """
     return JunctionEnv(
         dataclasses.replace(
-            config,
-            jitter=jitter,
-            end="all",
-            respawn=False,
-            max_steps=MAX_STEPS,
+            config, jitter=jitter, end="all", respawn=False, max_steps=MAX_STEPS
         )
     )
 
@@ -98,13 +78,7 @@ def begin(env: JunctionEnv, key: jax.Array) -> Episode:
 
 
 def advance(env: JunctionEnv, episode: Episode, action: jax.Array) -> Episode:
-    """Makes a control step.
-
-    Args:
-        env: of `evaluation_env`.
-        episode: not yet `env.config.max_steps` long.
-        action: of all agents.
-    """
+    """Makes a control step with the actions of all agents, in `evaluation_env`."""
     before, out = episode.state, episode.outcomes
     counts = before.active.all() & (episode.step < RETURN_STEPS)
     state, timestep = env.step(before, action)
@@ -131,13 +105,7 @@ def advance(env: JunctionEnv, episode: Episode, action: jax.Array) -> Episode:
 
 
 def evaluate(env: JunctionEnv, policy: Policy, keys: jax.Array) -> Outcomes:
-    """Drives one episode for each key, side by side, as one program.
-
-    Args:
-        env: of `evaluation_env`.
-        policy: actions of all agents from their observations.
-        keys: (episodes,).
-    """
+    """Drives one episode for each key (episodes,), side by side, as one program."""
 
     def whole(key: jax.Array) -> Outcomes:
         def step(episode: Episode, _: None) -> tuple[Episode, None]:
@@ -163,14 +131,10 @@ def car_names(traffic: Scenario) -> list[str]:
 
 
 def summarize(outcomes: Outcomes, traffic: Scenario) -> dict[str, float]:
-    """Means over episodes, as a row of `evaluations.csv`.
+    """Means over the episodes of an evaluation, as a row of `evaluations.csv`.
 
     `A_before_B`, for every pair of cars whose routes cross, is the share of episodes in
     which A crossed the junction and B crossed it later or not at all.
-
-    Args:
-        outcomes: of one evaluation.
-        traffic: missions and human-driven cars.
     """
     returns = np.asarray(outcomes.returns, float)
     passed = np.asarray(outcomes.passed)

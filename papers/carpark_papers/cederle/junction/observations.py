@@ -25,7 +25,7 @@ from carpark_papers.cederle.junction.roads import (
     ROAD,
     Box,
 )
-from carpark_papers.cederle.junction.types import State
+from carpark_papers.cederle.junction.rules import State
 
 OWN_CAR, GRASS, ASPHALT, PAINT, OTHER_CAR = 0, 64, 128, 191, 255
 _STRIPS = len(ROAD) - len(CORNER_CENTRES)  # boxes of the road before the corners'
@@ -69,10 +69,7 @@ def _boxes(xy: jax.Array, box: Box, pixel: float) -> jax.Array:
 def _cover(local: jax.Array, size: jax.Array, pixel: float) -> jax.Array:
     """Share (...) of pixels that boxes cover; pixels taken as parallel to them.
 
-    Args:
-        local: (..., 2) middles of the pixels in the boxes' frames [m].
-        size: (..., 2) [m].
-        pixel: side of a pixel [m].
+    `local` (..., 2) are the pixels' middles in the boxes' frames, sizes (..., 2) [m].
     """
     half = 0.5 * size
     least = jnp.maximum(local - pixel / 2, -half)

@@ -77,15 +77,10 @@ CONNECTIONS: dict[tuple[str, str], Path] = {
 
 
 class Box(NamedTuple):
-    """An upright rectangle of asphalt or paint.
+    """An upright rectangle of asphalt or paint."""
 
-    Attributes:
-        centre: (x, y).
-        size: extent in x and in y.
-    """
-
-    centre: Point
-    size: Point
+    centre: Point  # (x, y)
+    size: Point  # extent in x and in y
 
 
 # The asphalt but for the two rounded corners: the road from west to east, the south arm
@@ -150,35 +145,23 @@ MAX_LATERAL = 5.0  # m/s^2
 
 @struct.dataclass
 class Routes:
-    """Routes (...) as polylines of k points; short ones repeat their last point.
+    """Routes (...) as polylines of k points; short ones repeat their last point."""
 
-    Attributes:
-        points: (..., k, 2) world frame [m].
-        along: (..., k) distance of the points along the route [m].
-        curve: (..., 2) distances at which the path across the junction begins and ends
-            [m].
-        curve_speed: (...) highest speed on that path [m/s]; inf if it is straight.
-        length: (...) of the whole route [m].
-    """
-
-    points: jax.Array
-    along: jax.Array
+    points: jax.Array  # (..., k, 2) world frame [m]
+    along: jax.Array  # (..., k) distance of the points along the route [m]
+    # (..., 2) distances at which the path across the junction begins and ends [m]
     curve: jax.Array
+    # (...) highest speed on that path [m/s]; inf if it is straight
     curve_speed: jax.Array
-    length: jax.Array
+    length: jax.Array  # (...) of the whole route [m]
 
 
 @dataclasses.dataclass(frozen=True)
 class Route:
-    """From a lane into another.
+    """From a lane into another."""
 
-    Attributes:
-        start: name of the first lane, of `roads.LANES`.
-        end: name of the last one.
-    """
-
-    start: str
-    end: str
+    start: str  # name of the first lane, of `roads.LANES`
+    end: str  # name of the last one
 
     def __post_init__(self) -> None:
         if (self.start, self.end) not in CONNECTIONS:
@@ -283,13 +266,8 @@ def heading_at(routes: Routes, along: jax.Array, span: jax.Array) -> jax.Array:
 def speed_cap(routes: Routes, along: jax.Array, braking: float) -> jax.Array:
     """Speeds (...) [m/s] from which cars at `along` (...) can slow down for the curve.
 
-    Args:
-        routes: (...).
-        along: (...) distances of the cars along them [m].
-        braking: deceleration before the curve [m/s^2].
-
-    Returns:
-        inf behind the curve and on straight routes.
+    `braking` is their deceleration before it [m/s^2]; inf behind the curve and on
+    straight routes.
     """
     ahead = jnp.maximum(routes.curve[..., 0] - along, 0.0)
     cap = jnp.sqrt(routes.curve_speed**2 + 2.0 * braking * ahead)

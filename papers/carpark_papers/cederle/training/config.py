@@ -1,19 +1,15 @@
 """Settings of every trainer of the junction."""
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 import jax
 
 from carpark_mj.cli.common import MAX_EPISODES
-from carpark_mj.config.checks import require_choice, require_whole
+from carpark_mj.config.checks import Bounds, Count, Natural
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.training.run_folder import RunConfig
-from carpark_papers.cederle.junction import (
-    JunctionConfig,
-    RasterConfig,
-    RewardRules,
-)
+from carpark_papers.cederle.junction import JunctionConfig, RasterConfig, RewardRules
 from carpark_papers.cederle.junction.config import (
     ActionKind,
     CarModel,
@@ -106,26 +102,15 @@ class JunctionRunConfig(RunConfig):
     max_steps: int = 75
     probe: bool = False
     jitter: float = 1.0
-    num_junctions: int = 64
-    total_steps: int = 1_000_000
-    eval_period: int = 20_000
-    eval_episodes: int = 64
+    num_junctions: Count = 64
+    total_steps: Count = 1_000_000
+    eval_period: Count = 20_000
+    eval_episodes: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 64
     eval_jitter: float = 1.0
-    video_episodes: int = 3
+    video_episodes: Natural = 3
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_choice("algorithm", self.algorithm, Algorithm)
-        require_choice("scenario", self.scenario, ScenarioName)
-        require_whole(
-            self, 1, "num_junctions", "total_steps", "eval_period", "eval_episodes"
-        )
-        require_whole(self, 0, "video_episodes")
-        if self.eval_episodes > MAX_EPISODES:
-            raise ValueError(
-                f"eval_episodes must be at most {MAX_EPISODES}, not "
-                f"{self.eval_episodes}"
-            )
         dataclasses.replace(self.junction, jitter=self.eval_jitter)  # refuses too much
 
     def require_action(self, *kinds: ActionKind) -> None:

@@ -14,7 +14,7 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-from carpark_mj.config.checks import require_positive
+from carpark_mj.config.checks import Positive
 from carpark_papers.jobs import Job, RepeatConfig
 from carpark_papers.pandita.experiments.slots import (
     EXPERIMENTS,
@@ -40,11 +40,10 @@ class SlotsStudyConfig(RepeatConfig):
     runs_dir: str = "runs/slots_study"
     experiment: str = ""
     preset: SACPreset = "study"
-    scale: float = 1.0
+    scale: Positive = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_positive(self, "scale")
         if bool(self.experiment) + self.all + self.list != 1:
             raise ValueError("give one of --experiment NAME, --all and --list")
 

@@ -21,8 +21,7 @@ from carpark_papers.pandita.experiments.slots import (
     SlotsExperiment,
 )
 from carpark_papers.pandita.sac.config import read_phase
-from carpark_papers.pandita.sac.deploy import success_matrix, transfer
-from carpark_papers.pandita.sac.pictures import plot_matrix
+from carpark_papers.pandita.sac.deploy import plot_matrix, success_matrix, transfer
 from carpark_papers.reports import ENOUGH, always, make_panels, write_figure
 
 WINDOW = 7  # rows of the moving average
@@ -31,12 +30,9 @@ TITLE_WIDTH = 40  # characters
 
 
 def draw_curves(runs: Mapping[SlotsExperiment, Sequence[Path]]) -> Figure:
-    """Success of the training's episodes over the steps, a line for each run.
+    """Success of the training's episodes over the steps, a line for each run's folder.
 
     Dashed lines are the ends of phases.
-
-    Args:
-        runs: folders by experiment.
     """
     figure, panels = make_panels(
         len(runs), "steps [thousand]", "share of episodes that park"
@@ -92,11 +88,9 @@ def read_deployments(job: Job) -> list[dict[str, Any]]:
 
 
 def verdict(claims: Sequence[Claim], success: Mapping[str, Sequence[float]]) -> str:
-    """Whether the seeds agree with the claims about every kind.
+    """Whether the seeds agree with the thesis's claims about every kind.
 
-    Args:
-        claims: of the thesis.
-        success: rates of the deterministic policies by kind, one for each seed.
+    `success` has rates of the deterministic policies by kind, one for each seed.
     """
     if not claims:
         return "not tried in the thesis"

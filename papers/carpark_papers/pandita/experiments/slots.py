@@ -13,38 +13,24 @@ THREE = f"{TWO},{PARALLEL}"
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """A claim of the thesis about a policy at the end of its training.
+    """A claim of the thesis about a policy at the end of its training."""
 
-    Attributes:
-        kind: of lot on which it is deployed.
-        parks: whether it always parks there, or never.
-    """
-
-    kind: str
-    parks: bool
+    kind: str  # of lot on which it is deployed
+    parks: bool  # whether it always parks there, or never
 
 
 @dataclasses.dataclass(frozen=True)
 class SlotsExperiment:
-    """A training, and the claims about it.
+    """A training, and the claims about it."""
 
-    Attributes:
-        name: number in the thesis, or a word.
-        title: of the training.
-        stages: kinds of lots and the thesis's episodes of `EPISODE` steps, in order.
-        claims: of the thesis; none beyond its experiments.
-        statement: claims in its words, shortened.
-        replay: `SACConfig.replay`.
-        flags: further settings, as words of a command line.
-    """
-
-    name: str
-    title: str
+    name: str  # number in the thesis, or a word
+    title: str  # of the training
+    # kinds of lots and the thesis's episodes of `EPISODE` steps, in order
     stages: tuple[tuple[str, int], ...]
-    claims: tuple[Claim, ...] = ()
-    statement: str = ""
-    replay: str = "her"
-    flags: tuple[str, ...] = ()
+    claims: tuple[Claim, ...] = ()  # of the thesis; none beyond its experiments
+    statement: str = ""  # claims in its words, shortened
+    replay: str = "her"  # `SACConfig.replay`
+    flags: tuple[str, ...] = ()  # further settings, as words of a command line
 
     def phases(self, scale: float) -> tuple[str, ...]:
         """`SACConfig.phases`, with budgets scaled."""

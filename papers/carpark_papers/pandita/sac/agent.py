@@ -43,13 +43,7 @@ class PhasedHer(HerReplayBuffer):
     """
 
     def __init__(self, *args: Any, balance: bool = False, **kwargs: Any) -> None:
-        """See `HerReplayBuffer`.
-
-        Args:
-            *args: of `HerReplayBuffer`.
-            balance: give all phases equal shares of a sample, whatever their lengths.
-            **kwargs: of `HerReplayBuffer`.
-        """
+        """See `HerReplayBuffer`; `balance` gives phases equal shares of a sample."""
         super().__init__(*args, **kwargs)
         self.phase, self._balance = 0, balance
         self.phase_of_row = np.zeros(self.buffer_size, np.int64)
@@ -165,10 +159,8 @@ def make_agent(
 ) -> Agent:
     """A fresh agent.
 
-    Args:
-        config: of the run.
-        cars: of the first phase.
-        rate: learning rate; called before every update, its argument means nothing.
+    `rate`, the learning rate, is called before every update; its argument means
+    nothing.
     """
     buffer: dict[str, Any] = {"buffer_size": config.buffer_size}
     if config.replay == "her":

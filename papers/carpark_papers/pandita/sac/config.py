@@ -2,16 +2,16 @@
 
 import dataclasses
 import re
-from typing import Literal
+from typing import Annotated, Literal
 
 from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.config.checks import (
-    require_at_least,
-    require_choice,
-    require_finite,
-    require_positive,
-    require_ratio,
+    Bounds,
+    Count,
+    Finite,
+    Positive,
+    Ratio,
     require_whole,
 )
 from carpark_mj.layouts import MixtureConfig, layout_config
@@ -28,16 +28,11 @@ class Phase:
     """A stretch of training on one kind of lot, or on several interleaved.
 
     Exactly one of `steps` and `episodes` is given.
-
-    Attributes:
-        kinds: names of layouts; every episode draws one of them.
-        steps: transitions of all cars together.
-        episodes: that end, of all cars together.
     """
 
-    kinds: tuple[str, ...]
-    steps: int = 0
-    episodes: int = 0
+    kinds: tuple[str, ...]  # names of layouts; every episode draws one of them
+    steps: int = 0  # transitions of all cars together
+    episodes: int = 0  # that end, of all cars together
 
     def __post_init__(self) -> None:
         if min(self.steps, self.episodes) < 0 or bool(self.steps) == bool(
@@ -144,59 +139,37 @@ class SACConfig(RunConfig):
     """
 
     preset: SACPreset = "slots"
-    checkpoint_minutes: float = 5.0
+    checkpoint_minutes: Positive = 5.0
     phases: tuple[str, ...] = ("slots:200000",)
     deploy: tuple[str, ...] = ("slots", "slots_diagonal", "slots_parallel")
     goal_slot: int | Literal["random", "own"] = "own"
-    half_corridor: float = 10.0
+    half_corridor: Positive = 10.0
     environment: Environment = "pandita"
     replay: Replay = "her"
-    hindsight_goals: int = 4
-    rehearsal: float = 0.0
+    hindsight_goals: Count = 4
+    rehearsal: Ratio = 0.0
     at_switch: AtSwitch = "keep"
-    num_cars: int = 32
-    gradient_steps: int = 8
-    batch_size: int = 256
+    num_cars: Count = 32
+    gradient_steps: Count = 8
+    batch_size: Count = 256
     buffer_size: int = 300_000
-    random_steps: int = 151
-    learning_rate: float = 1e-3
-    learning_rate_end: float = 2e-5
-    discount: float = 0.95
-    tau: float = 0.02
-    target_entropy: float = -2.0
-    hidden: tuple[int, ...] = (128, 128)
-    eval_episodes: int = 30
-    video_seconds: float = 20.0
+    random_steps: Count = 151
+    learning_rate: Positive = 1e-3
+    learning_rate_end: Positive = 2e-5
+    discount: Ratio = 0.95
+    tau: Annotated[float, Bounds(gt=0.0, le=1.0)] = 0.02
+    target_entropy: Finite = -2.0
+    hidden: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
+    eval_episodes: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 30
+    video_seconds: Annotated[float, Bounds(ge=0.0, le=MAX_SECONDS)] = 20.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_choice("environment", self.environment, Environment)
-        require_choice("replay", self.replay, Replay)
-        require_choice("at_switch", self.at_switch, AtSwitch)
         if self.at_switch == "balance" and self.replay != "her":
             raise ValueError(f"at_switch balance needs replay her, not {self.replay}")
-        require_whole(
-            self, 1, "num_cars", "gradient_steps", "batch_size", "hindsight_goals"
-        )
-        require_whole(self, 1, "eval_episodes", "random_steps")
         require_whole(self, self.num_cars, "buffer_size")
-        require_positive(
-            self, "learning_rate", "learning_rate_end", "tau", "half_corridor"
-        )
-        require_ratio(self, "discount", "tau", "rehearsal")
-        require_at_least(self, 0, "video_seconds")
-        require_finite(self, "target_entropy")
-        if self.eval_episodes > MAX_EPISODES or self.video_seconds > MAX_SECONDS:
-            raise ValueError(
-                f"eval_episodes must be at most {MAX_EPISODES} and video_seconds at "
-                f"most {MAX_SECONDS}, not {self.eval_episodes} and {self.video_seconds}"
-            )
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(
-                f"hidden must be one width or more, each at least 1, not {self.hidden}"
-            )
-        if not self.phases or not self.deploy:
-            raise ValueError("phases and deploy must name one kind of lot or more")
+        if not (self.phases and self.deploy and self.hidden):
+            raise ValueError("phases, deploy and hidden must have one item or more")
         for kind in self.kinds:
             self.layout(kind)
 

@@ -1,4 +1,4 @@
-"""Whole episodes on every kind of lot after a phase; forgetting and transfer.
+"""Whole episodes on every kind of lot after a phase; forgetting, transfer, pictures.
 
 Backward and forward transfer are those of Lopez-Paz & Ranzato 2017, "Gradient Episodic
 Memory for Continual Learning", section 2 (arXiv 1706.08840).
@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,29 +17,67 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.files import write_atomically
 from carpark_mj.policy.acting import Carry, Step, roll_out
+from carpark_mj.training.loop import plot_learning_curve, read_metrics
 from carpark_mj.types import State
 from carpark_mj.wrappers.goal import GoalParking
 from carpark_mj.wrappers.options import share
 from carpark_papers.pandita.sac.config import Phase, SACConfig
+
+_RATES = (("success", "tab:green"), ("crashed", "tab:red"), ("timed_out", "tab:gray"))
+
+
+def plot_phases(folder: Path) -> Path:
+    """Draws rates and return of the training's episodes to `learning_curve.png`."""
+    ends = {row["phase"]: row["env_steps"] for row in read_metrics(folder)}
+    return plot_learning_curve(
+        folder,
+        _RATES,
+        "return",
+        ("steps of cars [thousand]", 1e3),
+        window=7,
+        switches=sorted(ends.values())[:-1],
+    )
+
+
+def plot_matrix(
+    path: Path, matrix: np.ndarray, phases: Sequence[str], kinds: Sequence[str]
+) -> Path:
+    """Draws success rates (phases, kinds): a row per phase, a column per kind."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    size = (2.2 + 1.3 * len(kinds), 1.4 + 0.5 * len(phases))
+    figure, axes = plt.subplots(figsize=size, layout="constrained")
+    try:
+        axes.imshow(matrix, cmap="RdYlGn", vmin=-0.3, vmax=1.3, aspect="auto")
+        for (row, column), value in np.ndenumerate(matrix):
+            axes.text(column, row, f"{value:.0%}", ha="center", va="center")
+        axes.set_xticks(range(len(kinds)), kinds)
+        axes.set_yticks(range(len(phases)), phases)
+        axes.set(xlabel="deployed on", ylabel="after", title="success rate")
+        write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
+    finally:
+        plt.close(figure)
+    return path
+
 
 Rows = Sequence[dict[str, Any]]
 
 
 @dataclasses.dataclass(frozen=True)
 class Transfer:
-    """Means over tasks; the task of a phase is to park in its kinds of lots.
+    """Means over tasks; the task of a phase is to park in its kinds of lots."""
 
-    Attributes:
-        average: success after the last phase, over all tasks.
-        backward: success after the last phase less that just after the task's own,
-            over all tasks but the last; negative = forgetting. NaN of one phase.
-        forward: success just before the task's own phase less that of the untrained
-            policy, over all tasks but the first. NaN of one phase.
-    """
-
-    average: float
+    average: float  # success after the last phase, over all tasks
+    # success after the last phase less that just after the task's own, over all
+    # tasks but the last; negative = forgetting. NaN of one phase
     backward: float
+    # success just before the task's own phase less that of the untrained policy,
+    # over all tasks but the first. NaN of one phase
     forward: float
 
 
@@ -63,13 +102,7 @@ def success_matrix(
 def transfer(
     matrix: np.ndarray, kinds: Sequence[str], phases: Sequence[Phase]
 ) -> Transfer:
-    """Average, backward and forward transfer of a success matrix.
-
-    Args:
-        matrix: of `success_matrix`, with a row for each phase and for none.
-        kinds: its columns.
-        phases: of the training.
-    """
+    """Average, backward and forward transfer of a `success_matrix` of kinds."""
     number = {kind: column for column, kind in enumerate(kinds)}
     tasks = [[number[kind] for kind in phase.kinds] for phase in phases]
     success = np.stack([matrix[:, task].mean(axis=1) for task in tasks], axis=1)
@@ -141,13 +174,6 @@ def deploy(
 
     Episodes have keys that training never uses. Where start and goal are fixed, those
     of the deterministic policy are all alike.
-
-    Args:
-        config: of the run.
-        actor: the network.
-        params: its weights.
-        kind: of lot.
-        sampled: sample actions instead of taking the deterministic policy.
     """
     env = share(GoalParking, config.env_of(config.layout(kind)))
     keys = jax.random.split(evaluation_key(config.seed), config.eval_episodes)

@@ -19,9 +19,8 @@ from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.recording import record, recording_stage
+from carpark_mj.rendering.recording import num_frames, record, recording_stage
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.snapshot import num_frames
 from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
 from carpark_mj.training.loop import Loop, MetricsLog
 from carpark_mj.training.run_folder import list_settings, open_run, read_header
@@ -34,10 +33,11 @@ from carpark_papers.pandita.sac.deploy import (
     Transfer,
     choose_action,
     deploy_everywhere,
+    plot_matrix,
+    plot_phases,
     success_matrix,
     transfer,
 )
-from carpark_papers.pandita.sac.pictures import plot_matrix, plot_phases
 
 ROW = 1000  # transitions between rows of metrics
 _LOSSES = ("actor_loss", "critic_loss", "ent_coef")
@@ -45,21 +45,13 @@ _LOSSES = ("actor_loss", "critic_loss", "ent_coef")
 
 @dataclasses.dataclass
 class Progress:
-    """Progress of a run.
+    """Progress of a run."""
 
-    Attributes:
-        phase: number of the phase, from 0; the number of phases after the last.
-        steps: transitions made in the phase.
-        episodes: that ended in the phase.
-        total: transitions made in all phases.
-        row: number of the latest row of metrics.
-    """
-
-    phase: int = 0
-    steps: int = 0
-    episodes: int = 0
-    total: int = 0
-    row: int = 0
+    phase: int = 0  # number of the phase, from 0; the number of phases after the last
+    steps: int = 0  # transitions made in the phase
+    episodes: int = 0  # that ended in the phase
+    total: int = 0  # transitions made in all phases
+    row: int = 0  # number of the latest row of metrics
 
     def share(self, config: SACConfig) -> float:
         """Of the phase that is done, in [0, 1]; 1 after the last phase."""
@@ -84,15 +76,7 @@ class Watch(BaseCallback):
         log: MetricsLog,
         save: Callable[[], None],
     ) -> None:
-        """Takes what it keeps up to date.
-
-        Args:
-            config: of the run.
-            progress: changed in place.
-            loop: of the run.
-            log: of the run.
-            save: writes a checkpoint.
-        """
+        """Takes what it keeps up to date; `save` writes a checkpoint."""
         super().__init__()
         self._config, self._progress, self._loop = config, progress, loop
         self._log, self._save = log, save

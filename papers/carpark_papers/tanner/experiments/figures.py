@@ -66,27 +66,17 @@ _SCHEME, _GLOBAL = "env.giving_way.scheme", "env.observation.global_information"
 
 @dataclasses.dataclass(frozen=True)
 class Experiment:
-    """The runs behind a figure, or behind several.
+    """The runs behind a figure, or behind several."""
 
-    Attributes:
-        figures: their numbers.
-        title: what is varied.
-        base: preset.
-        fields: settings that are swept; the first is the horizontal axis.
-        metrics: metrics of the figures.
-        repeats: published runs of every combination.
-        fixed: settings that differ from the preset.
-        note: our interpretation where the study is silent.
-    """
-
-    figures: tuple[str, ...]
-    title: str
-    base: str
-    fields: tuple[str, ...]
-    metrics: tuple[str, ...]
-    repeats: int
+    figures: tuple[str, ...]  # their numbers
+    title: str  # what is varied
+    base: str  # preset
+    fields: tuple[str, ...]  # settings that are swept; the first is the horizontal axis
+    metrics: tuple[str, ...]  # metrics of the figures
+    repeats: int  # published runs of every combination
+    # settings that differ from the preset
     fixed: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    note: str = ""
+    note: str = ""  # our interpretation where the study is silent
 
     @property
     def name(self) -> str:
@@ -246,11 +236,8 @@ def plan_of(
 ) -> Plan:
     """The sweep of an experiment.
 
-    Args:
-        experiment: which.
-        repeats: of every combination; 0 = as many as are published.
-        seed: first seed.
-        changes: further settings of all runs, in place of the experiment's own.
+    `repeats` are those of every combination (0 = as many as are published), `seed` is
+    the first, `changes` replace the experiment's own settings.
     """
     changed = {field for axis in changes for field in axis.fields}
     fixed = {"eval_episodes": EVAL_EPISODES, **experiment.fixed}
@@ -302,18 +289,11 @@ def verdict(ours: Sequence[float], theirs: Sequence[float]) -> str:
 
 
 def write_verdicts(
-    path: Path,
-    points: Sequence[Point],
-    by: Sequence[str],
-    metrics: Sequence[str],
+    path: Path, points: Sequence[Point], by: Sequence[str], metrics: Sequence[str]
 ) -> None:
     """Writes a markdown table: a row per metric and point, ours, published, verdict.
 
-    Args:
-        path: file.
-        points: of two sources, ours first.
-        by: settings that the points differ in.
-        metrics: to compare.
+    Points are of two sources, ours first, and differ in the settings `by`.
     """
     sources = list(dict.fromkeys(point.source for point in points))
     found = {(point.source, point.values): point for point in points}

@@ -14,12 +14,12 @@ import dataclasses
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from carpark_mj.analysis import group, run_folders
-from carpark_mj.config.checks import require_at_least
+from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.sweeps import (
     Cluster,
+    Plan,
     Run,
     SlurmConfig,
     Where,
@@ -28,15 +28,20 @@ from carpark_mj.sweeps import (
     settings_of,
 )
 from carpark_papers.tanner.experiments.figures import (
+    ELSEWHERE,
+    EXPERIMENTS,
+    FIGURES,
     SOURCE,
     Experiment,
+    experiment_of,
+    plan_of,
     published_runs,
     write_verdicts,
 )
 
 
 @dataclasses.dataclass(frozen=True)
-class StudyConfig:
+class StudyConfig(CheckedConfig):
     """Settings of `carpark_mj study tanner`.
 
     Attributes:
@@ -59,19 +64,18 @@ class StudyConfig:
     figure: str = ""
     all: bool = False
     list: bool = False
-    minutes: float = 0.0
-    repeats: int = 0
-    seed: int = 0
+    minutes: NonNegative = 0.0
+    repeats: Natural = 0
+    seed: Natural = 0
     set: tuple[str, ...] = ()
     runs_dir: str = "runs/study"
     cluster: Cluster = "local"
-    jobs: int = 0
-    side_by_side: int = 8
+    jobs: Natural = 0
+    side_by_side: Count = 8
     slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
 
     def __post_init__(self) -> None:
-        require_at_least(self, 0, "minutes", "repeats", "seed", "jobs")
-        require_at_least(self, 1, "side_by_side")
+        super().__post_init__()
         if bool(self.figure) + self.all + self.list != 1:
             raise ValueError("give one of --figure NUMBER, --all and --list")
 
@@ -94,21 +98,13 @@ STEPS_PER_SECOND = 110_000.0
 
 @dataclasses.dataclass(frozen=True)
 class Cost:
-    """Remaining cost of an experiment.
+    """Remaining cost of an experiment."""
 
-    Attributes:
-        experiment: the experiment.
-        runs: number of its runs.
-        left: number of unfinished runs.
-        programs: number of programs that train these, several side by side.
-        minutes: estimated time of these, one at a time [min].
-    """
-
-    experiment: Experiment
-    runs: int
-    left: int
-    programs: int
-    minutes: float
+    experiment: Experiment  # the experiment
+    runs: int  # number of its runs
+    left: int  # number of unfinished runs
+    programs: int  # number of programs that train these, several side by side
+    minutes: float  # estimated time of these, one at a time [min]
 
 
 def cost(
@@ -118,15 +114,7 @@ def cost(
     rate: float,
     side_by_side: int = 1,
 ) -> Cost:
-    """Estimates an experiment.
-
-    Args:
-        experiment: which.
-        runs: its runs.
-        folder: of its sweep.
-        rate: agent steps per second of a run, evaluation included.
-        side_by_side: most runs in one program.
-    """
+    """Estimates an experiment, at a rate in agent steps per second with evaluation."""
     left = [run for run in runs if read_outcome(folder, run).status != "done"]
     seconds = settings_of(left[0]).num_steps / rate * len(left) if left else 0.0
     programs = len(groups(left, side_by_side))
@@ -148,10 +136,7 @@ def choose(
 ) -> tuple[list[Cost], list[Cost]]:
     """Experiments that fit a budget, fewest programs first, and those left out.
 
-    Args:
-        costs: of the experiments.
-        minutes: budget [min]; 0 = no limit.
-        at_once: runs at a time.
+    The budget is in minutes, 0 = no limit, for `at_once` runs at a time.
     """
     chosen: list[Cost] = []
     rest: list[Cost] = []
@@ -162,20 +147,8 @@ def choose(
     return chosen, rest
 
 
-if TYPE_CHECKING:  # they load what `run_command` reports if it is missing
-    from carpark_mj.sweeps import Plan, Run
-    from carpark_papers.tanner.experiments.figures import Experiment
-
-
 def describe() -> None:
     """Prints a line per figure."""
-    from carpark_papers.tanner.experiments.figures import (
-        ELSEWHERE,
-        FIGURES,
-        experiment_of,
-        plan_of,
-    )
-
     for figure in FIGURES:
         if figure in ELSEWHERE:
             print(f"{figure:5} {ELSEWHERE[figure]}")
@@ -188,7 +161,7 @@ def describe() -> None:
         )
 
 
-def report(experiment: "Experiment", folder: Path) -> Path | None:
+def report(experiment: Experiment, folder: Path) -> Path | None:
     """Writes the page and the verdicts of finished runs; None without any."""
     from carpark_mj.cli.analysis import analyse, read_records
 
@@ -209,9 +182,7 @@ def report(experiment: "Experiment", folder: Path) -> Path | None:
     return page
 
 
-def say_budget(
-    chosen: "Sequence[Cost]", rest: "Sequence[Cost]", minutes: float
-) -> None:
+def say_budget(chosen: Sequence[Cost], rest: Sequence[Cost], minutes: float) -> None:
     """Prints which experiments run and which are left out."""
     for words, costs in (("runs", chosen), ("leaves out", rest)):
         for one in costs:
@@ -229,11 +200,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     from carpark_mj.cli.flags import read_flags
     from carpark_mj.sweeps import checked_runs, prepare, read_axis, run_sweep
     from carpark_mj.training.ppo.parts import PRESETS
-    from carpark_papers.tanner.experiments.figures import (
-        EXPERIMENTS,
-        experiment_of,
-        plan_of,
-    )
 
     config = read_flags(StudyConfig, arguments, description=__doc__)
     if config.list:

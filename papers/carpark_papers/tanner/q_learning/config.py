@@ -4,7 +4,7 @@ import dataclasses
 from typing import Literal
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_at_least, require_ratio
+from carpark_mj.config.checks import Count, Natural, Ratio
 from carpark_mj.training.run_folder import RunConfig
 from carpark_papers.tanner.environments import (
     TANNER_QLEARNING,
@@ -59,24 +59,18 @@ class QLearningConfig(RunConfig):
     """
 
     preset: QLearningPreset = "tanner-qlearning"
-    num_seeds: int = 5
-    num_lots: int = 1
-    episodes: int = 2000
-    eval_episodes: int = 1000
-    alpha: float = 0.1
-    alpha_min: float = 0.1
-    gamma: float = 0.9
-    epsilon: float = 0.3
-    epsilon_min: float = 0.001
+    num_seeds: Count = 5
+    num_lots: Count = 1
+    episodes: Count = 2000
+    eval_episodes: Natural = 1000
+    alpha: Ratio = 0.1
+    alpha_min: Ratio = 0.1
+    gamma: Ratio = 0.9
+    epsilon: Ratio = 0.3
+    epsilon_min: Ratio = 0.001
     bootstrap_terminals: bool = False
-    window: int = 500
+    window: Count = 500
     env: EnvConfig = TANNER_QLEARNING
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_at_least(self, 1, "num_seeds", "num_lots", "episodes", "window")
-        require_at_least(self, 0, "eval_episodes")
-        require_ratio(self, "alpha", "alpha_min", "gamma", "epsilon", "epsilon_min")
 
     @property
     def total_episodes(self) -> int:

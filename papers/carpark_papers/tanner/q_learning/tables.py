@@ -42,9 +42,7 @@ TABLES = Tables()
 def state_index(observation: jax.Array, sizes: Sequence[int]) -> jax.Array:
     """Rows (...) int32 of a table for observations (..., n) of integers.
 
-    Args:
-        observation: of whole numbers; outside its range the nearest row.
-        sizes: how many values each number can have, `cardinalities`.
+    `sizes` are the `cardinalities`; outside its range a number has the nearest row.
     """
     strides = np.cumprod([1, *sizes[:0:-1]])[::-1]
     most = jnp.array(sizes) - 1
@@ -62,10 +60,8 @@ def make_table_policy(
 ) -> Policy:
     """A policy that takes the action of highest value, the first of equals.
 
-    Args:
-        table: (states, actions) values.
-        sizes: of the observation's numbers, `cardinalities`.
-        choices: of the action's branches, `ActionSpec.choices`.
+    `table` is (states, actions), `sizes` the `cardinalities`, `choices` those of
+    `ActionSpec`.
     """
     best = action_choices(jnp.argmax(table, axis=-1), choices)
 

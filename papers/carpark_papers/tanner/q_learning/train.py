@@ -30,38 +30,23 @@ CHUNK = 5000  # control steps between looks at the clock
 
 @struct.dataclass
 class Training:
-    """One seed's training; in use with a leading dimension (num_seeds,).
+    """One seed's training; in use with a leading dimension (num_seeds,)."""
 
-    Attributes:
-        table: (states, actions) action values.
-        lots: environment states (num_lots,).
-        observation: (num_lots, num_agents, numbers).
-        episodes: () int32, how many have ended.
-        key: randomness of the actions.
-    """
-
-    table: jax.Array
-    lots: State
-    observation: jax.Array
-    episodes: jax.Array
-    key: jax.Array
+    table: jax.Array  # (states, actions) action values
+    lots: State  # environment states (num_lots,)
+    observation: jax.Array  # (num_lots, num_agents, numbers)
+    episodes: jax.Array  # () int32, how many have ended
+    key: jax.Array  # randomness of the actions
 
 
 @struct.dataclass
 class Finished:
-    """Episodes that ended, or not, in a step; all (num_lots, num_agents).
+    """Episodes that ended, or not, in a step; all (num_lots, num_agents)."""
 
-    Attributes:
-        done: bool; the rest holds where it is true.
-        episode_return: undiscounted.
-        length: control steps.
-        outcome: 0 parked, 1 crashed, 2 timed out or diverged.
-    """
-
-    done: jax.Array
-    episode_return: jax.Array
-    length: jax.Array
-    outcome: jax.Array
+    done: jax.Array  # bool; the rest holds where it is true
+    episode_return: jax.Array  # undiscounted
+    length: jax.Array  # control steps
+    outcome: jax.Array  # 0 parked, 1 crashed, 2 timed out or diverged
 
 
 class QLearner:
@@ -302,18 +287,13 @@ def summary(config: QLearningConfig, episodes: dict[str, np.ndarray]) -> list[st
 
 @dataclasses.dataclass
 class Run:
-    """A training and its results so far.
+    """A training and its results so far."""
 
-    Attributes:
-        training: of all seeds.
-        episodes: by name (num_seeds, total_episodes): `episode_return` float32,
-            `length` int32 and `outcome` int8, -1 where there is none yet.
-        chunks: how often `QLearner.advance` has run.
-    """
-
-    training: Training
+    training: Training  # of all seeds
+    # by name (num_seeds, total_episodes): `episode_return` float32, `length`
+    # int32 and `outcome` int8, -1 where there is none yet
     episodes: dict[str, np.ndarray]
-    chunks: int
+    chunks: int  # how often `QLearner.advance` has run
 
     @property
     def counts(self) -> np.ndarray:

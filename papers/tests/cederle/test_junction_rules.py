@@ -1,4 +1,4 @@
-"""Events of hand-placed cars; collisions against shapely."""
+"""Ends of episodes and rewards at the junction."""
 
 import dataclasses
 
@@ -6,10 +6,18 @@ import jax
 import jax.numpy as jnp
 import junctions
 import numpy as np
+import pytest
 import shapely
 
 from carpark_mj.geometry import box_corners
-from carpark_papers.cederle.junction.rules import collide, detect_events
+from carpark_papers.cederle.junction.config import RewardRules
+from carpark_papers.cederle.junction.rules import (
+    Events,
+    collide,
+    detect_events,
+    pay_progress,
+    reward,
+)
 
 ENV = junctions.env(scenario="2av-hd")
 WEST, EAST, SOUTH = np.pi, 0.0, -np.pi / 2
@@ -94,3 +102,50 @@ def test_who_has_finished_has_no_events():
     state = junctions.with_poses(junctions.begin(ENV), [[20.0, 9.0, 0.0], *APART[1:]])
     state = dataclasses.replace(state, active=jnp.array([False, True]))
     assert not any(flag[0] for flag in vars(detected(state, 75)).values())
+
+
+NAMES = tuple(Events.__dataclass_fields__)
+
+
+def events_of(*of_agents):
+    """Events of agents by name."""
+    flags = {n: jnp.array([n in names for names in of_agents]) for n in NAMES}
+    return Events(**flags)
+
+
+def test_way_is_paid_in_pieces_of_more_than_half_a_metre():
+    paid, unpaid = pay_progress(jnp.array([0.3, 0.5, 0.6, 1.5]))
+    np.testing.assert_allclose(paid, [0, 0, 0.6, 1.5])
+    np.testing.assert_allclose(unpaid, [0.3, 0.5, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("happened", "added", "replaced"),
+    [
+        ((), 1.4, 1.4),
+        (("crashed",), -8.6, -10.0),
+        (("arrived",), 11.4, 10.0),
+        (("off_road", "on_shoulder", "off_route"), -8.6, -10.0),
+        (("on_shoulder",), -8.6, -10.0),
+        (("off_road",), -8.6, -10.0),
+        (("off_route",), -8.6, -10.0),
+        (("wrong_way",), -8.6, -10.0),
+        (("crashed", "arrived"), 1.4, -10.0),
+        (("timed_out",), 1.4, 1.4),
+    ],
+)
+def test_events_are_added_in_the_text_and_replace_the_way_in_the_program(
+    happened, added, replaced
+):
+    for rule, value in (("added", added), ("replaced", replaced)):
+        found = reward(
+            RewardRules(rule), jnp.array([1.4, 0.7]), events_of(happened, ())
+        )
+        np.testing.assert_allclose(found, [value, 0.7], rtol=1e-6)
+
+
+def test_the_joint_reward_is_the_sum_for_everybody():
+    found = reward(
+        RewardRules(joint=True), jnp.array([1.4, 0.7]), events_of(("crashed",), ())
+    )
+    np.testing.assert_allclose(found, [-7.9, -7.9], rtol=1e-6)

@@ -1,0 +1,265 @@
+"""What agents observe of the nearest cars, people and other movers."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from carpark_mj.config.checks import CheckedConfig
+from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry import nearest, norm, ray_box_distance, rotate, to_local
+from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.observations.ego import goal_code
+from carpark_mj.observations.fields import (
+    CAR_FIELDS,
+    Field,
+    ObservationInput,
+    Part,
+    far,
+    localise,
+    position_field,
+    repeated,
+    repeated_values,
+)
+from carpark_mj.types import NO_BAY, ParkedCars
+
+
+@dataclasses.dataclass(frozen=True)
+class ShareConfig(CheckedConfig):
+    """What agents observe of the other agents they track, in addition to their poses.
+
+    Attributes:
+        speeds: observe the speeds of tracked agents.
+        goals: observe the goals of tracked agents: positions of fixed goals, and which
+            of the observer's tracked bays a dynamic goal is.
+        steering: observe the steering of tracked agents.
+        priority: observe which tracked agents have priority, those that come first in
+            the lot, so that two agents of one policy that meet can act differently.
+    """
+
+    speeds: bool = True
+    goals: bool = True
+    steering: bool = False
+    priority: bool = False
+
+
+def track_agents(
+    count: int,
+    pose: jax.Array,
+    present: jax.Array | None = None,
+    num_observers: int | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """The `count` agents nearest to each of the first `num_observers`; None = all.
+
+    Poses are (num_agents, 3), `present` (num_agents,) is `State.present`. Returns
+    indices and presence (num_observers, count), see `geometry.nearest`.
+    """
+    xy, others = pose[:, :2], other_agents(pose.shape[0], present)
+    return nearest(xy[:num_observers], xy, others[:num_observers], count)
+
+
+def track_parked_cars(
+    count: int, own_pose: jax.Array, parked_cars: ParkedCars
+) -> tuple[jax.Array, jax.Array]:
+    """The `count` parked cars nearest to each of the observers (num_agents, 3).
+
+    Returns indices and presence (num_agents, count), see `geometry.nearest`.
+    """
+    xy, present = parked_cars.pose_w[:, :2], parked_cars.present
+    mask = jnp.broadcast_to(present, (own_pose.shape[0], *present.shape))
+    return nearest(own_pose[:, :2], xy, mask, count)
+
+
+def other_agents(count: int, present: jax.Array | None) -> jax.Array:
+    """(count, count) bool, [i, j] whether j is another agent and present."""
+    others = ~jnp.eye(count, dtype=bool)
+    return others if present is None else others & present
+
+
+def mark(index: jax.Array, present: jax.Array, count: int) -> jax.Array:
+    """Which of `count` are tracked, (num_agents, count) bool, by `geometry.nearest`."""
+    same = index[..., None] == jnp.arange(count)
+    return jnp.any(same & present[..., None], axis=1)
+
+
+# Values (num_agents, count, k) of the agents (num_agents, count) that each tracks.
+Shared = Callable[[ObservationInput, jax.Array], jax.Array]
+
+
+def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
+    """The nearest `count` other agents, with what they share.
+
+    `num_tracked_bays` is the number from which agents choose their goals; 0 = they are
+    fixed.
+    """
+    shared = _shared(share, num_tracked_bays)
+
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
+        agents, present = sight.agents, sight.state.present
+        index, present = track_agents(
+            count, agents.pose_w, present, sight.num_observers
+        )
+        pose, size = agents.pose_w[index], agents.size[index]
+        values = localise(sight.motion.pose_w, pose, size, present)
+        for field, find in shared:
+            values[field.name] = jnp.where(present[..., None], find(sight, index), 0.0)
+        return repeated_values("agent", values)
+
+    fields = repeated("agent", count, [*CAR_FIELDS, *(field for field, _ in shared)])
+    return Part(tuple(fields), fill)
+
+
+def parked_cars_part(count: int) -> Part:
+    """The nearest `count` parked cars."""
+
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
+        own_pose = sight.motion.pose_w
+        cars = _at_least_one(sight.state.parked_cars)
+        index, present = track_parked_cars(count, own_pose, cars)
+        values = localise(own_pose, cars.pose_w[index], cars.size[index], present)
+        return repeated_values("parked_car", values)
+
+    return Part(tuple(repeated("parked_car", count, CAR_FIELDS)), fill)
+
+
+def _shared(share: ShareConfig, num_tracked_bays: int) -> list[tuple[Field, Shared]]:
+    """What tracked agents share."""
+    shared: list[tuple[Field, Shared]] = []
+    if share.speeds:
+        meaning = "its signed speed [own forward limit]"
+        speed = Field("speed", 1, -1.5, 1.5, meaning, speed=math.inf)
+        shared.append((speed, _speed))
+    if share.goals and num_tracked_bays:
+        meaning = "one-hot: it explores, its goal's place among the own bays, none"
+        shared.append(
+            (Field("goal", num_tracked_bays + 2, 0, 1, meaning), _goal_choice)
+        )
+    elif share.goals:
+        shared.append((position_field("goal", "centre of its goal"), _shared_goal))
+    if share.steering:
+        meaning = "its road-wheel angle [its limit], left > 0"
+        shared.append((Field("steering", 1, -1.0, 1.0, meaning), _steering))
+    if share.priority:
+        meaning = "1 if its number in the lot is lower than the own, else 0"
+        shared.append((Field("priority", 1, 0.0, 1.0, meaning), _priority))
+    return shared
+
+
+def _speed(sight: ObservationInput, index: jax.Array) -> jax.Array:
+    max_speed = sight.vehicle.max_speed
+    return (sight.agents.speed[index] / max_speed[:, None])[..., None]
+
+
+def _goal_choice(sight: ObservationInput, index: jax.Array) -> jax.Array:
+    bays = sight.tracked_bays
+    goal = sight.state.goal[index]
+    return jax.nn.one_hot(goal_code(goal, bays), bays.shape[1] + 2)
+
+
+def _shared_goal(sight: ObservationInput, index: jax.Array) -> jax.Array:
+    goal_pose = sight.layout.parked_pose[sight.state.goal]
+    local = to_local(sight.motion.pose_w[:, None], goal_pose[index])
+    return far(local[..., :2])
+
+
+def _steering(sight: ObservationInput, index: jax.Array) -> jax.Array:
+    steering = sight.agents.steering / sight.state.physics.vehicle.max_steering
+    return steering[index][..., None]
+
+
+def _priority(sight: ObservationInput, index: jax.Array) -> jax.Array:
+    number, count = sight.number, index.shape[0]
+    own = jnp.arange(count) if number is None else number[:count]
+    before = (index if number is None else number[index]) < own[:, None]
+    return before[..., None].astype(jnp.float32)
+
+
+def _at_least_one(parked_cars: ParkedCars) -> ParkedCars:
+    """The parked cars; one that is absent keeps the shapes where there are none."""
+    if parked_cars.bay.shape[0]:
+        return parked_cars
+    return ParkedCars(
+        bay=jnp.full(1, NO_BAY), pose_w=jnp.zeros((1, 3)), size=jnp.zeros((1, 2))
+    )
+
+
+PACE = 2.0  # m/s, scale of their velocities
+STANDS = 0.05  # m/s, below which a velocity has no direction
+_MOVER_FIELDS = (
+    *CAR_FIELDS,
+    Field(
+        "velocity", 2, -3.0, 3.0, f"its velocity, body frame [{PACE:g} m/s]", speed=PACE
+    ),
+    Field("person", 1, 0.0, 1.0, "1 if it is a person, else 0"),
+)
+
+
+def movers_part(count: int, in_sight: bool) -> Part:
+    """The nearest `count` movers.
+
+    With `in_sight` only those are observed whose centre can be seen from the own one,
+    past other agents, parked cars and walls.
+    """
+
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
+        own, groups = sight.motion, sight.state.movers.groups
+        pose, size, velocity, there, person, round_ = _table(groups)
+        mask = jnp.broadcast_to(there, (own.xy.shape[0], *there.shape))
+        if in_sight:
+            mask = mask & ~_hidden(sight, pose[:, :2])
+        index, present = nearest(own.xy, pose[:, :2], mask, count)
+        # Whoever stands without a heading is told as heading as the observer does.
+        still = (norm(velocity) < STANDS) & round_
+        yaw = jnp.where(still[index], own.pose_w[:, None, 2], pose[index, 2])
+        seen = jnp.concatenate([pose[index, :2], yaw[..., None]], axis=-1)
+        values = localise(own.pose_w, seen, size[index], present)
+        way = rotate(velocity[index], -own.pose_w[:, None, 2])
+        more = {"velocity": way / PACE, "person": person[index][..., None]}
+        more = {k: jnp.where(present[..., None], x, 0.0) for k, x in more.items()}
+        return repeated_values("mover", values | more)
+
+    return Part(tuple(repeated("mover", count, _MOVER_FIELDS)), fill)
+
+
+def _table(groups: tuple[Group, ...]) -> tuple[jax.Array, ...]:
+    """Poses, sizes, velocities, masks, whether they are persons and discs, (n, ...).
+
+    The heading of a disc is that of its velocity. Without movers one is absent.
+    """
+    rows = []
+    for group in groups:
+        n, velocity, mask = group.count, group.velocity_w, group.mask
+        velocity = jnp.zeros((n, 2)) if velocity is None else velocity
+        pose, size = group.pose_w, group.size
+        if not isinstance(group, Boxes):
+            yaw = jnp.arctan2(velocity[:, 1], velocity[:, 0])
+            pose = jnp.concatenate([pose, yaw[:, None]], axis=1)
+            size = jnp.repeat(2.0 * size[:, None], 2, axis=1)
+        there = jnp.ones(n, bool) if mask is None else mask
+        person = jnp.full(n, float(group.kind == ObstacleKind.PERSON))
+        disc = jnp.full(n, not isinstance(group, Boxes))
+        rows.append((pose, size, velocity, there, person, disc))
+    if not rows:
+        nobody = jnp.zeros((1, 3)), jnp.zeros((1, 2)), jnp.zeros((1, 2))
+        return *nobody, jnp.zeros(1, bool), jnp.zeros(1), jnp.zeros(1, bool)
+    return tuple(jnp.concatenate(column) for column in zip(*rows, strict=True))
+
+
+def _hidden(sight: ObservationInput, xy: jax.Array) -> jax.Array:
+    """(num_observers, n) bool, whether a box lies before points (n, 2)."""
+    own = sight.motion.xy
+    way = xy - own[:, None]
+    length = norm(way)
+    ahead = way / jnp.maximum(length, 1e-6)[..., None]
+    movers = {id(group) for group in sight.state.movers.groups}
+    hidden = jnp.zeros(length.shape, bool)
+    for group in sight.obstacles:
+        if isinstance(group, Boxes) and id(group) not in movers and group.count:
+            found = ray_box_distance(
+                own[:, None, None], ahead[:, :, None], group.pose_w, group.size
+            )
+            counts = group.counts(own.shape[0])[:, None]
+            hidden = hidden | ((found < length[..., None]) & counts).any(axis=-1)
+    return hidden
