@@ -76,13 +76,14 @@ def test_it_acts_as_the_policy_does_in_the_environment(name, counts):
     assert np.ptp(expected, axis=0).min() > 0.5
 
 
+@pytest.mark.slow
 def test_the_shipped_anywhere_is_exported(tmp_path):
     config = ExportConfig("anywhere", str(tmp_path / "car.onnx"), from_state=True)
     assert export(config).stat().st_size > 1e6
 
 
 def test_an_action_depends_on_the_last_places_of_its_inputs():
-    loaded = load_policy("hope")
+    loaded = load_policy("square")
     rows = environment_rows(loaded.env, {})
     known, _ = states(ParkingEnv(loaded.env), rows, 8)
     near = sensitivity(loaded, rows, known, 0)
