@@ -73,6 +73,7 @@ def test_networks_and_statistics_are_taken_and_the_rest_is_new(other, tmp_path):
     assert state.update == 0
 
 
+@pytest.mark.slow
 def test_of_runs_side_by_side_each_has_its_own_warm_start_or_none(other, tmp_path):
     folder, theirs = other
     starts = ("", str(folder))
@@ -168,6 +169,7 @@ def memory(x):
     return x.addressable_data(0).unsafe_buffer_pointer()
 
 
+@pytest.mark.slow
 def test_a_policy_alone_is_widened_too(other, tmp_path):
     save_policy(other[0], tmp_path / "alone.npz")
     config = dataclasses.replace(
@@ -246,7 +248,7 @@ def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
     np.testing.assert_allclose(again.std[new] ** 2, 0.5 + 1.5**2, rtol=1e-3)
 
 
-@pytest.mark.parametrize("near", [0.0, 1.0])
+@pytest.mark.parametrize("near", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path, near):
     folder, theirs = other
     assert TINY.env.observation.rays == RayConfig(24)
