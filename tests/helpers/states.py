@@ -83,7 +83,8 @@ def parked_in(layout: Layout, bay: Any, size: Any = (4.0, 2.0)) -> ParkedCars:
     """Parked cars in the middle of bays (num_parked_cars,) of a lot."""
     xp = array_module(layout, bay)
     bay = xp.asarray(bay, np.int32)
-    pose = xp.asarray(layout.bay_pose)[bay]
+    # As in JAX, no bay stands for the last.
+    pose = xp.asarray(layout.bay_pose)[xp.minimum(bay, layout.num_bays - 1)]
     return parked_at(pose, size).replace(bay=jnp.asarray(bay))
 
 
