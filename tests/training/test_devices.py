@@ -22,6 +22,7 @@ from carpark_mj.wrappers.brax import BraxParking
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.slow
 def test_devices_learn_together_what_one_learns_from_all_their_steps(tmp_path):
     splitting.assert_alike(splitting.learned_by("brax", tmp_path / "learned.npz"))
 

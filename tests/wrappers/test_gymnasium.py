@@ -215,7 +215,10 @@ def test_no_environment_of_many_is_an_absent_agent():
 @pytest.mark.parametrize(
     "options",
     [
-        {"config": "hope", "layout": "hope_extreme_parallel"},
+        pytest.param(
+            {"config": "hope", "layout": "hope_extreme_parallel"},
+            marks=pytest.mark.slow,
+        ),
         {"layout": mixture(["square", "tpcap"]), "parked_cars": 0},
         {"layout": "square_compact"},
     ],
