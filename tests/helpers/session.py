@@ -55,7 +55,6 @@ import pytest
 
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 
-
 LONG = {"integration", "training", "wrappers", "policy"}  # folders of long files
 
 
