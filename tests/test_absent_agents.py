@@ -113,7 +113,9 @@ def random_action(env: ParkingEnv, rng: np.random.Generator) -> jax.Array:
     return jnp.asarray(np.stack([*driving, *choices], -1), jnp.float32)
 
 
-@pytest.mark.parametrize("name", CONFIGS)
+@pytest.mark.parametrize(
+    "name", ["dynamic", pytest.param("fixed", marks=pytest.mark.slow)]
+)
 def test_agents_drive_as_in_a_lot_in_which_the_absent_do_not_exist(name):
     env = ParkingEnv(CONFIGS[name])
     alone = ParkingEnv(dataclasses.replace(env.config, num_agents=PRESENT))
@@ -149,14 +151,15 @@ def test_agents_drive_as_in_a_lot_in_which_the_absent_do_not_exist(name):
     assert min(parked, crashed) > 0
 
 
-@pytest.mark.parametrize("physics", ["mjx", "bicycle", "scene"])
+@pytest.mark.parametrize(
+    "physics", ["mjx", pytest.param("scene", marks=pytest.mark.slow)]
+)
 def test_absent_agents_stand_still_far_from_each_other_and_see_zeros(physics):
-    slope = 0.0 if physics == "bicycle" else 0.1
     config = EnvConfig(
         num_agents=4,
         num_parked_cars=2,
         physics=physics,
-        sim=SimConfig(sim_dt=0.02, grade_x=slope),
+        sim=SimConfig(sim_dt=0.02, grade_x=0.1),
         sensors=SensorConfig(position_noise=0.1),
         episode=EpisodeConfig(max_steps=30),
         metrics=EVERYTHING,
@@ -230,8 +233,8 @@ def test_agents_of_fixed_goals_reserve_no_bay_for_the_absent():
         assert len(set(own.tolist())) == len(own)
 
 
-@pytest.mark.parametrize("config", [FIXED, DYNAMIC], ids=["fixed", "dynamic"])
-def test_a_lot_of_all_agents_is_bit_for_bit_one_that_knows_of_no_absent_ones(config):
+def test_a_lot_of_all_agents_is_bit_for_bit_one_that_knows_of_no_absent_ones():
+    config = FIXED
     plain = ParkingEnv(config)
     same = ParkingEnv(dataclasses.replace(config, min_agents=MOST))
     key = jax.random.key(7)

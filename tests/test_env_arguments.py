@@ -23,6 +23,7 @@ def test_float64_is_refused_where_an_environment_is_built_or_used():
                 call()
 
 
+@pytest.mark.slow
 def test_eager_results_can_be_donated():
     env, *_ = slide()
     step = jax.jit(env.step, donate_argnums=0)

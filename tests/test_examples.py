@@ -14,6 +14,7 @@ from carpark_mj.wrappers.batch import Step
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
+@pytest.mark.slow
 def test_ppo_in_one_file_trains_and_evaluates(tmp_path):
     pytest.importorskip("torch")
     flags = ("--minutes", "0.05", "--lots", "8", "--minibatches", "4")

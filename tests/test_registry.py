@@ -51,6 +51,7 @@ def driven():
     return jax.device_get(jax.jit(drive)(keys))
 
 
+@pytest.mark.slow
 def test_anywhere_s_agents_are_some_and_drive_cars_of_all_kinds(driven):
     state, _, timesteps = driven
     counts = state.present.sum(axis=1)
@@ -62,6 +63,7 @@ def test_anywhere_s_agents_are_some_and_drive_cars_of_all_kinds(driven):
     assert len(found) >= 3
 
 
+@pytest.mark.slow
 def test_anywhere_s_agents_observe_and_earn_finite_numbers(driven):
     state, observation, timesteps = driven
     seen = np.concatenate([observation[None], timesteps.observation])

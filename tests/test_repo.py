@@ -1,6 +1,7 @@
 """The house: who may import whom, and what an import may cost."""
 
 import ast
+import json
 import os
 import subprocess
 import sys
@@ -151,10 +152,34 @@ def test_the_library_never_imports_the_programs():
         assert not roots & (programs | {"train", "eval", "tests", "carpark_papers"})
 
 
-def run(code):
-    """Runs code in a fresh interpreter; what it prints on both channels."""
+# What is imported, in this order in one process, and what may not be loaded by then.
+HEAVY = {"OpenGL", "glfw", "matplotlib", "flask", "brax", "imageio", "tyro"}
+STAGES = [
+    # Before `process` Ctrl-C is Python's own: nothing but the standard library.
+    (("", ".cli.process"), HEAVY | {"mujoco", "jax", "gymnasium", "numpy"}),
+    ([f".{name}" for name in sorted(WITHOUT_MUJOCO)], HEAVY | {"mujoco"}),
+    (
+        (".env",),
+        HEAVY - {"glfw"} | {"mujoco.mjx", "trimesh", "carpark_mj.rendering.stage"},
+    ),
+    # The settings of a training need no package of an extra; flax has rich.
+    ((".training",), {"tyro", "tensorboardX", "matplotlib", "imageio_ffmpeg"}),
+]
+CODE = """
+import importlib, json, sys
+for names in json.loads(sys.argv[1]):
+    for name in names:
+        importlib.import_module("carpark_mj" + name)
+    print(*sys.modules)
+from carpark_mj.training import PRESETS, PPOConfig
+PPOConfig(), PRESETS["gpu"]
+"""
+
+
+def test_imports_are_silent_and_load_nothing_heavy():
+    stages = json.dumps([[*names] for names, _ in STAGES])
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
+        [sys.executable, "-W", "error", "-c", CODE, stages],
         cwd=ROOT,
         # MuJoCo itself loads the GL back end that this variable asks for.
         env={k: v for k, v in os.environ.items() if k != "MUJOCO_GL"},
@@ -163,43 +188,8 @@ def run(code):
         timeout=120,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout, done.stderr
-
-
-def loaded_by(module):
-    """Names in `sys.modules` after an import."""
-    code = f"import sys\nimport {module}\nprint(*sorted(sys.modules))"
-    return set(run(code)[0].split())
-
-
-def test_importing_the_package_is_silent():
-    assert run("import carpark_mj") == ("", "")
-
-
-def test_importing_the_package_loads_nothing_heavy():
-    heavy = {"OpenGL", "glfw", "matplotlib", "flask", "brax", "mujoco", "jax"}
-    assert not loaded_by("carpark_mj") & (heavy | {"gymnasium", "numpy"})
-    # Before it Ctrl-C is Python's own: nothing but the standard library.
-    assert not loaded_by("carpark_mj.cli.process") & (heavy | {"gymnasium", "numpy"})
-
-
-def test_importing_the_environment_loads_no_plots_servers_or_trainers():
-    loaded = loaded_by("carpark_mj.env")
-    assert "mujoco" in loaded
-    heavy = {"OpenGL", "matplotlib", "flask", "brax", "imageio", "tyro"}
-    assert not loaded & (heavy | {"mujoco.mjx", "trimesh"})
-    assert not {name for name in loaded if name.startswith("carpark_mj.rendering")}
-
-
-def test_settings_of_a_training_need_no_package_of_an_extra():
-    code = "import sys\nfrom carpark_mj.training import PRESETS, PPOConfig, train\n"
-    printed, _ = run(f"{code}PPOConfig(), PRESETS['gpu']\nprint(*sys.modules)")
-    extras = {"tyro", "tensorboardX", "matplotlib", "imageio_ffmpeg"}  # flax has rich
-    assert not extras & {*printed.split()}
-
-
-def test_importing_the_task_does_not_load_mujoco():
-    modules = "\n".join(f"import carpark_mj.{name}" for name in sorted(WITHOUT_MUJOCO))
-    printed, _ = run(f"import sys\n{modules}\nprint('mujoco' in sys.modules)")
-    assert printed.split() == ["False"]
+    assert (done.returncode, done.stderr) == (0, "")
+    loaded = [set(line.split()) for line in done.stdout.splitlines()]
+    for found, (names, heavy) in zip(loaded, STAGES, strict=True):
+        assert not found & heavy, names
+    assert "mujoco" in loaded[2]

@@ -7,57 +7,34 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-pytest.importorskip("mkdocs", reason='pip install ".[docs]"')
-
 pytestmark = pytest.mark.slow
+ROOT = Path(__file__).parents[1]
+# Scripts, pictures or styles of other servers; rows of tables and lists left as text.
+LOADS = (
+    r'<(?:script|img|iframe|source)\b[^>]*\bsrc="(https?:)?//',
+    r'<link\b(?=[^>]*\brel="(?:stylesheet|preconnect)")[^>]*href="(https?:)?//',
+)
+LEFT_AS_TEXT = re.compile(r"^(<p>)?(- |\|)", re.MULTILINE)
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """The site, built."""
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", folder]
+def test_the_site_is_whole_and_asks_nobody(tmp_path):
+    pytest.importorskip("mkdocs", reason='pip install ".[docs]"')
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", tmp_path]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return folder
-
-
-def test_every_page_is_built(site):
     for page in (ROOT / "docs").rglob("*.md"):
         name = page.relative_to(ROOT / "docs").with_suffix(".html")
-        assert (site / name).is_file(), name
-
-
-def test_no_page_loads_anything_from_elsewhere(site):
-    loads = r'<(?:script|img|iframe|source)\b[^>]*\bsrc="(https?:)?//'
-    styles = r'<link\b(?=[^>]*\brel="(?:stylesheet|preconnect)")[^>]*href="(https?:)?//'
-    for page in site.rglob("*.html"):
+        assert (tmp_path / name).is_file(), name
+    index = (tmp_path / "search" / "search_index.js").read_text()
+    assert index.startswith("var __index")  # search without a server
+    for page in tmp_path.rglob("*.html"):
         text = page.read_text()
-        assert not re.search(f"{loads}|{styles}", text), page
-
-
-def test_search_needs_no_server(site):
-    assert (site / "search" / "search_index.js").read_text().startswith("var __index")
-    pages = {*site.rglob("*.html")} - {site / "demo" / "index.html"}  # which has none
-    for page in pages:
-        [script] = re.findall(r'src="([^"]*iframe-worker[^"]*)"', page.read_text())
-        assert page.name == "404.html" or (page.parent / script).is_file()
-
-
-def test_tables_and_lists_are_none_of_them_left_as_text(site):
-    for page in site.rglob("*.html"):
-        text = re.sub(r"<(pre|code)\b.*?</\1>", "", page.read_text(), flags=re.S)
-        assert not re.search(r"^(<p>)?(- |\|)", text, re.MULTILINE), page
-
-
-def test_formulas_are_mathml(site):
-    text = (site / "vehicle.html").read_text()
-    assert text.count("<math ") > 30
-    assert "arithmatex" not in text
-
-
-def test_the_reference_documents_what_it_names(site):
-    api = (site / "api" / "env.html").read_text()
+        assert not re.search("|".join(LOADS), text), page
+        prose = re.sub(r"<(pre|code)\b.*?</\1>", "", text, flags=re.S)
+        assert not LEFT_AS_TEXT.search(prose), page
+    formulas = (tmp_path / "vehicle.html").read_text()
+    assert formulas.count("<math ") > 30
+    assert "arithmatex" not in formulas
+    api = (tmp_path / "api" / "env.html").read_text()
     for name in ("carpark_mj.env.ParkingEnv.step", "carpark_mj.types.Motion"):
         assert f'id="{name}"' in api, name

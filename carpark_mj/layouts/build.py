@@ -113,7 +113,8 @@ def _rows(row: str, mask: Any, **values: Any) -> Group:
     if "pose" in values:
         pose = jnp.asarray(values["pose"], jnp.float32)
         values["pose"] = pose.at[..., 2].set(wrap_angle(pose[..., 2]))
-    lead = jnp.shape(values["pose" if "pose" in values else "centre"])[:-1]
+    place = jnp.asarray(values["pose" if "pose" in values else "centre"])
+    lead = place.shape[:-1]
     mask = jnp.broadcast_to(jnp.asarray(mask, bool), lead).reshape(-1)
     group = {f"{row}_mask": mask}
     for part, value in values.items():

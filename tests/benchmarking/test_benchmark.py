@@ -111,6 +111,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(flags, said, tmp_path, capsys
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_job_is_measured_in_a_process_of_its_own_without_compiled_programs(
     monkeypatch,
 ):

@@ -13,12 +13,11 @@ from carpark_mj.physics.contact import ContactPhysics
 from carpark_mj.physics.mjx import MjxPhysics
 
 ROOT = Path(__file__).parents[2]
-# What trains by default, what draws numbers of cars and lots anew among people, what
-# moves parked cars: XLA aborts where it fuses scatters that share their indices, or
-# read what others read. Bicycles compile in less time than MJX, which has no scatters
-# either; the first has it. Scatters of one agent are of a kind of their own.
+# What draws numbers of cars and lots anew among people, what moves parked cars: XLA
+# aborts where it fuses scatters that share their indices, or read what others read.
+# Bicycles compile in less time than MJX, which has no scatters either. Scatters of one
+# agent are of a kind of their own.
 CONFIGS = {
-    "cpu": "PRESETS['cpu']",
     "mixture": "PPOConfig(curriculum=CurriculumConfig(reverse_ratio=0.3, "
     "target_rate=0.9), env=EnvConfig(layout='street,angled', num_parked_cars=15, "
     "physics='bicycle', min_agents=1, occupancy=(0.2, 0.8), "

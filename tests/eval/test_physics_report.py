@@ -172,6 +172,7 @@ def check(study: Study) -> None:
     assert missed == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "manoeuvre",
     [
@@ -215,6 +216,7 @@ def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
     check(handling.lateral_limit(bed, "tall", car, True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "manoeuvre",
     [

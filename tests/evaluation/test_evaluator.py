@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig, insert
+from carpark_mj.config import EnvConfig, EpisodeConfig, insert
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import effective_episodes, wilson_interval
 from carpark_mj.evaluation.evaluator import Evaluator, allot, evaluate
@@ -23,7 +23,7 @@ def env():
         EnvConfig(
             num_agents=2,
             num_parked_cars=20,
-            sim=SimConfig(sim_dt=0.02),
+            physics="bicycle",
             episode=EpisodeConfig(max_steps=30),
         )
     )

@@ -25,7 +25,7 @@ def events(count, **true):
 def step(config, before, after, goal=GOAL, happened=None, **more):
     """A step of cars that drive as `LIMITS` let them."""
     count = before.yaw_rate.shape[0]
-    goal = jnp.broadcast_to(jnp.asarray(goal, jnp.float32), (count, 3))
+    goal = jnp.asarray(np.broadcast_to(np.asarray(goal, np.float32), (count, 3)))
     physics = HandPhysics(hand_cars(before, **LIMITS))
     return transition(
         config,

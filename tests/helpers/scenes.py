@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
+from helpers.states import array_module
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
@@ -28,23 +29,23 @@ def cars(
     finite: Any = True,
 ) -> Motion:
     """Cars (..., ) by hand; scalars hold for all of them, the trace stands still."""
-    pose = jnp.asarray(pose, jnp.float32)
+    xp = array_module(pose, speed, steering, yaw_rate, sideways, size, trace, finite)
+    pose = xp.asarray(pose, np.float32)
     lead = pose.shape[:-1]
 
-    def full(value: Any, *shape: int) -> jax.Array:
-        return jnp.broadcast_to(jnp.asarray(value, jnp.float32), (*lead, *shape))
+    def full(value: Any, *shape: int) -> Any:
+        return xp.broadcast_to(xp.asarray(value, np.float32), (*lead, *shape))
 
-    return Motion(
+    motion = Motion(
         pose_w=pose,
-        velocity_b=jnp.stack([full(speed), full(sideways)], axis=-1),
+        velocity_b=xp.stack([full(speed), full(sideways)], axis=-1),
         yaw_rate=full(yaw_rate),
         steering=full(steering),
         size=full(size, 2),
-        trace_w=pose[..., None, :]
-        if trace is None
-        else jnp.asarray(trace, jnp.float32),
-        finite=jnp.broadcast_to(jnp.asarray(finite), lead),
+        trace_w=pose[..., None, :] if trace is None else xp.asarray(trace, np.float32),
+        finite=xp.broadcast_to(xp.asarray(finite), lead),
     )
+    return jax.tree.map(jnp.asarray, motion)
 
 
 def lot(
@@ -56,9 +57,13 @@ def lot(
     discs: Any = (),
 ) -> Layout:
     """A layout by hand with one spawn region at the origin; discs are x, y, radius."""
-    bays = jnp.asarray(bays, jnp.float32).reshape(-1, 3)
-    walls = jnp.asarray(walls, jnp.float32).reshape(-1, 3)
-    discs = jnp.asarray(discs, jnp.float32).reshape(-1, 3)
+    rows = [np.asarray(x, np.float32).reshape(-1, 3) for x in (bays, walls, discs)]
+    sizes = [np.asarray(x, np.float32) for x in (bay_size, wall_size, spawn_size)]
+    return _assembled(*rows, *sizes)
+
+
+@jax.jit
+def _assembled(bays, walls, discs, bay_size, wall_size, spawn_size):
     return build.assemble(
         (50.0, 50.0),
         build.bays(bays, bay_size),

@@ -22,7 +22,7 @@ quick = (
 os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}".strip()
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"
 gc.set_threshold(200_000, 20, 50)  # tracing makes many objects, few of them garbage
-MAX_MAPS = 12_000  # memory maps of a process between files, 3 GB
+MAX_MAPS = 4000  # memory maps of a process between files, 2 GB [est]
 MAX_KEPT = 2e9  # bytes of compiled programs; a run leaves 0.1e9
 
 
@@ -55,10 +55,12 @@ import pytest
 
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 
+LONG = {"integration", "training", "wrappers", "policy"}  # folders of long files
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begins with the slow files: no process has one left when the others are done."""
-    items.sort(key=lambda item: "integration" not in item.path.parts)
+    items.sort(key=lambda item: LONG.isdisjoint(item.path.parts))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -105,6 +105,10 @@ class SlidePhysics(FactoredPhysics[SlideState]):
 
 def placed(env: ParkingEnv, state: State, pose: Any) -> State:
     """The state with its cars standing at the given poses (lots, agents, 3)."""
-    pose = jnp.asarray(pose, jnp.float32)
+    return _placed(env, state, np.asarray(pose, np.float32))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _placed(env: ParkingEnv, state: State, pose: jax.Array) -> State:
     physics = env.physics.init(pose, state.physics.vehicle)
     return state.replace(physics=physics, motion=env.physics.read(physics))

@@ -4,11 +4,18 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from carpark_mj.config import EnvConfig, GoalConfig, ObservationConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.types import NO_BAY, EpisodeStats, Motion, ParkedCars, State
+
+
+def array_module(*values: Any) -> Any:
+    """NumPy, in which a scene by hand compiles nothing, or JAX for traced values."""
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(values))
+    return jnp if traced else np
 
 
 @struct.dataclass
@@ -49,9 +56,9 @@ def hand_cars(motion: Motion, **parameters: Any) -> HandCar:
         "max_acceleration": 2.0,
         "max_deceleration": 4.0,
     } | parameters
-    lead = motion.yaw_rate.shape
+    lead, xp = motion.yaw_rate.shape, array_module(values)
     full = {
-        name: jnp.broadcast_to(jnp.asarray(value, jnp.float32), lead)
+        name: jnp.asarray(xp.broadcast_to(xp.asarray(value, np.float32), lead))
         for name, value in values.items()
     }
     return HandCar(size=motion.size, **full)
@@ -61,19 +68,24 @@ def parked_at(
     pose: Any = (), size: Any = (4.0, 2.0), present: Any = True
 ) -> ParkedCars:
     """Parked cars at poses (num_parked_cars, 3), in the first bays of the lot."""
-    pose = jnp.asarray(pose, jnp.float32).reshape(-1, 3)
-    bay = jnp.arange(pose.shape[0], dtype=jnp.int32)
-    return ParkedCars(
-        bay=jnp.where(jnp.asarray(present), bay, NO_BAY),
+    xp = array_module(pose, size, present)
+    pose = xp.asarray(pose, np.float32).reshape(-1, 3)
+    bay = xp.arange(pose.shape[0], dtype=np.int32)
+    cars = ParkedCars(
+        bay=xp.where(xp.asarray(present), bay, np.int32(NO_BAY)),
         pose_w=pose,
-        size=jnp.broadcast_to(jnp.asarray(size, jnp.float32), (pose.shape[0], 2)),
+        size=xp.broadcast_to(xp.asarray(size, np.float32), (pose.shape[0], 2)),
     )
+    return jax.tree.map(jnp.asarray, cars)
 
 
 def parked_in(layout: Layout, bay: Any, size: Any = (4.0, 2.0)) -> ParkedCars:
     """Parked cars in the middle of bays (num_parked_cars,) of a lot."""
-    bay = jnp.asarray(bay, jnp.int32)
-    return parked_at(layout.bay_pose[bay], size).replace(bay=bay)
+    xp = array_module(layout, bay)
+    bay = xp.asarray(bay, np.int32)
+    # As in JAX, no bay stands for the last.
+    pose = xp.asarray(layout.bay_pose)[xp.minimum(bay, layout.num_bays - 1)]
+    return parked_at(pose, size).replace(bay=jnp.asarray(bay))
 
 
 def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State:
@@ -88,7 +100,7 @@ def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State
     lead = motion.yaw_rate.shape
     if changes.get("tracked_bays") is not None:
         changes["tracked_bays"] = jnp.asarray(changes["tracked_bays"], jnp.int32)
-    zero = jnp.zeros(lead, jnp.float32)
+    zero, xp = jnp.asarray(np.zeros(lead, np.float32)), array_module(goal)
     stats = EpisodeStats(
         episode_return=zero,
         length=zero,
@@ -103,12 +115,12 @@ def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State
         physics=HandPhysics(hand_cars(motion)),
         motion=motion,
         layout=layout,
-        goal=jnp.broadcast_to(jnp.asarray(goal, jnp.int32), lead),
+        goal=jnp.asarray(xp.broadcast_to(xp.asarray(goal, np.int32), lead)),
         tracked_bays=None,
         parked_cars=parked_at(),
         memory=None,
-        step=jnp.zeros(lead, jnp.int32),
-        active=jnp.ones(lead, bool),
+        step=jnp.asarray(np.zeros(lead, np.int32)),
+        active=jnp.asarray(np.ones(lead, bool)),
         stats=stats,
         sensors=None,
         key=jax.random.key(0),

@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from helpers.states import state_of
 
 from carpark_mj.config import EnvConfig
@@ -26,7 +27,8 @@ CHOICES = (
 
 def no_events(count: int, **true: Any) -> Events:
     """Nothing happened to anybody, except what is given as flags (count,)."""
-    flags = {f.name: jnp.zeros(count, bool) for f in dataclasses.fields(Events)}
+    nobody = jnp.asarray(np.zeros(count, bool))
+    flags = {f.name: nobody for f in dataclasses.fields(Events)}
     return Events(**(flags | {name: jnp.asarray(x, bool) for name, x in true.items()}))
 
 
@@ -36,7 +38,7 @@ def no_goal_events(count: int, **true: Any) -> GoalEvents:
     unknown = set(true) - names - set(CONTEXTS)
     assert not unknown
     given = {name: jnp.asarray(flag, bool) for name, flag in true.items()}
-    nobody = jnp.zeros(count, bool)
+    nobody = jnp.asarray(np.zeros(count, bool))
     return GoalEvents(
         contexts={name: given.get(name, nobody) for name in CONTEXTS},
         **{name: given.get(name, nobody) for name in names},
@@ -45,7 +47,7 @@ def no_goal_events(count: int, **true: Any) -> GoalEvents:
 
 def no_terms(config: EnvConfig) -> dict[str, jax.Array]:
     """A reward of nothing."""
-    zero = jnp.zeros(config.num_agents)
+    zero = jnp.asarray(np.zeros(config.num_agents, np.float32))
     return dict.fromkeys(term_weights(config), zero)
 
 
@@ -79,7 +81,7 @@ def transition(
         "events": no_events(count),
         "goal_events": None,
         "wrong_way": None,
-        "invalid_action": jnp.zeros(count, bool),
+        "invalid_action": jnp.asarray(np.zeros(count, bool)),
     }
     moved = dataclasses.replace(state, motion=after)
     return Transition(before=state, after=moved, **(usual | more))

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, Mover
 from carpark_mj.env import ParkingEnv
@@ -14,6 +15,7 @@ from carpark_mj.suite.scripts import ScriptedBox, ScriptedPerson
 from carpark_mj.vehicle import COMPACT
 
 
+@pytest.mark.slow
 def test_who_is_hit_is_reported_as_in_mjx_and_stops_the_car():
     person = ScriptedPerson(start=(1.0, 0.0, 0.0), trigger=1e-3)  # both stand
     cart = ScriptedBox(start=(1.0, 7.0, 0.0), trigger=1e-3, size=(1.0, 0.6))
@@ -75,6 +77,7 @@ class Roller(Mover):
         return [Boxes(pose, jnp.array([[1.0, 0.6]]), velocity)]
 
 
+@pytest.mark.slow
 def test_who_runs_into_a_standing_car_pushes_it_from_step_to_step():
     start = ResetOptions(pose=jnp.zeros((1, 3)))
     ends = []

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics, placed
+from helpers.transitions import CHOICES
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
@@ -78,24 +79,27 @@ def test_everybody_starts_exploring_and_knows_the_nearest_free_bays():
     assert np.isfinite(observation).all()
 
 
-@pytest.mark.parametrize("by_distance", [True, False])
-def test_slots_are_sorted_by_distance_only_if_asked_for(by_distance):
-    goals = dataclasses.replace(CONFIG.goals, slots_by_distance=by_distance)
+def test_slots_are_sorted_by_distance_if_asked_for():
+    goals = dataclasses.replace(CONFIG.goals, slots_by_distance=True)
     env = ParkingEnv(dataclasses.replace(CONFIG, goals=goals), SlidePhysics())
 
     def advance(state, key):
         controls = jax.random.uniform(key, (AGENTS, 2), minval=-1.0)
         first = jnp.ones((AGENTS, 1))  # choose the first slot
         after, timestep = env.step(state, jnp.concatenate([controls, first], axis=1))
-        bay = after.layout.bay_pose[after.tracked_bays, :2]
-        gap = jnp.linalg.norm(bay - after.motion.xy[:, None], axis=-1)
-        return after, (timestep.goal == state.tracked_bays[:, 0], gap)
+        return after, (timestep.goal == state.tracked_bays[:, 0], slot_gaps(after))
 
     state, _ = jax.jit(env.reset)(jax.random.key(0))
     keys = jax.random.split(jax.random.key(1), 100)
     _, (is_first, gap) = jax.jit(lambda s: jax.lax.scan(advance, s, keys))(state)
     assert is_first.all()
-    assert (jnp.diff(gap) >= 0.0).all() == by_distance
+    assert (jnp.diff(gap) >= 0.0).all()
+
+
+def slot_gaps(state):
+    """Distances (agents, slots) [m] of tracked bays."""
+    bay = state.layout.bay_pose[state.tracked_bays, :2]
+    return jnp.linalg.norm(bay - state.motion.xy[:, None], axis=-1)
 
 
 # Steps by hand
@@ -194,6 +198,122 @@ def test_without_respawning_a_parked_agent_keeps_its_bay_from_the_others():
 
 
 # Whatever happens
+
+
+def drive(env, num_steps, seed, parks):
+    """Random driving and choosing; states before and after every step, numpy.
+
+    With a chance of `parks` an agent with a goal is put into its bay beforehand.
+    """
+    spec, agents = env.action_spec, env.num_agents
+
+    def one(state, key):
+        keys = jax.random.split(key, 5)
+        index = jax.random.randint(keys[0], (agents, 9), 0, jnp.array([999] * 9))
+        index = index[:, : len(spec.choices)] % jnp.array(spec.choices)
+        goal = state.goal
+        held = jnp.argmax(state.tracked_bays == goal[:, None], axis=1) + 1
+        held = jnp.where(goal == NO_BAY, 0, held)
+        keep = jax.random.bernoulli(keys[1], 0.7, (agents,))
+        index = index.at[:, -1].set(jnp.where(keep, held, index[:, -1]))
+        numbers = jax.random.uniform(keys[2], (agents, spec.continuous), minval=-0.5)
+        action = jnp.concatenate([numbers, index], axis=1) if spec.continuous else index
+        if parks:
+            put = jax.random.bernoulli(keys[3], parks, (agents,)) & (goal != NO_BAY)
+            pose = state.layout.bay_pose[jnp.minimum(goal, BAYS - 1)]
+            physics = env.physics.place(state.physics, put, pose, state.physics.vehicle)
+            state = state.replace(physics=physics, motion=env.physics.read(physics))
+        after, timestep = env.step(state, action)
+        bare = [x.replace(physics=None, key=None) for x in (state, after)]
+        return after, (*bare, timestep)
+
+    def run(key):
+        state, _ = env.reset(key)
+        return jax.lax.scan(one, state, jax.random.split(key, num_steps))[1]
+
+    return jax.device_get(jax.jit(run)(jax.random.key(seed)))
+
+
+def check(env, before, after, timestep):
+    """The invariants of dynamic goals over a stretch of time."""
+    events, goals = timestep.events, timestep.goal_events
+    agents = env.num_agents
+    parked_bay = np.sort(after.parked_cars.bay, axis=1)
+    assert (np.diff(parked_bay, axis=1) > 0).all()  # none lost, none doubled
+    assert (parked_bay >= 0).all()
+    assert (parked_bay < BAYS).all()
+    # Tracked bays are the nearest free ones.
+    bays = after.layout.bay_pose[0, :, :2]
+    free = np.ones((len(parked_bay), BAYS), bool)
+    np.put_along_axis(free, parked_bay, False, axis=1)
+    xy = after.motion.pose_w[:, :, None, :2]
+    gap = np.where(free[:, None], np.linalg.norm(xy - bays, axis=-1), np.inf)
+    count = env.config.goals.num_tracked_bays
+    nearest = np.sort(gap, axis=-1)[..., :count]
+    found = np.sort(np.take_along_axis(gap, after.tracked_bays, axis=-1), axis=-1)
+    np.testing.assert_allclose(found, nearest, atol=1e-4)
+    # A bay that stays among them keeps its slot.
+    old, new = before.tracked_bays[~events.done], after.tracked_bays[~events.done]
+    stays = (old[:, :, None] == new[:, None, :]).any(axis=2)
+    np.testing.assert_array_equal(old[stays], new[stays])
+    # Goals are tracked, those that new episodes start with too; lost ones are none.
+    goal = after.goal
+    assert (
+        (goal == NO_BAY) | (after.tracked_bays == goal[..., None]).any(axis=-1)
+    ).all()
+    lost = goals.lost_untracked | goals.lost_taken
+    assert not (lost & events.done).any()
+    goes_on = ~events.done
+    kept = np.where(lost, NO_BAY, timestep.goal)
+    np.testing.assert_array_equal(goal[goes_on], kept[goes_on])
+    # One transition each; rewards are what the transitions pay.
+    names = CHOICES
+    flags = np.stack([getattr(goals, name) for name in names])
+    assert (flags.sum(axis=0) == 1).all()
+    terms, pay = timestep.reward_terms, env.config.reward.goals
+    paid = {name: getattr(pay, name) for name in names} | {"stop_goal": pay.stop}
+    for name, flag in zip(names, flags, strict=True):
+        np.testing.assert_allclose(terms[name], paid[name] * flag, atol=1e-7)
+    np.testing.assert_allclose(terms["lost_goal"], pay.stop * goals.lost_untracked)
+    np.testing.assert_allclose(timestep.reward, sum(terms.values()), atol=1e-5)
+    assert not (events.parked & goals.exploring).any()
+    for name in {"approach"} & terms.keys():  # where it is a term
+        assert not terms[name][goals.exploring].any()
+    assert (terms["progress"][goals.exploring] <= 0).all()
+    # Metrics of an episode are the sums of what happened in it.
+    sums = {name: np.zeros(agents) for name in timestep.metrics if name in vars(goals)}
+    assert {"lost_untracked", "lost_taken", "stop_goal", "change_goal"} <= set(sums)
+    explored, length = np.zeros(agents), np.zeros(agents)
+    for t in range(len(goal)):
+        explored, length = explored + goals.exploring[t], length + 1
+        steps = timestep.metrics["explored_steps"][t], timestep.metrics["length"][t]
+        np.testing.assert_array_equal(steps, (explored, length))
+        for name in sums:
+            sums[name] += getattr(goals, name)[t]
+            np.testing.assert_array_equal(timestep.metrics[name][t], sums[name])
+            sums[name][events.done[t]] = 0
+        explored[events.done[t]], length[events.done[t]] = 0, 0
+    assert np.isfinite(timestep.observation).all()
+    return goals, events
+
+
+def test_invariants_when_many_park_start_close_and_share_goals():
+    spawn = dataclasses.replace(CONFIG.spawn, close_ratio=1.0)
+    env = ParkingEnv(dataclasses.replace(CONFIG, spawn=spawn), SlidePhysics())
+    before, after, timestep = drive(env, 300, seed=1, parks=0.1)
+    goals, events = check(env, before, after, timestep)
+    assert events.parked.sum() > 20
+    for name in (*CHOICES, "lost_untracked", "lost_taken"):
+        assert getattr(goals, name).any(), name
+    # Slots are not by distance; half of the close starts have the bay beside them for a
+    # goal: it may be taken, or not be among the nearest.
+    assert (np.diff(jax.vmap(slot_gaps)(after)) < 0.0).any()
+    fresh = events.done
+    begun = after.goal[fresh]
+    assert len(begun) > 50
+    assert 0.25 < (begun != NO_BAY).mean() < 0.6
+    tracked = (after.tracked_bays[fresh] == begun[:, None]).any(axis=1)
+    np.testing.assert_array_equal(tracked, begun != NO_BAY)
 
 
 def test_agents_of_a_fleet_track_only_bays_they_fit_in():

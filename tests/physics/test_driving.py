@@ -13,7 +13,6 @@ from helpers.drives import (
     ELSEWHERE,
     HOLD,
     LIMITED,
-    NO_SCRUB,
     ORIGIN,
     STIFFENINGS,
     STOP_AND_GO,
@@ -67,24 +66,6 @@ def test_the_rear_axle_turns_on_the_radius_of_ackermann(
     assert low < error < high
 
 
-@pytest.mark.parametrize(
-    ("name", "way"), [("left no scrub", 1), ("left no scrub reverse", -1)]
-)
-def test_without_scrub_torque_only_tyre_slip_changes_the_radius(
-    tracks, name: str, way: int
-):
-    track, angle = tracks[name], math.radians(30.0)
-    radius = NO_SCRUB.wheelbase / math.tan(angle)
-    # Both axles slip outwards by a_y / (g C); the front, whose force is not square to
-    # the car, by 1 / cos more, and its slip counts 1 / cos^2. Odd in the direction.
-    slip = float(track.speed[-1]) ** 2 / radius / GRAVITY
-    slip /= NO_SCRUB.tyre.cornering_stiffness
-    extra = slip * (math.cos(angle) ** -3 - 1) / math.tan(angle)
-    # Predicted +-0.16 %. Measured +0.07 and -0.20 %; rolling resistance is the rest.
-    error = circle_radius(track.rear_axle(NO_SCRUB)[500:]) / radius - 1
-    assert error == pytest.approx(way * extra, abs=0.0012)
-
-
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("degrees", TURN_ANGLES)
 def test_a_car_steered_left_turns_left_forwards_and_right_in_reverse(
@@ -95,42 +76,6 @@ def test_a_car_steered_left_turns_left_forwards_and_right_in_reverse(
 
 
 # Stopping and standing
-
-
-@pytest.mark.parametrize("name", ["stop", "stop at 45 deg"])
-def test_a_straight_stop_takes_the_distance_of_its_deceleration(tracks, name: str):
-    track = tracks[name]
-    first = 399  # the last substep before the brake
-    last = first + int(np.argmax(track.speed[first:] < 0.2))
-    distance = np.linalg.norm(track.pose[last, :2] - track.pose[first, :2])
-    spinning = 4 * COMPACT.wheel_inertia / COMPACT.wheel_radius**2
-    rolling = COMPACT.tyre.rolling_resistance * GRAVITY
-    force = COMPACT.mass * (COMPACT.max_deceleration + rolling)
-    deceleration = force / (COMPACT.mass + spinning)
-    change = float(track.speed[first]) ** 2 - float(track.speed[last]) ** 2
-    assert track.speed[first] > 2.9
-    # Measured -2.0 %: -1.4 % is the first substep, which already moves at the braked
-    # speed, the rest the pitching and the bristles' travel.
-    assert distance == pytest.approx(change / (2 * deceleration), rel=0.03)
-
-
-@pytest.mark.parametrize("name", ["stop", "stop at 45 deg"])
-def test_a_stopped_car_stays_where_it_stopped_on_its_line(tracks, name: str):
-    track = tracks[name]
-    yaw = DRIVES[name].start[2]
-    aside = track.pose[:, 1] * np.cos(yaw) - track.pose[:, 0] * np.sin(yaw)
-    late = track.pose[700:]
-    assert np.abs(aside).max() < 1e-4  # measured 8e-6 m, float32 rounding
-    # The car rocks on its locked wheels: measured 0.06 mm from 2.3 s after the stop.
-    assert np.linalg.norm(late - late[-1], axis=1).max() < 2e-4
-
-
-@pytest.mark.parametrize("name", ["stand", "stand, wheels turned"])
-def test_a_car_on_the_brake_stands_still_for_ten_seconds(tracks, name: str):
-    pose = tracks[name].pose[200:]  # the wheels have turned
-    # Measured 1.2e-6 m and 4e-7 rad over 10 s.
-    assert np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1).max() < 1e-5
-    assert np.abs(pose[:, 2] - pose[0, 2]).max() < 1e-5
 
 
 def test_a_car_is_placed_at_its_static_equilibrium(tracks):

@@ -190,7 +190,7 @@ def drive():
         carry = PEOPLE.init(key, layout), begin, jnp.zeros(2)
         return jax.lax.scan(step, carry, jax.random.split(key, STEPS))[1]
 
-    make = jax.vmap(layout_config("mixture").generate)
+    make = jax.jit(jax.vmap(layout_config("mixture").generate))
     lots = make(jax.random.split(jax.random.key(0), LOTS))
     keys = jax.random.split(jax.random.key(1), LOTS)
     run = jax.jit(jax.vmap(one, (0, 0, None)))

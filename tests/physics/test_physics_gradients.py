@@ -15,7 +15,9 @@ PROBE = 1e-5  # of the controls
 CONTROLS = np.array([[0.3, 0.6], [-0.2, 0.5]])  # 0.4 s, pulling away
 
 
-@pytest.mark.parametrize("physics", [BicyclePhysics, MjxPhysics])
+@pytest.mark.parametrize(
+    "physics", [BicyclePhysics, pytest.param(MjxPhysics, marks=pytest.mark.slow)]
+)
 def test_gradients_of_the_final_pose_are_central_differences(physics, compact: Vehicle):
     with jax.enable_x64(True):
         cars = physics(SimConfig())

@@ -1,9 +1,7 @@
 """Pretrained policies: files of a policy alone, found by name."""
 
 import dataclasses
-import json
 import re
-import shutil
 from pathlib import Path
 
 import jax
@@ -22,7 +20,7 @@ from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
 from carpark_mj.policy.runs import find_policy, pretrained_names
 from carpark_mj.training.ppo.learner import Learner
-from carpark_mj.training.ppo.train import finish, save
+from carpark_mj.training.ppo.train import save
 
 MAX_SIZE = 1e6  # bytes
 
@@ -128,38 +126,6 @@ def test_weights_that_are_not_finite_do_not_drive(shipped, part, value):
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [
-        {"env_steps": "8"},
-        {"config": [1]},
-        {"config": {}},
-        {"config": {"env": {"num_agents": [2]}, "networks": {}}},
-        {"config": {"env": {}, "networks": {"policy_layers": [1.5]}}},
-        {"config": {"env": {}, "networks": {"own_size": 10**40}}},
-        {"algorithm": "q_learning", "best": 0},
-    ],
-)
-def test_a_header_of_nonsense_is_refused(shipped, changes):
-    path = shipped / "tiny.npz"
-    arrays = arrays_of(path)
-    text = json.dumps(json.loads(arrays["header"].tobytes()) | changes).encode()
-    np.savez_compressed(path, **arrays | {"header": np.frombuffer(text, np.uint8)})
-    with pytest.raises(CheckpointError, match=re.escape(str(path))) as caught:
-        loading.load_policy(path)
-    assert "\n" not in str(caught.value)
-
-
-def test_nothing_is_written_into_the_package(shipped):
-    before = sorted(shipped.iterdir())
-    config = evaluate.EvaluateConfig(run="tiny", episodes=2)
-    evaluate.main(config)
-    assert sorted(shipped.iterdir()) == before
-    assert Path("runs/tiny/evaluations/episodes-2/evaluation.csv").is_file()
-    for name in ("tiny", str(shipped / "tiny.npz")):
-        assert find_driver(name).folder == Path("runs/tiny")
-
-
-@pytest.mark.parametrize(
     ("flags", "folder"),
     [
         ({}, "runs/tiny"),
@@ -184,31 +150,6 @@ def test_a_checkpoint_file_does_not_replace_the_evaluation_of_its_run(run):
     task = evaluate.prepare(evaluate.EvaluateConfig(run=str(file)))
     assert task.folder == run / "evaluations" / file.stem
     assert evaluate.prepare(evaluate.EvaluateConfig(run=str(run))).folder == run
-
-
-def test_a_run_named_like_a_policy_is_evaluated_at_its_end(run, shipped, monkeypatch):
-    here = Path("tiny")  # in the working directory
-    shutil.copytree(run, here)
-    with pytest.raises(CheckpointError, match="a pretrained policy and a path"):
-        find_driver(str(here))
-    found = []
-    monkeypatch.setattr(evaluate, "main", lambda config: found.append(config.run))
-    monkeypatch.setattr(
-        "carpark_mj.training.ppo.train.plot_learning_curve", lambda folder: folder
-    )
-    finish(dataclasses.replace(TINY, video_seconds=0.0), here)
-    assert [find_driver(name).folder for name in found] == [here]
-
-
-def test_a_refused_evaluation_leaves_no_folder(shipped):
-    with pytest.raises(ValueError, match="num_agents must be at most"):
-        evaluate.prepare(evaluate.EvaluateConfig(run="tiny", num_agents=500))
-    assert not Path("runs/tiny/evaluations/num_agents-500").exists()
-    with pytest.raises(ValueError, match="the planner"):
-        evaluate.prepare(
-            evaluate.EvaluateConfig(policy="planner", environment="dynamic")
-        )
-    assert not Path("runs/planner").exists()
 
 
 @pytest.mark.parametrize(("agents", "parked"), [(1, 0), (3, 9)])

@@ -35,8 +35,8 @@ def env():
     return ParkingEnv(EnvConfig(num_agents=2, num_parked_cars=4), SlidePhysics())
 
 
-@pytest.mark.parametrize("steps", [1, 4, 5])
-def test_the_length_of_the_stretches_makes_no_difference(env, steps, monkeypatch):
+def test_the_length_of_the_stretches_makes_no_difference(env, monkeypatch):
+    steps = 5  # two stretches and a half
     policy = random_policy(env.action_spec)
     once = record(env, policy, steps, seed=1)
     monkeypatch.setattr(record_module, "CHUNK", 2)

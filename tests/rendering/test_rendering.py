@@ -1,12 +1,10 @@
 """Off-screen pictures: things are where they should be, and say what they are."""
 
 import dataclasses
-import re
 
 import jax
 import numpy as np
 import pytest
-from helpers.disks import largest_file
 
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.observations.fields import Tracked
@@ -205,28 +203,6 @@ def test_a_failing_picture_leaves_no_half_video(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-# Less than a pipe holds, so that all is sent before FFmpeg stops; and more.
-@pytest.mark.parametrize(("size", "count"), [((64, 64), 1), ((480, 640), 50)])
-def test_what_ffmpeg_refuses_is_one_sentence_and_leaves_no_half_video(
-    tmp_path, size, count
-):
-    pictures = iter([np.zeros((*size, 3), np.uint8)] * count)
-    with pytest.raises(OSError, match=r"^FFmpeg stopped while it wrote .*a\.mp4 at"):
-        write_video(tmp_path / "a.mp4", pictures, 1e12)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
-def test_a_video_that_does_not_fit_leaves_the_old_one(suffix, tmp_path):
-    path = tmp_path / f"a{suffix}"
-    path.write_text("old")
-    noise = np.random.default_rng(0).integers(0, 255, (20, 64, 64, 3), np.uint8)
-    with largest_file(10_000), pytest.raises(OSError, match=re.escape(str(path))):
-        write_video(path, iter(noise), 10.0)
-    assert [file.read_text() for file in tmp_path.iterdir()] == ["old"]
-    assert write_video(path, iter(noise), 10.0) == len(noise)  # it is the room
-
-
 def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):
     from PIL import Image, ImageSequence
 
@@ -265,23 +241,6 @@ def test_a_split_frame_is_two_views_side_by_side(renderer):
         assert np.abs(right - frame[:, :320]).mean() > 20
     finally:
         made.close()
-
-
-@pytest.mark.parametrize("camera", ["topdown", "overview"])
-def test_it_does_not_matter_whether_cars_or_cameras_are_placed_first(camera):
-    what, frames = seen(), []
-    for renderer_first in (True, False):
-        stage = Stage(LAYOUT, COMPACT, 2, 2)
-        if not renderer_first:
-            stage.place(what.pose_w, what.steering, what.parked_pose)
-        made = LotRenderer(stage, camera, (640, 360))
-        try:
-            if renderer_first:
-                made.place(what)
-            frames.append(made.draw(what, camera))
-        finally:
-            made.close()
-    np.testing.assert_array_equal(*frames)
 
 
 def test_a_renderer_that_goes_on_with_another_lot_draws_it_as_a_new_one():

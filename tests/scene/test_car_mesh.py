@@ -180,11 +180,3 @@ def test_the_driver_sits_left_of_the_middle_under_the_roof(params):
     assert 0.2 * params.wheelbase < x < nose - 0.5
     assert 0.25 < y < params.width / 2 - 0.3
     assert 0.6 * params.height < z < params.height - 0.1
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_the_driver_of_a_passenger_car_sits_behind_the_front_axle(name):
-    params = PRESETS[name]
-    x, _, z = driver_eye(params)
-    assert x < 0.9 * params.wheelbase
-    assert z > 0.7 * params.height

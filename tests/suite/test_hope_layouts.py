@@ -76,8 +76,8 @@ def test_held_out_cases_are_valid_lots_for_the_car(level):
     assert {name: int(at.sum()) for name, at in faults.items() if at.any()} == {}
 
 
-@pytest.mark.parametrize("level", HOPE_LEVELS)
-def test_the_command_draws_the_same_cases_again(level):
+def test_the_command_draws_the_same_cases_again():
+    level = "extreme"
     first = draw_cases(level, 3)
     with np.load(held_out.FILE) as file:
         for name, array in first.items():

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import pytest
 from helpers import splitting
 from helpers.sliding import SlidePhysics
 
@@ -21,6 +22,7 @@ from carpark_mj.wrappers.brax import BraxParking
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.slow
 def test_devices_learn_together_what_one_learns_from_all_their_steps(tmp_path):
     splitting.assert_alike(splitting.learned_by("brax", tmp_path / "learned.npz"))
 
@@ -34,6 +36,7 @@ def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):
     assert num_devices(dataclasses.replace(config, num_minibatches=16)) == 1
 
 
+@pytest.mark.slow
 def test_devices_with_the_same_lots_act_learn_and_draw_lots_differently(monkeypatch):
     config = PPOConfig(
         num_lots=2,

@@ -25,6 +25,8 @@ LOT = {
 }
 UPDATES = 40
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def rates(tmp_path_factory):

@@ -52,14 +52,12 @@ def told(capsys) -> str:
     return error
 
 
-def test_a_run_becomes_a_model_that_is_checked_on_ten_thousand(
-    trained, capsys, monkeypatch
-):
+def test_a_run_becomes_a_model_that_is_checked(trained, capsys, monkeypatch, quick):
     monkeypatch.setenv("COLUMNS", "200")
     assert exit_code(export, [str(trained)]) == 0
     out = capsys.readouterr().out
-    assert "10,000 observations of a roll-out: " in out
-    assert "10,000 observations drawn at random: " in out
+    assert "200 observations of a roll-out: " in out
+    assert "200 observations drawn at random: " in out
     assert "own road-wheel angle [its limit], left > 0" in out
     path = trained / "policy.onnx"
     assert f"wrote {path}" in out

@@ -51,6 +51,7 @@ def test_the_run_has_the_policy_and_can_be_evaluated(run, monkeypatch):
     assert (asked[0].run, asked[0].episodes) == (str(run.folder), 8)
 
 
+@pytest.mark.slow
 def test_true_ends_the_training_after_the_update_and_it_can_go_on(tmp_path):
     stopped = run_of(tmp_path, lambda row: row["update"] == 2)
     assert stopped.outcome == "stopped"

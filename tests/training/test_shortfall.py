@@ -166,6 +166,7 @@ def bays(state):
     return np.asarray(state.env.pipeline_state.layout.bay_mask).sum(axis=1)
 
 
+@pytest.mark.slow
 def test_the_member_kept_for_every_agent_is_that_of_its_lot():
     learner_, update = learner()
     state = learner_.init()
@@ -196,6 +197,7 @@ def test_the_family_that_falls_short_gets_more_lots():
     assert share([0.1, 0.95]) == pytest.approx(0.25, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_resumed_training_is_the_same_bit_for_bit(tmp_path):
     learner_, update = learner()
     state, _ = update(learner_.init())

@@ -278,13 +278,6 @@ def test_torque_and_power_limit_the_drive_but_not_the_brake():
     assert brake == pytest.approx(full, rel=1e-6)
 
 
-def test_torques_do_not_change_with_the_load(compact: Vehicle):
-    loaded = dataclasses.replace(compact, mass=compact.mass * 1.5)
-    for speed in (0.0, 1.0):
-        asked = [jnp.array(x) for x in (-1.0, 0.5, speed, speed)]
-        assert demanded_torques(loaded, *asked) == demanded_torques(compact, *asked)
-
-
 def followed(vehicle: Vehicle, controls: tuple[float, float], steps: int) -> Actuators:
     """The actuators of a standing car over substeps of 10 ms, stacked."""
     asked = jnp.array(controls[0]), jnp.array(controls[1])

@@ -8,11 +8,9 @@ import pytest
 
 from carpark_mj.vehicle import (
     COMPACT,
-    PRESETS,
     VEHICLES,
     VehicleParameters,
     make_vehicle,
-    preset,
 )
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
 from carpark_mj.vehicle.parameters import GRAVITY, LENGTHS, scaled
@@ -78,40 +76,6 @@ def test_static_axle_loads_follow_from_the_lever_arms(params: VehicleParameters)
     assert load[2] == load[3]
 
 
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [
-        ({"mass": -1.0}, "mass"),
-        ({"mass": math.nan}, "mass"),
-        ({"wheelbase": 0.0}, "wheelbase"),
-        ({"track_width": math.inf}, "track_width"),
-        ({"wheelbase": 4.0}, "front overhang"),
-        ({"cg_to_front_axle": 3.0}, "cg_to_front_axle"),
-        ({"rear_overhang": 0.3}, "rear overhang must cover"),
-        ({"length": 3.7}, "front overhang must cover"),
-        ({"track_width": 1.6}, "wheels outside a width of 1.799 m"),
-        ({"tyre_width": 0.3}, "wheels outside a width of 1.799 m"),
-        ({"wheel_radius": 0.73, "rear_overhang": 0.75}, "wheel_radius"),
-        ({"cg_height": 1.5}, "cg_height must be less than the height"),
-        ({"yaw_inertia": 2691.0}, "triangle inequality"),
-        ({"roll_inertia": 60.0}, "triangle inequality"),
-        ({"turning_circle": 6.7}, "turning_circle must be more than 7.19"),
-        ({"turning_circle": 1.0}, "turning_circle must be more than 7.19"),
-        ({"steering_lag": -0.1}, "steering_lag"),
-        ({"drive_lag": math.inf}, "drive_lag"),
-        ({"max_power": 0.0}, "max_power"),
-        ({"ackermann": 1.2}, "ackermann"),
-        ({"front_drive": -0.1}, "front_drive"),
-        ({"front_brake": 1.5}, "front_brake"),
-        ({"wheel_inertia": 2.0, "wheel_tilt_inertia": 0.6}, "wheel_inertia"),
-    ],
-)
-def test_impossible_parameters_are_refused_in_one_sentence(change: dict, word: str):
-    with pytest.raises(ValueError, match=word) as refusal:
-        dataclasses.replace(COMPACT, **change)
-    assert "\n" not in str(refusal.value)
-
-
 CENTIMETRES = {
     field.name: 100.0 * getattr(COMPACT, field.name)
     for field in dataclasses.fields(COMPACT)
@@ -154,18 +118,6 @@ def test_mass_properties_that_leave_no_chassis_are_refused(change: dict):
     with pytest.raises(ValueError, match="leave no possible chassis") as refusal:
         make_vehicle(dataclasses.replace(COMPACT, **change))
     assert "\n" not in str(refusal.value)
-
-
-def test_a_preset_is_found_by_its_name():
-    for name, params in PRESETS.items():
-        assert preset(name) is params
-
-
-def test_an_unknown_preset_is_refused_with_the_known_names():
-    with pytest.raises(ValueError, match="'tank'") as refusal:
-        preset("tank")
-    for name in PRESETS:
-        assert name in str(refusal.value)
 
 
 def test_every_body_joint_and_actuator_has_its_name(model: mujoco.MjModel):

@@ -171,53 +171,24 @@ def test_a_steering_ratio_gives_rate_and_circle():
     ("change", "message"),
     [
         ({"wheelbase": None}, "wheelbase missing"),
-        ({"seats": 5}, r"unknown \['seats'\]"),
         ({"wheel_base": 2.7}, r"unknown \['wheel_base'\] of a car; perhaps wheelbase"),
-        ({"curb_weight": 1.4}, "perhaps kerb_weight"),
         ({"mass": "heavy"}, "mass must be a number above 0, .* not 'heavy'"),
         ({"length": "4.28 kg"}, "text with m, cm, mm, in, ft, not '4.28 kg'"),
-        ({"mass": "1.420 kg"}, r"mass must lie within .* kg"),
-        ({"power": 150}, r"max_power must lie within .* W"),
-        ({"kerb_weight": 1400, "mass": 1475}, "repeats kerb_weight"),
-        ({"tyre_size": "205/55 R16", "tyre_rear": "225/50 R16"}, "repeats tyre_rear"),
-        ({"tyre_front": "205/55 R16", "tyre_rear": "255/55 R18"}, "contradicts"),
-        ({"rear_steering": "5 deg"}, "needs the turning_circle"),
-        ({"mass": True}, "mass must be a number above 0, .* not True"),
-        ({"mass": -3}, "mass must be a number above 0, .* not -3"),
-        ({"mass": 1.4}, r"mass must lie within .* kg"),
         ({"length": 428}, r"length must lie within .* m"),
-        ({"wheelbase": 4.5}, "wheelbase must be less than the length"),
-        ({"width": 10.0}, "width must lie within"),
-        ({"front_overhang": 2.0}, "front_overhang must be less than"),
+        ({"kerb_weight": 1400, "mass": 1475}, "repeats kerb_weight"),
+        ({"tyre_front": "205/55 R16", "tyre_rear": "255/55 R18"}, "contradicts"),
         ({"front_overhang": 0.9, "rear_overhang": 0.9}, "length 4.28 contradicts"),
-        ({"front_axle_load": 830}, "needs mass"),
-        ({"mass": 1400, "front_axle_load": 1500}, "less than the mass 1400 kg"),
         (
             {"mass": 1400, "front_axle_load": 830, "rear_axle_load": 700},
             "mass 1400 contradicts axle loads, which give 1530",
         ),
-        (
-            {"mass": 1400, "front_axle_load": 830, "cg_to_front_axle": 1.0},
-            "leave one of them out",
-        ),
         ({"tyre_size": "big"}, "tyre_size must be as in 205/55 R16, not 'big'"),
-        ({"tyre_size": 205}, "tyre_size must be text"),
-        ({"tyre_size": "205/55 R16", "wheel_radius": 0.4}, "wheel_radius 0.4 contra"),
         ({"drive": "both"}, "unknown drive 'both'; choose from"),
-        ({"drive": "rear", "front_drive": 1.0}, "leave one of them out"),
-        ({"front_drive": 1.5}, r"front_drive must lie in \[0, 1\]"),
-        ({"steering_turns": 3.0}, "steering_turns 3 needs steering_ratio"),
-        ({"steering_ratio": 5.0, "steering_turns": 3.0}, "steering_turns must be less"),
         (
             {"steering_ratio": 15.0, "steering_turns": 3.0, "turning_circle": 14.0},
             "turning_circle 14 contradicts steering ratio and turns",
         ),
-        ({"turning_circle": 5.0}, "turning_circle must be more than"),
-        ({"tyre": "205/55 R16"}, "tyre must be an object"),
-        ({"tyre": {"grip": 1.0}}, r"unknown \['grip'\] of a tyre"),
-        ({"tyre": {"friction": 0}}, "tyre.friction must be a number above 0"),
         ({"wheel_mass": 400.0}, "leave no possible chassis"),
-        ({"name": 5}, "name must be text, not 5"),
     ],
 )
 def test_contradictions_are_refused_with_file_value_and_what_is_allowed(
@@ -232,29 +203,15 @@ def test_contradictions_are_refused_with_file_value_and_what_is_allowed(
     assert "\n" not in str(refusal.value)
 
 
-SIZES = "length: 4.28\nwidth: 1.79\nwheelbase: 2.64\n"
-HUGE = 10**400  # more than a float holds
-
-
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
         ("car.yaml", "length: [4", "line 1: not YAML"),
         ("car.yaml", "length: 4.28\nlength: 4.3", "has length twice"),
-        ("car.yaml", "just words", "must have lines as"),
         ("car.yaml", "", "must have lines as"),
         ("car.yaml", "!!python/object/apply:os.getcwd []", "not YAML"),
         ("car.yaml", "- [" * 3000, "not YAML|nested too deeply"),
-        ("car.yaml", "when: 2026-99-99", "not YAML|unknown"),
-        ("car.yaml", "a: &a [*a]", "unknown"),
-        ("car.yaml", f"{SIZES}tyre: {{vertical_damping: {HUGE}}}", "vertical_damping "),
-        (
-            "car.json",
-            f'{{"length": {HUGE}, "width": 2, "wheelbase": 2}}',
-            "length must",
-        ),
         ("car.json", "{", "is damaged"),
-        ("car.json", "[]", "is not a JSON object"),
         ("car.toml", "", r"must end in one of \.json, \.yaml, \.yml, not"),
     ],
 )

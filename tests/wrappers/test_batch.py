@@ -65,7 +65,7 @@ def test_without_a_seed_lots_go_on_and_do_not_repeat():
     assert not np.array_equal(batch().reset_numpy(), batch().reset_numpy())
 
 
-@pytest.mark.parametrize("num_lots", [1, 4, LOTS])
+@pytest.mark.parametrize("num_lots", [4, LOTS])
 def test_lots_begin_anew_in_the_step_in_which_all_their_agents_have_finished(num_lots):
     lots, waiting = batch(num_lots), batch(num_lots, restart=False)
     first = lots.reset_numpy(0)
