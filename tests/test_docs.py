@@ -56,7 +56,7 @@ from carpark_mj.training.hosts import read_hosts
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.run_folder import named, read_runs
-from vehicle_suite.table import excerpt
+from vehicle_suite.report import excerpt
 
 README, MDP, DEPLOYMENT, VEHICLE = (
     (ROOT / name).read_text()

@@ -43,8 +43,10 @@ def test_an_unwritable_folder_is_refused_before_anything_drives(
     def drive(*_):
         raise AssertionError("it drove")
 
-    monkeypatch.setattr(physics_report, "drive_suites", drive)
-    monkeypatch.setattr(referee.referee, "trials", drive)
+    monkeypatch.setattr(
+        physics_report, "SUITES", {"brush": (drive,), "contact": (drive,)}
+    )
+    monkeypatch.setattr(referee, "trials", drive)
     (tmp_path / "file").write_text("no folder")
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
         assert script.main(["--out", str(out)]) == 2

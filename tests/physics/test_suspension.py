@@ -16,8 +16,9 @@ from carpark_mj.physics.mjx_step import mjx  # pyright: ignore[reportAttributeAc
 from carpark_mj.scene.build import drivable_scene
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS
-from vehicle_suite import formulas, suspension
-from vehicle_suite.contact import contact_model
+from vehicle_suite import chassis, formulas
+from vehicle_suite.report import Study
+from vehicle_suite.testbeds import ContactTestbed, contact_model
 
 DT = 0.002
 SPRUNG = SimConfig(sim_dt=0.004, tyres="contact", suspension=True)
@@ -85,7 +86,8 @@ def test_a_balanced_car_bounces_at_the_root_of_stiffness_over_mass():
 
 
 def test_it_pitches_rolls_turns_and_stops_by_the_formulas_and_stands_still():
-    study = suspension.suspension(suspension.BED, "compact", COMPACT, True)
+    study = Study(ContactTestbed(), "compact", COMPACT, quick=True)
+    chassis.suspension(study)
     missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
     assert missed == []
     by_name = {row.row: row for row in study.rows}
