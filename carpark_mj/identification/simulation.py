@@ -16,11 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.identification.log import POSE, RATES, DriveLog
-from carpark_mj.physics.coordinates import Car, Coordinates
+from carpark_mj.physics.coordinates import Car, Coordinates, TyreState
 from carpark_mj.physics.forces import drive_car
-from carpark_mj.physics.masses import mass_properties
-from carpark_mj.physics.newton_euler import advance
-from carpark_mj.physics.tyres import TyreState
+from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import WHEELS
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters

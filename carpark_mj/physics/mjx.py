@@ -13,29 +13,61 @@ import jax.numpy as jnp
 import mujoco
 from flax import struct
 
-from carpark_mj.config import PHYSICS, SimConfig
+from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
 from carpark_mj.geometry import wrap_angle
+from carpark_mj.layouts import Layout
 from carpark_mj.physics.base import (
     FactoredPhysics,
     contain_non_finite,
     where_cars,
 )
-from carpark_mj.physics.coordinates import CarDynamics, CarIndex, unpack_coordinates
-from carpark_mj.physics.gravity import gravity_vector
-from carpark_mj.physics.tyres import TyreState, init_tyres
+from carpark_mj.physics.coordinates import (
+    CarDynamics,
+    CarIndex,
+    TyreState,
+    column,
+    dot,
+    init_tyres,
+    unpack_coordinates,
+)
+from carpark_mj.physics.forces import gravity_vector
 from carpark_mj.physics.unrolled import UnrolledStep
-from carpark_mj.physics.vectors import column, dot
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.conditions import in_conditions
 from carpark_mj.vehicle.mjcf import car_model
+from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import Vehicle
 
 LEAST_UP = 0.5  # cosine of the lean at which a car has overturned: 60 degrees
 
 Stepper = Callable[[Vehicle, CarDynamics, jax.Array], tuple[CarDynamics, jax.Array]]
+
+
+@dataclasses.dataclass(frozen=True)
+class MjxConfig(PhysicsConfig):
+    """Rigid-body cars on tyres, each simulated on its own."""
+
+    back_end: str = "mjx"
+
+    def check(self, config: EnvConfig) -> None:
+        """Refuses substeps too long for the tyres."""
+        config.sim.require_fine_steps()
+
+    def make(
+        self, config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
+    ) -> "MjxPhysics":
+        """Builds it with the tyres of `SimConfig.tyres`."""
+        del layout, vehicle
+        if config.sim.tyres == "contact":
+            from carpark_mj.physics.mjx_step import (
+                ContactPhysics,  # MJX is slow to import
+            )
+
+            return ContactPhysics(config.sim)
+        return MjxPhysics(config.sim)
 
 
 @struct.dataclass
@@ -64,7 +96,7 @@ class CarState:
 class MjxPhysics(FactoredPhysics[CarState]):
     """Cars on brush tyres behind the `Physics` interface."""
 
-    config = PHYSICS["mjx"]
+    config = PHYSICS.register("mjx", MjxConfig())
 
     def __init__(self, sim: SimConfig) -> None:
         """Compiles the car model for the given time steps, slope and surface.
@@ -137,7 +169,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
 
     @full_float32
     def halt(self, state: CarState, mask: jax.Array, trace_w: jax.Array) -> CarState:
-        """Stops cars dead, on the hold; see `Halting`."""
+        """Stops cars dead, on the hold; see `Physics.halt`."""
         still = self.init(trace_w[..., -1, :], state.vehicle)
         steer = self.index.steer_qpos
         actuators = dataclasses.replace(

@@ -3,7 +3,7 @@
 Tyres are spheres on explicit pairs with the ground (one contact point each, so no
 scrub couple), elliptic cone, torque through open differentials. The wheels roll
 without slip up to the friction limit; scrub torque, relaxation and exact hold belong
-to the brush tyres of `carpark_mj.physics.tyres`. The car stands on them rigidly, or on
+to the brush tyres of `carpark_mj.physics.forces`. The car stands on them rigidly, or on
 the springs of `carpark_mj.vehicle.suspension`.
 
 Controls of a car, one actuator each:

@@ -5,7 +5,7 @@ freedom: root (0-5), steer and spin front left and right, spin rear left and rig
 12 in all, and four more where contact wheels have a suspension. Steering joints carry
 no range: in MJX a joint limit is a permanent solver row, and the command is clipped
 before it gets there. The model has no contacts: tyre forces come from
-`carpark_mj.physics.tyres`.
+`carpark_mj.physics.forces`.
 """
 
 import mujoco

@@ -51,7 +51,7 @@ def _require_positive(config: object, zero: tuple[str, ...] = ()) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class TyreParameters:
-    """Brush tyre, see `carpark_mj.physics.tyres` for the equations.
+    """Brush tyre, see `carpark_mj.physics.forces` for the equations.
 
     Attributes:
         friction: peak friction coefficient, dry asphalt [gi].

@@ -18,8 +18,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import move_forward
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.collisions import KERB_HEIGHT
-from carpark_mj.observations.odometry import reckon
-from carpark_mj.physics.gravity import grade_at
+from carpark_mj.observations.sensors import reckon
+from carpark_mj.physics.forces import grade_at
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import Motion, Odometry

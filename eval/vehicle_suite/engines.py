@@ -11,11 +11,14 @@ import mujoco
 import numpy as np
 
 from carpark_mj.config import CONTACT_SIM_DT, SimConfig
-from carpark_mj.physics.contact import WheelIndex, contact_car_model, with_wheels
-from carpark_mj.physics.coordinates import CarIndex
+from carpark_mj.physics.coordinates import CarIndex, init_tyres
 from carpark_mj.physics.forces import generalized_forces
-from carpark_mj.physics.mjx_step import mjx  # pyright: ignore[reportAttributeAccessIssue]
-from carpark_mj.physics.tyres import init_tyres
+from carpark_mj.physics.mjx_step import (
+    WheelIndex,
+    contact_car_model,
+    mjx,  # pyright: ignore[reportAttributeAccessIssue]
+    with_wheels,
+)
 from carpark_mj.precision import full_float32
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 from carpark_mj.vehicle.mjcf import car_model

@@ -17,9 +17,8 @@ import numpy as np
 
 from carpark_mj.identification.log import POSE, RATES, DriveLog
 from carpark_mj.identification.simulation import Sought
-from carpark_mj.physics.coordinates import CarDynamics, CarIndex
+from carpark_mj.physics.coordinates import CarDynamics, CarIndex, init_tyres
 from carpark_mj.physics.forces import substep_forces
-from carpark_mj.physics.tyres import init_tyres
 from carpark_mj.vehicle.drive import ackermann, init_actuators
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters

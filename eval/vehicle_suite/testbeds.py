@@ -15,16 +15,16 @@ from carpark_mj.physics.coordinates import (
     CarDynamics,
     CarIndex,
     Coordinates,
+    TyreState,
+    init_tyres,
     pack_coordinates,
     pack_tyres,
     unpack_coordinates,
     unpack_tyres,
 )
 from carpark_mj.physics.forces import CarForces, generalized_forces, roll
-from carpark_mj.physics.masses import mass_properties
 from carpark_mj.physics.mjx_step import MjxStep, with_masses
-from carpark_mj.physics.newton_euler import advance
-from carpark_mj.physics.tyres import TyreState, init_tyres
+from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.precision import full_float32
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 from carpark_mj.vehicle.contact_wheels import (

@@ -5,9 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.physics.coordinates import CarIndex, unpack_coordinates, unpack_tyres
+from carpark_mj.physics.coordinates import (
+    CarIndex,
+    TyreState,
+    unpack_coordinates,
+    unpack_tyres,
+)
 from carpark_mj.physics.forces import CarForces, generalized_forces, roll
-from carpark_mj.physics.tyres import TyreState
 from carpark_mj.vehicle import COMPACT, Vehicle
 from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.mjcf import car_model

@@ -10,9 +10,13 @@ import pytest
 
 from carpark_mj.config import SimConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.physics.contact import WheelIndex, contact_car_model, with_wheels
 from carpark_mj.physics.coordinates import CarIndex
-from carpark_mj.physics.mjx_step import mjx  # pyright: ignore[reportAttributeAccessIssue]
+from carpark_mj.physics.mjx_step import (
+    WheelIndex,
+    contact_car_model,
+    mjx,  # pyright: ignore[reportAttributeAccessIssue]
+    with_wheels,
+)
 from carpark_mj.scene.build import drivable_scene
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS

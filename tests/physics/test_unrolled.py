@@ -8,9 +8,8 @@ import pytest
 from helpers.cars import ROAD_CARS
 
 from carpark_mj.config import RandomizationConfig, SimConfig
-from carpark_mj.physics.contact import ContactPhysics, contact_car_model
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.physics.mjx_step import MjxStep
+from carpark_mj.physics.mjx_step import ContactPhysics, MjxStep, contact_car_model
 from carpark_mj.physics.unrolled import UnrolledStep, check_unrollable
 from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
