@@ -39,7 +39,7 @@ class SimConfig(CheckedConfig):
         suspension: springs between contact tyres and car; brush tyres always have them.
         stepper: of `mjx` cars: the `unrolled` equations, or `mjx.step`; `auto` takes
             the former where they hold, on brush tyres.
-        surface: road surface, which sets the grip, `carpark_mj.vehicle.conditions`.
+        surface: road surface, which sets the grip, `carpark_mj.vehicle.vehicle`.
         ramp: start and end of a ramp across the lot, along world x [m], and its slope,
             added to `grade_x` between them; it begins and ends over 3 m outside. A
             slope of 0 is no ramp.

@@ -60,8 +60,7 @@ from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.mjcf import STEERED
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.vehicle import Tyres, Vehicle
-from carpark_mj.vehicle.wheel import Wheel, wheels_of
+from carpark_mj.vehicle.vehicle import Tyres, Vehicle, Wheel, wheels_of
 
 EASE = 3.0  # m, over which the grade of a ramp begins and ends [est]
 

@@ -29,10 +29,9 @@ from carpark_mj.physics.forces import gravity_at, gravity_vector, substep_forces
 from carpark_mj.physics.mjx import MjxPhysics, Stepper
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.contact_wheels import add_contact_wheels, set_contact_options
-from carpark_mj.vehicle.mjcf import STEERED, WHEELS, add_car
+from carpark_mj.vehicle.mjcf import STEERED, WHEELS, add_car, spring_reference
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import COMPACT
-from carpark_mj.vehicle.suspension import spring_reference
 from carpark_mj.vehicle.vehicle import Vehicle
 
 with contextlib.redirect_stdout(io.StringIO()):

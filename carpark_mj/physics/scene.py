@@ -38,9 +38,8 @@ from carpark_mj.physics.scene_model import (
 )
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
-from carpark_mj.vehicle.conditions import in_conditions
 from carpark_mj.vehicle.parameters import VehicleParameters
-from carpark_mj.vehicle.vehicle import Vehicle
+from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
 MOVED = 1e-3  # m or rad; a parked car set further away than this is moved
 

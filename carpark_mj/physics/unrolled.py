@@ -2,9 +2,8 @@
 
 `mjx.step` handles any tree of bodies with small matrices, in some hundred kernels per
 substep. `carpark_mj.physics.newton_euler` writes the same equations out for this car,
-elementwise over the batch. MJX's model and state are unchanged. `check_unrollable`
-refuses models for which the equations do not hold, and tests compare them with
-`mjx.step` and with C MuJoCo.
+elementwise over the batch. MJX's model and state are unchanged. Tests
+compare them with `mjx.step` and with C MuJoCo.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import mujoco
-import numpy as np
 from jax.custom_batching import custom_vmap
 
 from carpark_mj.config import SimConfig
@@ -31,9 +29,7 @@ from carpark_mj.physics.coordinates import (
 )
 from carpark_mj.physics.forces import drive_car, gravity_at
 from carpark_mj.physics.newton_euler import MassProperties, advance, mass_properties
-from carpark_mj.vehicle import mjcf
-from carpark_mj.vehicle.vehicle import Vehicle
-from carpark_mj.vehicle.wheel import Wheel, wheels_of
+from carpark_mj.vehicle.vehicle import Vehicle, Wheel, wheels_of
 
 Tree = TypeVar("Tree")
 
@@ -187,12 +183,7 @@ class UnrolledStep:
     """The unrolled control step of cars of any leading shape."""
 
     def __init__(self, model: mujoco.MjModel, sim: SimConfig) -> None:
-        """Takes the model of a car.
-
-        Raises:
-            ValueError: the equations do not hold for the model.
-        """
-        check_unrollable(model)
+        """Takes the model of `mjcf.add_car` alone in its world."""
         self._index = CarIndex(model)
         self._sim = sim
 
@@ -266,59 +257,3 @@ class UnrolledStep:
         if self._sim.has_ramp:
             x = x + at.rotation[0][0] * fixed.masses.com[0]
         return gravity_at(self._sim, x)
-
-
-def check_unrollable(model: mujoco.MjModel) -> None:
-    """Checks that the unrolled equations hold for a model.
-
-    Raises:
-        ValueError: it is not the car of `mjcf.add_car` alone in its world, on tyres
-            that apply forces.
-    """
-    knuckles, wheels = [2, 4], [3, 5, 6, 7]
-    if (model.nv, model.nbody, model.nu) != (12, 8, 2):
-        raise ValueError(
-            "the unrolled step is for a car of 12 degrees of freedom, 7 bodies and 2 "
-            f"steering servos, not {model.nv}, {model.nbody - 1} and {model.nu}"
-        )
-    index = CarIndex(model)
-    steer, spin = index.steer_dof, index.spin_dof
-    inertia = model.body_inertia
-    holds = {
-        "no contacts": model.npair == 0 and not model.geom_contype.any(),
-        "no equalities, tendons or joint limits": (
-            model.neq == 0 and model.ntendon == 0 and not model.jnt_limited.any()
-        ),
-        "the implicitfast integrator": (
-            model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        ),
-        "still air": model.opt.density == 0.0 and model.opt.viscosity == 0.0,
-        "bodies aligned with the car": (
-            (model.body_quat == [1, 0, 0, 0]).all()
-            and (model.body_iquat == [1, 0, 0, 0]).all()
-            and not model.jnt_pos.any()
-        ),
-        "knuckles and wheels balanced about their hinges": (
-            not model.body_ipos[knuckles + wheels].any()
-            and not model.body_pos[[3, 5]].any()
-        ),
-        "wheels symmetric about their axles": np.array_equal(
-            inertia[wheels, 0], inertia[wheels, 2]
-        ),
-        "wheels on free axles": not (
-            model.dof_damping[spin].any() or model.dof_armature[spin].any()
-        ),
-        "joints without springs and friction": not (
-            model.jnt_stiffness.any() or model.dof_frictionloss.any()
-        ),
-        "the steering of mjcf.py": (
-            (model.dof_damping[steer] == mjcf.STEER_FRICTION_DAMPING).all()
-            and (model.dof_armature[steer] == mjcf.STEER_ARMATURE).all()
-            and (model.actuator_gainprm[:, 0] == mjcf.STEER_STIFFNESS).all()
-            and (model.actuator_biasprm[:, 2] == -mjcf.STEER_DAMPING).all()
-            and (model.actuator_forcerange[:, 1] == mjcf.STEER_TORQUE).all()
-        ),
-    }
-    missing = [what for what, true in holds.items() if not true]
-    if missing:
-        raise ValueError(f"the unrolled step needs {', '.join(missing)}")

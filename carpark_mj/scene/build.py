@@ -21,7 +21,7 @@ from carpark_mj.vehicle.contact_wheels import (
     rolling_loss,
     set_contact_options,
 )
-from carpark_mj.vehicle.disc_brake import FULL_BRAKE
+from carpark_mj.vehicle.contact_wheels import FULL_BRAKE
 from carpark_mj.vehicle.mjcf import add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 

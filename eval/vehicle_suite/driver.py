@@ -24,9 +24,9 @@ from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import Motion, Odometry
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle
-from carpark_mj.vehicle.conditions import SURFACES, with_grip
 from carpark_mj.vehicle.drive import CREEP_SPEED, HOLD_PEDAL, HOLD_SPEED, SWITCH_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY
+from carpark_mj.vehicle.vehicle import SURFACES, with_grip
 from vehicle_suite.formulas import rolling_mass, rolling_resistance
 from vehicle_suite.report import Study, relative
 

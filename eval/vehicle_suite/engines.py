@@ -26,13 +26,12 @@ from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from vehicle_suite.report import Study
 from vehicle_suite.testbeds import (
     BrushTestbed,
-    Testbed,
     controls,
     rigid_joints,
     tyres_on_car,
     vehicle_of,
 )
-from vehicle_suite.track import INDEX, Run
+from vehicle_suite.track import INDEX, Run, Testbed
 
 STEPS = {"brush": (0.01, 0.005, 0.002, 0.001), "contact": (0.004, 0.002, 0.001)}  # s
 LONGEST = 0.01  # s, at which half a per cent of the path is allowed

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -35,7 +35,7 @@ from carpark_mj.vehicle.contact_wheels import (
 from carpark_mj.vehicle.drive import WheelTorques, ackermann, init_actuators
 from carpark_mj.vehicle.mjcf import WHEELS, add_car, car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from carpark_mj.vehicle.wheel import wheels_of
+from carpark_mj.vehicle.vehicle import wheels_of
 from vehicle_suite.formulas import front_wheel_angles
 from vehicle_suite.track import INDEX, Run, Track, gravity_of
 
@@ -44,24 +44,6 @@ CHUNK = 100  # substeps of one call of the compiled program
 AXLE_GAIN = 40.0  # N m s/rad per substep; a wheel and its tyre yield about 1/200 of it
 HOLD_LIMIT = 0.3  # g, the most that holding a speed may ask for
 WIDTH = 16  # cars of one call; fewer are filled up
-
-
-class Testbed(Protocol):
-    """Drives runs: a tyre model on an engine."""
-
-    @property
-    def tyres(self) -> str:
-        """Name of the tyre model."""
-        ...
-
-    @property
-    def dt(self) -> float:
-        """Substep [s] unless a manoeuvre asks for another."""
-        ...
-
-    def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
-        """Drives the runs at a substep [s] (its own by default)."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,8 +6,9 @@ standard's manoeuvre and the car.
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -232,6 +233,24 @@ class Track:
         mujoco.mj_forward(model, data)
         mujoco.mj_energyVel(model, data)
         return float(data.energy[1])
+
+
+class Testbed(Protocol):
+    """Drives runs: a tyre model on an engine."""
+
+    @property
+    def tyres(self) -> str:
+        """Name of the tyre model."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Substep [s] unless a manoeuvre asks for another."""
+        ...
+
+    def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
+        """Drives the runs at a substep [s] (its own by default)."""
+        ...
 
 
 def circle_radius(path: np.ndarray) -> float:

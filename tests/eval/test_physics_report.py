@@ -11,8 +11,8 @@ import physics_report
 from carpark_mj.vehicle import COMPACT, PRESETS, preset
 from vehicle_suite import chassis, driver, engines, formulas, turns
 from vehicle_suite.report import Row, Study, markdown, relative, write_csv
-from vehicle_suite.testbeds import BrushTestbed, ContactTestbed, Testbed
-from vehicle_suite.track import Run, circle_radius, crossing, ramp, step
+from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
+from vehicle_suite.track import Run, Testbed, circle_radius, crossing, ramp, step
 
 # Round numbers for sums by hand.
 PLAIN = dataclasses.replace(

@@ -16,7 +16,7 @@ from carpark_mj.vehicle import COMPACT, Vehicle
 from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.wheel import wheels_of
+from carpark_mj.vehicle.vehicle import wheels_of
 
 DT = 0.01
 INDEX = CarIndex(car_model(COMPACT, DT, (0.0, 0.0, -GRAVITY)))

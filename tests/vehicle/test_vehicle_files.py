@@ -18,10 +18,9 @@ from carpark_mj.policy.runs import from_dict
 from carpark_mj.scene.looks import STYLES, nearest_style
 from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle, preset
-from carpark_mj.vehicle.file import parameters_text, read_sheet
 from carpark_mj.vehicle.parameters import TyreParameters
-from carpark_mj.vehicle.sheet import SHEET, car_of_sheet
-from carpark_mj.vehicle.sheets import SHEETS
+from carpark_mj.vehicle.presets import SHEETS
+from carpark_mj.vehicle.sheet import SHEET, car_of_sheet, parameters_text, read_sheet
 from carpark_mj.wrappers.options import configure
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "own_lot.md").read_text()
@@ -239,12 +238,11 @@ HUGE = 10**400  # more than a float holds
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("car.yaml", "length: [4", "line 1: not YAML"),
-        ("car.yaml", "length: 4.28\nlength: 4.3", "has length twice"),
+        ("car.yaml", "length: [4", "not YAML .*line 1"),
         ("car.yaml", "just words", "must have lines as"),
         ("car.yaml", "", "must have lines as"),
         ("car.yaml", "!!python/object/apply:os.getcwd []", "not YAML"),
-        ("car.yaml", "- [" * 3000, "not YAML|nested too deeply"),
+        ("car.yaml", "- [" * 3000, "not YAML"),
         ("car.yaml", "when: 2026-99-99", "not YAML|unknown"),
         ("car.yaml", "a: &a [*a]", "unknown"),
         ("car.yaml", f"{SIZES}tyre: {{vertical_damping: {HUGE}}}", "vertical_damping "),
