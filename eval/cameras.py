@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from carpark_mj.cameras.colour import Channel
+from carpark_mj.cameras.see import Channel
 from PIL import Image
 
 from camera_reference import BlockStage, Reference, Renderer
