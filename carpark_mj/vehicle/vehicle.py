@@ -173,7 +173,7 @@ def _same(arrays: type, params: VehicleParameters | TyreParameters) -> dict[str,
     """Numbers of the parameters by the fields that have their names."""
     names = [field.name for field in dataclasses.fields(arrays)]
     values = {name: getattr(params, name, None) for name in names}
-    return {k: _array(v) for k, v in values.items() if isinstance(v, int | float)}
+    return {k: _array(v) for k, v in values.items() if v is not None}
 
 
 def _array(value: ArrayLike | list[float]) -> jax.Array:

@@ -24,7 +24,7 @@ import soak
         (soak, ["--num-cars", "0"], "num_cars must be at least 1, not 0"),
         (soak, ["--sim.sim-dt", "0"], "sim_dt"),
         (soak, ["--max-energy", "nan"], "max_energy must be at least 0, not nan"),
-        (soak, ["--first-case", "2147483648"], "up to 2147483647, not 21474"),
+        (soak, ["--first-case", "2147483648"], "first_case must fit 32 bits"),
         (soak, ["--first-case", "2147483000"], "first_case is 2147483000, of"),
     ],
 )
