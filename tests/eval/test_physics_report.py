@@ -12,7 +12,7 @@ from carpark_mj.vehicle import COMPACT, PRESETS, preset
 from vehicle_suite import chassis, driver, engines, formulas, turns
 from vehicle_suite.report import Row, Study, markdown, relative, write_csv
 from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
-from vehicle_suite.track import Run, Testbed, circle_radius, crossing, ramp, step
+from vehicle_suite.track import Run, circle_radius, crossing, ramp, step
 
 # Round numbers for sums by hand.
 PLAIN = dataclasses.replace(
@@ -150,7 +150,7 @@ def test_crossings_and_circles():
 # Rows of the suite, quick
 
 
-def check(manoeuvre, bed: Testbed, params=COMPACT) -> None:
+def check(manoeuvre, bed: BrushTestbed | ContactTestbed, params=COMPACT) -> None:
     study = Study(bed, "car", params, quick=True)
     manoeuvre(study)
     assert study.rows
