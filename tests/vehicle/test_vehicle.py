@@ -96,7 +96,6 @@ def test_static_axle_loads_follow_from_the_lever_arms(params: VehicleParameters)
         ({"yaw_inertia": 2691.0}, "triangle inequality"),
         ({"roll_inertia": 60.0}, "triangle inequality"),
         ({"turning_circle": 6.7}, "turning_circle must be more than 7.19"),
-        ({"turning_circle": 1.0}, "turning_circle must be more than 7.19"),
         ({"steering_lag": -0.1}, "steering_lag"),
         ({"drive_lag": math.inf}, "drive_lag"),
         ({"max_power": 0.0}, "max_power"),
