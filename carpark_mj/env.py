@@ -30,9 +30,7 @@ from carpark_mj.observations import (
     unpack,
 )
 from carpark_mj.physics.base import (
-    Halting,
     Physics,
-    advance,
     make_physics,
     require_physics,
     where_cars,
@@ -114,7 +112,7 @@ class ParkingEnv:
         check_exits(config, self.layout_config)
         check_cars(config, self.fleet, self.layout_config, self._layout)
         self.physics = physics or make_physics(config, self._layout, self.vehicle)
-        if config.episode.kerb_speed and not isinstance(self.physics, Halting):
+        if config.episode.kerb_speed and not self.physics.can_halt:
             raise ValueError(
                 "episode.kerb_speed needs physics whose cars a kerb can stop, mjx or "
                 f"bicycle, not {self.physics.config.back_end}"
@@ -310,9 +308,10 @@ class ParkingEnv:
 
             controls = emergency_brake.override(config.sim, state, controls)
         movers = self._spawner.step_movers(state, keys.movers)
-        physics = advance(self.physics, state.physics, controls, state.movers, movers)
+        groups = state.movers.groups, movers.groups
+        physics = self.physics.step_among(state.physics, controls, *groups)
         motion = self.physics.read(physics)
-        if isinstance(self.physics, Halting) and config.episode.kerb_speed:
+        if config.episode.kerb_speed:
             stops = kerb_stops(config, state, motion)
             physics = self.physics.halt(physics, *stops)
             motion = self.physics.read(physics)

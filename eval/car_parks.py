@@ -23,6 +23,8 @@ import tyro
 from carpark_mj import ParkingEnv
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.driver import adapt, find_driver
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config.checks import CheckedConfig, Count, Positive
 from carpark_mj.evaluation.aggregation import summarize
 from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.evaluation.report import print_groups
@@ -32,7 +34,7 @@ from carpark_mj.layouts.car_park import CAR_PARKS, random_parts
 
 
 @dataclasses.dataclass(frozen=True)
-class CarParksConfig:
+class CarParksConfig(CheckedConfig):
     """Settings of `python eval/car_parks.py`.
 
     Attributes:
@@ -47,19 +49,13 @@ class CarParksConfig:
     """
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    parts: int = 30
-    size: tuple[float, float] = (60.0, 45.0)
+    parts: Count = 30
+    size: tuple[Positive, Positive] = (60.0, 45.0)
     num_agents: int = 8
     episodes: int = 4096
     vehicle: str = "compact"
     seed: int = 0
     out: str = "runs/car_parks"
-
-    def __post_init__(self) -> None:
-        if self.parts < 1:
-            raise ValueError(f"parts must be at least 1, not {self.parts}")
-        if min(self.size) <= 0:
-            raise ValueError(f"size must be two positive lengths, not {self.size}")
 
 
 def run(config: CarParksConfig) -> None:
@@ -116,10 +112,7 @@ def by_agents(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-
-    def command() -> object:
-        from carpark_mj.cli.flags import read_flags
-
-        return run(read_flags(CarParksConfig, arguments, description=__doc__))
-
-    return run_command("car_parks", command)
+    return run_command(
+        "car_parks",
+        lambda: run(read_flags(CarParksConfig, arguments, description=__doc__)),
+    )

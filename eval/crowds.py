@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
 from carpark_mj.files import require_writable, write_atomically, write_csv
 from carpark_mj.geometry import norm
 from carpark_mj.movers import bodies
@@ -297,10 +298,6 @@ def draw(path: Path, walks: dict[bool, tuple], flows: np.ndarray) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-
-    def command() -> object:
-        from carpark_mj.cli.flags import read_flags
-
-        return run(read_flags(CrowdsConfig, arguments, description=__doc__))
-
-    return run_command("crowds", command)
+    return run_command(
+        "crowds", lambda: run(read_flags(CrowdsConfig, arguments, description=__doc__))
+    )

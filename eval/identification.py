@@ -31,8 +31,7 @@ from carpark_mj.identification.fit import identify
 from carpark_mj.identification.log import POSE, RATES, DriveLog
 from carpark_mj.identification.simulation import SIM_DT, Sought
 from carpark_mj.vehicle import COMPACT
-from vehicle_suite import single_track
-from vehicle_suite.logs import Drive, DriveName, record
+from vehicle_suite.logs import Drive, DriveName, SingleTrack, drive_single_track, record
 
 # Least and largest true values; the compact car has a stiffness of 12, 2 and 4 m/s^2.
 TRUE = Sought(
@@ -93,8 +92,8 @@ def _logs(
     if drives[0].kind not in SINGLE_TRACK:
         return record(drives, measured, config.noise)
     return [
-        single_track.drive(
-            single_track.SingleTrack(**d.true._asdict()),
+        drive_single_track(
+            SingleTrack(**d.true._asdict()),
             d.seed,
             d.kind == "stops",
             measured,

@@ -23,7 +23,8 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.config.checks import require_count
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config.checks import CheckedConfig, Count, Natural
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
@@ -39,7 +40,7 @@ DEEP = (1e-3, 0.05, 0.2)  # m, overlaps that are told apart
 
 
 @dataclasses.dataclass(frozen=True)
-class InhabitedConfig:
+class InhabitedConfig(CheckedConfig):
     """Settings of `python eval/inhabited.py`.
 
     Attributes:
@@ -56,18 +57,16 @@ class InhabitedConfig:
 
     environment: str = "square"
     movers: tuple[str, ...] = ("pedestrians:number=20",)
-    agent_steps: int = 1_000_000_000
-    num_lots: int = 8192
-    round_steps: int = 1000
-    first_round: int = 0
+    agent_steps: Count = 1_000_000_000
+    num_lots: Count = 8192
+    round_steps: Count = 1000
+    first_round: Natural = 0
     seed: int = 0
     layout: str = ""
     overlaps: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("agent_steps", "num_lots", "round_steps"):
-            require_count(name, getattr(self, name), 1)
-        require_count("first_round", self.first_round, 0)
+        super().__post_init__()
         require_seed(self.seed)
 
 
@@ -262,10 +261,7 @@ def run(config: InhabitedConfig) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-
-    def command() -> object:
-        from carpark_mj.cli.flags import read_flags
-
-        return run(read_flags(InhabitedConfig, arguments, description=__doc__))
-
-    return run_command("inhabited", command)
+    return run_command(
+        "inhabited",
+        lambda: run(read_flags(InhabitedConfig, arguments, description=__doc__)),
+    )

@@ -1,4 +1,4 @@
-"""Runs the validation suite of vehicle dynamics and writes the report.
+"""Drives the manoeuvres of `vehicle_suite` and writes the report of vehicle dynamics.
 
 python eval/physics_report.py
 python eval/physics_report.py --presets compact --tyres brush --quick --out runs/physics
@@ -12,17 +12,66 @@ if __name__ == "__main__":  # before the imports, which take seconds
     enter("physics_report", "physics_report:main")
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Literal
 
 import jax
 
 from carpark_mj.cli.common import run_command
+from carpark_mj.cli.flags import read_flags
 from carpark_mj.files import require_writable
 from carpark_mj.vehicle import PRESETS, preset
-from vehicle_suite.report import write_report
-from vehicle_suite.suites import Tyres, drive_suites
-from vehicle_suite.table import Study
+from vehicle_suite import chassis, driver, engines, turns
+from vehicle_suite.report import Curve, Row, Study, write_report
+from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
+
+Tyres = Literal["brush", "contact"]
+Manoeuvre = Callable[[Study], None]
+
+COMMON: tuple[Manoeuvre, ...] = (
+    turns.turning,
+    chassis.stops,
+    chassis.coast_down,
+    chassis.load_transfer,
+    chassis.axle_loads,
+    chassis.slope_hold,
+    chassis.slip_threshold,
+    chassis.energy_balance,
+    engines.mirror,
+    turns.lateral_limit,
+    chassis.scrub_torque,
+    engines.convergence,
+)
+SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
+    "brush": (
+        *COMMON,
+        turns.locked_axle,
+        turns.understeer,
+        turns.step_steer,
+        engines.brush_engines,
+        driver.harder_is_slower,
+        driver.hold_on_ice,
+        driver.creep,
+        driver.coast_after_release,
+        driver.stop_from_a_walk,
+        driver.taps,
+        driver.speed_control,
+        driver.reversing,
+        driver.delays,
+        driver.automatic,
+        driver.odometry,
+        driver.wheel_stop,
+        driver.ramp,
+    ),
+    "contact": (
+        *COMMON,
+        turns.rolling_turns,
+        engines.contact_engines,
+        chassis.suspension,
+    ),
+}
+TESTBEDS = {"brush": BrushTestbed, "contact": ContactTestbed}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,33 +111,32 @@ def command_of(config: ReportConfig) -> str:
 
 
 def run(config: ReportConfig) -> int:
-    """Runs the suite and writes the report; returns 1 if a row misses."""
+    """Drives everything and writes the report; returns 1 if a row misses."""
     out = Path(config.out)
     require_writable(out / "report.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # few cars: no work for a GPU
-    everything = Study("", "")
-    presets = config.presets or tuple(sorted(PRESETS))
-    for study in drive_suites(config.tyres, presets, config.quick):
-        everything.rows.extend(study.rows)
-        everything.curves.extend(study.curves)
-        print(f"{study.preset}, {study.tyres}: done", flush=True)
-    write_report(out, everything, command_of(config))
-    missed = [row for row in everything.rows if not row.passes]
+    rows: list[Row] = []
+    curves: list[Curve] = []
+    for tyres in config.tyres:
+        bed = TESTBEDS[tyres]()
+        for name in config.presets or sorted(PRESETS):
+            study = Study(bed, name, preset(name), config.quick)
+            for manoeuvre in SUITES[tyres]:
+                manoeuvre(study)
+            rows += study.rows
+            curves += study.curves
+            print(f"{name}, {tyres}: done", flush=True)
+    write_report(out, rows, curves, command_of(config))
+    missed = [row for row in rows if not row.passes]
     for row in missed:
         print(f"{row.preset}, {row.tyres}: {row.row}: {row.verdict}")
-    print(
-        f"{len(everything.rows)} rows, {len(missed)} missed; "
-        f"wrote {config.out}/report.md"
-    )
+    print(f"{len(rows)} rows, {len(missed)} missed; wrote {config.out}/report.md")
     return 1 if missed else 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
-
-    def command() -> object:
-        from carpark_mj.cli.flags import read_flags
-
-        return run(read_flags(ReportConfig, arguments, description=__doc__))
-
-    return run_command("physics_report", command)
+    return run_command(
+        "physics_report",
+        lambda: run(read_flags(ReportConfig, arguments, description=__doc__)),
+    )

@@ -17,21 +17,214 @@ if __name__ == "__main__":  # before the imports, which take seconds
 import dataclasses
 import time
 from collections.abc import Sequence
+from functools import partial
+from typing import TypeVar
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
 from carpark_mj.cli.common import enable_output_fusion, run_command
-from carpark_mj.config import SimConfig
-from carpark_mj.config.checks import require_at_least
-from carpark_mj.vehicle import PRESETS
-from vehicle_suite import soak
-from vehicle_suite.soak import HOLD, PATTERNS, ROUNDS, Soak, Worst
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.config import RandomizationConfig, SimConfig
+from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
+from carpark_mj.mdp.actions import sanitize_numbers
+from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.spawning.randomization import randomize
+from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
+
+ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)
+
+HOLD = 10  # control steps of 20 ms for which an action is held, as in the environment
+MAX_CASE = 2**31 - 1  # beyond it the seeds, int32, would repeat those of other cases
+ROUNDS = 60  # actions of an episode: 12 s
+RANDOMISATION = RandomizationConfig(
+    mass=(0.75, 1.25),
+    cg_x=(0.89, 1.11),  # 0.15 m or more in every preset
+    cg_height=(0.8, 1.2),
+    friction=(0.13, 1.2),  # 0.12 (ice) to 1.08
+    tyre_stiffness=(0.7, 1.3),
+    brake_gain=(0.5, 1.5),
+    steering_offset=(-0.03, 0.03),
+    steering_lag=(0.0, 0.3),
+)
+PATTERNS = ("random", "held", "lock to lock", "brake to throttle", "flip", "invalid")
+INVALID = (np.nan, np.inf, -np.inf, 1e30, -5.0, 1.0001, 1.0, -1.0, 0.5, 0.0)
+
+
+@struct.dataclass
+class Worst:
+    """The worst of each case; all (n,).
+
+    Attributes:
+        broken: steps that produced a non-finite number.
+        hop: of a tyre above the ground [m]; negative while its spring is loaded.
+        energy: per mass [J/kg].
+        invalid: actions that had to be sanitized.
+    """
+
+    broken: jax.Array
+    hop: jax.Array
+    energy: jax.Array
+    invalid: jax.Array
+
+
+class Soak:
+    """Compiled cases."""
+
+    def __init__(self, sim: SimConfig) -> None:
+        """Prepares the physics and the nominal cars."""
+        self.physics = MjxPhysics(dataclasses.replace(sim, ctrl_dt=0.02, trace_dt=0.02))
+        cars = [make_vehicle(params) for params in PRESETS.values()]
+        self._nominal: Vehicle = jax.tree.map(lambda *x: jnp.stack(x), *cars)
+        self.run = jax.jit(self._run)
+
+    def run_batches(
+        self, first_case: int, num_batches: int, num_cars: int
+    ) -> tuple[np.ndarray, Worst]:
+        """Runs batches of `num_cars` cases each, counted on from `first_case`.
+
+        Returns:
+            The numbers of all cases (n,) and the worst of each.
+
+        Raises:
+            ValueError: a number beyond `MAX_CASE`.
+        """
+        count = num_batches * num_cars
+        last = first_case + count - 1
+        if last > MAX_CASE:
+            raise ValueError(
+                f"cases must be numbered up to {MAX_CASE}, not {last}: first_case is "
+                f"{first_case}, of {count} cases"
+            )
+        firsts = range(first_case, first_case + count, num_cars)
+        worst = [
+            jax.device_get(self.run(jnp.arange(k, k + num_cars, dtype=jnp.int32)))
+            for k in track(firsts, "soaking", transient=True)
+        ]
+        cases = np.arange(first_case, first_case + count)
+        return cases, jax.tree.map(lambda *x: np.concatenate(x), *worst)
+
+    def _run(self, cases: jax.Array) -> Worst:
+        """Runs cases (n,) of int32 for an episode each."""
+        keys = jax.vmap(jax.random.key)(cases)
+        preset, pattern = preset_of(cases), pattern_of(cases)
+
+        def spawn(preset: jax.Array, key: jax.Array) -> tuple[Vehicle, jax.Array]:
+            car_key, yaw_key = jax.random.split(key)
+            nominal = jax.tree.map(lambda x: x[preset], self._nominal)
+            yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
+            return randomize(RANDOMISATION, nominal, car_key), yaw
+
+        fleet, yaw = jax.vmap(spawn)(preset, keys)
+        pose = jnp.pad(yaw[:, None], ((0, 0), (2, 0)))
+        zero = jnp.zeros(cases.shape, jnp.float32)
+        carry = self.physics.init(pose, fleet), Worst(zero, zero - jnp.inf, zero, zero)
+
+        def act(carry, step: jax.Array):
+            draw = partial(draw_action, step)
+            action = jax.vmap(draw)(pattern, fleet, keys)
+            action, invalid = sanitize_numbers(action)
+            state, worst = carry
+            worst = dataclasses.replace(worst, invalid=worst.invalid + invalid)
+            hold = partial(self._hold, action)
+            return jax.lax.scan(hold, (state, worst), length=HOLD)
+
+        (_, worst), _ = jax.lax.scan(act, carry, jnp.arange(ROUNDS))
+        return worst
+
+    def _hold(self, action: jax.Array, carry: tuple[CarState, Worst], _: None):
+        state, worst = carry
+        state = self.physics.step(state, action)
+        worst = dataclasses.replace(
+            worst,
+            broken=worst.broken + ~state.finite,
+            hop=jnp.maximum(worst.hop, hops(state).max(axis=-1)),
+            energy=jnp.maximum(worst.energy, energy_per_mass(state)),
+        )
+        return (state, worst), None
+
+
+def preset_of(case: ArrayOrNumpy) -> ArrayOrNumpy:
+    """Index of a case's car in `PRESETS`."""
+    return case % len(PRESETS)
+
+
+def pattern_of(case: ArrayOrNumpy) -> ArrayOrNumpy:
+    """Index of a case's inputs in `PATTERNS`."""
+    return case // len(PRESETS) % len(PATTERNS)
+
+
+def draw_action(
+    step: jax.Array, pattern: jax.Array, vehicle: Vehicle, key: jax.Array
+) -> jax.Array:
+    """The action (2,) of one case at action number `step`, possibly invalid."""
+    wave_key, noise_key = jax.random.split(jax.random.fold_in(key, 1))
+    half = jax.random.randint(wave_key, (), 1, 13)  # half a period of 0.2 to 2.4 s
+    square = jnp.where(step // half % 2 == 0, 1.0, -1.0)
+    flip = jnp.where(step % 2 == 0, 1.0, -1.0)
+
+    def uniform(number: jax.Array) -> jax.Array:
+        noise = jax.random.fold_in(noise_key, number)
+        return jax.random.uniform(noise, (2,), minval=-1.0, maxval=1.0)
+
+    held, noise = uniform(step // half), uniform(step)
+    # As long as the wheels take from one lock to the other at the rate limit.
+    turn = jnp.ceil(2 * vehicle.max_steering / vehicle.steering_rate / 0.2)
+    lock = jnp.where(step // turn.astype(int) % 2 == 0, 1.0, -1.0)
+    wild = jax.random.choice(
+        jax.random.fold_in(noise_key, step + ROUNDS), jnp.array(INVALID), (2,)
+    )
+    actions = [
+        noise,
+        held,
+        jnp.stack([lock, held[1]]),
+        jnp.stack([held[0], square]),
+        jnp.stack([flip, flip]),
+        wild,
+    ]
+    return jnp.stack(actions)[pattern]
+
+
+def wheel_heights(state: CarState) -> jax.Array:
+    """How far the wheels (..., 4) are above where they rest [m]."""
+    w, x, y, z = jnp.moveaxis(state.qpos[..., 3:7], -1, 0)
+    across = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x)], axis=-1)
+    rise = jnp.sum(state.vehicle.hub * across[..., None, :], axis=-1)
+    return state.qpos[..., 2, None] + rise
+
+
+def hops(state: CarState) -> jax.Array:
+    """How far the tyres (..., 4) are above the ground [m]; negative: they carry."""
+    tyres = state.vehicle.tyres
+    droop = tyres.static_load / tyres.vertical_stiffness[..., None]
+    return wheel_heights(state) - droop
+
+
+def energy_per_mass(state: CarState) -> jax.Array:
+    """Kinetic and spring energy (...) over mass [J/kg], of the wheels their spin."""
+    vehicle = state.vehicle
+    linear, angular = state.qvel[..., :3], state.qvel[..., 3:6]
+    spin = state.qvel[..., [7, 9, 10, 11]]
+    turning = vehicle.body_inertia[..., 1, :] * angular**2
+    spinning = vehicle.wheel_inertia[..., None] * spin**2
+    sprung = vehicle.tyres.vertical_stiffness[..., None] * wheel_heights(state) ** 2
+    rest = turning.sum(-1) + spinning.sum(-1) + sprung.sum(-1)
+    return 0.5 * (jnp.sum(linear**2, axis=-1) + rest / vehicle.mass)
+
+
+def breaches(worst: Worst, max_hop: float, max_energy: float) -> np.ndarray:
+    """(n,) bool, the cases that broke a limit; a NaN breaks it too."""
+    held = (worst.hop <= max_hop) & (worst.energy <= max_energy)
+    return ~np.asarray(held) | (np.asarray(worst.broken) > 0)
 
 
 @dataclasses.dataclass(frozen=True)
-class SoakConfig:
+class SoakConfig(CheckedConfig):
     """Settings of `python eval/soak.py`.
 
     Attributes:
@@ -45,22 +238,12 @@ class SoakConfig:
             hops are seen.
     """
 
-    car_steps: int = 10_000_000
-    num_cars: int = 720
-    first_case: int = 0
-    max_hop: float = 0.0
-    max_energy: float = 8.0
+    car_steps: Count = 10_000_000
+    num_cars: Count = 720
+    first_case: Natural = 0
+    max_hop: NonNegative = 0.0
+    max_energy: NonNegative = 8.0
     sim: SimConfig = dataclasses.field(default_factory=SimConfig)
-
-    def __post_init__(self) -> None:
-        for name in ("car_steps", "num_cars"):
-            if getattr(self, name) < 1:
-                raise ValueError(
-                    f"{name} must be at least 1, not {getattr(self, name)}"
-                )
-        require_at_least(self, 0, "max_hop", "max_energy")
-        if self.first_case < 0:
-            raise ValueError(f"first_case must be at least 0, not {self.first_case}")
 
 
 def run(config: SoakConfig) -> int:
@@ -71,16 +254,14 @@ def run(config: SoakConfig) -> int:
     begun = time.monotonic()
     cases, worst = cars.run_batches(config.first_case, num_batches, config.num_cars)
     print_table(config, worst, cases)
-    bad = soak.breaches(worst, config.max_hop, config.max_energy)
+    bad = breaches(worst, config.max_hop, config.max_energy)
+    told = (
+        f"{bad.sum()} of {len(cases)} cases broke a limit" if any(bad) else "all held"
+    )
     print(
         f"{len(cases) * substeps:.3g} car-steps of {cars.physics.sim.sim_dt:g} s in "
         f"{time.monotonic() - begun:.0f} s, "
-        f"{int(worst.invalid.sum())} actions sanitized; "
-        + (
-            f"{bad.sum()} of {len(cases)} cases broke a limit"
-            if bad.any()
-            else "all held"
-        )
+        f"{int(worst.invalid.sum())} actions sanitized; {told}"
     )
     return int(bad.any())
 
@@ -92,8 +273,8 @@ def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
         table.add_column(column)
     table.add_column(f"tyre off the ground, mm (<= {1e3 * config.max_hop:g})")
     table.add_column(f"energy, J/kg (<= {config.max_energy:g})")
-    groups = [(name, soak.preset_of(cases) == k) for k, name in enumerate(PRESETS)]
-    groups += [(name, soak.pattern_of(cases) == k) for k, name in enumerate(PATTERNS)]
+    groups = [(name, preset_of(cases) == k) for k, name in enumerate(PRESETS)]
+    groups += [(name, pattern_of(cases) == k) for k, name in enumerate(PATTERNS)]
     for name, mask in groups:
         if mask.any():
             where = np.flatnonzero(mask)
@@ -110,10 +291,6 @@ def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns the exit code."""
     enable_output_fusion()
-
-    def command() -> object:
-        from carpark_mj.cli.flags import read_flags
-
-        return run(read_flags(SoakConfig, arguments, description=__doc__))
-
-    return run_command("soak", command)
+    return run_command(
+        "soak", lambda: run(read_flags(SoakConfig, arguments, description=__doc__))
+    )

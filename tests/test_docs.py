@@ -67,7 +67,7 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.run_folder import named, read_runs
 from carpark_mj.wrappers.options import OPTIONS
-from vehicle_suite.table import excerpt
+from vehicle_suite.report import excerpt
 
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()

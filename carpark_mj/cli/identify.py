@@ -27,8 +27,7 @@ from carpark_mj.identification.fit import (
 )
 from carpark_mj.identification.log import DriveLog, read_log
 from carpark_mj.vehicle import preset
-from carpark_mj.vehicle.file import read_sheet
-from carpark_mj.vehicle.sheet import Sheet
+from carpark_mj.vehicle.sheet import Sheet, read_sheet
 
 PROGRAM = "carpark_mj identify"
 

@@ -18,8 +18,8 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.vehicles import is_name
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.vehicle import VEHICLES, preset
-from carpark_mj.vehicle.file import parameters_text, read_sheet
 from carpark_mj.vehicle.parameters import VehicleParameters
+from carpark_mj.vehicle.sheet import parameters_text, read_sheet
 
 PROGRAM = "carpark_mj vehicles"
 

@@ -10,12 +10,6 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from carpark_mj.config.back_ends import (
-        PHYSICS,
-        PhysicsChoice,
-        PhysicsConfig,
-        physics_config,
-    )
     from carpark_mj.config.checks import data
     from carpark_mj.config.env import EnvConfig, insert, is_data, setting
     from carpark_mj.config.layouts import (
@@ -26,7 +20,6 @@ if TYPE_CHECKING:
         require_layout,
     )
     from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
-    from carpark_mj.config.physics import CONTACT_SIM_DT, SimConfig, Surface, TyresName
     from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig, Scheme
     from carpark_mj.mdp.metrics import METRICS, Metric, MetricsConfig, register_metric
     from carpark_mj.mdp.rewards import (
@@ -49,6 +42,16 @@ if TYPE_CHECKING:
     from carpark_mj.observations.ranges import RayConfig, RingConfig, UltrasoundConfig
     from carpark_mj.observations.sensors import SensorConfig
     from carpark_mj.observations.tracked import ShareConfig
+    from carpark_mj.physics.config import (
+        CONTACT_SIM_DT,
+        PHYSICS,
+        PhysicsChoice,
+        PhysicsConfig,
+        SimConfig,
+        Surface,
+        TyresName,
+        physics_config,
+    )
     from carpark_mj.spawning.config import (
         FleetConfig,
         JitterConfig,
@@ -58,7 +61,6 @@ if TYPE_CHECKING:
     )
 
 _NAMES = {
-    "config.back_ends": ("PHYSICS", "PhysicsChoice", "PhysicsConfig", "physics_config"),
     "config.checks": ("data",),
     "config.env": ("EnvConfig", "insert", "is_data", "setting"),
     "config.layouts": (
@@ -66,7 +68,6 @@ _NAMES = {
         "require_layout",
     ),
     "config.obstacles": ("MOVERS", "Mover", "ObstacleKind"),
-    "config.physics": ("CONTACT_SIM_DT", "SimConfig", "Surface", "TyresName"),
     "mdp.goals": ("GivingWayConfig", "GoalConfig", "Scheme"),
     "mdp.metrics": ("METRICS", "Metric", "MetricsConfig", "register_metric"),
     "mdp.rewards": (
@@ -80,6 +81,10 @@ _NAMES = {
     "observations.ranges": ("RayConfig", "RingConfig", "UltrasoundConfig"),
     "observations.sensors": ("SensorConfig",),
     "observations.tracked": ("ShareConfig",),
+    "physics.config": (
+        *("CONTACT_SIM_DT", "PHYSICS", "PhysicsChoice", "PhysicsConfig", "SimConfig"),
+        *("Surface", "TyresName", "physics_config"),
+    ),
     "spawning.config": (
         *("FleetConfig", "JitterConfig", "RandomizationConfig", "RelocationRule"),
         "SpawnConfig",

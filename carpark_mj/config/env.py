@@ -5,7 +5,6 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, TypeVar
 
-from carpark_mj.config.back_ends import PhysicsChoice, PhysicsConfig, physics_config
 from carpark_mj.config.checks import (
     Bounds,
     Count,
@@ -16,7 +15,6 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
-from carpark_mj.config.physics import SimConfig
 from carpark_mj.config.vehicles import with_parameters
 from carpark_mj.extensions import unknown_name
 from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig
@@ -25,6 +23,12 @@ from carpark_mj.mdp.rewards import ExtraTerms, RewardConfig
 from carpark_mj.mdp.terminations import EpisodeConfig, find_rules
 from carpark_mj.observations.fields import ENCODERS, ObservationConfig
 from carpark_mj.observations.sensors import SensorConfig
+from carpark_mj.physics.config import (
+    PhysicsChoice,
+    PhysicsConfig,
+    SimConfig,
+    physics_config,
+)
 from carpark_mj.spawning.config import (
     FleetConfig,
     JitterConfig,

@@ -3,8 +3,8 @@
 from carpark_mj.extensions import Entry
 
 # Name and parameters of a car that is not registered.
-READ = Entry("carpark_mj.vehicle.file:read_vehicle")
-_TEXT = Entry("carpark_mj.vehicle.file:read_as_text")
+READ = Entry("carpark_mj.vehicle.sheet:read_vehicle")
+_TEXT = Entry("carpark_mj.vehicle.sheet:read_as_text")
 
 
 def is_name(vehicle: str) -> bool:

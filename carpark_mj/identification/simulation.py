@@ -16,16 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.identification.log import POSE, RATES, DriveLog
-from carpark_mj.physics.coordinates import Car, Coordinates
+from carpark_mj.physics.coordinates import Car, Coordinates, TyreState
 from carpark_mj.physics.forces import drive_car
-from carpark_mj.physics.masses import mass_properties
-from carpark_mj.physics.newton_euler import advance
-from carpark_mj.physics.tyres import TyreState
+from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import WHEELS
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from carpark_mj.vehicle.vehicle import Vehicle, make_vehicle
-from carpark_mj.vehicle.wheel import wheels_of
+from carpark_mj.vehicle.vehicle import Vehicle, make_vehicle, wheels_of
 
 SIM_DT = 0.0025  # s; at 0.01 the tyres would seem a tenth softer than they are
 WARM_UP = 1.0  # s, in which tyres and brakes forget how they began

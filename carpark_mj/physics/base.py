@@ -5,13 +5,13 @@ Every function takes any leading batch shape, except the steps of `ScenePhysics`
 
 import abc
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, PhysicsConfig, SimConfig
-from carpark_mj.geometry.obstacles import Group, Movers
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts import Layout
 from carpark_mj.types import Motion, PhysicsState
 from carpark_mj.vehicle import VehicleParameters
@@ -21,8 +21,7 @@ S = TypeVar("S", bound=PhysicsState)
 Tree = TypeVar("Tree")
 
 
-@runtime_checkable
-class Physics(Protocol[S]):
+class Physics(abc.ABC, Generic[S]):
     """A physics back end.
 
     Attributes:
@@ -31,6 +30,7 @@ class Physics(Protocol[S]):
 
     config: PhysicsConfig
 
+    @abc.abstractmethod
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> S:
         """Cars at rest.
 
@@ -38,8 +38,8 @@ class Physics(Protocol[S]):
             pose_w: (..., 3) poses of the footprints' centres [m, m, rad].
             vehicle: parameters with the same leading shape.
         """
-        ...
 
+    @abc.abstractmethod
     def step(self, state: S, controls: jax.Array) -> S:
         """Advances by one control step.
 
@@ -48,12 +48,16 @@ class Physics(Protocol[S]):
             controls: (..., k) those of `PhysicsConfig`: steer and pedal in [-1, 1] of
                 cars.
         """
-        ...
 
+    @abc.abstractmethod
+    def read(self, state: S) -> Motion:
+        """The motion of the cars; the task reads nothing else."""
+
+    @abc.abstractmethod
     def place(
         self, state: S, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
     ) -> S:
-        """Places some cars at new poses, at rest, and leaves the others alone.
+        """Places cars of a mask (...) at poses (..., 3), at rest, and no others.
 
         Args:
             state: current state.
@@ -61,51 +65,35 @@ class Physics(Protocol[S]):
             pose_w: (..., 3) poses of the footprints' centres [m, m, rad].
             vehicle: parameters (...) of the cars placed.
         """
-        ...
 
+    @abc.abstractmethod
     def set_parked_poses(self, state: S, parked_pose: jax.Array) -> S:
-        """Sets the poses of parked cars, at the start and when one is relocated.
+        """Sets the poses (..., num_parked_cars, 3) of parked cars' footprints.
 
-        Args:
-            state: current state.
-            parked_pose: (..., num_parked_cars, 3) poses of their footprints' centres
-                [m, m, rad].
+        It is called at the start and when a parked car is relocated.
         """
-        ...
 
+    @abc.abstractmethod
     def parked_poses(self, state: S, intended: jax.Array) -> jax.Array:
-        """The current poses of parked cars.
+        """The current poses (..., num_parked_cars, 3) of parked cars' footprints.
 
         Args:
             state: current state.
-            intended: (..., num_parked_cars, 3) poses that were set.
-
-        Returns:
-            (..., num_parked_cars, 3) poses of their footprints' centres [m, m, rad]:
-            those intended, or those that contacts pushed the cars to.
+            intended: poses that were set; contacts may have pushed the cars elsewhere.
         """
-        ...
-
-    def read(self, state: S) -> Motion:
-        """The motion of the cars; the task reads nothing else."""
-        ...
-
-
-@runtime_checkable
-class RollingStarts(Protocol[S]):
-    """A back end whose cars can begin at a speed; for `ResetOptions.speed`."""
 
     def set_speed(self, state: S, speed: jax.Array) -> S:
-        """Cars (...) as they stand, rolling straight on at speeds (...) [m/s]."""
-        ...
+        """Cars (...) as they stand, rolling straight on at speeds (...) [m/s].
 
-
-@runtime_checkable
-class Halting(Protocol[S]):
-    """A back end whose cars an obstacle can stop; for `EpisodeConfig.kerb_speed`."""
+        For `ResetOptions.speed`; not all back ends can.
+        """
+        name = type(self).__name__
+        raise ValueError(f"options.speed needs physics with set_speed, not {name}")
 
     def halt(self, state: S, mask: jax.Array, trace_w: jax.Array) -> S:
         """Stops some cars dead, their steering as it is, and leaves the others alone.
+
+        For `EpisodeConfig.kerb_speed`; not all back ends can.
 
         Args:
             state: at the end of a control step.
@@ -113,12 +101,12 @@ class Halting(Protocol[S]):
             trace_w: (..., k, 3) where they were in the step instead, and stand at its
                 end.
         """
-        ...
+        raise NotImplementedError
 
-
-@runtime_checkable
-class SolidMovers(Protocol[S]):
-    """A back end in whose world movers are bodies, which stop and push cars."""
+    @property
+    def can_halt(self) -> bool:
+        """Whether obstacles can stop its cars, by `halt`."""
+        return type(self).halt is not Physics.halt
 
     def step_among(
         self,
@@ -129,49 +117,25 @@ class SolidMovers(Protocol[S]):
     ) -> S:
         """Advances one lot by one control step, in which movers move too.
 
-        Their contacts are columns of `Motion.touched`.
+        Where movers are bodies, which stop and push cars, their contacts are columns of
+        `Motion.touched`; by default they are none.
 
         Args:
             state: current state.
-            controls: see `Physics.step`.
+            controls: see `step`.
             before: where movers are at the start of the step.
             after: where they are at its end.
         """
-        ...
+        del before, after
+        return self.step(state, controls)
 
 
-def advance(
-    physics: Physics[S], state: S, controls: jax.Array, before: Movers, after: Movers
-) -> S:
-    """Advances one lot by one control step; movers are in the way if they are bodies.
-
-    Args:
-        physics: the back end.
-        state: current state.
-        controls: see `Physics.step`.
-        before: movers at the start of the step.
-        after: movers at its end.
-    """
-    if after.groups and isinstance(physics, SolidMovers):
-        return physics.step_among(state, controls, before.groups, after.groups)
-    return physics.step(state, controls)
-
-
-class FactoredPhysics(abc.ABC, Generic[S]):
+class FactoredPhysics(Physics[S]):
     """Base of back ends in which every car has a world of its own.
 
     Cars meet only in the task layer, which detects collisions with exact box tests;
     parked cars stay where they were set.
-
-    Attributes:
-        config: its traits.
     """
-
-    config: PhysicsConfig
-
-    @abc.abstractmethod
-    def init(self, pose_w: jax.Array, vehicle: Vehicle) -> S:
-        """Cars at rest; see `Physics.init`."""
 
     def place(
         self, state: S, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
@@ -280,17 +244,6 @@ def require_plain_ground(sim: SimConfig, name: str) -> None:
             )
 
 
-MEMBERS = (
-    "config",
-    "init",
-    "step",
-    "place",
-    "set_parked_poses",
-    "parked_poses",
-    "read",
-)
-
-
 def make_physics(
     config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
 ) -> Physics[PhysicsState]:
@@ -312,21 +265,11 @@ def require_physics(physics: Any) -> Physics[PhysicsState]:
     """Refuses an object that is not a back end.
 
     Raises:
-        TypeError: naming the missing attributes.
+        TypeError: it is a name, or of another class.
     """
-    if isinstance(physics, str):
+    if not isinstance(physics, Physics):
         raise TypeError(
-            f"physics must be of Physics or None, not {physics!r}: names belong in "
-            "the config"
-        )
-    if missing := [name for name in MEMBERS if not hasattr(physics, name)]:
-        raise TypeError(
-            f"physics {type(physics).__name__} lacks {', '.join(missing)} of a back "
-            "end, carpark_mj.physics.base.Physics"
-        )
-    if not isinstance(physics.config, PhysicsConfig):
-        raise TypeError(
-            f"config of physics {type(physics).__name__} must be a PhysicsConfig, not "
-            f"{physics.config!r}"
+            "physics must be a carpark_mj.physics.base.Physics or None, not "
+            f"{physics!r}: names belong in the config"
         )
     return physics

@@ -18,8 +18,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config import PHYSICS, PhysicsConfig, SimConfig
+from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
+from carpark_mj.layouts import Layout
 from carpark_mj.physics.base import (
     FactoredPhysics,
     contain_non_finite,
@@ -30,9 +31,24 @@ from carpark_mj.physics.base import (
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
+from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.vehicle import Vehicle
 
 Carry = tuple[jax.Array, jax.Array, drive.Actuators]  # pose_w, speed, actuators
+
+
+@dataclasses.dataclass(frozen=True)
+class BicycleConfig(PhysicsConfig):
+    """Kinematic cars whose tyres never slip."""
+
+    back_end: str = "bicycle"
+
+    def make(
+        self, config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
+    ) -> "BicyclePhysics":
+        """Builds it; its ground is a plane."""
+        del layout, vehicle
+        return BicyclePhysics(config.sim)
 
 
 @struct.dataclass
@@ -104,7 +120,7 @@ def accelerate(
 class BicyclePhysics(FactoredPhysics[BicycleState]):
     """The kinematic bicycle behind the `Physics` interface."""
 
-    config: PhysicsConfig = PHYSICS["bicycle"]
+    config = PHYSICS.register("bicycle", BicycleConfig())
 
     def __init__(self, sim: SimConfig) -> None:
         """Takes the time steps.
@@ -142,7 +158,7 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
     def halt(
         self, state: BicycleState, mask: jax.Array, trace_w: jax.Array
     ) -> BicycleState:
-        """Stops cars dead, on the hold; see `Halting`."""
+        """Stops cars dead, on the hold; see `Physics.halt`."""
         still = self.init(trace_w[..., -1, :], state.vehicle)
         actuators = dataclasses.replace(
             still.actuators, steering=state.actuators.steering

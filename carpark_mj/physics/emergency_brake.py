@@ -18,10 +18,9 @@ from carpark_mj.config import SimConfig
 from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.types import Motion, State
-from carpark_mj.vehicle.conditions import in_conditions
 from carpark_mj.vehicle.drive import stopping_action
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.vehicle import Vehicle
+from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
 PROTECTED = (ObstacleKind.PERSON,)
 ASIDE = 0.15  # m, gap beside the swept area of danger, twice where cars slide [est]

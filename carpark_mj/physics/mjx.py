@@ -13,29 +13,60 @@ import jax.numpy as jnp
 import mujoco
 from flax import struct
 
-from carpark_mj.config import PHYSICS, SimConfig
+from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
 from carpark_mj.geometry import wrap_angle
+from carpark_mj.layouts import Layout
 from carpark_mj.physics.base import (
     FactoredPhysics,
     contain_non_finite,
     where_cars,
 )
-from carpark_mj.physics.coordinates import CarDynamics, CarIndex, unpack_coordinates
-from carpark_mj.physics.gravity import gravity_vector
-from carpark_mj.physics.tyres import TyreState, init_tyres
+from carpark_mj.physics.coordinates import (
+    CarDynamics,
+    CarIndex,
+    TyreState,
+    column,
+    dot,
+    init_tyres,
+    unpack_coordinates,
+)
+from carpark_mj.physics.forces import gravity_vector
 from carpark_mj.physics.unrolled import UnrolledStep
-from carpark_mj.physics.vectors import column, dot
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
-from carpark_mj.vehicle.conditions import in_conditions
 from carpark_mj.vehicle.mjcf import car_model
+from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import COMPACT
-from carpark_mj.vehicle.vehicle import Vehicle
+from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
 LEAST_UP = 0.5  # cosine of the lean at which a car has overturned: 60 degrees
 
 Stepper = Callable[[Vehicle, CarDynamics, jax.Array], tuple[CarDynamics, jax.Array]]
+
+
+@dataclasses.dataclass(frozen=True)
+class MjxConfig(PhysicsConfig):
+    """Rigid-body cars on tyres, each simulated on its own."""
+
+    back_end: str = "mjx"
+
+    def check(self, config: EnvConfig) -> None:
+        """Refuses substeps too long for the tyres."""
+        config.sim.require_fine_steps()
+
+    def make(
+        self, config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
+    ) -> "MjxPhysics":
+        """Builds it with the tyres of `SimConfig.tyres`."""
+        del layout, vehicle
+        if config.sim.tyres == "contact":
+            from carpark_mj.physics.mjx_step import (
+                ContactPhysics,  # MJX is slow to import
+            )
+
+            return ContactPhysics(config.sim)
+        return MjxPhysics(config.sim)
 
 
 @struct.dataclass
@@ -64,20 +95,13 @@ class CarState:
 class MjxPhysics(FactoredPhysics[CarState]):
     """Cars on brush tyres behind the `Physics` interface."""
 
-    config = PHYSICS["mjx"]
+    config = PHYSICS.register("mjx", MjxConfig())
 
     def __init__(self, sim: SimConfig) -> None:
-        """Compiles the car model for the given time steps, slope and surface.
-
-        Raises:
-            ValueError: substeps too long for the tyres.
-        """
+        """Compiles the car model for the given time steps, slope and surface."""
         sim.require_fine_steps()
         self.sim = sim
         model = self._compile(sim)
-        nv = 16 if sim.suspension else 12
-        if model.nv != nv or model.njnt != nv - 5:
-            raise ValueError(f"the car must have {nv} dofs, not {model.nv}")
         self.index = CarIndex(model)
         self._nq, self._nv = model.nq, model.nv
         self._step = self._make_stepper(model, sim)
@@ -107,9 +131,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
         shape = (*lead, self.sim.num_traces, 3)
         actuators = drive.init_actuators(vehicle)
         if self.sim.has_delays:
-            from carpark_mj.vehicle.delay import make_lines  # only they load it
-
-            lines = make_lines(self.sim, zero)
+            lines = drive.make_lines(self.sim, zero)
             actuators = dataclasses.replace(actuators, lines=lines)
         return CarState(
             qpos=jnp.stack([x, y, zero, *quat, *rest], -1),
@@ -137,7 +159,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
 
     @full_float32
     def halt(self, state: CarState, mask: jax.Array, trace_w: jax.Array) -> CarState:
-        """Stops cars dead, on the hold; see `Halting`."""
+        """Stops cars dead, on the hold; see `Physics.halt`."""
         still = self.init(trace_w[..., -1, :], state.vehicle)
         steer = self.index.steer_qpos
         actuators = dataclasses.replace(
@@ -185,9 +207,7 @@ def started(sim: SimConfig, state: CarState, controls: jax.Array) -> CarDynamics
     """Cars (...) at the start of a control step, its controls (..., 2) on their way."""
     actuators = state.actuators
     if actuators.lines is not None:
-        from carpark_mj.vehicle.delay import send  # only they load it
-
-        lines = send(sim, actuators.lines, controls)
+        lines = drive.send(sim, actuators.lines, controls)
         actuators = dataclasses.replace(actuators, lines=lines)
     return CarDynamics(state.qpos, state.qvel, state.tyres, actuators)
 

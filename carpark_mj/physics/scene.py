@@ -18,23 +18,76 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config import PHYSICS, SimConfig
+from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
+from carpark_mj.config.obstacles import make_movers
 from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.physics.base import run_substeps
+from carpark_mj.obstacles import mover_shapes
+from carpark_mj.physics.base import Physics, run_substeps
 from carpark_mj.physics.coordinates import CarDynamics, centre_pose, unpack_coordinates
 from carpark_mj.physics.forces import substep_forces
 from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars, started
-from carpark_mj.physics.scene_model import Masses, Moving, SceneModel
-from carpark_mj.physics.scene_movers import Solids, absent, solids_within
+from carpark_mj.physics.scene_model import (
+    Masses,
+    Moving,
+    SceneModel,
+    Solids,
+    absent,
+    solids_within,
+)
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
-from carpark_mj.vehicle.conditions import in_conditions
 from carpark_mj.vehicle.parameters import VehicleParameters
-from carpark_mj.vehicle.vehicle import Vehicle
+from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
 MOVED = 1e-3  # m or rad; a parked car set further away than this is moved
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneConfig(PhysicsConfig):
+    """The whole lot in one C MuJoCo world."""
+
+    back_end: str = "scene"
+    contacts = True
+
+    def check(self, config: EnvConfig) -> None:
+        """Refuses long substeps, contact tyres, and cars of several kinds or sizes."""
+        config.sim.require_fine_steps()
+        if config.sim.tyres == "contact":
+            raise ValueError("scene physics has brush tyres only, not contact")
+        if config.sim.has_ramp:
+            raise ValueError(
+                "scene physics has one gravity for the whole lot: sim.ramp must have "
+                f"slope 0, not {config.sim.ramp[2]}; use mjx"
+            )
+        if config.sim.creep and not config.episode.respawn:
+            raise ValueError(
+                "scene physics goes on moving cars that have finished, which would "
+                "creep away: sim.creep needs episode.respawn = True there"
+            )
+        if config.fleet.is_on or config.jitter.scale != (1.0, 1.0):
+            raise ValueError(
+                "scene physics has cars of one kind and size only, no fleet and no "
+                "jitter.scale: use mjx"
+            )
+
+    def make(
+        self, config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
+    ) -> "ScenePhysics":
+        """Compiles the scene of the lot."""
+        if layout is None:
+            raise ValueError(
+                f"scene physics needs the same lot for every key, not {config.layout!r}"
+            )
+        return ScenePhysics(
+            config.sim,
+            layout,
+            vehicle,
+            config.num_agents,
+            config.num_parked_cars,
+            mover_shapes(make_movers(config.movers), layout),
+        )
 
 
 # Agents' cars, parked_qpos, parked_qvel, touched, number of the substep.
@@ -65,10 +118,10 @@ class SceneState:
         return self.cars.vehicle
 
 
-class ScenePhysics:
+class ScenePhysics(Physics[SceneState]):
     """One C MuJoCo world per lot behind the `Physics` interface."""
 
-    config = PHYSICS["scene"]
+    config = PHYSICS.register("scene", SceneConfig())
 
     def __init__(
         self,
@@ -170,7 +223,7 @@ class ScenePhysics:
         before: Sequence[Group],
         after: Sequence[Group],
     ) -> SceneState:
-        """Advances one lot, among movers, by one control step; see `SolidMovers`.
+        """Advances one lot among movers; see `Physics.step_among`.
 
         Raises:
             ValueError: there are other numbers of movers than the scene was made for.

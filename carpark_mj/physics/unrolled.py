@@ -2,38 +2,172 @@
 
 `mjx.step` handles any tree of bodies with small matrices, in some hundred kernels per
 substep. `carpark_mj.physics.newton_euler` writes the same equations out for this car,
-elementwise over the batch. MJX's model and state are unchanged. `check_unrollable`
-refuses models for which the equations do not hold, and tests compare them with
-`mjx.step` and with C MuJoCo.
+elementwise over the batch. MJX's model and state are unchanged. Tests
+compare them with `mjx.step` and with C MuJoCo.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import mujoco
-import numpy as np
+from jax.custom_batching import custom_vmap
 
 from carpark_mj.config import SimConfig
+from carpark_mj.geometry.se2 import with_gradient
 from carpark_mj.physics.base import run_substeps
 from carpark_mj.physics.coordinates import (
     Car,
     CarDynamics,
     CarIndex,
+    Vector,
     centre_pose,
     pack_car,
     unpack_car,
     unpacked_centre_pose,
 )
-from carpark_mj.physics.forces import drive_car
-from carpark_mj.physics.gravity import gravity_at
-from carpark_mj.physics.kernel import on_cuda, run_in_kernel
-from carpark_mj.physics.masses import MassProperties, mass_properties
-from carpark_mj.physics.newton_euler import advance
-from carpark_mj.physics.vectors import Vector
-from carpark_mj.vehicle import mjcf
-from carpark_mj.vehicle.vehicle import Vehicle
-from carpark_mj.vehicle.wheel import Wheel, wheels_of
+from carpark_mj.physics.forces import drive_car, gravity_at
+from carpark_mj.physics.newton_euler import MassProperties, advance, mass_properties
+from carpark_mj.vehicle.vehicle import Vehicle, Wheel, wheels_of
+
+Tree = TypeVar("Tree")
+
+_WARP = 32  # threads
+BLOCK = 4 * _WARP  # elements, a warp for each scheduler of a multiprocessor
+_AMPERE = 8.0  # compute capability, the oldest that Triton is made for
+
+
+def on_cuda(
+    run: Callable[..., Tree], otherwise: Callable[..., Tree], *args: Any
+) -> Tree:
+    """Runs `run` in programs for CUDA GPUs that Triton supports, else `otherwise`.
+
+    Gradients are always those of `otherwise`.
+    """
+    if not has_triton():
+        return otherwise(*args)
+    return _on_either(run, otherwise, args)
+
+
+def _on_either(
+    run: Callable[..., Tree], otherwise: Callable[..., Tree], args: Any
+) -> Tree:
+    """`on_cuda` where there may be a GPU; shared leaves of `args` stay shared.
+
+    The wrappers pass each leaf as a separate array. Without sharing, the kernel would
+    load parameters common to the wheels four times and run a fifth slower.
+    """
+    rows, restore = _share(args)
+
+    def cuda(*rows: jax.Array) -> Tree:
+        return run(*restore(rows))
+
+    def default(*rows: jax.Array) -> Tree:
+        return otherwise(*restore(rows))
+
+    def either(*rows: jax.Array) -> Tree:
+        return jax.lax.platform_dependent(*rows, cuda=cuda, default=default)
+
+    return with_gradient(either, default)(*rows)
+
+
+def _share(args: Any) -> tuple[list[jax.Array], Callable[[Sequence[jax.Array]], Any]]:
+    """The distinct leaves of a tree, and a function that rebuilds the tree."""
+    leaves, tree = jax.tree.flatten(args)
+    unique = {id(leaf): leaf for leaf in leaves}  # wheels share their car's parameters
+    row = {leaf: i for i, leaf in enumerate(unique)}
+    places = [row[id(leaf)] for leaf in leaves]
+    return list(unique.values()), lambda rows: jax.tree.unflatten(
+        tree, [rows[place] for place in places]
+    )
+
+
+def run_in_kernel(
+    function: Callable[[Any], Tree], args: Any, interpret: bool = False
+) -> Tree:
+    """Evaluates an elementwise function in one kernel, also under `jax.vmap`.
+
+    There are no gradients; see `on_cuda`.
+
+    Args:
+        function: from a tree to a tree of floats; may loop, must not index.
+        args: tree of arrays of one shape.
+        interpret: run on any device, slowly, for tests.
+    """
+    shared, restore = _share(args)
+    results, result_tree = jax.tree.flatten(jax.eval_shape(function, args))
+
+    def of_rows(rows: list[jax.Array]) -> list[jax.Array]:
+        return jax.tree.leaves(function(restore(rows)))
+
+    @custom_vmap
+    def call(*rows: jax.Array) -> list[jax.Array]:
+        packed = jnp.stack([x.ravel() for x in rows])
+        columns = _call_kernel(of_rows, packed, len(results), interpret)
+        return [columns[:, i].reshape(rows[0].shape) for i in range(len(results))]
+
+    @call.def_vmap
+    def _(size: int, batched: Any, *rows: jax.Array) -> tuple[Any, Any]:
+        rows = tuple(
+            x if has else jnp.broadcast_to(x, (size, *x.shape))
+            for x, has in zip(rows, batched, strict=True)
+        )
+        return call(*rows), [True] * len(results)
+
+    return jax.tree.unflatten(result_tree, call(*shared))
+
+
+def has_triton() -> bool:
+    """Whether JAX computes on a CUDA GPU that Triton supports."""
+    if jax.default_backend() != "gpu":
+        return False
+    capability = jax.devices()[0].compute_capability
+    return capability[0].isdigit() and float(capability) >= _AMPERE  # "gfx..." is AMD's
+
+
+def _call_kernel(
+    function: Callable[[list[jax.Array]], list[jax.Array]],
+    packed: jax.Array,
+    num_results: int,
+    interpret: bool,
+) -> jax.Array:
+    """Results (n, >= num_results) for arguments (k, n).
+
+    One load and one store for all of them: Triton compiles for half a minute if each
+    array has its own. Its sizes are powers of two.
+    """
+    from jax.experimental import pallas as pl  # slow to import
+    from jax.experimental.pallas import triton
+
+    k, n = packed.shape
+    height, width = pl.next_power_of_2(k), pl.next_power_of_2(num_results)
+    blocks = pl.cdiv(n, BLOCK)
+    missing = ((0, height - k), (0, blocks * BLOCK - n))
+
+    def kernel(arguments: Any, results: Any) -> None:
+        rows = jax.lax.split(arguments[...], (1,) * height, axis=0)
+        columns = function([x.reshape(BLOCK) for x in rows])
+        columns += columns[:1] * (width - num_results)
+        results[...] = _join(columns).reshape(BLOCK, width)
+
+    return pl.pallas_call(
+        kernel,
+        grid=(blocks,),
+        in_specs=[pl.BlockSpec((height, BLOCK), lambda i: (0, i))],
+        out_specs=pl.BlockSpec((BLOCK, width), lambda i: (i, 0)),
+        out_shape=jax.ShapeDtypeStruct((blocks * BLOCK, width), packed.dtype),
+        compiler_params=triton.CompilerParams(num_warps=BLOCK // _WARP, num_stages=1),
+        interpret=interpret,
+        name="elementwise",
+    )(jnp.pad(packed, missing, mode="edge"))[:n]
+
+
+def _join(columns: list[jax.Array]) -> jax.Array:
+    """Stacks along new axes of two, which is all that Triton can join."""
+    if len(columns) == 1:
+        return columns[0]
+    return jnp.stack([_join(columns[0::2]), _join(columns[1::2])], -1)
 
 
 class _Fixed(NamedTuple):
@@ -49,12 +183,7 @@ class UnrolledStep:
     """The unrolled control step of cars of any leading shape."""
 
     def __init__(self, model: mujoco.MjModel, sim: SimConfig) -> None:
-        """Takes the model of a car.
-
-        Raises:
-            ValueError: the equations do not hold for the model.
-        """
-        check_unrollable(model)
+        """Takes the model of `mjcf.add_car` alone in its world."""
         self._index = CarIndex(model)
         self._sim = sim
 
@@ -128,59 +257,3 @@ class UnrolledStep:
         if self._sim.has_ramp:
             x = x + at.rotation[0][0] * fixed.masses.com[0]
         return gravity_at(self._sim, x)
-
-
-def check_unrollable(model: mujoco.MjModel) -> None:
-    """Checks that the unrolled equations hold for a model.
-
-    Raises:
-        ValueError: it is not the car of `mjcf.add_car` alone in its world, on tyres
-            that apply forces.
-    """
-    knuckles, wheels = [2, 4], [3, 5, 6, 7]
-    if (model.nv, model.nbody, model.nu) != (12, 8, 2):
-        raise ValueError(
-            "the unrolled step is for a car of 12 degrees of freedom, 7 bodies and 2 "
-            f"steering servos, not {model.nv}, {model.nbody - 1} and {model.nu}"
-        )
-    index = CarIndex(model)
-    steer, spin = index.steer_dof, index.spin_dof
-    inertia = model.body_inertia
-    holds = {
-        "no contacts": model.npair == 0 and not model.geom_contype.any(),
-        "no equalities, tendons or joint limits": (
-            model.neq == 0 and model.ntendon == 0 and not model.jnt_limited.any()
-        ),
-        "the implicitfast integrator": (
-            model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        ),
-        "still air": model.opt.density == 0.0 and model.opt.viscosity == 0.0,
-        "bodies aligned with the car": (
-            (model.body_quat == [1, 0, 0, 0]).all()
-            and (model.body_iquat == [1, 0, 0, 0]).all()
-            and not model.jnt_pos.any()
-        ),
-        "knuckles and wheels balanced about their hinges": (
-            not model.body_ipos[knuckles + wheels].any()
-            and not model.body_pos[[3, 5]].any()
-        ),
-        "wheels symmetric about their axles": np.array_equal(
-            inertia[wheels, 0], inertia[wheels, 2]
-        ),
-        "wheels on free axles": not (
-            model.dof_damping[spin].any() or model.dof_armature[spin].any()
-        ),
-        "joints without springs and friction": not (
-            model.jnt_stiffness.any() or model.dof_frictionloss.any()
-        ),
-        "the steering of mjcf.py": (
-            (model.dof_damping[steer] == mjcf.STEER_FRICTION_DAMPING).all()
-            and (model.dof_armature[steer] == mjcf.STEER_ARMATURE).all()
-            and (model.actuator_gainprm[:, 0] == mjcf.STEER_STIFFNESS).all()
-            and (model.actuator_biasprm[:, 2] == -mjcf.STEER_DAMPING).all()
-            and (model.actuator_forcerange[:, 1] == mjcf.STEER_TORQUE).all()
-        ),
-    }
-    missing = [what for what, true in holds.items() if not true]
-    if missing:
-        raise ValueError(f"the unrolled step needs {', '.join(missing)}")

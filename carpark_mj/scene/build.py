@@ -16,12 +16,12 @@ from carpark_mj.scene import cameras, looks, markings, parts
 from carpark_mj.scene.markings import add_bay_numbers
 from carpark_mj.scene.movers import add_movers
 from carpark_mj.vehicle.contact_wheels import (
+    FULL_BRAKE,
     add_contact_wheels,
     add_controls,
     rolling_loss,
     set_contact_options,
 )
-from carpark_mj.vehicle.disc_brake import FULL_BRAKE
 from carpark_mj.vehicle.mjcf import add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 

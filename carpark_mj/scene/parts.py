@@ -23,7 +23,7 @@ from carpark_mj.scene import looks
 from carpark_mj.scene.cameras import add_car_cameras
 from carpark_mj.scene.car_mesh import add_mesh, car_meshes, standing_wheels
 from carpark_mj.scene.looks import nearest_style
-from carpark_mj.vehicle.locked_tyres import add_locked_tyres
+from carpark_mj.vehicle.contact_wheels import add_locked_tyres
 from carpark_mj.vehicle.mjcf import WHEELS, add_car
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import PRESETS

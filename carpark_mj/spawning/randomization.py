@@ -13,9 +13,9 @@ import jax.numpy as jnp
 
 from carpark_mj.spawning.config import ADDED, RandomizationConfig
 from carpark_mj.vehicle import Vehicle, VehicleParameters
-from carpark_mj.vehicle.conditions import with_grip, with_mass
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import GRAVITY
+from carpark_mj.vehicle.vehicle import with_grip, with_mass
 
 # What brings a car's centre of gravity higher or nearer to its wheels, or brakes it.
 TIPPING = ("mass", "cg_height", "cg_x", "brake_gain", "steering_offset")

@@ -27,7 +27,7 @@ from carpark_mj.mdp.parked_cars import (
 )
 from carpark_mj.observations import sensors
 from carpark_mj.obstacles import begin_movers, lot_obstacles, step_movers, trace_still
-from carpark_mj.physics.base import Physics, RollingStarts, where_cars
+from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.spawning.checks import is_made_for
 from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.spawning.goals import begin_goals, place_agent
@@ -285,9 +285,6 @@ class Spawner:
 
     def _roll(self, physics: PhysicsState, speed: jax.Array) -> PhysicsState:
         """Cars that begin at speeds (num_agents,) [m/s]; at rest where NaN."""
-        if not isinstance(self._physics, RollingStarts):
-            name = type(self._physics).__name__
-            raise ValueError(f"options.speed needs physics with set_speed, not {name}")
         return self._physics.set_speed(physics, jnp.where(jnp.isnan(speed), 0, speed))
 
     def end(self, state: State, events: Events, key: jax.Array) -> State:

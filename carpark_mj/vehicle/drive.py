@@ -14,22 +14,22 @@ the car comes to rest, as a driver stops a car: without a jerk, and without rock
 the tyres. From `SWITCH_SPEED` up, a stronger pedal against the motion always brakes at
 least as hard. A released pedal does not close it where `Vehicle.creep` is given: that
 car creeps until a pedal against the motion brakes it. Steering and drive may follow
-late and with a first-order lag. All functions are
-elementwise, for cars of any shape.
+late and with a first-order lag: steering and pedal have lines of their own, on which
+commands travel for a whole number of substeps; a line exists only where there is a
+delay. All functions are elementwise, for cars of any shape.
 """
 
 import dataclasses
-from typing import TYPE_CHECKING, NamedTuple
+import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from carpark_mj.config import SimConfig
 from carpark_mj.geometry.se2 import finite_slope
 from carpark_mj.vehicle.vehicle import Vehicle
-
-if TYPE_CHECKING:  # only cars with delays load it
-    from carpark_mj.vehicle.delay import Lines
 
 SWITCH_SPEED = 0.1  # m/s, below it a pedal against the motion drives the new way
 HOLD_PEDAL = 0.05  # pedals smaller than this mean "no pedal"
@@ -50,6 +50,84 @@ _quotient = finite_slope(jnp.divide)  # by a speed or lag of 0 it is infinite
 
 
 @struct.dataclass
+class Line:
+    """Commands of one control on their way to cars (...).
+
+    Attributes:
+        sent: values (...), the newest first. The last acts now, the one before it next.
+        wait: (...) time until that one arrives [s].
+    """
+
+    sent: tuple[jax.Array, ...]
+    wait: jax.Array
+
+
+class Lines(NamedTuple):
+    """The lines of steering and pedal; None where commands arrive at once."""
+
+    steer: Line | None
+    pedal: Line | None
+
+
+def make_lines(sim: SimConfig, like: jax.Array) -> Lines:
+    """Lines on which zeros travel, for cars of the shape of `like`."""
+    zero = jnp.zeros_like(like)
+
+    def line(delay: float) -> Line | None:
+        count = _whole_steps(sim, delay) + 2
+        return Line((zero,) * count, zero) if delay else None
+
+    return Lines(line(sim.steering_delay), line(sim.pedal_delay))
+
+
+def send(sim: SimConfig, lines: Lines, controls: jax.Array) -> Lines:
+    """The lines at the start of a control step with its controls (..., 2)."""
+
+    def sent(line: Line | None, command: jax.Array, delay: float) -> Line | None:
+        if line is None:
+            return None
+        wait = delay - _whole_steps(sim, delay) * sim.ctrl_dt
+        return Line((command, *line.sent[:-1]), jnp.full_like(line.wait, wait))
+
+    return Lines(
+        sent(lines.steer, controls[..., 0], sim.steering_delay),
+        sent(lines.pedal, controls[..., 1], sim.pedal_delay),
+    )
+
+
+def receive(
+    lines: Lines,
+    controls: tuple[jax.Array, jax.Array],
+    dt: float | jax.Array,
+) -> tuple[Lines, tuple[jax.Array, jax.Array]]:
+    """What arrives in a substep.
+
+    Args:
+        lines: at its start.
+        controls: steer and pedal (...) of the control step.
+        dt: substep [s].
+
+    Returns:
+        The lines at its end, and the steer and pedal (...) that act during it.
+    """
+    after: list[Line | None] = []
+    arrived: list[jax.Array] = []
+    for line, control in zip(lines, controls, strict=True):
+        if line is not None:
+            early = line.wait > dt / 2
+            control = jnp.where(early, line.sent[-1], line.sent[-2])
+            line = dataclasses.replace(line, wait=line.wait - dt)
+        after.append(line)
+        arrived.append(control)
+    return Lines(*after), (arrived[0], arrived[1])
+
+
+def _whole_steps(sim: SimConfig, delay: float) -> int:
+    """Control steps that end before a command of a step acts."""
+    return math.ceil(delay / sim.ctrl_dt - 1e-6) - 1
+
+
+@struct.dataclass
 class Actuators:
     """State of steering and drive; any leading batch shape.
 
@@ -64,7 +142,7 @@ class Actuators:
     steering: jax.Array
     drive: jax.Array
     hold: jax.Array
-    lines: "Lines | None" = None
+    lines: Lines | None = None
 
 
 class WheelTorques(NamedTuple):
@@ -299,8 +377,6 @@ def actuate(
     """
     lines = actuators.lines
     if lines is not None:
-        from carpark_mj.vehicle.delay import receive
-
         lines, controls = receive(lines, controls, dt)
     steer, pedal = controls
     steering = steer_towards(vehicle, actuators.steering, steer, dt)

@@ -18,40 +18,22 @@ Examples:
 
 import dataclasses
 import math
+from typing import Annotated
 
-from carpark_mj.config.checks import require_within
+from carpark_mj.config.checks import Bounds, CheckedConfig, NonNegative, Positive, Ratio
 
 GRAVITY = 9.81  # m/s^2
 _MAX_LOCK = math.pi / 3  # beyond 60 deg no steering linkage works
 
-
 # Bounds of road vehicles, which reveal other units. Toy cars are out of bounds.
-PLAUSIBLE = {
-    (1.0, 25.0, "m"): ("length",),
-    (2.0, 100.0, "m"): ("turning_circle",),
-    (0.5, 20.0, "m"): ("wheelbase",),
-    (0.5, 5.0, "m"): ("width", "height", "track_width"),
-    (0.1, 1.0, "m"): ("wheel_radius",),
-    (50.0, 60_000.0, "kg"): ("mass",),
-    (1e3, 2e6, "W"): ("max_power",),
-    (0.1, 100.0, "m/s"): ("max_speed", "max_reverse_speed"),
-    (0.1, 30.0, "m/s^2"): ("max_acceleration", "max_deceleration"),
-}
-
-
-def _require_positive(config: object, zero: tuple[str, ...] = ()) -> None:
-    for field in dataclasses.fields(config):  # pyright: ignore[reportArgumentType]
-        value = getattr(config, field.name)
-        if not isinstance(value, int | float):
-            continue
-        good = value >= 0 if field.name in zero else value > 0
-        if not (good and math.isfinite(value)):
-            raise ValueError(f"{field.name} must be positive and finite, not {value}")
+Length = Annotated[float, Bounds(ge=0.5, le=5.0, unit="m")]
+Speed = Annotated[float, Bounds(ge=0.1, le=100.0, unit="m/s")]
+Acceleration = Annotated[float, Bounds(ge=0.1, le=30.0, unit="m/s^2")]
 
 
 @dataclasses.dataclass(frozen=True)
-class TyreParameters:
-    """Brush tyre, see `carpark_mj.physics.tyres` for the equations.
+class TyreParameters(CheckedConfig):
+    """Brush tyre, see `carpark_mj.physics.forces` for the equations.
 
     Attributes:
         friction: peak friction coefficient, dry asphalt [gi].
@@ -70,26 +52,26 @@ class TyreParameters:
         vertical_damping: per corner [N s/m], [est].
     """
 
-    friction: float = 0.9
-    cornering_stiffness: float = 12.0
-    slip_stiffness: float = 20.0
-    lateral_relaxation: float = 0.5
-    longitudinal_relaxation: float = 0.35
-    lateral_damping: float = 4000.0
-    longitudinal_damping: float = 800.0
-    torsion_relaxation: float = 0.08
-    torsion_yield: float = 0.06
-    patch_radius: float = 0.08
-    rolling_resistance: float = 0.012
-    vertical_stiffness: float = 28_000.0
-    vertical_damping: float = 2200.0
-
-    def __post_init__(self) -> None:
-        _require_positive(self)
+    friction: Positive = 0.9
+    cornering_stiffness: Positive = 12.0
+    slip_stiffness: Positive = 20.0
+    lateral_relaxation: Positive = 0.5
+    longitudinal_relaxation: Positive = 0.35
+    lateral_damping: Positive = 4000.0
+    longitudinal_damping: Positive = 800.0
+    torsion_relaxation: Positive = 0.08
+    torsion_yield: Positive = 0.06
+    patch_radius: Positive = 0.08
+    rolling_resistance: Positive = 0.012
+    vertical_stiffness: Positive = 28_000.0
+    vertical_damping: Positive = 2200.0
 
 
 def kerb_to_kerb(
-    wheelbase: float, track_width: float, tyre_width: float, steering: float
+    wheelbase: Annotated[float, Bounds(ge=0.5, le=20.0, unit="m")],
+    track_width: float,
+    tyre_width: float,
+    steering: float,
 ) -> float:
     """Turning circle [m] swept by the outer front tyre at a bicycle angle [rad].
 
@@ -101,7 +83,10 @@ def kerb_to_kerb(
 
 
 def steering_for_circle(
-    wheelbase: float, track_width: float, tyre_width: float, turning_circle: float
+    wheelbase: Annotated[float, Bounds(ge=0.5, le=20.0, unit="m")],
+    track_width: float,
+    tyre_width: float,
+    turning_circle: float,
 ) -> float:
     """Bicycle angle [rad] of a kerb-to-kerb circle [m]; `kerb_to_kerb` inverted.
 
@@ -120,7 +105,7 @@ def steering_for_circle(
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class VehicleParameters:
+class VehicleParameters(CheckedConfig):
     """A passenger car. Lengths [m], masses [kg], inertias [kg m^2] unless said.
 
     Attributes:
@@ -167,56 +152,47 @@ class VehicleParameters:
         tyre: tyre parameters.
     """
 
-    length: float
-    width: float
-    height: float
-    wheelbase: float
-    track_width: float
-    rear_overhang: float
-    mass: float
-    cg_to_front_axle: float
-    cg_height: float
-    roll_inertia: float
-    pitch_inertia: float
-    yaw_inertia: float
-    wheel_radius: float
-    tyre_width: float
-    turning_circle: float
-    front_drive: float
-    max_drive_torque: float
-    max_power: float
-    wheel_mass: float = 20.0
-    wheel_inertia: float = 1.0
-    wheel_tilt_inertia: float = 0.6
-    knuckle_mass: float = 10.0
-    knuckle_inertia: float = 0.25
-    steering_rate: float = 0.42
-    steering_lag: float = 0.0
-    ackermann: float = 1.0
-    max_acceleration: float = 2.0
-    drive_lag: float = 0.0
-    max_deceleration: float = 4.0
-    max_speed: float = 3.0
-    max_reverse_speed: float = 2.0
-    speed_limit_time: float = 0.4
-    front_brake: float = 0.68
-    hold_deceleration: float = 9.0
+    length: Annotated[float, Bounds(ge=1.0, le=25.0, unit="m")]
+    width: Length
+    height: Length
+    wheelbase: Annotated[float, Bounds(ge=0.5, le=20.0, unit="m")]
+    track_width: Length
+    rear_overhang: Positive
+    mass: Annotated[float, Bounds(ge=50.0, le=60_000.0, unit="kg")]
+    cg_to_front_axle: Positive
+    cg_height: Positive
+    roll_inertia: Positive
+    pitch_inertia: Positive
+    yaw_inertia: Positive
+    wheel_radius: Annotated[float, Bounds(ge=0.1, le=1.0, unit="m")]
+    tyre_width: Positive
+    turning_circle: Annotated[float, Bounds(ge=2.0, le=100.0, unit="m")]
+    front_drive: Ratio
+    max_drive_torque: Positive
+    max_power: Annotated[float, Bounds(ge=1e3, le=2e6, unit="W")]
+    wheel_mass: Positive = 20.0
+    wheel_inertia: Positive = 1.0
+    wheel_tilt_inertia: Positive = 0.6
+    knuckle_mass: Positive = 10.0
+    knuckle_inertia: Positive = 0.25
+    steering_rate: Positive = 0.42
+    steering_lag: NonNegative = 0.0
+    ackermann: Ratio = 1.0
+    max_acceleration: Acceleration = 2.0
+    drive_lag: NonNegative = 0.0
+    max_deceleration: Acceleration = 4.0
+    max_speed: Speed = 3.0
+    max_reverse_speed: Speed = 2.0
+    speed_limit_time: Positive = 0.4
+    front_brake: Ratio = 0.68
+    hold_deceleration: Positive = 9.0
     tyre: TyreParameters = TyreParameters()
 
     def __post_init__(self) -> None:
-        _require_positive(
-            self, zero=("ackermann", "front_drive", "steering_lag", "drive_lag")
-        )
-        for name in ("ackermann", "front_drive", "front_brake"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(
-                    f"{name} must lie in [0, 1], not {getattr(self, name)}"
-                )
+        super().__post_init__()
         self._check_body()
         self._check_masses()
         _ = self.max_steering  # refuses an impossible turning circle
-        for (least, most, unit), names in PLAUSIBLE.items():
-            require_within(self, least, most, unit, *names)
 
     def _check_body(self) -> None:
         """The wheels lie within the body."""

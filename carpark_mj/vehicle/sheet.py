@@ -5,21 +5,36 @@ replaces one (`SHEET`): a number in SI units, or text with a unit, "4,584 mm". E
 are fits to `presets.PRESETS`: from outline, wheelbase, mass, drive and wheel they give
 a preset's other sizes and inertias within 15 %, its wheels' masses, springs, torque and
 power within 35 %.
+
+A data sheet as a YAML or JSON file is a vehicle, too:
+
+    name: my_car
+    length: 4.28
+    width: 1.79
+    wheelbase: 2.64
+    mass: 1420
+    front_axle_load: 830
+    tyre_size: 205/55 R16
+    drive: front
+
+Configs hold the parameters as a JSON object in the place of the file's path, so
+checkpoints and run folders do not need the file.
 """
 
 import dataclasses
 import difflib
+import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from carpark_mj.config.checks import is_finite, require_within
+from carpark_mj.config.checks import is_finite
+from carpark_mj.reading import parse_object, read_text
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import (
     LENGTHS,
-    PLAUSIBLE,
     TyreParameters,
     VehicleParameters,
     kerb_to_kerb,
@@ -165,9 +180,6 @@ def _checked(given: dict[str, Any]) -> dict[str, Any]:
             given[name] = _number(name, value, name in _MAY_BE_ZERO)
         elif not isinstance(value, str):
             raise ValueError(f"{name} must be text ({SHEET[name]}), not {value!r}")
-    for (least, most, unit), names in PLAUSIBLE.items():
-        there = [name for name in names if name in given]
-        require_within(SimpleNamespace(**given), least, most, unit, *there)
     if not given["wheelbase"] < given["length"]:
         raise ValueError(
             f"wheelbase must be less than the length {given['length']:g} m, not "
@@ -233,13 +245,8 @@ def _overhangs(given: dict[str, Any]) -> None:
             f"front_overhang must be less than length - wheelbase = "
             f"{given['length'] - given['wheelbase']:.3f} m, not {front:g}"
         )
-    _agree(
-        "length",
-        given["length"],
-        given["wheelbase"] + front + rear,
-        0.01,
-        "wheelbase and overhangs",
-    )
+    whole = given["wheelbase"] + front + rear
+    _agree("length", given["length"], whole, 0.01, "wheelbase and overhangs")
 
 
 def _track(given: dict[str, Any]) -> None:
@@ -391,3 +398,70 @@ def _steer_rear(values: dict[str, Any], rear: float, unpublished: bool) -> None:
     ahead = tan * (root - middle) / square
     values["wheelbase"] -= ahead
     values["rear_overhang"] += ahead
+
+
+FORMATS = ("json", "yaml", "yml")
+
+
+def read_sheet(path: str) -> tuple[str, Sheet]:
+    """Name, by default that of the file, and car of a data sheet.
+
+    Raises:
+        ValueError: no such file, or a fault in it.
+    """
+    suffix = path.rpartition(".")[2].lower()
+    if suffix not in FORMATS:
+        known = ", ".join(f".{known}" for known in FORMATS)
+        raise ValueError(f"a vehicle file must end in one of {known}, not {path!r}")
+    try:
+        text = read_text(Path(path))
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+    parse = parse_object if suffix == "json" else _parse_yaml
+    return _named(parse(text, path), path, Path(path).stem)
+
+
+def read_as_text(vehicle: str) -> str:
+    """The parameters of a file as a JSON object; a JSON object unchanged."""
+    if vehicle.startswith("{"):
+        return vehicle
+    name, sheet = read_sheet(vehicle)
+    return parameters_text(name, sheet.params)
+
+
+def parameters_text(name: str, params: VehicleParameters) -> str:
+    """All parameters of a car as a JSON object, which is a data sheet, too."""
+    return json.dumps({"name": name, **dataclasses.asdict(params)})
+
+
+def read_vehicle(vehicle: str) -> tuple[str, VehicleParameters]:
+    """Name and parameters of a car from the path of a file or a JSON object."""
+    if not vehicle.startswith("{"):
+        name, sheet = read_sheet(vehicle)
+    else:
+        name, sheet = _named(parse_object(vehicle, "the vehicle"), "the vehicle", "car")
+    return name, sheet.params
+
+
+def _named(found: dict[str, Any], what: str, default: str) -> tuple[str, Sheet]:
+    name = found.pop("name", default)
+    try:
+        if not isinstance(name, str):
+            raise ValueError(f"name must be text, not {name!r}")
+        return name, car_of_sheet(found)
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from None
+
+
+def _parse_yaml(text: str, what: str) -> dict[str, Any]:
+    """Parses the YAML mapping of a file."""
+    import yaml  # only for such files; Flax brings it
+
+    try:
+        found = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        told = " ".join(str(error).split())
+        raise ValueError(f"{what}: not YAML ({told})") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"{what} must have lines as 'length: 4.28', not {text[:40]!r}")
+    return found

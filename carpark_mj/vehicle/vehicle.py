@@ -1,16 +1,18 @@
-"""The per-car parameters as data: a pytree that travels in the physics state.
+"""Parameters of cars as JAX arrays, of their wheels, and under other conditions."""
 
-Fleets and randomization change these arrays, never the compiled program. Build one
-with `make_vehicle`, and batches of it with `jax.tree.map`.
-"""
+import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 from jax.typing import ArrayLike
 
-from carpark_mj.vehicle.mjcf import car_model, hub_positions, per_wheel
-from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from carpark_mj.config import SimConfig, Surface
+from carpark_mj.vehicle.mjcf import CHASSIS, WHEELS, car_model, hub_positions, per_wheel
+from carpark_mj.vehicle.parameters import GRAVITY, TyreParameters, VehicleParameters
+
+BODIES = ("body_mass", "body_inertia", "body_ipos", "body_pos")  # of MuJoCo's model
 
 
 @struct.dataclass
@@ -140,42 +142,16 @@ def make_vehicle(params: VehicleParameters) -> Vehicle:
     model = car_model(params, sim_dt=0.01, gravity=(0.0, 0.0, -GRAVITY))
     return Vehicle(
         size=_array([params.length, params.width]),
-        centre_offset=_array(params.centre_offset),
-        wheelbase=_array(params.wheelbase),
-        track_width=_array(params.track_width),
         hub=_array(hub_positions(params)[:, :2]),
-        wheel_radius=_array(params.wheel_radius),
-        wheel_inertia=_array(params.wheel_inertia),
-        mass=_array(params.mass),
         rated_mass=_array(params.mass),
         cg=_array([params.cg_to_rear_axle, 0.0, params.cg_height]),
-        ackermann=_array(params.ackermann),
-        max_steering=_array(params.max_steering),
-        steering_rate=_array(params.steering_rate),
-        steering_lag=_array(params.steering_lag),
         steering_offset=_array(0.0),
-        max_acceleration=_array(params.max_acceleration),
-        max_drive_torque=_array(params.max_drive_torque),
-        max_power=_array(params.max_power),
-        drive_lag=_array(params.drive_lag),
-        max_deceleration=_array(params.max_deceleration),
-        hold_deceleration=_array(params.hold_deceleration),
-        max_speed=_array(params.max_speed),
-        max_reverse_speed=_array(params.max_reverse_speed),
-        speed_limit_time=_array(params.speed_limit_time),
         drive_share=_array(per_wheel(params.front_drive)),
         brake_share=_array(per_wheel(params.front_brake)),
         tyres=_make_tyres(params),
-        body_mass=_array(model.body_mass),
-        body_inertia=_array(model.body_inertia),
-        body_ipos=_array(model.body_ipos),
-        body_pos=_array(model.body_pos),
+        **_same(Vehicle, params),
+        **{name: _array(getattr(model, name)) for name in BODIES},
     )
-
-
-def _array(value: ArrayLike | list[float]) -> jax.Array:
-    """A strongly typed array of JAX's default float (float64 only under x64)."""
-    return jnp.array(value, dtype=jnp.result_type(float))
 
 
 def _make_tyres(params: VehicleParameters) -> Tyres:
@@ -183,21 +159,140 @@ def _make_tyres(params: VehicleParameters) -> Tyres:
     load = _array(list(params.static_loads))
     # Scrub torque of a uniformly loaded disc: M = 2/3 mu Fz R_patch (Sharp & Granger).
     torque_limit = tyre.friction * (2 / 3) * tyre.patch_radius * load
+    slip = tyre.slip_stiffness * load
     return Tyres(
         static_load=load,
-        friction=_array(tyre.friction),
-        longitudinal_stiffness=tyre.slip_stiffness
-        * load
-        / tyre.longitudinal_relaxation,
+        longitudinal_stiffness=slip / tyre.longitudinal_relaxation,
         lateral_stiffness=tyre.cornering_stiffness * load / tyre.lateral_relaxation,
         torsion_stiffness=torque_limit / tyre.torsion_yield,
-        torsion_yield=_array(tyre.torsion_yield),
-        longitudinal_relaxation=_array(tyre.longitudinal_relaxation),
-        lateral_relaxation=_array(tyre.lateral_relaxation),
-        torsion_relaxation=_array(tyre.torsion_relaxation),
-        longitudinal_damping=_array(tyre.longitudinal_damping),
-        lateral_damping=_array(tyre.lateral_damping),
-        rolling_resistance=_array(tyre.rolling_resistance),
-        vertical_stiffness=_array(tyre.vertical_stiffness),
-        vertical_damping=_array(tyre.vertical_damping),
+        **_same(Tyres, tyre),
     )
+
+
+def _same(arrays: type, params: VehicleParameters | TyreParameters) -> dict[str, Any]:
+    """Numbers of the parameters by the fields that have their names."""
+    names = [field.name for field in dataclasses.fields(arrays)]
+    values = {name: getattr(params, name, None) for name in names}
+    return {k: _array(v) for k, v in values.items() if v is not None}
+
+
+def _array(value: ArrayLike | list[float]) -> jax.Array:
+    """A strongly typed array of JAX's default float (float64 only under x64)."""
+    return jnp.array(value, dtype=jnp.result_type(float))
+
+
+@struct.dataclass
+class Wheel:
+    """Parameters of a wheel; all leaves have the leading shape of the cars.
+
+    Attributes:
+        hub: (x, y) of its centre in the body frame [m].
+        radius: [m].
+        inertia: about its axle [kg m^2].
+        drive_share: of the drive torque.
+        brake_share: of the brake torque.
+        tyre: coefficients of its tyre.
+    """
+
+    hub: tuple[jax.Array, jax.Array]
+    radius: jax.Array
+    inertia: jax.Array
+    drive_share: jax.Array
+    brake_share: jax.Array
+    tyre: Tyres
+
+
+def wheels_of(vehicle: Vehicle) -> tuple[Wheel, ...]:
+    """The wheels of cars (...), in the order of `mjcf.WHEELS`."""
+    return tuple(_wheel(vehicle, i) for i in range(len(WHEELS)))
+
+
+def _wheel(vehicle: Vehicle, i: int) -> Wheel:
+    tyres = vehicle.tyres
+    tyre = dataclasses.replace(
+        tyres,
+        static_load=tyres.static_load[..., i],
+        longitudinal_stiffness=tyres.longitudinal_stiffness[..., i],
+        lateral_stiffness=tyres.lateral_stiffness[..., i],
+        torsion_stiffness=tyres.torsion_stiffness[..., i],
+    )
+    return Wheel(
+        hub=(vehicle.hub[..., i, 0], vehicle.hub[..., i, 1]),
+        radius=vehicle.wheel_radius,
+        inertia=vehicle.wheel_inertia,
+        drive_share=vehicle.drive_share[..., i],
+        brake_share=vehicle.brake_share[..., i],
+        tyre=tyre,
+    )
+
+
+def with_mass(vehicle: Vehicle, mass: jax.Array, cg: jax.Array) -> Vehicle:
+    """One car whose chassis has another mass and centre of gravity.
+
+    It models load: passengers, luggage, an empty tank.
+
+    Wheels and knuckles do not change; the chassis' inertia about its own centre
+    grows with its mass. Static tyre loads follow, so that the car rests at the same
+    height (level control), and with them the stiffness of the tyres, which is
+    proportional to load. The pedal's torques stay (`rated_mass`).
+
+    Args:
+        vehicle: one car.
+        mass: () of the whole car [kg].
+        cg: (3,) its centre of gravity in the body frame [m], between the axles.
+    """
+    before = vehicle.body_mass[CHASSIS]
+    chassis = before + mass - vehicle.mass
+    moment = before * vehicle.body_ipos[CHASSIS] + mass * cg - vehicle.mass * vehicle.cg
+    axle_load = mass * GRAVITY / vehicle.wheelbase / 2
+    front, rear = axle_load * cg[0], axle_load * (vehicle.wheelbase - cg[0])
+    load = jnp.stack([front, front, rear, rear])
+    ratio = load / vehicle.tyres.static_load
+    tyres = dataclasses.replace(
+        vehicle.tyres,
+        static_load=load,
+        longitudinal_stiffness=vehicle.tyres.longitudinal_stiffness * ratio,
+        lateral_stiffness=vehicle.tyres.lateral_stiffness * ratio,
+        torsion_stiffness=vehicle.tyres.torsion_stiffness * ratio,
+    )
+    return dataclasses.replace(
+        vehicle,
+        mass=mass,
+        cg=cg,
+        tyres=tyres,
+        body_mass=vehicle.body_mass.at[CHASSIS].set(chassis),
+        body_ipos=vehicle.body_ipos.at[CHASSIS].set(moment / chassis),
+        body_inertia=vehicle.body_inertia.at[CHASSIS].multiply(chassis / before),
+    )
+
+
+# A car's tyre friction is that on dry asphalt; a surface scales it for every car alike.
+# Dry: peak friction of passenger-car tyres on asphalt (Gillespie; sliding 0.76 +- 0.06,
+# 17 studies in Bartlett); wet 0.5 to 0.6 and ice 0.1 to 0.15, textbook ranges.
+SURFACES: dict[Surface, float] = {"dry": 0.9, "wet": 0.55, "ice": 0.12}
+
+
+def in_conditions(vehicle: Vehicle, sim: SimConfig) -> Vehicle:
+    """Cars (...) as the settings have them; the defaults change nothing."""
+    vehicle = on_surface(vehicle, sim.surface)
+    if sim.creep:
+        creep = jnp.full_like(vehicle.mass, sim.creep)
+        vehicle = dataclasses.replace(vehicle, creep=creep)
+    return vehicle
+
+
+def on_surface(vehicle: Vehicle, surface: Surface) -> Vehicle:
+    """Cars (...) with the grip they have on a surface; `dry` changes nothing."""
+    if surface == "dry":
+        return vehicle
+    return with_grip(vehicle, SURFACES[surface] / SURFACES["dry"])
+
+
+def with_grip(vehicle: Vehicle, factor: float | jax.Array) -> Vehicle:
+    """Cars (...) whose tyre friction, scrub torque included, is scaled."""
+    tyres = dataclasses.replace(
+        vehicle.tyres,
+        friction=vehicle.tyres.friction * factor,
+        torsion_stiffness=vehicle.tyres.torsion_stiffness * factor,
+    )
+    return dataclasses.replace(vehicle, tyres=tyres)

@@ -1,17 +1,18 @@
 """Expected values of vehicle dynamics, from a car's parameters alone.
 
 Sources: Gillespie, Fundamentals of Vehicle Dynamics (1992), ch. 1, 3 and 6; Pacejka,
-Tyre and Vehicle Dynamics (2012), ch. 1, 3 and 5. Signs: x forward, y left, turning
+Tyre and Vehicle Dynamics (2012), ch. 1, 3, 5 and 7.2. Signs: x forward, y left, turning
 left. Axle quantities are (front, rear).
 """
 
+import dataclasses
 import math
 from typing import Literal
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize
 
-from carpark_mj.vehicle.mjcf import chassis_inertial
+from carpark_mj.vehicle.mjcf import STEER_STIFFNESS, chassis_inertial
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 # What a car stands on: springs over tyre patches, which stay where they are when it
@@ -197,3 +198,150 @@ def scrub_torque(params: VehicleParameters) -> float:
     """2/3 mu F_z R_p of one front wheel turned at standstill [N m]."""
     load = axle_loads(params)[0] / 2
     return 2 / 3 * params.tyre.friction * load * params.tyre.patch_radius
+
+
+@dataclasses.dataclass(frozen=True)
+class Turn:
+    """A steady turn: rear-axle radius [m], wheels' drag to be driven against [N]."""
+
+    radius: float
+    drag: float
+
+
+def steady_turn(
+    params: VehicleParameters,
+    steering: float,
+    speed: float,
+    locked: bool = False,
+    factors: tuple[float, float] = (1.0, 1.0),
+) -> Turn:
+    """Steady turn of the two-track car on brush tyres with scrub torque.
+
+    Solves the three balances (along, across, about the rear axle) for side velocity,
+    yaw rate and drive force. Each wheel's force follows from its own slip angle and
+    load, its scrub moment k_t sigma_t omega / |v_i| from the twist of the patch, which
+    also twists the steering servos. The wheels of a locked axle turn at one speed, and
+    their forces follow from their slip.
+
+    Args:
+        params: the car.
+        steering: commanded bicycle angle [rad], left.
+        speed: of the rear axle along the car [m/s], negative in reverse.
+        locked: the driven wheels turn as one.
+        factors: on the cornering stiffness, front and rear.
+    """
+    tyre, way = params.tyre, math.copysign(1.0, speed)
+    x = np.array([params.wheelbase, params.wheelbase, 0.0, 0.0])
+    y = params.track_width / 2 * np.array([1.0, -1.0, 1.0, -1.0])
+    static = np.repeat(axle_loads(params), 2) / 2
+    cornering = np.repeat(axle_stiffness(params, factors), 2) / 2
+    share = np.repeat([params.front_drive, 1.0 - params.front_drive], 2) / 2
+    axle = np.where(share > 0, 1.0, 0.0) * float(locked)
+    command = np.array([*front_wheel_angles(params, steering), 0.0, 0.0])
+
+    def balance(unknown: np.ndarray) -> tuple[np.ndarray, float]:
+        side, yaw_rate, drive = unknown[0], unknown[1], unknown[2]
+        shift = lateral_load_transfer(params, speed * yaw_rate) / 2
+        load = static - np.sign(y) * shift
+        forward, left = speed - yaw_rate * y, side + yaw_rate * x
+        along = forward * np.cos(command) + left * np.sin(command)
+        twist = tyre.torsion_relaxation * yaw_rate / np.abs(along)
+        scrub_limit = tyre.friction * 2 / 3 * tyre.patch_radius * load
+        scrub = -scrub_limit * np.clip(twist / tyre.torsion_yield, -1, 1)
+        angle = command + np.where(x > 0, scrub / STEER_STIFFNESS, 0.0)
+        cos, sin = np.cos(angle), np.sin(angle)
+        along, across = forward * cos + left * sin, left * cos - forward * sin
+        rolling = way * tyre.rolling_resistance * load
+        # Unknown of a locked axle is its speed, else the drive force; both about 1.
+        slip_x = axle * (speed * (1 + drive / 100) - along) / np.abs(along)
+        slip_y = -across / np.abs(along)
+        pull = tyre.slip_stiffness * static * slip_x
+        push = cornering * slip_y
+        limit = tyre.friction * load
+        shape = np.array(
+            [
+                brush_shape(v, m)
+                for v, m in zip(np.hypot(pull, push), limit, strict=True)
+            ]
+        )
+        given = share * drive * params.mass - rolling
+        force_x = np.where(axle > 0, pull * shape, given)
+        force_y = push * shape
+        total_x = force_x * cos - force_y * sin
+        total_y = force_x * sin + force_y * cos
+        arm = params.cg_to_rear_axle
+        rest = np.array(
+            [
+                total_x.sum() + params.mass * yaw_rate * (side + arm * yaw_rate),
+                total_y.sum() - params.mass * yaw_rate * speed,
+                (x * total_y - y * total_x + scrub).sum()
+                - params.mass * arm * yaw_rate * speed,
+            ]
+        )
+        drag = way * np.sum((force_x + rolling) * (share > 0))
+        return rest / static.sum(), float(drag)
+
+    yaw_rate = speed * math.tan(steering) / params.wheelbase
+    guess = np.array([0.0, yaw_rate, way * GRAVITY / 50])
+    solved = optimize.root(lambda unknown: balance(unknown)[0], guess, tol=1e-12)
+    if not solved.success:
+        raise ValueError(f"no steady turn at {math.degrees(steering):.1f} deg, {speed}")
+    side, yaw_rate, _ = solved.x
+    return Turn(abs(math.hypot(speed, side) / yaw_rate), balance(solved.x)[1])
+
+
+def brush_shape(linear: float, limit: float) -> float:
+    """Brush force over its linear part C s: 1 - s/3 + s^2/27, at most the limit."""
+    s = max(abs(linear) / limit, 1e-12)
+    capped = min(s, 3.0)
+    return (1 - capped / 3 + capped**2 / 27) * capped / s
+
+
+def brush_slip(force: float, stiffness: float, limit: float) -> float:
+    """Slip at which a brush of slip stiffness C [N] gives a force below its limit [N].
+
+    Inverse of F = limit (s - s^2/3 + s^3/27), C slip = limit s.
+    """
+    return 3 * (1 - (1 - abs(force) / limit) ** (1 / 3)) * limit / stiffness
+
+
+def step_response(
+    params: VehicleParameters, speed: float, time: np.ndarray
+) -> np.ndarray:
+    """Yaw rate (T,) per steering angle [1/s] after a step of the front wheels at t = 0.
+
+    Linear single-track car with roll about an axis on the ground and relaxing tyres:
+    states v_y, yaw rate, roll angle and rate, and the bristles w of the axles,
+    dw/dt = v_contact - v w / sigma, F = -(C / sigma w + d dw/dt).
+    """
+    m, v, h = params.mass, speed, params.cg_height
+    a, b = params.cg_to_front_axle, params.cg_to_rear_axle
+    tyre = params.tyre
+    k_w = np.array(axle_stiffness(params)) / tyre.lateral_relaxation
+    d_w, rate = 2 * tyre.lateral_damping, v / tyre.lateral_relaxation
+    roll_stiffness = tyre.vertical_stiffness * params.track_width**2
+    roll_damping = tyre.vertical_damping * params.track_width**2
+    # Bristle rates and axle forces as rows over (v_y, r, phi, phi', w_f, w_r, delta).
+    w_rate = np.array(
+        [[1, a, 0, 0, -rate, 0, -v], [1, -b, 0, 0, 0, -rate, 0]], dtype=float
+    )
+    force = -d_w * w_rate
+    force[0, 4] -= k_w[0]
+    force[1, 5] -= k_w[1]
+    # m (v_y' + v r - h phi'') = F and I phi'' = h F + (m g h - k) phi - c phi'.
+    spring = np.array(
+        [0, 0, m * GRAVITY * h - roll_stiffness, -roll_damping, 0, 0, 0], dtype=float
+    )
+    total = force.sum(0)
+    roll_rate = (h * total + spring) / params.roll_inertia
+    side = total / m + h * roll_rate
+    side[1] -= v
+    yaw = (a * force[0] - b * force[1]) / params.yaw_inertia
+    roll = np.array([0, 0, 0, 1, 0, 0, 0], dtype=float)
+    system = np.vstack([side, yaw, roll, roll_rate, w_rate, np.zeros(7)])
+    step = linalg.expm(system * (time[1] - time[0]))
+    state, found = np.array([0, 0, 0, 0, 0, 0, 1.0]), []
+    for _ in time:
+        found.append(state[1])
+        state = step @ state
+    return np.array(found)

@@ -10,7 +10,7 @@ from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.run_folder import read_settings
 from carpark_mj.vehicle import PRESETS as CARS
 from carpark_mj.vehicle import preset
-from carpark_mj.vehicle.file import parameters_text
+from carpark_mj.vehicle.sheet import parameters_text
 from carpark_papers.cederle.junction import JunctionConfig
 from carpark_papers.cederle.junction.config import RasterConfig, RewardRules
 from carpark_papers.pandita.sac.config import SACConfig

@@ -2,8 +2,7 @@
 
 import jax
 
-from camera_suite.lots import environment
-from camera_suite.truth import ENOUGH, compare
+from cameras import ENOUGH, compare, environment
 
 
 def test_depth_and_classes_are_those_that_mujoco_draws():

@@ -9,8 +9,8 @@ import pytest
 
 from carpark_mj.cli.common import OUTPUT_FUSION
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.contact import ContactPhysics
 from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.physics.mjx_step import ContactPhysics
 
 ROOT = Path(__file__).parents[2]
 # What draws numbers of cars and lots anew among people, what moves parked cars: XLA

@@ -9,26 +9,10 @@ import pytest
 
 import physics_report
 from carpark_mj.vehicle import COMPACT, PRESETS, preset
-from vehicle_suite import (
-    braking,
-    energy,
-    formulas,
-    handling,
-    numerics,
-    options,
-    pedals,
-    standstill,
-    statics,
-    steady_turn,
-    suites,
-    turning,
-)
-from vehicle_suite.contact import ContactTestbed
-from vehicle_suite.runs import Run, ramp, step
-from vehicle_suite.step_response import step_response
-from vehicle_suite.table import Row, Study, markdown, relative, write_csv
-from vehicle_suite.testbed import BrushTestbed
-from vehicle_suite.tracks import circle_radius, crossing
+from vehicle_suite import chassis, driver, engines, formulas, turns
+from vehicle_suite.report import Row, Study, markdown, relative, write_csv
+from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
+from vehicle_suite.track import Run, circle_radius, crossing, ramp, step
 
 # Round numbers for sums by hand.
 PLAIN = dataclasses.replace(
@@ -112,33 +96,33 @@ def test_the_understeer_gradient_by_hand():
 
 def test_the_brush_curve_by_hand():
     # s = 1.5: s - s^2/3 + s^3/27 = 0.875.
-    assert 1.5 * steady_turn.brush_shape(1500.0, 1000.0) == pytest.approx(0.875)
-    assert -1.5 * steady_turn.brush_shape(-1500.0, 1000.0) == pytest.approx(-0.875)
-    assert 9.0 * steady_turn.brush_shape(9000.0, 1000.0) == pytest.approx(1.0)
-    assert steady_turn.brush_slip(875.0, 5000.0, 1000.0) == pytest.approx(0.3)
+    assert 1.5 * formulas.brush_shape(1500.0, 1000.0) == pytest.approx(0.875)
+    assert -1.5 * formulas.brush_shape(-1500.0, 1000.0) == pytest.approx(-0.875)
+    assert 9.0 * formulas.brush_shape(9000.0, 1000.0) == pytest.approx(1.0)
+    assert formulas.brush_slip(875.0, 5000.0, 1000.0) == pytest.approx(0.3)
 
 
 def test_a_slow_turn_without_scrub_is_ackermanns():
     tyre = dataclasses.replace(PLAIN.tyre, patch_radius=1e-6, rolling_resistance=1e-6)
     car = dataclasses.replace(PLAIN, tyre=tyre)
     for speed in (0.01, -0.01):
-        turn = steady_turn.steady_turn(car, 0.5, speed)
+        turn = formulas.steady_turn(car, 0.5, speed)
         assert turn.radius == pytest.approx(2.5 / math.tan(0.5), rel=1e-6)
     # Both axles slip alike, so that K = 0 holds the radius at speed to first order.
-    fast = steady_turn.steady_turn(car, 0.01, 10.0)
+    fast = formulas.steady_turn(car, 0.01, 10.0)
     assert fast.radius == pytest.approx(2.5 / math.tan(0.01), rel=0.01)
 
 
 def test_a_locked_axle_widens_the_turn_and_drags():
-    free = steady_turn.steady_turn(PLAIN, 0.2, 1.0)
-    locked = steady_turn.steady_turn(PLAIN, 0.2, 1.0, locked=True)
+    free = formulas.steady_turn(PLAIN, 0.2, 1.0)
+    locked = formulas.steady_turn(PLAIN, 0.2, 1.0, locked=True)
     assert locked.radius > 1.1 * free.radius
     assert locked.drag > 1.5 * free.drag
 
 
 def test_the_step_response_settles_at_the_neutral_gain():
     time = np.arange(0.0, 4.0, 0.001)
-    response = step_response(PLAIN, 10.0, time)
+    response = formulas.step_response(PLAIN, 10.0, time)
     assert response[0] == 0.0
     assert response[-1] == pytest.approx(10.0 / 2.5, rel=1e-3)  # v / L, as K = 0
 
@@ -166,7 +150,9 @@ def test_crossings_and_circles():
 # Rows of the suite, quick
 
 
-def check(study: Study) -> None:
+def check(manoeuvre, bed: BrushTestbed | ContactTestbed, params=COMPACT) -> None:
+    study = Study(bed, "car", params, quick=True)
+    manoeuvre(study)
     assert study.rows
     missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
     assert missed == []
@@ -176,36 +162,36 @@ def check(study: Study) -> None:
 @pytest.mark.parametrize(
     "manoeuvre",
     [
-        turning.turning,
-        turning.locked_axle,
-        braking.stops,
-        braking.load_transfer,
-        statics.slope_hold,
-        statics.slip_threshold,
-        statics.scrub_torque,
-        numerics.engines,
-        pedals.harder_is_slower,
-        pedals.hold_on_ice,
-        pedals.creep,
-        standstill.coast_after_release,
-        standstill.stop_from_a_walk,
-        standstill.speed_control,
-        standstill.reversing,
-        options.delays,
-        options.automatic,
-        options.odometry,
-        options.wheel_stop,
-        options.ramp,
+        turns.turning,
+        turns.locked_axle,
+        chassis.stops,
+        chassis.load_transfer,
+        chassis.slope_hold,
+        chassis.slip_threshold,
+        chassis.scrub_torque,
+        engines.brush_engines,
+        driver.harder_is_slower,
+        driver.hold_on_ice,
+        driver.creep,
+        driver.coast_after_release,
+        driver.stop_from_a_walk,
+        driver.speed_control,
+        driver.reversing,
+        driver.delays,
+        driver.automatic,
+        driver.odometry,
+        driver.wheel_stop,
+        driver.ramp,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )
 def test_the_compact_passes(manoeuvre, bed: BrushTestbed):
-    check(manoeuvre(bed, "compact", COMPACT, True))
+    check(manoeuvre, bed)
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_tap_on_the_pedal_ends_without_rocking(name: str, bed: BrushTestbed):
-    check(standstill.taps(bed, name, preset(name), True))
+    check(driver.taps, bed, preset(name))
 
 
 def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
@@ -213,32 +199,32 @@ def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
     # at patches that lean into the ground with the car it fell over.
     tyre = dataclasses.replace(COMPACT.tyre, vertical_stiffness=25_000.0)
     car = dataclasses.replace(COMPACT, cg_height=0.65, height=1.7, tyre=tyre)
-    check(handling.lateral_limit(bed, "tall", car, True))
+    check(turns.lateral_limit, bed, car)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "manoeuvre",
     [
-        turning.turning,
-        statics.slip_threshold,
-        statics.scrub_torque,
-        energy.balance,
-        handling.rolling_turns,
-        handling.lateral_limit,
-        numerics.convergence,
+        turns.turning,
+        chassis.slip_threshold,
+        chassis.scrub_torque,
+        chassis.energy_balance,
+        turns.rolling_turns,
+        turns.lateral_limit,
+        engines.convergence,
     ],
     ids=lambda manoeuvre: manoeuvre.__name__,
 )
 def test_the_compact_passes_on_contact_wheels(manoeuvre):
-    check(manoeuvre(ContactTestbed(), "compact", COMPACT, True))
+    check(manoeuvre, ContactTestbed())
 
 
 def test_a_car_with_other_tyres_than_expected_misses(bed: BrushTestbed):
     slippery = dataclasses.replace(COMPACT.tyre, friction=0.8)
     car = dataclasses.replace(COMPACT, tyre=slippery)
     run = Run(car, 2.0, speed=5.0, brake=20 * car.mass * 9.81)
-    path, _ = braking.braked_motion(*bed.drive([run]))
+    path, _ = chassis.braked_motion(*bed.drive([run]))
     expected = 25 / (2 * 0.9 * 9.81)  # of COMPACT
     row = Row(
         "stop", "car", "brush", "", "m", path[-1], expected, relative(expected, 0.01)
@@ -285,18 +271,16 @@ def test_csv_and_markdown_say_the_same(tmp_path):
 
 
 def one_row(tolerance: float):
-    def manoeuvre(bed, name, params, quick) -> Study:
-        study = Study(name, bed.tyres)
+    def manoeuvre(study: Study) -> None:
         study.row("wrong", "2 + 2", "m", 4.0, 5.0, tolerance)
         study.curve("stops", "line", [0.0, 1.0], [1.0, 0.0])
-        return study
 
     return manoeuvre
 
 
 @pytest.mark.parametrize(("tolerance", "code"), [(2.0, 0), (0.5, 1)])
 def test_a_missed_row_makes_exit_code_1(tolerance, code, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(suites, "SUITES", {"brush": (one_row(tolerance),)})
+    monkeypatch.setattr(physics_report, "SUITES", {"brush": (one_row(tolerance),)})
     flags = ["--presets", "compact", "--tyres", "brush"]
     assert physics_report.main([*flags, "--out", str(tmp_path)]) == code
     printed = capsys.readouterr().out

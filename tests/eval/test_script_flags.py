@@ -24,7 +24,7 @@ import soak
         (soak, ["--num-cars", "0"], "num_cars must be at least 1, not 0"),
         (soak, ["--sim.sim-dt", "0"], "sim_dt"),
         (soak, ["--max-energy", "nan"], "max_energy must be at least 0, not nan"),
-        (soak, ["--first-case", "2147483648"], "up to 2147483647, not 21474"),
+        (soak, ["--first-case", "2147483648"], "first_case must fit 32 bits"),
         (soak, ["--first-case", "2147483000"], "first_case is 2147483000, of"),
     ],
 )
@@ -43,8 +43,10 @@ def test_an_unwritable_folder_is_refused_before_anything_drives(
     def drive(*_):
         raise AssertionError("it drove")
 
-    monkeypatch.setattr(physics_report, "drive_suites", drive)
-    monkeypatch.setattr(referee.referee, "trials", drive)
+    monkeypatch.setattr(
+        physics_report, "SUITES", {"brush": (drive,), "contact": (drive,)}
+    )
+    monkeypatch.setattr(referee, "trials", drive)
     (tmp_path / "file").write_text("no folder")
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
         assert script.main(["--out", str(out)]) == 2

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import soak as script
+import soak
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import PRESETS, Vehicle
-from vehicle_suite import soak
 
 # The cases that came closest to a limit, per preset and per pattern, in 1.04e7
 # car-steps from case 0: first of hops, then of energy.
 WORST = (3756, 3151, 8504, 6465, 4594, 2615, 6696, 5734, 7368, 3486)
 WORST += (1770, 805, 7610, 1665, 2824, 4907, 7960, 1713, 496, 4458)
-LIMITS = script.SoakConfig(car_steps=1, num_cars=len(WORST))
+LIMITS = soak.SoakConfig(car_steps=1, num_cars=len(WORST))
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +53,10 @@ def test_a_case_is_the_same_wherever_it_runs(soaked: soak.Soak, worst: soak.Wors
 def test_the_command_tells_a_breach_from_a_pass(
     soaked: soak.Soak, monkeypatch: pytest.MonkeyPatch, capsys
 ):
-    monkeypatch.setattr(script, "Soak", lambda sim: soaked)
-    assert script.run(LIMITS) == 0
+    monkeypatch.setattr(soak, "Soak", lambda sim: soaked)
+    assert soak.run(LIMITS) == 0
     assert "all held" in capsys.readouterr().out
-    assert script.run(dataclasses.replace(LIMITS, max_energy=0.5)) == 1
+    assert soak.run(dataclasses.replace(LIMITS, max_energy=0.5)) == 1
     assert "broke a limit" in capsys.readouterr().out
 
 

@@ -6,10 +6,8 @@ import mujoco
 import numpy as np
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.coordinates import CarDynamics, CarIndex
-from carpark_mj.physics.forces import substep_forces
-from carpark_mj.physics.gravity import gravity_vector
-from carpark_mj.physics.tyres import init_tyres
+from carpark_mj.physics.coordinates import CarDynamics, CarIndex, init_tyres
+from carpark_mj.physics.forces import gravity_vector, substep_forces
 from carpark_mj.vehicle.drive import init_actuators
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import VehicleParameters

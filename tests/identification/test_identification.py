@@ -13,8 +13,7 @@ from carpark_mj.identification.fit import PARAMETERS, identify
 from carpark_mj.identification.log import read_log
 from carpark_mj.identification.simulation import Replay, Sought
 from carpark_mj.vehicle import COMPACT, preset
-from vehicle_suite.logs import Drive, record
-from vehicle_suite.single_track import SingleTrack, drive
+from vehicle_suite.logs import Drive, SingleTrack, drive_single_track, record
 
 TRUE = Sought(0.12, 0.2, 16.0, 0.015, 9.0, 1.7, 3.4, 0.015, 0.1, 0.4, 0.07)
 SECONDS, SIM_DT = 21.0, 0.01
@@ -79,7 +78,9 @@ def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
 @pytest.mark.parametrize(("stops", "car"), [(True, {}), (False, ALONG)], ids=str)
 def test_intervals_cover_a_car_of_other_equations(stops, car):
     true = SingleTrack(**car)
-    found = identify(drive(true, 1, stops, seconds=30.0), COMPACT, 0.0, SIM_DT)
+    found = identify(
+        drive_single_track(true, 1, stops, seconds=30.0), COMPACT, 0.0, SIM_DT
+    )
     told = {name: e for name, e in found.estimates.items() if e.identifiable}
     assert {"pedal_delay", "steering_ratio", "rolling_resistance"} <= {*told}
     missed = [

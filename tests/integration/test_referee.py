@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vehicle_suite import commonroad, referee
+import referee
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_our_car_stays_with_the_referee(
     trial = found[name]
     path = trial.paths[model]
     assert np.linalg.norm(np.diff(path.position, axis=0), axis=1).sum() > 10.0  # m
-    distance, yaw = commonroad.apart(trial.track, path, trial.rear_axle)
+    distance, yaw = referee.apart(trial.track, path, trial.rear_axle)
     assert distance[0] == pytest.approx(0.0, abs=1e-6)
     assert distance.max() < metres
     assert np.degrees(np.abs(yaw)).max() < degrees
@@ -51,7 +51,7 @@ def test_the_parking_manoeuvre_changes_gear_twice(found):
 
 
 def test_inputs_respect_the_steering_rate_of_the_referee():
-    limit = commonroad.published_set().steering.v_max
+    limit = referee.published_set().steering.v_max
     time = np.linspace(0.0, 20.0, 4001)
     for inputs in (referee.slalom, referee.brake_in_turn, referee.parking):
         angle = np.array([inputs(float(t))[0] for t in time])
@@ -59,7 +59,7 @@ def test_inputs_respect_the_steering_rate_of_the_referee():
 
 
 def test_our_car_has_the_published_figures():
-    car, published = commonroad.our_car(), commonroad.published_set()
+    car, published = referee.our_car(), referee.published_set()
     assert car.mass == published.m
     assert car.wheelbase == published.a + published.b
     assert car.cg_to_rear_axle == pytest.approx(published.b)

@@ -11,7 +11,7 @@ import pytest
 
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.physics.contact import ContactPhysics, axle_friction, contact_car_model
+from carpark_mj.physics.mjx_step import ContactPhysics, axle_friction, contact_car_model
 from carpark_mj.vehicle import COMPACT, drive, make_vehicle, preset
 
 SIM = SimConfig(sim_dt=0.004, ctrl_dt=0.02, trace_dt=0.02, tyres="contact")

@@ -13,7 +13,7 @@ from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
-from carpark_mj.vehicle.delay import make_lines, receive, send
+from carpark_mj.vehicle.drive import make_lines, receive, send
 
 NUM_COPIES = 6
 CONTROLS = np.array(

@@ -25,7 +25,7 @@ from helpers.drives import (
 from helpers.oracle import CCar
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.gravity import grade_at, gravity_at, gravity_vector
+from carpark_mj.physics.forces import grade_at, gravity_at, gravity_vector
 from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.parameters import GRAVITY
 

@@ -5,14 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.physics.coordinates import CarIndex, unpack_coordinates, unpack_tyres
+from carpark_mj.physics.coordinates import (
+    CarIndex,
+    TyreState,
+    unpack_coordinates,
+    unpack_tyres,
+)
 from carpark_mj.physics.forces import CarForces, generalized_forces, roll
-from carpark_mj.physics.tyres import TyreState
 from carpark_mj.vehicle import COMPACT, Vehicle
 from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.wheel import wheels_of
+from carpark_mj.vehicle.vehicle import wheels_of
 
 DT = 0.01
 INDEX = CarIndex(car_model(COMPACT, DT, (0.0, 0.0, -GRAVITY)))

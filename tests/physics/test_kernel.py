@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import kernel, unrolled
-from carpark_mj.physics.kernel import run_in_kernel
+from carpark_mj.physics import unrolled
+from carpark_mj.physics import unrolled as kernel
 from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.physics.unrolled import run_in_kernel
 from carpark_mj.vehicle import PRESETS, make_vehicle
 
 AGENTS = 7

@@ -13,15 +13,16 @@ from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.physics.coordinates import (
     CarDynamics,
     CarIndex,
+    cross,
+    init_tyres,
+    multiply,
     pack_coordinates,
+    to_world,
     unpack_coordinates,
 )
 from carpark_mj.physics.forces import CarForces, generalized_forces
-from carpark_mj.physics.masses import mass_properties
 from carpark_mj.physics.mjx_step import MjxStep, with_masses
-from carpark_mj.physics.newton_euler import advance
-from carpark_mj.physics.tyres import init_tyres
-from carpark_mj.physics.vectors import cross, multiply, to_world
+from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.spawning.randomization import randomize
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.drive import init_actuators

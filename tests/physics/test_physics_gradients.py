@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics import kernel
+from carpark_mj.physics import unrolled as kernel
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import Vehicle

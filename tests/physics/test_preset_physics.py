@@ -11,8 +11,8 @@ from helpers.cars import ROAD_CARS
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import Vehicle, make_vehicle
-from carpark_mj.vehicle.conditions import SURFACES, with_grip, with_mass
 from carpark_mj.vehicle.parameters import GRAVITY
+from carpark_mj.vehicle.vehicle import SURFACES, with_grip, with_mass
 
 NAMES = list(ROAD_CARS)
 VARIANTS = ("plain", "loaded", "wet", "ice")

@@ -18,7 +18,7 @@ from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.obstacles import trace_still
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.scene import ScenePhysics
-from carpark_mj.physics.scene_movers import DEEPEST, solids_within
+from carpark_mj.physics.scene_model import DEEPEST, solids_within
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.parts import CRUSH_DAMPING, CRUSH_FREQUENCY
 from carpark_mj.vehicle import COMPACT, make_vehicle

@@ -10,14 +10,19 @@ import pytest
 
 from carpark_mj.config import SimConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.physics.contact import WheelIndex, contact_car_model, with_wheels
 from carpark_mj.physics.coordinates import CarIndex
-from carpark_mj.physics.mjx_step import mjx  # pyright: ignore[reportAttributeAccessIssue]
+from carpark_mj.physics.mjx_step import (
+    WheelIndex,
+    contact_car_model,
+    mjx,  # pyright: ignore[reportAttributeAccessIssue]
+    with_wheels,
+)
 from carpark_mj.scene.build import drivable_scene
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS
-from vehicle_suite import formulas, suspension
-from vehicle_suite.contact import contact_model
+from vehicle_suite import chassis, formulas
+from vehicle_suite.report import Study
+from vehicle_suite.testbeds import ContactTestbed, contact_model
 
 DT = 0.002
 SPRUNG = SimConfig(sim_dt=0.004, tyres="contact", suspension=True)
@@ -85,7 +90,8 @@ def test_a_balanced_car_bounces_at_the_root_of_stiffness_over_mass():
 
 
 def test_it_pitches_rolls_turns_and_stops_by_the_formulas_and_stands_still():
-    study = suspension.suspension(suspension.BED, "compact", COMPACT, True)
+    study = Study(ContactTestbed(), "compact", COMPACT, quick=True)
+    chassis.suspension(study)
     missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
     assert missed == []
     by_name = {row.row: row for row in study.rows}

@@ -5,16 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.physics.tyres import (
-    TyreForces,
-    TyreState,
-    WheelMotion,
-    init_tyres,
-    tyre_forces,
-)
+from carpark_mj.physics.coordinates import TyreState, init_tyres
+from carpark_mj.physics.forces import TyreForces, WheelMotion, tyre_forces
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 from carpark_mj.vehicle.drive import WheelTorques
-from carpark_mj.vehicle.wheel import Wheel, wheels_of
+from carpark_mj.vehicle.vehicle import Wheel, wheels_of
 
 DT = 0.01
 RADIUS = COMPACT.wheel_radius

@@ -1,20 +1,16 @@
-"""The unrolled step against `mjx.step`, and where it may not be used."""
+"""The unrolled step against `mjx.step`."""
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
-from helpers.cars import ROAD_CARS
 
 from carpark_mj.config import RandomizationConfig, SimConfig
-from carpark_mj.physics.contact import ContactPhysics, contact_car_model
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.physics.mjx_step import MjxStep
-from carpark_mj.physics.unrolled import UnrolledStep, check_unrollable
+from carpark_mj.physics.mjx_step import ContactPhysics, MjxStep
+from carpark_mj.physics.unrolled import UnrolledStep
 from carpark_mj.spawning.randomization import randomize_all
-from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
-from carpark_mj.vehicle.mjcf import car_model
+from carpark_mj.vehicle import PRESETS, make_vehicle
 
 VARIED = RandomizationConfig(
     mass=(0.75, 1.25),
@@ -25,7 +21,6 @@ VARIED = RandomizationConfig(
     steering_offset=(-0.03, 0.03),
     steering_lag=(0.0, 0.3),
 )
-GRAVITY = (0.0, 0.0, -9.81)
 
 
 def drive(stepper: str, x64: bool, **ground) -> np.ndarray:
@@ -86,53 +81,3 @@ def test_brush_tyres_are_stepped_unrolled_unless_mjx_is_asked_for():
         assert isinstance(MjxPhysics(SimConfig(stepper=stepper))._step, kind)
     contact = SimConfig(sim_dt=0.004, tyres="contact")
     assert isinstance(ContactPhysics(contact)._step, MjxStep)
-
-
-def test_models_with_contacts_or_springs_are_refused():
-    for sim in (
-        SimConfig(sim_dt=0.004, tyres="contact"),
-        SimConfig(sim_dt=0.004, tyres="contact", suspension=True),
-    ):
-        with pytest.raises(ValueError, match="the unrolled step"):
-            check_unrollable(contact_car_model(COMPACT, sim))
-
-
-@pytest.mark.parametrize("name", ROAD_CARS)
-def test_the_model_of_every_preset_is_allowed(name: str):
-    check_unrollable(car_model(ROAD_CARS[name], 0.01, GRAVITY))
-
-
-def set_row(field: str, row: int, value):
-    def change(model: mujoco.MjModel) -> None:
-        getattr(model, field)[row] = value
-
-    return change
-
-
-def set_option(name: str, value):
-    return lambda model: setattr(model.opt, name, value)
-
-
-@pytest.mark.parametrize(
-    ("change", "missing"),
-    [
-        (set_option("integrator", mujoco.mjtIntegrator.mjINT_EULER), "implicitfast"),
-        (set_option("density", 1.2), "still air"),
-        (set_row("body_quat", 1, [0.0, 1, 0, 0]), "bodies aligned"),
-        (set_row("body_iquat", 3, [0.0, 1, 0, 0]), "bodies aligned"),
-        (set_row("body_ipos", 3, [0.0, 0.01, 0]), "balanced"),
-        (set_row("body_pos", 5, [0.0, 0.1, 0]), "balanced"),
-        (set_row("body_inertia", 6, [0.6, 1.0, 0.7]), "symmetric"),
-        (set_row("dof_damping", 7, 1.0), "free axles"),
-        (set_row("dof_armature", 11, 1.0), "free axles"),
-        (set_row("jnt_stiffness", 1, 10.0), "springs"),
-        (set_row("dof_frictionloss", 9, 1.0), "friction"),
-        (set_row("dof_damping", 6, 4.0), "the steering"),
-        (set_row("actuator_forcerange", 1, [-500, 500]), "the steering"),
-    ],
-)
-def test_a_model_that_breaks_an_assumption_is_refused_by_its_name(change, missing):
-    model = car_model(COMPACT, 0.01, GRAVITY)
-    change(model)
-    with pytest.raises(ValueError, match=missing):
-        check_unrollable(model)

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from carpark_mj.physics import vectors
+from carpark_mj.physics import coordinates as vectors
 
 RNG = np.random.default_rng(0)
 

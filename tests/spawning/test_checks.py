@@ -22,7 +22,7 @@ from carpark_mj.observations import ContinuousObservation
 from carpark_mj.spawning.checks import check_cars
 from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.vehicle import COMPACT, PRESETS
-from carpark_mj.vehicle.file import parameters_text
+from carpark_mj.vehicle.sheet import parameters_text
 
 OWN_CAR = ContinuousObservation(own_car=True)
 

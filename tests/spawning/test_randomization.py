@@ -16,9 +16,9 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.spawning.randomization import check_randomization, randomize
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
-from carpark_mj.vehicle.conditions import SURFACES, on_surface, with_mass
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
+from carpark_mj.vehicle.vehicle import SURFACES, on_surface, with_mass
 
 EVERYTHING = RandomizationConfig(
     mass=(0.8, 1.2),

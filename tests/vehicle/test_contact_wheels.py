@@ -10,13 +10,13 @@ import pytest
 from carpark_mj.scene import parts
 from carpark_mj.vehicle import COMPACT, PRESETS, preset
 from carpark_mj.vehicle.contact_wheels import (
+    FULL_BRAKE,
     add_contact_wheels,
     add_controls,
     rolling_loss,
     set_contact_options,
     steering_polynomials,
 )
-from carpark_mj.vehicle.disc_brake import FULL_BRAKE
 from carpark_mj.vehicle.mjcf import WHEELS, add_car, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, kerb_to_kerb
 

@@ -86,7 +86,7 @@ CENTIMETRES = {
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (CENTIMETRES, r"length must lie within \[1, 25\] m, not 425.5"),
+        (CENTIMETRES, r"length must lie in \[1, 25\] m, not 425.5"),
         ({"mass": 1.38}, r"mass must .* kg, not 1.38"),
         ({"mass": 1.38e6}, r"mass must .* kg"),
         ({"max_speed": 300.0}, r"max_speed .* m/s, not 300"),

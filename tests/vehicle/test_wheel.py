@@ -5,7 +5,7 @@ import pytest
 
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.wheel import wheels_of
+from carpark_mj.vehicle.vehicle import wheels_of
 
 
 def test_wheels_share_weight_and_torques_of_the_car():

@@ -20,7 +20,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import training_key
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.observations import make_fields
-from carpark_mj.physics.kernel import has_triton
+from carpark_mj.physics.unrolled import has_triton
 from carpark_mj.policy.networks import (
     Arithmetic,
     init_normalizer,

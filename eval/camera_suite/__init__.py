@@ -1,1 +1,0 @@
-"""Cameras against MuJoCo's renderer: pictures of the same state, and speed."""

@@ -1,0 +1,400 @@
+"""Stops, coasting, slopes, wheel loads, scrub torque, energy, and springs."""
+
+import itertools
+import math
+
+import mujoco
+import numpy as np
+
+from carpark_mj.vehicle.mjcf import (
+    STEER_STIFFNESS,
+    WHEELS,
+    chassis_inertial,
+    hub_positions,
+)
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from vehicle_suite import formulas
+from vehicle_suite.formulas import brush_slip
+from vehicle_suite.report import Study, relative
+from vehicle_suite.testbeds import ContactTestbed, contact_model, rigid_joints
+from vehicle_suite.track import LOCKING, Run, Track, circle_radius, ramp
+from vehicle_suite.turns import turn_run
+
+HEADINGS = (0.0, 30.0, 45.0, 90.0)  # degrees
+SERVICE = 0.3  # g, brake force over the weight
+SLOPES = (0.05, 0.20, 0.30)  # rise over run
+FACING = (0.0, 45.0, 90.0, 180.0)  # degrees from uphill
+PULL = 0.15  # g, drive force over the weight
+FIRST, LAST = 2.0, 5.0  # s, between which the car neither pitches nor heaves
+CORNERING = 0.2  # g
+SPRUNG = ContactTestbed(suspension=True)
+
+
+def braked_motion(track: Track) -> tuple[np.ndarray, np.ndarray]:
+    """Distance [m] and speed [m/s] of the centre of gravity until it stands, (n,) each.
+
+    The rear axle's centre on the ground stops sooner: the car pitches forward over it.
+    """
+    way = np.array([math.cos(track.run.heading), math.sin(track.run.heading)])
+    speed = track.cg_velocity[:, :2] @ way
+    path = (track.cg - track.cg[0])[:, :2] @ way
+    stop = int(np.argmax(speed <= 0.0))
+    if not stop:
+        return np.array([math.nan]), speed[:1]
+    return path[: stop + 1], speed[: stop + 1]
+
+
+def stops(study: Study) -> None:
+    """Locked-wheel and 0.3 g stops at four headings.
+
+    Semi-implicit Euler moves with the speed at the end of a substep: a constant
+    deceleration stops v dt / 2 short of v^2 / 2a, as if it began half a substep early.
+    """
+    params = study.params
+    headings = HEADINGS[::2] if study.quick else HEADINGS
+    cases = [(LOCKING, 5.0, h) for h in headings]
+    cases += [(SERVICE, v, h) for v, h in itertools.product((5.0, 2.0), headings)]
+    weight = params.mass * GRAVITY
+    runs = [
+        Run(params, 1.0 + v / (min(g, 0.6) * GRAVITY), heading=math.radians(h),
+            speed=v, brake=g * weight) for g, v, h in cases
+    ]  # fmt: skip
+    for (g, v, heading), track in zip(cases, study.bed.drive(runs), strict=True):
+        stretch = 0.0
+        if g == LOCKING:
+            what, formula = "locked wheels", "v^2 / (2 mu g) - v dt / 2"
+            if study.tyres == "brush":
+                formula += " + 3 mu sigma_x / (4 c_x)"
+                stretch = formulas.locking_distance(params)
+            deceleration, share = params.tyre.friction * GRAVITY, 0.01
+        else:
+            what = "0.3 g"
+            formula = "v^2 m_eff / (2 F) - v dt / 2, m_eff = m + 4 I / r^2"
+            force = g * weight + formulas.rolling_resistance(params)
+            deceleration = force / formulas.rolling_mass(params)
+            share = 0.002 if study.tyres == "brush" else 0.01
+        path, speed = braked_motion(track)
+        expected = v**2 / (2 * deceleration) - v * track.dt / 2 + stretch
+        study.row(
+            f"stop, {what}, {v:g} m/s, heading {heading:g} deg",
+            formula,
+            "m",
+            float(path[-1]),
+            expected,
+            relative(expected, share),
+        )
+        if heading == 0.0 and v == 5.0:
+            study.curve("stops", what, path, speed)
+            left = np.linspace(v, 0.0, 100)
+            theory = (v**2 - left**2) / (2 * deceleration)
+            study.curve("stops", what, theory, left, "--")
+
+
+def coast_down(study: Study) -> None:
+    """Deceleration of a car that rolls freely from 3 m/s."""
+    params = study.params
+    (track,) = study.bed.drive([Run(params, 5.0, speed=3.0)])
+    slope = track.trend(track.speed, 1.0, 5.0)
+    expected = formulas.rolling_resistance(params) / formulas.rolling_mass(params)
+    study.row(
+        "coast-down deceleration",
+        "c_rr m g / (m + 4 I / r^2)",
+        "m/s^2",
+        -slope,
+        expected,
+        relative(expected, 0.002),
+    )
+
+
+def load_transfer(study: Study) -> None:
+    """Load that a long 0.3 g stop moves to the front axle."""
+    params = study.params
+    run = Run(params, 2.4, speed=8.0, brake=SERVICE * params.mass * GRAVITY)
+    (track,) = study.bed.drive([run])
+    deceleration = -track.trend(track.speed, 1.4, 2.4)
+    front = track.load[track.at(1.4) : track.at(2.4), :2].sum(1).mean()
+    rigid = study.tyres == "contact"
+    stance: formulas.Stance = "rigid" if rigid else "patches"
+    expected = formulas.longitudinal_load_transfer(params, deceleration, stance)
+    study.row(
+        "longitudinal load transfer, 0.3 g",
+        "(m h + 4 I / r) a / L" + ("" if rigid else " / (1 - m g h / (k L^2))"),
+        "N",
+        float(front) - formulas.axle_loads(params)[0],
+        expected,
+        relative(expected, 0.01),
+    )
+
+
+def axle_loads(study: Study) -> None:
+    """Front axle load of a car that drove and stopped."""
+    params = study.params
+    run = Run(params, 6.0, speed=2.0, brake=0.3 * params.mass * GRAVITY)
+    (track,) = study.bed.drive([run])
+    expected = formulas.axle_loads(params)[0]
+    measured = track.late(track.load[:, :2].sum(1), 2.0)
+    tolerance = relative(expected, 0.005)
+    study.row("static front axle load", "m g b / L", "N", measured, expected, tolerance)
+
+
+def slope_hold(study: Study) -> None:
+    """Creep of a car on its holding brake, the worst of four headings."""
+    params = study.params
+    duration = 12.0 if study.quick else 60.0
+    settled = duration / 3  # the suspension rocks for some seconds
+    for slope in SLOPES[1:2] if study.quick else SLOPES:
+        runs = [
+            Run(params, duration, heading=math.radians(h), tilt=math.atan(slope),
+                brake=params.hold_deceleration * params.mass) for h in FACING
+        ]  # fmt: skip
+        creep = max(
+            track.distance(track.at(settled), -1) / (duration - settled)
+            for track in study.bed.drive(runs)
+        )
+        brush, why = (
+            study.tyres == "brush",
+            "regularised friction creeps with the slope",
+        )
+        study.row(
+            f"creep on a {100 * slope:g} % slope, {duration:g} s",
+            "0, below the friction limit",
+            "m/s",
+            creep,
+            0.0,
+            1e-5 if brush else (2e-3 * slope, why),
+        )
+
+
+def slip_threshold(study: Study) -> None:
+    """Tilt at which a car on locked wheels begins to slide, lengthways and sideways."""
+    params = study.params
+    expected = math.degrees(math.atan(params.tyre.friction))
+
+    def tilt(time: np.ndarray) -> np.ndarray:
+        fast = np.minimum(time / 10.0, 1.0) * (expected - 4.0)
+        return np.radians(fast + 0.25 * np.maximum(time - 15.0, 0.0))
+
+    brake = LOCKING * params.mass * GRAVITY
+    runs = [
+        Run(params, 36.0, heading=math.radians(h), tilt=tilt, brake=brake)
+        for h in (0.0, 90.0)
+    ]
+    for facing, track in zip(
+        ("uphill", "sideways"), study.bed.drive(runs), strict=True
+    ):
+        speed = np.linalg.norm(track.qvel[:, :2], axis=1)
+        speed[: track.at(15.0)] = 0.0  # settling
+        row = int(np.argmax(speed > 0.01))
+        angle = math.degrees(tilt(track.time[row : row + 1])[0]) if row else math.nan
+        what = f"slip threshold, facing {facing}"
+        study.row(what, "tan(tilt) = mu", "deg", angle, expected, 0.5)
+
+
+def scrub_torque(study: Study) -> None:
+    """Torque of the steering servos that turn the wheels of a standing car."""
+    params = study.params
+    lock = 0.3
+    brake = LOCKING * params.mass * GRAVITY
+    run = Run(params, 5.0, steering=ramp(lock, 0.5, 3.0), brake=brake)
+    (track,) = study.bed.drive([run])
+    target = np.array(formulas.front_wheel_angles(params, lock))
+    torque = STEER_STIFFNESS * (target - track.wheel_angles)
+    scrub = formulas.scrub_torque(params)
+    brush = study.tyres == "brush"
+    study.row(
+        "scrub torque at standstill, a front wheel",
+        "2/3 mu F_z R_p" if brush else "0: a point contact does not twist (condim 3)",
+        "N m",
+        track.late(torque.mean(1), 0.5),
+        scrub if brush else 0.0,
+        relative(scrub, 0.05),
+    )
+
+
+def energy_balance(study: Study) -> None:
+    """Lost share of the drive's work while accelerating, of the motion coasting."""
+    params = study.params
+    pull = Run(params, LAST, speed=0.5, force=PULL * params.mass * GRAVITY)
+    driven, coasting = study.bed.drive([pull, Run(params, LAST, speed=3.0)])
+    work = _work(driven, driven.drive)
+    rest = (work - _gained(driven) - rolling_loss(driven)) / work
+    brush = study.tyres == "brush"
+    why = "slip is formed with the spin after and the speed before a substep"
+    study.row(
+        "energy balance, accelerating at 0.15 g",
+        "slip loss sum F_x s / sum F of the brush - m a^2 dt / P" if brush else "0",
+        "of the work",
+        rest,
+        slip_loss(driven, work) if brush else 0.0,
+        (5e-4, why if brush else ""),
+    )
+    lost = -_gained(coasting)
+    study.row(
+        "energy balance, coasting from 3 m/s",
+        "lost motion = c_rr sum F_z r omega",
+        "of the loss",
+        (lost - rolling_loss(coasting)) / lost,
+        0.0,
+        1e-3,
+    )
+
+
+def _gained(track: Track) -> float:
+    first, last = track.at(FIRST), track.at(LAST)
+    return track.kinetic_energy(last) - track.kinetic_energy(first)
+
+
+def _work(track: Track, torque: np.ndarray) -> float:
+    """Work [J] of torques (T, 4) on the wheels, with the mean spin of each substep."""
+    spin = (track.spin[1:] + track.spin[:-1]) / 2
+    rows = slice(track.at(FIRST), track.at(LAST))
+    return float((torque * spin)[rows].sum()) * track.dt
+
+
+def rolling_loss(track: Track) -> float:
+    """Work of the rolling resistance c_rr F_z r [J] of a car that drives forwards."""
+    params = track.params
+    torque = params.tyre.rolling_resistance * track.load * params.wheel_radius
+    return _work(track, torque)
+
+
+def slip_loss(track: Track, work: float) -> float:
+    """Expected slip loss as a share of the drive's work [J].
+
+    Over a substep the tyre dissipates F (omega_after r - v_before), the bodies' motion
+    gives F (mean omega r - mean v): the difference m a^2 dt is a gain of the time step.
+    """
+    params = track.params
+    rolling = formulas.rolling_resistance(params)
+    force = PULL * params.mass * GRAVITY
+    acceleration = (force - rolling) / formulas.rolling_mass(params)
+    shift = formulas.longitudinal_load_transfer(params, acceleration)
+    static = formulas.axle_loads(params)
+    loads = static[0] - shift, static[1] + shift
+    drives = params.front_drive, 1.0 - params.front_drive
+    spinning = 2 * params.wheel_inertia / params.wheel_radius**2 * acceleration
+    loss = 0.0
+    for load, still, share in zip(loads, static, drives, strict=True):
+        ground = share * force - params.tyre.rolling_resistance * load - spinning
+        stiffness = params.tyre.slip_stiffness * still
+        loss += abs(ground) * brush_slip(ground, stiffness, params.tyre.friction * load)
+    early = params.mass * acceleration**2 * track.dt * (LAST - FIRST) / work
+    return loss / force - early
+
+
+def suspension(study: Study) -> None:
+    """What the optional suspension changes and what it does not."""
+    params = study.params
+    brake = SERVICE * params.mass * GRAVITY
+    steer = 0.1  # rad
+    radius = formulas.turning_radius(params, steer)
+    speed = math.sqrt(CORNERING * GRAVITY * radius)
+    rest = Run(params, 10.0)
+    braked, turned, circle, locked, stood = SPRUNG.drive(
+        [
+            Run(params, 2.4, speed=8.0, brake=brake),
+            Run(params, 8.0, speed=speed, target=speed, steering=ramp(steer, 0.0, 2.0)),
+            turn_run(params, params.max_steering, 1.0),
+            Run(params, 2.0, speed=5.0, brake=LOCKING * params.mass * GRAVITY),
+            rest,
+        ]
+    )
+    (rigid,) = ContactTestbed().drive([rest])
+    _standing(study, stood, rigid)
+    measured = bounce_frequency(params, SPRUNG.dt)
+    expected, _ = formulas.bounce(params)
+    study.row(
+        "suspension: bounce frequency",
+        "slower mode of heave and pitch, sqrt(4 k / m) / 2 pi if decoupled, damped",
+        "Hz",
+        measured,
+        expected,
+        relative(expected, 0.01),
+    )
+    _pitch(study, braked)
+    _roll(study, turned)
+    radius = formulas.turning_radius(params, params.max_steering)
+    study.row(
+        "suspension: turning radius, full lock, 1 m/s",
+        "R = L / tan(delta)",
+        "m",
+        circle_radius(circle.position[circle.at(7.0) :]),
+        radius,
+        relative(radius, 0.01),
+    )
+    path, _ = braked_motion(locked)
+    expected = 25.0 / (2 * params.tyre.friction * GRAVITY) - 5.0 * locked.dt / 2
+    study.row(
+        "suspension: stop, locked wheels, 5 m/s",
+        "v^2 / (2 mu g) - v dt / 2",
+        "m",
+        float(path[-1]),
+        expected,
+        relative(expected, 0.01),
+    )
+
+
+def _standing(study: Study, stood: Track, rigid: Track) -> None:
+    study.row(
+        "suspension: ride height over the rigid car's",
+        "0: springs preloaded by the static load",
+        "mm",
+        1000 * float(stood.cg[-1, 2] - rigid.cg[-1, 2]),
+        0.0,
+        0.1,
+    )
+    drift = stood.distance(stood.at(1.0)) / 9.0
+    study.row("suspension: drift at rest, 10 s", "0", "m/s", drift, 0.0, 1e-5)
+
+
+def _pitch(study: Study, track: Track) -> None:
+    params = track.params
+    deceleration = -track.trend(track.speed, 1.4, 2.4)
+    shift = formulas.longitudinal_load_transfer(params, deceleration, "hubs")
+    expected = math.degrees(formulas.tilt_angle(params, shift, params.wheelbase))
+    study.row(
+        f"suspension: pitch braking at {SERVICE:g} g",
+        "(m h + 4 I / r) a / (k L^2 - m g (h - r))",
+        "deg",
+        math.degrees(track.late(-np.arcsin(track.rotation[:, 2, 0]), 0.5)),
+        expected,
+        relative(expected, 0.02),
+    )
+
+
+def _roll(study: Study, track: Track) -> None:
+    params = track.params
+    lateral = track.late(track.yaw_rate, 1.0) * track.late(track.speed, 1.0)
+    shift = formulas.lateral_load_transfer(params, lateral, "hubs")
+    expected = math.degrees(formulas.tilt_angle(params, shift, params.track_width))
+    study.row(
+        f"suspension: roll cornering at {CORNERING:g} g",
+        "(m h + 4 I / r) a_y / (k T^2 - m g (h - r))",
+        "deg",
+        math.degrees(track.late(np.arcsin(track.rotation[:, 2, 1]), 1.0)),
+        expected,
+        relative(expected, 0.02),
+    )
+
+
+def bounce_frequency(params: VehicleParameters, dt: float) -> float:
+    """Damped frequency [Hz] of the standing car, kicked in its slower mode."""
+    model = contact_model(params, dt, suspension=True)
+    model.dof_frictionloss[:] = 0.0  # its wheels roll freely, or they would stand still
+    data = mujoco.MjData(model)
+    _, dofs = rigid_joints(model)
+    for _ in range(round(1.0 / dt)):
+        mujoco.mj_step(model, data)  # onto its contacts
+    mass, com, inertia = chassis_inertial(params)
+    heave, pitch = 0.05 * formulas.bounce(params)[1] / formulas.bounce(params)[1][0]
+    data.qvel[dofs[2]] = heave + pitch * com[0]  # of the rear axle
+    data.qvel[dofs[4]] = pitch
+    for wheel, ahead in zip(WHEELS, hub_positions(params)[:, 0] - com[0], strict=True):
+        data.joint(f"travel_{wheel}").qvel = -(heave - pitch * ahead)
+    motion = []  # of the mode, to which the other one is orthogonal
+    for _ in range(round(1.2 / dt)):
+        mujoco.mj_step(model, data)
+        up = data.qvel[dofs[2]] - data.qvel[dofs[4]] * com[0]
+        motion.append(mass * heave * up + inertia[1] * pitch * data.qvel[dofs[4]])
+    turns = np.flatnonzero(np.diff(np.sign(motion)))
+    return 1.0 / (2 * dt * (turns[1] - turns[0]))

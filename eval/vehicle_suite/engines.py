@@ -1,0 +1,265 @@
+"""Mirror symmetry, time step, and MJX against C MuJoCo and `mjx.step`."""
+
+import copy
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from carpark_mj.config import CONTACT_SIM_DT, SimConfig
+from carpark_mj.physics.coordinates import CarIndex, init_tyres
+from carpark_mj.physics.forces import generalized_forces
+from carpark_mj.physics.mjx_step import (
+    WheelIndex,
+    contact_car_model,
+    mjx,  # pyright: ignore[reportAttributeAccessIssue]
+    with_wheels,
+)
+from carpark_mj.precision import full_float32
+from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+from carpark_mj.vehicle.mjcf import car_model
+from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from vehicle_suite.report import Study
+from vehicle_suite.testbeds import (
+    BrushTestbed,
+    controls,
+    rigid_joints,
+    tyres_on_car,
+    vehicle_of,
+)
+from vehicle_suite.track import INDEX, Run, Testbed
+
+STEPS = {"brush": (0.01, 0.005, 0.002, 0.001), "contact": (0.004, 0.002, 0.001)}  # s
+LONGEST = 0.01  # s, at which half a per cent of the path is allowed
+FINEST = 0.0005  # s, the reference
+
+
+def wander(params: VehicleParameters, side: float = 1.0) -> Run:
+    """Six seconds: pull away, steer left and right, brake to a stop in a turn."""
+    weight = params.mass * GRAVITY
+
+    def braking(time: np.ndarray) -> np.ndarray:
+        return time > 4.9999  # s, on a substep of every time step
+
+    return Run(
+        params,
+        6.0,
+        speed=0.5,
+        steering=lambda time: side * 0.8 * params.max_steering * np.sin(1.5 * time),
+        force=lambda time: np.where(braking(time), 0.0, 0.06 * weight),
+        brake=lambda time: np.where(braking(time), 0.3 * weight, 0.0),
+    )
+
+
+def in_float64(bed: Testbed) -> Testbed:
+    """The same in float64, which C MuJoCo computes in anyway."""
+    return BrushTestbed(x64=True) if isinstance(bed, BrushTestbed) else bed
+
+
+def mirror(study: Study) -> None:
+    """A mirrored manoeuvre drives the mirrored path, in float64."""
+    params = study.params
+    left, right = in_float64(study.bed).drive([wander(params), wander(params, -1.0)])
+    apart = np.abs(left.position - right.position * [1, -1]).max()
+    study.row("mirror symmetry, 6 s", "0", "m", float(apart), 0.0, 1e-6)
+
+
+def convergence(study: Study) -> None:
+    """Path error of time steps against the finest, in float64."""
+    params = study.params
+    steps = STEPS[study.tyres]
+    steps, finest = (steps[:2], steps[-1]) if study.quick else (steps, FINEST)
+    exact = in_float64(study.bed)
+
+    def path(dt: float) -> np.ndarray:
+        (track,) = exact.drive([wander(params)], dt)
+        return track.position[:: track.at(0.1)]
+
+    best = path(finest)
+    length = float(np.linalg.norm(np.diff(best, axis=0), axis=1).sum())
+    errors = [float(np.linalg.norm(path(dt) - best, axis=1).max()) for dt in steps]
+    for dt, error in zip(steps, errors, strict=True):
+        study.row(
+            f"time-step error, {1000 * dt:g} ms",
+            "0.5 % of the path at 10 ms, in proportion to dt",
+            "% of the path",
+            100 * error / length,
+            0.0,
+            0.5 * dt / LONGEST,
+        )
+    spread = math.log((steps[0] - finest) / (steps[1] - finest))
+    study.row(
+        f"time-step order, {1000 * steps[0]:g} against {1000 * steps[1]:g} ms",
+        "1: error in proportion to dt - dt_ref",
+        "",
+        math.log(errors[0] / errors[1]) / spread,
+        1.0,
+        0.3,
+    )
+    milli = 1000 * np.array(steps)
+    study.curve("convergence", "measured", milli, 1000 * np.array(errors), "o-")
+    bound = 5 * length * milli / 10
+    study.curve("convergence", "tolerance", milli, bound, "--")
+
+
+def brush_engines(study: Study) -> None:
+    """One second of the unrolled step against C MuJoCo and `mjx.step`, same tyres."""
+    params = study.params
+    run = dataclasses.replace(wander(params), duration=1.0, speed=2.0)
+    path = drive_in_c(run, study.bed.dt)
+    for bits, tolerance in ((32, 1e-5), (64, 1e-12))[: 1 if study.quick else 2]:
+        ours = BrushTestbed(study.bed.dt, x64=bits == 64)
+        (track,) = ours.drive([run])
+        (reference,) = dataclasses.replace(ours, stepper="mjx").drive([run])
+        judges = {
+            "C MuJoCo against MJX": path,
+            "unrolled step against mjx.step": reference.position,
+        }
+        for what, other in judges.items():
+            apart = float(np.abs(track.position - other).max())
+            study.row(f"{what} in float{bits}, 1 s", "0", "m", apart, 0.0, tolerance)
+
+
+def drive_in_c(run: Run, dt: float) -> np.ndarray:
+    """Positions (T + 1, 2) of the run in C MuJoCo, all in float64."""
+    with jax.enable_x64(True):
+        vehicle, tyres = vehicle_of(run), init_tyres(jnp.result_type(float))
+        model = car_model(run.params, dt, (0.0, 0.0, -GRAVITY))
+        data = mujoco.MjData(model)
+        data.qpos, data.qvel = run.start()
+        path = [data.qpos[:2].copy()]
+        for signal in run.signals(dt):
+            ctrl, qfrc, tyres = _c_forces(
+                vehicle,
+                jnp.array(data.qpos),
+                jnp.array(data.qvel),
+                tyres,
+                jnp.array(signal),
+                dt,
+            )
+            data.ctrl, data.qfrc_applied = ctrl, qfrc
+            mujoco.mj_step(model, data)
+            path.append(data.qpos[:2].copy())
+    return np.array(path)
+
+
+@jax.jit
+def _c_forces(vehicle, qpos, qvel, tyres, signal, dt):
+    ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
+    forces, tyres = tyres_on_car(vehicle, qpos, qvel, tyres, (drive, brake), dt)
+    return ctrl, generalized_forces(INDEX, forces), tyres
+
+
+def contact_engines(study: Study) -> None:
+    """One second in MJX against C MuJoCo, rigid and on springs.
+
+    MJX compiles one car and takes the others as data (`with_wheels`), all but the
+    constants that scale the softness of constraints. C has a model of each car with
+    these constants here; what they cost the car against its own is a row, too.
+    """
+    params = study.params
+    run = dataclasses.replace(wander(params), duration=1.0, speed=2.0)
+    for suspension in (False,) if study.quick else (False, True):
+        sim = SimConfig(sim_dt=CONTACT_SIM_DT, tyres="contact", suspension=suspension)
+        prefix = "suspension: " if suspension else ""
+        own = contact_car_model(params, sim)
+        shared, compiled = copy.copy(own), contact_car_model(COMPACT, sim)
+        for constant in ("body_invweight0", "dof_invweight0"):
+            getattr(shared, constant)[:] = getattr(compiled, constant)
+        path = _drive_in_c(run, sim, shared)
+        brief = study.quick or suspension
+        for bits, tolerance in ((32, 1e-5), (64, 1e-12))[: 1 if brief else 2]:
+            apart = np.abs(_drive_in_mjx(run, sim, bits == 64) - path).max()
+            what = f"{prefix}C MuJoCo against MJX in float{bits}, 1 s"
+            study.row(what, "0", "m", float(apart), 0.0, tolerance)
+        study.row(
+            f"{prefix}data of a shared model against an own model, 1 s",
+            "0 but for the softness of the contacts, which is the compiled car's",
+            "m",
+            float(np.abs(_drive_in_c(run, sim, own) - path).max()),
+            0.0,
+            5e-4,
+        )
+
+
+def _drive_in_c(run: Run, sim: SimConfig, model: mujoco.MjModel) -> np.ndarray:
+    """Positions (T + 1, 2) in C MuJoCo; the driver computes in float64."""
+    with jax.enable_x64(True):
+        vehicle = make_vehicle(run.params)
+        index, data = CarIndex(model), mujoco.MjData(model)
+        positions, velocities = rigid_joints(model)
+        data.qpos[positions], data.qvel[velocities] = run.start()
+        rolling = model.dof_frictionloss[index.spin_dof].copy()
+        path = [data.qpos[:2].copy()]
+        for signal in run.signals(sim.sim_dt):
+            ctrl, drive, brake = _controls(
+                vehicle, jnp.array(signal), jnp.array(data.qpos), jnp.array(data.qvel)
+            )
+            data.ctrl, data.qfrc_applied[index.spin_dof] = ctrl, drive
+            model.dof_frictionloss[index.spin_dof] = rolling + brake
+            data.qacc_warmstart[:] = 0.0  # as MJX, which carries none
+            mujoco.mj_step(model, data)
+            path.append(data.qpos[:2].copy())
+    return np.array(path)
+
+
+_controls = jax.jit(controls)
+
+
+def _drive_in_mjx(run: Run, sim: SimConfig, x64: bool) -> np.ndarray:
+    """Positions (T + 1, 2) in MJX."""
+    with jax.enable_x64(x64):
+        dtype = jnp.result_type(float)
+        positions, velocities = rigid_joints(contact_car_model(COMPACT, sim))
+        qpos, qvel = np.zeros(len(positions)), np.zeros(len(velocities))
+        qpos[:], qvel[:] = run.start()
+        path = _program(sim, x64)(
+            make_vehicle(run.params),
+            jnp.array(qpos, dtype),
+            jnp.array(qvel, dtype),
+            jnp.array(run.signals(sim.sim_dt), dtype),
+        )
+        return np.vstack([qpos[:2], np.asarray(path, float)])
+
+
+@functools.cache
+def _program(sim: SimConfig, x64: bool):
+    """Compiles a drive of one car, once for each model and precision.
+
+    Arguments: the car, rigid positions (13,) and velocities (12,), signals (T, 6); the
+    suspension starts at rest. Returns positions (T, 2).
+    """
+    del x64  # the arrays' precision; a key of the cache
+    compiled = contact_car_model(COMPACT, sim)
+    index, wheels = CarIndex(compiled), WheelIndex(compiled)
+    positions, velocities = rigid_joints(compiled)
+    model = mjx.put_model(compiled)
+    data = mjx.make_data(model)
+
+    @jax.jit
+    @full_float32
+    def drive(vehicle: Vehicle, qpos: jax.Array, qvel: jax.Array, signals: jax.Array):
+        body = {
+            name: getattr(vehicle, name)
+            for name in ("body_mass", "body_inertia", "body_ipos", "body_pos")
+        }
+
+        def substep(carry, signal):
+            qpos, qvel = carry
+            ctrl, torque, brake = controls(vehicle, signal, qpos, qvel)
+            car = with_wheels(model.tree_replace(body), index, wheels, vehicle, brake)
+            applied = jnp.zeros_like(qvel).at[index.spin_dof].set(torque)
+            after = mjx.step(
+                car, data.replace(qpos=qpos, qvel=qvel, qfrc_applied=applied, ctrl=ctrl)
+            )
+            return (after.qpos, after.qvel), after.qpos[:2]
+
+        full = jnp.zeros(compiled.nq, qpos.dtype).at[positions].set(qpos)
+        speeds = jnp.zeros(compiled.nv, qpos.dtype).at[velocities].set(qvel)
+        return jax.lax.scan(substep, (full, speeds), signals)[1]
+
+    return drive
