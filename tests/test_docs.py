@@ -60,7 +60,7 @@ from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.programs.benchmark import BenchmarkConfig
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
-from carpark_mj.suite.command import SuiteConfig
+from carpark_mj.suite.evaluation import SuiteConfig
 from carpark_mj.sweeps import SweepConfig
 from carpark_mj.training.hosts import read_hosts
 from carpark_mj.training.ppo.config import PPOConfig

@@ -138,7 +138,7 @@ def check_paths(
         paths: bays of each lot, drawn at random if it has more.
         vehicle: a preset or file; `compact` by default.
     """
-    from carpark_mj.planning.reach import unreached
+    from carpark_mj.planning.search import unreached
     from carpark_mj.vehicle import preset
 
     found = []

@@ -29,10 +29,8 @@ from carpark_mj.evaluation.evaluator import allot
 from carpark_mj.evaluation.keys import evaluation_key, require_seed
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.layouts import member_shares
-from carpark_mj.planning.driving import Sight
-from carpark_mj.planning.impossible import impossible
-from carpark_mj.planning.oracle import solve
-from carpark_mj.planning.policy import require_plannable, sights
+from carpark_mj.planning.oracle import impossible, solve
+from carpark_mj.planning.policy import Sight, require_plannable, sights
 from carpark_mj.registry import environment
 
 PROGRAM = "carpark_mj oracle"

@@ -37,6 +37,20 @@ class Solids(NamedTuple):
         )
 
 
+def gaps(solids: Solids, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Distances (..., n + m) of points to every box, then every disc [m]; 0 inside."""
+    found = []
+    for (x_box, y_box, yaw), size in zip(solids.pose, solids.size, strict=True):
+        dx, dy, cos, sin = x - x_box, y - y_box, np.cos(yaw), np.sin(yaw)
+        along = np.abs(cos * dx + sin * dy) - size[0] / 2
+        across = np.abs(cos * dy - sin * dx) - size[1] / 2
+        found.append(np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)))
+    for (x_disc, y_disc), radius in zip(solids.centre, solids.radius, strict=True):
+        found.append(np.maximum(np.hypot(x - x_disc, y - y_disc) - radius, 0.0))
+    shape = np.broadcast_shapes(x.shape, y.shape)
+    return np.stack(found, axis=-1) if found else np.zeros((*shape, 0))
+
+
 class _Box(NamedTuple):
     x: float
     y: float
@@ -46,17 +60,11 @@ class _Box(NamedTuple):
     half_y: float
 
 
-class _Disc(NamedTuple):
-    x: float
-    y: float
-    radius: float
-
-
 class _Near(NamedTuple):
-    """Obstacles that a rectangle may touch."""
+    """Obstacles that a rectangle may touch: boxes, and discs (x, y, radius)."""
 
     boxes: list[_Box]
-    discs: list[_Disc]
+    discs: list[list[float]]
 
 
 class FreeSpace:
@@ -83,29 +91,16 @@ class FreeSpace:
         boxes = np.column_stack([x, y, np.cos(yaw), np.sin(yaw), solids.size / 2])
         discs = np.column_stack([solids.centre, solids.radius])
         self._boxes = [_Box(*row) for row in boxes.tolist()]
-        self._discs = [_Disc(*row) for row in discs.tolist()]
+        self._discs: list[list[float]] = discs.tolist()
         self._counts = tuple(math.ceil(2 * half / CELL) for half in extent)
-        self._distance = self._distances() if grid else None
         self._near: dict[tuple[int, int], _Near | None] = {}
-
-    def _distances(self) -> np.ndarray:
-        """Distances [m] from the middles of cells to every box, then every disc."""
-        x, y = (
-            CELL * (np.arange(count) + 0.5) - half
-            for count, half in zip(self._counts, self.extent, strict=True)
-        )
-        x, y = x[:, None], y[None]
-        gaps = np.empty((*self._counts, len(self._boxes) + len(self._discs)))
-        for number, box in enumerate(self._boxes):
-            dx, dy = x - box.x, y - box.y
-            along = np.abs(box.cos * dx + box.sin * dy) - box.half_x
-            across = np.abs(box.cos * dy - box.sin * dx) - box.half_y
-            gap = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-            gaps[:, :, number] = gap
-        for number, disc in enumerate(self._discs, start=len(self._boxes)):
-            gap = np.hypot(x - disc.x, y - disc.y) - disc.radius
-            gaps[:, :, number] = np.maximum(gap, 0.0)
-        return gaps
+        self._distance: np.ndarray | None = None
+        if grid:  # from the middles of cells
+            x, y = (
+                CELL * (np.arange(count) + 0.5) - half
+                for count, half in zip(self._counts, extent, strict=True)
+            )
+            self._distance = gaps(solids, x[:, None], y[None])
 
     def _obstacles(self, column: int, row: int) -> _Near | None:
         """Obstacles that a rectangle centred in a cell may touch; None if it must."""
@@ -153,10 +148,10 @@ class FreeSpace:
                 >= box.half_y + half_x * s + half_y * c
             ):
                 return False
-        for disc in near.discs:
-            dx, dy = disc.x - x, disc.y - y
+        for disc_x, disc_y, radius in near.discs:
+            dx, dy = disc_x - x, disc_y - y
             along = max(abs(cos * dx + sin * dy) - half_x, 0.0)
             across = max(abs(cos * dy - sin * dx) - half_y, 0.0)
-            if math.hypot(along, across) < disc.radius:
+            if math.hypot(along, across) < radius:
                 return False
         return True

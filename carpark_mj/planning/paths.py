@@ -1,17 +1,29 @@
-"""A path of a car's rear axle: segments between changes of gear, and how to drive them.
+"""A path of a car's rear axle, and the controller that drives a car along it.
 
 The turns of Reeds and Shepp begin at once; a car's wheels take time to turn. So the
 steering along a segment is averaged over `BLEND`, which moves the path by millimetres,
 and the speed is limited so that the wheels can follow.
+
+Steering is the rear-axle feedback of C. Samson, *Control of chained systems*, IEEE
+Transactions on Automatic Control 40 (1995), linearised, as reviewed by Paden et al., *A
+survey of motion planning and control techniques for self-driving urban vehicles*, 2016.
+With d = 1 forwards and -1 backwards, e the offset to the left of the path and t the
+heading error, the curvature k + dk with dk = -e / l^2 - 2 d t / l lets both die out
+over a distance of about l, without oscillation. The pedal follows the path's speeds; a
+segment ends on the holding brake (`carpark_mj.vehicle.drive`), released in time.
 """
 
+import functools
 import itertools
 import math
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.vehicle import VehicleParameters
+from carpark_mj.vehicle import COMPACT, VehicleParameters, make_vehicle
+from carpark_mj.vehicle.drive import SWITCH_SPEED, close_hold, hold_braking
 
 STEP = 0.02  # m between points of a path
 BLEND = 0.8  # m, over which the steering changes
@@ -154,3 +166,171 @@ def _average(distance: np.ndarray, value: np.ndarray) -> np.ndarray:
     low = np.interp(distance - reach, distance, integral)
     high = np.interp(distance + reach, distance, integral)
     return np.where(reach > 0, (high - low) / np.maximum(2 * reach, 1e-9), value)
+
+
+REACH = 0.8  # m, l
+NEAR = 0.02  # m from the end of a segment: it is driven
+WHEELS_SET = 0.03  # rad, error of the wheels with which a standing car pulls away
+WHEELS_OFF = 0.15  # rad, with which a car that drives stops
+STANDING = 0.02  # m/s
+AHEAD = 40  # points of a segment among which the nearest one is sought
+DRIVING = 0.06  # pedals below `HOLD_PEDAL` count as none
+PULLING_AWAY = 0.3  # m/s^2, more than the tyres' rolling resistance
+
+
+class Progress(NamedTuple):
+    """Progress of a car along its path.
+
+    Attributes:
+        segment: index of the current segment; the number of segments at the end.
+        point: index of its nearest point.
+    """
+
+    segment: int = 0
+    point: int = 0
+
+
+class Driven(NamedTuple):
+    """A car's motion.
+
+    Attributes:
+        pose: (3,) of the rear axle.
+        speed: signed [m/s].
+        steering: bicycle angle [rad].
+    """
+
+    pose: np.ndarray
+    speed: float
+    steering: float
+
+
+class Command(NamedTuple):
+    """The action of a control step, and the progress.
+
+    Attributes:
+        steer: in [-1, 1].
+        pedal: in [-1, 1].
+        progress: input of the next step.
+        error: distance from the path [m].
+    """
+
+    steer: float
+    pedal: float
+    progress: Progress
+    error: float
+
+
+def track(
+    path: PlannedPath,
+    progress: Progress,
+    car: VehicleParameters,
+    driven: Driven,
+    dt: float,
+    pace: float = CRUISE,
+) -> Command:
+    """The action of a control step of `dt` [s], at a highest speed `pace` [m/s]."""
+    number, point = progress
+    if number >= len(path.segments):
+        return Command(0.0, brake(driven.speed, car, dt), progress, 0.0)
+    segment = path.segments[number]
+    point = _nearest(segment, point, driven.pose)
+    along, error, steering = _steer(segment, point, car, driven, dt)
+    left = segment.length - along
+    stands = abs(driven.speed) < STANDING
+    if stands and left < NEAR:
+        after = Progress(number + 1, 0)
+        if after.segment == len(path.segments):
+            return Command(steering / car.max_steering, 0.0, after, error)
+        return track(path, after, car, driven, dt, pace)
+    wrong = abs(steering - driven.steering)
+    wheels_off = wrong > (WHEELS_SET if stands else WHEELS_OFF)
+    if wheels_off or driven.speed * segment.gear < -STANDING:
+        pedal = brake(driven.speed, car, dt)
+    else:
+        limit = float(np.interp(along, segment.distance, segment.speed))
+        limit, speed = min(limit, pace), abs(driven.speed)
+        pedal = segment.gear * _pedal(speed, limit, left, car, dt)
+    return Command(steering / car.max_steering, pedal, Progress(number, point), error)
+
+
+def _nearest(segment: Segment, point: int, pose: np.ndarray) -> int:
+    """The point nearest to a pose, not before a point."""
+    ahead = segment.pose[point : point + AHEAD, :2] - pose[:2]
+    return point + int(np.argmin(np.hypot(ahead[:, 0], ahead[:, 1])))
+
+
+def _steer(
+    segment: Segment, point: int, car: VehicleParameters, driven: Driven, dt: float
+) -> tuple[float, float, float]:
+    """Distance driven along the segment, distance from it, and steering."""
+    x, y, yaw = segment.pose[point]
+    dx, dy = driven.pose[0] - x, driven.pose[1] - y
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    along = float(segment.distance[point]) + segment.gear * (cos * dx + sin * dy)
+    offset = cos * dy - sin * dx
+    turn = math.remainder(driven.pose[2] - yaw, 2 * math.pi)
+    # The wheels arrive at the end of the step, when the car is farther.
+    there = along + abs(driven.speed) * dt
+    steering = float(np.interp(there, segment.distance, segment.steering))
+    change = -offset / REACH**2 - 2 * segment.gear * turn / REACH
+    steering = math.atan(math.tan(steering) + car.wheelbase * change)
+    lock = car.max_steering
+    return along, math.hypot(dx, dy), min(max(steering, -lock), lock)
+
+
+def _pedal(
+    speed: float, limit: float, left: float, car: VehicleParameters, dt: float
+) -> float:
+    """The pedal along the path, for a car that is not faster than it should be at most.
+
+    Args:
+        speed: of the car along its path [m/s].
+        limit: speed allowed here [m/s].
+        left: of the segment [m].
+        car: that drives.
+        dt: control period [s].
+    """
+    target = limit
+    if speed < CREEP:
+        speeds, distances = hold_distances()
+        if left - float(np.interp(speed, speeds, distances)) < NEAR / 2:
+            return 0.0
+        # The speed from which the hold, begun after this step, ends at the segment's.
+        exact = float(np.interp(left, (speed + speeds) / 2 * dt + distances, speeds))
+        target = min(max(limit, CREEP), exact)
+    change = (target - speed) / dt
+    least = PULLING_AWAY / car.max_acceleration if speed < CREEP else DRIVING
+    if change < 0 and speed > SWITCH_SPEED:
+        return -max(min(-change / car.max_deceleration, 1.0), DRIVING)
+    return min(max(change / car.max_acceleration, least, DRIVING), 1.0)
+
+
+def brake(speed: float, car: VehicleParameters, dt: float) -> float:
+    """The pedal that stops a car of a signed speed, in several steps if need be."""
+    change = abs(speed) - SWITCH_SPEED  # below it the pedal would shift gears
+    if change <= 0.0:
+        return 0.0
+    pedal = change / dt / car.max_deceleration
+    return -math.copysign(min(max(pedal, DRIVING), 1.0), speed)
+
+
+@functools.cache
+def hold_distances() -> tuple[np.ndarray, np.ndarray]:
+    """Stopping distances of a car whose pedal is released, by its speed.
+
+    Returns:
+        Speeds (n,) up to `CREEP` [m/s], and the distances (n,) in which the holding
+        brake of `compact` stops the car on level ground [m].
+    """
+    vehicle, dt = make_vehicle(COMPACT), 0.01
+
+    def substep(car: tuple[jax.Array, jax.Array], _: None):
+        speed, hold = car
+        hold = close_hold(vehicle, hold, jnp.zeros_like(hold), speed, dt)
+        after = jnp.maximum(speed - hold_braking(vehicle, hold, speed) * dt, 0.0)
+        return (after, hold), (speed + after) / 2 * dt
+
+    speeds = jnp.linspace(0.0, CREEP - 1e-6, 31)  # at `CREEP` the car would coast
+    rest = speeds, jnp.zeros_like(speeds)
+    _, distances = jax.jit(lambda rest: jax.lax.scan(substep, rest, length=200))(rest)
+    return np.asarray(speeds, float), np.asarray(distances.sum(0), float)

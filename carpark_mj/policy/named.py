@@ -13,7 +13,7 @@ from carpark_mj.policy.networks import Policy
 
 # Functions that make the policy for an environment, or raise `ValueError`.
 POLICIES: Registry[Callable[[ParkingEnv], AnyPolicy]] = Registry(
-    "policy", "carpark_mj.planning.named"
+    "policy", "carpark_mj.planning.policy"
 )
 
 

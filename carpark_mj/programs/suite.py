@@ -27,6 +27,6 @@ def run(arguments: Sequence[str] | None = None) -> None:
     keep_compiled_programs()
     from carpark_mj.cli.driver import command_help
     from carpark_mj.cli.flags import read_flags
-    from carpark_mj.suite.command import SuiteConfig, main
+    from carpark_mj.suite.evaluation import SuiteConfig, main
 
     main(read_flags(SuiteConfig, arguments, description=command_help(__doc__)))

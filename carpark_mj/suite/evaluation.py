@@ -1,21 +1,30 @@
 """The suite of hard cases: one car parks in every case of some levels.
 
-All policies drive the same car, `tpcap`, on the same physics, without noise. The cases
-are in the package (`suite.levels`); an episode ends after 100 s. Another car may drive
-through the aisle meanwhile, see `moving_car`; it is not judged.
+carpark_mj suite planner anywhere
+carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3
+carpark_mj suite planner --levels tpcap --seeds 0 1 2
+carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
+carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
+
+All policies drive the same car, `tpcap`, on the same physics, without noise; an episode
+ends after 100 s. The result is a table (Markdown, CSV, HTML). docs/hard_cases.md
+defines the cases and the numbers.
 """
 
 import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tyro
 
+from carpark_mj.cli.driver import find_driver
 from carpark_mj.config import (
     EnvConfig,
     EpisodeConfig,
@@ -25,21 +34,21 @@ from carpark_mj.config import (
     RandomizationConfig,
     SensorConfig,
     SpawnConfig,
+    find_rules,
 )
+from carpark_mj.config.checks import require_unset
 from carpark_mj.config.obstacles import make_movers
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.aggregation import (
-    Row,
-    complete_row,
-    summarize,
-    wilson_interval,
-)
+from carpark_mj.evaluation.aggregation import Row, complete_row
 from carpark_mj.evaluation.evaluator import CHUNK
-from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.evaluation.keys import evaluation_key, require_seed
+from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.people import CLOSE_TIME
 from carpark_mj.observations import observe
 from carpark_mj.obstacles import place_movers, trace_still
+from carpark_mj.planning.paths import PlannedPath
+from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import (
     AnyPolicy,
     Carry,
@@ -48,23 +57,58 @@ from carpark_mj.policy.acting import (
     choose_actions,
     roll_out,
 )
-from carpark_mj.suite import moving_car
 from carpark_mj.suite.hope import HopeConfig
-from carpark_mj.suite.levels import Cases, CaseStart, in_order
+from carpark_mj.suite.levels import (
+    HOPE_LEVELS,
+    TPCAP_LEVEL,
+    Cases,
+    CaseStart,
+    case_numbers,
+    drive_moving_car,
+    fingerprint,
+    init_progress,
+    level_env,
+    pick_cases,
+    require_aisle,
+    require_alike,
+    require_filmed,
+    reset_with_moving_car,
+)
+from carpark_mj.suite.report import (
+    WORST,
+    header,
+    made_with,
+    make_videos,
+    parts_of,
+    plot_paths,
+    print_rows,
+    require_gl,
+    table_rows,
+    worst_first,
+    write_results,
+)
+from carpark_mj.suite.results import (
+    MOVING_CAR,
+    Drives,
+    Key,
+    check_submission,
+    key_of,
+    leaderboard,
+    read_runs,
+    write_run,
+    write_submission,
+)
 from carpark_mj.types import State
+from carpark_mj.vehicle import preset
 
 VEHICLE = "tpcap"
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
-MOVING_CAR = "moving_car"  # column of episodes with one
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
 HITS_OF_MOVING = tuple(f"hit_{kind}" for kind in MOVING)
-AMONG = {  # columns of such levels, and what they are means of
-    "hit person": "hit_person",
-    "hit mover": "hit_mover",
-    "near miss": "near_miss",
-    "least gap [m]": "least_gap",
-}
 TIMED = 20  # calls of a policy whose shortest counts
+PLANNER = "planner"
+DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
+DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
 
 
 def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvConfig:
@@ -113,23 +157,6 @@ def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvCo
     )
 
 
-class Drives(NamedTuple):
-    """Driven paths of n cases, t control steps with k poses in each.
-
-    Values after the last step of an episode are meaningless. The first of the a agents
-    parks.
-
-    Attributes:
-        pose_w: (n, t, a, k, 3) footprint centres.
-        steering: (n, t, a) bicycle angles at the end of the steps [rad].
-        speed: (n, t, a) signed speeds at the end of the steps [m/s].
-    """
-
-    pose_w: np.ndarray
-    steering: np.ndarray
-    speed: np.ndarray
-
-
 class CaseEvaluator:
     """Drives cases; a policy's programs compile once per shape of the cases.
 
@@ -161,7 +188,7 @@ class CaseEvaluator:
         reset_key, act_key = jax.random.split(evaluation_key(seed))
         keys = jax.random.split(reset_key, count)
         state, observation = self._reset(cases.layouts, keys, cases.start)
-        progress = moving_car.init_progress(count) if moving else None
+        progress = init_progress(count) if moving else None
         rows: list[Row | None] = [None] * count
         chunks: list[tuple[np.ndarray, ...]] = []
         policy, carry = as_argument(policy), Carry(state, observation, progress)
@@ -174,7 +201,9 @@ class CaseEvaluator:
             for t, lot in np.argwhere(np.asarray(done)[..., 0]):
                 if rows[lot] is None:
                     row = {n: float(value[t, lot, 0]) for n, value in metrics.items()}
-                    rows[lot] = _label(cases, lot) | complete_row(row, ctrl_dt)
+                    which = {"level": cases.level, "case": int(cases.number[lot])}
+                    which |= {"kind": str(cases.kind[lot])}
+                    rows[lot] = which | complete_row(row, ctrl_dt)
         drives = Drives(
             *(
                 np.concatenate(parts).swapaxes(0, 1)
@@ -203,7 +232,7 @@ class CaseEvaluator:
 def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array, CaseStart | None], Any]:
     plain = env.reset_to_layout
     if env.num_agents > 1:
-        plain = functools.partial(moving_car.reset, env)
+        plain = functools.partial(reset_with_moving_car, env)
 
     def begin(layout: Layout, key: jax.Array, start: CaseStart | None) -> Any:
         if start is None:
@@ -233,7 +262,7 @@ def _add_moving(row: Row, speed: np.ndarray) -> Row:
 
 def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) -> Any:
     """Makes a control step for every key; returns a report of each."""
-    drive_on = functools.partial(moving_car.drive, ctrl_dt=env.config.sim.ctrl_dt)
+    drive_on = functools.partial(drive_moving_car, ctrl_dt=env.config.sim.ctrl_dt)
 
     def act(state: State, observation: jax.Array, memory: Any, key: jax.Array) -> Any:
         action = _choose_action(policy, state, observation, key)
@@ -260,100 +289,230 @@ def _choose_action(
     return action[..., :1, :]
 
 
-def _label(cases: Cases, lot: int) -> Row:
-    return {
-        "level": cases.level,
-        "case": int(cases.number[lot]),
-        "kind": str(cases.kind[lot]),
-    }
+@dataclasses.dataclass(frozen=True)
+class SuiteConfig:
+    """Settings of `carpark_mj suite`.
 
-
-def worst_first(rows: Sequence[Row]) -> list[Row]:
-    """Episodes in order: crashes, then timeouts, then the slowest."""
-    return sorted(
-        rows, key=lambda row: (-row["crashed"], row["parked"], -row["length"])
-    )
-
-
-def has_moving_car(rows: Sequence[Row]) -> bool:
-    """Whether a car moved through the aisle in these episodes, as in all or in none."""
-    return any(row.get(MOVING_CAR) for row in rows)
-
-
-def planned_paths(rows: Sequence[Row]) -> dict[tuple[int, str, int], float]:
-    """Length of the planner's paths [m] by seed, level and case, where it found one."""
-    return {
-        (row["seed"], row["level"], row["case"]): row["planned_path"]
-        for row in rows
-        if not math.isnan(row.get("planned_path", math.nan))
-    }
-
-
-def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """A row of results for every level and kind of a policy.
-
-    Args:
-        policy: its name.
-        rows: all episodes of the suite, of `CaseEvaluator`, with the names of their
-            policies and their seeds. Those of the planner also have `planned`, whether
-            it found a path, `planned_path`, its length [m], and `planning_seconds`.
+    Attributes:
+        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
+            or `random`.
+        levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
+            TPCAP's 20 published cases; `busy`, where people, a cart or a car get in
+            the way; or registered ones.
+        cases: number of cases of each level; None = all from `first_case` on.
+        first_case: first case of each level, from 0.
+        rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
+            registered rule.
+        moving_car: another car drives through the aisle of every case.
+        seeds: of the planner's searches and of stochastic policies; each seed drives
+            all cases.
+        videos: number of worst cases to film for every policy and level, at most 10;
+            needs off-screen OpenGL.
+        combine: folders of this command; drives no case and combines their episodes in
+            one table.
+        check: a `suite.json`; drives no case and checks the file as an entry of the
+            leaderboard.
+        out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
+            `suite.html`, `videos/` and, of the planner, `paths.png`.
     """
-    plans = planned_paths(rows)
-    own = [row for row in rows if row["policy"] == policy]
-    found = []
-    for level in in_order(row["level"] for row in own):
-        of_level = [row for row in own if row["level"] == level]
-        kinds = sorted({row["kind"] for row in of_level})
-        for kind in (*kinds, "all") if len(kinds) > 1 else kinds:
-            part = [row for row in of_level if kind in ("all", row["kind"])]
-            which = {"policy": policy, "level": level, "kind": kind}
-            found.append(which | _sum(part, plans))
+
+    policies: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
+    ] = ()
+    levels: tuple[str, ...] = HOPE_LEVELS
+    cases: int | None = None
+    first_case: int = 0
+    rule: str = "strict"
+    moving_car: bool = False
+    seeds: tuple[int, ...] = (0,)
+    videos: int = 0
+    combine: tuple[str, ...] = ()
+    check: str = ""
+    out: str = "runs/suite"
+
+    def __post_init__(self) -> None:
+        if self.check:
+            other = "with --check, which drives nothing"
+            require_unset(self, other, "policies", "combine", "videos", *DRIVING)
+        elif bool(self.policies) == bool(self.combine):
+            raise ValueError(
+                "name at least one policy, for example planner, or folders to combine"
+                f"{', not both' if self.policies else ''}"
+            )
+        find_rules(self.rule)
+        if self.combine:
+            require_unset(self, "with --combine, which drives nothing", *DRIVING)
+        require_alike(self.levels)
+        for level in self.levels:
+            self._check_cases(level)
+            if self.videos:
+                require_filmed(level)
+            if self.moving_car:
+                require_aisle(level)
+        if not 0 <= self.videos <= WORST:
+            raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
+        for name in ("policies", "levels", "seeds", "combine"):
+            value = getattr(self, name)
+            if len(set(value)) < len(value):
+                raise ValueError(f"{name} must differ from each other, not {value}")
+        for name in ("levels", "seeds"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must not be empty")
+        for seed in self.seeds:
+            require_seed(seed)
+
+    def _check_cases(self, level: str) -> None:
+        numbers = case_numbers(level)
+        known = len(numbers)
+        if not 0 <= self.first_case < known:
+            raise ValueError(
+                f"first_case must be 0 to {known - 1}, not {self.first_case}: level "
+                f"{level} has the cases {numbers[0]} to {numbers[-1]}"
+            )
+        left = known - self.first_case
+        if self.cases is not None and not 1 <= self.cases <= left:
+            raise ValueError(
+                f"cases must be 1 to {left} from case {self.first_case} on, not "
+                f"{self.cases}: level {level} has {known}"
+            )
+
+
+def main(config: SuiteConfig) -> list[dict[str, Any]]:
+    """Drives, writes the files and prints the table; returns the table's rows.
+
+    With `check` it prints the leaderboard's rows, and returns none.
+    """
+    if config.check:
+        print(leaderboard(check_submission(Path(config.check))))
+        return []
+    folder = Path(config.out)
+    if folder.resolve() in [Path(name).resolve() for name in config.combine]:
+        raise ValueError(f"out must not be one of the combined folders, {config.out}")
+    if config.videos:
+        require_gl()
+    require_writable(folder / "suite.csv", new_folders=True)  # refused before the work
+    drawn: _Drawn = []
+    if config.combine:
+        episodes, drives = read_runs([Path(name) for name in config.combine])
+    else:
+        print("compiling ...", flush=True)
+        episodes, drives, drawn = _drive_all(config)
+    if config.videos:  # of combined folders
+        for level in {row["level"] for row in episodes}:
+            require_filmed(level)
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures: list[Path] = []
+    if drawn:
+        pictures.append(folder / "paths.png")
+        plot_paths(pictures[0], drawn, preset(VEHICLE))
+    # The planner first: others are compared with its paths.
+    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
+    rows = [row for name in names for row in table_rows(name, episodes)]
+    head = header(episodes)
+    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
+    written += write_results(folder, head, rows, episodes, pictures, ())
+    print_rows(rows, head[0])
+    worst = [
+        row
+        for part in parts_of(episodes).values()
+        for row in worst_first(part)[: config.videos]
+    ]
+    if videos := make_videos(folder, worst, drives):  # once more, with them
+        write_results(folder, head, rows, episodes, pictures, videos)
+    print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
+    return rows
+
+
+_Drawn = list[tuple[str, Layout, PlannedPath | None]]
+
+
+def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:
+    """Episodes, the driven paths of the worst ones, and the planner's first paths."""
+    drivers = {name: find_driver(name) for name in config.policies}
+    first, moving = config.first_case, config.moving_car
+
+    def env_of(name: str, level: str) -> EnvConfig:
+        base = suite_env(drivers[name].env, config.rule, moving)
+        return level_env(level, base)
+
+    for name, driver in drivers.items():  # all are refused before one of them drives
+        for env_config in {env_of(name, level) for level in config.levels}:
+            driver.policy(ParkingEnv(env_config))
+    cases = [
+        pick_cases(
+            level, config.cases or len(case_numbers(level)) - first, first, moving
+        )
+        for level in config.levels
+    ]
+    episodes: list[Row] = []
+    drives: dict[Key, Drives] = {}
+    drawn: _Drawn = []
+    evaluators: dict[EnvConfig, CaseEvaluator] = {}
+    policies: dict[tuple[str, EnvConfig], tuple[AnyPolicy, Planner | None]] = {}
+    for name, driver in drivers.items():
+        for seed in config.seeds:
+            for part in cases:
+                env_config = env_of(name, part.level)
+                if env_config not in evaluators:
+                    evaluators[env_config] = CaseEvaluator(ParkingEnv(env_config))
+                evaluator, key = evaluators[env_config], (name, env_config)
+                if key not in policies:
+                    if name == PLANNER:
+                        policies[key] = planner_policy(evaluator.env)
+                    else:
+                        policies[key] = driver.policy(evaluator.env), None
+                policy, planner = policies[key]
+                if planner is not None:
+                    planner.reset(seed, first)
+                rows, driven = evaluator.drive(policy, part, seed)
+                if planner is not None:
+                    plans = _plans(planner, len(rows))
+                    rows = [row | own for row, own in zip(rows, plans, strict=True)]
+                    if seed == config.seeds[0]:
+                        drawn += _drawn(planner, part)
+                    seconds = planner.seconds / planner.decisions
+                else:
+                    seconds = evaluator.decision_time(policy, part)
+                own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
+                which = {"policy": name, "seed": seed, "rule": config.rule}
+                which |= {"held_out": fingerprint(part.level)}
+                which |= {MOVING_CAR: 1} if moving else {}
+                rows = [which | row | own for row in rows]
+                episodes += rows
+                drives |= _worst_drives(rows, driven)
+    return episodes, drives, drawn
+
+
+def _worst_drives(rows: list[Row], driven: Drives) -> dict[Key, Drives]:
+    """Driven paths of the worst of some episodes, which are numbered as the drives."""
+    numbers = {key_of(row): number for number, row in enumerate(rows)}
+    kept: dict[Key, Drives] = {}
+    for row in worst_first(rows)[:WORST]:
+        number, length = numbers[key_of(row)], round(row["length"])
+        kept[key_of(row)] = Drives(*(x[[number], :length] for x in driven))
+    return kept
+
+
+def _plans(planner: Planner, lots: int) -> list[Row]:
+    """Results of the planner's first search in every lot."""
+    found: list[Row] = []
+    for lot in range(lots):
+        first = planner.searches(lot, 0)[0]
+        length = first.path.length if first.path else math.nan
+        planned = {"planned": float(first.path is not None), "planned_path": length}
+        found.append(planned | {"planning_seconds": first.seconds})
     return found
 
 
-def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str, Any]:
-    summary, seeds = summarize(rows), sorted({row["seed"] for row in rows})
-    cases = len({row["case"] for row in rows})
-    ratios = []
-    for row in rows:
-        planned = plans.get((row["seed"], row["level"], row["case"]), 0.0)
-        if row["parked"] and planned > 0:
-            ratios.append(row["path"] / planned)
-    rate = summary["parked"]["rate"]
-    # The same case with another seed is not another case.
-    low, high = wilson_interval(rate * cases, cases)
-    decision = _mean(rows, "ms / decision")
-    moving = has_moving_car(rows)
-    among = [row for row in rows if "least_gap" in row]
-    speeds = [row["contact_speed"] for row in among if row["contact_speed"] > 0]
-    return {
-        "cases": cases,
-        "seeds": len(seeds),
-        "parked": rate,
-        "low": low,
-        "high": high,
-        "by seed": [
-            _mean([row for row in rows if row["seed"] == seed], "parked")
-            for seed in seeds
-        ],
-        "crashed": summary["crashed"]["rate"],
-        **({"hit moving car": summary["hit_agent"]["rate"]} if moving else {}),
-        **({name: _mean(among, key) for name, key in AMONG.items()} if among else {}),
-        **({"fastest contact [m/s]": max(speeds, default=math.nan)} if among else {}),
-        "timed out": summary["timed_out"]["rate"],
-        "path found": _mean(rows, "planned"),
-        "gear changes": summary["gear_changes"],
-        "path [m]": summary["path"],
-        "path / planned": float(np.mean(ratios)) if ratios else math.nan,
-        "off by [m]": summary["final_distance"],
-        "off by [deg]": math.degrees(summary["final_heading"]),
-        "time [s]": summary["time_to_park"],
-        "planning [s]": _mean(rows, "planning_seconds"),
-        "ms / decision": decision,
-        "decisions/s": 1e3 / decision,
-    }
-
-
-def _mean(rows: Sequence[Row], name: str) -> float:
-    values = [row[name] for row in rows if name in row]
-    return float(np.mean(values)) if values else math.nan
+def _drawn(planner: Planner, cases: Cases) -> _Drawn:
+    """Titles, layouts and paths of the cases in the picture."""
+    found: _Drawn = []
+    count = None if cases.level == TPCAP_LEVEL else DRAWN
+    for lot, number in enumerate(cases.number[:count].tolist()):
+        path = planner.searches(lot, 0)[0].path
+        result = "no path"
+        if path:
+            result = f"{path.length:.1f} m, {path.shifts} gear changes"
+        layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)
+        found.append((f"{cases.level} {number}: {result}", layout, path))
+    return found

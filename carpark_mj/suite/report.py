@@ -9,21 +9,28 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from carpark_mj.analysis import picture, table, video_figure, write_page
 from carpark_mj.config import EnvConfig
-from carpark_mj.evaluation.aggregation import Row
+from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
 from carpark_mj.files import write_atomically, write_csv
+from carpark_mj.geometry import box_corners
+from carpark_mj.layouts import Layout
+from carpark_mj.planning.paths import PlannedPath, centre
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import Recording, frames_per_second, num_frames
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, write_video
-from carpark_mj.suite.evaluation import Drives, has_moving_car, suite_env, worst_first
 from carpark_mj.suite.levels import (
     LEVELS,
     TPCAP_LEVEL,
@@ -33,23 +40,17 @@ from carpark_mj.suite.levels import (
     in_order,
     pick_cases,
 )
-from carpark_mj.suite.results import Key, key_of
+from carpark_mj.suite.results import Drives, Key, has_moving_car, key_of
 from carpark_mj.types import ENDINGS, OUTCOMES
-from carpark_mj.vehicle import preset
+from carpark_mj.vehicle import VehicleParameters, preset
 
 WORST = 10  # cases shown of a policy and level
 # Columns on the screen; files have all.
 PRINTED = (
     *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),
     *("hit moving car [%]", "hit person [%]", "hit mover [%]", "fastest contact [m/s]"),
-    *(
-        "near miss [%]",
-        "least gap [m]",
-        "timed out [%]",
-        "gear changes",
-        "path [m]",
-        "time [s]",
-    ),
+    *("near miss [%]", "least gap [m]", "timed out [%]", "gear changes", "path [m]"),
+    "time [s]",
 )
 RATES = (
     *("crashed", "hit moving car", "hit person", "hit mover", "near miss"),
@@ -63,26 +64,32 @@ FASTER = 4  # times: 100 s last 25 s
 FPS = 10.0
 END = 10  # frames that the last one stays
 FOLDER = "videos"
+AMONG = {  # columns of such levels, and what they are means of
+    "hit person": "hit_person",
+    "hit mover": "hit_mover",
+    "near miss": "near_miss",
+    "least gap [m]": "least_gap",
+}
+COLUMNS = 4
+CELL = (1.75, 1.75)  # inches
+FOOT = 0.5  # inches, of the legend
+ASPECT = 1.2  # width over height of what a cell shows
+AROUND = 4.0  # m shown beyond start, goal and path
+BAR = 5.0  # m
+DPI = 160
+GEARS = {1: "tab:blue", -1: "tab:red"}
+GEAR_NAMES = {1: "forwards", -1: "backwards"}
 
 
 class Video(NamedTuple):
-    """A video of an episode.
+    """A video of an episode."""
 
-    Attributes:
-        row: the episode.
-        path: the file.
-    """
-
-    row: Row
-    path: Path
+    row: Row  # the episode
+    path: Path  # the file
 
 
 def require_gl() -> None:
-    """Refuses to draw without OpenGL.
-
-    Raises:
-        RenderingError: there is none.
-    """
+    """Refuses to draw without OpenGL."""
     if missing := choose_gl():
         raise RenderingError(missing)
 
@@ -124,7 +131,7 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     }
     return Recording(
         layout=jax.tree.map(lambda x: np.asarray(x[0]), cases.layouts),
-        ctrl_dt=suite_env(EnvConfig(), "strict").sim.ctrl_dt,
+        ctrl_dt=EnvConfig().sim.ctrl_dt,
         pose_w=pose_w,
         steering=drive.steering[0, :steps],
         speed=drive.speed[0, :steps],
@@ -308,3 +315,178 @@ def _worst(episodes: Sequence[Row]) -> list[dict[str, Any]]:
         }
         for row in worst_first(episodes)[:WORST]
     ]
+
+
+def worst_first(rows: Sequence[Row]) -> list[Row]:
+    """Episodes in order: crashes, then timeouts, then the slowest."""
+    return sorted(
+        rows, key=lambda row: (-row["crashed"], row["parked"], -row["length"])
+    )
+
+
+def planned_paths(rows: Sequence[Row]) -> dict[tuple[int, str, int], float]:
+    """Length of the planner's paths [m] by seed, level and case, where it found one."""
+    return {
+        (row["seed"], row["level"], row["case"]): row["planned_path"]
+        for row in rows
+        if not math.isnan(row.get("planned_path", math.nan))
+    }
+
+
+def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """A row of results for every level and kind of a policy.
+
+    Args:
+        policy: its name.
+        rows: all episodes of the suite, of `CaseEvaluator`, with the names of their
+            policies and their seeds. Those of the planner also have `planned`, whether
+            it found a path, `planned_path`, its length [m], and `planning_seconds`.
+    """
+    plans = planned_paths(rows)
+    own = [row for row in rows if row["policy"] == policy]
+    found = []
+    for level in in_order(row["level"] for row in own):
+        of_level = [row for row in own if row["level"] == level]
+        kinds = sorted({row["kind"] for row in of_level})
+        for kind in (*kinds, "all") if len(kinds) > 1 else kinds:
+            part = [row for row in of_level if kind in ("all", row["kind"])]
+            which = {"policy": policy, "level": level, "kind": kind}
+            found.append(which | _sum(part, plans))
+    return found
+
+
+def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str, Any]:
+    summary, seeds = summarize(rows), sorted({row["seed"] for row in rows})
+    cases = len({row["case"] for row in rows})
+    ratios = []
+    for row in rows:
+        planned = plans.get((row["seed"], row["level"], row["case"]), 0.0)
+        if row["parked"] and planned > 0:
+            ratios.append(row["path"] / planned)
+    rate = summary["parked"]["rate"]
+    # The same case with another seed is not another case.
+    low, high = wilson_interval(rate * cases, cases)
+    decision = _mean(rows, "ms / decision")
+    moving = has_moving_car(rows)
+    among = [row for row in rows if "least_gap" in row]
+    speeds = [row["contact_speed"] for row in among if row["contact_speed"] > 0]
+    return {
+        "cases": cases,
+        "seeds": len(seeds),
+        "parked": rate,
+        "low": low,
+        "high": high,
+        "by seed": [
+            _mean([row for row in rows if row["seed"] == seed], "parked")
+            for seed in seeds
+        ],
+        "crashed": summary["crashed"]["rate"],
+        **({"hit moving car": summary["hit_agent"]["rate"]} if moving else {}),
+        **({name: _mean(among, key) for name, key in AMONG.items()} if among else {}),
+        **({"fastest contact [m/s]": max(speeds, default=math.nan)} if among else {}),
+        "timed out": summary["timed_out"]["rate"],
+        "path found": _mean(rows, "planned"),
+        "gear changes": summary["gear_changes"],
+        "path [m]": summary["path"],
+        "path / planned": float(np.mean(ratios)) if ratios else math.nan,
+        "off by [m]": summary["final_distance"],
+        "off by [deg]": math.degrees(summary["final_heading"]),
+        "time [s]": summary["time_to_park"],
+        "planning [s]": _mean(rows, "planning_seconds"),
+        "ms / decision": decision,
+        "decisions/s": 1e3 / decision,
+    }
+
+
+def _mean(rows: Sequence[Row], name: str) -> float:
+    values = [row[name] for row in rows if name in row]
+    return float(np.mean(values)) if values else math.nan
+
+
+def plot_paths(
+    file: Path,
+    cases: list[tuple[str, Layout, PlannedPath | None]],
+    car: VehicleParameters,
+) -> None:
+    """Draws cases, each with a bar of `BAR` metres.
+
+    Args:
+        file: PNG.
+        cases: titles, layouts and paths.
+        car: that drives.
+    """
+    rows = -(-len(cases) // COLUMNS)
+    size = (COLUMNS * CELL[0], rows * CELL[1] + FOOT)
+    figure = Figure(size, layout="constrained")
+    axes = figure.subplots(rows, COLUMNS, squeeze=False)
+    for axis in axes.flat[len(cases) :]:
+        axis.axis("off")
+    for axis, (title, layout, path) in zip(axes.flat, cases, strict=False):
+        axis.set_title(title.replace(": ", "\n"), fontsize=7)
+        _draw(axis, layout, path, car)
+    figure.legend(
+        handles=[
+            Patch(fc="tab:blue", alpha=0.3, label="start"),
+            Patch(fc="tab:green", alpha=0.4, label="goal"),
+            Patch(fc="0.6", label="obstacle"),
+            *(
+                Line2D([], [], color=GEARS[gear], label=GEAR_NAMES[gear])
+                for gear in GEARS
+            ),
+            Patch(fc="none", ec="0.3", label="car at a change of gear"),
+            Line2D([], [], color="black", lw=2, label=f"{BAR:g} m"),
+        ],
+        loc="outside lower center",
+        ncols=COLUMNS,
+        fontsize=7,
+        frameon=False,
+    )
+    write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=DPI))
+
+
+def _draw(
+    axis: Axes, lot: Layout, path: PlannedPath | None, car: VehicleParameters
+) -> None:
+    layout: Any = jax.device_get(lot)
+    axis.set_aspect("equal")
+    axis.set(xticks=[], yticks=[])
+    mask = layout.wall_mask
+    # Outlined: edges of polygons are too thin to be seen.
+    _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], "0.6", width=0.8)
+    size = np.array([car.length, car.width])
+    _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], "tab:green", 0.4)
+    _fill(axis, layout.spawn_pose[:1], size[None], "tab:blue", 0.3)
+    for segment in path.segments if path is not None else ():
+        driven = centre(car, segment.pose)
+        outline = np.asarray(box_corners(jnp.asarray(driven[-1]), jnp.asarray(size)))
+        axis.fill(*outline.T, fill=False, ec=GEARS[segment.gear], lw=0.5)
+        axis.plot(*segment.pose[:, :2].T, color=GEARS[segment.gear], lw=1.0)
+    (left, low), (right, high) = _view(layout, path)
+    axis.set(xlim=(left, right), ylim=(low, high))
+    inset = (right - left) / 25
+    bar = [left + inset, left + inset + BAR]
+    axis.plot(bar, [low + inset] * 2, color="black", lw=2, solid_capstyle="butt")
+
+
+def _view(layout: Layout, path: PlannedPath | None) -> np.ndarray:
+    """(2, 2) corners of the part of a lot around start, goal and path [m]."""
+    poses = [layout.spawn_pose[0], layout.bay_pose[0]]
+    parts = [part.pose for part in path.segments] if path is not None else []
+    points = np.concatenate([np.stack(poses), *parts])[:, :2]
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    half = np.ptp(points, axis=0) / 2 + AROUND
+    tall = max(half[1], half[0] / ASPECT)
+    half = np.array([ASPECT * tall, tall])
+    return np.stack([middle - half, middle + half])
+
+
+def _fill(
+    axis: Axes,
+    pose: np.ndarray,
+    size: np.ndarray,
+    color: str,
+    alpha: float = 1.0,
+    width: float = 0.0,
+) -> None:
+    for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
+        axis.fill(*outline.T, color=color, alpha=alpha, lw=width)

@@ -11,7 +11,7 @@ diverged. Rates follow from them. Results known from a table alone have `rates` 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from carpark_mj.reading import (
     read_object,
     require_entries,
 )
-from carpark_mj.suite.evaluation import MOVING_CAR, Drives, has_moving_car
 from carpark_mj.suite.levels import (
     EXTRA_LEVELS,
     LEVELS,
@@ -36,9 +35,28 @@ from carpark_mj.suite.levels import (
     fingerprint,
     in_order,
     require_alike,
-    require_level,
 )
 from carpark_mj.types import ENDINGS
+
+MOVING_CAR = "moving_car"  # column of episodes in which one drives through the aisle
+
+
+class Drives(NamedTuple):
+    """Driven paths of n cases, t control steps with k poses in each.
+
+    Values after the last step of an episode are meaningless. The first of the a agents
+    parks.
+
+    Attributes:
+        pose_w: (n, t, a, k, 3) footprint centres.
+        steering: (n, t, a) bicycle angles at the end of the steps [rad].
+        speed: (n, t, a) signed speeds at the end of the steps [m/s].
+    """
+
+    pose_w: np.ndarray
+    steering: np.ndarray
+    speed: np.ndarray
+
 
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
 _TEXT = ("policy", "rule", "held_out", "made_with", "level", "kind")
@@ -49,13 +67,17 @@ _NEEDED = (
 )
 _PLANNED = ("planned", "planned_path", "planning_seconds")  # of the planner alone
 _LARGEST = 1e15  # of a number; sums of them are finite
-
 Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
 
 
 def key_of(row: Row) -> Key:
     """Key of a row's episode."""
     return row["policy"], row["level"], row["seed"], row["case"]
+
+
+def has_moving_car(rows: Sequence[Row]) -> bool:
+    """Whether a car moved through the aisle in these episodes, as in all or in none."""
+    return any(row.get(MOVING_CAR) for row in rows)
 
 
 def write_run(
@@ -102,9 +124,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
 
     Raises:
         ValueError: a file is malformed, repeats an episode, or has other cases than
-            this version; or rules, moving cars or a policy's versions of packages
-            differ.
-        OSError: a file cannot be read.
+            this version; or results do not mix.
     """
     episodes: dict[Key, Row] = {}
     drives: dict[Key, Drives] = {}
@@ -125,24 +145,23 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
                     f"{worst} has drives that are not those of {CASES_FILE}"
                 )
             drives[key] = drive
-    if len({row.get(MOVING_CAR, 0) for row in episodes.values()}) > 1:
-        raise ValueError("results with and without a moving car do not mix")
-    require_alike({row["level"] for row in episodes.values()})
-    rules = sorted({row["rule"] for row in episodes.values()})
-    if len(rules) > 1:
-        raise ValueError(f"results under different rules do not mix: {rules}")
-    for policy in {row["policy"] for row in episodes.values()}:
-        own = [row for row in episodes.values() if row["policy"] == policy]
-        if len({frozenset(row.keys() - {*_PLANNED}) for row in own}) > 1:
-            raise ValueError(f"results of {policy} with different columns do not mix")
+    rows = sorted(episodes.values(), key=lambda row: (row["seed"], row["case"]))
+    require_alike({row["level"] for row in rows})
+    _require_one("with and without a moving car", (r.get(MOVING_CAR, 0) for r in rows))
+    _require_one("under different rules", (row["rule"] for row in rows))
+    for policy in {row["policy"] for row in rows}:
+        own = [row for row in rows if row["policy"] == policy]
+        columns = (tuple(sorted(row.keys() - {*_PLANNED})) for row in own)
+        _require_one(f"of {policy} with different columns", columns)
         # Devices may differ: what stands before the first comma.
-        versions = sorted({row["made_with"].partition(", ")[2] for row in own})
-        if len(versions) > 1:
-            raise ValueError(
-                f"results of {policy} with different versions do not mix: {versions}"
-            )
-    order = sorted(episodes.values(), key=lambda row: (row["seed"], row["case"]))
-    return order, drives
+        versions = (row["made_with"].partition(", ")[2] for row in own)
+        _require_one(f"of {policy} with different versions", versions)
+    return rows, drives
+
+
+def _require_one(what: str, values: Iterable[Any]) -> None:
+    if len(found := sorted({*values})) > 1:
+        raise ValueError(f"results {what} do not mix: {found}")
 
 
 def _read_cases(path: Path) -> list[Row]:
@@ -178,9 +197,7 @@ def _parse(row: CsvRow) -> Row:
         raise ValueError(f"{row.place}: {', '.join(ENDINGS)} must be 0 or 1, and one 1")
     for name in ("length", "ms / decision"):
         if not parsed[name] > 0:
-            raise ValueError(
-                f"{row.place}: {name} must be positive, not {parsed[name]}"
-            )
+            raise ValueError(f"{row.place}: {name} must be positive")
     for metric in metrics():
         parts = {*(metric.ratio or ())} if metric.pool == "steps" else set[str]()
         if metric.name in parsed and (missing := parts - {*parsed}):
@@ -211,8 +228,6 @@ _FORMS = {
     "seed": ArrayForm(np.dtype(np.int64), ("drives",)),
     "case": ArrayForm(np.dtype(np.int64), ("drives",)),
 }
-
-
 FORMAT = "carpark_mj suite 1"
 SUITE_FILE = "suite.json"
 RATES = ("parked", "crashed", "timed_out")
@@ -273,13 +288,7 @@ def _entry(rows: list[Row]) -> dict[str, Any]:
 
 
 def read_submission(path: Path) -> list[Result]:
-    """Reads and checks a file of results.
-
-    Raises:
-        ValueError: it is malformed, has other cases than this version, or its numbers
-            contradict each other.
-        OSError: it cannot be read.
-    """
+    """Reads a file of results; ValueError if its entries contradict each other."""
     what = str(path)
     found = read_object(path, format=str, rule=str, moving_car=bool, results=list)
     if found["format"] != FORMAT:
@@ -298,61 +307,66 @@ def read_submission(path: Path) -> list[Result]:
 
 
 def _result(place: str, entry: dict[str, Any]) -> Result:
-    def refuse(told: str) -> NoReturn:
-        raise ValueError(f"{place}: {told}")
+    def require(holds: object, rule: str) -> None:
+        if not holds:
+            raise ValueError(f"{place}: {rule}")
 
     require_entries(entry, place, **_ENTRY, seeds=list)
     level, seeds = entry["level"], entry["seeds"]
-    try:
-        require_level(level)
-    except ValueError as error:
-        refuse(str(error))
-    if entry["held_out"] != fingerprint(level):
-        refuse(f"held_out must be {fingerprint(level)!r}, not {entry['held_out']!r}")
-    whole = all(type(seed) is int for seed in seeds)
-    if not seeds or not whole or len({*seeds}) < len(seeds):
-        refuse(f"seeds must be different whole numbers, not {seeds}")
+    require(level in (*LEVELS, *EXTRA_LEVELS), f"there is no level {level!r}")
+    require(
+        entry["held_out"] == fingerprint(level),
+        f"held_out must be {fingerprint(level)!r}, not {entry['held_out']!r}",
+    )
+    whole = seeds and all(type(seed) is int for seed in seeds)
+    require(
+        whole and len({*seeds}) == len(seeds),
+        f"seeds must be different whole numbers, not {seeds}",
+    )
     for name in MEANS:
-        value = entry.get(name)
-        if value is not None and not _is_number(value, 0.0, math.inf):
-            refuse(f"{name} must be a number of at least 0, or null, not {value!r}")
-    if ("outcomes" in entry) == ("rates" in entry):
-        refuse("outcomes or rates must be given, not both")
+        value = entry.get(name, 0.0)
+        require(
+            value is None or _is_number(value),
+            f"{name} must be a number of at least 0, or null, not {value!r}",
+        )
+    require(
+        ("outcomes" in entry) != ("rates" in entry),
+        "outcomes or rates must be given, not both",
+    )
     known = len(case_numbers(level))
     if "rates" in entry:
         rates = entry["rates"]
-        if not isinstance(rates, dict) or sorted(rates) != sorted(RATES):
-            refuse(f"rates must be an object of {', '.join(RATES)}, not {rates!r}")
-        if not all(_is_number(rate, 0.0, 1.0) for rate in rates.values()):
-            refuse(f"rates must lie in [0, 1], not {rates}")
+        shares = isinstance(rates, dict) and sorted(rates) == sorted(RATES)
+        shares = shares and all(map(_is_number, rates.values()))
         # Each is rounded to three digits.
-        if not math.isclose(math.fsum(rates.values()), 1.0, abs_tol=0.0015):
-            refuse(f"rates must add up to 1, not {math.fsum(rates.values()):g}")
+        require(
+            shares and math.isclose(math.fsum(rates.values()), 1.0, abs_tol=0.0015),
+            f"rates must be shares of {', '.join(RATES)} that add up to 1, not {rates}",
+        )
         return Result(entry, rates, known, checked=False)
     outcomes = entry["outcomes"]
-    if not isinstance(outcomes, list) or len(outcomes) != len(seeds):
-        refuse("outcomes must have a string for each seed")
-    if not all(isinstance(x, str) and {*x} <= {*_LETTERS} for x in outcomes):
-        refuse(f"outcomes must be strings of the letters {', '.join(_LETTERS)}")
-    lengths = {len(letters) for letters in outcomes}
-    if len(lengths) > 1 or not 1 <= max(lengths) <= known:
-        refuse(f"outcomes must have 1 to {known} letters, as many for each seed")
+    strings = isinstance(outcomes, list) and len(outcomes) == len(seeds)
+    strings = strings and all(
+        isinstance(x, str) and len(x) in range(1, known + 1) for x in outcomes
+    )
+    require(
+        strings
+        and len({*map(len, outcomes)}) == 1
+        and {*"".join(outcomes)} <= {*_LETTERS},
+        f"outcomes must be a string of 1 to {known} letters {', '.join(_LETTERS)} for "
+        "each seed, all of the same length",
+    )
     letters = "".join(outcomes)
     rates = {name: letters.count(name[0]) / len(letters) for name in RATES}
-    return Result(entry, rates, max(lengths), checked=True)
+    return Result(entry, rates, len(outcomes[0]), checked=True)
 
 
-def _is_number(value: Any, low: float, high: float) -> bool:
-    return type(value) in (int, float) and low <= value <= high and value < math.inf
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and 0.0 <= value < math.inf
 
 
 def check_submission(path: Path) -> list[Result]:
-    """Reads an entry of the leaderboard: outcomes of every case of a level.
-
-    Raises:
-        ValueError: see `read_submission`; or outcomes are missing.
-        OSError: it cannot be read.
-    """
+    """Reads an entry of the leaderboard; ValueError unless it has every outcome."""
     results = read_submission(path)
     for result in results:
         policy, level = result.entry["policy"], result.entry["level"]

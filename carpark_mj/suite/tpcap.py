@@ -20,7 +20,6 @@ import dataclasses
 import functools
 import hashlib
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import jax
@@ -70,55 +69,19 @@ def read_tpcap(path: Path) -> Layout:
         ValueError: no such file, or a fault in it; the message names the line.
     """
     numbers, lines = _numbers(path)
-    if len(numbers) < 7:
-        raise ValueError(
-            f"{path}, line {lines[-1] if lines else 1}: a case begins with start, goal "
-            f"and the number of obstacles (7 numbers), not {len(numbers)}"
-        )
-    count = _whole(path, lines[6], "number of obstacles", numbers[6], 0)
-    if len(numbers) < 7 + count:
-        raise ValueError(
-            f"{path}, line {lines[-1]}: {count} obstacles need {count} vertex counts, "
-            f"there are {len(numbers) - 7}"
-        )
-    sizes = [
-        _whole(path, lines[k], f"vertex count of obstacle {k - 7}", numbers[k], 3)
-        for k in range(7, 7 + count)
-    ]
-    expected = 7 + count + 2 * sum(sizes)
-    if len(numbers) != expected:
-        raise ValueError(
-            f"{path}, line {lines[-1]}: {count} obstacles with {sum(sizes)} vertices "
-            f"make {expected} numbers, not {len(numbers)}"
-        )
-    _require_near(path, numbers, lines, (0, 1, 3, 4, *range(7 + count, expected)))
-    for k in (2, 5):
-        if abs(numbers[k]) > MOST_HEADING:
-            raise ValueError(
-                f"{path}, line {lines[k]}: a heading must be at most "
-                f"{MOST_HEADING:.4g} rad either way, not {numbers[k]:g}"
-            )
-    vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
-    polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
-    for k, polygon in enumerate(polygons):
-        if abs(_area(polygon)) < LEAST_AREA:
-            line = lines[7 + count + 2 * sum(sizes[:k])]
-            raise ValueError(
-                f"{path}, line {line}: obstacle {k} has no area, its {sizes[k]} "
-                "vertices lie on a line or its edges cross"
-            )
     try:
-        return _case(np.array(numbers[:3]), np.array(numbers[3:6]), polygons)
-    except _BlockedError as error:
-        raise ValueError(f"{path}, line {lines[error.first]}: {error}") from None
+        return _case(*_parts(numbers))
+    except _FaultError as fault:
+        line = lines[min(fault.place, len(lines) - 1)] if lines else 1
+        raise ValueError(f"{path}, line {line}: {fault}") from None
 
 
-class _BlockedError(ValueError):
-    """A car at an impossible pose."""
+class _FaultError(ValueError):
+    """A fault of a case; `place` is the index of its number."""
 
-    def __init__(self, first: int, what: str) -> None:
-        super().__init__(f"a car at the {what} would stand in an obstacle")
-        self.first = first  # number with which its pose begins
+    def __init__(self, place: int, message: str) -> None:
+        super().__init__(message)
+        self.place = place
 
 
 def _numbers(path: Path) -> tuple[list[float], list[int]]:
@@ -129,47 +92,80 @@ def _numbers(path: Path) -> tuple[list[float], list[int]]:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
     numbers, lines = [], []
     for line, row in enumerate(text.splitlines(), 1):
-        for cell in row.split(","):
-            if not cell.strip():
-                continue
+        for cell in filter(str.strip, row.split(",")):
             try:
-                number = float(cell)
+                numbers.append(float(cell))
             except ValueError:
-                number = math.nan
-            if not math.isfinite(number):
+                numbers.append(math.nan)
+            lines.append(line)
+            if not math.isfinite(numbers[-1]):
                 raise ValueError(
                     f"{path}, line {line}: {cell.strip()!r} is not a number"
                 )
-            numbers.append(number)
-            lines.append(line)
     return numbers, lines
 
 
-def _whole(path: Path, line: int, what: str, value: float, least: int) -> int:
+def _parts(numbers: list[float]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Start and goal (3,), and the vertices (n, 2) of each obstacle."""
+    there = len(numbers)
+    if there < 7:
+        raise _FaultError(
+            there,
+            "a case begins with start, goal and the number of obstacles (7 numbers), "
+            f"not {there}",
+        )
+    count = _whole(numbers, 6, "number of obstacles", 0)
+    first = 7 + count  # of the vertices
+    if there < first:
+        raise _FaultError(
+            there,
+            f"{count} obstacles need {count} vertex counts, there are {there - 7}",
+        )
+    sizes = [
+        _whole(numbers, k, f"vertex count of obstacle {k - 7}", 3)
+        for k in range(7, first)
+    ]
+    expected = first + 2 * sum(sizes)
+    if there != expected:
+        raise _FaultError(
+            there,
+            f"{count} obstacles with {sum(sizes)} vertices make {expected} numbers, "
+            f"not {there}",
+        )
+    for k in (2, 5):
+        if abs(numbers[k]) > MOST_HEADING:
+            raise _FaultError(
+                k,
+                f"a heading must be at most {MOST_HEADING:.4g} rad either way, not "
+                f"{numbers[k]:g}",
+            )
+    for turn, k in enumerate((0, 1, 3, 4, *range(first, expected))):  # x, y in turn
+        away = abs(numbers[k] - numbers[turn % 2])
+        if abs(numbers[k]) > FARTHEST_ORIGIN:
+            rule = f"at most {FARTHEST_ORIGIN:g} m, not {numbers[k]:g}"
+            raise _FaultError(k, f"a coordinate must be {rule}")
+        if away > FARTHEST:
+            rule = f"at most {FARTHEST:g} m from the start's, not {away:g} m"
+            raise _FaultError(k, f"a coordinate must be {rule}")
+    vertices = np.array(numbers[first:]).reshape(-1, 2)
+    polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
+    for k, polygon in enumerate(polygons):
+        if abs(_area(polygon)) < LEAST_AREA:
+            raise _FaultError(
+                first + 2 * sum(sizes[:k]),
+                f"obstacle {k} has no area, its {sizes[k]} vertices lie on a line or "
+                "its edges cross",
+            )
+    return np.array(numbers[:3]), np.array(numbers[3:6]), polygons
+
+
+def _whole(numbers: list[float], place: int, what: str, least: int) -> int:
+    value = numbers[place]
     if value != int(value) or value < least:
-        raise ValueError(
-            f"{path}, line {line}: {what} must be a whole number of at least {least}, "
-            f"not {value:g}"
+        raise _FaultError(
+            place, f"{what} must be a whole number of at least {least}, not {value:g}"
         )
     return int(value)
-
-
-def _require_near(
-    path: Path, numbers: list[float], lines: list[int], coordinates: Sequence[int]
-) -> None:
-    """Refuses a case that is too large, or too far from its origin to be resolved."""
-    for k, number in enumerate(coordinates):
-        value, place = numbers[number], f"{path}, line {lines[number]}: a coordinate"
-        if abs(value) > FARTHEST_ORIGIN:
-            raise ValueError(
-                f"{place} must be at most {FARTHEST_ORIGIN:g} m, not {value:g}"
-            )
-        away = abs(value - numbers[k % 2])  # start, goal and vertices: x, y in turn
-        if away > FARTHEST:
-            raise ValueError(
-                f"{place} must be at most {FARTHEST:g} m from the start's, not "
-                f"{away:g} m"
-            )
 
 
 def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> Layout:
@@ -205,7 +201,7 @@ def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> La
     )
     for first, what, number in ((0, "start", 0), (3, "goal", 1)):
         if blocked[number]:
-            raise _BlockedError(first, what)
+            raise _FaultError(first, f"a car at the {what} would stand in an obstacle")
     free = sizes[1:][~blocked[2:]]
     bay_size = free[0] if len(free) else np.array(car.size)
     layout = assemble(
@@ -314,11 +310,7 @@ for number in NUMBERS:
 
 @functools.cache
 def load_tpcap() -> Layout:
-    """All cases, (20, ...) and padded alike, as numpy arrays.
-
-    Raises:
-        ValueError: the files in the package are not the published ones.
-    """
+    """All cases, (20, ...) and padded alike, as numpy arrays."""
 
     def stack(*parts: np.ndarray) -> np.ndarray:
         most = max(len(part) for part in parts)

@@ -16,8 +16,8 @@ from carpark_mj.cli.common import EXTRAS, USER_ERRORS, one_line, run_command
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.files import require_writable, write_atomically
-from carpark_mj.suite import command as suite
-from carpark_mj.suite.command import SuiteConfig
+from carpark_mj.suite import evaluation as suite
+from carpark_mj.suite.evaluation import SuiteConfig
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,7 +11,7 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, Mover
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry.obstacles import Boxes
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.suite.scripts import ScriptedBox, ScriptedPerson
+from carpark_mj.suite.busy import ScriptedBox, ScriptedPerson
 from carpark_mj.vehicle import COMPACT
 
 

@@ -8,16 +8,17 @@ from helpers.planned import CAR, case
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.planning import search as search_module
-from carpark_mj.planning.driving import (
+from carpark_mj.planning.paths import CRUISE, centre
+from carpark_mj.planning.policy import (
     LOOK_AHEAD,
     MAX_PLANS,
     PACES,
     PATIENCE,
     Agent,
+    Planner,
     Sight,
+    planner_policy,
 )
-from carpark_mj.planning.paths import CRUISE, centre
-from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.planning.search import SearchConfig
 from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
 from carpark_mj.suite.levels import pick_cases

@@ -5,8 +5,7 @@ import pytest
 from shapely import affinity
 from shapely.geometry import box
 
-from carpark_mj.planning.paths import make_path, rear_axle
-from carpark_mj.planning.schedule import (
+from carpark_mj.planning.oracle import (
     ACCELERATION,
     CRUISE,
     DT,
@@ -16,6 +15,7 @@ from carpark_mj.planning.schedule import (
     meet,
     schedule,
 )
+from carpark_mj.planning.paths import make_path, rear_axle
 from carpark_mj.vehicle import COMPACT
 
 SIZE = np.array([COMPACT.length, COMPACT.width])

@@ -6,8 +6,7 @@ import numpy as np
 
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.bicycle import BicyclePhysics
-from carpark_mj.planning.paths import CREEP
-from carpark_mj.planning.tracking import hold_distances
+from carpark_mj.planning.paths import CREEP, hold_distances
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 

@@ -13,10 +13,16 @@ from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite import busy as held_out
-from carpark_mj.suite.busy import CART, CASES, GROUPS, BusyAisle
+from carpark_mj.suite.busy import (
+    CART,
+    CASES,
+    GROUPS,
+    BusyAisle,
+    ScriptedBox,
+    ScriptedPerson,
+)
 from carpark_mj.suite.evaluation import suite_env
 from carpark_mj.suite.levels import level_env, pick_cases
-from carpark_mj.suite.scripts import ScriptedBox, ScriptedPerson
 from carpark_mj.vehicle import preset
 
 

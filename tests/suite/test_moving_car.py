@@ -12,8 +12,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import box_distance
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
-from carpark_mj.suite.levels import HOPE_LEVELS, pick_cases
-from carpark_mj.suite.moving_car import GAP
+from carpark_mj.suite.levels import GAP, HOPE_LEVELS, pick_cases
 from carpark_mj.suite.tpcap import TPCAP_CAR
 
 SIZE = np.array(TPCAP_CAR.size)

@@ -10,8 +10,7 @@ from rich.console import Console
 
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.suite import report as suite_videos
-from carpark_mj.suite.command import SuiteConfig, main
-from carpark_mj.suite.evaluation import Drives
+from carpark_mj.suite.evaluation import Drives, SuiteConfig, main
 from carpark_mj.suite.levels import SHA256, load_held_out
 from carpark_mj.suite.report import FASTER, make_videos, recording_of
 from carpark_mj.suite.results import (

@@ -1,4 +1,4 @@
-"""Presets and variants of PPO by name: ours, and those of the suite and extensions.
+"""Presets and variants of PPO by name: ours and those of extensions.
 
 They are imported when they are used.
 """
@@ -12,7 +12,8 @@ PRESET_ENTRIES: Registry[Entry] = Registry("preset")
 VARIANTS: Registry[Entry] = Registry("variant")
 _OURS = "carpark_mj.training.ppo"
 
-for _name in ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees"):
+_NAMES = ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees", "hope")
+for _name in _NAMES:
     PRESET_ENTRIES.register(_name, Entry(f"{_OURS}.presets:{_name.upper()}"))
 VARIANTS.register("brax", Entry(f"{_OURS}.variants:BRAX", "as Brax has it"))
 

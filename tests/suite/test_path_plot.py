@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from carpark_mj.planning.plot import AROUND, ASPECT, _view
+from carpark_mj.suite.report import AROUND, ASPECT, _view
 from carpark_mj.suite.tpcap import TpcapConfig
 
 
