@@ -17,7 +17,7 @@ import numpy as np
 
 from carpark_mj import ParkingEnv
 from carpark_mj.cameras.rig import BODY, CABIN, Rig, Seen
-from carpark_mj.config.obstacles import ObstacleKind
+from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.layouts.types import GROUND_CLEARANCE, Layout
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.parts import GROUND, HULL_GROUP, car_prefix

@@ -25,11 +25,10 @@ import jax.numpy as jnp
 from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config.checks import CheckedConfig, Count, Natural
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.geometry import norm, to_local
-from carpark_mj.geometry.obstacles import Boxes, Discs, Group
+from carpark_mj.geometry.obstacles import Boxes, Discs, Group, ObstacleKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.registry import environment
 from carpark_mj.types import State
@@ -45,7 +44,7 @@ class InhabitedConfig(CheckedConfig):
 
     Attributes:
         environment: name of an environment.
-        movers: what lives in its lots, see `carpark_mj.config.obstacles.make_movers`.
+        movers: what lives in its lots, see `carpark_mj.obstacles.make_movers`.
         agent_steps: control steps of agents to make, rounded up to whole rounds.
         num_lots: number of lots simulated in parallel.
         round_steps: control steps of a round, after which lots begin anew.

@@ -24,9 +24,9 @@ from carpark_mj.config import (
     MetricsConfig,
     RewardConfig,
 )
-from carpark_mj.config.layouts import FAMILIES, LAYOUTS
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import DesignCar, make_layout
+from carpark_mj.layouts.base import FAMILIES, LAYOUTS
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import make_fields

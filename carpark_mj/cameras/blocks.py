@@ -10,8 +10,7 @@ from flax import struct
 
 from carpark_mj.cameras.ground import MISS, SHADES, encode, fold
 from carpark_mj.cameras.rig import BODY, CABIN, CarBlock, Seen
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.geometry.se2 import move_forward, rotate
 from carpark_mj.layouts.types import (
     DISC_HEIGHTS,

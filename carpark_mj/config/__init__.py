@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from carpark_mj.config.checks import data
     from carpark_mj.config.env import EnvConfig, insert, is_data, setting
-    from carpark_mj.config.layouts import (
+    from carpark_mj.geometry.obstacles import ObstacleKind
+    from carpark_mj.layouts.base import (
         LAYOUTS,
         LayoutChoice,
         LayoutConfig,
         register_layout,
         require_layout,
     )
-    from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
     from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig, Scheme
     from carpark_mj.mdp.metrics import METRICS, Metric, MetricsConfig, register_metric
     from carpark_mj.mdp.rewards import (
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from carpark_mj.observations.ranges import RayConfig, RingConfig, UltrasoundConfig
     from carpark_mj.observations.sensors import SensorConfig
     from carpark_mj.observations.tracked import ShareConfig
+    from carpark_mj.obstacles import MOVERS, Mover
     from carpark_mj.physics.config import (
         CONTACT_SIM_DT,
         PHYSICS,
@@ -63,11 +64,11 @@ if TYPE_CHECKING:
 _NAMES = {
     "config.checks": ("data",),
     "config.env": ("EnvConfig", "insert", "is_data", "setting"),
-    "config.layouts": (
+    "geometry.obstacles": ("ObstacleKind",),
+    "layouts.base": (
         *("LAYOUTS", "LayoutChoice", "LayoutConfig", "register_layout"),
         "require_layout",
     ),
-    "config.obstacles": ("MOVERS", "Mover", "ObstacleKind"),
     "mdp.goals": ("GivingWayConfig", "GoalConfig", "Scheme"),
     "mdp.metrics": ("METRICS", "Metric", "MetricsConfig", "register_metric"),
     "mdp.rewards": (
@@ -81,6 +82,7 @@ _NAMES = {
     "observations.ranges": ("RayConfig", "RingConfig", "UltrasoundConfig"),
     "observations.sensors": ("SensorConfig",),
     "observations.tracked": ("ShareConfig",),
+    "obstacles": ("MOVERS", "Mover"),
     "physics.config": (
         *("CONTACT_SIM_DT", "PHYSICS", "PhysicsChoice", "PhysicsConfig", "SimConfig"),
         *("Surface", "TyresName", "physics_config"),

@@ -13,16 +13,16 @@ from carpark_mj.config.checks import (
     require_bounds,
     require_types,
 )
-from carpark_mj.config.layouts import LayoutChoice, LayoutConfig, require_layout
-from carpark_mj.config.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.config.vehicles import with_parameters
 from carpark_mj.extensions import unknown_name
+from carpark_mj.layouts.base import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig
 from carpark_mj.mdp.metrics import MetricsConfig
 from carpark_mj.mdp.rewards import ExtraTerms, RewardConfig
 from carpark_mj.mdp.terminations import EpisodeConfig, find_rules
 from carpark_mj.observations.fields import ENCODERS, ObservationConfig
 from carpark_mj.observations.sensors import SensorConfig
+from carpark_mj.obstacles import Mover, MoverChoice, make_movers
 from carpark_mj.physics.config import (
     PhysicsChoice,
     PhysicsConfig,

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.evaluation.catalogue import START_STEPS, metrics
+from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.mdp.metrics import Metric
 from carpark_mj.types import ENDINGS
 

@@ -11,6 +11,7 @@ tests grows with the number of near pairs. In small lots testing every pair is c
 """
 
 import dataclasses
+import enum
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
@@ -19,11 +20,26 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import boxes
 from carpark_mj.geometry.se2 import norm
 
 Tree = TypeVar("Tree")
+
+
+class ObstacleKind(enum.IntEnum):
+    """What an obstacle is: events and metrics tell these apart, by their labels."""
+
+    AGENT = 0
+    PARKED_CAR = 1
+    WALL = 2  # all that a layout has: pillars and bollards too
+    MOVER = 3
+    PERSON = 4
+    DRIVER = 5
+
+    @property
+    def label(self) -> str:
+        """End of the names of events and metrics."""
+        return self.name.lower()
 
 
 @struct.dataclass

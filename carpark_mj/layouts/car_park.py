@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config.checks import require_name
-from carpark_mj.config.layouts import LayoutConfig, register_layout
 from carpark_mj.geometry import box_corners, point_box_distance
 from carpark_mj.layouts import build
+from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.routes import make_routes

@@ -30,13 +30,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from carpark_mj.config.layouts import (
+from carpark_mj.extensions import unknown_name
+from carpark_mj.layouts import build
+from carpark_mj.layouts.base import (
     FAMILIES,
     LAYOUT_FORMATS,
     layout_format,
 )
-from carpark_mj.extensions import unknown_name
-from carpark_mj.layouts import build
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import Bounds, IntRange, Natural, Range
 from carpark_mj.geometry import move_forward
 from carpark_mj.layouts import build, standards
+from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.standards import DesignCar, Entry
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.checks import Bounds, require_choice, require_kind
-from carpark_mj.config.layouts import (
+from carpark_mj.layouts.base import (
     FAMILIES,
     LAYOUTS,
     LayoutConfig,

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import Count, NonNegative, Range
 from carpark_mj.layouts import build, standards
+from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.standards import DesignCar, Entry
 from carpark_mj.layouts.types import Layout, WallKind
 

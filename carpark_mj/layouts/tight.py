@@ -9,9 +9,9 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.config.checks import Range
 from carpark_mj.layouts import build, standards
+from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.standards import (
     DesignCar,
     Entry,

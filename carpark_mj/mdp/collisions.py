@@ -20,13 +20,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import move_forward, norm
 from carpark_mj.geometry.obstacles import (
     MARGIN,
     Boxes,
     Group,
     Merged,
+    ObstacleKind,
     by_shape,
     is_crowded,
     merge,

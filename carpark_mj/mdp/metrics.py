@@ -17,15 +17,16 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.checks import LARGEST, CheckedConfig, require_name
-from carpark_mj.config.obstacles import ObstacleKind, hit_kinds
 from carpark_mj.extensions import Registry
 from carpark_mj.geometry import heading_error, norm
+from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.layouts.routes import has_lanes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp import safety
 from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.progress import direction_of_travel, is_nearer
 from carpark_mj.mdp.rewards import term_weights
+from carpark_mj.obstacles import hit_kinds
 from carpark_mj.types import NO_BAY, EpisodeStats, Events, Motion, State, Transition
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Group
+from carpark_mj.geometry.obstacles import Group, ObstacleKind
 from carpark_mj.mdp.metrics import Metric, register_metric
 from carpark_mj.mdp.rewards import REWARD_TERMS, RewardTerm
 from carpark_mj.mdp.safety import HORIZON, RANGE, collision_times

@@ -6,9 +6,15 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import box_distance, norm, point_box_distance, rotate
-from carpark_mj.geometry.obstacles import MARGIN, Group, is_crowded, least_near, take
+from carpark_mj.geometry.obstacles import (
+    MARGIN,
+    Group,
+    ObstacleKind,
+    is_crowded,
+    least_near,
+    take,
+)
 from carpark_mj.geometry.se2 import with_gradient
 from carpark_mj.mdp.collisions import trace_radius
 from carpark_mj.obstacles import lot_obstacles

@@ -13,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config.checks import Bounds, Count, Range, Ratio
-from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.geometry import boxes_overlap, move_forward, norm, to_world, wrap_angle
-from carpark_mj.geometry.obstacles import Boxes, Group, touches
+from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind, touches
 from carpark_mj.layouts.types import BayEnd, BayKind, Layout
 from carpark_mj.movers.driving import drive
 from carpark_mj.movers.lookout import HARD, is_clear
@@ -37,6 +36,7 @@ from carpark_mj.movers.traffic import (
     tangent,
     track_path,
 )
+from carpark_mj.obstacles import MOVERS, Mover
 from carpark_mj.types import NO_BAY, State
 
 SHARP, OPPOSITE = 0.3, 2.6  # rad, least and largest change of direction

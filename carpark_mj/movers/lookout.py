@@ -12,9 +12,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import move_forward, norm, to_local
-from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.geometry.obstacles import Boxes, ObstacleKind
 from carpark_mj.movers.traffic import (
     BACK_OUT,
     DRIVE,

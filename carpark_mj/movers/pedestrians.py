@@ -14,9 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.checks import Bounds, Range, Ratio
-from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.geometry import norm
-from carpark_mj.geometry.obstacles import Discs, Group
+from carpark_mj.geometry.obstacles import Discs, Group, ObstacleKind
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.bodies import (
     AWAY,
@@ -42,6 +41,7 @@ from carpark_mj.movers.stopping import (
     keep_off,
     stopping_zones,
 )
+from carpark_mj.obstacles import MOVERS, Mover
 from carpark_mj.types import State
 
 REST, OUT, ACROSS, IN = range(4)  # phases of a walk

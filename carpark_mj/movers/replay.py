@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config.checks import Bounds, Range
-from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.geometry import wrap_angle
-from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.geometry.obstacles import Boxes, ObstacleKind
 from carpark_mj.layouts.types import Layout
+from carpark_mj.obstacles import MOVERS, Mover
 from carpark_mj.reading import TEXT, Archive, ArrayForm, parse_object, read_csv
 from carpark_mj.types import State
 from carpark_mj.vehicle.presets import preset

@@ -10,9 +10,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import boxes_overlap, move_forward, norm, wrap_angle
-from carpark_mj.geometry.obstacles import Boxes, Group, touches
+from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind, touches
 from carpark_mj.movers.bodies import AWAY, columns
 from carpark_mj.types import State
 from carpark_mj.vehicle.presets import CITY

@@ -8,14 +8,13 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.checks import Positive
-from carpark_mj.config.obstacles import MOVERS, Mover, ObstacleKind
 from carpark_mj.geometry import box_distance, move_forward, to_world
-from carpark_mj.geometry.obstacles import Boxes, Group, touches
+from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind, touches
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.bodies import meet
 from carpark_mj.movers.people import Places, make_places
 from carpark_mj.movers.stopping import cars_of, would_hit
-from carpark_mj.obstacles import lot_obstacles
+from carpark_mj.obstacles import MOVERS, Mover, lot_obstacles
 from carpark_mj.types import State
 
 BEAM = 0.15  # m, thickness of a barrier

@@ -16,11 +16,11 @@ from carpark_mj.config.checks import (
     NonNegative,
     Positive,
 )
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate
 from carpark_mj.geometry.obstacles import (
     Boxes,
     Group,
+    ObstacleKind,
     by_shape,
     is_crowded,
     merge,

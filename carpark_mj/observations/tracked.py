@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.checks import CheckedConfig
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import nearest, norm, ray_box_distance, rotate, to_local
-from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.observations.ego import goal_code
 from carpark_mj.observations.fields import (
     CAR_FIELDS,

@@ -15,8 +15,7 @@ import numpy as np
 from scipy.special import xlogy
 
 from carpark_mj.config import SimConfig
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Group
+from carpark_mj.geometry.obstacles import Group, ObstacleKind
 from carpark_mj.types import Motion, State
 from carpark_mj.vehicle.drive import stopping_action
 from carpark_mj.vehicle.parameters import GRAVITY

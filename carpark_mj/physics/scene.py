@@ -19,11 +19,10 @@ import jax.numpy as jnp
 from flax import struct
 
 from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
-from carpark_mj.config.obstacles import make_movers
 from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.obstacles import mover_shapes
+from carpark_mj.obstacles import make_movers, mover_shapes
 from carpark_mj.physics.base import Physics, run_substeps
 from carpark_mj.physics.coordinates import CarDynamics, centre_pose, unpack_coordinates
 from carpark_mj.physics.forces import substep_forces

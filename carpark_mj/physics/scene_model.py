@@ -22,8 +22,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from carpark_mj.config import SimConfig
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.layouts.types import MOVER_HEIGHTS, Layout
 from carpark_mj.obstacles import poses_during
 from carpark_mj.physics.forces import gravity_vector

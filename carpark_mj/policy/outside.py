@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Boxes, Discs, by_shape, merge
+from carpark_mj.geometry.obstacles import Boxes, Discs, ObstacleKind, by_shape, merge
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.parked_cars import place_absent_agents

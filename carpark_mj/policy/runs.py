@@ -25,9 +25,9 @@ from carpark_mj.config import (
     PhysicsConfig,
 )
 from carpark_mj.config.checks import require_kind, require_type
-from carpark_mj.config.layouts import FAMILIES
-from carpark_mj.config.obstacles import MOVERS, Mover
 from carpark_mj.extensions import Entry, Registry, unknown_name
+from carpark_mj.layouts.base import FAMILIES
+from carpark_mj.obstacles import MOVERS, Mover
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Boxes, Group
+from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.layouts.types import MOVER_HEIGHTS
 from carpark_mj.scene import looks
 from carpark_mj.scene.parts import COLLIDES, HIDDEN, HULL_GROUP, yaw_quat

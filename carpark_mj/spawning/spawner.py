@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig, LayoutConfig
-from carpark_mj.config.obstacles import make_movers
 from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts import Layout, layout_config
 from carpark_mj.layouts.routes import make_routes
@@ -26,7 +25,13 @@ from carpark_mj.mdp.parked_cars import (
     relocate_parked_cars,
 )
 from carpark_mj.observations import sensors
-from carpark_mj.obstacles import begin_movers, lot_obstacles, step_movers, trace_still
+from carpark_mj.obstacles import (
+    begin_movers,
+    lot_obstacles,
+    make_movers,
+    step_movers,
+    trace_still,
+)
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.spawning.checks import is_made_for
 from carpark_mj.spawning.fleet import Fleet

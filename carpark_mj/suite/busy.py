@@ -24,8 +24,8 @@ from flax import struct
 
 from carpark_mj.config import MOVERS, EnvConfig, LayoutConfig, MetricsConfig, Mover
 from carpark_mj.config.checks import NonNegative, Positive
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import box_distance, boxes_overlap, norm, rotate, to_local
+from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.layouts.build import (
     assemble,
     bays,

@@ -37,7 +37,6 @@ from carpark_mj.config import (
     find_rules,
 )
 from carpark_mj.config.checks import require_unset
-from carpark_mj.config.obstacles import make_movers
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row
 from carpark_mj.evaluation.evaluator import CHUNK
@@ -46,7 +45,7 @@ from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.people import CLOSE_TIME
 from carpark_mj.observations import observe
-from carpark_mj.obstacles import place_movers, trace_still
+from carpark_mj.obstacles import make_movers, place_movers, trace_still
 from carpark_mj.planning.paths import PlannedPath
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import (

@@ -27,8 +27,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import LayoutConfig, register_layout
-from carpark_mj.config.layouts import LAYOUT_FORMATS
 from carpark_mj.geometry import boxes_overlap
+from carpark_mj.layouts.base import LAYOUT_FORMATS
 from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
 from carpark_mj.layouts.files import FARTHEST
 from carpark_mj.layouts.standards import DesignCar

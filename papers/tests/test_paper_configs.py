@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from carpark_mj.config.layouts import FAMILIES
+from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.run_folder import read_settings
 from carpark_mj.vehicle import PRESETS as CARS

@@ -23,8 +23,7 @@ from carpark_mj.cameras import (
     noisy_depth,
     see,
 )
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
 from carpark_mj.layouts import WallKind
 
 # A car of 4 m x 2 m is 1.5 m tall.

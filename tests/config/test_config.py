@@ -22,9 +22,9 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.config.checks import Bounds, CheckedConfig
-from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig, layout_config
+from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.physics.mjx import MjxPhysics
 

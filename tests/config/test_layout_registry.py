@@ -9,7 +9,6 @@ from helpers.registering import restore_after
 
 from carpark_mj.cli.layouts import families
 from carpark_mj.config import LAYOUTS, EnvConfig, register_layout
-from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts import (
     SquareConfig,
     StreetConfig,
@@ -17,6 +16,7 @@ from carpark_mj.layouts import (
     make_layout,
     member_shares,
 )
+from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.policy.runs import from_dict
 
 

@@ -4,9 +4,10 @@ import json
 
 import pytest
 
-from carpark_mj.config.obstacles import ObstacleKind, hit_kinds
 from carpark_mj.evaluation.catalogue import GOALS, POOLS, metrics
+from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.mdp.metrics import METRICS
+from carpark_mj.obstacles import hit_kinds
 
 BY_NAME = {metric.name: metric for metric in metrics()}
 

@@ -12,7 +12,6 @@ from rich.console import Console
 
 from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import complete_row, summarize
 from carpark_mj.evaluation.report import (
@@ -22,6 +21,7 @@ from carpark_mj.evaluation.report import (
     print_table,
     write_evaluation,
 )
+from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.types import ENDINGS
 

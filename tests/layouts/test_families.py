@@ -12,7 +12,6 @@ from helpers.spawning import surroundings_of
 
 from carpark_mj.cli.layouts import VARIANTS, main, run_scene
 from carpark_mj.config import LAYOUTS, LayoutConfig, SpawnConfig
-from carpark_mj.config.layouts import FAMILIES
 from carpark_mj.layouts import (
     AngledConfig,
     BayKind,
@@ -25,6 +24,7 @@ from carpark_mj.layouts import (
     make_layout,
     pad_layout,
 )
+from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.tight import draw_tight_bay
 from carpark_mj.spawning.starts import draw_uniform, spawn_pose, spawn_shapes

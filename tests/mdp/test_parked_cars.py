@@ -11,10 +11,9 @@ from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 
 from carpark_mj.config import EnvConfig, RingConfig, SpawnConfig
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local, to_world
-from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.parked_cars import (
     AWAY,

@@ -10,8 +10,7 @@ from helpers.scenes import cars, lot
 from helpers.transitions import no_events, no_terms, transition
 
 from carpark_mj.config import EnvConfig, MetricsConfig, RewardConfig
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Discs, Movers
+from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
 from carpark_mj.mdp.metrics import init_stats, update_stats
 from carpark_mj.mdp.people import HARD_BRAKING
 from carpark_mj.mdp.rewards import reward_terms

@@ -9,13 +9,13 @@ import pytest
 from helpers.scenes import cars
 from helpers.states import parked_in, state_of
 
-from carpark_mj.config.layouts import LAYOUTS
-from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
 from carpark_mj.geometry import boxes_overlap
-from carpark_mj.geometry.obstacles import Discs, Movers
+from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
+from carpark_mj.layouts.base import LAYOUTS
 from carpark_mj.layouts.registry import MixtureConfig
 from carpark_mj.movers import Drivers, driving
 from carpark_mj.movers.traffic import AWAY, DRIVE, OFFSET, SIZE, STAY, track_path
+from carpark_mj.obstacles import hit_kinds, make_movers
 from carpark_mj.types import NO_BAY
 
 DT = 0.2

@@ -12,12 +12,12 @@ from helpers.scenes import cars, polygons
 from helpers.states import parked_at, state_of
 
 from carpark_mj.config import SimConfig
-from carpark_mj.config.obstacles import ObstacleKind, hit_kinds, make_movers
 from carpark_mj.geometry import box_disc_overlap, move_forward, rotate
-from carpark_mj.geometry.obstacles import Boxes, Movers
+from carpark_mj.geometry.obstacles import Boxes, Movers, ObstacleKind
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Pedestrians
 from carpark_mj.movers.stopping import keep_off, stopping_zones
+from carpark_mj.obstacles import hit_kinds, make_movers
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.vehicle.drive import stopping_action

@@ -11,12 +11,17 @@ import shapely
 from helpers.scenes import cars, polygons
 from helpers.states import parked_at, parked_in, state_of
 
-from carpark_mj.config.obstacles import ObstacleKind, make_movers
-from carpark_mj.geometry.obstacles import Boxes, Movers
+from carpark_mj.geometry.obstacles import Boxes, Movers, ObstacleKind
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Barrier, Cart, Door, RailCar
 from carpark_mj.movers.things import DOOR, ROLLING, WIDEST
-from carpark_mj.obstacles import begin_movers, lot_obstacles, step_movers, trace_still
+from carpark_mj.obstacles import (
+    begin_movers,
+    lot_obstacles,
+    make_movers,
+    step_movers,
+    trace_still,
+)
 from inhabited import overlaps
 
 DT, STEPS = 0.2, 400

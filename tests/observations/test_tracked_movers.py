@@ -10,9 +10,8 @@ from helpers.scenes import cars, lot
 from helpers.states import parked_at, state_of
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.geometry import rotate
-from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.compose import observation_sets
 from carpark_mj.observations.fields import ObservationInput

@@ -10,11 +10,16 @@ from helpers.scenes import cars, lot
 from helpers.states import any_hit, state_of
 
 from carpark_mj.config import MOVERS, EnvConfig, Mover, ObstacleKind
-from carpark_mj.config.obstacles import hit_kinds, make_movers
 from carpark_mj.geometry import obstacles as near
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.obstacles import begin_movers, step_movers, trace_still
+from carpark_mj.obstacles import (
+    begin_movers,
+    hit_kinds,
+    make_movers,
+    step_movers,
+    trace_still,
+)
 from carpark_mj.policy.runs import from_dict
 
 LOT = lot([(30.0, 0.0, 0.0)])

@@ -11,10 +11,9 @@ from helpers.scenes import cars, lot
 from helpers.states import state_of
 
 from carpark_mj.config import EnvConfig, SimConfig
-from carpark_mj.config.obstacles import ObstacleKind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import box_disc_overlap, move_forward, norm, rotate
-from carpark_mj.geometry.obstacles import Discs, Movers
+from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
 from carpark_mj.layouts import layout_config
 from carpark_mj.movers import Pedestrians
 from carpark_mj.obstacles import place_movers

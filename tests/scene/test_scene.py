@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from carpark_mj.config.obstacles import ObstacleKind
-from carpark_mj.geometry.obstacles import Boxes, Discs
+from carpark_mj.geometry.obstacles import Boxes, Discs, ObstacleKind
 from carpark_mj.layouts import make_layout
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.build import build_scene

@@ -5,8 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import jax
+
 from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.extensions import Registry
+from carpark_mj.layouts.standards import Entry
+from carpark_mj.layouts.types import Layout
 
 
 class LayoutConfig(CheckedConfig, abc.ABC):
@@ -14,8 +18,8 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
     Attributes:
         family: its name in files, the default of each class and never another.
-        car: the `carpark_mj.layouts.DesignCar` that bays and spawn regions have room
-            for; None = one with its defaults.
+        car: the `DesignCar` that bays and spawn regions have room for; None = one
+            with its defaults.
         spawn_margin: free ground around spawn regions for larger cars [m].
     """
 
@@ -24,13 +28,10 @@ class LayoutConfig(CheckedConfig, abc.ABC):
     spawn_margin: float = 0.0
 
     @abc.abstractmethod
-    def generate(self, key: Any) -> Any:
-        """Draws a lot, a `carpark_mj.layouts.Layout`.
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a lot: the same for the same key, of the same shapes for others."""
 
-        The same key gives the same lot, other keys the same shapes.
-        """
-
-    def generate_member(self, member: Any, key: Any) -> Any:
+    def generate_member(self, member: jax.Array, key: jax.Array) -> Layout:
         """Draws a lot of one member, () int32, of a mixture; there is none here."""
         del member
         return self.generate(key)
@@ -66,13 +67,13 @@ class LayoutConfig(CheckedConfig, abc.ABC):
         return ((self, 1.0),)
 
     @property
-    def layout(self) -> Any:
-        """The only lot, a `carpark_mj.layouts.Layout`, if a file has it; else None."""
+    def layout(self) -> Layout | None:
+        """The only lot, if a file has it; else None."""
         return None
 
     @property
-    def entries(self) -> tuple[Any, ...]:
-        """The widest entries into bays, `carpark_mj.layouts.standards.Entry`.
+    def entries(self) -> tuple[Entry, ...]:
+        """The widest entries into bays.
 
         A car that fits through none of these cannot enter any bay of this config's
         lots; empty if unknown.
@@ -84,8 +85,8 @@ Config = TypeVar("Config", bound=LayoutConfig)
 LAYOUTS: Registry[LayoutConfig] = Registry("layout", "carpark_mj.layouts")
 # Classes by their `family`, so that configs can be read from files.
 FAMILIES: Registry[type[LayoutConfig]] = Registry("family", "carpark_mj.layouts")
-# What reads a layout from a file, a `Layout`, by the suffix of the file's name.
-LAYOUT_FORMATS: Registry[Callable[[Path], Any]] = Registry(
+# What reads a layout from a file, by the suffix of the file's name.
+LAYOUT_FORMATS: Registry[Callable[[Path], Layout]] = Registry(
     "layout format", "carpark_mj.layouts.files"
 )
 
