@@ -264,7 +264,9 @@ class Drivers(Mover):
     mover: str = "drivers"
     kind = ObstacleKind.DRIVER
 
-    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> Traffic:
+    def init(
+        self, key: jax.Array, layout: Layout, others: Sequence[Group] = ()
+    ) -> Traffic:
         """All stand in lanes, apart from each other."""
         n, tracks = self.number, make_tracks(layout)
         keys = jax.random.split(key, 6)
@@ -318,7 +320,7 @@ class Drivers(Mover):
 
     begin = init
 
-    def step(self, key: Any, state: Traffic, lot: State, dt: float) -> Traffic:
+    def step(self, key: jax.Array, state: Traffic, lot: State, dt: float) -> Traffic:
         """They drive on, then one of them plans."""
         drive_key, plan_key = jax.random.split(key)
         state = drive(drive_key, state, lot, self.speed, self.headway, self.stay, dt)

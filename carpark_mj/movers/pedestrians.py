@@ -318,7 +318,9 @@ class Pedestrians(Mover):
         if low > high:
             raise ValueError(f"attention must rise, not {self.attention}")
 
-    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> People:
+    def init(
+        self, key: jax.Array, layout: Layout, others: Sequence[Group] = ()
+    ) -> People:
         """Everybody stands at a place of their own."""
         (least, n), places = _bounds(self.number), make_places(layout)
         bodies = group_outlines(others)
@@ -400,7 +402,7 @@ class Pedestrians(Mover):
 
     begin = init
 
-    def step(self, key: Any, state: People, lot: State, dt: float) -> People:
+    def step(self, key: jax.Array, state: People, lot: State, dt: float) -> People:
         """They walk on."""
         return walk(key, state, lot, dt)
 

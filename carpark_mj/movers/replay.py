@@ -150,14 +150,16 @@ class Replay(Mover):
         except OSError as error:
             raise ValueError(f"cannot read {self.path}: {error.strerror}") from None
 
-    def init(self, key: Any, layout: Layout) -> jax.Array:
+    def init(self, key: jax.Array, layout: Layout) -> jax.Array:
         """The time in the recording [s]."""
         del layout
         low, high = (0.0, self._period) if self.offset is None else self.offset
         start = jax.random.uniform(key, minval=low, maxval=high)
         return jnp.mod(start, self._period)
 
-    def step(self, key: Any, state: jax.Array, lot: State, dt: float) -> jax.Array:
+    def step(
+        self, key: jax.Array, state: jax.Array, lot: State, dt: float
+    ) -> jax.Array:
         """Time goes on."""
         del key, lot
         return jnp.mod(state + dt, self._period)

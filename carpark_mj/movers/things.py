@@ -80,7 +80,7 @@ class Barrier(Mover):
     mover: str = "barrier"
 
     def init(
-        self, key: Any, layout: Layout, others: Sequence[Group] = ()
+        self, key: jax.Array, layout: Layout, others: Sequence[Group] = ()
     ) -> BarrierState:
         """It is closed, or open where somebody stands beneath."""
         pose, size, there = draw_lane(key, layout, 0.0)
@@ -93,7 +93,7 @@ class Barrier(Mover):
     begin = init
 
     def step(
-        self, key: Any, state: BarrierState, lot: State, dt: float
+        self, key: jax.Array, state: BarrierState, lot: State, dt: float
     ) -> BarrierState:
         """It opens for a car, and closes behind the last."""
         del key
@@ -149,7 +149,9 @@ class Cart(Mover):
     pause: Positive = 10.0
     mover: str = "cart"
 
-    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> CartState:
+    def init(
+        self, key: jax.Array, layout: Layout, others: Sequence[Group] = ()
+    ) -> CartState:
         """It stands at a place of the lot."""
         places = make_places(layout)
         place_key, yaw_key = jax.random.split(key)
@@ -164,7 +166,9 @@ class Cart(Mover):
 
     begin = init
 
-    def step(self, key: Any, state: CartState, lot: State, dt: float) -> CartState:
+    def step(
+        self, key: jax.Array, state: CartState, lot: State, dt: float
+    ) -> CartState:
         """It rolls on, or is pushed anywhere."""
         when, where, hard = jax.random.split(key, 3)
         pose, speed = state.pose, state.speed
@@ -210,13 +214,15 @@ class Door(Mover):
     pause: Positive = 10.0
     mover: str = "door"
 
-    def init(self, key: Any, layout: Layout) -> DoorState:
+    def init(self, key: jax.Array, layout: Layout) -> DoorState:
         """All doors are closed."""
         del key, layout
         zero = jnp.float32(0.0)
         return DoorState(jnp.int32(0), zero + 1.0, zero, zero - 1.0, jnp.zeros(3))
 
-    def step(self, key: Any, state: DoorState, lot: State, dt: float) -> DoorState:
+    def step(
+        self, key: jax.Array, state: DoorState, lot: State, dt: float
+    ) -> DoorState:
         """It swings on; a closed one may open, if there is room beside the car."""
         cars = lot.parked_cars
         if not cars.bay.shape[0]:
@@ -295,7 +301,9 @@ class RailCar(Mover):
     speed: Positive = 1.5
     mover: str = "rail_car"
 
-    def init(self, key: Any, layout: Layout, others: Sequence[Group] = ()) -> RailState:
+    def init(
+        self, key: jax.Array, layout: Layout, others: Sequence[Group] = ()
+    ) -> RailState:
         """It stands somewhere on the rail; without room for it there is none."""
         lane_key, way_key = jax.random.split(key)
         pose, size, there = draw_lane(lane_key, layout, SHORTEST)
@@ -309,7 +317,9 @@ class RailCar(Mover):
 
     begin = init
 
-    def step(self, key: Any, state: RailState, lot: State, dt: float) -> RailState:
+    def step(
+        self, key: jax.Array, state: RailState, lot: State, dt: float
+    ) -> RailState:
         """It drives on if the way is free, and turns round at the ends."""
         del key
         way = state.way + state.heads * self.speed * dt
