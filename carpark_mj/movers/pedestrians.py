@@ -8,7 +8,7 @@ elsewhere by the social force model. Nobody steps into anybody or anything.
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import jax
 import jax.numpy as jnp
