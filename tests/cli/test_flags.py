@@ -10,8 +10,8 @@ import jax
 import pytest
 import tyro
 
-from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import run_command
 from carpark_mj.config.checks import Range
 
 

@@ -3,8 +3,9 @@
 import csv
 
 import pytest
+from helpers.programs import oracle as main
 
-from carpark_mj.cli.oracle import OUTCOMES, describe, main
+from carpark_mj.cli.oracle import OUTCOMES, describe
 from carpark_mj.registry import environment
 
 
