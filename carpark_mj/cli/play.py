@@ -20,9 +20,18 @@ from carpark_mj.cli.process import one_line, patient_interrupts
 from carpark_mj.cli.scene import default_env
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
-from carpark_mj.play.controls import KEYS, Controls, from_gamepad, from_keys, stop
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
-from carpark_mj.play.driven import DrivenLot
+from carpark_mj.play.driving import (
+    KEYS,
+    SIZE,
+    Controls,
+    DrivenLot,
+    Picture,
+    from_gamepad,
+    from_keys,
+    record_video,
+    stop,
+)
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
@@ -154,8 +163,6 @@ def pad(action: np.ndarray, size: int) -> np.ndarray:
 
 def play_in_window(config: PlayConfig) -> None:
     """Drives in a window until it is closed; every drive is saved."""
-    from carpark_mj.play.picture import SIZE, Picture
-
     env, others = make_env(config)
     window = Window(SIZE)
     controls, seed = Controls(), config.seed
@@ -255,8 +262,6 @@ def show_replay(config: PlayConfig) -> None:
     demonstration = load_demonstration(Path(config.replay))
     lot = replay(demonstration)
     if config.video:
-        from carpark_mj.play.picture import record_video
-
         count = record_video(lot, config.camera, len(demonstration), Path(config.video))
         print(f"wrote {config.video}: {count} frames")
     elif config.shown_in == "web":
@@ -265,8 +270,6 @@ def show_replay(config: PlayConfig) -> None:
         print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
         viewer.run()
     else:
-        from carpark_mj.play.picture import SIZE, Picture
-
         window, picture = Window(SIZE), Picture(lot, config.camera)
         while _drive(lot, picture.draw, window) == "R":
             lot.reset()
