@@ -101,13 +101,7 @@ def main(config: EvaluateConfig) -> Evaluation:
 
 
 def prepare(config: EvaluateConfig) -> Task:
-    """Finds policy and environment, and checks the folder.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        ValueError: impossible settings.
-        OSError: the output folder cannot be written.
-    """
+    """Finds policy and environment, and checks the folder."""
     if config.run and config.policy:
         raise ValueError("give RUN or --policy RUN, not both")
     if not (config.run or config.policy):

@@ -121,11 +121,7 @@ class RenderConfig(DriveSettings):
                 )
 
     def rig(self, num_agents: int | None = None) -> Rig | None:
-        """The cameras of a car that `camera` names; None if it is one of the lot's.
-
-        Raises:
-            ValueError: it is neither, see `camera_names`.
-        """
+        """The cameras of a car that `camera` names; None if it is one of the lot's."""
         rig = car_cameras(self.camera, (self.width, self.height))
         if rig is None:
             try:

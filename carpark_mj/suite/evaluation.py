@@ -111,10 +111,6 @@ def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvCo
         env: of its training.
         rule: when the car counts as parked.
         with_moving_car: add a second agent, the moving car.
-
-    Raises:
-        ValueError: the policy does not steer a car, or it chooses its goals and a
-            moving car is requested.
     """
     if not env.physics_config.steers:
         raise ValueError(

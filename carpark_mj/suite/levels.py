@@ -210,11 +210,7 @@ def write(path: Path) -> None:
 
 
 def case_numbers(level: str) -> range:
-    """The numbers of a level's cases: of HOPE's from 0, TPCAP's as published.
-
-    Raises:
-        ValueError: unknown level.
-    """
+    """The numbers of a level's cases: of HOPE's from 0, TPCAP's as published."""
     if level not in LEVELS:
         require_level(level)
         return EXTRA_LEVELS[level].numbers

@@ -103,9 +103,6 @@ def make_videos(
         folder: the videos' folder is made in it.
         rows: the episodes.
         drives: their driven paths.
-
-    Raises:
-        RenderingError: there is no OpenGL.
     """
     videos = []
     for row in rows:
