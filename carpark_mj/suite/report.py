@@ -176,7 +176,7 @@ def header(episodes: Sequence[Row]) -> list[str]:
             counts = f"{len(found)} of {level} ({_ranges(found)})"
             title = f"{source} (SHA-256 {fingerprint(level)})"
             parts.setdefault(title, []).append(counts)
-    cases = "; ".join(f"{title}: {', '.join(counts)}" for title, counts in parts.items())
+    cases = "; ".join(f"{title}: {', '.join(found)}" for title, found in parts.items())
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
     moving = has_moving_car(episodes)
     return [
