@@ -90,6 +90,9 @@ COMMANDS = {
     "-m carpark_mj.vehicles": VehiclesConfig,
     "-m carpark_mj.identify": IdentifyConfig,
     "-m carpark_mj.play": PlayConfig,
+    "-m carpark_mj.suite": SuiteConfig,
+    "-m carpark_mj.analysis": AnalysisConfig,
+    "-m carpark_mj.benchmark": BenchmarkConfig,
 }
 
 
@@ -99,12 +102,12 @@ SCRIPTS = {
     **{f"{name}": f"train/{name}.py" for name in ("sweep", "export")},
     **{
         f"{name}": f"-m carpark_mj.{name}"
-        for name in ("scene", "play", "layouts", "oracle", "vehicles", "identify")
+        for name in (
+            *("scene", "play", "layouts", "oracle", "vehicles", "identify"),
+            *("suite", "analysis", "benchmark"),
+        )
     },
-    **{
-        f"{name}": f"eval/{name}.py"
-        for name in ("evaluate", "render", "suite", "analysis", "benchmark")
-    },
+    **{f"{name}": f"eval/{name}.py" for name in ("evaluate", "render")},
 }
 
 
