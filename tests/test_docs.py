@@ -28,6 +28,8 @@ from PIL import Image, ImageSequence
 
 import carpark_mj
 import gallery
+from carpark_mj.benchmarking import BenchmarkConfig
+from carpark_mj.cli.analysis import AnalysisConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
@@ -56,6 +58,7 @@ from carpark_mj.policy.runs import FOLDER, find_policy, pretrained_names
 from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
+from carpark_mj.suite.evaluation import SuiteConfig
 from carpark_mj.sweeps import SweepConfig
 from carpark_mj.training.hosts import read_hosts
 from carpark_mj.training.ppo.config import PPOConfig
