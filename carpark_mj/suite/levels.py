@@ -291,7 +291,7 @@ def pick_cases(
     padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
         jax.tree.map(lambda x: x[which], layouts)
     )
-    if with_moving_car:
+    if with_moving_car and level in HOPE_LEVELS:
         padded = add_ends(level, number, parallel, padded)
     kind = np.where(parallel, "parallel", "perpendicular")
     return Cases(level, number, kind, padded)
