@@ -59,10 +59,11 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
         code = run_command(program, command)
     except SystemExit as end:  # after the help
         code = end.code
-    except BaseException:  # JAX wraps an interrupt where it calls back
-        if not interrupts.taken:
-            raise
-        code = INTERRUPTED
+    except BaseException as error:
+        # JAX wraps an interrupt where it calls back.
+        if interrupts.taken or isinstance(error, KeyboardInterrupt):
+            interrupts.end()
+        raise
     if interrupts.taken:
         interrupts.end()
     sys.stdout.flush()
