@@ -102,7 +102,7 @@ def test_ctrl_c_while_a_command_imports_is_one_line(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPT)
     path = os.pathsep.join([str(tmp_path), str(ROOT)])
     commands = {program.stem: [str(program)] for program in PROGRAMS}
-    commands |= {name: ["-m", f"carpark_mj.{name}"] for name in MODULES}
+    commands |= {name: ["-m", "carpark_mj", name] for name in MODULES}
     for name, command in commands.items():
         done = subprocess.run(
             [sys.executable, *command],
