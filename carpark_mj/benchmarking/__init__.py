@@ -360,8 +360,8 @@ def ppo_subject(job: Job) -> Subject:
 def physics_subject(job: Job) -> Subject:
     """Cars alone, at the longest substep at which they pass the physics report."""
     from carpark_mj.config import CONTACT_SIM_DT, SimConfig
-    from carpark_mj.physics.mjx_step import ContactPhysics
     from carpark_mj.physics.mjx import MjxPhysics
+    from carpark_mj.physics.mjx_step import ContactPhysics
     from carpark_mj.vehicle import make_vehicle, preset
 
     if job.variant == "contact":
