@@ -6,21 +6,11 @@ neither: the names below load on first use, so that MuJoCo's OpenGL can still be
 """
 
 import importlib
-import re
-import sys
 from typing import Any
 
 from carpark_mj.registration import register_environments
 
 register_environments()
-
-# Python is about to run `python -m carpark_mj.NAME`, and imports the package first.
-if sys.argv[:1] == ["-m"]:
-    command = re.search(r" -m carpark_mj\.(\w+)( |$)", " ".join(sys.orig_argv))
-    if command is not None:
-        from carpark_mj.cli.process import prepare
-
-        prepare(command[1])
 
 __version__ = "1.0.0"
 

@@ -17,8 +17,11 @@ def main() -> NoReturn:
     if name not in COMMANDS:
         known = ", ".join(COMMANDS)
         sys.exit(_refuse(f"unknown command {name!r}; choose from {known}"))
-    sys.argv = [f"carpark_mj {name}", *sys.argv[2:]]  # as the help calls it
-    enter(name, COMMANDS[name].home)
+    words = sys.argv[2:]
+    if words and f"{name} {words[0]}" in COMMANDS:
+        name, words = f"{name} {words[0]}", words[1:]
+    sys.argv = [f"carpark_mj {name}", *words]  # as the help calls it
+    enter(name, "carpark_mj.programs:run", name)
 
 
 def _refuse(reason: str) -> int:

@@ -34,7 +34,7 @@ from submitit.core.utils import FailedJobError
 from submitit.helpers import DelayedSubmission
 
 from carpark_mj.analysis import read_run
-from carpark_mj.cli.common import (
+from carpark_mj.cli.process import (
     configure_jax,
     enable_output_fusion,
     keep_compiled_programs,
@@ -677,7 +677,14 @@ def run_sweep(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SweepConfig(Where):
-    """Settings of `carpark_mj sweep`; those of `Where` come first.
+    """Trains every combination of some settings, with several seeds each.
+
+    carpark_mj sweep --base cpu --set num_agents=1..4 clip=0.1,0.2 --repeats 3
+    carpark_mj sweep --base gpu --set discount=0.99,0.995 --cluster slurm
+    carpark_mj analysis runs/cpu-num_agents-clip    # tables, plots, a page
+
+    The same command continues a stopped sweep: finished runs are not repeated, others
+    continue from their checkpoints. `sweep.csv` in its folder has a row per run.
 
     Attributes:
         base: preset of `carpark_mj train` for all runs.
@@ -727,3 +734,11 @@ def prepare(cluster: str) -> None:
     else:
         enable_output_fusion()
         jax.config.update("jax_platforms", "cpu")
+
+
+def main(config: SweepConfig) -> int:
+    """Runs the sweep; returns the exit code, 1 if runs have failed."""
+    prepare(config.cluster)
+    plan = config.plan
+    counts = run_sweep(config.folder, plan, checked_runs(plan), config)
+    return 1 if counts["failed"] else 0

@@ -30,7 +30,7 @@ from PIL import Image
 
 from camera_reference import BlockStage, Reference, Renderer
 from carpark_mj import EnvConfig, ParkingEnv
-from carpark_mj.benchmarking.worker import CLOCKS, best_time
+from carpark_mj.benchmarking import CLOCKS, best_time
 from carpark_mj.cameras import (
     COLOURS,
     RIGS,
@@ -45,8 +45,8 @@ from carpark_mj.cameras import (
 )
 from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.cameras.see import Channel
-from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import run_command
 from carpark_mj.config import LAYOUTS, GoalConfig, Mover, ObstacleKind, SpawnConfig
 from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_mj.files import require_writable, write_atomically

@@ -21,9 +21,9 @@ from typing import Annotated, Any
 import tyro
 
 from carpark_mj import ParkingEnv
-from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.config.checks import CheckedConfig, Count, Positive
 from carpark_mj.evaluation.aggregation import summarize
 from carpark_mj.evaluation.evaluator import evaluate

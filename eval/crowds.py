@@ -21,8 +21,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import run_command
 from carpark_mj.files import require_writable, write_atomically, write_csv
 from carpark_mj.geometry import norm
 from carpark_mj.movers import bodies

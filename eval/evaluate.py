@@ -1,6 +1,6 @@
-"""`python eval/evaluate.py`: see `carpark_mj.programs.evaluate`."""
+"""`python eval/evaluate.py`: the same as `carpark_mj evaluate`."""
 
 from carpark_mj.cli.process import enter
 
 if __name__ == "__main__":
-    enter("evaluate", "carpark_mj.programs.evaluate:run")
+    enter("evaluate", "carpark_mj.programs:run", "evaluate")

@@ -25,9 +25,9 @@ import numpy as np
 import tyro
 from PIL import Image, ImageDraw, ImageOps, ImageSequence
 
-from carpark_mj.cli.common import run_command
+from carpark_mj import programs
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.programs import render
+from carpark_mj.cli.process import run_command
 from carpark_mj.rendering.video import font, write_video
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -72,7 +72,7 @@ def make(config: GalleryConfig) -> None:
     words = config.clips or ("",)
     for clip, arguments in commands(PAGE.read_text()).items():
         if any(word in clip for word in words):
-            render.run(arguments)
+            programs.run("render", arguments)
     if any(word in "mosaic.gif" for word in words):
         tiles = [_tiles(Path(clip), caption) for clip, caption in MOSAIC.items()]
         sheets = (_sheet(row) for row in zip(*tiles, strict=True))

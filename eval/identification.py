@@ -23,8 +23,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
-from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.identification.fit import identify

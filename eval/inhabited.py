@@ -22,8 +22,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.config.checks import CheckedConfig, Count, Natural
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed

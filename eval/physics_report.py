@@ -18,8 +18,8 @@ from typing import Literal
 
 import jax
 
-from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import run_command
 from carpark_mj.files import require_writable
 from carpark_mj.vehicle import PRESETS, preset
 from vehicle_suite import chassis, driver, engines, turns

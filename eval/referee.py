@@ -26,8 +26,8 @@ import jax
 import numpy as np
 from scipy import integrate
 
-from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.vehicle import COMPACT, VehicleParameters
 from vehicle_suite import formulas

@@ -1,6 +1,6 @@
-"""`python eval/render.py`: see `carpark_mj.programs.render`."""
+"""`python eval/render.py`: the same as `carpark_mj render`."""
 
 from carpark_mj.cli.process import enter
 
 if __name__ == "__main__":
-    enter("render", "carpark_mj.programs.render:run")
+    enter("render", "carpark_mj.programs:run", "render")

@@ -28,8 +28,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from carpark_mj.cli.common import enable_output_fusion, run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.mdp.actions import sanitize_numbers

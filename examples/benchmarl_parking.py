@@ -23,9 +23,8 @@ from benchmarl.models.mlp import MlpConfig
 from matplotlib.figure import Figure
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import enter, patient_interrupts
+from carpark_mj.cli.process import enable_output_fusion, enter, patient_interrupts
 from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.config.checks import require_whole
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates

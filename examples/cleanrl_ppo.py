@@ -22,9 +22,8 @@ from torch import nn
 from torch.distributions import Normal
 
 from carpark_mj.cameras.encoder import CameraObservation
-from carpark_mj.cli.common import enable_output_fusion
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import enter
+from carpark_mj.cli.process import enable_output_fusion, enter
 from carpark_mj.config import EnvConfig, EpisodeConfig, RayConfig, RingConfig
 from carpark_mj.config.checks import (
     require_at_least,

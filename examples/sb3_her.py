@@ -9,7 +9,7 @@ success is that of highway-env's parking, see `carpark_mj.tasks.goal_pose`.
 import dataclasses
 from pathlib import Path
 
-from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.cli.process import enable_output_fusion
 
 enable_output_fusion()  # before JAX computes anything
 

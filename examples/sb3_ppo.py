@@ -10,7 +10,7 @@ knows others and walls from the pictures of four cameras only.
 import dataclasses
 from pathlib import Path
 
-from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.cli.process import enable_output_fusion
 
 enable_output_fusion()  # before JAX computes anything
 

@@ -1,6 +1,6 @@
-"""`python train/export.py`: see `carpark_mj.programs.export`."""
+"""`python train/export.py`: the same as `carpark_mj export`."""
 
 from carpark_mj.cli.process import enter
 
 if __name__ == "__main__":
-    enter("export", "carpark_mj.programs.export:run")
+    enter("export", "carpark_mj.programs:run", "export")

@@ -1,6 +1,6 @@
-"""`python train/ppo.py`: see `carpark_mj.programs.train`."""
+"""`python train/ppo.py`: the same as `carpark_mj train`."""
 
 from carpark_mj.cli.process import enter
 
 if __name__ == "__main__":
-    enter("ppo", "carpark_mj.programs.train:run")
+    enter("ppo", "carpark_mj.programs:run", "train")

@@ -1,1 +1,478 @@
-"""Measures speed: jobs, worker, checkouts, report."""
+"""`carpark_mj benchmark`: steps, training, physics, compilation and memory.
+
+Every job is measured in a process of its own, by `work`.
+"""
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from carpark_mj.cli.process import configure_jax, enable_output_fusion
+from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Natural
+from carpark_mj.files import write_csv
+
+What = Literal["env", "ppo", "physics"]
+Clock = Literal["wall", "cpu"]
+Cars = Literal["brush", "mjx.step", "contact"]
+Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
+# What is called a second: of the wall clock, or of all threads of this process, which
+# other work on the machine disturbs far less.
+CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """The measurement of one process; see `BenchmarkConfig`."""
+
+    what: What
+    variant: str  # layout of `env`, preset of `ppo`, tyres or stepper of `physics`
+    lots: int  # simulated at once; for `physics`, cars
+    num_agents: int  # in each lot of `env`; `ppo` and `physics` have their own
+    num_parked_cars: int  # in each lot of `env`
+    steps: int
+    timings: int
+    clock: Clock
+    runs: int = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Measurement:
+    """Results of a process."""
+
+    device: str  # the GPU's name, or the number of CPU cores
+    jax: str  # version
+    mujoco: str  # version
+    what: str  # with the preset and runs of `ppo`, or tyres and substep of `physics`
+    layout: str  # empty for `physics`
+    agents: int  # in each lot
+    lots: int  # simulated at once
+    rate: float  # units per second of the clock
+    unit: str  # counted unit, per second of which clock
+    compile_s: float  # tracing, lowering and compiling [s of the clock]
+    first_step_s: float  # from the start of the process to the first call [s]
+    peak_memory_mb: float  # of the first GPU, or of the process on a CPU [1e6 bytes]
+
+
+# Other work on the machine can only slow a program down: the best round counts.
+BEST: dict[str, Callable[[Sequence[float]], float]] = {
+    "rate": max,
+    "compile_s": min,
+    "first_step_s": min,
+    "peak_memory_mb": max,
+}
+_HEAD = (
+    "| what | layout | agents | lots | rate | unit | compile [s] | first step [s] | "
+    "peak memory [MB] |"
+)
+
+# The measurements of every job, one of each round.
+Rounds = dict[Job, list[Measurement]]
+
+
+class WorkerError(Exception):
+    """A measurement failed, possibly out of memory."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BenchmarkConfig(CheckedConfig):
+    """Measures performance: steps, training, physics, compilation and memory.
+
+    carpark_mj benchmark
+    carpark_mj benchmark --what env --batches 512 4096
+    carpark_mj benchmark --what env --layouts lot --num-agents 1 4 16
+    carpark_mj benchmark --what ppo --preset square --runs 1 4 16
+
+    `env` counts agent steps of the whole environment under random actions, `ppo` those
+    of training end to end, `physics` substeps of cars alone: on brush tyres, on the
+    same by `mjx.step`, and on contact tyres, each at the longest substep at which it
+    passes the physics report. Every measurement runs in its own process, without kept
+    compiled programs. Compare only figures of one run.
+
+    Attributes:
+        what: what to measure.
+        batches: numbers of lots simulated in parallel; for `physics`, of cars.
+        layouts: names of the layouts of `env`.
+        cars: cars of `physics`, by tyres or stepper.
+        num_agents: numbers of agents in each lot of `env`.
+        num_parked_cars: number of parked cars in each lot of `env`.
+        preset: preset of `ppo`, with the batch as its number of lots; `auto` chooses by
+            whether there is a GPU.
+        runs: numbers of runs side by side of `ppo`, each with a batch of its own.
+        steps: control steps of 0.2 s per timing of `env` and `physics`; `ppo` times
+            updates.
+        timings: timings in each process; the best is reported.
+        clock: `wall`, or `cpu`: CPU seconds of all threads of the process, for busy
+            machines.
+        repeats: number of rounds; each measures everything once.
+        out: CSV file of all measurements, written after each; empty = none.
+    """
+
+    what: tuple[What, ...] = get_args(What)
+    batches: Counts = (128,)
+    layouts: tuple[str, ...] = (str(EnvConfig.layout),)
+    cars: tuple[Cars, ...] = get_args(Cars)
+    num_agents: Counts = (EnvConfig.num_agents,)
+    num_parked_cars: Natural = EnvConfig.num_parked_cars
+    preset: str = "auto"
+    runs: Counts = (1,)
+    steps: Count = 20
+    timings: Count = 10
+    clock: Clock = "wall"
+    repeats: Count = 3
+    out: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("what", "batches", "layouts", "cars", "num_agents", "runs"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must name at least one")
+
+    def jobs(self) -> list[Job]:
+        """What each round measures."""
+        variants = {"env": self.layouts, "ppo": (self.preset,), "physics": self.cars}
+        return [
+            Job(
+                what,
+                variant,
+                lots,
+                agents,
+                self.num_parked_cars,
+                self.steps,
+                self.timings,
+                self.clock,
+                runs,
+            )
+            for what in self.what
+            for variant in variants[what]
+            for agents in (self.num_agents if what == "env" else self.num_agents[:1])
+            for lots in self.batches
+            for runs in (self.runs if what == "ppo" else (1,))
+        ]
+
+
+def main(config: BenchmarkConfig) -> int:
+    """Measures and prints the table; returns 1 if a process failed."""
+    try:
+        rounds = measure(config.jobs(), config.repeats, config.out)
+    except WorkerError as error:
+        print(f"benchmark: {error}", file=sys.stderr)
+        return 1
+    print(markdown(rounds))
+    return 0
+
+
+def measure(jobs: Sequence[Job], repeats: int, out: str = "") -> Rounds:
+    """Measures all jobs in each of `repeats` rounds; prints progress on stderr.
+
+    All measurements are written to the CSV file `out`, if given, after each.
+
+    Raises:
+        WorkerError: a process failed.
+    """
+    found: Rounds = {job: [] for job in jobs}
+    if out:  # refuses an impossible path before anything is measured
+        write_csv(Path(out), _rows(found))
+    for number in range(1, repeats + 1):
+        for job in jobs:
+            result = run_job(job)
+            found[job].append(result)
+            if out:
+                write_csv(Path(out), _rows(found))
+            print(
+                f"round {number} of {repeats}: {result.what} {result.layout}, "
+                f"{job.lots:,} lots: {result.rate:,.0f} {result.unit}, compiled in "
+                f"{result.compile_s:.1f} s",
+                file=sys.stderr,
+            )
+    return found
+
+
+def _rows(rounds: Rounds) -> list[dict[str, Any]]:
+    """Every measurement, with the number of its round."""
+    return [
+        {"round": number, **dataclasses.asdict(result)}
+        for results in rounds.values()
+        for number, result in enumerate(results, start=1)
+    ]
+
+
+WORKER = (
+    "import sys; from carpark_mj.benchmarking import work; sys.exit(work(sys.argv[1]))"
+)
+
+
+def run_job(job: Job) -> Measurement:
+    """Measures a job in a fresh process, without kept compiled programs."""
+    request = {"job": dataclasses.asdict(job), "started": time.time()}
+    environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "false"}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", WORKER, json.dumps(request)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode == 0:
+        return Measurement(**json.loads(done.stdout.splitlines()[-1]))
+    message = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
+    if done.returncode == 2:
+        raise ValueError(message[0])
+    if done.returncode == -signal.SIGINT:  # the process was interrupted first
+        raise KeyboardInterrupt
+    if done.returncode < 0:  # its stderr does not explain the signal
+        message = [f"killed by signal {-done.returncode}, possibly out of memory"]
+    raise WorkerError(
+        f"could not measure {job.what} {job.variant} with {job.lots} lots: {message[0]}"
+    )
+
+
+def markdown(rounds: Rounds) -> str:
+    """The table of the best rounds, under a line that names device and versions."""
+    about = next(iter(rounds.values()))[0]
+    lines = [f"{about.device}, JAX {about.jax}, MuJoCo {about.mujoco}", ""]
+    lines += [_HEAD, "|" + "---|" * (_HEAD.count("|") - 1)]
+    for results in rounds.values():
+        one = results[0]
+        best = [f([getattr(r, name) for r in results]) for name, f in BEST.items()]
+        rate, *others = best
+        cells = [one.what, one.layout, str(one.agents), f"{one.lots:,}"]
+        cells += [f"{rate:,.0f}", one.unit, *(f"{number:,.1f}" for number in others)]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def best_time(
+    call: Callable[[], Any],
+    repeats: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> float:
+    """Seconds of the fastest of some calls, each until its results are computed."""
+    best = float("inf")
+    for _ in range(repeats):
+        begun = clock()
+        jax.block_until_ready(call())
+        best = min(best, clock() - begun)
+    return best
+
+
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """A program to be measured."""
+
+    what: str  # name in the table
+    layout: str
+    agents: int  # in each lot
+    unit: str  # what is counted
+    count: int  # units per call
+    program: Any  # jitted `carry -> (carry, outputs)`
+    carry: Any  # of the first call
+
+
+def env_subject(job: Job) -> Subject:
+    """Steps of `ParkingEnv` with random actions and respawning agents."""
+    from carpark_mj.config import EnvConfig
+    from carpark_mj.env import ParkingEnv
+
+    config = EnvConfig(
+        layout=job.variant,
+        num_agents=job.num_agents,
+        num_parked_cars=job.num_parked_cars,
+    )
+    env = ParkingEnv(config)
+    shape = (job.lots, job.num_agents, env.action_spec.size)
+
+    def step(carry: Any, _: None) -> tuple[Any, Any]:
+        state, key = carry
+        key, action_key = jax.random.split(key)
+        action = jax.random.uniform(action_key, shape, minval=-1.0)
+        state, timestep = jax.vmap(env.step)(state, action)
+        # Without a use of the observation XLA would leave it out.
+        seen = jnp.sum(timestep.observation, axis=-1)
+        ended = timestep.terminated | timestep.truncated
+        return (state, key), (seen, timestep.reward, ended)
+
+    reset_key, key = jax.random.split(jax.random.key(0))
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(reset_key, job.lots))
+    return Subject(
+        what="env",
+        layout=job.variant,
+        agents=job.num_agents,
+        unit="agent-steps",
+        count=job.lots * job.num_agents * job.steps,
+        program=scan(step, job.steps),
+        carry=(state, key),
+    )
+
+
+def ppo_subject(job: Job) -> Subject:
+    """Whole updates of PPO: simulation, observation, learning."""
+    # Before any array is made: on CPUs it divides the lots over the cores.
+    configure_jax()
+    from carpark_mj.training.ppo.group import GroupLearner
+    from carpark_mj.training.ppo.learner import Learner
+    from carpark_mj.training.ppo.parts import PRESETS
+
+    name = job.variant
+    if name == "auto":
+        name = "gpu" if jax.default_backend() == "gpu" else "cpu"
+    if name not in PRESETS:
+        raise ValueError(f"unknown preset {name!r}; choose from {sorted(PRESETS)}")
+    config = dataclasses.replace(PRESETS[name], num_lots=job.lots)
+    what = f"ppo {name}"
+    if job.runs == 1:
+        learner = Learner(config)
+        program = learner.compile()
+    else:
+        seeds = range(job.runs)
+        configs = [dataclasses.replace(config, seed=seed) for seed in seeds]
+        learner = GroupLearner(configs)
+        program = jax.jit(learner.compile(), donate_argnums=0)
+        what += f", {job.runs} runs"
+    layout, carry = config.env.layout, learner.init()
+    present = carry.env.info.get("present")  # None: all always are
+    slots = job.runs * config.slots_per_update
+    share = 1.0 if present is None else float(jnp.mean(present))
+    return Subject(
+        what=what,
+        layout=layout if isinstance(layout, str) else layout.family,
+        agents=config.env.num_agents,
+        unit="agent-steps",
+        count=round(share * slots),
+        program=program,
+        carry=carry,
+    )
+
+
+def physics_subject(job: Job) -> Subject:
+    """Cars alone, at the longest substep at which they pass the physics report."""
+    from carpark_mj.config import CONTACT_SIM_DT, SimConfig
+    from carpark_mj.physics.mjx import MjxPhysics
+    from carpark_mj.physics.mjx_step import ContactPhysics
+    from carpark_mj.vehicle import make_vehicle, preset
+
+    if job.variant == "contact":
+        sim = SimConfig(sim_dt=CONTACT_SIM_DT, tyres="contact")
+        physics: Any = ContactPhysics(sim)
+    else:
+        sim = SimConfig()
+        if job.variant == "mjx.step":
+            sim = dataclasses.replace(sim, stepper="mjx")
+        physics = MjxPhysics(sim)
+
+    def step(carry: Any, _: None) -> tuple[Any, None]:
+        state, key = carry
+        key, control_key = jax.random.split(key)
+        controls = jax.random.uniform(control_key, (job.lots, 2), minval=-1.0)
+        return (physics.step(state, controls), key), None
+
+    vehicle = make_vehicle(preset("compact"))
+    fleet = jax.tree.map(lambda x: jnp.broadcast_to(x, (job.lots, *x.shape)), vehicle)
+    state = physics.init(jnp.zeros((job.lots, 3)), fleet)
+    return Subject(
+        what=f"physics {job.variant} {1e3 * sim.sim_dt:g} ms",
+        layout="",
+        agents=1,
+        unit="car-substeps",
+        count=job.lots * job.steps * sim.num_substeps,
+        program=scan(step, job.steps),
+        carry=(state, jax.random.key(0)),
+    )
+
+
+SUBJECTS: dict[str, Callable[[Job], Subject]] = {
+    "env": env_subject,
+    "ppo": ppo_subject,
+    "physics": physics_subject,
+}
+
+
+def scan(step: Callable[[Any, None], tuple[Any, Any]], steps: int) -> Any:
+    """The jitted program of some steps in a row."""
+    return jax.jit(lambda carry: jax.lax.scan(step, carry, None, length=steps))
+
+
+def measure_job(job: Job, started: float) -> Measurement:
+    """Compiles and times a job; `started` is `time.time()` at this process's start."""
+    if job.what != "physics" or job.variant == "brush":  # MJX refuses it
+        enable_output_fusion()
+    subject = SUBJECTS[job.what](job)
+    clock = CLOCKS[job.clock]
+    begun = clock()
+    compiled = subject.program.lower(subject.carry).compile()
+    compile_s = clock() - begun
+    carry = subject.carry
+
+    def call() -> Any:
+        nonlocal carry
+        carry, outputs = compiled(carry)
+        return carry, outputs
+
+    jax.block_until_ready(call())
+    # The process's own clock begins with it.
+    first_step_s = time.time() - started if job.clock == "wall" else clock()
+    return Measurement(
+        device=device_name(),
+        jax=jax.__version__,
+        mujoco=mujoco.__version__,
+        what=subject.what,
+        layout=subject.layout,
+        agents=subject.agents,
+        lots=job.lots,
+        rate=subject.count / best_time(call, job.timings, clock),
+        unit=f"{subject.unit}/{'s' if job.clock == 'wall' else 'CPU s'}",
+        compile_s=compile_s,
+        first_step_s=first_step_s,
+        peak_memory_mb=peak_memory() / 1e6,
+    )
+
+
+def device_name() -> str:
+    """JAX's device: the GPU's name, or the number of CPU cores."""
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return f"{os.cpu_count()} CPU cores"
+    return device.device_kind
+
+
+def peak_memory() -> int:
+    """Most memory used so far [bytes]: of the first GPU, or of this process."""
+    stats = jax.devices()[0].memory_stats()
+    if stats is not None and "peak_bytes_in_use" in stats:
+        return stats["peak_bytes_in_use"]
+    # Not `getrusage`: its maximum includes the process that started this one.
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) * 1024
+    raise OSError("the kernel does not report the peak memory of a process")
+
+
+def work(argument: str) -> int:
+    """Measures the job of a JSON object and prints another; returns the exit code."""
+    request = json.loads(argument)
+    try:
+        measurement = measure_job(Job(**request["job"]), request["started"])
+    except ValueError as error:
+        print(" ".join(str(error).split()), file=sys.stderr)
+        return 2
+    except Exception as error:
+        traceback.print_exc()
+        # The caller shows the last line, which JAX gives to a note of its own.
+        reason = str(error).partition("\n")[0]
+        print(f"{type(error).__name__}: {reason}", file=sys.stderr)
+        return 1
+    print(json.dumps(dataclasses.asdict(measurement)))
+    return 0

@@ -1,4 +1,4 @@
-"""What `carpark_mj analysis` does: several runs as tables, plots and a page."""
+"""`carpark_mj analysis`: several runs as tables, plots and a page."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -42,7 +42,11 @@ METHOD = (
 
 @dataclasses.dataclass(frozen=True)
 class AnalysisConfig:
-    """Settings of `carpark_mj analysis`.
+    """Compares runs: tables with intervals, plots against a setting, curves, one page.
+
+    carpark_mj analysis runs/cpu-0 runs/cpu-1 runs/cpu-2
+    carpark_mj analysis runs/cpu-num_agents
+    carpark_mj analysis runs/cpu-num_agents --metrics parked length --by env.num_agents
 
     Attributes:
         runs: run folders and folders of sweeps.

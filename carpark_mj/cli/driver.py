@@ -3,7 +3,9 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import (
@@ -12,7 +14,9 @@ from carpark_mj.config import (
     RandomizationConfig,
     SensorConfig,
 )
+from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy import runs
 from carpark_mj.policy.acting import AnyPolicy
@@ -24,9 +28,66 @@ from carpark_mj.registry import environment
 from carpark_mj.spawning.checks import parked_cars_needed
 
 
-def command_help(text: str | None) -> str:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LotSettings(CheckedConfig):
+    """Overrides of an environment that several commands have.
+
+    Attributes:
+        layout: the lot, a name or a layout file, or a comma-separated list of them;
+            default: that of the run.
+        num_agents: number of agents; default: that of the run.
+        num_parked_cars: number of parked cars; default: that of the run.
+        vehicle: preset or file of all cars; default: that of the run, or its fleet.
+        seed: seed of the held-out lots; training never uses these keys.
+    """
+
+    layout: str | None = None
+    num_agents: int | None = None
+    num_parked_cars: int | None = None
+    vehicle: str | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_seed(self.seed)
+
+    def adapted(self, env: EnvConfig, **changes: Any) -> EnvConfig:
+        """The environment with these settings and others, see `adapt`."""
+        names = (field.name for field in dataclasses.fields(LotSettings))
+        own = {name: getattr(self, name) for name in names if name != "seed"}
+        return adapt(env, **own, **changes)
+
+
+@dataclasses.dataclass(frozen=True)
+class DriveSettings(LotSettings):
+    """A policy, and overrides of its environment.
+
+    Attributes:
+        run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
+            `planner`.
+        environment: name of an environment, see `carpark_mj.registry`; default: that of
+            the run. A run's policy observes in it what it was trained to.
+        movers: what else moves, with settings: `pedestrians:number=20`; default: as in
+            the run.
+        physics: back end; default: that of the run. In `scene`, crashes are contacts in
+            one MuJoCo world.
+    """
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
+    _: dataclasses.KW_ONLY
+    environment: str = ""
+    movers: tuple[str, ...] | None = None
+    physics: str | None = None
+
+    def adapted(self, env: EnvConfig, **changes: Any) -> EnvConfig:
+        """See `LotSettings`."""
+        own = {"movers": self.movers, "physics": self.physics}
+        return super().adapted(env, **own, **changes)
+
+
+def command_help(text: str) -> str:
     """The head of a command's help, with the names of the pretrained policies."""
-    return f"{text}\nPretrained policies: {runs.describe_names()}."
+    return f"{text}\n\nPretrained policies: {runs.describe_names()}."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,17 +134,15 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
             raise
         untrained = ", ".join(POLICIES)
         raise CheckpointError(f"{error}; untrained ones: {untrained}") from error
-    env = _observed_alike(loaded.env, environment(named)) if named else loaded.env
+    env = loaded.env
+    if named:  # with the policy's own observation and reward
+        own = {"observation": env.observation, "reward": env.reward}
+        env = dataclasses.replace(environment(named), **own)
 
     def make_policy(env: ParkingEnv) -> Policy:
         return load_policy(name, deterministic, env.config).policy
 
     return Driver(env, output_folder(loaded.path), make_policy)
-
-
-def _observed_alike(own: EnvConfig, task: EnvConfig) -> EnvConfig:
-    """The environment of a task with a policy's own observation and reward."""
-    return dataclasses.replace(task, observation=own.observation, reward=own.reward)
 
 
 def output_folder(checkpoint: Path) -> Path:

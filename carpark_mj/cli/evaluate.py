@@ -1,4 +1,4 @@
-"""What `carpark_mj evaluate` does: whole episodes on held-out seeds, reported."""
+"""`carpark_mj evaluate`: whole episodes on held-out seeds, reported."""
 
 import dataclasses
 import hashlib
@@ -6,15 +6,12 @@ import urllib.parse
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
-from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
-from carpark_mj.cli.driver import adapt, find_driver, with_settings
+from carpark_mj.cli.driver import DriveSettings, find_driver, with_settings
+from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import MetricsConfig, find_rules
-from carpark_mj.config.checks import require_count
+from carpark_mj.config.checks import Bounds, Count
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import Evaluation, evaluate
-from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.evaluation.report import print_report, write_evaluation
 from carpark_mj.files import require_writable
 from carpark_mj.policy.acting import AnyPolicy
@@ -25,38 +22,31 @@ MAX_NAME = 150  # characters of a folder's name; file systems allow 255
 
 
 @dataclasses.dataclass(frozen=True)
-class EvaluateConfig:
-    """Settings of `carpark_mj evaluate`.
+class EvaluateConfig(DriveSettings):
+    """Evaluates a policy on held-out seeds.
+
+    Writes `evaluation.csv` and `evaluation.json`, and `families.csv` of a mixture, and
+    prints the table. docs/metrics.md defines every number.
+
+    carpark_mj evaluate runs/cpu-0
+    carpark_mj evaluate runs/cpu-mixture-0
+    carpark_mj evaluate --policy random --episodes 500
+    carpark_mj evaluate --policy zero --environment square
 
     Attributes:
-        run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
-            `planner`.
-        policy: the same, as a flag.
-        environment: name of an environment, for example `metadrive`; see
-            `carpark_mj.registry`. Default: that of the run. A run's policy observes in
-            it what it was trained to.
+        policy: the same as RUN.
         episodes: number of episodes, rounded up to the same number per agent.
         horizon: simulated time [s]; all episodes that begin within it count, instead of
             the same number per agent, so that short episodes weigh more. `episodes`
             then sets the number of lots.
         num_lots: lots simulated side by side, each with its own share of the episodes.
-        seed: seed of the held-out lots; training never uses these keys.
         rule: parked rule of the evaluation: tanner, strict, precise, metadrive, or a
             registered one; default: that of the run.
         hitbox_scale: factor on the cars' lengths and widths in collision tests;
             default: that of the run's environment.
-        num_agents: number of agents; default: that of the run.
         min_agents: least number of agents; lots have from here to `num_agents` agents,
             each number equally often. Default: that of the run, or `num_agents` if that
             is given.
-        vehicle: preset or file of all cars; default: that of the run, or its fleet.
-        layout: the lot, a name or a layout file, or a comma-separated list of them;
-            default: that of the run.
-        num_parked_cars: number of parked cars; default: that of the run.
-        movers: what else moves, with settings: `pedestrians:number=20`; default: as in
-            the run.
-        physics: back end; default: that of the run. With `scene`, crashes are contacts
-            in one MuJoCo world.
         set: any other settings of the environment, as in
             `sim.steering_delay=0.24 sensors.delay_max=2`.
         nominal: switch off noise and delay of sensors and randomization of the cars.
@@ -66,68 +56,36 @@ class EvaluateConfig:
             episodes, and checkpoint files of a run, get a subfolder of `evaluations/`.
     """
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
     policy: str = ""
-    environment: str = ""
-    episodes: int = 1024
-    horizon: float | None = None
-    num_lots: int = 128
-    seed: int = 0
+    episodes: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 1024
+    horizon: Annotated[float | None, Bounds(gt=0.0, le=MAX_SECONDS, unit="s")] = None
+    num_lots: Count = 128
     rule: str | None = None
     hitbox_scale: float | None = None
-    num_agents: int | None = None
     min_agents: int | None = None
-    vehicle: str | None = None
-    layout: str | None = None
-    num_parked_cars: int | None = None
-    movers: tuple[str, ...] | None = None
-    physics: str | None = None
     set: tuple[str, ...] = ()
     nominal: bool = False
     stochastic: bool = False
     out: str = ""
 
     def __post_init__(self) -> None:
-        require_seed(self.seed)
+        super().__post_init__()
         if self.rule is not None:
             find_rules(self.rule)
-        if not 1 <= self.episodes <= MAX_EPISODES:
-            raise ValueError(
-                f"episodes must be at least 1 and at most {MAX_EPISODES}, not "
-                f"{self.episodes}"
-            )
-        require_count("num_lots", self.num_lots, 1)
-        if self.horizon is not None and not 0 < self.horizon <= MAX_SECONDS:
-            raise ValueError(
-                f"horizon must lie in (0, {MAX_SECONDS}] s, not {self.horizon}"
-            )
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """An evaluation to make.
+    """An evaluation to make."""
 
-    Attributes:
-        name: of the policy.
-        policy: acting function.
-        env: the environment, with changes of the command line.
-        folder: of the results.
-    """
-
-    name: str
+    name: str  # of the policy
     policy: AnyPolicy
-    env: ParkingEnv
-    folder: Path
+    env: ParkingEnv  # with changes of the command line
+    folder: Path  # of the results
 
 
 def main(config: EvaluateConfig) -> Evaluation:
-    """Evaluates, writes the files and prints the table.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        ValueError: impossible settings.
-        OSError: the output folder cannot be written.
-    """
+    """Evaluates, writes the files and prints the table."""
     task = prepare(config)
     print("compiling ...", flush=True)
     result = evaluate(
@@ -143,13 +101,7 @@ def main(config: EvaluateConfig) -> Evaluation:
 
 
 def prepare(config: EvaluateConfig) -> Task:
-    """Finds policy and environment, and checks the folder.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        ValueError: impossible settings.
-        OSError: the output folder cannot be written.
-    """
+    """Finds policy and environment, and checks the folder."""
     if config.run and config.policy:
         raise ValueError("give RUN or --policy RUN, not both")
     if not (config.run or config.policy):
@@ -158,18 +110,12 @@ def prepare(config: EvaluateConfig) -> Task:
         )
     name = config.run or config.policy
     driver = find_driver(name, config.environment, not config.stochastic)
-    changed = adapt(
+    changed = config.adapted(
         with_settings(driver.env, config.set),
         rule=config.rule,
         hitbox_scale=config.hitbox_scale,
         nominal=config.nominal,
-        num_agents=config.num_agents,
         min_agents=config.min_agents,
-        num_parked_cars=config.num_parked_cars,
-        vehicle=config.vehicle,
-        layout=config.layout,
-        movers=config.movers,
-        physics=config.physics,
         metrics=MetricsConfig.everything(),
     )
     env = ParkingEnv(changed)
@@ -186,9 +132,8 @@ def prepare(config: EvaluateConfig) -> Task:
     own = same and not any(changes) and not _is_kept_checkpoint(config)
     default = driver.folder if own else driver.folder / subfolder(config)
     folder = Path(config.out) if config.out else default
-    require_writable(
-        folder / "evaluation.csv", new_folders=True
-    )  # refused before the work
+    # Refused before the work.
+    require_writable(folder / "evaluation.csv", new_folders=True)
     return Task(name, policy, env, folder)
 
 

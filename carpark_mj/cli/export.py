@@ -1,4 +1,4 @@
-"""What `carpark_mj export` does: a policy as an ONNX model or a checkpoint."""
+"""`carpark_mj export`: a policy as an ONNX model or a checkpoint."""
 
 import dataclasses
 import time
@@ -54,7 +54,16 @@ COUNTS = ("others", "parked", "walls", "discs", "lanes")
 
 @dataclasses.dataclass(frozen=True)
 class ExportConfig:
-    """Settings of `carpark_mj export`.
+    """Exports a policy as an ONNX model, or as a checkpoint without training state.
+
+    carpark_mj export runs/cpu-0                      # runs/cpu-0/policy.onnx
+    carpark_mj export runs/cpu-0 --from-state         # runs/cpu-0/car.onnx, for a car
+    carpark_mj export runs/cpu-0 --out policy.npz     # as the pretrained policies are
+
+    An ONNX model has an input for every observation field, with the normalisation
+    inside. With --from-state the observation is inside too; inputs are poses of the
+    car, the others and the walls. A model is written only if onnxruntime computes the
+    policy's actions with it.
 
     Attributes:
         run: pretrained policy, run folder or checkpoint file.

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import inspect
 import io
 import itertools
 import os
@@ -38,14 +39,6 @@ Config = TypeVar("Config")
 
 # A union of dataclasses gives the flags of the member that is the default.
 _MARKERS = (tyro.conf.AvoidSubcommands,)
-
-# What Python and tyro say of a value that is not of a flag's type.
-_UNREAD = (
-    r"(--\S+): (?:invalid literal for int\(\) with base 10: "
-    r"|could not convert string to float: "
-    r"|no type matching .* could be instantiated from \[)"
-    r"(.*?)(?:\]\.)?$"
-)
 
 _HELP_MARKERS = (*_MARKERS, tyro.conf.SuppressFixed)
 
@@ -219,6 +212,11 @@ def _print_short_help(
         print("\n".join(textwrap.wrap(text, 80, break_on_hyphens=False)))
 
 
+def help_of(cls: type) -> str:
+    """The docstring of a config class, without its attributes."""
+    return (inspect.getdoc(cls) or "").partition("\n\nAttributes:")[0]
+
+
 def _by_line(text: str | None) -> str | None:
     """Indents commands, as tyro joins lines that begin with a letter."""
     command = r"^(?=(carpark_mj|python|srun) )"
@@ -226,53 +224,12 @@ def _by_line(text: str | None) -> str | None:
 
 
 def _sentence(box: str) -> str:
-    """Tyro's message in a box on stderr, without frame, title and helptext."""
+    """Tyro's message in a box on stderr as one line, without the box and its title."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", box)
     lines = [line.strip("│ ") for line in text.splitlines()]
     # Under the title: within the frame, or below a rule where there is no UTF-8.
-    start = 1 if lines[0].startswith("╭") else 2
-    message = [*itertools.takewhile(_is_text, lines[start:])]
-    if message and message[0].startswith("Missing from "):
-        return _missing(message[1:])
+    under = lines[1:] if lines[0].startswith("╭") else lines[2:]
+    message = itertools.takewhile(lambda x: not re.fullmatch(r"[─╰╯-]*", x), under)
     sentence = re.sub(r"^Error parsing (\w+: )?", "", " ".join(message))
-    if unread := re.match(_UNREAD, sentence):
-        flag, words = unread.groups()
-        kinds = next((line for line in lines if line.startswith(f"{flag} ")), "")
-        if kinds:
-            return f"{flag} takes {_kinds(kinds.split(maxsplit=1)[1])}, not {words}"
-    sentence = re.sub(r"(?<=Expected one of )\((.*)\)", _choices, sentence)
     meant = re.search(r"Perhaps you meant:\s*(--\S+)", "\n".join(lines))
     return f"{sentence}; perhaps you meant {meant[1]}" if meant else sentence
-
-
-def _missing(lines: Sequence[str]) -> str:
-    """Flags that must be given: a line for each, then its help, which ends so."""
-    entries = "\n".join(lines).split("(required)")[:-1]
-    flags = [entry.strip().partition("\n") for entry in entries]
-    return "; ".join(
-        f"{flag} is missing"
-        + (f": {' '.join(told.split()).rstrip('.')}" if told else "")
-        for flag, _, told in flags
-    )
-
-
-def _kinds(metavar: str) -> str:
-    """What a flag takes, for example `{None}|INT`, in words."""
-
-    def word(kind: str) -> str:
-        kind = kind.strip("{}")
-        if set(kind.split()) == {"FLOAT"} and " " in kind:
-            return f"{len(kind.split())} numbers"
-        return {"INT": "a whole number", "FLOAT": "a number"}.get(kind, kind)
-
-    return " or ".join(map(word, metavar.split("|")))
-
-
-def _choices(listed: re.Match[str]) -> str:
-    """Choices in a fixed order, without the None of a flag that is not given."""
-    names = {name.strip("'") for name in listed[1].split(", ")} - {"None"}
-    return ", ".join(sorted(names))
-
-
-def _is_text(line: str) -> bool:
-    return re.fullmatch(r"[─╰╯-]*", line) is None

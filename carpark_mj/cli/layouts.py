@@ -1,18 +1,7 @@
-"""Inspects layouts: pictures, files, checks of their plans, runs of their scenes.
-
-carpark_mj layouts --plot lots.png
-carpark_mj layouts --check 1000 --run 20
-carpark_mj layouts street my_lot.json --check 1000
-carpark_mj layouts my_lot.json --check 1 --paths 20
-carpark_mj layouts lot --seed 3 --save lot.json
-carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
-carpark_mj layouts import car_park.osm --out lot.json
-carpark_mj layouts edit lot.json
-"""
+"""`carpark_mj layouts`: draws, plots, checks, runs and saves layouts."""
 
 import dataclasses
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -21,10 +10,8 @@ import jax
 import numpy as np
 import tyro
 
-from carpark_mj.cli.common import run_command
-from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LAYOUTS, LayoutConfig
-from carpark_mj.config.checks import require_unset
+from carpark_mj.config.checks import Bounds, CheckedConfig, require_unset
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import (
@@ -42,9 +29,8 @@ from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
 
-PROGRAM = "carpark_mj layouts"
 CHUNK = 250  # layouts drawn at once
-MAX_LOTS = 10_000_000  # of each layout; they take an hour or more
+Lots = Annotated[int, Bounds(ge=0, le=10_000_000)]  # so many take an hour or more
 PICTURES = (".png", ".pdf", ".svg")
 NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 
@@ -152,7 +138,7 @@ def check_paths(
     return found
 
 
-def run(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
+def run_scenes(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
     """MuJoCo's warnings while the scenes of `num_keys` keys run, a sentence each."""
     return [
         f"key {number}: {warning}"
@@ -175,8 +161,17 @@ def run_scene(layout: Layout) -> list[str]:
 
 
 @dataclasses.dataclass(frozen=True)
-class LayoutsConfig:
-    """Settings of `carpark_mj layouts`.
+class LayoutsConfig(CheckedConfig):
+    """Inspects layouts: pictures, files, checks of their plans, runs of their scenes.
+
+    carpark_mj layouts --plot lots.png
+    carpark_mj layouts --check 1000 --run 20
+    carpark_mj layouts street my_lot.json --check 1000
+    carpark_mj layouts my_lot.json --check 1 --paths 20
+    carpark_mj layouts lot --seed 3 --save lot.json
+    carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
+    carpark_mj layouts import car_park.osm --out lot.json
+    carpark_mj layouts edit lot.json
 
     Attributes:
         layouts: names or layout files; all families if none.
@@ -197,18 +192,16 @@ class LayoutsConfig:
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")
     ] = ()
     plot: str = ""
-    check: int = 0
-    paths: int = 0
+    check: Lots = 0
+    paths: Lots = 0
     vehicle: str = ""
-    run: int = 0
+    run: Lots = 0
     save: str = ""
     crop: tuple[float, float, float, float] | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, what in (("check", "lots"), ("run", "lots"), ("paths", "bays")):
-            if not 0 <= (number := getattr(self, name)) <= MAX_LOTS:
-                raise ValueError(f"--{name} takes 0 to {MAX_LOTS} {what}, not {number}")
+        super().__post_init__()
         require_seed(self.seed)
         if not (self.plot or self.check or self.run or self.save):
             raise ValueError(
@@ -230,13 +223,8 @@ class LayoutsConfig:
             )
 
 
-def look(config: LayoutsConfig) -> bool:
-    """Draws, saves, checks and runs; returns whether there were no problems.
-
-    Raises:
-        ValueError: unknown layouts, or files that are not layouts.
-        OSError: the picture or the layout file cannot be written.
-    """
+def main(config: LayoutsConfig) -> int:
+    """Draws, saves, checks and runs; returns the exit code, 1 if there are problems."""
     shown = {name: layout_config(name) for name in config.layouts} or families()
     for file in filter(None, (config.save, config.plot)):
         require_writable(Path(file))  # refused before the work
@@ -264,7 +252,7 @@ def look(config: LayoutsConfig) -> bool:
         inspections = (
             (checked, config.check, "problems"),
             (reached, config.check if config.paths else 0, "with bays out of reach"),
-            (run, config.run, "warnings"),
+            (run_scenes, config.run, "warnings"),
         )
         for inspect, number, what in inspections:
             if not number:
@@ -274,23 +262,4 @@ def look(config: LayoutsConfig) -> bool:
             lots = "1 lot" if number == 1 else f"{number} lots"
             print(f"{name}: {lots}, {len(found)} {what}", flush=True)
             print("".join(f"  {problem}\n" for problem in found[:10]), end="")
-    return sound
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code, 1 if a layout has a problem."""
-    given = sys.argv[1:] if arguments is None else arguments
-    if given and given[0] == "import":
-        from carpark_mj.cli import map_import
-
-        return map_import.main(given[1:])
-    if given and given[0] == "edit":
-        from carpark_mj.cli import layout_editor
-
-        return layout_editor.main(given[1:])
-
-    def command() -> int:
-        config = read_flags(LayoutsConfig, arguments, description=__doc__, prog=PROGRAM)
-        return 0 if look(config) else 1
-
-    return run_command("layouts", command)
+    return 0 if sound else 1

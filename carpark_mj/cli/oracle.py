@@ -1,81 +1,53 @@
-"""Says which agents of held-out lots can park within an episode.
-
-A planner that sees and moves all cars answers for each lot at its start; what it does
-not solve may still be possible, unless it is counted as impossible.
-
-carpark_mj oracle --layout street --num-agents 8 --lots 30
-carpark_mj oracle --layout dead_end,garage_row --num-agents 4 --out runs/oracle
-"""
+"""`carpark_mj oracle`: which agents of held-out lots can park within an episode."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import numpy as np
 
-from carpark_mj.cli.common import (
-    MAX_EPISODES,
-    enable_output_fusion,
-    keep_compiled_programs,
-    run_command,
-)
-from carpark_mj.cli.driver import adapt
-from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.driver import LotSettings
+from carpark_mj.cli.process import MAX_EPISODES
+from carpark_mj.config.checks import Bounds
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.evaluator import allot
-from carpark_mj.evaluation.keys import evaluation_key, require_seed
+from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.layouts import member_shares
 from carpark_mj.planning.oracle import impossible, solve
 from carpark_mj.planning.policy import Sight, require_plannable, sights
 from carpark_mj.registry import environment
 
-PROGRAM = "carpark_mj oracle"
 OUTCOMES = ("in time", "late", "none found", "impossible")
 
 
 @dataclasses.dataclass(frozen=True)
-class OracleConfig:
-    """Settings of `carpark_mj oracle`.
+class OracleConfig(LotSettings):
+    """Says which agents of held-out lots can park within an episode.
+
+    A planner that sees and moves all cars answers for each lot at its start; what it
+    does not solve may still be possible, unless it is counted as impossible.
+
+    carpark_mj oracle --layout street --num-agents 8 --lots 30
+    carpark_mj oracle --layout dead_end,garage_row --num-agents 4 --out runs/oracle
 
     Attributes:
         environment: name of an environment, see `carpark_mj.registry`.
-        layout: the lot, a name or a layout file, or a comma-separated list of them;
-            default: that of the environment.
-        num_agents: number of agents, of lots that have bays for them; default: that of
-            the environment.
         lots: number of lots.
-        seed: of the held-out lots; training never uses these keys.
         out: folder for `oracle.csv`, a row per agent.
     """
 
     environment: str = "anywhere"
-    layout: str | None = None
-    num_agents: int | None = None
-    lots: int = 16
-    seed: int = 0
+    lots: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 16
     out: str = ""
 
-    def __post_init__(self) -> None:
-        require_seed(self.seed)
-        if not 1 <= self.lots <= MAX_EPISODES:
-            raise ValueError(
-                f"lots must be at least 1 and at most {MAX_EPISODES}, not {self.lots}"
-            )
 
-
-def consult(config: OracleConfig) -> list[dict[str, Any]]:
-    """Plans the lots, prints a table and writes the file; returns its rows.
-
-    Raises:
-        ValueError: impossible settings, or OMPL is not installed.
-        OSError: the folder cannot be written.
-    """
-    task = environment(config.environment)
-    task = adapt(task, layout=config.layout, num_agents=config.num_agents)
+def main(config: OracleConfig) -> list[dict[str, Any]]:
+    """Plans the lots, prints a table and writes the file; returns its rows."""
+    task = config.adapted(environment(config.environment))
     env = ParkingEnv(task)
     require_plannable(env)
     if task.movers:
@@ -140,14 +112,3 @@ def describe(rows: list[dict[str, Any]]) -> str:
         rate = f"{whole:.1f} ({100 * low:.1f} … {100 * high:.1f})"
         lines.append(f"| {' | '.join(map(str, (*cell, len(lots), *shares, rate)))} |")
     return "\n".join(lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-
-    def command() -> None:
-        enable_output_fusion()
-        keep_compiled_programs()
-        consult(read_flags(OracleConfig, arguments, description=__doc__, prog=PROGRAM))
-
-    return run_command("oracle", command)

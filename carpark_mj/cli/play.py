@@ -1,39 +1,37 @@
-"""Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
-
-carpark_mj play --layout street
-carpark_mj play --policy square --view window --camera chase:0
-carpark_mj play --replay runs/play/drive-0.npz --video drive.mp4
-
-Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the next
-one, Q ends. Gamepad: left stick, right trigger ahead, left trigger back. Without a
-display a page is served instead, with a steering wheel and a pedal to pull.
-"""
+"""`carpark_mj play`: driving by hand, in a window or on a page for a browser."""
 
 import dataclasses
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from carpark_mj.config.checks import require_unset
-from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.rendering.gl import Window, choose_gl, has_display
 
 if not has_display():
     choose_gl()  # before MuJoCo is imported; windows have an OpenGL of their own
 
-from carpark_mj.cli.common import keep_compiled_programs, one_line, run_command
-from carpark_mj.cli.driver import command_help, find_driver
-from carpark_mj.cli.process import patient_interrupts
-from carpark_mj.cli.scene import SceneConfig, default_env, env_config
+from carpark_mj.cli.driver import LotSettings, find_driver
+from carpark_mj.cli.process import one_line, patient_interrupts
+from carpark_mj.cli.scene import default_env
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
-from carpark_mj.play.controls import KEYS, Controls, from_gamepad, from_keys, stop
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
-from carpark_mj.play.driven import DrivenLot
+from carpark_mj.play.driving import (
+    KEYS,
+    SIZE,
+    Controls,
+    DrivenLot,
+    Picture,
+    from_gamepad,
+    from_keys,
+    record_video,
+    stop,
+)
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
@@ -41,14 +39,21 @@ from carpark_mj.rendering.local_pages import HOST, PORT, check_port
 from carpark_mj.rendering.renderer import camera_names
 from carpark_mj.rendering.web import make_live_viewer, require_web
 
-PROGRAM = "carpark_mj play"
 LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")
 COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
 
 
 @dataclasses.dataclass(frozen=True)
-class PlayConfig:
-    """Settings of `carpark_mj play`.
+class PlayConfig(LotSettings):
+    """Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
+
+    carpark_mj play --layout street
+    carpark_mj play --policy square --view window --camera chase:0
+    carpark_mj play --replay runs/play/drive-0.npz --video drive.mp4
+
+    Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the
+    next one, Q ends. Gamepad: left stick, right trigger ahead, left trigger back.
+    Without a display a page is served instead, with a steering wheel and a pedal.
 
     Attributes:
         layout: name of a lot or a family, or a layout file; default `square`, or the
@@ -71,12 +76,7 @@ class PlayConfig:
         port: of the page.
     """
 
-    layout: str | None = None
     policy: str = ""
-    num_agents: int | None = None
-    num_parked_cars: int | None = None
-    vehicle: str | None = None
-    seed: int = 0
     view: Literal["", "window", "web"] = ""
     camera: str = "split"
     out: str = "runs/play"
@@ -85,6 +85,7 @@ class PlayConfig:
     port: int = PORT
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.video and not self.replay:
             raise ValueError("video needs a drive to show: give --replay FILE.npz")
         if self.replay:
@@ -97,7 +98,6 @@ class PlayConfig:
             require_unset(self, "in a window", "port")
         camera_names(self.camera)
         check_port(self.port)
-        require_seed(self.seed)
 
     @property
     def shown_in(self) -> str:
@@ -107,26 +107,17 @@ class PlayConfig:
 
 def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
     """The environment to drive in, and the policy of the other cars."""
-    agents = config.num_agents
-    if agents is None and not config.policy:
-        agents = 1
-    scene = SceneConfig(
-        layout=config.layout,
-        view="web",
-        num_agents=agents,
-        num_parked_cars=config.num_parked_cars,
-        vehicle=config.vehicle,
-    )
     if config.policy:
         driver = find_driver(config.policy)
-        env = ParkingEnv(env_config(scene, driver.env))
+        env = ParkingEnv(config.adapted(driver.env))
         policy = driver.policy(env)
         if isinstance(policy, StatePolicy):
             raise ValueError(
                 f"policy must be one that acts on observations, not {config.policy}"
             )
         return env, policy
-    env = ParkingEnv(env_config(scene, default_env(scene)))
+    alone = dataclasses.replace(config, num_agents=config.num_agents or 1)
+    env = ParkingEnv(alone.adapted(default_env(alone)))
     return env, zero_policy(env.action_spec)
 
 
@@ -145,11 +136,7 @@ def replay(demonstration: Demonstration) -> DrivenLot:
 
 
 def open_folder(config: PlayConfig) -> Path:
-    """The folder of the drives, made now: at the end of a drive it would be lost.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """The folder of the drives, made now: at the end of a drive it would be lost."""
     folder = Path(config.out)
     folder.mkdir(parents=True, exist_ok=True)
     require_writable(folder / "drive.npz")
@@ -176,8 +163,6 @@ def pad(action: np.ndarray, size: int) -> np.ndarray:
 
 def play_in_window(config: PlayConfig) -> None:
     """Drives in a window until it is closed; every drive is saved."""
-    from carpark_mj.play.picture import SIZE, Picture
-
     env, others = make_env(config)
     window = Window(SIZE)
     controls, seed = Controls(), config.seed
@@ -277,8 +262,6 @@ def show_replay(config: PlayConfig) -> None:
     demonstration = load_demonstration(Path(config.replay))
     lot = replay(demonstration)
     if config.video:
-        from carpark_mj.play.picture import record_video
-
         count = record_video(lot, config.camera, len(demonstration), Path(config.video))
         print(f"wrote {config.video}: {count} frames")
     elif config.shown_in == "web":
@@ -287,22 +270,13 @@ def show_replay(config: PlayConfig) -> None:
         print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
         viewer.run()
     else:
-        from carpark_mj.play.picture import SIZE, Picture
-
         window, picture = Window(SIZE), Picture(lot, config.camera)
         while _drive(lot, picture.draw, window) == "R":
             lot.reset()
 
 
 def main(config: PlayConfig) -> None:
-    """Plays, or replays.
-
-    Raises:
-        CheckpointError: the policy cannot be read.
-        ValueError: impossible settings, or a file that is no drive.
-        OSError: a file cannot be read or written, or the browser view is missing.
-    """
-    keep_compiled_programs()
+    """Plays, or replays."""
     if config.replay:
         show_replay(config)
     elif config.shown_in == "window":
@@ -314,15 +288,3 @@ def main(config: PlayConfig) -> None:
             viewer.run()
         finally:
             save(lot, Path(config.out))
-
-
-def run(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    return run_command("play", lambda: _run(arguments))
-
-
-def _run(arguments: Sequence[str] | None) -> None:
-    from carpark_mj.cli.flags import read_flags
-
-    description = command_help(__doc__)
-    main(read_flags(PlayConfig, arguments, description=description, prog=PROGRAM))

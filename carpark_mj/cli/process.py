@@ -1,11 +1,11 @@
-"""The process of a command: Ctrl-C, what it prints, the environment it finds.
+"""The process of a command: Ctrl-C, what it prints, errors that the user can fix.
 
-It imports the standard library only, so that Ctrl-C is handled from the start.
+Only the standard library is imported at first, so that Ctrl-C is handled from the
+start.
 """
 
 import contextlib
 import errno
-import functools
 import importlib
 import io
 import os
@@ -13,18 +13,27 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Generator
-from types import FrameType, TracebackType
+from collections.abc import Callable, Generator
+from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn, cast
 
-from carpark_mj.cli.common import run_command
 from carpark_mj.rendering.gl import check_gl
 
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
 PATIENCE = 1.5  # s in which an interrupted command ends by itself
+USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
+MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
+MAX_SECONDS = 3600  # of a recording, or an evaluation's horizon, both held in memory
+OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
+# What installs the packages that commands need beside the library's own.
+EXTRAS = dict.fromkeys(
+    ("tyro", "rich", "matplotlib", "tensorboardX", "imageio_ffmpeg", "scipy"),
+    "train,eval",
+) | {"submitit": "sweep", "vehiclemodels": "test"}
 
 
-def enter(program: str, entry: str) -> NoReturn:
+def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
     """Runs a command as this process, and ends it.
 
     Ctrl-C ends it with one line and exit code 130, also in compiled code, unless the
@@ -35,51 +44,134 @@ def enter(program: str, entry: str) -> NoReturn:
         program: name before messages on stderr.
         entry: `module:function` that is the command, imported here; its value is the
             exit code if it is an int.
+        *arguments: of the function.
     """
-    interrupts, printed = prepare(program)
+    interrupts, stdout = Interrupts(program), _keep_printing()
 
     def command() -> object:
+        check_gl()
+        _check_jax()
         module, _, function = entry.partition(":")
-        return getattr(importlib.import_module(module), function)()
+        return getattr(importlib.import_module(module), function)(*arguments)
 
     code: Any
     try:
         code = run_command(program, command)
     except SystemExit as end:  # after the help
         code = end.code
+    except BaseException as error:
+        # JAX wraps an interrupt where it calls back.
+        if interrupts.taken or isinstance(error, KeyboardInterrupt):
+            interrupts.end()
+        raise
     if interrupts.taken:
         interrupts.end()
     sys.stdout.flush()
-    failed = printed.error if printed else None
+    failed = stdout.error if stdout else None
     if failed is not None and failed.errno != errno.EPIPE and not code:
         print(f"{program}: cannot write to stdout: {failed.strerror}", file=sys.stderr)
         code = 2
     sys.exit(code)
 
 
-@functools.cache
-def prepare(program: str) -> tuple["Interrupts", "_Output | None"]:
-    """Prepares this process for a command: the first part of `enter`.
+def run_command(program: str, command: Callable[[], object]) -> int:
+    """Runs a command; errors that the user can fix end it with one line on stderr.
 
-    Raises:
-        SystemExit: JAX or MuJoCo cannot be imported in this environment.
+    Args:
+        program: name before the line.
+        command: returns the exit code; any value but an int means 0. It imports
+            modules that need packages of `EXTRAS`, so that a missing package is such an
+            error.
+
+    Returns:
+        The exit code, 2 for such errors.
     """
-    found = Interrupts(program), keep_printing()
     try:
-        check_gl()
-        check_jax()
-    except ValueError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        sys.exit(2)
-    return found
+        code = command()
+    except Exception as error:
+        message = _for_the_user(error)
+        if message is None:
+            raise
+        print(f"{program}: {message}", file=sys.stderr)
+        return 2
+    return code if isinstance(code, int) else 0
+
+
+def one_line(error: BaseException) -> str:
+    """An error as one line that names the file or the value."""
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"cannot use {error.filename}: {error.strerror}"
+    if isinstance(error, OverflowError):
+        return f"a number is too large: {error}"
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+        reason = str(error).partition("\n")[0] or "allocation failed"
+        return f"not enough memory, choose smaller sizes: {reason}"
+    return " ".join(str(error).split())
+
+
+def _for_the_user(error: Exception) -> str | None:
+    """Message for an error that the user can fix; None for a bug."""
+    # Not imported here: if JAX or MuJoCo cannot be imported, that is the error.
+    homes = {
+        "carpark_mj.policy.checkpoints": "CheckpointError",
+        "carpark_mj.rendering.renderer": "RenderingError",
+    }
+    loaded = [(sys.modules[h], name) for h, name in homes.items() if h in sys.modules]
+    own = tuple(getattr(module, name) for module, name in loaded)
+    if isinstance(error, (*USER_ERRORS, *own)):
+        return one_line(error)
+    if isinstance(error, ModuleNotFoundError):
+        return _missing_extra(error)
+    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
+        return one_line(error)
+    return _missing_device()
+
+
+def _missing_extra(error: ModuleNotFoundError) -> str | None:
+    extra = EXTRAS.get((error.name or "").partition(".")[0])
+    return extra and f'{error}: pip install "carpark_mj[{extra}]"'
+
+
+@contextlib.contextmanager
+def naming_extras() -> Generator[None]:
+    """Names the extra to install if an import inside misses a package of `EXTRAS`."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        message = _missing_extra(error)
+        if message is None:
+            raise
+        raise ImportError(message, name=error.name) from None
+
+
+def _missing_device() -> str | None:
+    """Message if JAX does not find a device that the user has requested.
+
+    JAX fails in many ways then, sometimes without a message.
+    """
+    names = ("JAX_PLATFORMS", "JAX_NUM_CPU_DEVICES")
+    asked = [f"{name}={os.environ[name]}" for name in names if os.environ.get(name)]
+    jax = sys.modules.get("jax")
+    if not asked or jax is None:
+        return None
+    try:
+        jax.devices()
+    except Exception as error:
+        reason = str(error).partition("\n")[0] or "there is none"
+        return f"JAX finds no device with {', '.join(asked)}: {reason}"
+    return None
+
+
+def _check_jax() -> None:
+    count = os.environ.get("JAX_NUM_CPU_DEVICES", "1")
+    if not (count.isdecimal() and int(count) >= 1):
+        raise ValueError(
+            f"JAX_NUM_CPU_DEVICES must be a whole number, at least 1, not {count!r}"
+        )
 
 
 class _Output(io.FileIO):
-    """A descriptor to write to; from the first failure on nothing is written.
-
-    Attributes:
-        error: that failure.
-    """
+    """A descriptor to write to; nothing after its first failure, `error`."""
 
     error: OSError | None = None
 
@@ -93,41 +185,20 @@ class _Output(io.FileIO):
         return len(data)
 
 
-def keep_printing() -> _Output | None:
-    """Makes stdout and stderr never raise; returns stdout's descriptor.
-
-    A failed print must not lose the work behind it. None: stdout does not belong to the
-    process any more.
-    """
-    found: dict[str, _Output] = {}
-    for name, descriptor in (("stdout", 1), ("stderr", 2)):
-        old: Any = getattr(sys, name)
-        if old is None:  # it was closed: let no file take its number
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
-        elif old is getattr(sys, f"__{name}__"):
-            raw = found[name] = _Output(descriptor, "w", closefd=False)
-            text = io.TextIOWrapper(
-                cast(Any, raw) if old.write_through else io.BufferedWriter(raw),
-                encoding=old.encoding,
-                errors="replace",
-                line_buffering=old.line_buffering,
-                write_through=old.write_through,
-            )
-            setattr(sys, name, text)
-    return found.get("stdout")
-
-
-def check_jax() -> None:
-    """Refuses a value of `JAX_NUM_CPU_DEVICES` with which JAX fails.
-
-    Raises:
-        ValueError: it is not a number of devices.
-    """
-    count = os.environ.get("JAX_NUM_CPU_DEVICES", "1")
-    if not (count.isdecimal() and int(count) >= 1):
-        raise ValueError(
-            f"JAX_NUM_CPU_DEVICES must be a whole number, at least 1, not {count!r}"
-        )
+def _keep_printing() -> _Output | None:
+    """Makes stdout never raise: a failed print must not lose the work behind it."""
+    old: Any = sys.stdout
+    if old is None or old is not sys.__stdout__:
+        return None
+    raw = _Output(1, "w", closefd=False)
+    sys.stdout = io.TextIOWrapper(
+        cast(Any, raw) if old.write_through else io.BufferedWriter(raw),
+        encoding=old.encoding,
+        errors="replace",
+        line_buffering=old.line_buffering,
+        write_through=old.write_through,
+    )
+    return raw
 
 
 class Interrupts:
@@ -144,10 +215,9 @@ class Interrupts:
     def __init__(self, program: str) -> None:
         """Installs the handler, unless the process was told to ignore Ctrl-C."""
         self._program = program
-        self._ends = self.taken = False
+        self.taken = False
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
             return
-        sys.excepthook = self._uncaught
         sys.unraisablehook = self._unraisable
         came, comes = os.pipe()
         os.set_blocking(comes, False)
@@ -158,8 +228,7 @@ class Interrupts:
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.taken = True
-        if not self._ends:
-            raise KeyboardInterrupt
+        raise KeyboardInterrupt
 
     def _watch(self, came: int) -> None:
         """Ends the process after one Ctrl-C; after two if the command handles one."""
@@ -171,17 +240,6 @@ class Interrupts:
                 time.sleep(PATIENCE)
                 self.end()
 
-    def _uncaught(
-        self,
-        kind: type[BaseException],
-        error: BaseException,
-        trace: TracebackType | None,
-    ) -> None:
-        # Whatever comes of an interrupt: JAX wraps it where it calls back.
-        if self.taken or issubclass(kind, KeyboardInterrupt):
-            self.end()
-        sys.__excepthook__(kind, error, trace)
-
     def _unraisable(self, unraisable: Any) -> None:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):  # else nobody sees it
             self.end()
@@ -192,8 +250,8 @@ class Interrupts:
 
         `sys.exit` is not used: the interpreter would destroy running programs.
         """
-        self._ends = True
         if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
             with contextlib.suppress(Exception):
                 sys.stdout.flush()
         # Not `print`, whose lock the main thread may hold.
@@ -211,3 +269,47 @@ def patient_interrupts() -> Generator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, handler)
+
+
+def enable_output_fusion() -> None:
+    """Makes XLA on a CPU share results between loops, as on GPUs.
+
+    Call it before JAX's first computation, when XLA reads `XLA_FLAGS`. It keeps a value
+    that the user has set.
+    """
+    os.environ.setdefault("XLA_FLAGS", OUTPUT_FUSION)
+
+
+def dispatch_synchronously() -> None:
+    """Makes JAX on a CPU run programs in the thread that calls them.
+
+    A program whose arguments are not ready yet runs in a thread of XLA's pool instead.
+    On one core that is the pool's only thread, and a callback (the planner, `scene`
+    physics) waits there for ever for arrays above 100 kB, which JAX copies in the pool
+    (jax-ml/jax#25861). Call it before JAX's first computation.
+    """
+    import jax
+
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+def configure_jax() -> None:
+    """One CPU device per core, over which trainers shard the lots; fused outputs."""
+    import jax
+
+    enable_output_fusion()
+    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
+    if cores == 1:
+        dispatch_synchronously()
+    if "JAX_NUM_CPU_DEVICES" not in os.environ:
+        jax.config.update("jax_num_cpu_devices", cores or 1)
+
+
+def keep_compiled_programs() -> None:
+    """Turns JAX's persistent compilation cache on, in the user's cache folder."""
+    import jax
+
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = Path.home() / ".cache" / "carpark_mj" / "jax"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)

@@ -1,4 +1,4 @@
-"""What `carpark_mj render` does: records episodes and renders them off-screen."""
+"""`carpark_mj render`: records episodes and renders them off-screen."""
 
 import contextlib
 import dataclasses
@@ -9,18 +9,16 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import tyro
 from PIL import Image
 from rich.progress import track
 
 from carpark_mj.cameras import RIGS, Rig
 from carpark_mj.cameras.see import Channel
-from carpark_mj.cli.common import MAX_SECONDS
-from carpark_mj.cli.driver import adapt, find_driver
+from carpark_mj.cli.driver import DriveSettings, find_driver
+from carpark_mj.cli.process import MAX_SECONDS
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_positive, require_unset
+from carpark_mj.config.checks import Bounds, Positive, require_unset
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, draw_lots
@@ -49,14 +47,18 @@ from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 
 
 @dataclasses.dataclass(frozen=True)
-class RenderConfig:
-    """Settings of `carpark_mj render`.
+class RenderConfig(DriveSettings):
+    """Renders a policy's evaluation episodes off-screen to an mp4, a GIF or a still.
+
+    carpark_mj render runs/cpu-0
+    carpark_mj render runs/cpu-0 --camera split:1 --show tracked,rings
+    carpark_mj render runs/cpu-0 --physics scene --respawn false
+    carpark_mj render runs/cpu-0 --camera chase:0 --seconds 30
+    carpark_mj render runs/cpu-0 --camera driver:0 --layout lot --seed 3
+    carpark_mj render runs/cpu-0 --frame 12 --out frame.png
+    carpark_mj render --gallery --out gallery.png
 
     Attributes:
-        run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
-            `planner`.
-        environment: name of an environment, see `carpark_mj.registry`; default: that of
-            the run. A run's policy observes in it what it was trained to.
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
             `frame.png` in the run folder, `gallery.png` here for the gallery.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
@@ -75,41 +77,23 @@ class RenderConfig:
             run.
         width: width of a frame [pixels], even.
         height: height of a frame [pixels], even.
-        seed: seed of the held-out lot.
-        num_agents: number of agents; default: that of the run.
-        num_parked_cars: number of parked cars; default: that of the run.
-        vehicle: preset or file of all cars; default: that of the run, or its fleet.
-        layout: the lot, a name or a layout file; default: that of the run.
-        movers: what else moves, with settings: `pedestrians:number=20`; default: as in
-            the run.
-        physics: back end; default: that of the run. In `scene` crashed cars push each
-            other, spin and stop.
         respawn: whether finished agents respawn; `false` = one episode per agent.
     """
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
-    environment: str = ""
     out: str = ""
     camera: str = "topdown"
     channel: Channel = "colour"
     show: str = ""
-    seconds: float = 20.0
-    fps: float = 10.0
-    frame: float | None = None
+    seconds: Annotated[float, Bounds(gt=0.0, le=MAX_SECONDS)] = 20.0
+    fps: Positive = 10.0
+    frame: Annotated[float | None, Bounds(ge=0.0, le=MAX_SECONDS, unit="s")] = None
     gallery: bool = False
     width: int = 1280
     height: int = 720
-    seed: int = 0
-    num_agents: int | None = None
-    num_parked_cars: int | None = None
-    vehicle: str | None = None
-    layout: str | None = None
-    movers: tuple[str, ...] | None = None
-    physics: str | None = None
     respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:
-        require_seed(self.seed)
+        super().__post_init__()
         if bool(self.run) == self.gallery:
             raise ValueError(
                 "give a pretrained policy, a run folder, zero, random or planner, "
@@ -123,15 +107,6 @@ class RenderConfig:
             require_unset(self, "with --frame", "seconds", "fps")
         idle = "show" if self.rig() else "channel"
         require_unset(self, f"with --camera {self.camera}", idle)
-        if not 0 < self.seconds <= MAX_SECONDS:
-            raise ValueError(
-                f"seconds must lie in (0, {MAX_SECONDS}], not {self.seconds}"
-            )
-        if self.frame is not None and not 0 <= self.frame <= MAX_SECONDS:
-            raise ValueError(
-                f"frame must lie in [0, {MAX_SECONDS}] s, not {self.frame}"
-            )
-        require_positive(self, "fps")
         unknown = set(self.extras) - {"tracked", "rings"}
         if unknown:
             raise ValueError(
@@ -146,11 +121,7 @@ class RenderConfig:
                 )
 
     def rig(self, num_agents: int | None = None) -> Rig | None:
-        """The cameras of a car that `camera` names; None if it is one of the lot's.
-
-        Raises:
-            ValueError: it is neither, see `camera_names`.
-        """
+        """The cameras of a car that `camera` names; None if it is one of the lot's."""
         rig = car_cameras(self.camera, (self.width, self.height))
         if rig is None:
             try:
@@ -167,41 +138,13 @@ class RenderConfig:
         """The names in `show`."""
         return [name.strip() for name in self.show.split(",") if name.strip()]
 
-    @property
-    def file(self) -> str:
-        """Name of the file if `out` gives none."""
-        if self.gallery:
-            return "gallery.png"
-        return "video.mp4" if self.frame is None else "frame.png"
-
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        """How the file may end."""
-        still = self.gallery or self.frame is not None
-        return (".png",) if still else (".mp4", ".gif")
-
 
 def main(config: RenderConfig) -> Path:
-    """Drives, draws and writes; returns the file.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        RenderingError: no GL.
-        ValueError: impossible settings, or no such camera.
-        OSError: the file cannot be written.
-    """
+    """Drives, draws and writes; returns the file."""
     if config.gallery:
         return _gallery(config)
     driver = find_driver(config.run, config.environment)
-    env_config = adapt(
-        driver.env,
-        num_agents=config.num_agents,
-        num_parked_cars=config.num_parked_cars,
-        vehicle=config.vehicle,
-        layout=config.layout,
-        movers=config.movers,
-        physics=config.physics,
-    )
+    env_config = config.adapted(driver.env)
     episode = dataclasses.replace(env_config.episode, respawn=config.respawn == "true")
     env_config = dataclasses.replace(env_config, episode=episode)
     rig = config.rig(env_config.num_agents)  # refuse before the work
@@ -231,13 +174,13 @@ def main(config: RenderConfig) -> Path:
 
 def _open_output(config: RenderConfig, folder: Path) -> Path:
     """The file to write, checked before the work."""
-    out = Path(config.out) if config.out else folder / config.file
-    if out.suffix not in config.suffixes:
+    still = config.gallery or config.frame is not None
+    name = ("gallery.png" if config.gallery else "frame.png") if still else "video.mp4"
+    out = Path(config.out) if config.out else folder / name
+    if out.suffix not in ((".png",) if still else (".mp4", ".gif")):
         raise ValueError(
-            f"out must end in {' or '.join(config.suffixes)}, or in .png with --frame "
-            f"or --gallery, not {out.name!r}"
-            if ".mp4" in config.suffixes
-            else f"out must end in .png, not {out.name!r}"
+            "out must end in .mp4 or .gif, or in .png with --frame or --gallery, not "
+            f"{out.name!r}"
         )
     missing_gl = choose_gl()
     if missing_gl and (config.gallery or config.rig() is None):

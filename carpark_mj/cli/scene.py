@@ -1,15 +1,6 @@
-"""Writes a car park as MJCF that drives in the MuJoCo viewer, or opens it there.
-
-carpark_mj scene --layout square --out scene.xml
-python -m mujoco.viewer --mjcf=scene.xml
-carpark_mj scene --layout lot --seed 3 --view
-carpark_mj scene --layout lot --seed 3 --view web
-carpark_mj scene --policy runs/cpu-0 --view web
-carpark_mj scene --layout square --suspension --view
-"""
+"""`carpark_mj scene`: a car park as MJCF, in a file or in a viewer."""
 
 import dataclasses
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -18,12 +9,10 @@ import jax
 import mujoco
 import numpy as np
 
-from carpark_mj.cli.common import run_command
-from carpark_mj.cli.driver import adapt, command_help, find_driver
+from carpark_mj.cli.driver import LotSettings, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
@@ -34,7 +23,6 @@ from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.checks import has_exits
 from carpark_mj.vehicle import VehicleParameters, preset
 
-PROGRAM = "carpark_mj scene"
 WITHOUT_DISPLAY = (
     "use a desktop session or `ssh -X`, or look at it in a browser with --view web, or "
     "write a file with --out and open it elsewhere with `python -m mujoco.viewer "
@@ -68,14 +56,17 @@ class SceneOutput:
 
 
 @dataclasses.dataclass(frozen=True)
-class SceneConfig(SceneOutput):
-    """Settings of `carpark_mj scene`.
+class SceneConfig(SceneOutput, LotSettings):
+    """Writes a car park as MJCF that drives in the MuJoCo viewer, or opens it there.
+
+    carpark_mj scene --layout square --out scene.xml
+    python -m mujoco.viewer --mjcf=scene.xml
+    carpark_mj scene --layout lot --seed 3 --view
+    carpark_mj scene --layout lot --seed 3 --view web
+    carpark_mj scene --policy runs/cpu-0 --view web
+    carpark_mj scene --layout square --suspension --view
 
     Attributes:
-        out: MJCF file to write; it needs no other file and no carpark_mj.
-        view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
-            a page on this machine for a browser.
-        port: port of the browser page.
         layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
             file, as in `EnvConfig`; default `square`, or the policy's.
         policy: pretrained policy, run folder or checkpoint file that drives, or `zero`
@@ -89,41 +80,23 @@ class SceneConfig(SceneOutput):
         seed: random seed of the lot and its cars.
     """
 
-    layout: str | None = None
     policy: str = ""
-    num_agents: int | None = None
-    num_parked_cars: int | None = None
-    vehicle: str | None = None
     suspension: bool = False
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        SceneOutput.__post_init__(self)
+        LotSettings.__post_init__(self)
         if self.policy and (self.view != "web" or self.out):
             raise ValueError(
                 "a policy drives in the browser only: give --view web alone"
             )
         if self.policy:
             require_unset(self, "with --policy", "suspension")
-        require_seed(self.seed)
-
-
-def env_config(config: SceneConfig, base: EnvConfig) -> EnvConfig:
-    """The environment `base` with the values that the settings give."""
-    names = ("layout", "vehicle", "num_agents", "num_parked_cars")
-    return adapt(base, **{name: getattr(config, name) for name in names})
 
 
 def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
-    """Draws a lot as an episode would start and builds its drivable scene.
-
-    Returns:
-        The scene and the lot's half widths (2,) [m].
-
-    Raises:
-        ValueError: unknown vehicle, or more cars than the lot holds.
-    """
-    env = ParkingEnv(env_config(config, default_env(config)))
+    """The drivable scene of a lot at its start, and the lot's half widths (2,) [m]."""
+    env = ParkingEnv(config.adapted(default_env(config)))
     state, _ = jax.jit(env.reset)(jax.random.key(config.seed))
     spec = drivable_scene(
         state.layout,
@@ -137,15 +110,11 @@ def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
 
 
 def vehicle(config: SceneConfig) -> VehicleParameters:
-    """The cars to drive.
-
-    Raises:
-        ValueError: unknown vehicle.
-    """
-    return preset(env_config(config, default_env(config)).vehicle)
+    """The cars to drive."""
+    return preset(config.adapted(default_env(config)).vehicle)
 
 
-def default_env(config: SceneConfig) -> EnvConfig:
+def default_env(config: LotSettings) -> EnvConfig:
     """Two agents and sixteen parked cars, or as many as fit into the lot."""
     name = config.layout or "square"
     lot = layout_config(name)
@@ -159,15 +128,10 @@ def default_env(config: SceneConfig) -> EnvConfig:
 
 
 def show_policy(config: SceneConfig) -> None:
-    """Serves a lot in which a policy drives, until Ctrl-C.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        OSError: the browser view is not installed.
-    """
+    """Serves a lot in which a policy drives, until Ctrl-C."""
     require_web()  # before the work
     driver = find_driver(config.policy)
-    env = ParkingEnv(env_config(config, driver.env))
+    env = ParkingEnv(config.adapted(driver.env))
     viewer, server = make_live_viewer(
         LiveLot(env, driver.policy(env), config.seed), config.port
     )
@@ -176,13 +140,7 @@ def show_policy(config: SceneConfig) -> None:
 
 
 def main(config: SceneConfig) -> None:
-    """Writes and shows.
-
-    Raises:
-        CheckpointError: the policy cannot be read.
-        ValueError: impossible settings.
-        OSError: the file cannot be written, or there is no display or browser view.
-    """
+    """Writes and shows."""
     if config.policy:
         show_policy(config)
         return
@@ -192,12 +150,7 @@ def main(config: SceneConfig) -> None:
 
 
 def require_view(output: SceneOutput) -> None:
-    """Refuses, before the work, what cannot be shown or written.
-
-    Raises:
-        OSError: the file cannot be written, there is no browser view, or no display and
-            no file to write instead.
-    """
+    """Refuses, before the work, what cannot be shown or written."""
     if output.out:
         require_writable(Path(output.out), new_folders=True)
     missing = missing_display() if output.view == "window" else None
@@ -217,9 +170,6 @@ def show_scene(
         spec: the scene.
         extent: (2,) half widths that the browser shows [m].
         text: the scene as MJCF.
-
-    Raises:
-        OSError: the file cannot be written, or there is no display.
     """
     if output.out:
         path = Path(output.out)
@@ -239,34 +189,11 @@ def show_scene(
         window.launch(spec.compile())
 
 
-def complete(arguments: Sequence[str]) -> list[str]:
+def complete(words: Sequence[str]) -> list[str]:
     """The command line with `--view` alone written out as `--view window`."""
-    followed = zip(arguments, [*arguments[1:], "--"], strict=False)
-    return [
-        word
-        for argument, after in followed
-        for word in (
-            (argument, "window")
-            if argument == "--view" and after.startswith("--")
-            else (argument,)
-        )
-    ]
-
-
-def run(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    return run_command("scene", lambda: _run(arguments))
-
-
-def _run(arguments: Sequence[str] | None) -> None:
-    from carpark_mj.cli.flags import read_flags
-
-    words = complete(sys.argv[1:] if arguments is None else arguments)
-    main(
-        read_flags(
-            SceneConfig,
-            words,
-            description=command_help(__doc__),
-            prog=PROGRAM,
-        )
-    )
+    found: list[str] = []
+    for word, after in zip(words, [*words[1:], "--"], strict=True):
+        found.append(word)
+        if word == "--view" and after.startswith("--"):
+            found.append("window")
+    return found

@@ -1,6 +1,6 @@
-"""`python -m carpark_mj.layouts`: see `carpark_mj.cli.layouts`."""
+"""`python -m carpark_mj.layouts`: the same as `carpark_mj layouts`."""
 
 from carpark_mj.cli.process import enter
 
 if __name__ == "__main__":
-    enter("layouts", "carpark_mj.cli.layouts:main")
+    enter("layouts", "carpark_mj.programs:run", "layouts")

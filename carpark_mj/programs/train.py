@@ -13,18 +13,12 @@ Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at 
 import sys
 from collections.abc import Sequence
 
-from carpark_mj.cli.common import configure_jax, keep_compiled_programs
-from carpark_mj.rendering.gl import choose_gl
 
-
-def run(arguments: Sequence[str] | None = None) -> int:
+def run(arguments: Sequence[str]) -> int:
     """Trains, with other hosts if asked; returns the exit code."""
-    choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
-    configure_jax()
-    keep_compiled_programs()
     from carpark_mj.training.hosts import joined, read_hosts
 
-    hosts, arguments = read_hosts(sys.argv[1:] if arguments is None else arguments)
+    hosts, arguments = read_hosts(arguments)
     with joined(hosts):
         return run_on_host(arguments)
 

@@ -270,11 +270,7 @@ CART = (1.0, 0.6)  # m
 
 @functools.cache
 def load_held_out() -> dict[str, np.ndarray]:
-    """The columns of the cases, (1000, ...) whole numbers; see `draw_case`.
-
-    Raises:
-        ValueError: the file in the package is not the published one.
-    """
+    """The columns of the cases, (1000, ...) whole numbers; see `draw_case`."""
     return read_published(FILE, SHA256)
 
 

@@ -1,14 +1,7 @@
-"""The suite of hard cases: one car parks in every case of some levels.
-
-carpark_mj suite planner anywhere
-carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3
-carpark_mj suite planner --levels tpcap --seeds 0 1 2
-carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
-carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
+"""The suite of hard cases, `carpark_mj suite`: one car parks in every case of levels.
 
 All policies drive the same car, `tpcap`, on the same physics, without noise; an episode
-ends after 100 s. The result is a table (Markdown, CSV, HTML). docs/hard_cases.md
-defines the cases and the numbers.
+ends after 100 s.
 """
 
 import dataclasses
@@ -117,10 +110,6 @@ def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvCo
         env: of its training.
         rule: when the car counts as parked.
         with_moving_car: add a second agent, the moving car.
-
-    Raises:
-        ValueError: the policy does not steer a car, or it chooses its goals and a
-            moving car is requested.
     """
     if not env.physics_config.steers:
         raise ValueError(
@@ -290,7 +279,16 @@ def _choose_action(
 
 @dataclasses.dataclass(frozen=True)
 class SuiteConfig:
-    """Settings of `carpark_mj suite`.
+    """The suite of hard cases: one car parks in every case of some levels.
+
+    carpark_mj suite planner anywhere
+    carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3
+    carpark_mj suite planner --levels tpcap --seeds 0 1 2
+    carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
+    carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
+
+    The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
+    and the numbers.
 
     Attributes:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`

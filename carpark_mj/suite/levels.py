@@ -210,11 +210,7 @@ def write(path: Path) -> None:
 
 
 def case_numbers(level: str) -> range:
-    """The numbers of a level's cases: of HOPE's from 0, TPCAP's as published.
-
-    Raises:
-        ValueError: unknown level.
-    """
+    """The numbers of a level's cases: of HOPE's from 0, TPCAP's as published."""
     if level not in LEVELS:
         require_level(level)
         return EXTRA_LEVELS[level].numbers
@@ -295,7 +291,7 @@ def pick_cases(
     padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
         jax.tree.map(lambda x: x[which], layouts)
     )
-    if with_moving_car:
+    if with_moving_car and level in HOPE_LEVELS:
         padded = add_ends(level, number, parallel, padded)
     kind = np.where(parallel, "parallel", "perpendicular")
     return Cases(level, number, kind, padded)

@@ -103,9 +103,6 @@ def make_videos(
         folder: the videos' folder is made in it.
         rows: the episodes.
         drives: their driven paths.
-
-    Raises:
-        RenderingError: there is no OpenGL.
     """
     videos = []
     for row in rows:
@@ -176,10 +173,10 @@ def header(episodes: Sequence[Row]) -> list[str]:
         source = "TPCAP's cases" if level == TPCAP_LEVEL else held_out
         source = source if level in LEVELS else f"Cases of {level}"
         if found := {row["case"] for row in episodes if row["level"] == level}:
-            told = f"{len(found)} of {level} ({_ranges(found)})"
+            counts = f"{len(found)} of {level} ({_ranges(found)})"
             title = f"{source} (SHA-256 {fingerprint(level)})"
-            parts.setdefault(title, []).append(told)
-    cases = "; ".join(f"{title}: {', '.join(told)}" for title, told in parts.items())
+            parts.setdefault(title, []).append(counts)
+    cases = "; ".join(f"{title}: {', '.join(found)}" for title, found in parts.items())
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
     moving = has_moving_car(episodes)
     return [
@@ -281,7 +278,7 @@ def write_results(
     for which, part in parts_of(episodes).items():
         own = [video for video in videos if video.row in part]
         shown = "".join(
-            video_figure(video.path, files[2], _told(video.row)) for video in own
+            video_figure(video.path, files[2], _caption(video.row)) for video in own
         )
         parts.append((f"Worst cases of {which}", table(_worst(part)) + shown))
     write_page(files[2], head[0], head[1:], parts)
@@ -300,7 +297,7 @@ def _outcome(row: Row) -> str:
     return next(name for name in ENDINGS if row[name]).replace("_", " ")
 
 
-def _told(row: Row) -> str:
+def _caption(row: Row) -> str:
     """Caption of a video."""
     return f"case {row['case']}, seed {row['seed']}: {_outcome(row)}"
 

@@ -120,12 +120,7 @@ def _pad(array: np.ndarray, length: int) -> np.ndarray:
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
-    """Reads and combines what `write_run` wrote into folders.
-
-    Raises:
-        ValueError: a file is malformed, repeats an episode, or has other cases than
-            this version; or results do not mix.
-    """
+    """Reads and combines what `write_run` wrote into folders."""
     episodes: dict[Key, Row] = {}
     drives: dict[Key, Drives] = {}
     for folder in folders:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carpark_mj.cli.common import configure_jax, naming_extras
+from carpark_mj.cli.process import configure_jax, naming_extras
 from carpark_mj.policy.loading import LoadedPolicy, load_policy
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.run_folder import argument

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import jax
 from jax.errors import JaxRuntimeError
 
-from carpark_mj.cli.common import USER_ERRORS
+from carpark_mj.cli.process import USER_ERRORS
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive
 from carpark_mj.evaluation.keys import require_seed

@@ -8,7 +8,7 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.programs import STUDY_PROGRAMS, study
+from carpark_mj.programs import STUDY_PROGRAMS
 from carpark_mj.registry import environment
 
 pytestmark = pytest.mark.smoke
@@ -56,7 +56,7 @@ def test_a_program_runs(name, tmp_path, monkeypatch):
     for package in needed:
         pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
-    assert exit_code(study, [name, *flags]) == 0
+    assert exit_code("study", [name, *flags]) == 0
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,6 @@ from carpark_mj.analysis import (
     videos,
 )
 from carpark_mj.cli.analysis import analyse
-from carpark_mj.programs import analysis
 from carpark_mj.training.ppo.parts import PRESETS
 
 BASE = PRESETS["square"]
@@ -129,7 +128,7 @@ def test_the_command_leaves_tables_pictures_and_one_page(tmp_path, capsys):
     runs = make_runs(tmp_path / "runs")
     (tmp_path / "runs" / "a1-0" / "video.mp4").touch()
     out = tmp_path / "out"
-    assert exit_code(analysis, [*runs, "--out", str(out)]) == 0
+    assert exit_code("analysis", [*runs, "--out", str(out)]) == 0
     assert "env.num_agents" in capsys.readouterr().out
     with (out / "runs.csv").open(newline="") as file:
         assert [row["env.num_agents"] for row in csv.DictReader(file)] == [*"1122"]
@@ -180,7 +179,7 @@ def test_a_setting_has_one_colour_whoever_s_runs_they_are(tmp_path, monkeypatch)
 def test_runs_without_an_evaluation_are_named(tmp_path, capsys):
     runs = make_runs(tmp_path)
     (tmp_path / "a1-0" / "evaluation.json").unlink()
-    assert exit_code(analysis, [*runs, "--out", str(tmp_path / "out")]) == 0
+    assert exit_code("analysis", [*runs, "--out", str(tmp_path / "out")]) == 0
     assert f"no evaluation.json in {tmp_path / 'a1-0'}" in capsys.readouterr().out
 
 
@@ -198,7 +197,7 @@ def test_runs_without_an_evaluation_are_named(tmp_path, capsys):
 def test_bad_input_is_one_sentence(flags, said, tmp_path, monkeypatch, capsys):
     make_runs(tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert exit_code(analysis, flags) == 2
+    assert exit_code("analysis", flags) == 2
     told = capsys.readouterr().err
     assert told.startswith("program: ")
     assert said in told
@@ -227,7 +226,7 @@ def test_a_run_that_is_given_twice_counts_once(tmp_path):
 def test_a_damaged_run_is_named_and_left_out(file, text, said, tmp_path, capsys):
     runs = make_runs(tmp_path)
     (tmp_path / "a1-0" / file).write_text(text)
-    assert exit_code(analysis, [*runs, "--out", str(tmp_path / "out")]) == 0
+    assert exit_code("analysis", [*runs, "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
     assert f"{tmp_path / 'a1-0'}" in told
     assert said in told

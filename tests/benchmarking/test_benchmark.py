@@ -11,9 +11,8 @@ import jax.numpy as jnp
 import pytest
 from helpers.programs import exit_code
 
-from carpark_mj.benchmarking import report, worker
-from carpark_mj.benchmarking.report import Job, Measurement
-from carpark_mj.programs import benchmark
+from carpark_mj import benchmarking
+from carpark_mj.benchmarking import BenchmarkConfig, Job, Measurement
 from carpark_mj.training.ppo import learner
 from carpark_mj.training.ppo.parts import PRESETS
 
@@ -39,7 +38,7 @@ def measured(rate, compile_s=10.0):
 
 def test_the_table_has_the_best_round_of_each_job():
     rounds = {JOB: [measured(9000.0), measured(11000.0, 8.0)]}
-    lines = report.markdown(rounds).splitlines()
+    lines = benchmarking.markdown(rounds).splitlines()
     assert lines[0] == "2 CPU cores, JAX 0.10.2, MuJoCo 4.0.0"
     assert len({line.count("|") for line in lines[2:]}) == 1
     [cells] = [[c.strip() for c in line.strip("|").split("|")] for line in lines[4:]]
@@ -56,11 +55,11 @@ def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(monkeypatch, tmp_
         asked.append(job.lots)
         return dataclasses.replace(measured(1.0), lots=job.lots)
 
-    monkeypatch.setattr(report, "run_job", run_job)
+    monkeypatch.setattr(benchmarking, "run_job", run_job)
     out = tmp_path / "benchmark.csv"
     jobs = [dataclasses.replace(JOB, lots=lots) for lots in (4, 8)]
     with pytest.raises(KeyboardInterrupt):
-        report.measure(jobs, repeats=3, out=str(out))
+        benchmarking.measure(jobs, repeats=3, out=str(out))
     assert asked == [4, 8, 4]
     with out.open(newline="") as file:
         kept = [(int(row["lots"]), row["round"]) for row in csv.DictReader(file)]
@@ -68,7 +67,7 @@ def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(monkeypatch, tmp_
 
 
 def test_each_round_measures_every_variant_in_every_batch():
-    config = benchmark.BenchmarkConfig(batches=(4, 8), layouts=("square", "mixture"))
+    config = BenchmarkConfig(batches=(4, 8), layouts=("square", "mixture"))
     asked = [(job.what, job.variant, job.lots) for job in config.jobs()]
     variants = [
         ("env", "square"),
@@ -82,13 +81,13 @@ def test_each_round_measures_every_variant_in_every_batch():
 
 
 def test_only_env_has_several_numbers_of_agents():
-    config = benchmark.BenchmarkConfig(cars=("brush",), num_agents=(1, 4))
+    config = BenchmarkConfig(cars=("brush",), num_agents=(1, 4))
     asked = [(job.what, job.num_agents) for job in config.jobs()]
     assert asked == [("env", 1), ("env", 4), ("ppo", 1), ("physics", 1)]
 
 
 def test_only_ppo_has_several_runs_side_by_side():
-    config = benchmark.BenchmarkConfig(cars=("brush",), runs=(1, 4))
+    config = BenchmarkConfig(cars=("brush",), runs=(1, 4))
     asked = [(job.what, job.runs) for job in config.jobs()]
     assert asked == [("env", 1), ("ppo", 1), ("ppo", 4), ("physics", 1)]
 
@@ -104,9 +103,9 @@ def test_only_ppo_has_several_runs_side_by_side():
 )
 def test_bad_input_is_one_sentence_and_exit_code_2(flags, said, tmp_path, capsys):
     flags = [flag.replace("FOLDER", str(tmp_path)) for flag in flags]
-    assert exit_code(benchmark, flags) == 2
+    assert exit_code("benchmark", flags) == 2
     error = capsys.readouterr().err
-    assert error.startswith("program: ")
+    assert error.startswith("benchmark: ")
     assert said in error
     assert error.count("\n") == 1
 
@@ -116,7 +115,7 @@ def test_a_job_is_measured_in_a_process_of_its_own_without_compiled_programs(
     monkeypatch,
 ):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/nonexistent")
-    result = report.run_job(JOB)
+    result = benchmarking.run_job(JOB)
     assert result.what == "physics brush 10 ms"
     assert result.unit == "car-substeps/s"
     assert result.lots == 3
@@ -128,7 +127,7 @@ def test_a_job_is_measured_in_a_process_of_its_own_without_compiled_programs(
 def test_refusals_of_the_worker_are_passed_on(monkeypatch, capsys):
     job = dataclasses.replace(JOB, what="env", variant="nowhere")
     request = {"job": vars(job), "started": 0.0}
-    assert worker.main(json.dumps(request)) == 2
+    assert benchmarking.work(json.dumps(request)) == 2
     said = capsys.readouterr().err
     assert said.startswith("unknown layout 'nowhere'; choose from")
 
@@ -137,7 +136,7 @@ def test_refusals_of_the_worker_are_passed_on(monkeypatch, capsys):
 
     monkeypatch.setattr(subprocess, "run", refused)
     with pytest.raises(ValueError, match=r"^unknown layout 'nowhere'; choose from"):
-        report.run_job(job)
+        benchmarking.run_job(job)
 
 
 @pytest.mark.parametrize(
@@ -152,8 +151,10 @@ def test_a_process_that_fails_is_named_in_one_line(monkeypatch, code, stderr, sa
         return subprocess.CompletedProcess(command, code, "", stderr)
 
     monkeypatch.setattr(subprocess, "run", failed)
-    with pytest.raises(report.WorkerError, match=f"physics brush with 3 lots.*{said}"):
-        report.run_job(JOB)
+    with pytest.raises(
+        benchmarking.WorkerError, match=f"physics brush with 3 lots.*{said}"
+    ):
+        benchmarking.run_job(JOB)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +162,7 @@ def test_a_process_that_fails_is_named_in_one_line(monkeypatch, code, stderr, sa
     [("brush", 10, 20), ("mjx.step", 10, 20), ("contact", 4, 50)],
 )
 def test_each_tyre_model_runs_at_the_substep_of_its_physics_report(tyres, ms, substeps):
-    subject = worker.physics_subject(dataclasses.replace(JOB, variant=tyres))
+    subject = benchmarking.physics_subject(dataclasses.replace(JOB, variant=tyres))
     assert subject.what == f"physics {tyres} {ms} ms"
     assert subject.count == 3 * 2 * substeps  # cars, control steps of 0.2 s
 
@@ -179,8 +180,10 @@ def test_the_steps_of_a_training_are_those_of_present_agents(monkeypatch):
             return SimpleNamespace(env=SimpleNamespace(info={"present": present}))
 
     monkeypatch.setattr(learner, "Learner", Learner)
-    monkeypatch.setattr(worker, "configure_jax", lambda: None)  # it is running
-    subject = worker.ppo_subject(dataclasses.replace(JOB, variant="anywhere", lots=4))
+    monkeypatch.setattr(benchmarking, "configure_jax", lambda: None)  # it is running
+    subject = benchmarking.ppo_subject(
+        dataclasses.replace(JOB, variant="anywhere", lots=4)
+    )
     assert subject.count == 5 * PRESETS["anywhere"].unroll_length
 
 
@@ -192,8 +195,8 @@ def test_a_gpu_has_its_own_name_and_its_own_memory(monkeypatch):
             return {"peak_bytes_in_use": 123}
 
     monkeypatch.setattr(jax, "devices", lambda: [Device()])
-    assert worker.device_name() == "NVIDIA H100 80GB HBM3"
-    assert worker.peak_memory() == 123
+    assert benchmarking.device_name() == "NVIDIA H100 80GB HBM3"
+    assert benchmarking.peak_memory() == 123
 
 
 def test_a_measurement_that_fails_says_last_why_not_what_jax_notes(capsys, monkeypatch):
@@ -203,8 +206,8 @@ def test_a_measurement_that_fails_says_last_why_not_what_jax_notes(capsys, monke
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(worker, "measure", fail)
+    monkeypatch.setattr(benchmarking, "measure_job", fail)
     request = {"job": dataclasses.asdict(JOB), "started": 0.0}
-    assert worker.main(json.dumps(request)) == 1
+    assert benchmarking.work(json.dumps(request)) == 1
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == "RuntimeError: RESOURCE_EXHAUSTED: Out of memory"

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 from helpers.disks import largest_file
+from helpers.programs import exit_code
 
 from carpark_mj.cli import evaluate, layouts, render
-from carpark_mj.cli.common import EXTRAS, USER_ERRORS, one_line, run_command
 from carpark_mj.cli.evaluate import EvaluateConfig
+from carpark_mj.cli.process import EXTRAS, USER_ERRORS, one_line, run_command
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.suite import evaluation as suite
@@ -101,7 +102,7 @@ def test_ctrl_c_while_a_command_imports_is_one_line(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPT)
     path = os.pathsep.join([str(tmp_path), str(ROOT)])
     commands = {program.stem: [str(program)] for program in PROGRAMS}
-    commands |= {name: ["-m", f"carpark_mj.{name}"] for name in MODULES}
+    commands |= {name: ["-m", "carpark_mj", name] for name in MODULES}
     for name, command in commands.items():
         done = subprocess.run(
             [sys.executable, *command],
@@ -206,7 +207,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_lots_are_drawn(
         monkeypatch.setattr(layouts, work, lambda *_: pytest.fail("the work has begun"))
     suffix = {"--plot": "png", "--save": "json"}[flag]
     path = tmp_path / "no" / f"a.{suffix}"
-    assert layouts.main(["square", flag, str(path)]) == 2
+    assert exit_code("layouts", ["square", flag, str(path)]) == 2
     assert capsys.readouterr().err.startswith(f"layouts: cannot use {path}: ")
 
 

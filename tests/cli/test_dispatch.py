@@ -10,7 +10,7 @@ import pytest
 PROGRAM = """
 import os
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-from carpark_mj.cli.common import dispatch_synchronously
+from carpark_mj.cli.process import dispatch_synchronously
 dispatch_synchronously()
 import jax, jax.numpy as jnp, numpy as np
 

@@ -10,8 +10,8 @@ import jax
 import pytest
 import tyro
 
-from carpark_mj.cli.common import run_command
 from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import run_command
 from carpark_mj.config.checks import Range
 
 
@@ -62,12 +62,9 @@ def test_the_flags_of_a_union_are_those_of_the_default():
 
 WIDE = "x" * 300
 BAD = {
-    "value": (["--count", "1.5"], "--count takes a whole number, not '1.5'"),
-    "value or none": (["--size", "a"], "--size takes None or a number, not 'a'"),
-    "values": (
-        ["--at", "1", "2", "a"],
-        "--at takes None or 3 numbers, not '1', '2', 'a'",
-    ),
+    "value": (["--count", "1.5"], "--count: invalid literal for int()"),
+    "value or none": (["--size", "a"], "--size: no type matching {None}|FLOAT"),
+    "values": (["--at", "1", "2", "a"], "--at: no type matching"),
     "refused": (["--eye.far-reach", "11"], "far_reach must be at most 10, not 11.0"),
     "choice": (["--eye.kind", "none"], "invalid choice 'none' for argument"),
     "near miss": (
@@ -104,9 +101,9 @@ def test_what_is_missing_is_named_with_its_meaning():
         file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
         out: str
 
-    with pytest.raises(ValueError, match=r"--out STR is missing: file to write$"):
+    with pytest.raises(ValueError, match=r"^Missing .* --out STR file to write"):
         read_flags(Copy, ["a"])
-    with pytest.raises(ValueError, match=r"^FILE is missing: file to read; --out STR"):
+    with pytest.raises(ValueError, match=r"^Missing .* FILE file to read.* --out STR"):
         read_flags(Copy, [])
 
 

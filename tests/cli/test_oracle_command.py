@@ -3,8 +3,9 @@
 import csv
 
 import pytest
+from helpers.programs import oracle as main
 
-from carpark_mj.cli.oracle import OUTCOMES, describe, main
+from carpark_mj.cli.oracle import OUTCOMES, describe
 from carpark_mj.registry import environment
 
 
@@ -51,7 +52,7 @@ def test_the_command_writes_a_row_for_each_agent(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("flags", "reason"),
     [
-        ("--lots 0", "lots must be at least 1"),
+        ("--lots 0", "lots must lie in [1, 1e+06]"),
         ("--seed -1", "seed must lie in"),
         ("--environment dynamic", "the planner needs fixed goals"),
         ("--environment nowhere", "unknown environment"),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carpark_mj.cli.common import OUTPUT_FUSION
+from carpark_mj.cli.process import OUTPUT_FUSION
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.mjx_step import ContactPhysics

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from carpark_mj.cli.common import OUTPUT_FUSION
+from carpark_mj.cli.process import OUTPUT_FUSION
 from carpark_mj.rendering.gl import choose_gl
 
 ROOT = Path(__file__).parents[2]

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 import pytest
 from helpers.mutating import with_junk
+from helpers.programs import layouts as main
 
-from carpark_mj.cli.layouts import main
 from carpark_mj.editor.document import Draft, find_faults, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.layouts import make_layout

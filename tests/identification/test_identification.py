@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.programs import identify as main
 
-from carpark_mj.cli import identify as command
+from carpark_mj.cli import vehicles as command
 from carpark_mj.identification.fit import PARAMETERS, identify
 from carpark_mj.identification.log import read_log
 from carpark_mj.identification.simulation import Replay, Sought
@@ -95,7 +96,7 @@ def test_what_a_constant_steering_angle_does_not_tell_keeps_the_vehicle_s_value(
     monkeypatch.setattr(command, "identify", partial(identify, sim_dt=SIM_DT))
     path = write(tmp_path / "log.csv", rows_of(logs["circle"]))
     out = tmp_path / "my_car.yaml"
-    assert command.main([path, "--vehicle", "compact", "--out", str(out)]) == 0
+    assert main([path, "--vehicle", "compact", "--out", str(out)]) == 0
     told = capsys.readouterr().out
     assert "ignored columns: gear, remark" in told
     for name in ("steering_delay", "steering_ratio", "steering_offset"):
@@ -194,7 +195,7 @@ def test_what_is_no_log_is_refused_in_one_sentence(logs, tmp_path, capsys, fault
         write(path, rows)
     else:
         path.write_text("time,pedal\n")
-    assert command.main([str(path), "--vehicle", "compact"]) == 2
+    assert main([str(path), "--vehicle", "compact"]) == 2
     error = capsys.readouterr().err.strip()
     assert told in error
     assert str(path) in error

@@ -27,7 +27,8 @@ import dataclasses
 
 from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.export import main as export
-from carpark_mj.cli.layouts import LayoutsConfig, look
+from carpark_mj.cli.layouts import LayoutsConfig
+from carpark_mj.cli.layouts import main as look
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training import PPOConfig, evaluate, render, train

@@ -310,14 +310,11 @@ BAD = {
 def test_bad_input_is_one_clear_sentence_and_leaves_nothing(
     case, capsys, monkeypatch, tmp_path
 ):
-    from carpark_mj.programs import train as ppo
-
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(ppo, "configure_jax", lambda: None)  # JAX is running here
     arguments, message = BAD[case]
-    assert exit_code(ppo, ["--preset", "cpu", *arguments]) == 2
+    assert exit_code("train", ["--preset", "cpu", *arguments]) == 2
     told = capsys.readouterr().err
-    assert told.startswith("program: ")
+    assert told.startswith("train: ")
     assert told.count("\n") == 1
     assert message in told
     assert list(tmp_path.iterdir()) == []
@@ -343,16 +340,11 @@ EVALUATION_BAD = {
 
 @pytest.mark.parametrize("case", sorted(EVALUATION_BAD))
 def test_bad_evaluations_exit_with_2_and_one_line(case, capsys, monkeypatch, tmp_path):
-    from carpark_mj.programs import evaluate
-
     monkeypatch.chdir(tmp_path)
-    for name in ("dispatch_synchronously", "enable_output_fusion"):
-        monkeypatch.setattr(evaluate, name, lambda: None)  # JAX is running here
-    monkeypatch.setattr(evaluate, "keep_compiled_programs", lambda: None)
     arguments, message = EVALUATION_BAD[case]
-    assert exit_code(evaluate, arguments) == 2
+    assert exit_code("evaluate", arguments) == 2
     told = capsys.readouterr().err
-    assert told.startswith("program: ")
+    assert told.startswith("train: ")
     assert told.count("\n") == 1
     assert message in told
     assert list(tmp_path.iterdir()) == []

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.programs import layouts as main
 from helpers.scenes import polygons
 
-from carpark_mj.cli.layouts import main
 from carpark_mj.layouts import layout_config
 from carpark_mj.layouts.car_park import random_parts
 from carpark_mj.layouts.checks import describe_faults

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
+from helpers.programs import layouts as main
 from helpers.scenes import polygons
 from helpers.spawning import surroundings_of
 
-from carpark_mj.cli.layouts import VARIANTS, main, run_scene
+from carpark_mj.cli.layouts import VARIANTS, run_scene
 from carpark_mj.config import LAYOUTS, LayoutConfig, SpawnConfig
 from carpark_mj.layouts import (
     AngledConfig,

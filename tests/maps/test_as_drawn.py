@@ -18,8 +18,7 @@ from helpers.map_texts import (
     rectangle,
     write,
 )
-
-from carpark_mj.cli.layouts import main
+from helpers.programs import layouts as main
 
 pytest.importorskip("pyproj")
 

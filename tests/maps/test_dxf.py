@@ -6,9 +6,9 @@ from collections import Counter
 import numpy as np
 import pytest
 import shapely
+from helpers.programs import layouts as main
 from shapely import affinity
 
-from carpark_mj.cli.layouts import main
 from carpark_mj.layouts.files import read_json
 from carpark_mj.maps.features import Feature, commonest
 from carpark_mj.maps.fit import joined_lanes

@@ -23,8 +23,8 @@ from helpers.map_texts import (
     write,
 )
 from helpers.mutating import damaged, with_junk
+from helpers.programs import layouts as main
 
-from carpark_mj.cli.layouts import main
 from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayKind
 

@@ -25,7 +25,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.progress import effort
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.planning.policy import planner_policy
-from carpark_mj.play.driven import DrivenLot
+from carpark_mj.play.driving import DrivenLot
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.suite.evaluation import suite_env

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from carpark_mj.play.controls import (
+from carpark_mj.play.driving import (
     KEY_PEDAL,
     KEYS,
     STEER_RATE,

@@ -11,7 +11,7 @@ from carpark_mj.cli.play import PlayConfig, main, make_env, pad, replay, run, sa
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import observation_size
 from carpark_mj.play.demonstration import STEPS, Demonstration, load_demonstration
-from carpark_mj.play.driven import DrivenLot
+from carpark_mj.play.driving import DrivenLot
 
 STEPS_DRIVEN = 6
 

@@ -46,7 +46,7 @@ def test_an_unknown_program_is_refused_in_one_line(monkeypatch, capsys):
 
 def test_without_any_study_it_is_said_what_to_install(programs, capsys):
     for words in ([], ["tanner"]):
-        assert exit_code(study, words) == 2
+        assert exit_code("study", words) == 2
         [line] = capsys.readouterr().err.splitlines()
         assert "pip install ./papers" in line
 
@@ -56,9 +56,9 @@ def test_a_program_of_an_extension_is_called_with_its_arguments(
 ):
     monkeypatch.setattr(sys, "argv", ["carpark_mj study"])
     programs.register("count", Entry("builtins:len", "counts"))
-    assert exit_code(study, []) == 0
+    assert exit_code("study", []) == 0
     assert "count  counts" in capsys.readouterr().out
-    assert study.run(["count", "--list"]) == 1
+    assert study(["count", "--list"]) == 1
     assert sys.argv == ["carpark_mj study count", "--list"]
-    assert exit_code(study, ["county"]) == 2
+    assert exit_code("study", ["county"]) == 2
     assert "'count'" in capsys.readouterr().err

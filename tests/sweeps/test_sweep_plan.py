@@ -4,7 +4,6 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_mj import sweeps
-from carpark_mj.programs import sweep
 from carpark_mj.sweeps import (
     Axis,
     Plan,
@@ -114,7 +113,7 @@ def test_a_bad_sweep_is_one_sentence_before_anything_runs(
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sweeps, "run_sweep", pytest.fail)
-    assert exit_code(sweep, ["--base", "cpu", *flags]) == 2
+    assert exit_code("sweep", ["--base", "cpu", *flags]) == 2
     told = capsys.readouterr().err
     assert told.startswith("program: ")
     assert said in told
@@ -123,5 +122,5 @@ def test_a_bad_sweep_is_one_sentence_before_anything_runs(
 
 
 def test_an_unknown_base_is_refused_with_the_known_ones(capsys):
-    assert exit_code(sweep, ["--base", "gpus"]) == 2
+    assert exit_code("sweep", ["--base", "gpus"]) == 2
     assert "unknown base 'gpus'; choose from ['anywhere', " in capsys.readouterr().err

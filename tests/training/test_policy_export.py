@@ -17,7 +17,6 @@ from carpark_mj.observations import observation_size
 from carpark_mj.policy import loading, runs
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.onnx_export import split_observation
-from carpark_mj.programs import export
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.train import save
@@ -54,7 +53,7 @@ def told(capsys) -> str:
 
 def test_a_run_becomes_a_model_that_is_checked(trained, capsys, monkeypatch, quick):
     monkeypatch.setenv("COLUMNS", "200")
-    assert exit_code(export, [str(trained)]) == 0
+    assert exit_code("export", [str(trained)]) == 0
     out = capsys.readouterr().out
     assert "200 observations of a roll-out: " in out
     assert "200 observations drawn at random: " in out
@@ -82,9 +81,9 @@ def test_a_pretrained_policy_is_exported_into_runs(
     trained, tmp_path, monkeypatch, quick
 ):
     monkeypatch.setattr(runs, "FOLDER", tmp_path)
-    assert exit_code(export, [str(trained), "--out", str(tmp_path / "tiny.npz")]) == 0
+    assert exit_code("export", [str(trained), "--out", str(tmp_path / "tiny.npz")]) == 0
     monkeypatch.chdir(tmp_path)
-    assert exit_code(export, ["tiny"]) == 0
+    assert exit_code("export", ["tiny"]) == 0
     assert [path.name for path in tmp_path.glob("runs/tiny/*")] == ["policy.onnx"]
 
 
@@ -101,7 +100,7 @@ def test_a_model_that_acts_otherwise_is_not_written(
         return make(dataclasses.replace(loaded, policy=act))
 
     monkeypatch.setattr(command, "make_model", wrong)
-    assert exit_code(export, [str(trained), "--out", str(tmp_path / "a.onnx")]) == 2
+    assert exit_code("export", [str(trained), "--out", str(tmp_path / "a.onnx")]) == 2
     assert "differs from the policy by 2e-05" in told(capsys)
     assert list(tmp_path.iterdir()) == []
 
@@ -111,7 +110,7 @@ def test_a_model_with_the_observation_inside_is_checked_too(
 ):
     out = tmp_path / "car.onnx"
     flags = [str(trained), "--from-state", "--out", str(out)]
-    assert exit_code(export, flags) == 0
+    assert exit_code("export", flags) == 0
     assert "200 observations of a roll-out: " in capsys.readouterr().out
     assert out.exists()
     make = command.make_car_model
@@ -123,14 +122,14 @@ def test_a_model_with_the_observation_inside_is_checked_too(
 
     monkeypatch.setattr(command, "make_car_model", wrong)
     out.unlink()
-    assert exit_code(export, flags) == 2
+    assert exit_code("export", flags) == 2
     assert "differs from the policy by 0.002" in told(capsys)
     assert not out.exists()
     # It may where float32 costs as much, and in no other state.
     for costly, code in ((200, 0), (199, 2)):
         cost = np.where(np.arange(200) < costly, 1.0, 0.0)
         monkeypatch.setattr(command, "sensitivity", lambda *_, cost=cost: cost)
-        assert exit_code(export, flags) == code
+        assert exit_code("export", flags) == code
 
 
 def test_observations_of_a_rollout_are_those_of_agents_that_drive(trained):
@@ -156,7 +155,7 @@ BAD = {
 @pytest.mark.parametrize("case", sorted(BAD))
 def test_bad_input_is_one_sentence_and_exit_code_2(case, trained, capsys):
     arguments, message = BAD[case]
-    assert exit_code(export, [word.format(run=trained) for word in arguments]) == 2
+    assert exit_code("export", [word.format(run=trained) for word in arguments]) == 2
     assert message in told(capsys)
 
 
@@ -164,8 +163,8 @@ def test_without_its_packages_a_model_is_refused_and_a_checkpoint_is_not(
     trained, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert exit_code(export, [str(trained), "--out", str(tmp_path / "a.onnx")]) == 2
+    assert exit_code("export", [str(trained), "--out", str(tmp_path / "a.onnx")]) == 2
     assert 'pip install "carpark_mj[export]"' in told(capsys)
-    assert exit_code(export, [str(trained), "--out", str(tmp_path / "a.npz")]) == 0
+    assert exit_code("export", [str(trained), "--out", str(tmp_path / "a.npz")]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
     assert loading.load_policy(tmp_path / "a.npz").env == TINY.env

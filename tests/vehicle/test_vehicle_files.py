@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 from helpers.cars import ROAD_CARS
+from helpers.programs import vehicles as main
 
 from carpark_mj.cli.driver import adapt
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.vehicles import main
 from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.scene.looks import STYLES, nearest_style

@@ -6,7 +6,7 @@ from typing import Annotated
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
+from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig, data
 from carpark_mj.config.checks import (
     LARGEST_WHOLE,

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from carpark_mj.cli.common import run_command
 from carpark_mj.cli.driver import command_help
+from carpark_mj.cli.process import run_command
 from carpark_mj.cli.scene import SceneOutput, complete, require_view, show_scene
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.scene.build import scene_xml

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.benchmarking.worker import best_time
-from carpark_mj.cli.common import enable_output_fusion
+from carpark_mj.benchmarking import best_time
+from carpark_mj.cli.process import enable_output_fusion
 from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
 from carpark_papers.cederle.junction.config import CarModel, Encoding

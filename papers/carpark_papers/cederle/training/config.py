@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import jax
 
-from carpark_mj.cli.common import MAX_EPISODES
+from carpark_mj.cli.process import MAX_EPISODES
 from carpark_mj.config.checks import Bounds, Count, Natural
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.training.run_folder import RunConfig

@@ -4,7 +4,7 @@ import dataclasses
 import re
 from typing import Annotated, Literal
 
-from carpark_mj.cli.common import MAX_EPISODES, MAX_SECONDS
+from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.config.checks import (
     Bounds,

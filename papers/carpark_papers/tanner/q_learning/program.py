@@ -13,7 +13,7 @@ Ctrl-C saves a checkpoint and stops.
 
 from collections.abc import Sequence
 
-from carpark_mj.cli.common import enable_output_fusion, keep_compiled_programs
+from carpark_mj.cli.process import enable_output_fusion, keep_compiled_programs
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
