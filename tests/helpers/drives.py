@@ -42,9 +42,6 @@ STOP_AND_GO: list[Segment] = [
     HOLD,
 ]
 LIMITED = dataclasses.replace(COMPACT, max_speed=1.0, max_reverse_speed=1.0)
-NO_SCRUB = dataclasses.replace(
-    LIMITED, tyre=dataclasses.replace(COMPACT.tyre, patch_radius=1e-3)
-)
 VAN = dataclasses.replace(
     COMPACT,
     wheelbase=3.2,
@@ -126,12 +123,9 @@ def all_drives() -> dict[object, Drive]:
         "wander elsewhere": Drive(COMPACT, ELSEWHERE, WANDER),
         "wander mirrored": Drive(COMPACT, ORIGIN, [(d, -s, p) for d, s, p in WANDER]),
         "wander in a van": Drive(VAN, ORIGIN, WANDER),
-        "left no scrub": turn(NO_SCRUB, 30.0, 1),
-        "left no scrub reverse": turn(NO_SCRUB, 30.0, -1),
     }
     for degrees, way in itertools.product(TURN_ANGLES, (1, -1)):
         drives["left", degrees, way] = turn(LIMITED, degrees, way)
-        drives["right", degrees, way] = turn(LIMITED, -degrees, way)
     for inertia, stiffer in itertools.product(WHEEL_INERTIAS, STIFFENINGS):
         drives["wheels", inertia, stiffer] = Drive(
             with_wheels(inertia, stiffer), ORIGIN, STOP_AND_GO
