@@ -88,11 +88,6 @@ class Track:
     def speed(self) -> np.ndarray:
         return self.velocity[:, 0]
 
-    def rear_axle(self, params: VehicleParameters) -> np.ndarray:
-        x, y, yaw = np.float64(self.pose).T
-        offset = params.centre_offset
-        return np.stack([x - offset * np.cos(yaw), y - offset * np.sin(yaw)], -1)
-
 
 def turn(params: VehicleParameters, degrees: float, way: int) -> Drive:
     """Turns the wheels at rest, then drives a circle at the car's speed limit."""
