@@ -100,7 +100,7 @@ class Drive:
 def record(
     drives: Sequence[Drive], measured: Sequence[str] = POSE, noise: float = 1.0
 ) -> list[DriveLog]:
-    """Drives in C MuJoCo, all of one length and step; `noise` is a factor on `NOISE`."""
+    """Drives in C MuJoCo, all of one length and step; `noise` scales `NOISE`."""
     commands = [drive.commands() for drive in drives]
     motion = _drive(drives, commands)
     logs = []
