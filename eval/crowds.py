@@ -160,11 +160,7 @@ def walk(key: jax.Array, pushes: bool) -> tuple[jax.Array, ...]:
 def one_way(key: jax.Array, density: float, radius: float, dt: float) -> jax.Array:
     """Mean speed () [m/s] of people who walk one way, in the second half of the time.
 
-    Args:
-        key: consumed.
-        density: people per square metre.
-        radius: of their bodies [m].
-        dt: control period [s].
+    There are `density` people per square metre, with bodies of a radius [m].
     """
     length, width = ONE_WAY
     count = round(density * length * width)

@@ -147,8 +147,7 @@ def make_round(
 ) -> Callable[[jax.Array], jax.Array]:
     """Returns a compiled round `key -> counts` (5,) of what is in `FOUND`.
 
-    The first is the number of lots in which a state, an observation or a reward was not
-    finite after any step, the others are events of agents.
+    The first counts lots in which a number was not finite, the others events of agents.
     """
     holds = -(-num_steps // HOLD)
     shape = (num_lots, env.num_agents, env.action_spec.size)

@@ -170,15 +170,10 @@ def sweep(
 def endangered(
     motion: Motion, swept: tuple[jax.Array, jax.Array], aside: jax.Array, group: Group
 ) -> jax.Array:
-    """Whether cars (n,) bool would come too near to one of a group.
+    """Whether cars (n,) bool would come within gaps `aside` (n,) [m] of one of a group.
 
-    Somebody is looked for where they are and where they will be at their velocity.
-
-    Args:
-        motion: of the cars, as they are.
-        swept: poses (n, k, 3) where they would come and times (n, k) when [s].
-        aside: (n,) gap within which somebody is in danger [m].
-        group: obstacles (m,).
+    Somebody is looked for where they are and where they will be at their velocity, at
+    the poses (n, k, 3) swept and the times (n, k) [s].
     """
     pose, time = swept
     here, size = motion.pose_w[:, None, None], motion.size[:, None, None]

@@ -266,15 +266,7 @@ def drive_car(
     controls: tuple[jax.Array, jax.Array],
     dt: float | jax.Array,
 ) -> Driven:
-    """A substep of driver and tyres.
-
-    Args:
-        vehicle: parameters of the cars (...).
-        wheels: `wheels_of(vehicle)`.
-        car: at the start of the substep.
-        controls: steer and pedal (...) in [-1, 1].
-        dt: substep [s].
-    """
+    """A substep of `dt` [s] of driver and tyres under steer and pedal in [-1, 1]."""
     at = car.coordinates
     speed = dot(column(at.rotation, 0), at.velocity)
     turning = sum(w.drive_share * s for w, s in zip(wheels, at.spin, strict=True))
@@ -298,19 +290,9 @@ def roll(
     torques: Sequence[drive.WheelTorques],
     dt: float | jax.Array,
 ) -> tuple[CarForces, tuple[TyreState, ...]]:
-    """Forces of the tyres on cars over one substep, for given wheel torques.
+    """Forces of the tyres on cars over a substep, and the bristles at its end.
 
     The ground is the plane z = 0; a slope is tilted gravity (`gravity_vector`).
-
-    Args:
-        wheels: of the cars (...).
-        at: positions and velocities of the cars.
-        tyres: bristles of each wheel at the start of the substep.
-        torques: of drive and brakes on each wheel.
-        dt: substep [s].
-
-    Returns:
-        The forces, and the bristles at the end of the substep.
     """
     rotation = at.rotation
     zero = jnp.zeros_like(at.position[2])
@@ -338,14 +320,9 @@ def roll(
 def _wheel_motion(
     wheel: Wheel, at: Coordinates, i: int
 ) -> tuple[WheelMotion, tuple[jax.Array, jax.Array], Vector]:
-    """Motion of the `i`-th wheel.
-
-    Returns:
-        The motion; the unit vector (x, y) along the wheel's plane on the ground; the
-        contact point in the body frame [m]. That point lies on the ground and does not
-        lean with the car; otherwise the centre of gravity would be too high above it
-        and the car would tip over too early.
-    """
+    """Motion of the `i`-th wheel, its heading (x, y), its contact point (body) [m]."""
+    # The point lies on the ground and does not lean with the car; otherwise the centre
+    # of gravity would be too high above it and the car would tip over too early.
     rotation = at.rotation
     up = rotation[2]
     x, y = wheel.hub

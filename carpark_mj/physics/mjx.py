@@ -213,15 +213,10 @@ def started(sim: SimConfig, state: CarState, controls: jax.Array) -> CarDynamics
 
 
 def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarState:
-    """Cars (...) after a step; diverged ones are reset to rest before it.
+    """Cars (...) after a step with poses `trace_w` (..., k, 3) within it.
 
-    A car has diverged if a number of its state is not finite, or if it lies on its
-    side, where no tyre model holds.
-
-    Args:
-        before: the cars before the step.
-        car: result of the step.
-        trace_w: (..., k, 3) poses within the step.
+    Diverged ones are reset to rest before it: a number of their state is not finite, or
+    they lie on their side, where no tyre model holds.
     """
     at_rest = dataclasses.replace(
         before,

@@ -260,13 +260,8 @@ def _integrate(
 ) -> Coordinates:
     """Semi-implicit Euler: velocities first, then positions from the new velocities.
 
-    Args:
-        at: coordinates before.
-        linear: acceleration of the origin, world frame [m/s^2].
-        turning: angular acceleration, body frame [rad/s^2].
-        steering: accelerations of the front wheels' angles [rad/s^2].
-        spinning: accelerations of the wheels' spins [rad/s^2].
-        dt: substep [s].
+    Accelerations are of the origin (world frame), the body (body frame), the front
+    wheels' angles and the wheels' spins.
     """
 
     def later(now: Sequence[jax.Array], rates: Sequence[jax.Array]) -> Any:

@@ -62,17 +62,10 @@ def solids_within(
     pose_w: jax.Array,
     size: jax.Array,
 ) -> Solids:
-    """Movers when a share () of a control step is left; the groups' order.
+    """Movers when a share `left` () of a control step is left, in the groups' order.
 
-    One that is far inside a car would throw it up: it is left out until the car is
-    elsewhere.
-
-    Args:
-        before: where they are at its start.
-        after: where they are at its end.
-        left: () share of the step.
-        pose_w: (num_agents, 3) agents' cars.
-        size: (num_agents, 2) their lengths and widths [m].
+    One that is far inside a car of poses (num_agents, 3) and sizes (num_agents, 2)
+    would throw it up: it is left out until the car is elsewhere.
     """
     core = size[:, None] - 2.0 * DEEPEST
     rows = [absent(0)]

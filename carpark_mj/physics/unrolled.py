@@ -55,8 +55,8 @@ def _on_either(
 ) -> Tree:
     """`on_cuda` where there may be a GPU; shared leaves of `args` stay shared.
 
-    The wrappers pass each leaf as a separate array. Without sharing, the kernel would
-    load parameters common to the wheels four times and run a fifth slower.
+    Otherwise the kernel would load parameters common to the wheels four times and run a
+    fifth slower.
     """
     rows, restore = _share(args)
 

@@ -100,16 +100,7 @@ def receive(
     controls: tuple[jax.Array, jax.Array],
     dt: float | jax.Array,
 ) -> tuple[Lines, tuple[jax.Array, jax.Array]]:
-    """What arrives in a substep.
-
-    Args:
-        lines: at its start.
-        controls: steer and pedal (...) of the control step.
-        dt: substep [s].
-
-    Returns:
-        The lines at its end, and the steer and pedal (...) that act during it.
-    """
+    """The lines after a substep of `dt` [s], and steer and pedal that act during it."""
     after: list[Line | None] = []
     arrived: list[jax.Array] = []
     for line, control in zip(lines, controls, strict=True):
@@ -209,14 +200,9 @@ def close_hold(
     speed: jax.Array,
     dt: float | jax.Array,
 ) -> jax.Array:
-    """The state of the holding brake, `Actuators.hold`, after `dt` [s].
+    """The state of the holding brake (...), `Actuators.hold`, after `dt` [s].
 
-    Args:
-        vehicle: cars (...).
-        hold: (...) before [m/s^2].
-        pedal: (...) in [-1, 1].
-        speed: (...) forward speed of the rear axle [m/s].
-        dt: [s].
+    `speed` (...) is that of the rear axle, forwards [m/s].
     """
     strength = jnp.minimum(jnp.abs(pedal), 1.0)
     driven = strength >= HOLD_PEDAL
@@ -309,15 +295,9 @@ def add_creep(
     """Drive torque (...) [N m] of an automatic, at least that of its idling engine.
 
     It acts the way of the pedal, or that of the last drive, while no brake is pressed,
-    and falls to none at `CREEP_SPEED`, as that of a converter does.
-
-    Args:
-        vehicle: cars (...); without `creep` the drive stays what it is.
-        actuators: with the hold after the substep, and the drive before it.
-        drive: (...) torque that the pedal demands [N m].
-        pedal: (...) in [-1, 1].
-        speed: (...) forward speed of the rear axle [m/s].
-        wheel_speed: (...) mean circumferential speed of the driven wheels [m/s].
+    and falls to none at `CREEP_SPEED`, as that of a converter does. Without `creep` the
+    demanded `drive` stays what it is; the actuators have the hold after the substep and
+    the drive before it.
     """
     if vehicle.creep is None:
         return drive

@@ -96,18 +96,17 @@ def drive_pedals(
     facing: np.ndarray,
     driver: Driver,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Drives up to `WIDTH` cars.
+    """Drives up to `WIDTH` cars on ground that rises by `grade` along x.
 
     Args:
         cars: one, or as many as there are runs.
-        grade: rise over run of the ground along x.
+        grade: rise over run.
         start: (n,) speeds at the start, wheels rolling [m/s].
         facing: (n,) 1 uphill, -1 downhill.
         driver: of the cars.
 
     Returns:
-        Instants (T,) [s], and of each car the way (T, n) along its own x axis [m] and
-        its speed (T, n) [m/s].
+        Instants (T,) [s], ways (T, n) along the cars' x axes [m], speeds (T, n) [m/s].
     """
     n = len(start)
     physics, drive = _program(grade)
@@ -413,15 +412,7 @@ def drive_option(
     pose: Sequence[float] = (0.0, 0.0, 0.0),
     speed: float = 0.0,
 ) -> Motion:
-    """The motion (T,) of one car after each of T control steps.
-
-    Args:
-        sim: the options, and the control step.
-        params: the car.
-        controls: (T, 2) steer and pedal.
-        pose: at the start.
-        speed: at the start, wheels rolling [m/s].
-    """
+    """The motion (T,) of one car after each of the control steps (T, 2)."""
     physics = MjxPhysics(sim)
     state = physics.init(jnp.array(pose, jnp.float32), make_vehicle(params))
     if speed:

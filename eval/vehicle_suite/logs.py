@@ -100,13 +100,7 @@ class Drive:
 def record(
     drives: Sequence[Drive], measured: Sequence[str] = POSE, noise: float = 1.0
 ) -> list[DriveLog]:
-    """Drives in C MuJoCo, all of one length and step.
-
-    Args:
-        drives: what to drive.
-        measured: quantities in the logs, at the rear axle.
-        noise: factor on `NOISE`.
-    """
+    """Drives in C MuJoCo, all of one length and step; `noise` scales `NOISE`."""
     commands = [drive.commands() for drive in drives]
     motion = _drive(drives, commands)
     logs = []

@@ -120,11 +120,7 @@ class BrushTestbed:
 
 @functools.cache
 def _program(x64: bool, stepper: str):
-    """Compiles `CHUNK` substeps of `WIDTH` cars, once for each precision and stepper.
-
-    Arguments: carried state, cars, signs of locked wheels, signals (CHUNK, WIDTH, 6),
-    gravity (CHUNK, WIDTH, 3), substep. Call it with x64 switched to match.
-    """
+    """Compiles `CHUNK` substeps of `WIDTH` cars; call it with x64 switched to match."""
     move = _move_unrolled if stepper == "unrolled" else _move_in_mjx()
 
     def substep(carry, vehicle: Vehicle, locked, signal, gravity, dt):
@@ -160,18 +156,9 @@ def tyres_on_car(
     torques: tuple[jax.Array, jax.Array],
     dt: float | jax.Array,
 ) -> tuple[CarForces, TyreState]:
-    """The shipped tyres under one car over a substep.
+    """Forces of the shipped tyres (4,) under one car over a substep, and the bristles.
 
-    Args:
-        vehicle: the car.
-        qpos: (13,) positions.
-        qvel: (12,) velocities.
-        tyres: bristles (4,) at the start of the substep.
-        torques: of drive and brake on the wheels, (4,) each [N m].
-        dt: substep [s].
-
-    Returns:
-        The forces, and the bristles at the end of the substep.
+    `torques` are of drive and brake on the wheels, (4,) each [N m].
     """
     forces, after = roll(
         wheels_of(vehicle),
@@ -212,11 +199,7 @@ def controls(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Servo targets (2,) [rad], drive and brake torques (4,) [N m] of the test driver.
 
-    Args:
-        vehicle: the car.
-        signal: (6,) a row of `Run.signals`.
-        qpos: (13,) positions.
-        qvel: (12,) velocities.
+    `signal` (6,) is a row of `Run.signals`.
     """
     steering, force, brake, target, gain, _ = signal
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]

@@ -42,9 +42,6 @@ STOP_AND_GO: list[Segment] = [
     HOLD,
 ]
 LIMITED = dataclasses.replace(COMPACT, max_speed=1.0, max_reverse_speed=1.0)
-NO_SCRUB = dataclasses.replace(
-    LIMITED, tyre=dataclasses.replace(COMPACT.tyre, patch_radius=1e-3)
-)
 VAN = dataclasses.replace(
     COMPACT,
     wheelbase=3.2,
@@ -91,11 +88,6 @@ class Track:
     def speed(self) -> np.ndarray:
         return self.velocity[:, 0]
 
-    def rear_axle(self, params: VehicleParameters) -> np.ndarray:
-        x, y, yaw = np.float64(self.pose).T
-        offset = params.centre_offset
-        return np.stack([x - offset * np.cos(yaw), y - offset * np.sin(yaw)], -1)
-
 
 def turn(params: VehicleParameters, degrees: float, way: int) -> Drive:
     """Turns the wheels at rest, then drives a circle at the car's speed limit."""
@@ -126,12 +118,9 @@ def all_drives() -> dict[object, Drive]:
         "wander elsewhere": Drive(COMPACT, ELSEWHERE, WANDER),
         "wander mirrored": Drive(COMPACT, ORIGIN, [(d, -s, p) for d, s, p in WANDER]),
         "wander in a van": Drive(VAN, ORIGIN, WANDER),
-        "left no scrub": turn(NO_SCRUB, 30.0, 1),
-        "left no scrub reverse": turn(NO_SCRUB, 30.0, -1),
     }
     for degrees, way in itertools.product(TURN_ANGLES, (1, -1)):
         drives["left", degrees, way] = turn(LIMITED, degrees, way)
-        drives["right", degrees, way] = turn(LIMITED, -degrees, way)
     for inertia, stiffer in itertools.product(WHEEL_INERTIAS, STIFFENINGS):
         drives["wheels", inertia, stiffer] = Drive(
             with_wheels(inertia, stiffer), ORIGIN, STOP_AND_GO

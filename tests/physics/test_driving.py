@@ -1,4 +1,7 @@
-"""Single cars on their tyres: circles, stops, slopes, wheels and symmetries."""
+"""Single cars on their tyres: standing, ground, wheels and symmetries.
+
+Radii, stops and slopes are manoeuvres of `eval/vehicle_suite`.
+"""
 
 import math
 from collections.abc import Callable
@@ -11,8 +14,6 @@ from helpers.drives import (
     DRIVES,
     DT,
     ELSEWHERE,
-    HOLD,
-    LIMITED,
     ORIGIN,
     STIFFENINGS,
     STOP_AND_GO,
@@ -40,30 +41,7 @@ def tracks(record) -> dict[object, Track]:
     return dict(zip(DRIVES, record(list(DRIVES.values())), strict=True))
 
 
-def circle_radius(path: np.ndarray) -> float:
-    """Radius of the circle that fits points (T, 2) best (Kasa's linear fit)."""
-    rows = np.column_stack([2 * path, np.ones(len(path))])
-    (x, y, c), *_ = np.linalg.lstsq(rows, (path**2).sum(1), rcond=None)
-    return math.sqrt(c + x**2 + y**2)
-
-
 # Turning
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize("way", [1, -1])
-@pytest.mark.parametrize("degrees", TURN_ANGLES)
-def test_the_rear_axle_turns_on_the_radius_of_ackermann(
-    tracks, side: str, way: int, degrees: float
-):
-    path = tracks[side, degrees, way].rear_axle(LIMITED)[500:]
-    expected = LIMITED.wheelbase / math.tan(math.radians(degrees))
-    error = circle_radius(path) / expected - 1
-    # Scrub torque widens the circle through tyre slip, and twists the steering servos
-    # by 0.08 deg: less steering forwards, more in reverse. Measured +0.51 to +0.67 %
-    # forwards and -0.26 to -0.01 % in reverse at 0.95 m/s, the same at 2 ms.
-    low, high = (0.003, 0.009) if way == 1 else (-0.005, 0.001)
-    assert low < error < high
 
 
 @pytest.mark.parametrize("way", [1, -1])
@@ -114,45 +92,6 @@ def test_a_ramp_is_a_slope_between_its_ends_and_begins_over_three_metres():
     assert down.steepest == pytest.approx(0.08)
     plain = gravity_at(SimConfig(grade_x=0.05), jnp.zeros(3))
     assert np.shape(plain) == (3,)  # constants where there is none
-
-
-@pytest.fixture(scope="module")
-def slope_tracks() -> dict[object, Track]:
-    """Cars on a slope of 5 %."""
-    drives: dict[object, Drive] = {
-        "rolling back": Drive(COMPACT, (0.0, 0.0, 0.0), [(12.0, 0.0, 0.06)]),
-    }
-    for turned in (0.0, math.pi / 4, math.pi / 2, math.pi):
-        start = (0.0, 0.0, turned)
-        drives["straight", turned] = Drive(COMPACT, start, [HOLD])
-        drives["steered", turned] = Drive(COMPACT, start, [(12.0, 1.0, 0.0)])
-    record = make_recorder(SimConfig(grade_x=0.05))
-    return dict(zip(drives, record(list(drives.values())), strict=True))
-
-
-@pytest.mark.parametrize("wheels", ["straight", "steered"])
-@pytest.mark.parametrize("turned", [0.0, math.pi / 4, math.pi / 2, math.pi])
-def test_the_brake_holds_a_car_on_a_slope_for_ten_seconds(
-    slope_tracks, wheels: str, turned: float
-):
-    pose = slope_tracks[wheels, turned].pose
-    late = pose[200:]
-    # It settles by 1 to 2.4 mm into its springs and bristles; afterwards measured
-    # 0.01 mm of dying oscillation and, after 5 s, no motion at all in float32.
-    assert np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1).max() < 6e-3
-    assert np.linalg.norm(late[:, :2] - late[-1, :2], axis=1).max() < 1e-4
-    assert np.linalg.norm(pose[600:, :2] - pose[-1, :2], axis=1).max() < 1e-6
-
-
-def test_a_car_without_enough_drive_creeps_straight_down_the_slope(slope_tracks):
-    pose = slope_tracks["rolling back"].pose[-1]
-    along, aside = pose[:2]
-    # Gravity less rolling resistance less 0.06 of the drive, borne by a hold that
-    # grows with the speed up to 9 m/s^2 at 0.1 m/s: 2.8 mm/s for 12 s.
-    down = (0.05 - COMPACT.tyre.rolling_resistance) * GRAVITY / math.hypot(1, 0.05)
-    creep = 0.1 * (down - 0.06 * COMPACT.max_acceleration) / COMPACT.hold_deceleration
-    assert along == pytest.approx(-12 * creep, abs=6e-3)  # it settles by some mm
-    assert abs(aside) < 1e-3
 
 
 # Wheel speed
