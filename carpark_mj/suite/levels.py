@@ -48,9 +48,9 @@ from carpark_mj.layouts.types import (
     layout_maxima,
     pad_layout,
 )
-from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.observations import observe
 from carpark_mj.precision import full_float32
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite import tpcap
 from carpark_mj.suite.hope import MARGIN, HopeConfig
 from carpark_mj.suite.tpcap import TPCAP_CAR
