@@ -44,8 +44,9 @@ _LOOKS = {
     "shade": ("rubber", looks.SHADE, False),
     "tyre": ("rubber", looks.TYRE, True),
     "rim": ("metal", looks.RIM, False),
+    "tyres": ("rubber", looks.TYRE, True),
+    "rims": ("metal", looks.RIM, False),
 }
-_LOOKS |= {"tyres": _LOOKS["tyre"], "rims": _LOOKS["rim"]}
 _CABIN = ("cage", "glass")
 # Parts of a car but for its wheels, in the rear axle's frame, and of a wheel.
 FIXED = ("body", *_CABIN, "headlights", "tail_lights", "trim", "shade")

@@ -144,7 +144,8 @@ class _Goals:
     def _make(self, options: Options) -> GoalParking:
         return share(GoalParking, self._config(options))
 
-    def _space(self, env: GoalParking) -> spaces.Dict:
+    def _space(self, env: ParkingEnv) -> spaces.Dict:
+        assert isinstance(env, GoalParking)
         own, goal = (
             vector_space(env.config, fields) for fields in (env.fields, FEATURES)
         )
