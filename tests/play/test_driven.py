@@ -6,8 +6,9 @@ import json
 import numpy as np
 import pytest
 from helpers.mutating import damaged, with_junk
+from helpers.programs import exit_code
 
-from carpark_mj.cli.play import PlayConfig, main, make_env, pad, replay, run, save
+from carpark_mj.cli.play import PlayConfig, main, make_env, pad, replay, save
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import observation_size
 from carpark_mj.play.demonstration import STEPS, Demonstration, load_demonstration
@@ -134,7 +135,7 @@ def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
 def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert run(arguments) == 2
+    assert exit_code("play", arguments) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -144,7 +145,7 @@ def test_a_folder_that_cannot_be_one_is_refused_before_the_drive(tmp_path, capsy
     pytest.importorskip("mjviser")
     taken = tmp_path / "drives"
     taken.write_text("a file")
-    assert run(["--view", "web", "--out", str(taken)]) == 2
+    assert exit_code("play", ["--view", "web", "--out", str(taken)]) == 2
     assert capsys.readouterr().err == f"play: cannot use {taken}: File exists\n"
 
 
