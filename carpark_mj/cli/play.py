@@ -116,8 +116,9 @@ def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
                 f"policy must be one that acts on observations, not {config.policy}"
             )
         return env, policy
-    alone = dataclasses.replace(config, num_agents=config.num_agents or 1)
-    env = ParkingEnv(alone.adapted(default_env(alone)))
+    if config.num_agents is None:
+        config = dataclasses.replace(config, num_agents=1)
+    env = ParkingEnv(config.adapted(default_env(config)))
     return env, zero_policy(env.action_spec)
 
 
