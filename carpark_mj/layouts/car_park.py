@@ -237,7 +237,8 @@ def random_parts(
             enough = part.min_bays >= min_bays
         except ValueError:  # no bay or nowhere to start
             continue
-        if enough and _all_reached(pad_layout(part.layout, maxima)):
+        lot = part.layout
+        if enough and lot is not None and _all_reached(pad_layout(lot, maxima)):
             found.append(part)
         if len(found) == count:
             return found
