@@ -64,4 +64,5 @@ def _run(arguments: Sequence[str] | None) -> None:
     from carpark_mj.cli.flags import read_flags
 
     words = complete(sys.argv[1:] if arguments is None else arguments)
-    main(read_flags(JunctionSceneConfig, words, description=command_help(__doc__ or "")))
+    text = command_help(__doc__ or "")
+    main(read_flags(JunctionSceneConfig, words, description=text))
