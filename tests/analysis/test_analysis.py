@@ -199,7 +199,7 @@ def test_bad_input_is_one_sentence(flags, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert exit_code("analysis", flags) == 2
     told = capsys.readouterr().err
-    assert told.startswith("program: ")
+    assert told.startswith("analysis: ")
     assert said in told
     assert told.count("\n") == 1
 

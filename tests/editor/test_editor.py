@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 from helpers.mutating import with_junk
-from helpers.programs import layouts as main
+from helpers.programs import exit_code
 
 from carpark_mj.editor.document import Draft, find_faults, read_picture
 from carpark_mj.editor.server import EditorServer
@@ -225,7 +225,7 @@ def test_the_command_refuses_in_one_sentence(arguments, message, folder, capsys)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         words = arguments.format(taken=port).split()
-        assert main(["edit", *words]) == 2
+        assert exit_code("layouts edit", words) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"layouts edit: {message.format(taken=port)}")
     assert told.count("\n") == 1

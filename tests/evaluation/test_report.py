@@ -179,10 +179,10 @@ def test_an_evaluation_is_written_before_it_is_printed(plain, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("flags", "name"),
     [
-        ({"num_agents": 1, "seed": 3}, "seed-3_num_agents-1"),
+        ({"num_agents": 1, "seed": 3}, "num_agents-1_seed-3"),
         (
             {"rule": "strict", "layout": "street,my/yard.json"},
-            "rule-strict_layout-street,my%2Fyard.json",
+            "layout-street,my%2Fyard.json_rule-strict",
         ),
         ({"episodes": 4096, "horizon": 100.0}, "episodes-4096_horizon-100.0"),
         ({"layout": "my-yard.json"}, "layout-my-yard.json"),

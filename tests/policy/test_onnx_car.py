@@ -81,7 +81,7 @@ def test_it_acts_as_the_policy_does_in_the_environment(name, counts):
 
 
 def test_an_action_depends_on_the_last_places_of_its_inputs():
-    loaded = load_policy("square")
+    loaded = load_policy("hope")
     rows = environment_rows(loaded.env, {})
     known, _ = states(ParkingEnv(loaded.env), rows, 8)
     near = sensitivity(loaded, rows, known, 0)

@@ -115,7 +115,7 @@ def test_a_bad_sweep_is_one_sentence_before_anything_runs(
     monkeypatch.setattr(sweeps, "run_sweep", pytest.fail)
     assert exit_code("sweep", ["--base", "cpu", *flags]) == 2
     told = capsys.readouterr().err
-    assert told.startswith("program: ")
+    assert told.startswith("sweep: ")
     assert said in told
     assert told.count("\n") == 1
     assert list(tmp_path.iterdir()) == []

@@ -46,7 +46,7 @@ def quick(monkeypatch):
 def told(capsys) -> str:
     """The one line on stderr."""
     error = capsys.readouterr().err
-    assert error.startswith("program: ")
+    assert error.startswith("export: ")
     assert error.count("\n") == 1
     return error
 

@@ -118,8 +118,7 @@ def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_pa
     with pytest.raises(CheckpointError, match="is of another carpark_mj"):
         read_config(PPOConfig, folder)
     junk = described | {"config_version": CONFIG_VERSION, "config": {"name": 1}}
-    deep = '{"config":' * 500 + "{" + "}" * 501
-    for damaged in ("{", "[]", "{}", json.dumps(junk), deep):
+    for damaged in ("{", "[]", "{}", json.dumps(junk)):
         path.write_text(damaged)
         with pytest.raises(CheckpointError, match="is not the config of a run"):
             read_config(PPOConfig, folder)

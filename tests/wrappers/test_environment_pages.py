@@ -8,7 +8,8 @@ from carpark_mj.config import PARKED_RULES, REWARDS, EnvConfig
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import markdown_table
 from carpark_mj.registration import ENTRY_POINTS
-from carpark_mj.wrappers.goal import GoalParking, ParkGoalEnv, goal_config
+from carpark_mj.tasks.goal_pose import FEATURES
+from carpark_mj.wrappers.goal import ParkGoalEnv, goal_config
 from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv, ParkManyVectorEnv
 from carpark_mj.wrappers.options import OPTIONS
 
@@ -40,7 +41,7 @@ def rewards(name, env):
 
 
 def goal(name, env):
-    return markdown_table(GoalParking.goal_fields) + "\n"
+    return markdown_table(FEATURES) + "\n"
 
 
 @pytest.mark.parametrize(
