@@ -213,7 +213,7 @@ REFUSED = [
     ("lot.json --port {taken}", "cannot serve on port {taken}: Address already in"),
     ("lot.json --width 3", "width 3.0 has no effect without --background"),
     ("lot.json --background plan.png", "--background takes either --scale in metres"),
-    ("lot.json --background plan.png --width -3", "--width must lie in (0, 10000] m"),
+    ("lot.json --background plan.png --width -3", "width must lie in [0, 10000] m"),
     ("lot.json --background none.png --width 3", "cannot use none.png: No such file"),
     ("lot.json --background bad.png --width 3", "cannot read the picture bad.png: "),
     ("lot.json --background lot.json --width 3", "a picture must end in one of .png"),
