@@ -88,8 +88,5 @@ def test_shipped_policies_have_the_environments_of_their_names(name):
     assert load_policy(name).env == environment(name)
 
 
-def test_the_shipped_considerate_was_trained_without_rays_within_a_metre():
-    shipped, today = load_policy("considerate").env, environment("considerate")
-    rays = dataclasses.replace(today.observation.rays, near=0.0)
-    seen = dataclasses.replace(today.observation, rays=rays)
-    assert shipped == dataclasses.replace(today, observation=seen) != today
+def test_the_shipped_considerate_was_trained_in_its_environment():
+    assert load_policy("considerate").env == environment("considerate")

@@ -14,6 +14,7 @@ import mujoco
 from flax import struct
 
 from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
+from carpark_mj.extensions import Entry
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.layouts import Layout
 from carpark_mj.physics.base import (
@@ -40,6 +41,9 @@ from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
+# They import MJX, which is slow, and this module.
+_CONTACT = Entry("carpark_mj.physics.mjx_step:ContactPhysics")
+_STEP = Entry("carpark_mj.physics.mjx_step:MjxStep")
 LEAST_UP = 0.5  # cosine of the lean at which a car has overturned: 60 degrees
 
 Stepper = Callable[[Vehicle, CarDynamics, jax.Array], tuple[CarDynamics, jax.Array]]
@@ -61,11 +65,7 @@ class MjxConfig(PhysicsConfig):
         """Builds it with the tyres of `SimConfig.tyres`."""
         del layout, vehicle
         if config.sim.tyres == "contact":
-            from carpark_mj.physics.mjx_step import (
-                ContactPhysics,  # MJX is slow to import
-            )
-
-            return ContactPhysics(config.sim)
+            return _CONTACT.load()(config.sim)
         return MjxPhysics(config.sim)
 
 
@@ -113,9 +113,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
     def _make_stepper(self, model: mujoco.MjModel, sim: SimConfig) -> Stepper:
         if sim.stepper != "mjx":
             return UnrolledStep(model, sim)
-        from carpark_mj.physics.mjx_step import MjxStep  # it imports MJX, which is slow
-
-        return MjxStep(model, sim)
+        return _STEP.load()(model, sim)
 
     @full_float32
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> CarState:

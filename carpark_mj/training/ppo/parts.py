@@ -12,7 +12,7 @@ PRESET_ENTRIES: Registry[Entry] = Registry("preset")
 VARIANTS: Registry[Entry] = Registry("variant")
 _OURS = "carpark_mj.training.ppo"
 
-_NAMES = ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees", "hope")
+_NAMES = ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees")
 for _name in _NAMES:
     PRESET_ENTRIES.register(_name, Entry(f"{_OURS}.presets:{_name.upper()}"))
 VARIANTS.register("brax", Entry(f"{_OURS}.variants:BRAX", "as Brax has it"))
