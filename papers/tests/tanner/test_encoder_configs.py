@@ -22,8 +22,8 @@ DYNAMIC = GoalConfig(dynamic=True)
     [
         (ViewConfig, {"field_of_view": 0.0}, r"must lie in \(0, 360\] deg, not 0.0"),
         (ViewConfig, {"field_of_view": math.nan}, "field_of_view must lie .* not nan"),
-        (ViewConfig, {"diameter": 0.0}, "view diameter must be positive .* not 0.0"),
-        (ViewConfig, {"diameter": math.inf}, "must be positive or None, not inf"),
+        (ViewConfig, {"diameter": 0.0}, "diameter must be positive.* not 0.0"),
+        (ViewConfig, {"diameter": math.inf}, "diameter must be positive.* not inf"),
         (TannerShare, {"goals": False, "goal_headings": True}, "needs share.goals"),
         (TannerObservation, {"tracked_cars": -1}, "tracked_cars must be at least 0"),
         (TannerObservation, {"bay_parts": ("size",)}, "bay_parts .* one of .*'size'"),
