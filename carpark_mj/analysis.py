@@ -141,12 +141,13 @@ def swept_settings(paths: Sequence[Path], records: Sequence[Record]) -> list[str
     """
     if len({record.settings.get("preset") for record in records}) > 1:
         return ["preset"]
-    names = [
-        str(fields[0])
-        for path in paths
-        if (path / "sweep.json").exists()
-        for fields in _read_json(path / "sweep.json", swept=list)["swept"]
-    ]
+    names: list[str] = []
+    for path in paths:
+        if (path / "sweep.json").exists():
+            swept = _read_json(path / "sweep.json", swept=list)["swept"]
+            if not all(isinstance(fields, list) and fields for fields in swept):
+                raise CheckpointError(f"{path / 'sweep.json'} has no settings in swept")
+            names += [str(fields[0]) for fields in swept]
     if names:
         return list(dict.fromkeys(names))
     known = dict.fromkeys(name for record in records for name in record.settings)

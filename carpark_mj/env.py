@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
-from carpark_mj.config.checks import require_choice
+from carpark_mj.config.checks import require_choice, require_kind
 from carpark_mj.layouts import Layout, layout_config, make_layout, member_shares
 from carpark_mj.layouts.registry import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, goals, metrics, rewards, terminations
@@ -92,10 +92,16 @@ class ParkingEnv:
             ValueError: the lot cannot hold the cars asked for, the randomization
                 could draw an impossible car, there is no such preset, or JAX computes
                 in float64.
-            TypeError: the back end lacks a method.
+            TypeError: the config, the back end or the car has another type.
         """
         require_float32()
-        config = config or EnvConfig()
+        if not isinstance(config, EnvConfig | None):
+            raise TypeError(
+                f"config must be an EnvConfig, not {config!r}; "
+                "`carpark_mj.registry.environment` gives those that have a name"
+            )
+        require_kind("vehicle", vehicle, VehicleParameters | None)
+        config = config if config is not None else EnvConfig()
         if physics is not None:
             physics = require_physics(physics)
             if physics.config != config.physics_config:

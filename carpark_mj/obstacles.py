@@ -251,6 +251,9 @@ def step_movers(
         state: of the lot before the step.
         dt: control period [s].
         key: consumed.
+
+    Raises:
+        ValueError: a mover's state or obstacles change their shapes or types.
     """
     old, num_traces = state.movers, state.motion.trace_w.shape[-2]
     keys, states, obstacles = jax.random.split(key, len(movers)), [], [*old.obstacles]
@@ -259,7 +262,11 @@ def step_movers(
         others = Movers((), (*obstacles[:number], *obstacles[number + 1 :]))
         lot = dataclasses.replace(state, movers=others)
         after = _strong(mover.step(keys[number], before, lot, dt))
-        pairs = zip(there, _groups(mover, after), strict=True)
+        _require_same(mover, "state", before, after)
+        groups = _groups(mover, after)
+        untraced = tuple(dataclasses.replace(x, trace_w=None) for x in there)
+        _require_same(mover, "obstacles", untraced, groups)
+        pairs = zip(there, groups, strict=True)
         states.append(after)
         obstacles[number] = tuple(_trace(*pair, num_traces) for pair in pairs)
     return Movers(tuple(states), tuple(obstacles))
@@ -273,9 +280,37 @@ def _groups(mover: Mover, state: Any) -> tuple[Group, ...]:
             f"the obstacles of the mover {mover.mover!r} must be at least one group, "
             f"Boxes or Discs, not {groups!r}"
         )
+    for group in groups:
+        boxes, n = type(group) is Boxes, jnp.shape(group.pose_w)[:1]
+        wanted = {
+            "pose_w": (*n, 3 if boxes else 2),
+            "size": (*n, 2) if boxes else n,
+            "velocity_w": (*n, 2),
+            "mask": n,
+        }
+        for name, shape in wanted.items():
+            value = getattr(group, name)
+            if value is not None and jnp.shape(value) != shape:
+                raise ValueError(
+                    f"the mover {mover.mover!r} has {type(group).__name__} whose "
+                    f"{name} is of shape {jnp.shape(value)}, not {shape}"
+                )
     return tuple(
         _strong(dataclasses.replace(g, trace_w=None, kind=mover.kind)) for g in groups
     )
+
+
+def _require_same(mover: Mover, what: str, before: Any, after: Any) -> None:
+    """Refuses arrays of other shapes or types, which the carry of a loop excludes."""
+    old, new = (
+        (jax.tree.structure(tree), [f"{x.dtype}{list(x.shape)}" for x in leaves])
+        for tree, leaves in ((tree, jax.tree.leaves(tree)) for tree in (before, after))
+    )
+    if old != new:
+        raise ValueError(
+            f"the {what} of the mover {mover.mover!r} must keep shapes and types "
+            f"{old[1]}, not become {new[1]}"
+        )
 
 
 def _strong(tree: Any) -> Any:

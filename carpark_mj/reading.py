@@ -6,6 +6,7 @@ Faults raise a `ValueError` that names the file; errors of the system raise `OSE
 import csv
 import io
 import json
+import math
 import reprlib
 import stat
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+MOST_BYTES = 2**30  # of an array that is inflated
 TEXT = "text"  # the dtype of strings of any length
 
 
@@ -167,6 +169,9 @@ class Archive:
         try:
             self._arrays: Any = np.load(io.BytesIO(data), allow_pickle=False)
             self.names: list[str] = self._arrays.files
+            members = self._arrays.zip.infolist()
+            if any(member.file_size > MOST_BYTES for member in members):
+                raise ValueError("too large")
             wrong = self._arrays.zip.testzip()
         except Exception:  # many kinds of errors, about the format of the file
             raise ValueError(f"{path} is truncated, or another kind of file") from None
@@ -190,8 +195,7 @@ class Archive:
                     f"{self.path} lacks {name}: it is another kind of file"
                 )
             try:
-                array: Any = self._arrays[name]
-                dtype, shape = array.dtype, array.shape  # bytes if it is no array
+                dtype, shape = self._header(name)
             except Exception as error:
                 raise ValueError(f"{self.path} is damaged at {name}: {error}") from None
             same = dtype.kind == "U" if form.dtype == TEXT else dtype == form.dtype
@@ -208,5 +212,20 @@ class Archive:
                     f"{self.path} holds {name} as {dtype}{list(shape)}, {wanted} is "
                     "needed"
                 )
-            found[name] = array
+            try:
+                found[name] = self._arrays[name]
+            except Exception as error:
+                raise ValueError(f"{self.path} is damaged at {name}: {error}") from None
         return found
+
+    def _header(self, name: str) -> tuple[np.dtype, tuple[int, ...]]:
+        """Dtype and shape of an array, which is not inflated; its size is compared."""
+        with self._arrays.zip.open(f"{name}.npy") as stream:
+            version = np.lib.format.read_magic(stream)
+            first = np.lib.format.read_array_header_1_0
+            read = first if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(stream)
+            size = stream.tell() + math.prod(shape) * dtype.itemsize
+        if size != self._arrays.zip.getinfo(f"{name}.npy").file_size:
+            raise ValueError("it has another size")
+        return dtype, shape

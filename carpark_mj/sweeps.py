@@ -10,6 +10,7 @@ runs/SWEEP/
 
 import contextlib
 import dataclasses
+import fcntl
 import functools
 import itertools
 import math
@@ -25,6 +26,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
+
+from carpark_mj.rendering.gl import choose_gl
+
+choose_gl()  # before anything imports MuJoCo; jobs import this module first
 
 import jax
 import submitit
@@ -101,6 +106,8 @@ def read_axis(text: str, config: PPOConfig) -> Axis:
     for part in values.removesuffix(";").split(";" if ";" in values else ","):
         ends = re.fullmatch(r"\s*(-?\d+)\.\.(-?\d+)\s*", part)
         first, last = map(int, ends.groups()) if ends else (0, -1)
+        if last - first >= MAX_RUNS:
+            raise ValueError(f"a sweep has at most {MAX_RUNS} runs, not {part.strip()}")
         words += map(str, range(first, last + 1)) if ends else [part.strip()]
     if not all(words) or not words or len({*words}) < len(words):
         raise ValueError(f"{field} has no values, or one twice, in {text!r}")
@@ -137,6 +144,7 @@ def _flags(settings: dict[str, str], config: PPOConfig) -> list[str]:
         *groups, last = field.replace("_", "-").split(".")
         parts = value.split()
         if isinstance(known[field], bool):
+            value = value.lower()
             if value not in ("true", "false"):
                 raise ValueError(f"{field} must be true or false, not {value!r}")
             last, parts = last if value == "true" else f"no-{last}", []
@@ -304,6 +312,17 @@ def write_outcome(sweep: Path, run: Run, outcome: Outcome) -> None:
     write_json(path, dataclasses.asdict(outcome))
 
 
+@contextlib.contextmanager
+def locked(sweep: Path, run: Run) -> Iterator[None]:
+    """Holds a run alone; waits while another process works on it.
+
+    A sweep that was killed may have left a job that still trains.
+    """
+    with (sweep / "outcomes" / f"{run.name}.lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
     """Writes a row per run: settings, seed, status, metrics, versions.
 
@@ -312,7 +331,8 @@ def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
     path, names = sweep / "sweep.csv", {run.name for run in runs}
     rows: list[dict[str, Any]] = []
     if path.exists():
-        rows += [row.cells for row in read_csv(path) if row.cells["run"] not in names]
+        known = (row.cells for row in read_csv(path, "run"))
+        rows += [cells for cells in known if cells["run"] not in names]
     for run in runs:
         outcome = read_outcome(sweep, run)
         row = {"run": run.name, "base": run.base, **dict(run.settings)}
@@ -416,6 +436,13 @@ class Work:
         if self.own_process:
             configure_jax()
             keep_compiled_programs()
+        with contextlib.ExitStack() as stack:
+            # In one order, so that two jobs never wait for each other.
+            for run in sorted(self.runs, key=lambda run: run.name):
+                stack.enter_context(locked(self.sweep, run))
+            self._train()
+
+    def _train(self) -> None:
         left = [r for r in self.runs if read_outcome(self.sweep, r).status != "done"]
         begun, reported = time.monotonic(), set[Run]()
 
@@ -539,13 +566,16 @@ def run_works(
                     running[slot] = work, executor.submit(work)
             # A debug job that is asked would run and, if it fails, start a debugger.
             # Submitit's own query of Slurm needs accounting.
-            queued = queued_jobs() if executor.cluster == "slurm" else None
-            ended = [
-                slot
-                for slot, (_, job) in running.items()
-                if executor.cluster == "debug"
-                or (job.done() if queued is None else job.job_id not in queued)
-            ]
+            if executor.cluster == "slurm":
+                queued = queued_jobs()
+                ended = [
+                    slot
+                    for slot, (_, job) in running.items()
+                    if queued is not None and job.job_id not in queued
+                ]
+            else:
+                debug = executor.cluster == "debug"
+                ended = [slot for slot, (_, j) in running.items() if debug or j.done()]
             for slot in ended:
                 work, job = running.pop(slot)
                 yield work, _reason(job)
@@ -589,7 +619,7 @@ def submit_array(
     """Submits to a cluster what does not stand in its queue from an earlier time."""
     record = executor.folder / "jobs.json"
     known: dict[str, str] = read_object(record) if record.exists() else {}
-    queued = queued_jobs() if known else set[str]()
+    queued = (queued_jobs() if known else None) or set[str]()
     jobs: list[tuple[Work, submitit.Job[None]]] = []
     new: list[Work] = []
     for work in works:
@@ -616,14 +646,14 @@ def submit_array(
     return jobs
 
 
-def queued_jobs() -> set[str]:
-    """Numbers of the jobs in Slurm's queue."""
+def queued_jobs() -> set[str] | None:
+    """Numbers of the jobs in Slurm's queue; None if it does not answer."""
     command = ["squeue", "--noheader", "--array", "--format", "%i"]
-    while True:
-        asked = subprocess.run(command, capture_output=True, text=True, check=False)
-        if not asked.returncode:
-            return {*asked.stdout.split()}
-        time.sleep(POLL_SECONDS["slurm"])  # a busy controller does not answer
+    try:
+        asked = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return {*asked.stdout.split()}
 
 
 def run_sweep(

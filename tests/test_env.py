@@ -321,3 +321,11 @@ def test_an_agent_that_drives_into_a_frozen_one_crashes_alone():
     np.testing.assert_array_equal(timestep.events.crashed, [True, False, False])
     np.testing.assert_array_equal(timestep.events.hit_agent, [True, False, False])
     np.testing.assert_array_equal(state.motion.pose_w[1], APART[1])
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"config": "square"}, {"config": {}}, {"vehicle": "van"}]
+)
+def test_an_argument_of_another_type_is_named(wrong):
+    with pytest.raises(TypeError, match=next(iter(wrong))):
+        ParkingEnv(**wrong)

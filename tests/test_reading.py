@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from helpers.mutating import damaged
 
+from carpark_mj import reading
 from carpark_mj.reading import (
     TEXT,
     Archive,
@@ -75,6 +77,21 @@ def test_an_array_of_another_form_is_refused_by_name(name, array, tmp_path):
 def test_an_archive_that_lacks_an_array_is_of_another_kind(tmp_path):
     with pytest.raises(ValueError, match="lacks pose"):
         Archive(archive(tmp_path)).read({"pose": ArrayForm(FLOATS, (3,))})
+
+
+def test_what_a_small_file_inflates_to_is_known_before(tmp_path, monkeypatch):
+    path = tmp_path / "bomb.npz"
+    np.savez_compressed(path, speed=np.zeros((2**24, 4), np.float32))
+    assert path.stat().st_size < 2**20
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=r"bomb\.npz"):
+        Archive(path).read({"speed": ArrayForm(FLOATS, (3, 4))})
+    monkeypatch.setattr(reading, "MOST_BYTES", 2**20)
+    with pytest.raises(ValueError, match=r"bomb\.npz"):
+        Archive(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**23
 
 
 def test_members_that_are_no_arrays_are_refused(tmp_path):

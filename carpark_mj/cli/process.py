@@ -46,7 +46,8 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
             exit code if it is an int.
         *arguments: of the function.
     """
-    interrupts, stdout = Interrupts(program), _keep_printing()
+    interrupts, stdout = Interrupts(program), _keep_printing("stdout", 1)
+    _keep_printing("stderr", 2)
 
     def command() -> object:
         check_gl()
@@ -185,19 +186,23 @@ class _Output(io.FileIO):
         return len(data)
 
 
-def _keep_printing() -> _Output | None:
-    """Makes stdout never raise: a failed print must not lose the work behind it."""
-    old: Any = sys.stdout
-    if old is None or old is not sys.__stdout__:
+def _keep_printing(name: str, descriptor: int) -> _Output | None:
+    """Makes a stream never raise: a failed print must not lose the work behind it."""
+    old: Any = getattr(sys, name)
+    if old is None:  # it was closed: let no file take its number
+        setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
         return None
-    raw = _Output(1, "w", closefd=False)
-    sys.stdout = io.TextIOWrapper(
+    if old is not getattr(sys, f"__{name}__"):
+        return None
+    raw = _Output(descriptor, "w", closefd=False)
+    text = io.TextIOWrapper(
         cast(Any, raw) if old.write_through else io.BufferedWriter(raw),
         encoding=old.encoding,
         errors="replace",
         line_buffering=old.line_buffering,
         write_through=old.write_through,
     )
+    setattr(sys, name, text)
     return raw
 
 

@@ -67,7 +67,7 @@ def require_aisle(aisle: float, least: float) -> None:
     """Refuses an aisle that is too narrow for the car to drive, spawn and turn in."""
     if aisle < least:
         raise ValueError(
-            f"aisle_width must be at least {least:.2f} m for the car to turn into a "
+            f"the aisle must be at least {least:.2f} m for the car to turn into a "
             f"bay (carpark_mj.layouts.standards), not {aisle:g}"
         )
 

@@ -61,10 +61,10 @@ class LotConfig(LayoutConfig):
     angle: Annotated[Range, Bounds(ge=30.0, le=90.0, unit="deg")] = (90.0, 90.0)
     two_way: bool = True
     back_in: bool = False
-    bay_width: Range = standards.BAY_WIDTH
-    bay_length: Range = standards.BAY_LENGTH
+    bay_width: standards.Lengths = standards.BAY_WIDTH
+    bay_length: standards.Lengths = standards.BAY_LENGTH
     extra_aisle: Annotated[Range, Bounds(ge=-3.0, unit="m")] = (-1.0, 0.0)
-    cross_aisle: Range = standards.TWO_WAY_AISLE
+    cross_aisle: standards.Lengths = standards.TWO_WAY_AISLE
     num_accessible: Natural = 2
     num_family: Natural = 1
     row_ends: Literal["islands", "bollards", "open"] = "islands"

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config.checks import Count, NonNegative, Range
+from carpark_mj.config.checks import Count, NonNegative
 from carpark_mj.layouts import build, standards
 from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.standards import DesignCar, Entry
@@ -40,8 +40,8 @@ class StreetConfig(LayoutConfig):
 
     parallel: ClassVar[bool] = False
     bays_per_side: standards.Counts = (9, 12)
-    bay_width: Range = standards.BAY_WIDTH
-    bay_length: Range = standards.BAY_LENGTH
+    bay_width: standards.Lengths = standards.BAY_WIDTH
+    bay_length: standards.Lengths = standards.BAY_LENGTH
     aisle_width: standards.Lengths = standards.TWO_WAY_AISLE
     end_length: standards.Lengths = (4.0, 7.0)
     wall_thickness: standards.Thickness = standards.WALL_THICKNESS
@@ -112,8 +112,8 @@ class StreetParallelConfig(StreetConfig):
 
     parallel: ClassVar[bool] = True
     bays_per_side: standards.Counts = (9, 11)
-    bay_width: Range = standards.PARALLEL_WIDTH
-    bay_length: Range = standards.PARALLEL_LENGTH
+    bay_width: standards.Lengths = standards.PARALLEL_WIDTH
+    bay_length: standards.Lengths = standards.PARALLEL_LENGTH
     family: str = "street_parallel"
 
 

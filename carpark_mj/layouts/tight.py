@@ -9,7 +9,6 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import Range
 from carpark_mj.layouts import build, standards
 from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.standards import (
@@ -105,7 +104,7 @@ class DeadEndConfig(TightConfig):
     """
 
     bays_per_side: standards.Counts = (2, 4)
-    approach: Range = (12.0, 18.0)
+    approach: standards.Lengths = (12.0, 18.0)
     end_length: standards.Lengths = (0.5, 1.5)
     family: str = "dead_end"
 

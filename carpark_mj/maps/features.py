@@ -116,7 +116,7 @@ class Plan:
         features: in the map's order, metres.
         unknown: numbers of unknown elements by kind.
         lost: spots that cannot become shapes, with the reason, by their names.
-        groups: spots without outlines, which `rows.lay_out` turns into features.
+        groups: spots without outlines, which `bays.lay_out` turns into features.
         notes: sentences on what was assumed.
     """
 

@@ -4,10 +4,13 @@ import math
 from collections.abc import Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.config.checks import Range
+from carpark_mj.geometry import to_world
+from carpark_mj.geometry.obstacles import Boxes, Discs, touches
 from carpark_mj.layouts import Layout, make_layout
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import DesignCar, Entry
@@ -91,6 +94,8 @@ def check_cars(
     for name, car in agents:
         if config.physics_config.steers:
             _require_entry(name, car, lot.entries)
+        if layout is not None:
+            _require_start(name, car, lot, layout)
     one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
     if one_size and layout is None and is_made_for(lot, fleet.agents[0]):
         return
@@ -125,6 +130,27 @@ def check_cars(
         scale = config.jitter.scale[1]
         for name, car in zip(fleet.parked_names, fleet.parked_cars, strict=True):
             _count_bays("parked cars", name, scale * _size(car), 0.0, bays)
+
+
+def _require_start(
+    name: str, car: VehicleParameters, lot: LayoutConfig, layout: Layout
+) -> None:
+    """Refuses a car that touches an obstacle at every possible start."""
+    if is_made_for(lot, car):
+        return
+    # Along, across and in heading, out to the bounds of every region.
+    shares = jnp.linspace(-1.0, 1.0, 9)
+    shares = jnp.stack(jnp.meshgrid(shares, shares, shares), axis=-1).reshape(-1, 3)
+    bounds = jnp.column_stack([layout.spawn_size / 2, layout.spawn_spread])
+    starts = to_world(layout.spawn_pose[:, None], shares * bounds[:, None])
+    starts = starts[layout.spawn_mask].reshape(-1, 3)
+    walls = Boxes(layout.wall_pose, layout.wall_size, mask=layout.wall_mask)
+    discs = Discs(layout.disc_centre, layout.disc_radius, mask=layout.disc_mask)
+    if touches(starts, jnp.array(_size(car)), (walls, discs)).all():
+        raise ValueError(
+            f"the {name}, {car.length:.2f} m x {car.width:.2f} m, finds no start in "
+            "the lot: it touches a wall or disc wherever it could spawn"
+        )
 
 
 def is_made_for(lot: LayoutConfig, car: VehicleParameters) -> bool:

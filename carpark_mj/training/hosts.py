@@ -19,6 +19,7 @@ import numpy as np
 from jax.experimental import multihost_utils
 
 AUTO = "auto"
+MAX_PORT = 65535
 
 Result = TypeVar("Result")
 
@@ -45,11 +46,16 @@ class Hosts:
                     "num_hosts and host need coordinator HOST:PORT, not "
                     f"{self.coordinator!r}"
                 )
-        elif not re.fullmatch(r".+:\d+", self.coordinator):
+            return
+        port = re.fullmatch(r".+:(\d+)", self.coordinator)
+        if port is None or not 0 < int(port[1]) <= MAX_PORT:
             raise ValueError(
-                f"coordinator must be HOST:PORT or {AUTO}, not {self.coordinator!r}"
+                f"coordinator must be HOST:PORT, a port of 1 to {MAX_PORT}, or {AUTO}, "
+                f"not {self.coordinator!r}"
             )
-        elif not 0 <= self.host < self.num_hosts:
+        if self.num_hosts < 1:
+            raise ValueError(f"num_hosts must be at least 1, not {self.num_hosts}")
+        if not 0 <= self.host < self.num_hosts:
             raise ValueError(
                 f"host must lie in [0, {self.num_hosts - 1}], not {self.host}"
             )

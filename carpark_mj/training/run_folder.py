@@ -55,10 +55,13 @@ class RunConfig(CheckedConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_seed(self.seed)
-        if self.name and not re.fullmatch(r"[^/\\]*[^/\\.\s][^/\\]*", self.name):
+        bare = re.fullmatch(r"[^/\\]*[^/\\.\s][^/\\]*", self.name)
+        if self.name and not (bare and self.name.isprintable()):
             raise ValueError(
                 f"name must be the name of one folder in runs_dir, not {self.name!r}"
             )
+        if not self.runs_dir.strip():
+            raise ValueError(f"runs_dir must name a folder, not {self.runs_dir!r}")
 
     @property
     def default_name(self) -> str:
@@ -111,6 +114,12 @@ def _new_folder(config: RunConfig) -> Path:
         try:
             folder.mkdir()
         except FileExistsError:
+            # A run was killed before it wrote its settings, or its lock is held.
+            bare = folder.is_dir() and all(
+                path.name.startswith(".") for path in folder.iterdir()
+            )
+            if config.name and bare:
+                return folder
             if config.name:
                 raise ValueError(
                     f"{folder} exists: choose another --name, or continue with "
@@ -239,7 +248,8 @@ def read_settings(
         raise ValueError(
             f"unknown preset {config.preset!r}; choose from {', '.join(presets)}"
         )
-    flags = [word.partition("=")[0] for word in arguments if word.startswith("--")]
+    words = [word.partition("=")[0] for word in arguments if word.startswith("--")]
+    flags = [word.replace("_", "-") for word in words]  # tyro takes both
     if "--resume" not in flags:
         return dataclasses.replace(config, preset=preset.preset)
     if not config.resume:

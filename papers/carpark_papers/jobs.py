@@ -58,8 +58,8 @@ class Job:
 
 def run_jobs(
     jobs: Sequence[Job],
-    workers: Natural,
-    minutes: NonNegative,
+    workers: int,
+    minutes: float,
     clock: Callable[[], float] = time.monotonic,
 ) -> list[Job]:
     """Runs unfinished jobs; returns the failed ones.
@@ -118,8 +118,8 @@ class RepeatConfig(CheckedConfig):
     all: bool = False
     list: bool = False
     seeds: Count = 5
-    minutes: float = 0.0
-    workers: int = 0
+    minutes: NonNegative = 0.0
+    workers: Natural = 0
     runs_dir: str = "runs"
 
     def __post_init__(self) -> None:

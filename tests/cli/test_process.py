@@ -137,6 +137,29 @@ def test_a_reader_that_leaves_costs_no_work(unbuffered, run, tmp_path):
     assert (tmp_path / "file").read_text() == "done"
 
 
+STREAMS = (
+    "import sys\nprint('x', flush=True)\nprint('y', file=sys.stderr)\nwrite('done')"
+)
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "2>/dev/full"])
+def test_streams_that_cannot_be_written_cost_no_work(closed, tmp_path):
+    indented = "".join(f"    {line}\n" for line in STREAMS.splitlines())
+    (tmp_path / "job.py").write_text(START + indented)
+    program = "from carpark_mj.cli.process import enter; enter('job', 'job:main')"
+    ended = subprocess.run(
+        ["sh", "-c", f'"$@" {closed}', "sh", sys.executable, "-c", program],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=50,
+        check=False,
+    )
+    assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
+    assert (tmp_path / "file").read_text() == "done"
+
+
 def test_an_encoding_without_a_character_costs_no_work(run, tmp_path):
     assert run(PRINT.format(code=0), PYTHONIOENCODING="ascii") == (0, "")
     assert (tmp_path / "file").read_text() == "done"

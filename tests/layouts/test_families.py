@@ -1,6 +1,9 @@
 """Every family of lots, judged by shapely: no overlaps, everything is reachable."""
 
+import dataclasses
 import functools
+import math
+import re
 
 import jax
 import jax.numpy as jnp
@@ -328,3 +331,19 @@ def test_every_config_names_its_family_and_is_hashable():
         if name != "from_file":
             assert family().family == name
             assert hash(family()) == hash(family())
+
+
+RANGES = [
+    (family, field.name)
+    for name, family in FAMILIES.items()
+    for field in dataclasses.fields(family)
+    if re.fullmatch(r"\([\d.e-]+, [\d.e-]+\)", repr(field.default))
+]
+
+
+@pytest.mark.parametrize(("family", "name"), RANGES)
+def test_ranges_rise_and_are_finite(family, name):
+    low, high = getattr(family(), name)
+    for bad in ((high + 1, low), (low, math.nan), (math.nan, high), (low, math.inf)):
+        with pytest.raises(ValueError, match=name):
+            family(**{name: bad})

@@ -143,6 +143,27 @@ def test_each_sees_the_others_where_they_are_by_then():
     assert [float(group.pose_w[0, 0]) for group in after.groups] == [11.0, 13.0]
 
 
+def boxes_of(size, mask=None):
+    """Obstacles in which one box has arrays of given shapes."""
+    return lambda state: [Boxes(jnp.zeros((2, 3)), jnp.ones(size), mask=mask)]
+
+
+@pytest.mark.parametrize(
+    ("faults", "message"),
+    [
+        ({"obstacles": lambda state: []}, "at least one group"),
+        ({"obstacles": boxes_of(2)}, r"size is of shape \(2,\), not \(2, 2\)"),
+        ({"obstacles": boxes_of((2, 2), jnp.ones((2, 1)))}, "mask is of shape"),
+        ({"state": jnp.zeros(3, jnp.int32)}, "must keep shapes and types"),
+        ({"state": 1.5}, "must keep shapes and types"),
+    ],
+)
+def test_obstacles_and_state_keep_their_shapes(faults, message):
+    mover = Hands(tuple(faults.items()))
+    with pytest.raises(ValueError, match=rf"'hands'.*{message}"):
+        step_movers([mover], state_with(mover), 0.2, KEY)
+
+
 def test_names_are_those_of_the_registry(monkeypatch):
     monkeypatch.setattr(MOVERS, "_parts", {})
     MOVERS.register("hands", Hands())

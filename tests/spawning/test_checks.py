@@ -170,6 +170,15 @@ def test_cars_must_fit_into_the_bays_of_a_lot_drawn_by_hand(
     assert "\n" not in str(refusal.value)
 
 
+def test_a_car_needs_a_start_at_which_it_touches_nothing(tmp_path):
+    """Walls 2.0 m apart: the van has room along them, the bus nowhere."""
+    made = drawn(tmp_path, *[(12.5, 3.0)] * 2, walls=(-1.1, 1.1), spawn=(20.0, 0.1))
+    config = EnvConfig(layout=made, num_agents=1, num_parked_cars=0)
+    with pytest.raises(ValueError, match=r"the custom car, .* finds no start"):
+        ParkingEnv(config, SlidePhysics(), BUS)
+    assert ParkingEnv(config, SlidePhysics(), PRESETS["van"]).num_agents == 1
+
+
 def test_a_custom_car_has_no_name_but_its_own():
     config = EnvConfig(vehicle="sedan")
     for car, name in (

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,7 @@ from carpark_mj.sweeps import (
     SlurmConfig,
     Where,
     Work,
+    locked,
     make_executor,
     open_sweep,
     read_outcome,
@@ -67,6 +69,20 @@ def test_the_table_has_a_row_per_run_with_settings_metrics_seed_and_versions(tmp
         assert row["num_steps"] == "100"
         assert row["parked"] == "0.5"
         assert row["version_jax"]
+
+
+def test_a_job_waits_for_one_that_a_killed_sweep_left(tmp_path):
+    plan, (run,) = plan_runs("num_agents=1")
+    open_sweep(tmp_path, plan, False)
+    work = Work(tmp_path, (run,), train, own_process=False)
+    with locked(tmp_path, run):
+        job = threading.Thread(target=work)
+        job.start()
+        job.join(0.3)
+        assert job.is_alive()
+        assert not (tmp_path / "calls.txt").exists()
+    job.join(30)
+    assert calls(tmp_path) == [run.name]
 
 
 def test_what_is_done_is_not_run_again_and_new_values_are_added(tmp_path):
