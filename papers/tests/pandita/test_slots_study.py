@@ -149,6 +149,7 @@ DEFAULTS = {
     "config": "pandita",
     "layout": PANDITA.layout,
     "parked_cars": PANDITA.num_parked_cars,
+    "max_episode_steps": PANDITA.episode.max_steps,
 }
 
 

@@ -229,7 +229,7 @@ def test_choices_out_of_range_are_counted():
 
 
 def test_a_negative_spacing_of_starts_is_refused():
-    with pytest.raises(ValueError, match=r"spacing must be at least 0.0, not -1.0"):
+    with pytest.raises(ValueError, match=r"spacing must be at least 0, not -1.0"):
         SpawnConfig(spacing=-1.0)
 
 
