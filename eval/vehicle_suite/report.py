@@ -311,8 +311,8 @@ wheels' angle at once. |
 throws the car: longer steps are refused. |
 | unrolled step against mjx.step | contact | Contact wheels need MuJoCo's solver: \
 there is no unrolled step. |
-| pedals, standstill and options | contact | The driver's law is the same on any \
-tyres; it is driven on those of training. |
+| pedals, taps, rolling back, standstill and options | contact | The driver's law \
+is the same on any tyres; it is driven on those of training. |
 | suspension | brush | The vertical force of a brush tyre has spring and damper in \
 it; load transfer and step steer show them. |
 | data of a shared model | brush | A car on brush tyres has no constraint whose \
