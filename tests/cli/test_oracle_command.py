@@ -52,7 +52,7 @@ def test_the_command_writes_a_row_for_each_agent(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("flags", "reason"),
     [
-        ("--lots 0", "lots must lie in [1, 1e+06]"),
+        ("--lots 0", "lots must lie in [1, 1000000]"),
         ("--seed -1", "seed must lie in"),
         ("--environment dynamic", "the planner needs fixed goals"),
         ("--environment nowhere", "unknown environment"),

@@ -1,5 +1,7 @@
 """Where parked cars stand in their bays, and which makes room for an agent."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +19,7 @@ from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.parked_cars import (
     AWAY,
+    free_bays,
     in_bays,
     poses_in_bays,
     relocate_parked_cars,
@@ -26,6 +29,7 @@ from carpark_mj.mdp.parked_cars import (
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.fields import FAR
 from carpark_mj.spawning.fleet import shuffled_bays
+from carpark_mj.spawning.starts import pick
 from carpark_mj.types import NO_BAY
 
 COUNT = 3000
@@ -287,3 +291,58 @@ def test_agents_observe_and_hit_parked_cars_where_they_were_pushed_to():
     # It begins 2.9 m away, and nothing else is near.
     assert first["ring_5m"] == 0
     np.testing.assert_allclose(first["ring_8m"], 1 / 9, atol=1e-6)
+
+
+def longest_stays(moves, seed=0, ends=4000, lots=8):
+    """Longest stay of cars in any bay, in ends of episodes, and cars after each.
+
+    Agents stand anywhere and park in random free bays: as if they chose their goals.
+    """
+    layout = make_layout("square")
+
+    def end(carry, key):
+        goal, bay = carry
+        keys = jax.random.split(key, 4)
+        agent = jax.random.randint(keys[0], (), 0, 3)
+        xy = jax.random.uniform(keys[1], (3, 2), minval=-11.8, maxval=11.8)
+        scores = jax.random.uniform(keys[2], (layout.num_bays,))
+        goal = goal.at[agent].set(pick(free_bays(layout, bay), scores))
+        motion = cars(jnp.pad(xy, ((0, 0), (0, 1))))
+        state = state_of(layout, motion, goal, parked_cars=parked_in(layout, bay))
+        events = no_events(3, parked=jnp.arange(3) == agent)
+        bay = moves(state, events, keys[3])
+        return (goal, bay), bay
+
+    def run(key):
+        order = shuffled_bays(layout, key)
+        start = order[:3], order[3:19]
+        return jax.lax.scan(end, start, jax.random.split(key, ends))[1]
+
+    keys = jax.random.split(jax.random.key(seed), lots)
+    bay = np.asarray(jax.jit(jax.vmap(run))(keys))
+    taken = (bay[..., None] == np.arange(36)).any(axis=2)
+    stay = longest = np.zeros((lots, 36), int)
+    for k in range(ends):
+        stay = np.where(taken[:, k], stay + 1, 0)
+        longest = np.maximum(longest, stay)
+    return longest, bay
+
+
+@pytest.mark.parametrize("rule", ["furthest", "random"])
+def test_no_bay_stays_occupied_for_ever_while_another_is_free(rule):
+    """Theorem 2 of Tanner 2022: relocation is free of deadlocks."""
+    relocate = functools.partial(relocate_parked_cars, RULES[rule])
+    longest, bay = longest_stays(lambda *args: relocate(*args).bay)
+    assert bay.shape[2] == 16
+    assert (np.diff(np.sort(bay, axis=2), axis=2) > 0).all()  # all there, all apart
+    assert longest.max() < 2000  # of 4,000 ends
+    assert longest.min() > 0  # and every bay has its turn
+
+
+def test_a_rule_that_always_moves_the_same_car_would_be_a_deadlock():
+    def first_car(state, events, key):
+        del key
+        goal = state.goal[jnp.argmax(events.parked)]
+        return state.parked_cars.bay.at[0].set(goal)
+
+    assert longest_stays(first_car)[0].max() == 4000

@@ -233,3 +233,31 @@ def test_a_broken_car_leaves_its_neighbours_alone(
     leaves = [jax.tree.leaves(tree) for tree in (after, expected)]
     for got, good in zip(*leaves, strict=True):
         assert np.array_equal(got[neighbours], good[neighbours])
+
+
+def test_a_contained_car_drives_on_with_the_next_good_step(
+    physics: MjxPhysics, step, moving: CarState
+):
+    state = step(spoil(moving, "qvel", 1, np.nan), CONTROLS)
+    broken = CONTROLS.copy()
+    broken[2] = np.nan
+    state = step(state, broken)
+    stuck = see(physics, state)
+    for _ in range(5):
+        state = step(state, CONTROLS)
+    seen = see(physics, state)
+    assert stuck.finite.tolist() == [True, True, False, True, True, True]
+    assert seen.finite.all()
+    travelled = np.linalg.norm((seen.pose_w - stuck.pose_w)[:, :2], axis=1)
+    assert (travelled[1:3] > 0.2).all()
+
+
+def test_a_car_whose_position_is_already_broken_is_flagged_every_step(
+    physics: MjxPhysics, step, moving: CarState
+):
+    # `step` never stores such a position itself, and keeps none it could go back to:
+    # only a new start repairs it.
+    state = spoil(moving, "qpos", 1, np.nan)
+    for _ in range(2):
+        state = step(state, CONTROLS)
+        assert see(physics, state).finite.tolist() == [True, False] + [True] * 4
