@@ -152,27 +152,40 @@ def test_the_library_never_imports_the_programs():
         assert not roots & (programs | {"train", "eval", "tests", "carpark_papers"})
 
 
+# Rooms that a lot steps without.
+AROUND_ENV = {
+    f"carpark_mj.{room}"
+    for room in (
+        "cli.flags",
+        "evaluation",
+        "policy",
+        "rendering",
+        "scene",
+        "suite",
+        "training",
+    )
+}
 # What is imported, in this order in one process, and what may not be loaded by then.
 HEAVY = {"OpenGL", "glfw", "matplotlib", "flask", "brax", "imageio", "tyro"}
+EXTRAS = {"tyro", "tensorboardX", "matplotlib", "imageio_ffmpeg"}
 STAGES = [
     # Before `process` Ctrl-C is Python's own: nothing but the standard library.
     (("", ".cli.process"), HEAVY | {"mujoco", "jax", "gymnasium", "numpy"}),
     ([f".{name}" for name in sorted(WITHOUT_MUJOCO)], HEAVY | {"mujoco"}),
-    (
-        (".env",),
-        HEAVY - {"glfw"} | {"mujoco.mjx", "trimesh", "carpark_mj.rendering.stage"},
-    ),
+    ((".env",), HEAVY - {"glfw"} | {"mujoco.mjx", "trimesh"} | AROUND_ENV),
     # The settings of a training need no package of an extra; flax has rich.
-    ((".training",), {"tyro", "tensorboardX", "matplotlib", "imageio_ffmpeg"}),
+    ((".training",), EXTRAS),
+    ((), EXTRAS),  # after the settings were made
 ]
 CODE = """
 import importlib, json, sys
 for names in json.loads(sys.argv[1]):
     for name in names:
         importlib.import_module("carpark_mj" + name)
+    if not names:
+        from carpark_mj.training import PRESETS, PPOConfig
+        PPOConfig(), PRESETS["gpu"]
     print(*sys.modules)
-from carpark_mj.training import PRESETS, PPOConfig
-PPOConfig(), PRESETS["gpu"]
 """
 
 
