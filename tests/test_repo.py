@@ -159,7 +159,7 @@ AROUND_ENV = {
         "cli.flags",
         "evaluation",
         "policy",
-        "rendering",
+        "rendering.stage",
         "scene",
         "suite",
         "training",

@@ -328,7 +328,7 @@ EVALUATION_BAD = {
     ),
     "missing run": (("nowhere",), "no run folder or checkpoint at nowhere"),
     "misspelled": (("plannr",), "planner, random, zero"),
-    "no episodes": (("--policy", "zero", "--episodes", "0"), "episodes must be at"),
+    "no episodes": (("--policy", "zero", "--episodes", "0"), "episodes must lie in"),
     "unwritable": (
         ("--policy", "zero", "--out", "/proc/x"),
         "/proc/x",
