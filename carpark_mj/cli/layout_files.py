@@ -124,7 +124,7 @@ class ImportConfig:
             raise ValueError(f"--out writes a .json file, not {self.out}")
 
 
-def make(config: ImportConfig) -> None:
+def import_layout(config: ImportConfig) -> None:
     """Reads the map, writes the layout file and says what was left out."""
     require_writable(Path(config.out))
     try:
@@ -147,11 +147,3 @@ def make(config: ImportConfig) -> None:
     write_atomically(Path(config.out), lambda file: file.write_text(text))
     print(report)
     print(f"wrote {config.out}: {int(layout.bay_mask.sum())} bays")
-
-
-def main(config: EditConfig | ImportConfig) -> None:
-    """Edits, or imports."""
-    if isinstance(config, EditConfig):
-        edit(config)
-    else:
-        make(config)

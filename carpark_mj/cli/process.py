@@ -112,19 +112,11 @@ def one_line(error: BaseException) -> str:
 
 def _for_the_user(error: Exception) -> str | None:
     """Message for an error that the user can fix; None for a bug."""
-    # Not imported here: if JAX or MuJoCo cannot be imported, that is the error.
-    homes = {
-        "carpark_mj.policy.checkpoints": "CheckpointError",
-        "carpark_mj.rendering.renderer": "RenderingError",
-    }
-    loaded = [(sys.modules[h], name) for h, name in homes.items() if h in sys.modules]
-    own = tuple(getattr(module, name) for module, name in loaded)
-    if isinstance(error, (*USER_ERRORS, *own)):
+    exhausted = isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
+    if isinstance(error, USER_ERRORS) or exhausted:
         return one_line(error)
     if isinstance(error, ModuleNotFoundError):
         return _missing_extra(error)
-    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
-        return one_line(error)
     return _missing_device()
 
 

@@ -145,11 +145,3 @@ def _print(found: Identification, log: DriveLog) -> None:
         if not estimate.identifiable:
             needs = PARAMETERS[name].needs
             print(f"{name} keeps the vehicle's value: identify it by {needs}")
-
-
-def main(config: VehiclesConfig | IdentifyConfig) -> None:
-    """Shows, or identifies."""
-    if isinstance(config, VehiclesConfig):
-        show(config)
-    else:
-        fit(config)

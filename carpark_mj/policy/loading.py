@@ -12,7 +12,6 @@ from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.observations.fields import ORDERED
 from carpark_mj.policy import checkpoints
-from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import (
     NetworkConfig,
     Policy,
@@ -116,7 +115,7 @@ def save_policy(run: str | Path, out: Path) -> None:
 def _read(path: Path, header: dict[str, Any]) -> tuple[EnvConfig, Any]:
     """The environment a policy was trained in, and its parameters by kind."""
     check_version(header, path)
-    try:
+    with checkpoints.refused_as(f"{path} has an unusable config"):
         env = from_dict(EnvConfig, header["config"]["env"])
         config = network_config(header)
         if config is None:
@@ -124,10 +123,6 @@ def _read(path: Path, header: dict[str, Any]) -> tuple[EnvConfig, Any]:
         else:
             shapes = network_shapes(config, env)
             template = {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
-    except KeyError as error:
-        raise CheckpointError(f"{path} has no setting {error}") from None
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} has an unusable config: {error}") from None
     parameters = checkpoints.load(path, template)
     checkpoints.require_finite(path, parameters)
     return env, parameters
@@ -141,7 +136,7 @@ def network_config(header: dict[str, Any]) -> NetworkConfig | None:
 
 
 def _algorithm(header: dict[str, Any]) -> Algorithm:
-    return ALGORITHMS[header["algorithm"]].load()
+    return ALGORITHMS[header["algorithm"]]
 
 
 def network_shapes(config: NetworkConfig, env: EnvConfig) -> dict[str, Any]:

@@ -26,7 +26,8 @@ from carpark_mj.observations.compose import is_picture, join
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.networks import MIN_DEVIATION
-from carpark_mj.policy.onnx_program import BATCH, make_graph
+from carpark_mj.policy.onnx_graph import BATCH
+from carpark_mj.policy.onnx_program import make_graph
 from carpark_mj.policy.outside import INPUTS, PlainInput, Rows, sight_of
 
 OUTPUT = "action"

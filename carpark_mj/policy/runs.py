@@ -25,7 +25,7 @@ from carpark_mj.config import (
     PhysicsConfig,
 )
 from carpark_mj.config.checks import require_kind, require_type
-from carpark_mj.extensions import Entry, Registry, unknown_name
+from carpark_mj.extensions import Registry, unknown_name
 from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.obstacles import MOVERS, Mover
 from carpark_mj.policy import checkpoints
@@ -39,7 +39,7 @@ _WIDER: dict[Any, Any] = {  # types of values that flags know the names of only
     tuple[str, ...]: tuple[Mover | str, ...],
 }
 # By `algorithm` in the header of checkpoints without networks, see `loading.Algorithm`.
-ALGORITHMS: Registry[Entry] = Registry("algorithm")
+ALGORITHMS: Registry[Any] = Registry("algorithm")
 FOLDER = Path(__file__).resolve().parent / "pretrained"
 
 

@@ -1,10 +1,9 @@
 """The commands of `carpark_mj`, and the programs of papers and extensions."""
 
 import dataclasses
-import importlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, get_type_hints
 
 from carpark_mj.cli.process import (
     configure_jax,
@@ -19,26 +18,18 @@ ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
 
 
 @dataclasses.dataclass(frozen=True)
-class Command:
-    """A command, imported when it is called.
+class Command(Entry):
+    """A command: a function of its settings, or of the words of the command line.
+
+    Its settings are a config class, whose docstring is the help.
 
     Attributes:
-        home: `module:Config` of the settings, in whose module `main(config)` does the
-            work; or `module:function` of the arguments.
-        summary: what it does, in a line.
         setup: called before the import, which may load MuJoCo, and before JAX computes.
         drives: its help names the pretrained policies.
     """
 
-    home: str
-    summary: str
     setup: tuple[Callable[[], object], ...] = ()
     drives: bool = False
-
-    def load(self) -> Any:
-        """Imports the config or the function."""
-        module, _, name = self.home.partition(":")
-        return getattr(importlib.import_module(module), name)
 
 
 COMMANDS = {
@@ -48,72 +39,72 @@ COMMANDS = {
         (choose_gl, configure_jax, keep_compiled_programs),
     ),
     "evaluate": Command(
-        "carpark_mj.cli.evaluate:EvaluateConfig",
+        "carpark_mj.cli.evaluate:main",
         "evaluate a policy on held-out seeds",
         ACTING,
         drives=True,
     ),
     "render": Command(
-        "carpark_mj.cli.render:RenderConfig",
+        "carpark_mj.cli.render:main",
         "render episodes to a video or a still",
         (choose_gl, *ACTING),
         drives=True,
     ),
     "scene": Command(
-        "carpark_mj.cli.scene:SceneConfig",
+        "carpark_mj.cli.scene:main",
         "write a car park as MJCF, or show it",
         drives=True,
     ),
     "play": Command(
-        "carpark_mj.cli.play:PlayConfig",
+        "carpark_mj.cli.play:main",
         "drive a car yourself",
         (keep_compiled_programs,),
         drives=True,
     ),
     "layouts": Command(
-        "carpark_mj.cli.layouts:LayoutsConfig", "draw, plot, check and save layouts"
+        "carpark_mj.cli.layouts:main", "draw, plot, check and save layouts"
     ),
     "layouts edit": Command(
-        "carpark_mj.cli.layout_files:EditConfig", "draw a lot in the browser"
+        "carpark_mj.cli.layout_files:edit", "draw a lot in the browser"
     ),
     "layouts import": Command(
-        "carpark_mj.cli.layout_files:ImportConfig", "make a layout of a map"
+        "carpark_mj.cli.layout_files:import_layout", "make a layout of a map"
     ),
     "vehicles": Command(
-        "carpark_mj.cli.vehicles:VehiclesConfig",
+        "carpark_mj.cli.vehicles:show",
         "show a vehicle and its estimated parameters",
     ),
     "identify": Command(
-        "carpark_mj.cli.vehicles:IdentifyConfig",
+        "carpark_mj.cli.vehicles:fit",
         "find a car's parameters in the log of a drive",
         (enable_output_fusion,),
     ),
     "oracle": Command(
-        "carpark_mj.cli.oracle:OracleConfig",
+        "carpark_mj.cli.oracle:main",
         "say which agents of held-out lots can park",
         (enable_output_fusion, keep_compiled_programs),
     ),
     "suite": Command(
-        "carpark_mj.suite.evaluation:SuiteConfig",
+        "carpark_mj.suite.evaluation:main",
         "compare policies on the held-out hard cases",
         (choose_gl, *ACTING),
         drives=True,
     ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
     "export": Command(
-        "carpark_mj.cli.export:ExportConfig",
+        "carpark_mj.cli.export:main",
         "export a policy as an ONNX model",
         (keep_compiled_programs,),
         drives=True,
     ),
     "sweep": Command(
-        "carpark_mj.sweeps:SweepConfig", "train every combination of some settings"
+        "carpark_mj.sweeps:main", "train every combination of some settings"
     ),
     "analysis": Command(
-        "carpark_mj.cli.analysis:AnalysisConfig", "compare runs: tables, plots, a page"
+        "carpark_mj.cli.analysis:main", "compare runs: tables, plots, a page"
     ),
     "benchmark": Command(
-        "carpark_mj.benchmarking:BenchmarkConfig",
+        "carpark_mj.benchmarking:main",
         "measure speed, compilation and memory",
         (enable_output_fusion,),
     ),
@@ -122,7 +113,7 @@ COMMANDS = {
     ),
 }
 
-STUDY_PROGRAMS: Registry[Entry] = Registry("program")
+STUDY_PROGRAMS: Registry[Any] = Registry("program")
 
 
 def run(name: str, arguments: Sequence[str] | None = None) -> object:
@@ -146,33 +137,26 @@ def call(name: str, arguments: Sequence[str]) -> object:
     if words and f"{name} {words[0]}" in COMMANDS:
         return call(f"{name} {words[0]}", words[1:])
     command = COMMANDS[name]
-    target = command.load()
-    if not isinstance(target, type):
-        return target(words)
+    function = command.load()
+    (settings,) = [x for k, x in get_type_hints(function).items() if k != "return"]
+    if not dataclasses.is_dataclass(settings):
+        return function(words)
     from carpark_mj.cli.flags import help_of, read_flags
 
-    description = help_of(target)
+    description = help_of(settings)
     if command.drives:
         from carpark_mj.cli.driver import command_help
 
         description = command_help(description)
-    module = sys.modules[target.__module__]
-    words = getattr(module, "complete", list)(words)  # of `--view` alone
+    words = getattr(sys.modules[function.__module__], "complete", list)(words)
     prog = f"carpark_mj {name}"
-    return module.main(read_flags(target, words, description=description, prog=prog))
+    return function(read_flags(settings, words, description=description, prog=prog))
 
 
-class _Described(Protocol):
-    @property
-    def summary(self) -> str: ...
-
-
-def table(programs: Mapping[str, _Described]) -> str:
+def table(summaries: Mapping[str, str]) -> str:
     """A line for each program."""
-    width = max(map(len, programs), default=0)
-    return "\n".join(
-        f"  {name:{width}}  {program.summary}" for name, program in programs.items()
-    )
+    width = max(map(len, summaries), default=0)
+    return "\n".join(f"  {name:{width}}  {x}" for name, x in summaries.items())
 
 
 def study(arguments: Sequence[str]) -> object:
@@ -188,8 +172,9 @@ def study(arguments: Sequence[str]) -> object:
             "`pip install ./papers` in a checkout of carpark_mj"
         )
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(f"usage: carpark_mj study NAME ...\n\n{table(STUDY_PROGRAMS)}")
+        listed = table(STUDY_PROGRAMS.summaries)
+        print(f"usage: carpark_mj study NAME ...\n\n{listed}")
         return 0
     program = STUDY_PROGRAMS[arguments[0]]
     sys.argv = [f"carpark_mj study {arguments[0]}", *arguments[1:]]
-    return program.load()(list(arguments[1:]))
+    return program(list(arguments[1:]))

@@ -4,7 +4,6 @@ Each runs the same program. All take part in the updates; host 0 alone prints, w
 files and evaluates. Host means process here, as in JAX.
 """
 
-import argparse
 import contextlib
 import dataclasses
 import os
@@ -17,6 +16,8 @@ from typing import TypeVar
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
+
+from carpark_mj.training.run_folder import take_flags
 
 AUTO = "auto"
 MAX_PORT = 65535
@@ -63,17 +64,12 @@ class Hosts:
 
 def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:
     """The flags of the hosts, and the others, whose defaults depend on the devices."""
-    parser = argparse.ArgumentParser(
-        add_help=False, allow_abbrev=False, exit_on_error=False
-    )
-    for field in dataclasses.fields(Hosts):
-        flag = f"--{field.name.replace('_', '-')}"
-        parser.add_argument(flag, type=type(field.default), default=field.default)
-    try:
-        values, others = parser.parse_known_args(arguments)
-    except argparse.ArgumentError as error:
-        raise ValueError(str(error)) from None
-    return Hosts(**vars(values)), others
+    flags = {
+        field.name: {"type": type(field.default), "default": field.default}
+        for field in dataclasses.fields(Hosts)
+    }
+    values, others = take_flags(arguments, **flags)
+    return Hosts(**values), others
 
 
 @contextlib.contextmanager

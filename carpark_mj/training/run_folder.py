@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import dataclasses
 import fcntl
+import itertools
 import platform
 import re
 import shutil
@@ -22,7 +23,7 @@ from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
-from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.checkpoints import CheckpointError, refused_as
 from carpark_mj.reading import read_object
 
 LOCK = ".lock"
@@ -98,7 +99,7 @@ def open_run(config: RunConfig) -> Generator[Path]:
             if not config.resume:
                 write_json(folder / "config.json", describe(config))
             yield folder
-        except (*USER_ERRORS, CheckpointError, JaxRuntimeError):
+        except (*USER_ERRORS, JaxRuntimeError):
             if not config.resume and not runs.checkpoint_files(folder):
                 shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -106,29 +107,23 @@ def open_run(config: RunConfig) -> Generator[Path]:
 
 def _new_folder(config: RunConfig) -> Path:
     """Makes the folder; an unnamed run never touches an older one."""
-    name = config.name or config.default_name
-    folder = Path(config.runs_dir) / name
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    number = 1
-    while True:
-        try:
+    name, parent = config.name or config.default_name, Path(config.runs_dir)
+    parent.mkdir(parents=True, exist_ok=True)
+    for number in itertools.count(1):
+        folder = parent / (name if number == 1 else f"{name}-{number}")
+        with contextlib.suppress(FileExistsError):
             folder.mkdir()
-        except FileExistsError:
-            # A run was killed before it wrote its settings, or its lock is held.
-            bare = folder.is_dir() and all(
-                path.name.startswith(".") for path in folder.iterdir()
-            )
-            if config.name and bare:
-                return folder
-            if config.name:
-                raise ValueError(
-                    f"{folder} exists: choose another --name, or continue with "
-                    f"--resume {folder}"
-                ) from None
-            number += 1
-            folder = folder.with_name(f"{name}-{number}")
-        else:
-            return folder
+            break
+        if not config.name:
+            continue
+        # A run was killed before it wrote its settings, or its lock is held.
+        if folder.is_dir() and all(x.name.startswith(".") for x in folder.iterdir()):
+            break
+        raise ValueError(
+            f"{folder} exists: choose another --name, or continue with --resume "
+            f"{folder}"
+        )
+    return folder
 
 
 def argument(folder: Path) -> str:
@@ -165,10 +160,8 @@ def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, A
     """
     header = checkpoints.read_header(path, config=dict, **kinds)
     runs.check_version(header, path)
-    try:
+    with refused_as(f"{path} has an unusable config"):
         runs.from_dict(kind, header["config"])
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} has an unusable config: {error}") from None
     return header
 
 
@@ -179,24 +172,18 @@ def stored(folder: Path) -> dict[str, Any]:
         CheckpointError: the run does not exist, or another version wrote it.
     """
     path = folder / "config.json"
-    try:
+    if not path.exists():
+        raise CheckpointError(f"no run at {folder} (no {path})")
+    with refused_as(f"{path} is not the config of a run"):
         described = read_object(path, config=dict)
-    except (FileNotFoundError, NotADirectoryError):
-        raise CheckpointError(f"no run at {folder} (no {path})") from None
-    except ValueError as error:
-        raise CheckpointError(f"{path} is not the config of a run: {error}") from None
     runs.check_version(described, path)
     return described["config"]
 
 
 def read_config(cls: type[Config], folder: Path) -> Config:
     """Reads the settings of a run, see `stored`."""
-    try:
+    with refused_as(f"{folder / 'config.json'} is not the config of a run"):
         return runs.from_dict(cls, stored(folder))
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(
-            f"{folder / 'config.json'} is not the config of a run: {error}"
-        ) from None
 
 
 def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -268,12 +255,31 @@ def read_settings(
 
 def named(arguments: Sequence[str], setting: str) -> str:
     """The value of a flag before the others are read; empty if it is not given."""
-    name = ""
-    for word, after in zip(arguments, [*arguments[1:], ""], strict=False):
-        flag, equals, value = word.partition("=")
-        if flag == f"--{setting}":
-            name = value if equals else after
-    return name
+    return take_flags(arguments, **{setting: {"default": ""}})[0][setting]
+
+
+def take_flags(
+    arguments: Sequence[str], **flags: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[str]]:
+    """The values of some flags, and the words of the others.
+
+    Args:
+        arguments: of the command line.
+        **flags: options of `argparse.ArgumentParser.add_argument` by name.
+
+    Raises:
+        ValueError: a value is missing or impossible.
+    """
+    parser = argparse.ArgumentParser(
+        add_help=False, allow_abbrev=False, exit_on_error=False
+    )
+    for name, options in flags.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", **options)
+    try:
+        values, others = parser.parse_known_args(arguments)
+    except argparse.ArgumentError as error:
+        raise ValueError(str(error)) from None
+    return vars(values), others
 
 
 def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> str:
@@ -307,21 +313,14 @@ def read_runs(
         ValueError: impossible settings.
         CheckpointError: `--resume` names no run, or one of an older version.
     """
-    parser = argparse.ArgumentParser(
-        add_help=False, allow_abbrev=False, exit_on_error=False
-    )
-    parser.add_argument("--seeds")
-    parser.add_argument("--resume", nargs="+", default=[])
-    try:
-        ours, others = parser.parse_known_args(arguments)
-    except argparse.ArgumentError as error:
-        raise ValueError(str(error)) from None
-    if ours.resume and ours.seeds is not None:
+    ours, others = take_flags(arguments, seeds={}, resume={"nargs": "+", "default": []})
+    seeds, resumed = ours["seeds"], ours["resume"]
+    if resumed and seeds is not None:
         raise ValueError("resumed runs keep their own seeds: drop seeds")
-    if ours.resume:
-        return [read([*others, "--resume", folder]) for folder in ours.resume]
+    if resumed:
+        return [read([*others, "--resume", folder]) for folder in resumed]
     config = read(others)
-    if ours.seeds is None:
+    if seeds is None:
         return [config]
     if config.seed:
         raise ValueError(f"give seed or seeds, not both: drop seed {config.seed}")
@@ -329,7 +328,7 @@ def read_runs(
         dataclasses.replace(
             config, seed=seed, name=f"{config.name}-{seed}" if config.name else ""
         )
-        for seed in parse_seeds(ours.seeds)
+        for seed in parse_seeds(seeds)
     ]
 
 

@@ -26,7 +26,8 @@ from carpark_mj.training.ppo.collect import (
     neighbours_mean,
 )
 from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
-from carpark_mj.training.ppo.variants import Minibatch, Weights, variant
+from carpark_mj.training.ppo.parts import VARIANTS
+from carpark_mj.training.ppo.variants import Minibatch, Variant, Weights
 
 # Progress at which a change begins, and at which it ends.
 DISCOUNT_CHANGES = (0.3, 0.8)
@@ -118,7 +119,7 @@ def learn(
         clip=schedule(config.clip, config.clip_end, progress),
         teacher_cost=teacher_cost(config.curriculum, progress),
     )
-    details = variant(config.variant)
+    details: Variant = VARIANTS[config.variant]
     normalizer = state.normalizer
     if details.normalizes:
         normalizer = update_normalizer(

@@ -45,7 +45,7 @@ from carpark_mj.training.ppo.learn import (
     network_params,
     training_env,
 )
-from carpark_mj.training.ppo.variants import variant
+from carpark_mj.training.ppo.parts import VARIANTS
 from carpark_mj.training.ppo.warm_start import make_teacher
 from carpark_mj.wrappers.brax import BraxParking
 
@@ -132,7 +132,7 @@ class Learner:
             self.networks.policy_network.init(policy_key),
             self.networks.value_network.init(value_key),
         )
-        params, key = variant(self.config.variant).initial_weights(params, key)
+        params, key = VARIANTS[self.config.variant].initial_weights(params, key)
         rates = self.families.init()
         lots = self.families.draw(rates, env_key, self.config.num_lots)
         state = TrainingState(

@@ -36,10 +36,11 @@ Outcome = Literal["done", "stopped", "diverged"]
 Callback = Callable[[int, dict[str, float]], bool]
 
 
-def finish(config: PPOConfig, folder: Path) -> None:
+def finish(config: PPOConfig, folder: Path, stochastic: bool = False) -> None:
     """Learning curve, evaluation on held-out seeds and a video of the trained policy.
 
-    Regenerates all outputs from the run folder.
+    Regenerates all outputs from the run folder. A `stochastic` policy is evaluated on
+    sampled actions.
     """
     print(f"wrote {plot_learning_curve(folder)}")
     run = argument(folder)
@@ -47,7 +48,7 @@ def finish(config: PPOConfig, folder: Path) -> None:
         from carpark_mj.cli import evaluate
 
         settings = evaluate.EvaluateConfig(
-            run=run, episodes=config.eval_episodes, out=run
+            run, episodes=config.eval_episodes, stochastic=stochastic, out=run
         )
         evaluate.main(settings)
     if config.video_seconds:

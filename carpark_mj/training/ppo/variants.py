@@ -13,8 +13,6 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
 
-from carpark_mj.training.ppo.parts import VARIANTS
-
 if TYPE_CHECKING:
     from carpark_mj.training.ppo.config import PPOConfig
 
@@ -185,8 +183,3 @@ class Variant:
 
 
 BRAX = Variant()
-
-
-def variant(name: str) -> Variant:
-    """The details of that name."""
-    return VARIANTS[name].load()
