@@ -79,10 +79,14 @@ def write_atomically(path: Path, write: Any) -> None:
         temporary.replace(path)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Writes a text atomically."""
+    write_atomically(path, lambda temporary: temporary.write_text(text))
+
+
 def write_json(path: Path, data: Any) -> None:
     """Writes JSON atomically."""
-    text = json.dumps(data, indent=2) + "\n"
-    write_atomically(path, lambda temporary: temporary.write_text(text))
+    write_text(path, json.dumps(data, indent=2) + "\n")
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -92,4 +96,4 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer = csv.DictWriter(text, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
+    write_text(path, text.getvalue())

@@ -12,7 +12,7 @@ from rich.table import Column, Table
 
 from carpark_mj.config.checks import CheckedConfig, Finite
 from carpark_mj.config.vehicles import is_name
-from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.files import require_writable, write_text
 from carpark_mj.identification.fit import (
     PARAMETERS,
     Identification,
@@ -66,7 +66,7 @@ def show(config: VehiclesConfig) -> None:
     print("metres, kilograms, newtons, watts, seconds, radians")
     if config.save:
         text = json.dumps(json.loads(parameters_text(name, params)), indent=1) + "\n"
-        write_atomically(Path(config.save), lambda file: file.write_text(text))
+        write_text(Path(config.save), text)
         print(f"wrote {config.save}")
 
 
@@ -119,7 +119,7 @@ def fit(config: IdentifyConfig) -> None:
     found = identify(log, sheet.params, config.ahead)
     if config.out:
         text = vehicle_text(Path(config.out).stem, sheet, found, log)
-        write_atomically(Path(config.out), lambda file: file.write_text(text))
+        write_text(Path(config.out), text)
     _print(found, log)
     if config.out:
         print(f"wrote {config.out}")

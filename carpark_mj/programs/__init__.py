@@ -64,11 +64,9 @@ COMMANDS = {
     "layouts": Command(
         "carpark_mj.cli.layouts:main", "draw, plot, check and save layouts"
     ),
-    "layouts edit": Command(
-        "carpark_mj.cli.layout_files:edit", "draw a lot in the browser"
-    ),
+    "layouts edit": Command("carpark_mj.cli.layouts:edit", "draw a lot in the browser"),
     "layouts import": Command(
-        "carpark_mj.cli.layout_files:import_layout", "make a layout of a map"
+        "carpark_mj.cli.layouts:import_layout", "make a layout of a map"
     ),
     "vehicles": Command(
         "carpark_mj.cli.vehicles:show",

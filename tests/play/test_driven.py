@@ -100,9 +100,9 @@ def test_dynamic_goals_are_bays_that_the_driver_tracks():
 
 def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
     pytest.importorskip("mjviser")
-    from carpark_mj.cli.play import serve_wheel
+    from carpark_mj.cli.play import make_wheel
 
-    viewer, lot, held = serve_wheel(
+    viewer, _, lot, held = make_wheel(
         PlayConfig(num_parked_cars=2, view="web", port=8767, out=str(tmp_path))
     )
     try:
