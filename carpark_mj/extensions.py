@@ -99,7 +99,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """The part of that name; `ValueError` of an unknown one lists the known."""
         if name not in self:
             raise ValueError(unknown_name(self._kind, name, self._parts))
-        part = self._parts[name]
+        part: Any = self._parts[name]
         return part.load() if isinstance(part, Entry) else part
 
     @property

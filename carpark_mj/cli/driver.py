@@ -52,9 +52,10 @@ class LotSettings(CheckedConfig):
         require_seed(self.seed)
 
     def adapted(self, env: EnvConfig, **changes: Any) -> EnvConfig:
-        """The environment with these settings and others, see `adapt`."""
-        names = (field.name for field in dataclasses.fields(LotSettings))
-        own = {name: getattr(self, name) for name in names if name != "seed"}
+        """The environment with its settings among these and others, see `adapt`."""
+        names = {field.name for field in dataclasses.fields(EnvConfig)}
+        shared = names & {field.name for field in dataclasses.fields(self)}
+        own = {name: getattr(self, name) for name in shared}
         return adapt(env, **own, **changes)
 
 
@@ -78,11 +79,6 @@ class DriveSettings(LotSettings):
     environment: str = ""
     movers: tuple[str, ...] | None = None
     physics: str | None = None
-
-    def adapted(self, env: EnvConfig, **changes: Any) -> EnvConfig:
-        """See `LotSettings`."""
-        own = {"movers": self.movers, "physics": self.physics}
-        return super().adapted(env, **own, **changes)
 
 
 def command_help(text: str) -> str:

@@ -1,6 +1,7 @@
 """`carpark_mj export`: a policy as an ONNX model or a checkpoint."""
 
 import dataclasses
+import functools
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -243,7 +244,7 @@ def rollout(
     def report(step: Step) -> dict[str, jax.Array]:
         known: dict[str, jax.Array] = {}
         if rows is not None:
-            known = jax.vmap(lambda state: plain_values(rows, state))(step.before)
+            known = jax.vmap(functools.partial(plain_values, rows))(step.before)
         return known | {"observation": step.observation}
 
     def run(key: jax.Array) -> dict[str, jax.Array]:

@@ -20,23 +20,17 @@ from carpark_mj.config import (
     ENCODERS,
     PHYSICS,
     ExtraTerms,
-    LayoutConfig,
-    PhysicsConfig,
 )
-from carpark_mj.config.checks import require_kind, require_type
+from carpark_mj.config.checks import require_kind
 from carpark_mj.extensions import Registry, unknown_name
 from carpark_mj.layouts.base import FAMILIES
-from carpark_mj.obstacles import MOVERS, Mover
+from carpark_mj.obstacles import MOVERS
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
 CONFIG_VERSION = 4
-_WIDER: dict[Any, Any] = {  # types of values that flags know the names of only
-    str: LayoutConfig | PhysicsConfig | str,
-    tuple[str, ...]: tuple[Mover | str, ...],
-}
 # Parts by name, which their settings have in this entry.
 _NAMED: dict[str, Mapping[str, Any]] = {
     "mover": MOVERS,
@@ -50,17 +44,14 @@ FOLDER = Path(__file__).resolve().parent / "pretrained"
 
 
 def from_dict(cls: Any, data: Any) -> Any:
-    """Rebuilds a frozen dataclass from a dictionary of `dataclasses.asdict`."""
+    """Rebuilds a config, which checks itself, from a dictionary of its `asdict`."""
     if not isinstance(data, dict):
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
     hints = typing.get_type_hints(cls)
     names = {field.name for field in dataclasses.fields(cls)}
     for unknown in sorted(set(data) - names):
         raise ValueError(unknown_name(f"{cls.__name__} setting", unknown, names))
-    values = {name: from_json(hints[name], value) for name, value in data.items()}
-    for name, value in values.items():
-        require_type(name, value, _WIDER.get(hints[name], hints[name]))
-    return cls(**values)
+    return cls(**{name: from_json(hints[name], value) for name, value in data.items()})
 
 
 def from_json(hint: Any, value: Any) -> Any:

@@ -18,7 +18,7 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -109,7 +109,7 @@ def write_outcome(sweep: Path, run: Run, outcome: Outcome) -> None:
 
 
 @contextlib.contextmanager
-def locked(sweep: Path, run: Run) -> Iterator[None]:
+def locked(sweep: Path, run: Run) -> Generator[None]:
     """Holds a run alone; waits while another process works on it.
 
     A sweep that was killed may have left a job that still trains.

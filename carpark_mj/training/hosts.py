@@ -4,20 +4,19 @@ Each runs the same program. All take part in the updates; host 0 alone prints, w
 files and evaluates. Host means process here, as in JAX.
 """
 
+import argparse
 import contextlib
 import dataclasses
 import os
 import re
 import zlib
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
-
-from carpark_mj.training.run_folder import take_flags
 
 AUTO = "auto"
 MAX_PORT = 65535
@@ -60,6 +59,30 @@ class Hosts:
             raise ValueError(
                 f"host must lie in [0, {self.num_hosts - 1}], not {self.host}"
             )
+
+
+def take_flags(
+    arguments: Sequence[str], **flags: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[str]]:
+    """The values of some flags, and the words of the others.
+
+    Args:
+        arguments: of the command line.
+        **flags: options of `argparse.ArgumentParser.add_argument` by name.
+
+    Raises:
+        ValueError: a value is missing or impossible.
+    """
+    parser = argparse.ArgumentParser(
+        add_help=False, allow_abbrev=False, exit_on_error=False
+    )
+    for name, options in flags.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", **options)
+    try:
+        values, others = parser.parse_known_args(arguments)
+    except argparse.ArgumentError as error:
+        raise ValueError(str(error)) from None
+    return vars(values), others
 
 
 def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:

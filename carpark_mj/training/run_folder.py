@@ -1,10 +1,8 @@
 """A run's settings, from flags, a preset or its folder, and that folder's lock."""
 
-import argparse
 import contextlib
 import dataclasses
 import fcntl
-import itertools
 import platform
 import re
 import shutil
@@ -25,6 +23,7 @@ from carpark_mj.files import remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError, refused_as
 from carpark_mj.reading import read_object
+from carpark_mj.training.hosts import take_flags
 
 LOCK = ".lock"
 MAX_SEEDS = 1024
@@ -109,21 +108,22 @@ def _new_folder(config: RunConfig) -> Path:
     """Makes the folder; an unnamed run never touches an older one."""
     name, parent = config.name or config.default_name, Path(config.runs_dir)
     parent.mkdir(parents=True, exist_ok=True)
-    for number in itertools.count(1):
-        folder = parent / (name if number == 1 else f"{name}-{number}")
+    folder, number = parent / name, 1
+    while True:
         with contextlib.suppress(FileExistsError):
             folder.mkdir()
-            break
+            return folder
         if not config.name:
-            continue
+            number += 1
+            folder = parent / f"{name}-{number}"
         # A run was killed before it wrote its settings, or its lock is held.
-        if folder.is_dir() and all(x.name.startswith(".") for x in folder.iterdir()):
-            break
-        raise ValueError(
-            f"{folder} exists: choose another --name, or continue with --resume "
-            f"{folder}"
-        )
-    return folder
+        elif folder.is_dir() and all(x.name[0] == "." for x in folder.iterdir()):
+            return folder
+        else:
+            raise ValueError(
+                f"{folder} exists: choose another --name, or continue with --resume "
+                f"{folder}"
+            )
 
 
 def argument(folder: Path) -> str:
@@ -256,30 +256,6 @@ def read_settings(
 def named(arguments: Sequence[str], setting: str) -> str:
     """The value of a flag before the others are read; empty if it is not given."""
     return take_flags(arguments, **{setting: {"default": ""}})[0][setting]
-
-
-def take_flags(
-    arguments: Sequence[str], **flags: Mapping[str, Any]
-) -> tuple[dict[str, Any], list[str]]:
-    """The values of some flags, and the words of the others.
-
-    Args:
-        arguments: of the command line.
-        **flags: options of `argparse.ArgumentParser.add_argument` by name.
-
-    Raises:
-        ValueError: a value is missing or impossible.
-    """
-    parser = argparse.ArgumentParser(
-        add_help=False, allow_abbrev=False, exit_on_error=False
-    )
-    for name, options in flags.items():
-        parser.add_argument(f"--{name.replace('_', '-')}", **options)
-    try:
-        values, others = parser.parse_known_args(arguments)
-    except argparse.ArgumentError as error:
-        raise ValueError(str(error)) from None
-    return vars(values), others
 
 
 def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> str:

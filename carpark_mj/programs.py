@@ -34,7 +34,7 @@ class Command(Entry):
 
 COMMANDS = {
     "train": Command(
-        "carpark_mj.programs.train:run",
+        "carpark_mj.programs:train",
         "train a policy with PPO",
         (choose_gl, configure_jax, keep_compiled_programs),
     ),
@@ -137,7 +137,7 @@ def call(name: str, arguments: Sequence[str]) -> object:
     command = COMMANDS[name]
     function = command.load()
     (settings,) = [x for k, x in get_type_hints(function).items() if k != "return"]
-    if not dataclasses.is_dataclass(settings):
+    if not isinstance(settings, type):  # the words themselves
         return function(words)
     from carpark_mj.cli.flags import help_of, read_flags
 
@@ -176,3 +176,56 @@ def study(arguments: Sequence[str]) -> object:
     program = STUDY_PROGRAMS[arguments[0]]
     sys.argv = [f"carpark_mj study {arguments[0]}", *arguments[1:]]
     return program(list(arguments[1:]))
+
+
+TRAIN_HELP = """Trains one shared parking policy for all agents with PPO (IPPO).
+
+    carpark_mj train                        # preset by hardware, runs/cpu-0 or gpu-0
+    carpark_mj train --resume runs/cpu-0    # continues where it stopped
+    carpark_mj train --preset dynamic --seeds 0..7       # runs side by side
+    carpark_mj train --help-all             # every setting
+    carpark_mj train --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
+    srun carpark_mj train --coordinator auto                         # a cluster
+
+Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
+"""
+
+
+def train(arguments: Sequence[str]) -> int:
+    """Trains, with other hosts if asked; returns the exit code."""
+    from carpark_mj.training.hosts import joined, read_hosts
+
+    hosts, arguments = read_hosts(arguments)
+    with joined(hosts):
+        return _train(arguments)
+
+
+def _train(arguments: Sequence[str]) -> int:
+    import jax
+
+    from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
+    from carpark_mj.training.ppo.parts import PRESETS, summaries
+    from carpark_mj.training.ppo.train import MAX_SKIPPED, train_runs
+    from carpark_mj.training.run_folder import read_runs, read_settings
+
+    hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
+
+    def read(arguments: Sequence[str]) -> PPOConfig:
+        return read_settings(
+            PRESETS[hardware], PRESETS, arguments, TRAIN_HELP, RUN_SETTINGS, summaries()
+        )
+
+    ended = train_runs(read_runs(arguments, read))
+    stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
+    if stopped:
+        print(f"stopped; continue with: carpark_mj train --resume {' '.join(stopped)}")
+    for folder, outcome in ended:
+        if outcome == "done":
+            print(f"done: {folder}")
+        if outcome == "diverged":
+            print(
+                f"ppo: {MAX_SKIPPED} updates in a row were non-finite; the "
+                f"checkpoints in {folder} are older",
+                file=sys.stderr,
+            )
+    return int(any(outcome == "diverged" for _, outcome in ended))
