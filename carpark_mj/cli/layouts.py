@@ -30,7 +30,7 @@ from carpark_mj.layouts.files import FARTHEST, layout_text
 from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
-from carpark_mj.rendering.local_pages import HOST, PORT, check_port
+from carpark_mj.rendering.local_pages import HOST, PORT, Port
 
 CHUNK = 250  # layouts drawn at once
 Lots = Annotated[int, Bounds(ge=0, le=10_000_000)]  # so many take an hour or more
@@ -283,7 +283,7 @@ class EditConfig(CheckedConfig):
     background: str = ""
     scale: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
     width: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
-    port: int = PORT
+    port: Port = PORT
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -299,7 +299,6 @@ class EditConfig(CheckedConfig):
                 "--background takes either --scale in metres per pixel or --width in "
                 f"metres, not --scale {self.scale:g} and --width {self.width:g}"
             )
-        check_port(self.port)
 
     @property
     def target(self) -> str:

@@ -35,7 +35,7 @@ from carpark_mj.play.driving import (
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.local_pages import PORT, check_port
+from carpark_mj.rendering.local_pages import PORT, Port
 from carpark_mj.rendering.renderer import camera_names
 from carpark_mj.rendering.web import make_live_viewer, require_web
 
@@ -76,7 +76,7 @@ class PlayConfig(ShownLot):
     out: str = "runs/play"
     replay: str = ""
     video: str = ""
-    port: int = PORT
+    port: Port = PORT
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,7 +91,6 @@ class PlayConfig(ShownLot):
         else:
             require_unset(self, "in a window", "port")
         camera_names(self.camera)
-        check_port(self.port)
 
     @property
     def shown_in(self) -> str:

@@ -23,6 +23,7 @@ from carpark_mj.rendering.gl import check_gl
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
 PATIENCE = 1.5  # s in which an interrupted command ends by itself
 USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
+_EXHAUSTED = "RESOURCE_EXHAUSTED"  # in errors of XLA
 MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
 MAX_SECONDS = 3600  # of a recording, or an evaluation's horizon, both held in memory
 OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
@@ -90,7 +91,13 @@ def run_command(program: str, command: Callable[[], object]) -> int:
     try:
         code = command()
     except Exception as error:
-        message = _for_the_user(error)
+        exhausted = isinstance(error, RuntimeError) and _EXHAUSTED in str(error)
+        if isinstance(error, USER_ERRORS) or exhausted:
+            message = one_line(error)
+        elif isinstance(error, ModuleNotFoundError):
+            message = _missing_extra(error)
+        else:
+            message = _missing_device()
         if message is None:
             raise
         print(f"{program}: {message}", file=sys.stderr)
@@ -104,20 +111,10 @@ def one_line(error: BaseException) -> str:
         return f"cannot use {error.filename}: {error.strerror}"
     if isinstance(error, OverflowError):
         return f"a number is too large: {error}"
-    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+    if isinstance(error, MemoryError) or _EXHAUSTED in str(error):
         reason = str(error).partition("\n")[0] or "allocation failed"
         return f"not enough memory, choose smaller sizes: {reason}"
     return " ".join(str(error).split())
-
-
-def _for_the_user(error: Exception) -> str | None:
-    """Message for an error that the user can fix; None for a bug."""
-    exhausted = isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
-    if isinstance(error, USER_ERRORS) or exhausted:
-        return one_line(error)
-    if isinstance(error, ModuleNotFoundError):
-        return _missing_extra(error)
-    return _missing_device()
 
 
 def _missing_extra(error: ModuleNotFoundError) -> str | None:

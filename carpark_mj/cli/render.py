@@ -88,8 +88,8 @@ class RenderConfig(DriveSettings):
     fps: Positive = 10.0
     frame: Annotated[float | None, Bounds(ge=0.0, le=MAX_SECONDS, unit="s")] = None
     gallery: bool = False
-    width: int = 1280
-    height: int = 720
+    width: Annotated[int, Bounds(ge=2, le=OFFSCREEN_WIDTH)] = 1280
+    height: Annotated[int, Bounds(ge=2, le=OFFSCREEN_HEIGHT)] = 720
     respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:
@@ -113,12 +113,9 @@ class RenderConfig(DriveSettings):
                 f"show takes tracked and rings, with a comma between, not "
                 f"{', '.join(sorted(unknown))!r}"
             )
-        for name, limit in (("width", OFFSCREEN_WIDTH), ("height", OFFSCREEN_HEIGHT)):
-            value = getattr(self, name)
-            if not 2 <= value <= limit or value % 2:
-                raise ValueError(
-                    f"{name} must be even and within 2 to {limit}, not {value}"
-                )
+        for name in ("width", "height"):
+            if (value := getattr(self, name)) % 2:
+                raise ValueError(f"{name} must be even, not {value}")
 
     def rig(self, num_agents: int | None = None) -> Rig | None:
         """The cameras of a car that `camera` names; None if it is one of the lot's."""
@@ -156,11 +153,12 @@ def main(config: RenderConfig) -> Path:
     print("compiling ...", flush=True)
     recording = record(env, driver.policy(env), num_steps, config.seed)
     with contextlib.ExitStack() as stack:
+        size = config.width, config.height
         if rig is not None:
-            size = config.width, config.height
             draw = CarCameras(env, recording, rig, config.channel, size).draw
         else:
-            renderer = _renderer(config, env, recording)
+            stage, show = recording_stage(env, recording), _show(config, env_config)
+            renderer = LotRenderer(stage, config.camera, size, show)
             stack.enter_context(contextlib.closing(renderer))
             draw = functools.partial(draw_frame, recording, renderer)
         if config.frame is not None:
@@ -187,14 +185,6 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
         raise RenderingError(missing_gl)
     require_writable(out, new_folders=True)
     return out
-
-
-def _renderer(
-    config: RenderConfig, env: ParkingEnv, recording: Recording
-) -> LotRenderer:
-    stage = recording_stage(env, recording)
-    size = (config.width, config.height)
-    return LotRenderer(stage, config.camera, size, _show(config, env.config))
 
 
 def _show(config: RenderConfig, env: EnvConfig) -> Show:

@@ -11,13 +11,13 @@ import numpy as np
 
 from carpark_mj.cli.driver import LotSettings, find_driver
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_unset
+from carpark_mj.config.checks import CheckedConfig, require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
 from carpark_mj.rendering.gl import missing_display
-from carpark_mj.rendering.local_pages import HOST, PORT, check_port
+from carpark_mj.rendering.local_pages import HOST, PORT, Port
 from carpark_mj.rendering.web import LiveLot, make_live_viewer, make_viewer, require_web
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.checks import has_exits
@@ -31,7 +31,7 @@ WITHOUT_DISPLAY = (
 
 
 @dataclasses.dataclass(frozen=True)
-class SceneOutput:
+class SceneOutput(CheckedConfig):
     """Where a scene goes.
 
     Attributes:
@@ -43,16 +43,16 @@ class SceneOutput:
 
     out: str = ""
     view: Literal["", "window", "web"] = ""
-    port: int = PORT
+    port: Port = PORT
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.out and not self.view:
             raise ValueError("give --out FILE.xml to write the scene, --view, or both")
         if self.view != "web":
             require_unset(self, "without --view web", "port")
         if self.out and Path(self.out).suffix != ".xml":
             raise ValueError(f"out must end in .xml, not {self.out!r}")
-        check_port(self.port)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -94,8 +94,7 @@ class SceneConfig(SceneOutput, ShownLot):
     suspension: bool = False
 
     def __post_init__(self) -> None:
-        SceneOutput.__post_init__(self)
-        ShownLot.__post_init__(self)
+        super().__post_init__()
         if self.policy and (self.view != "web" or self.out):
             raise ValueError(
                 "a policy drives in the browser only: give --view web alone"

@@ -125,19 +125,18 @@ def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
     Rows of runs that were trained before, with other values or seeds, stay.
     """
     path, names = sweep / "sweep.csv", {run.name for run in runs}
-    rows: list[dict[str, Any]] = []
-    if path.exists():
-        known = (row.cells for row in read_csv(path, "run"))
-        rows += [cells for cells in known if cells["run"] not in names]
+    known = read_csv(path, "run") if path.exists() else []
+    rows: list[dict[str, Any]] = [x.cells for x in known if x.cells["run"] not in names]
     for run in runs:
         outcome = read_outcome(sweep, run)
         row = {"run": run.name, "base": run.base, **dict(run.settings)}
-        rows.append(row | {"seed": run.seed, **dataclasses.asdict(outcome)})
+        row |= {"seed": run.seed, **dataclasses.asdict(outcome)}
         with contextlib.suppress(CheckpointError):
             if outcome.status == "done":
                 found = read_run(run_folder(sweep, run))
-                rows[-1] |= {**found.metrics, "device": found.device}
-                rows[-1] |= {f"version_{k}": v for k, v in found.versions.items()}
+                row |= {**found.metrics, "device": found.device}
+                row |= {f"version_{k}": v for k, v in found.versions.items()}
+        rows.append(row)
     columns = dict.fromkeys(name for row in rows for name in row)
     write_csv(path, [{name: row.get(name, "") for name in columns} for row in rows])
     return path

@@ -209,7 +209,7 @@ REFUSED = [
     ("lot.csv", "layouts are edited in .json files, not lot.csv"),
     ("--out lot.json", "lot.json exists: edit it by `carpark_mj layouts edit lot"),
     ("--out no/lot.json", "cannot use no/lot.json: No such file or directory"),
-    ("lot.json --port 0", "port must be 1 to 65535, not 0"),
+    ("lot.json --port 0", "port must lie in [1, 65535], not 0"),
     ("lot.json --port {taken}", "cannot serve on port {taken}: Address already in"),
     ("lot.json --width 3", "width 3.0 has no effect without --background"),
     ("lot.json --background plan.png", "--background takes either --scale in metres"),

@@ -129,7 +129,7 @@ def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
         (["--layout", "moon", "--view", "web"], "unknown layout 'moon'"),
         (["--view", "window"], "no display"),
         (["--num-agents", "0", "--view", "web"], "num_agents must be at least 1"),
-        (["--port", "65536"], "port must be 1 to 65535, not 65536"),
+        (["--port", "65536"], "port must lie in [1, 65535], not 65536"),
     ],
 )
 def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch):

@@ -167,7 +167,11 @@ class Learner:
         """The whole state in this host's memory; all hosts must call it."""
         if jax.process_count() > 1:
             whole = NamedSharding(self.mesh, PartitionSpec())
-            state = jax.jit(_without_keys, out_shardings=whole)(state)
+            # Keys as the integers that checkpoints hold.
+            plain = functools.partial(
+                jax.tree.map, lambda x: jax.random.key_data(x) if _is_key(x) else x
+            )
+            state = jax.jit(plain, out_shardings=whole)(state)
         return jax.device_get(state)
 
     def split(self, state: TrainingState) -> list[TrainingState]:
@@ -341,11 +345,6 @@ def _put(x: Any, sharding: NamedSharding) -> jax.Array:
         return jax.random.wrap_key_data(_put(jax.random.key_data(x), sharding))
     host = np.asarray(x)
     return jax.make_array_from_callback(host.shape, sharding, lambda i: host[i])
-
-
-def _without_keys(state: TrainingState) -> TrainingState:
-    """Keys as the integers that checkpoints hold."""
-    return jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, state)
 
 
 def _is_key(x: Any) -> bool:
