@@ -119,7 +119,7 @@ def run(name: str, arguments: Sequence[str] | None = None) -> object:
 
     Args:
         name: of `COMMANDS`.
-        arguments: of the command line; None = those of this process.
+        arguments: the command line; None = that of this process.
 
     Returns:
         The exit code if it is an int; other values mean 0.

@@ -190,7 +190,7 @@ def _require_alike(
     """What to print of a model that acts like its policy.
 
     Args:
-        kind: of the observations.
+        kind: kind of observations, for messages.
         difference: of actions, the largest or (count,).
         rounding: what float32 costs them, likewise.
 

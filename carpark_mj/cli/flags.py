@@ -95,7 +95,7 @@ def read_flags(
 
     Args:
         cls: each field is a flag; the class's docstring is its help.
-        arguments: of the command line; None = those of the program.
+        arguments: the command line; None = that of the process.
         default: values of flags that are not given; None = `cls()`.
         description: at the head of the help.
         short: fields that `--help` lists, if not all; `--help-all` lists them all.

@@ -120,7 +120,7 @@ def out_of_reach(paths: int, seed: int, vehicle: str = "") -> Inspect:
 
     Args:
         paths: bays of a lot, drawn at random if it has more.
-        seed: of the bays drawn and the searches.
+        seed: seed of the bays drawn and of the searches.
         vehicle: a preset or file; `compact` by default.
     """
     from carpark_mj.planning.search import unreached
@@ -172,7 +172,7 @@ class LayoutsConfig(CheckedConfig):
             the checked lots; by default their design car.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
-        crop: x and y of two opposite corners [m] of the part of it to save.
+        crop: x and y of two opposite corners [m] of the part to save.
         seed: seed of the keys.
     """
 
@@ -212,7 +212,7 @@ class LayoutsConfig(CheckedConfig):
 
 
 def _save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
-    """Writes a layout, or a part of it, and says so."""
+    """Writes a layout, or a part of it, and prints the file's name."""
     if part is not None:
         layout = crop(layout, part)
     write_text(path, layout_text(layout))
@@ -274,8 +274,8 @@ class EditConfig(CheckedConfig):
         background: picture under the drawing (`.png`, `.jpg`, `.webp`), its middle at
             the origin.
         scale: metres per pixel of the picture.
-        width: of the picture in metres, instead of `scale`.
-        port: of the page on localhost.
+        width: width of the picture [m], instead of `scale`.
+        port: port of the page on localhost.
     """
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")] = ""

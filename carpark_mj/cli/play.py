@@ -1,5 +1,6 @@
 """`carpark_mj play`: driving by hand, in a window or on a page for a browser."""
 
+import contextlib
 import dataclasses
 import sys
 import time
@@ -60,15 +61,15 @@ class PlayConfig(ShownLot):
             cars; without a policy they stand.
         num_agents: number of cars, yours included; default 1, or as in the policy's
             training.
-        seed: of the lot; the next lot has the next seed.
+        seed: seed of the lot; the next lot has the next seed.
         view: `window`, or `web` for a page on this machine; default: a window if there
             is a display.
-        camera: of the window or the video: `topdown`, `overview`, `chase:0`, `driver:0`
-            or `split`.
+        camera: camera of the window or the video: `topdown`, `overview`, `chase:0`,
+            `driver:0` or `split`.
         out: folder in which every drive is saved as drive-K.npz.
         replay: a saved drive to look at instead.
         video: `.mp4` or `.gif` to write the replay to.
-        port: of the page.
+        port: port of the page.
     """
 
     view: Literal["", "window", "web"] = ""
@@ -158,7 +159,6 @@ def pad(action: np.ndarray, size: int) -> np.ndarray:
 def play_in_window(config: PlayConfig) -> None:
     """Drives in a window until it is closed; every drive is saved."""
     env, others = make_env(config)
-    window = Window(SIZE)
     controls, seed = Controls(), config.seed
 
     def read(lot: DrivenLot) -> np.ndarray:
@@ -172,23 +172,19 @@ def play_in_window(config: PlayConfig) -> None:
         return pad(controls.action, env.action_spec.size)
 
     wanted = "N"
-    try:
+    with contextlib.closing(Window(SIZE)) as window:
         folder = open_folder(config)
         while wanted == "N":
             lot = DrivenLot(env, others, seed, read, lambda lot: save(lot, folder))
-            picture = Picture(lot, config.camera)
             wanted, seed = "R", seed + 1
-            try:
-                while wanted == "R":
-                    wanted = _drive(lot, picture.draw, window)
-                    lot.reset()
-            except BaseException:
-                save(lot, folder)
-                raise
-            finally:
-                picture.close()
-    finally:
-        window.close()
+            with contextlib.closing(Picture(lot, config.camera)) as picture:
+                try:
+                    while wanted == "R":
+                        wanted = _drive(lot, picture.draw, window)
+                        lot.reset()
+                except BaseException:
+                    save(lot, folder)
+                    raise
 
 
 def _drive(lot: DrivenLot, draw: Callable[[], np.ndarray], window: Window) -> str:

@@ -45,7 +45,7 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
         program: name before messages on stderr.
         entry: `module:function` that is the command, imported here; its value is the
             exit code if it is an int.
-        *arguments: of the function.
+        *arguments: arguments of the function.
     """
     interrupts, stdout = Interrupts(program), _keep_printing("stdout", 1)
     _keep_printing("stderr", 2)
@@ -235,7 +235,7 @@ class Interrupts:
                 self.end()
 
     def _unraisable(self, unraisable: Any) -> None:
-        if issubclass(unraisable.exc_type, KeyboardInterrupt):  # else nobody sees it
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):  # else it is lost
             self.end()
         sys.__unraisablehook__(unraisable)
 

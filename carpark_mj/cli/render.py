@@ -65,7 +65,7 @@ class RenderConfig(DriveSettings):
             wheel, or `split:K`: topdown and chase:K side by side. Or what the first
             agent's cameras see: a rig, as `surround`, or one of its cameras, as
             `surround:0`.
-        channel: of the pictures of a rig: `colour`, `depth` or `seen`.
+        channel: what a rig's pictures show: `colour`, `depth` or `seen`.
         show: comma-separated extras: `tracked` links every agent to the cars and bays
             it tracks, `rings` draws the circles in which it counts walls; of agent K
             alone with `chase:K`, `driver:K` and `split:K`.
@@ -207,11 +207,11 @@ def _write_frames(
     stride = frame_stride(recording, fps)
     indices = range(stride - 1, num_frames(recording), stride)
     out.parent.mkdir(parents=True, exist_ok=True)
-    begun = time.monotonic()
+    start = time.monotonic()
     pictures = map(draw, track(indices, "rendering", transient=True))
     count = write_video(out, pictures, frames_per_second(recording) / stride)
     return (
-        f"{count} frames, {count / (time.monotonic() - begun):.1f} rendered per second"
+        f"{count} frames, {count / (time.monotonic() - start):.1f} rendered per second"
     )
 
 

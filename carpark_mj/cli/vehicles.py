@@ -91,7 +91,8 @@ class IdentifyConfig(CheckedConfig):
         log: table of the drive, see docs/identify.md.
         vehicle: preset or file of a car like this one.
         out: vehicle file to write.
-        ahead: of the rear axle, the point whose x and y are in the log [m].
+        ahead: distance from the rear axle to the point whose x and y are logged,
+            forwards positive [m].
     """
 
     log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG.csv")]

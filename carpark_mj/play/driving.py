@@ -1,5 +1,6 @@
 """Driving by hand: keys and gamepads, a live lot that is recorded, its pictures."""
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path
@@ -58,7 +59,7 @@ def from_keys(
     Args:
         held: names of `KEYS`.
         before: the controls until now.
-        speed: of the car [m/s], forwards positive.
+        speed: speed of the car [m/s], forwards positive.
         seconds: since `before`.
     """
     wanted = _any(held, LEFT) - _any(held, RIGHT)
@@ -108,7 +109,7 @@ class DrivenLot(LiveLot):
         Args:
             env: of cars that steer.
             others: policy of the other agents.
-            seed: of the lot.
+            seed: seed of the lot.
             read: the actions (k, size) of the first k agents, asked for at the start of
                 every control step.
             keep: called before the lot restarts, with what has been recorded.
@@ -222,14 +223,11 @@ def record_video(lot: DrivenLot, camera: str, steps: int, path: Path) -> int:
         RenderingError: no GL.
         ValueError: no such camera, or another suffix than .mp4 or .gif.
     """
-    picture = Picture(lot, camera)
+    with contextlib.closing(Picture(lot, camera)) as picture:
 
-    def frames() -> Iterator[np.ndarray]:
-        for _ in range(steps * lot.traces):
-            lot.step()
-            yield picture.draw()
+        def frames() -> Iterator[np.ndarray]:
+            for _ in range(steps * lot.traces):
+                lot.step()
+                yield picture.draw()
 
-    try:
         return write_video(path, frames(), 1.0 / lot.stage.model.opt.timestep)
-    finally:
-        picture.close()

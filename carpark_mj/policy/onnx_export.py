@@ -153,7 +153,7 @@ def random_observations(
     Args:
         config: the environment.
         typical: (count, size) observations of a roll-out.
-        seed: of the draws.
+        seed: seed of the draws.
 
     Returns:
         (count, size) float32.
@@ -304,9 +304,9 @@ def sensitivity(
 
     Args:
         loaded: the policy.
-        rows: of the model.
+        rows: rows of the model's inputs.
         known: inputs (count, *shape) by name; those that are missing are 0.
-        seed: of the directions in which the inputs are off.
+        seed: seed of the directions in which the inputs are off.
     """
     count = len(next(iter(known.values())))
     given = {

@@ -195,7 +195,7 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) ->
 
 
 def _sentence(error: Exception) -> str:
-    """An error as one sentence; all of it stands in the job's log."""
+    """An error as one sentence; the traceback goes to the job's log."""
     traceback.print_exception(error)
     return one_line(error) or type(error).__name__
 
@@ -214,7 +214,7 @@ class Work:
     own_process: bool = True  # whether JAX is still to be set up
 
     def __call__(self) -> None:
-        """Trains what is left of the runs, and writes what becomes of each."""
+        """Trains the unfinished runs and records the outcome of each."""
         if self.gpus:
             os.environ["CUDA_VISIBLE_DEVICES"] = ",".join(self.gpus)
         elif self.gpus is not None:
@@ -230,10 +230,10 @@ class Work:
 
     def _train(self) -> None:
         left = [r for r in self.runs if read_outcome(self.sweep, r).status != "done"]
-        begun, reported = time.monotonic(), set[Run]()
+        start, reported = time.monotonic(), set[Run]()
 
         def report(run: Run, status: Status, error: str = "") -> None:
-            seconds = (time.monotonic() - begun) / len(left)
+            seconds = (time.monotonic() - start) / len(left)
             write_outcome(self.sweep, run, Outcome(status, error, seconds))
             reported.add(run)
 
@@ -476,7 +476,7 @@ def run_sweep(
     for work, reason in run_works(executor, works, where.jobs or 1):
         for run in work.runs:
             outcome = read_outcome(folder, run)
-            if outcome.status == "waiting":  # its process had no time to say so
+            if outcome.status == "waiting":  # its process was killed
                 outcome = Outcome("failed", reason or "its job did not train it")
                 write_outcome(folder, run, outcome)
             done += outcome.status == "done"
@@ -537,7 +537,7 @@ class SweepConfig(Where):
 
     @property
     def folder(self) -> Path:
-        """Of the sweep."""
+        """Folder of the sweep."""
         swept = [x.fields[0].rpartition(".")[2] for x in self.plan.axes if x.is_swept]
         return Path(self.runs_dir) / (self.name or "-".join((self.base, *swept)))
 

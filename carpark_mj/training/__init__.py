@@ -87,7 +87,7 @@ def train(config: "PPOConfig", callback: Callback | None = None) -> Run:
     `render`. If JAX has made no array yet, the lots are divided over all cores.
 
     Args:
-        config: of the run, for example one of `PRESETS` with other values.
+        config: settings, for example one of `PRESETS` with other values.
         callback: called on the host after every update with its row of `metrics.csv`;
             True ends the training after this update, as Ctrl-C does.
 

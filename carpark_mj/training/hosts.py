@@ -67,7 +67,7 @@ def take_flags(
     """The values of some flags, and the words of the others.
 
     Args:
-        arguments: of the command line.
+        arguments: the command line.
         **flags: options of `argparse.ArgumentParser.add_argument` by name.
 
     Raises:

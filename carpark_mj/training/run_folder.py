@@ -65,7 +65,7 @@ class RunConfig(CheckedConfig):
 
     @property
     def default_name(self) -> str:
-        """Of the run's folder."""
+        """Name of the folder of an unnamed run."""
         return f"{self.preset}-{self.seed}"
 
 
@@ -211,7 +211,7 @@ def read_settings(
     Args:
         default: preset taken if the flag `preset` names none of the presets.
         presets: by name.
-        arguments: of the command line; None = those of the program.
+        arguments: the command line; None = that of the process.
         description: at the head of the help.
         short: settings that the short help lists.
         summaries: purpose of each preset, for the help.

@@ -1,4 +1,4 @@
-"""What an update learns from a rollout, and what of it changes during a training.
+"""What an update learns from a rollout, and its schedules over a training.
 
 Evaluations never see a curriculum: they run in `PPOConfig.env` as it is.
 """
@@ -107,7 +107,7 @@ def learn(
 
     Values and advantages are those of the parameters at the start of an epoch. A
     minibatch holds all steps of its agents, and its parts on all devices are one. All
-    this is as Brax has it, and `PPOConfig.variant` may change it.
+    this is the same as in Brax; `PPOConfig.variant` may change it.
 
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.

@@ -74,7 +74,7 @@ def num_devices(config: PPOConfig) -> int:
 
 
 def due_lots(update: jax.Array | int, num_lots: int, life: int) -> jax.Array:
-    """Lots (n,) int32 that are drawn anew after an update; they take turns.
+    """Lots (n,) int32 that are redrawn after an update; they take turns.
 
     n is the same for all updates, and the least for which no lot outlives `life`
     updates.
@@ -109,7 +109,7 @@ class Learner:
 
     @property
     def configs(self) -> tuple[PPOConfig, ...]:
-        """Of every run that is trained."""
+        """Settings of every run that is trained."""
         return (self.config,)
 
     def init(self) -> TrainingState:
@@ -313,7 +313,7 @@ class Learner:
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
     ) -> Any:
-        """Draws the lots that are due anew (one device's share).
+        """Redraws the lots that are due (one device's share).
 
         It happens between unrolls, where the value is bootstrapped anyway, so that
         episodes cut off are truncated correctly; they do not count as ended.

@@ -68,8 +68,8 @@ def train_runs(
     """Trains runs, several of them side by side, and finishes those that are done.
 
     Args:
-        configs: of the runs; `group.program` of all is equal. All are new, or all are
-            resumed.
+        configs: settings of the runs, with equal `group.program`; either all are new
+            or all are resumed.
         finish_run: called with config and folder of every run that is done.
         callback: see `train`.
 
@@ -114,8 +114,8 @@ def train(
     diverges writes nothing any more; its checkpoints are from before.
 
     Args:
-        learner: of the runs.
-        folders: of the runs; only host 0 writes to them.
+        learner: learner of the runs.
+        folders: run folders; only host 0 writes to them.
         clock: gives the time [s].
         callback: called on every host after every update of every run.
     """

@@ -78,7 +78,7 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
     Where agents observe more than those of that run, see `widen`.
 
     Args:
-        config: of the training.
+        config: settings of the training.
         state: as it would begin otherwise.
 
     Raises:
@@ -146,7 +146,7 @@ def widen(
     """Normalizer and networks of a run in `env`, for agents that observe more.
 
     Args:
-        config: of the training that takes them over.
+        config: settings of the training that takes them over.
         env: in which agents observe less, see `new_fields`.
         taken: `normalizer`, and networks by name.
         new: the same of a training that takes nothing over.
