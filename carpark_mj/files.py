@@ -53,6 +53,12 @@ def naming(path: Path, temporary: Path | None = None) -> Generator[None]:
         raise
 
 
+def require_suffix(name: str, file: str, *suffixes: str) -> None:
+    """Refuses a file whose name ends otherwise; "" is no file. Raises `ValueError`."""
+    if file and Path(file).suffix not in suffixes:
+        raise ValueError(f"{name} must end in {' or '.join(suffixes)}, not {file!r}")
+
+
 def require_writable(path: Path, new_folders: bool = False) -> None:
     """Refuses, before the work, a file that `write_atomically` cannot write after it.
 

@@ -19,7 +19,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key, require_seed
-from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.files import require_suffix, require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
 from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
@@ -92,8 +92,7 @@ class ExportConfig:
     lanes: int | None = None
 
     def __post_init__(self) -> None:
-        if self.out and Path(self.out).suffix not in (".onnx", ".npz"):
-            raise ValueError(f"out must end in .onnx or .npz, not {self.out!r}")
+        require_suffix("out", self.out, ".onnx", ".npz")
         if self.out.endswith(".npz"):
             reason = "on a checkpoint"
             require_unset(self, reason, "seed", "from_state")

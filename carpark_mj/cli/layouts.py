@@ -15,7 +15,7 @@ from carpark_mj.config.checks import Bounds, CheckedConfig, require_unset
 from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.files import require_writable, write_text
+from carpark_mj.files import require_suffix, require_writable, write_text
 from carpark_mj.layouts import (
     AngledConfig,
     DeadEndConfig,
@@ -200,14 +200,12 @@ class LayoutsConfig(CheckedConfig):
             require_unset(self, "without --check", "vehicle", "paths")
         if not self.save:
             require_unset(self, "without --save", "crop")
-        if self.plot and Path(self.plot).suffix not in PICTURES:
+        require_suffix("plot", self.plot, *PICTURES)
+        require_suffix("save", self.save, ".json")
+        if self.save and len(self.layouts) != 1:
             raise ValueError(
-                f"--plot writes a .png, .pdf or .svg file, not {self.plot}"
-            )
-        if self.save and (len(self.layouts) != 1 or not self.save.endswith(".json")):
-            raise ValueError(
-                "--save writes one lot of one layout to a .json file, not "
-                f"{', '.join(self.layouts) or 'all families'} to {self.save}"
+                "--save writes one lot of one layout, not of "
+                f"{', '.join(self.layouts) or 'all families'}"
             )
 
 
@@ -289,9 +287,8 @@ class EditConfig(CheckedConfig):
         super().__post_init__()
         if not self.target:
             raise ValueError("nothing to edit: give FILE.json, or --out for a new lot")
-        for name in filter(None, (self.file, self.target)):
-            if not name.endswith(".json"):
-                raise ValueError(f"layouts are edited in .json files, not {name}")
+        require_suffix("file", self.file, ".json")
+        require_suffix("out", self.out, ".json")
         if not self.background:
             require_unset(self, "without --background", "scale", "width")
         elif bool(self.scale) == bool(self.width):
@@ -363,8 +360,7 @@ class ImportConfig:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        if not self.out.endswith(".json"):
-            raise ValueError(f"--out writes a .json file, not {self.out}")
+        require_suffix("out", self.out, ".json")
 
 
 def import_layout(config: ImportConfig) -> None:

@@ -13,7 +13,7 @@ from carpark_mj.cli.driver import LotSettings, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import CheckedConfig, require_unset
 from carpark_mj.env import ParkingEnv
-from carpark_mj.files import require_writable, write_text
+from carpark_mj.files import require_suffix, require_writable, write_text
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
 from carpark_mj.rendering.gl import missing_display
@@ -51,8 +51,7 @@ class SceneOutput(CheckedConfig):
             raise ValueError("give --out FILE.xml to write the scene, --view, or both")
         if self.view != "web":
             require_unset(self, "without --view web", "port")
-        if self.out and Path(self.out).suffix != ".xml":
-            raise ValueError(f"out must end in .xml, not {self.out!r}")
+        require_suffix("out", self.out, ".xml")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

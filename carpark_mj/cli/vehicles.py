@@ -12,7 +12,7 @@ from rich.table import Column, Table
 
 from carpark_mj.config.checks import CheckedConfig, Finite
 from carpark_mj.config.vehicles import is_name
-from carpark_mj.files import require_writable, write_text
+from carpark_mj.files import require_suffix, require_writable, write_text
 from carpark_mj.identification.fit import (
     PARAMETERS,
     Identification,
@@ -43,11 +43,9 @@ class VehiclesConfig:
     save: str = ""
 
     def __post_init__(self) -> None:
-        if self.save and not (self.vehicle and self.save.endswith(".json")):
-            raise ValueError(
-                f"--save writes one vehicle to a .json file, not "
-                f"{self.vehicle or 'none'} to {self.save}"
-            )
+        require_suffix("save", self.save, ".json")
+        if self.save and not self.vehicle:
+            raise ValueError("--save writes one vehicle: name it")
 
 
 def show(config: VehiclesConfig) -> None:
@@ -102,8 +100,7 @@ class IdentifyConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.out and not self.out.endswith((".yaml", ".yml")):
-            raise ValueError(f"--out writes a .yaml file, not {self.out}")
+        require_suffix("out", self.out, ".yaml", ".yml")
 
 
 def fit(config: IdentifyConfig) -> None:

@@ -15,7 +15,7 @@ from carpark_mj.play.demonstration import STEPS, Demonstration
 from carpark_mj.policy.acting import Step, as_argument
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.renderer import LotRenderer
-from carpark_mj.rendering.video import draw_labels, draw_status, write_video
+from carpark_mj.rendering.video import draw_labelled, write_video
 from carpark_mj.rendering.web import LiveLot
 
 LEFT, RIGHT = ("LEFT", "A"), ("RIGHT", "D")
@@ -203,13 +203,7 @@ class Picture:
 
     def draw(self) -> np.ndarray:
         """The present instant, (height, width, 3) uint8."""
-        seen, renderer = self._lot.snapshot(), self._renderer
-        views = [
-            draw_labels(renderer.draw(seen, camera), renderer, seen, camera)
-            for camera in renderer.cameras
-        ]
-        views[-1] = draw_status(views[-1], seen)
-        return np.concatenate(views, axis=1)
+        return draw_labelled(self._lot.snapshot(), self._renderer)
 
     def close(self) -> None:
         """Frees the GL context."""

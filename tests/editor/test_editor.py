@@ -206,7 +206,7 @@ REFUSED = [
     ("", "nothing to edit: give FILE.json, or --out for a new lot"),
     ("none.json", "cannot read none.json: No such file or directory"),
     ("bad.json", "bad.json: bays, spawns, extent missing"),
-    ("lot.csv", "layouts are edited in .json files, not lot.csv"),
+    ("lot.csv", "file must end in .json, not 'lot.csv'"),
     ("--out lot.json", "lot.json exists: edit it by `carpark_mj layouts edit lot"),
     ("--out no/lot.json", "cannot use no/lot.json: No such file or directory"),
     ("lot.json --port 0", "port must lie in [1, 65535], not 0"),
