@@ -365,19 +365,14 @@ class ImportConfig:
 
 def import_layout(config: ImportConfig) -> None:
     """Reads the map, writes the layout file and says what was left out."""
-    require_writable(Path(config.out))
-    try:
-        from carpark_mj.maps.importing import import_map
+    from carpark_mj.maps.importing import import_map
 
-        layout, report = import_map(
-            Path(config.map),
-            level=config.level,
-            crs=config.crs,
-            layers=config.layer,
-            unit=config.unit,
-        )
-    except ImportError as error:  # each format imports its own
-        raise ValueError(
-            f"maps need {error.name}: pip install 'carpark_mj[maps]'"
-        ) from None
+    require_writable(Path(config.out))
+    layout, report = import_map(
+        Path(config.map),
+        level=config.level,
+        crs=config.crs,
+        layers=config.layer,
+        unit=config.unit,
+    )
     _save(layout, config.crop, Path(config.out), report)

@@ -28,10 +28,13 @@ MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in me
 MAX_SECONDS = 3600  # of a recording, or an evaluation's horizon, both held in memory
 OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
 # What installs the packages that commands need beside the library's own.
-EXTRAS = dict.fromkeys(
-    ("tyro", "rich", "matplotlib", "tensorboardX", "imageio_ffmpeg", "scipy"),
-    "train,eval",
-) | {"submitit": "sweep", "vehiclemodels": "test"}
+EXTRAS = {
+    **dict.fromkeys(("tyro", "rich", "matplotlib", "tensorboardX"), "train,eval"),
+    **dict.fromkeys(("imageio_ffmpeg", "scipy"), "train,eval"),
+    **dict.fromkeys(("ezdxf", "pyproj", "shapely"), "maps"),
+    "submitit": "sweep",
+    "vehiclemodels": "test",
+}
 
 
 def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
