@@ -10,7 +10,7 @@ import re
 import sys
 import textwrap
 import typing
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import tyro
@@ -127,6 +127,32 @@ def read_flags(
             if not box.getvalue():
                 raise
     raise ValueError(_sentence(box.getvalue()))
+
+
+def as_flags(settings: Mapping[str, str], config: Any) -> list[str]:
+    """Settings as flags, see `read_flags`.
+
+    Args:
+        settings: values by dotted name, as on a command line.
+        config: that has the settings.
+
+    Raises:
+        ValueError: a truth value that is not true or false, or a flag in a value.
+    """
+    words: list[str] = []
+    for field, value in settings.items():
+        *groups, last = field.replace("_", "-").split(".")
+        parts, now = value.split(), None
+        with contextlib.suppress(ValueError):  # tyro says what is unknown
+            now = setting(config, field)
+        if isinstance(now, bool):
+            if value.lower() not in ("true", "false"):
+                raise ValueError(f"{field} must be true or false, not {value!r}")
+            last, parts = last if value.lower() == "true" else f"no-{last}", []
+        if any(re.match(r"-[^\d.]", part) for part in parts):
+            raise ValueError(f"{field} takes values, not flags, as in {value!r}")
+        words += [f"--{'.'.join((*groups, last))}", *parts]
+    return words
 
 
 def _with_encoders(

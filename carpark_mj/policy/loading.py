@@ -167,6 +167,11 @@ def _require_fit(
             f"{run} was trained on other observations ({observation_size(own)} "
             f"numbers) than this environment's ({observation_size(env)}){number}"
         )
+    require_actions(run, own, env)
+
+
+def require_actions(run: str | Path, own: EnvConfig, env: EnvConfig) -> None:
+    """Refuses an environment with other actions than a run's `own` has."""
     if action_spec(env) != action_spec(own):
         raise ValueError(
             f"{run} was trained for other actions ({action_spec(own)}) than this "

@@ -9,11 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
 
+from carpark_mj.cli.flags import as_flags, read_flags
 from carpark_mj.config import REWARD_TERMS, term_settings
 from carpark_mj.extensions import unknown_name
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.parts import PRESETS, summaries
-from carpark_mj.training.run_folder import list_settings, read_settings
+from carpark_mj.training.ppo.parts import PRESETS
+from carpark_mj.training.run_folder import list_settings
 
 MAX_RUNS = 100_000
 MAX_NAME = 200  # characters; file systems allow 255 bytes
@@ -78,24 +79,6 @@ def _find_field(name: str, known: Mapping[str, Any]) -> str:
     if found[0] in OWN_FIELDS:
         raise ValueError(f"{found[0]} is not swept: see the flags of the sweep")
     return found[0]
-
-
-def _flags(settings: dict[str, str], config: PPOConfig) -> list[str]:
-    """Settings (dotted name to value) as flags of the trainer."""
-    words: list[str] = []
-    known = _settings(config)
-    for field, value in settings.items():
-        *groups, last = field.replace("_", "-").split(".")
-        parts = value.split()
-        if isinstance(known[field], bool):
-            value = value.lower()
-            if value not in ("true", "false"):
-                raise ValueError(f"{field} must be true or false, not {value!r}")
-            last, parts = last if value == "true" else f"no-{last}", []
-        if any(re.match(r"-[^\d.]", part) for part in parts):
-            raise ValueError(f"{field} takes values, not flags, as in {value!r}")
-        words += [f"--{'.'.join((*groups, last))}", *parts]
-    return words
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,10 +168,9 @@ def checked_runs(plan: Plan) -> list[Run]:
 @functools.cache
 def settings_of(run: Run) -> PPOConfig:
     """The trainer's settings of a run; no video unless the sweep asks for one."""
-    settings = {"video_seconds": "0"} | dict(run.settings)
-    words = ["--preset", run.base, "--seed", str(run.seed)]
-    words += _flags(settings, PRESETS[run.base])
-    return read_settings(PRESETS[run.base], PRESETS, words, None, (), summaries())
+    base = PRESETS[run.base]
+    flags = as_flags({"video_seconds": "0"} | dict(run.settings), base)
+    return read_flags(PPOConfig, ["--seed", str(run.seed), *flags], base)
 
 
 def groups(runs: Sequence[Run], size: int) -> list[tuple[Run, ...]]:
