@@ -23,14 +23,18 @@ from carpark_mj.rendering.gl import check_gl
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
 PATIENCE = 1.5  # s in which an interrupted command ends by itself
 USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
+_EXHAUSTED = "RESOURCE_EXHAUSTED"  # in errors of XLA
 MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
 MAX_SECONDS = 3600  # of a recording, or an evaluation's horizon, both held in memory
 OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
 # What installs the packages that commands need beside the library's own.
-EXTRAS = dict.fromkeys(
-    ("tyro", "rich", "matplotlib", "tensorboardX", "imageio_ffmpeg", "scipy"),
-    "train,eval",
-) | {"submitit": "sweep", "vehiclemodels": "test"}
+EXTRAS = {
+    **dict.fromkeys(("tyro", "rich", "matplotlib", "tensorboardX"), "train,eval"),
+    **dict.fromkeys(("imageio_ffmpeg", "scipy"), "train,eval"),
+    **dict.fromkeys(("ezdxf", "pyproj", "shapely"), "maps"),
+    "submitit": "sweep",
+    "vehiclemodels": "test",
+}
 
 
 def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
@@ -44,7 +48,7 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
         program: name before messages on stderr.
         entry: `module:function` that is the command, imported here; its value is the
             exit code if it is an int.
-        *arguments: of the function.
+        *arguments: arguments of the function.
     """
     interrupts, stdout = Interrupts(program), _keep_printing("stdout", 1)
     _keep_printing("stderr", 2)
@@ -90,7 +94,13 @@ def run_command(program: str, command: Callable[[], object]) -> int:
     try:
         code = command()
     except Exception as error:
-        message = _for_the_user(error)
+        exhausted = isinstance(error, RuntimeError) and _EXHAUSTED in str(error)
+        if isinstance(error, USER_ERRORS) or exhausted:
+            message = one_line(error)
+        elif isinstance(error, ModuleNotFoundError):
+            message = _missing_extra(error)
+        else:
+            message = _missing_device()
         if message is None:
             raise
         print(f"{program}: {message}", file=sys.stderr)
@@ -104,28 +114,10 @@ def one_line(error: BaseException) -> str:
         return f"cannot use {error.filename}: {error.strerror}"
     if isinstance(error, OverflowError):
         return f"a number is too large: {error}"
-    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+    if isinstance(error, MemoryError) or _EXHAUSTED in str(error):
         reason = str(error).partition("\n")[0] or "allocation failed"
         return f"not enough memory, choose smaller sizes: {reason}"
     return " ".join(str(error).split())
-
-
-def _for_the_user(error: Exception) -> str | None:
-    """Message for an error that the user can fix; None for a bug."""
-    # Not imported here: if JAX or MuJoCo cannot be imported, that is the error.
-    homes = {
-        "carpark_mj.policy.checkpoints": "CheckpointError",
-        "carpark_mj.rendering.renderer": "RenderingError",
-    }
-    loaded = [(sys.modules[h], name) for h, name in homes.items() if h in sys.modules]
-    own = tuple(getattr(module, name) for module, name in loaded)
-    if isinstance(error, (*USER_ERRORS, *own)):
-        return one_line(error)
-    if isinstance(error, ModuleNotFoundError):
-        return _missing_extra(error)
-    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
-        return one_line(error)
-    return _missing_device()
 
 
 def _missing_extra(error: ModuleNotFoundError) -> str | None:
@@ -246,7 +238,7 @@ class Interrupts:
                 self.end()
 
     def _unraisable(self, unraisable: Any) -> None:
-        if issubclass(unraisable.exc_type, KeyboardInterrupt):  # else nobody sees it
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):  # else it is lost
             self.end()
         sys.__unraisablehook__(unraisable)
 

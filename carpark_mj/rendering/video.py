@@ -241,6 +241,11 @@ def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.nd
     """Draws one recorded instant with its labels, (height, width, 3) uint8."""
     seen = snapshot(recording, index)
     renderer.place(seen)
+    return draw_labelled(seen, renderer)
+
+
+def draw_labelled(seen: Snapshot, renderer: LotRenderer) -> np.ndarray:
+    """Draws an instant with labels and status, (height, width, 3) uint8."""
     views = [
         draw_labels(renderer.draw(seen, camera), renderer, seen, camera)
         for camera in renderer.cameras

@@ -36,10 +36,11 @@ Outcome = Literal["done", "stopped", "diverged"]
 Callback = Callable[[int, dict[str, float]], bool]
 
 
-def finish(config: PPOConfig, folder: Path) -> None:
+def finish(config: PPOConfig, folder: Path, stochastic: bool = False) -> None:
     """Learning curve, evaluation on held-out seeds and a video of the trained policy.
 
-    Regenerates all outputs from the run folder.
+    Regenerates all outputs from the run folder. A `stochastic` policy is evaluated on
+    sampled actions.
     """
     print(f"wrote {plot_learning_curve(folder)}")
     run = argument(folder)
@@ -47,7 +48,7 @@ def finish(config: PPOConfig, folder: Path) -> None:
         from carpark_mj.cli import evaluate
 
         settings = evaluate.EvaluateConfig(
-            run=run, episodes=config.eval_episodes, out=run
+            run, episodes=config.eval_episodes, stochastic=stochastic, out=run
         )
         evaluate.main(settings)
     if config.video_seconds:
@@ -67,8 +68,8 @@ def train_runs(
     """Trains runs, several of them side by side, and finishes those that are done.
 
     Args:
-        configs: of the runs; `group.program` of all is equal. All are new, or all are
-            resumed.
+        configs: settings of the runs, with equal `group.program`; either all are new
+            or all are resumed.
         finish_run: called with config and folder of every run that is done.
         callback: see `train`.
 
@@ -113,8 +114,8 @@ def train(
     diverges writes nothing any more; its checkpoints are from before.
 
     Args:
-        learner: of the runs.
-        folders: of the runs; only host 0 writes to them.
+        learner: learner of the runs.
+        folders: run folders; only host 0 writes to them.
         clock: gives the time [s].
         callback: called on every host after every update of every run.
     """
