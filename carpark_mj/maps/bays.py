@@ -1,6 +1,5 @@
 """Spots that a map gives by their number, their place or the lines between them."""
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -10,7 +9,14 @@ import numpy as np
 import shapely
 
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import Feature, Group, Plan, first_names, on_same_level
+from carpark_mj.maps.features import (
+    Feature,
+    Group,
+    Plan,
+    first_names,
+    on_same_level,
+    tagged,
+)
 from carpark_mj.maps.fit import Box, around, leaning, parallelogram
 
 # Sizes [m] of bays between lines, a wider range than `layouts.standards` has. Twice the
@@ -124,12 +130,9 @@ def _between(
         box = Box(
             x, y, float(yaw[a] + turn[pair] / 2), float(long[pair]), float(width[pair])
         )
-        half, wide = box.length / 2, box.width / 2
-        if box.length <= side[1]:
-            found.append(box.shape)
-        else:
-            found.append(box.part(-half, 0.0, -wide, wide).shape)
-            found.append(box.part(0.0, half, -wide, wide).shape)
+        double = box.length > side[1]
+        halves = (box.part(front=0.0), box.part(back=0.0)) if double else (box,)
+        found += [half.shape for half in halves]
     return found
 
 
@@ -156,17 +159,14 @@ def lay_out(plan: Plan) -> Plan:
     spots, and in the rest of a car park bays stand on both sides of its aisles. Spots
     drawn inside a group stay, and are all of it if it has no number.
     """
-    features, lost, notes = list(plan.features), dict(plan.lost), list(plan.notes)
-    roads = [one for one in plan.features if one.tag == "lane"]
+    features, lost, notes = list(plan.features), plan.report.lost, plan.report.notes
+    roads = tagged(features, "lane")
     ways = shapely.union_all([road.shape for road in roads])
-    walls = [
-        one.shape
-        for one in plan.features
-        if one.tag in ("wall", "kerb", "pillar") and not one.shape.intersects(ways)
-    ]
+    walls = [one.shape for one in tagged(features, "wall", "kerb", "pillar")]
+    walls = [wall for wall in walls if not wall.intersects(ways)]
     points = [group for group in plan.groups if not group.shape.area]
     areas = [group for group in plan.groups if group.shape.area]
-    drawn = [one.shape.centroid for one in features if one.tag == "bay"]
+    drawn = [one.shape.centroid for one in tagged(features, "bay")]
     drawn += [group.shape for group in points]
     laid: list[str] = []
     # Smaller areas first: a row is often drawn inside its car park.
@@ -180,7 +180,7 @@ def lay_out(plan: Plan) -> Plan:
             features.append(ground)
         if inside and not (group.count or group.is_row):
             continue
-        others = [one.shape for one in features if one.tag == "bay"]
+        others = [one.shape for one in tagged(features, "bay")]
         if is_row:
             pieces = [piece for piece in pieces if _has_room(piece, others)]
         else:
@@ -209,9 +209,7 @@ def lay_out(plan: Plan) -> Plan:
         notes.append(f"spots laid out that are not drawn: {first_names(laid)}")
     if points:
         notes.append(f"{len(points)} spots are points: bays across the nearest road")
-    return dataclasses.replace(
-        plan, features=features, lost=lost, groups=[], notes=notes
-    )
+    return Plan(features, report=plan.report)
 
 
 def _bay(group: Group, shape: Any, number: int) -> Feature:
