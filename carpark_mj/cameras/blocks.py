@@ -1,7 +1,7 @@
 """What stands in a lot as upright boxes and cylinders, and rays that meet them."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -12,15 +12,8 @@ from carpark_mj.cameras.ground import MISS, SHADES, encode, fold
 from carpark_mj.cameras.rig import BODY, CABIN, CarBlock, Seen
 from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.geometry.se2 import move_forward, rotate
-from carpark_mj.layouts.types import (
-    DISC_HEIGHTS,
-    GROUND_CLEARANCE,
-    MOVER_HEIGHTS,
-    WALL_HEIGHTS,
-    DiscKind,
-    Layout,
-    WallKind,
-)
+from carpark_mj.layouts import types as lot
+from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import State
 
@@ -42,7 +35,7 @@ class Heights:
 
     @classmethod
     def of(cls, fleet: Any) -> "Heights":
-        """Those of an environment's cars, `ParkingEnv.fleet`."""
+        """Those of `fleet.agents` and `fleet.parked_cars`, as of `ParkingEnv.fleet`."""
         both = (fleet.agents, fleet.parked_cars)
         return cls(*(tuple(car.height / car.length for car in cars) for cars in both))
 
@@ -95,7 +88,7 @@ def _car(block: CarBlock, group: Group, state: State, heights: Heights) -> Block
     return Blocks(
         pose_w=move_forward(group.pose_w, half[:, 0] * (rear + front) / 2),
         half=_present(sides, group.mask),
-        low=jnp.maximum(low * height, GROUND_CLEARANCE),
+        low=jnp.maximum(low * height, lot.GROUND_CLEARANCE),
         high=high * height,
         seen=jnp.full(count, Seen.CAR),
         owner=owner,
@@ -107,11 +100,11 @@ def _look(group: Group, layout: Layout) -> tuple[jax.Array, jax.Array]:
     count, box = group.count, type(group) is Boxes
     if group.kind != ObstacleKind.WALL:
         seen = Seen.PERSON if group.kind == ObstacleKind.PERSON else Seen.CAR
-        return jnp.full(count, MOVER_HEIGHTS[type(group)]), jnp.full(count, seen)
+        return jnp.full(count, lot.MOVER_HEIGHTS[type(group)]), jnp.full(count, seen)
     if not box:
-        high = jnp.array([DISC_HEIGHTS[kind] for kind in DiscKind])[layout.disc_kind]
-        return high, jnp.full(count, Seen.WALL)
-    high = jnp.array([WALL_HEIGHTS[kind] for kind in WallKind])[layout.wall_kind]
+        high = jnp.array([lot.DISC_HEIGHTS[kind] for kind in DiscKind])
+        return high[layout.disc_kind], jnp.full(count, Seen.WALL)
+    high = jnp.array([lot.WALL_HEIGHTS[kind] for kind in WallKind])[layout.wall_kind]
     return high, jnp.array([_WALLS[kind] for kind in WallKind])[layout.wall_kind]
 
 
@@ -148,6 +141,7 @@ def _join(blocks: list[Blocks]) -> Blocks:
 
 SUN = (-0.34, -0.24, 0.91)  # unit vector to it, as in MuJoCo's scene
 AMBIENT, DIFFUSE = 0.45, 0.55
+FLAT = round(SHADES * (AMBIENT + DIFFUSE * SUN[2]))  # shade of what lies flat
 _LEAST = 1e-9  # slope of a ray along a face
 
 
@@ -193,17 +187,13 @@ def trace(
     """Hits (...) of rays (..., 3) in the car's frame, nearer than those so far."""
     slopes = [_off_zero(rays[..., k]) for k in range(3)]
 
-    def nearest(
-        hit: jax.Array, blocks: Seat, meet: Callable[..., jax.Array]
-    ) -> jax.Array:
-        if not blocks.cos.shape[0]:
-            return hit
-        nothing = jax.tree.map(lambda x: jnp.full_like(x[0], -1), blocks)
-        return fold(
-            hit, blocks, nothing, lambda h, b: jnp.minimum(h, meet(slopes, b, shaded))
+    for blocks, meet in ((boxes, _meet_box), (cylinders, _meet_cylinder)):
+        hit = fold(
+            hit,
+            blocks,
+            lambda hit, block, meet=meet: jnp.minimum(hit, meet(slopes, block, shaded)),
         )
-
-    return nearest(nearest(hit, boxes, _meet_box), cylinders, _meet_cylinder)
+    return hit
 
 
 def _off_zero(slope: jax.Array) -> jax.Array:

@@ -139,19 +139,6 @@ def require_ratio(config: object, *names: str) -> None:
     _require_all(config, Bounds(ge=0.0, le=1.0), names)
 
 
-def require_within(
-    config: object, least: float, most: float, unit: str, *names: str
-) -> None:
-    """Refuses implausible attributes, which may be in another unit."""
-    for name in names:
-        value = getattr(config, name)
-        if not (is_finite(value) and least <= value <= most):
-            raise ValueError(
-                f"{name} must lie within [{least:g}, {most:g}] {unit}, not {value}: "
-                f"its unit is {unit}"
-            )
-
-
 def require_kind(name: str, value: object, kind: Any) -> None:
     """Refuses an argument, with a `TypeError`, that is not an instance of a type."""
     if not isinstance(value, kind):

@@ -372,30 +372,25 @@ def _layout(
     middle = np.array([(left + right) / 2, (low + high) / 2, 0.0])
     extent = np.array([right - left, high - low]) / 2 + MARGIN
 
-    def placed(found: list[Box]) -> tuple[np.ndarray, np.ndarray]:
+    def rows(found: Sequence[Box], **others: Any) -> dict[str, Any]:
         pose = np.array([box.pose for box in found]).reshape(-1, 3) - middle
-        return pose, np.array([box.size for box in found]).reshape(-1, 2)
+        size = np.array([box.size for box in found]).reshape(-1, 2)
+        return {"pose": pose, "size": size, **others}
 
-    pose, _ = placed(starts)
+    def tagged_rows(found: list[tuple[Box, Any]], part: str, dtype: type) -> Any:
+        values = np.array([value for _, value in found], dtype)
+        return rows([box for box, _ in found], **{part: values})
+
     room = np.array([_room(box) for box in starts])
-    rows = np.array(discs).reshape(-1, 3)
-
-    def columns(found: list[tuple[Box, Any]], part: str, kind: type) -> dict[str, Any]:
-        pose, size = placed([box for box, _ in found])
-        return {
-            "pose": pose,
-            "size": size,
-            part: np.array([what for _, what in found], kind),
-        }
-
+    columns = np.array(discs).reshape(-1, 3)
     return build.from_columns(
         extent,
         {
-            "bays": columns(bays, "kind", int),
-            "walls": columns(solids, "kind", int),
-            "discs": {"centre": rows[:, :2] - middle[:2], "radius": rows[:, 2]},
-            "lanes": columns(lanes, "one_way", bool),
-            "spawns": {"pose": pose, "size": room, "spread": build.LANE_SPREAD},
+            "bays": tagged_rows(bays, "kind", int),
+            "walls": tagged_rows(solids, "kind", int),
+            "discs": {"centre": columns[:, :2] - middle[:2], "radius": columns[:, 2]},
+            "lanes": tagged_rows(lanes, "one_way", bool),
+            "spawns": rows(starts) | {"size": room, "spread": build.LANE_SPREAD},
         },
     )
 

@@ -13,7 +13,6 @@ import numpy as np
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import cameras, looks, markings, parts
-from carpark_mj.scene.markings import add_bay_numbers
 from carpark_mj.scene.movers import add_movers
 from carpark_mj.vehicle.contact_wheels import (
     FULL_BRAKE,
@@ -67,7 +66,7 @@ def build_scene(
     parts.add_verge(spec, extent)
     markings.add_bay_lines(spec, layout)
     markings.add_lane_arrows(spec, layout)
-    add_bay_numbers(spec, layout)
+    markings.add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_discs(spec, layout)
     add_movers(spec, movers)
@@ -195,11 +194,7 @@ def _place(
     x, y, yaw = (float(value) for value in centre)
     offset = params.centre_offset
     body.pos = [x - offset * math.cos(yaw), y - offset * math.sin(yaw), height]
-    turn, tilt, quat = np.zeros((3, 4))
-    mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), yaw)
-    mujoco.mju_axisAngle2Quat(tilt, np.array([0.0, 1.0, 0.0]), pitch)
-    mujoco.mju_mulQuat(quat, turn, tilt)
-    body.quat = quat
+    body.quat = parts.yaw_quat(yaw, pitch)
 
 
 def scene_xml(

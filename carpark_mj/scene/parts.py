@@ -130,9 +130,12 @@ COLLIDES: dict[str, Any] = {
 }
 
 
-def yaw_quat(yaw: float) -> list[float]:
-    """Quaternion (w, x, y, z) of a turn about the vertical by `yaw` [rad]."""
-    return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+def yaw_quat(yaw: float, pitch: float = 0.0) -> list[float]:
+    """Quaternion (w, x, y, z) of a pitch, nose down, and then a yaw [rad]."""
+    (cos, sin), (level, nod) = (
+        (math.cos(x / 2), math.sin(x / 2)) for x in (yaw, pitch)
+    )
+    return [cos * level, 0.0 - sin * nod, cos * nod, sin * level]
 
 
 def add_ground(spec: mujoco.MjSpec) -> None:
