@@ -107,7 +107,7 @@ class Place:
 
 
 @struct.dataclass
-class _Patches:
+class Patches:
     """Rectangles (n,) on the ground."""
 
     xy: jax.Array  # (n, 2) the place in the frame of the rectangle [m]
@@ -140,12 +140,13 @@ def cover(
     own = jnp.arange(layout.num_bays) == goal
     kinds = jnp.where(own, OWN_BAY, BAY)
     best = jnp.full(jnp.shape(x), ASPHALT, jnp.int32)
-    bays = _patches(layout.bay_pose, layout.bay_size, layout.bay_mask, kinds, place)
-    best = _lay(best, bays, x, y, functools.partial(_in_bay, line_width), reach)
+    half = jnp.where(layout.bay_mask[:, None], layout.bay_size / 2, -1.0)
+    bays = patches(layout.bay_pose, half, kinds, place)
+    best = lay(best, bays, x, y, functools.partial(_in_bay, line_width), reach)
     mask = layout.lane_mask & layout.lane_one_way
-    kinds = jnp.full(mask.shape, ARROW)
-    lanes = _patches(layout.lane_pose, layout.lane_size, mask, kinds, place)
-    return _lay(best, lanes, x, y, _in_arrow, reach)
+    half = jnp.where(mask[:, None], layout.lane_size / 2, -1.0)
+    lanes = patches(layout.lane_pose, half, jnp.full(mask.shape, ARROW), place)
+    return lay(best, lanes, x, y, _in_arrow, reach)
 
 
 def is_grass(layout: Layout, place: Place, x: jax.Array, y: jax.Array) -> jax.Array:
@@ -157,21 +158,29 @@ def is_grass(layout: Layout, place: Place, x: jax.Array, y: jax.Array) -> jax.Ar
     return (jnp.abs(x_w) > far[0]) | (jnp.abs(y_w) > far[1])
 
 
-def _patches(
-    pose: jax.Array, size: jax.Array, mask: jax.Array, kinds: jax.Array, place: Place
-) -> _Patches:
+def patches(
+    pose: jax.Array, half: jax.Array, covers: jax.Array, place: Place
+) -> Patches:
+    """Rectangles seen from a place; a negative `half` (n, 2) means there is none."""
     turn = pose[:, 2] - place.yaw
-    return _Patches(
-        xy=rotate(place.xy_w - pose[:, :2], -pose[:, 2]),
-        cos=jnp.cos(turn),
-        sin=jnp.sin(turn),
-        half=jnp.where(mask[:, None], size / 2, -1.0),
-        cover=kinds,
-    )
+    xy = rotate(place.xy_w - pose[:, :2], -pose[:, 2])
+    return Patches(xy, jnp.cos(turn), jnp.sin(turn), half, covers)
 
 
-def _lay(best: jax.Array, patches: _Patches, x: jax.Array, y: jax.Array, fill, reach):
-    def meet(best: jax.Array, patch: _Patches) -> jax.Array:
+def lay(
+    best: jax.Array,
+    patches: Patches,
+    x: jax.Array,
+    y: jax.Array,
+    fill: Callable[[Patches, jax.Array, jax.Array], jax.Array],
+    reach: float | None,
+) -> jax.Array:
+    """Covers of points (...), of which the highest number counts; see `cover`.
+
+    `fill` gives the cover of a patch at points of its own frame.
+    """
+
+    def meet(best: jax.Array, patch: Patches) -> jax.Array:
         along = patch.xy[0] + patch.cos * x + patch.sin * y
         across = patch.xy[1] + patch.cos * y - patch.sin * x
         found = jnp.where(patch.half[0] > 0.0, fill(patch, along, across), ASPHALT)
@@ -191,7 +200,7 @@ def is_near(xy: jax.Array, half: jax.Array, reach: float) -> jax.Array:
 
 
 def _in_bay(
-    line_width: float, bay: _Patches, along: jax.Array, across: jax.Array
+    line_width: float, bay: Patches, along: jax.Array, across: jax.Array
 ) -> jax.Array:
     """A bay has lines about both long sides and within its far end."""
     beyond, aside = jnp.abs(along) - bay.half[0], jnp.abs(across) - bay.half[1]
@@ -201,7 +210,7 @@ def _in_bay(
     return jnp.where(side | end, LINE, jnp.where(inside, bay.cover, ASPHALT))
 
 
-def _in_arrow(lane: _Patches, along: jax.Array, across: jax.Array) -> jax.Array:
+def _in_arrow(lane: Patches, along: jax.Array, across: jax.Array) -> jax.Array:
     """A lane has arrows along its middle."""
     length = 2 * lane.half[0]
     count = jnp.maximum(jnp.floor(length / paint.ARROW_SPACING), 1.0)

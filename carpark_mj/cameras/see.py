@@ -1,9 +1,8 @@
 """What cars see: depth, kinds and colours of their cameras, or a view from above."""
 
 import dataclasses
-import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import jax
@@ -12,8 +11,8 @@ import numpy as np
 from flax import struct
 
 from carpark_mj.cameras import ground
-from carpark_mj.cameras.blocks import FLAT, Heights, Seat, lot_blocks, seat, trace
-from carpark_mj.cameras.ground import SHADES, SHOWS, Place, encode
+from carpark_mj.cameras.blocks import FLAT, Heights, lot_blocks, seat, trace
+from carpark_mj.cameras.ground import SHADES, SHOWS, Patches, Place, encode
 from carpark_mj.cameras.rig import BODY, Faults, Rig, Seen, is_dirty
 from carpark_mj.config.checks import CheckedConfig, Count, Positive
 from carpark_mj.geometry.se2 import rotate
@@ -212,10 +211,10 @@ def see_from_above(config: BirdsEye, state: State) -> jax.Array:
         kind = ground.cover(state.layout, goal, place, ahead, left, line_width, reach)
         seen = jnp.array(SHOWS, jnp.int32)[kind]
         for blocks, inside in ((boxes, _in_box), (cylinders, _in_disc)):
-            seats = seat(blocks, agent, pose_w, jnp.zeros(3))
-            near = ground.is_near(seats.eye[:, :2], seats.half, reach)
-            meet = functools.partial(_stand, inside, ahead, left)
-            seen = ground.fold(seen, seats, meet, near)
+            kinds = jnp.where(blocks.owner == agent, Seen.OWN_CAR, blocks.seen)
+            patches = ground.patches(blocks.pose_w, blocks.half, kinds, place)
+            # `Seen` has the ground's kinds first.
+            seen = ground.lay(seen, patches, ahead, left, inside, reach)
         return seen
 
     agents = jnp.arange(state.goal.shape[0])
@@ -228,22 +227,10 @@ def channels(seen: jax.Array, kinds: Sequence[Seen] = tuple(Seen)) -> jax.Array:
     return seen[..., None] == jnp.array(kinds, seen.dtype)
 
 
-def _stand(
-    inside: Callable[..., jax.Array],
-    ahead: jax.Array,
-    left: jax.Array,
-    seen: jax.Array,
-    block: Seat,
-) -> jax.Array:
-    """Pixels (n,) with a block there; `Seen` has the ground's kinds first."""
-    x = block.eye[0] + block.cos * ahead + block.sin * left
-    y = block.eye[1] + block.cos * left - block.sin * ahead
-    return jnp.maximum(seen, jnp.where(inside(block, x, y), block.seen, 0))
+def _in_box(box: Patches, x: jax.Array, y: jax.Array) -> jax.Array:
+    inside = (jnp.abs(x) <= box.half[0]) & (jnp.abs(y) <= box.half[1])
+    return jnp.where(inside, box.cover, 0)
 
 
-def _in_box(box: Seat, x: jax.Array, y: jax.Array) -> jax.Array:
-    return (jnp.abs(x) <= box.half[0]) & (jnp.abs(y) <= box.half[1])
-
-
-def _in_disc(disc: Seat, x: jax.Array, y: jax.Array) -> jax.Array:
-    return (x * x + y * y <= disc.half[0] ** 2) & (disc.half[0] > 0.0)
+def _in_disc(disc: Patches, x: jax.Array, y: jax.Array) -> jax.Array:
+    return jnp.where(x * x + y * y <= disc.half[0] ** 2, disc.cover, 0)
