@@ -163,7 +163,7 @@ def _padded(document: dict[str, Any]) -> Layout:
             numbers[name] = len(rows)
             most = max(LEAST_ROWS, 1 << (len(rows) - 1).bit_length())
             padded[name] = [*rows, *[filler] * (most - len(rows))]
-    layout = parse_layout(json.dumps(padded))
+    layout = parse_layout(padded)
     masks = {
         f"{name[:-1]}_mask": jnp.arange(len(padded[name])) < number
         for name, number in numbers.items()

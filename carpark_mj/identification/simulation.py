@@ -84,19 +84,14 @@ class Replay:
         self.channels = tuple(n for n in (*POSE, *RATES) if n in log.measured)
         wheel, full = log.names[0] == "steering_wheel", _full(log, params)
         self._vehicle = _test_car(params, wheel)
-        self.own = Sought(
-            *(0.0, 0.0, 15.0 if wheel else 1.0, 0.0, params.tyre.cornering_stiffness),
-            params.max_acceleration,
-            params.max_deceleration,
-            params.tyre.rolling_resistance,
-            params.drive_lag,
-            params.tyre.lateral_relaxation,
-            params.tyre.patch_radius,
+        own = {"steering_delay": 0.0, "pedal_delay": 0.0, "steering_offset": 0.0}
+        own |= {"steering_ratio": 15.0 if wheel else 1.0}
+        own |= vars(params) | vars(params.tyre)
+        self.own = Sought(*(own[name] for name in Sought._fields))
+        self._scale = (
+            full[0] / self.own.max_acceleration,
+            full[1] / self.own.max_deceleration,
         )
-        self._scale = np.array(full) / [
-            params.max_acceleration,
-            params.max_deceleration,
-        ]
         stands = _stands(log.time, log.speed)
         begin, piece = _pieces(log.time, np.abs(log.speed), stands)
         unmeasured = piece < 0

@@ -89,11 +89,7 @@ def import_map(
 
 
 def read_plan(
-    path: Path,
-    *,
-    crs: str | None = None,
-    layers: Sequence[str] = (),
-    unit: str = "",
+    path: Path, *, crs: str | None = None, layers: Sequence[str] = (), unit: str = ""
 ) -> Plan:
     """The features of a map.
 

@@ -14,13 +14,7 @@ from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import cameras, looks, markings, parts
 from carpark_mj.scene.movers import add_movers
-from carpark_mj.vehicle.contact_wheels import (
-    FULL_BRAKE,
-    add_contact_wheels,
-    add_controls,
-    rolling_loss,
-    set_contact_options,
-)
+from carpark_mj.vehicle import contact_wheels as contact
 from carpark_mj.vehicle.mjcf import add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
@@ -81,10 +75,12 @@ def build_scene(
             suspension=suspension,
         )
     if contact_wheels:
-        set_contact_options(spec)
+        contact.set_contact_options(spec)
         for k in range(num_agents):
-            add_contact_wheels(spec, params, f"agent{k}/", parts.GROUND, suspension)
-            add_controls(spec, params, f"agent{k}/")
+            contact.add_contact_wheels(
+                spec, params, f"agent{k}/", parts.GROUND, suspension
+            )
+            contact.add_controls(spec, params, f"agent{k}/")
     parts.add_lights(spec, extent)
     cameras.add_lot_cameras(spec, extent)
     return spec
@@ -171,11 +167,11 @@ def rest_attitude(
 ) -> tuple[float, float]:
     """Height [m] and pitch [rad] at which a car on contact wheels is at rest."""
     spec = mujoco.MjSpec()
-    set_contact_options(spec)
+    contact.set_contact_options(spec)
     parts.add_ground(spec)
     add_car(spec.worldbody, spec, params, "", servos=False, suspension=suspension)
-    add_contact_wheels(spec, params, "", parts.GROUND, suspension)
-    add_controls(spec, params, "")
+    contact.add_contact_wheels(spec, params, "", parts.GROUND, suspension)
+    contact.add_controls(spec, params, "")
     model = spec.compile()
     data = mujoco.MjData(model)
     for _ in range(round(SETTLING / model.opt.timestep)):
@@ -212,8 +208,8 @@ def scene_xml(
         rate=params.steering_rate,
         reverse=-params.max_reverse_speed / params.max_speed,
         speed=params.max_speed,
-        loss=rolling_loss(params),
-        brake=FULL_BRAKE * params.tyre.friction * GRAVITY,
+        loss=contact.rolling_loss(params),
+        brake=contact.FULL_BRAKE * params.tyre.friction * GRAVITY,
         grip=params.tyre.friction * GRAVITY,
         friction=params.tyre.friction,
     )

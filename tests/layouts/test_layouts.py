@@ -187,10 +187,7 @@ FAULTS = [
     ("lanes meet bays", lambda lot: furnished(lot, lane=14.0, lane_width=4.0)),
     ("lanes meet walls", lambda lot: furnished(lot, lane=21.5)),
     ("cars spawning in spawn regions meet bays", put("spawn_size", 0, 27.0)),
-    (
-        r"bays are smaller than the car: \[7\]",
-        put("bay_size", 7, np.array([5.0, 1.7])),
-    ),
+    (r"bays are smaller than the car: \[7\]", put("bay_size", 7, np.array([5.0, 1.7]))),
 ]
 
 

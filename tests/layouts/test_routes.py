@@ -12,12 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from carpark_mj.layouts import build, layout_config, make_layout
-from carpark_mj.layouts.routes import (
-    lane_distance,
-    make_routes,
-    nearest_lane,
-    route_to,
-)
+from carpark_mj.layouts.routes import lane_distance, make_routes, nearest_lane, route_to
 
 STEP = 0.25  # m
 COMPASS = np.stack(
