@@ -130,9 +130,9 @@ def _between(
         box = Box(
             x, y, float(yaw[a] + turn[pair] / 2), float(long[pair]), float(width[pair])
         )
-        double = box.length > side[1]
-        halves = (box.part(front=0.0), box.part(back=0.0)) if double else (box,)
-        found += [half.shape for half in halves]
+        half, double = box.length / 2, box.length > side[1]
+        parts = [box.part(-half, 0.0), box.part(0.0, half)] if double else [box]
+        found += [part.shape for part in parts]
     return found
 
 

@@ -67,21 +67,14 @@ class Box:
 
     def part(
         self,
-        back: float | None = None,
-        front: float | None = None,
+        back: float,
+        front: float,
         right: float | None = None,
         left: float | None = None,
     ) -> "Box":
-        """The rectangle with other sides, given in its own frame [m]."""
-        half, wide = self.length / 2, self.width / 2
-        back, right = (
-            (-half if back is None else back),
-            (-wide if right is None else right),
-        )
-        front, left = (
-            (half if front is None else front),
-            (wide if left is None else left),
-        )
+        """The part within these coordinates of its own frame, as wide by default."""
+        right = -self.width / 2 if right is None else right
+        left = self.width / 2 if left is None else left
         along, aside = (back + front) / 2, (right + left) / 2
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
         return Box(
@@ -262,7 +255,7 @@ def cut_free(box: Box, others: Iterable[Any], gap: float = 0.002) -> Box | None:
     left = rows[:, 1].min(initial=box.width / 2, where=rows[:, 1] > 0)
     right = rows[:, 3].max(initial=-box.width / 2, where=rows[:, 3] < 0)
     if left - right < box.width - 2 * gap > 0:
-        part = box.part(right=right, left=left)
+        part = box.part(-box.length / 2, box.length / 2, right, left)
         part = dataclasses.replace(part, width=part.width - 2 * gap)
         if part.width > 0:
             found.append(_cut_each(part, others, gap))

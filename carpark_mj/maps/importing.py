@@ -249,7 +249,8 @@ def _bays(
         box = _facing([box for box, _ in fits], goals, found[-1][0].yaw if found else 0)
         short = box.length < least[0] < box.length + STRETCH
         if short:  # what stands behind it stays
-            box = box.part(front=-box.length / 2 + least[0] + 0.01)
+            back = -box.length / 2
+            box = box.part(back, back + least[0] + 0.01)
         if not one.shape.intersects(near):
             report.lost[one.name] = f"more than {NEAR:g} m from what can be driven on"
             continue
@@ -290,7 +291,8 @@ def _led_out(free: Box | None, box: Box, others: list[Any]) -> Box | None:
     length = min(box.length, DesignCar().length + NOSE)
     if free is None or free.length >= length:
         return free
-    return cut_free(free.part(front=-free.length / 2 + length), others)
+    back = -free.length / 2
+    return cut_free(free.part(back, back + length), others)
 
 
 def _facing(found: list[Box], goals: list[Any], yaw: float) -> Box:
