@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.cameras.ground import MISS, SHADES, encode, fold
+from carpark_mj.cameras import ground
+from carpark_mj.cameras.ground import SHADES, Patches, Place
 from carpark_mj.cameras.rig import BODY, CABIN, CarBlock, Seen
 from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.geometry.se2 import move_forward, rotate
@@ -149,35 +150,25 @@ _LEAST = 1e-9  # slope of a ray along a face
 class Seat:
     """Blocks (n,) as the camera of one car sees them."""
 
-    eye: jax.Array  # (n, 3) of the camera from the block's middle on the ground [m]
-    cos: jax.Array  # (n,) of the block's heading less the car's
-    sin: jax.Array
-    half: jax.Array  # (n, 2) half length and width [m], negative where there is none
-    span: jax.Array  # (n, 2) heights of its underside and its top [m]
-    seen: jax.Array  # (n,) int32 what it is
-    light: jax.Array  # (n, 2) the sun's share along its length and its width
+    base: Patches  # what they stand on; covers are `Seen`
+    up: jax.Array  # (n,) height of the camera [m]
+    span: jax.Array  # (n, 2) heights of the underside and the top [m]
+    light: jax.Array  # (n, 2) the sun's share along the length and the width
 
 
-def seat(blocks: Blocks, agent: jax.Array, pose_w: jax.Array, eye: jax.Array) -> Seat:
-    """Blocks as the camera of one agent sees them.
+def stand(blocks: Blocks, agent: jax.Array, place: Place) -> Patches:
+    """What blocks stand on, as seen from a place on the car of an agent."""
+    seen = jnp.where(blocks.owner == agent, Seen.OWN_CAR, blocks.seen)
+    return ground.patches(blocks.pose_w, blocks.half, seen, place)
 
-    The car is at pose_w (3,), the eye (3,) in its frame, from its middle on the ground
-    [m].
-    """
-    yaw = blocks.pose_w[:, 2]
-    turn = yaw - pose_w[2]
-    eye_w = pose_w[:2] + rotate(eye[:2], pose_w[2])
-    own = blocks.owner == agent
-    there = rotate(eye_w - blocks.pose_w[:, :2], -yaw)
-    up = jnp.broadcast_to(eye[2], (*yaw.shape, 1))
+
+def seat(blocks: Blocks, agent: jax.Array, place: Place, height: jax.Array) -> Seat:
+    """Blocks as the camera of one agent at a place and a height () [m] sees them."""
     return Seat(
-        eye=jnp.concatenate([there, up], axis=1),
-        cos=jnp.cos(turn),
-        sin=jnp.sin(turn),
-        half=blocks.half,
+        base=stand(blocks, agent, place),
+        up=jnp.broadcast_to(height, blocks.low.shape),
         span=jnp.stack([blocks.low, blocks.high], axis=1),
-        seen=jnp.where(own, Seen.OWN_CAR, blocks.seen),
-        light=rotate(jnp.array(SUN[:2]), -yaw),
+        light=rotate(jnp.array(SUN[:2]), -blocks.pose_w[:, 2]),
     )
 
 
@@ -188,7 +179,7 @@ def trace(
     slopes = [_off_zero(rays[..., k]) for k in range(3)]
 
     for blocks, meet in ((boxes, _meet_box), (cylinders, _meet_cylinder)):
-        hit = fold(
+        hit = ground.fold(
             hit,
             blocks,
             lambda hit, block, meet=meet: jnp.minimum(hit, meet(slopes, block, shaded)),
@@ -210,15 +201,16 @@ def _slab(start: jax.Array, half: jax.Array, slope: jax.Array):
 def _storey(rays: list[jax.Array], block: Seat):
     """Where rays enter and leave the heights of a block."""
     half = (block.span[1] - block.span[0]) / 2
-    return _slab(block.eye[2] - block.span[0] - half, half, rays[2])
+    return _slab(block.up - block.span[0] - half, half, rays[2])
 
 
 def _meet_box(rays: list[jax.Array], box: Seat, shaded: bool) -> jax.Array:
     """Hits of rays with the outside of a box."""
-    dx = _off_zero(box.cos * rays[0] + box.sin * rays[1])
-    dy = _off_zero(box.cos * rays[1] - box.sin * rays[0])
-    enter_x, leave_x = _slab(box.eye[0], box.half[0], dx)
-    enter_y, leave_y = _slab(box.eye[1], box.half[1], dy)
+    base = box.base
+    dx = _off_zero(base.cos * rays[0] + base.sin * rays[1])
+    dy = _off_zero(base.cos * rays[1] - base.sin * rays[0])
+    enter_x, leave_x = _slab(base.xy[0], base.half[0], dx)
+    enter_y, leave_y = _slab(base.xy[1], base.half[1], dy)
     enter_z, leave_z = _storey(rays, box)
     enter = jnp.maximum(jnp.maximum(enter_x, enter_y), enter_z)
     leave = jnp.minimum(jnp.minimum(leave_x, leave_y), leave_z)
@@ -233,9 +225,10 @@ def _meet_box(rays: list[jax.Array], box: Seat, shaded: bool) -> jax.Array:
 
 def _meet_cylinder(rays: list[jax.Array], cylinder: Seat, shaded: bool) -> jax.Array:
     """Hits of rays with the outside of an upright cylinder."""
-    dx = cylinder.cos * rays[0] + cylinder.sin * rays[1]
-    dy = cylinder.cos * rays[1] - cylinder.sin * rays[0]
-    x, y, radius = cylinder.eye[0], cylinder.eye[1], cylinder.half[0]
+    base = cylinder.base
+    dx = base.cos * rays[0] + base.sin * rays[1]
+    dy = base.cos * rays[1] - base.sin * rays[0]
+    x, y, radius = base.xy[0], base.xy[1], base.half[0]
     flat = 1.0 / (dx * dx + dy * dy)
     nearest, aside = -(x * dx + y * dy) * flat, x * dy - y * dx
     # From the chord, not from the quadratic formula, which cancels far away.
@@ -261,4 +254,4 @@ def _hit(
         level = AMBIENT + DIFFUSE * jnp.maximum(light, 0.0)
         shade = jnp.round(SHADES * level).astype(jnp.int32)
     met = (enter <= leave) & (enter > 0.0)
-    return jnp.where(met, encode(enter, block.seen, shade), MISS)
+    return jnp.where(met, ground.encode(enter, block.base.cover, shade), ground.MISS)

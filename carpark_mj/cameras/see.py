@@ -11,7 +11,7 @@ import numpy as np
 from flax import struct
 
 from carpark_mj.cameras import ground
-from carpark_mj.cameras.blocks import FLAT, Heights, lot_blocks, seat, trace
+from carpark_mj.cameras.blocks import FLAT, Heights, lot_blocks, seat, stand, trace
 from carpark_mj.cameras.ground import SHADES, SHOWS, Patches, Place, encode
 from carpark_mj.cameras.rig import BODY, Faults, Rig, Seen, is_dirty
 from carpark_mj.config.checks import CheckedConfig, Count, Positive
@@ -67,10 +67,11 @@ def see(
     def look(
         agent: jax.Array, goal: jax.Array, pose_w: jax.Array, eye: jax.Array, rays
     ):
-        hit = _ground_hits(state, goal, pose_w, eye, rays[above:])
+        place = Place(pose_w[:2] + rotate(eye[:2], pose_w[2]), pose_w[2])
+        hit = _ground_hits(state, goal, place, eye[2], rays[above:])
         hit = jnp.concatenate([jnp.full(above, _SKY), hit])
-        around = [seat(blocks, agent, pose_w, eye) for blocks in (boxes, cylinders)]
-        return trace(hit, rays, around[0], around[1], rig.shaded)
+        around = [seat(each, agent, place, eye[2]) for each in (boxes, cylinders)]
+        return trace(hit, rays, *around, rig.shaded)
 
     # No pixel before this one looks down.
     down = np.flatnonzero((rays[..., 2] < 0.0).any(axis=0))
@@ -96,15 +97,14 @@ def see(
 
 
 def _ground_hits(
-    state: State, goal: jax.Array, pose_w: jax.Array, eye: jax.Array, rays: jax.Array
+    state: State, goal: jax.Array, place: Place, up: jax.Array, rays: jax.Array
 ) -> jax.Array:
-    """Hits of rays (..., 3) with the ground, or the sky."""
+    """Hits of rays (..., 3) with the ground, or the sky, from a height `up` () [m]."""
     x, y, drop = rays[..., 0], rays[..., 1], -rays[..., 2]
     slope = 1.0 / jnp.maximum(drop, _LEAST_DROP)
-    place = Place(pose_w[:2] + rotate(eye[:2], pose_w[2]), pose_w[2])
 
     def down_to(height: jax.Array | float) -> jax.Array:
-        return (eye[2] - height) * slope
+        return (up - height) * slope
 
     on = down_to(ground.HEIGHTS[ground.LINE])
     kind = ground.cover(state.layout, goal, place, on * x, on * y)
@@ -211,9 +211,8 @@ def see_from_above(config: BirdsEye, state: State) -> jax.Array:
         kind = ground.cover(state.layout, goal, place, ahead, left, line_width, reach)
         seen = jnp.array(SHOWS, jnp.int32)[kind]
         for blocks, inside in ((boxes, _in_box), (cylinders, _in_disc)):
-            kinds = jnp.where(blocks.owner == agent, Seen.OWN_CAR, blocks.seen)
-            patches = ground.patches(blocks.pose_w, blocks.half, kinds, place)
             # `Seen` has the ground's kinds first.
+            patches = stand(blocks, agent, place)
             seen = ground.lay(seen, patches, ahead, left, inside, reach)
         return seen
 
