@@ -85,40 +85,32 @@ class Feature:
     """One shape of a map.
 
     Attributes:
-        tag: its meaning.
-        shape: a shapely polygon, of a lane the centre line in its direction [m].
+        tag: its meaning; `spots` are bays without outlines of their own.
+        shape: a shapely polygon, of a lane the centre line in its direction [m]; of
+            spots around all of them and maybe their aisles, or the point of one.
         name: its name in the map.
-        kind: of a bay.
+        kind: of a bay, or of spots.
+        level: floors that it belongs to, separated by semicolons; all if empty.
+        count: of spots; 0 if the map does not say.
+        orientation: of spots to the road: `parallel`, `perpendicular`, `diagonal`, or
+            empty.
+        is_row: whether the polygon holds spots alone, without an aisle.
         width: of a lane [m].
         one_way: whether a lane is driven along its line only.
         yaw: heading of a start that has one [rad].
-        level: floors that it belongs to, separated by semicolons; all if empty.
     """
 
-    tag: Tag
+    tag: Tag | Literal["spots"]
     shape: Any
     name: str
     kind: BayKind = BayKind.STANDARD
+    level: str = ""
+    count: int = 0
+    orientation: str = ""
+    is_row: bool = False
     width: float = 0.0
     one_way: bool = False
     yaw: float | None = None
-    level: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class Group:
-    """Spots that are given by their number or place instead of their outlines."""
-
-    name: str  # its name in the map
-    # a shapely polygon around the spots and maybe their aisles, or the point of one
-    # spot [m]
-    shape: Any
-    count: int = 0  # of spots; 0 if the map does not say
-    # `parallel`, `perpendicular` or `diagonal` to the road, or empty
-    orientation: str = ""
-    is_row: bool = False  # whether the polygon holds spots alone, without an aisle
-    kind: BayKind = BayKind.STANDARD  # of the spots
-    level: str = ""  # as of `Feature`
 
 
 @dataclasses.dataclass
@@ -178,14 +170,13 @@ class Report:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """The features of a map, in its order; spots without outlines are groups."""
+    """The features of a map, in its order."""
 
     features: list[Feature] = dataclasses.field(default_factory=list)
-    groups: list[Group] = dataclasses.field(default_factory=list)
     report: Report = dataclasses.field(default_factory=Report)
 
 
-def tagged(features: Iterable[Feature], *tags: Tag) -> list[Feature]:
+def tagged(features: Iterable[Feature], *tags: str) -> list[Feature]:
     """The features with one of some tags."""
     return [one for one in features if one.tag in tags]
 
@@ -212,43 +203,38 @@ def on_level(plan: Plan, level: str | None = None) -> Plan:
         ValueError: no spot is on the level.
     """
     counts, report = Counter[str](), plan.report
-    for spot in tagged(plan.features, "bay"):
-        counts.update(_levels(spot, "0"))
-    for group in plan.groups:
-        for found in _levels(group, "0"):
-            counts[found] += max(group.count, 1)
+    for tag in ("bay", "spots"):
+        for one in tagged(plan.features, tag):
+            for found in _levels(one, "0"):
+                counts[found] += max(one.count, 1)
     if level is not None and counts and level not in counts:
         raise ValueError(
             f"no spot is on level {level}; there are {', '.join(sorted(counts))}"
         )
     chosen = level or max(counts, key=lambda name: counts[name], default="0")
-    kept, groups = list[Feature](), list[Group]()
+    kept = list[Feature]()
     for one in plan.features:
-        if chosen in _levels(one, "0" if one.tag == "bay" else chosen):
+        is_ground = one.tag in ("bay", "spots")
+        if chosen in _levels(one, "0" if is_ground else chosen):
             kept.append(one)
-        elif one.tag == "bay":
-            report.lost[one.name] = f"on level {one.level or 0}, not {chosen}"
-        else:
+        elif not is_ground:
             report.unknown[f"{one.tag} on another level"] += 1
-    for group in plan.groups:
-        if chosen in _levels(group, "0"):
-            groups.append(group)
-        elif group.count or not group.shape.area:
-            report.lost[group.name] = f"on level {group.level or 0}, not {chosen}"
+        elif one.tag == "bay" or one.count or not one.shape.area:
+            report.lost[one.name] = f"on level {one.level or 0}, not {chosen}"
     if len(counts) > 1:
         levels = ", ".join(f"{name or '?'} ({n})" for name, n in counts.most_common())
         report.notes.append(
             f"level {chosen} of these, by their spots: {levels}; see --level"
         )
-    return Plan(kept, groups, report)
+    return Plan(kept, report)
 
 
-def on_same_level(road: Feature, group: Group) -> bool:
-    """Whether a road is on a group's level; on the ground if the map does not say."""
-    return bool({*_levels(road, "0")} & {*_levels(group, "0")})
+def on_same_level(road: Feature, spots: Feature) -> bool:
+    """Whether a road is on the level of spots; on the ground if the map says none."""
+    return bool({*_levels(road, "0")} & {*_levels(spots, "0")})
 
 
-def _levels(one: Feature | Group, default: str) -> list[str]:
+def _levels(one: Feature, default: str) -> list[str]:
     return [name.strip() for name in (one.level or default).split(";")]
 
 

@@ -20,7 +20,6 @@ from carpark_mj.maps.features import (
     LINE_THICKNESS,
     WGS84,
     Feature,
-    Group,
     Plan,
     Tag,
     lane_features,
@@ -114,7 +113,9 @@ def _add_parking(
             plan.report.notes.append(f"{name}: {where}")
         return
     is_row = is_spot or tags.get("parking") in _ROWS
-    plan.groups.append(Group(name, shape, count, str(orientation), is_row, kind, level))
+    plan.features.append(
+        Feature("spots", shape, name, kind, level, count, str(orientation), is_row)
+    )
 
 
 def _lanes(name: str, tags: Mapping[str, Any], line: Any, level: str) -> list[Feature]:
