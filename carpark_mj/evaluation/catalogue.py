@@ -5,6 +5,7 @@ registered (`carpark_mj.mdp.metrics`). An evaluation has a column for each in th
 table of episodes, and one or several aggregates.
 """
 
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.mdp.metrics import METRICS, Metric, Pool
 from carpark_mj.mdp.safety import HORIZON, RANGE
 
@@ -194,12 +195,15 @@ def metrics() -> tuple[Metric, ...]:
 
 def markdown_table(metrics: tuple[Metric, ...]) -> str:
     """Metrics as a markdown table."""
-    lines = [
-        "| metric | unit | meaning | aggregation | Tanner 2022 |",
-        "|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| `{m.name}` | {m.unit} | {m.meaning} | {m.pool} | {m.study} |"
-        for m in metrics
-    ]
-    return "\n".join(lines)
+    return markdown(
+        [
+            {
+                "metric": f"`{m.name}`",
+                "unit": m.unit,
+                "meaning": m.meaning,
+                "aggregation": m.pool,
+                "Tanner 2022": m.study,
+            }
+            for m in metrics
+        ]
+    )

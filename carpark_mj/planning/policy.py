@@ -23,6 +23,7 @@ from carpark_mj.planning.obstacles import FreeSpace, Solids
 from carpark_mj.planning.paths import (
     CREEP,
     CRUISE,
+    FASTEST,
     STANDING,
     Command,
     Driven,
@@ -30,6 +31,7 @@ from carpark_mj.planning.paths import (
     Progress,
     brake,
     centre,
+    hurry,
     rear_axle,
     track,
 )
@@ -49,6 +51,7 @@ PATIENCE = 20  # control steps until an agent that stands plans again
 PATIENCE_MOVERS = 40  # the same where there are movers, which often go away
 ASTRAY = 0.3  # m from the path: the agent replans
 MAX_PLANS = 6  # of an episode
+IN_TIME = 0.9  # of the time left: a path that takes longer is driven faster
 
 
 class Sight(NamedTuple):
@@ -90,9 +93,23 @@ class Agent:
         searches: of the running episode.
     """
 
-    def __init__(self, seed: Sequence[int], dt: float, config: SearchConfig) -> None:
-        """An agent without a path; `dt` is the control period [s]."""
+    def __init__(
+        self,
+        seed: Sequence[int],
+        dt: float,
+        config: SearchConfig,
+        seconds: float = math.inf,
+    ) -> None:
+        """An agent without a path.
+
+        Args:
+            seed: of its searches.
+            dt: control period [s].
+            config: how to search.
+            seconds: of an episode.
+        """
         self.searches: list[Search] = []
+        self._seconds = self._left = seconds
         self._seed, self._dt, self._config = tuple(seed), dt, config
         self._path: PlannedPath | None = None
         self._progress = Progress()
@@ -100,8 +117,9 @@ class Agent:
 
     def act(self, sight: Sight) -> tuple[float, float]:
         """Steer and pedal in [-1, 1]."""
+        self._left -= self._dt
         if sight.begins:
-            self.searches = []
+            self.searches, self._left = [], self._seconds
             self._plan(sight, sight.solids)
         command = self._follow(sight)
         if command is not None and command.error > ASTRAY:
@@ -128,11 +146,14 @@ class Agent:
         found = search(
             sight.pose, sight.goal, solids, sight.car, sight.extent, seed, self._config
         )
-        if found.path is not None or not self.searches:
-            self._path, self._progress = found.path, Progress()
+        path = found.path
+        if path is not None:
+            path = hurry(path, sight.car, IN_TIME * self._left)
+        if path is not None or not self.searches:
+            self._path, self._progress = path, Progress()
         self.searches.append(found)
 
-    def _follow(self, sight: Sight, pace: float = CRUISE) -> Command | None:
+    def _follow(self, sight: Sight, pace: float = FASTEST) -> Command | None:
         if self._path is None:
             return None
         driven = Driven(rear_axle(sight.car, sight.pose), sight.speed, sight.steering)
@@ -147,7 +168,8 @@ class Agent:
         stand = pose[still], size[still]
         if not self._is_free(sight, ROOM, GAP * CREEP / CRUISE, *stand):
             return 0.0
-        for pace in PACES:
+        top = CRUISE if self._path is None else self._path.cruise
+        for pace in PACES if top <= CRUISE else (top, *PACES):
             share = pace / CRUISE
             foreseen = FORESEEN if pace > CREEP else (0.0,)
             moves = (velocity * (share * seconds) for seconds in foreseen)
@@ -190,7 +212,11 @@ class Planner:
     """
 
     def __init__(
-        self, ctrl_dt: float, seed: int = 0, config: SearchConfig | None = None
+        self,
+        ctrl_dt: float,
+        seed: int = 0,
+        config: SearchConfig | None = None,
+        seconds: float = math.inf,
     ) -> None:
         """A planner without any paths.
 
@@ -198,8 +224,10 @@ class Planner:
             ctrl_dt: control period [s].
             seed: see `reset`.
             config: how to search; the defaults if None.
+            seconds: of an episode.
         """
         self._dt, self._config = ctrl_dt, config or SearchConfig()
+        self._seconds = seconds
         self.reset(seed)
 
     def reset(self, seed: int, first_lot: int = 0) -> None:
@@ -236,7 +264,7 @@ class Planner:
     def _agent(self, lot: int, agent: int) -> Agent:
         if (lot, agent) not in self.agents:
             seed = self._seed, self._first_lot + lot, agent
-            self.agents[lot, agent] = Agent(seed, self._dt, self._config)
+            self.agents[lot, agent] = Agent(seed, self._dt, self._config, self._seconds)
         return self.agents[lot, agent]
 
 
@@ -254,7 +282,7 @@ def planner_policy(
     seconds = env.config.episode.max_steps * dt
     # A path that takes most of an episode leaves no time to wait or to plan again.
     slow = min(SearchConfig.slow, SLOW * seconds)
-    planner = Planner(dt, seed, config or SearchConfig(slow=slow))
+    planner = Planner(dt, seed, config or SearchConfig(slow=slow), seconds)
     return StatePolicy(_callback(planner.act)), planner
 
 

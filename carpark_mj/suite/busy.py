@@ -42,9 +42,9 @@ from carpark_mj.obstacles import Boxes, Discs
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.levels import (
     EXTRA_LEVELS,
+    CaseLevel,
     Cases,
     CaseStart,
-    ExtraLevel,
     read_published,
 )
 from carpark_mj.suite.tpcap import TPCAP_CAR
@@ -434,7 +434,4 @@ def _case(columns: Any, number: jax.Array, group: jax.Array) -> Any:
     return layout, CaseStart(key, options, movers)
 
 
-EXTRA_LEVELS.register(
-    NAME,
-    ExtraLevel(range(CASES), SHA256, pick, busy_env),
-)
+EXTRA_LEVELS.register(NAME, CaseLevel(range(CASES), SHA256, pick, busy_env))

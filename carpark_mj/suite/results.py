@@ -18,6 +18,7 @@ import numpy as np
 from carpark_mj.config import find_rules
 from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
 from carpark_mj.evaluation.catalogue import metrics
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import write_atomically, write_csv, write_json
 from carpark_mj.reading import (
     TEXT,
@@ -29,11 +30,9 @@ from carpark_mj.reading import (
     require_entries,
 )
 from carpark_mj.suite.levels import (
-    EXTRA_LEVELS,
-    LEVELS,
-    case_numbers,
-    fingerprint,
+    find_level,
     in_order,
+    is_level,
     require_alike,
 )
 from carpark_mj.types import ENDINGS
@@ -67,12 +66,20 @@ _NEEDED = (
 )
 _PLANNED = ("planned", "planned_path", "planning_seconds")  # of the planner alone
 _LARGEST = 1e15  # of a number; sums of them are finite
-Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
+
+
+class Key(NamedTuple):
+    """Which episode."""
+
+    policy: str
+    level: str
+    seed: int
+    case: int
 
 
 def key_of(row: Row) -> Key:
     """Key of a row's episode."""
-    return row["policy"], row["level"], row["seed"], row["case"]
+    return Key(*(row[name] for name in Key._fields))
 
 
 def has_moving_car(rows: Sequence[Row]) -> bool:
@@ -93,7 +100,6 @@ def write_run(
     columns = list(dict.fromkeys(name for row in episodes for name in row))
     cases = folder / CASES_FILE
     write_csv(cases, [{n: row.get(n, "") for n in columns} for row in episodes])
-    policy, level, seed, case = (list(part) for part in zip(*drives, strict=True))
     length = max(drive.speed.shape[1] for drive in drives.values())
     arrays = {
         name: np.concatenate([_pad(x, length) for x in parts])
@@ -101,8 +107,8 @@ def write_run(
             Drives._fields, zip(*drives.values(), strict=True), strict=True
         )
     }
-    arrays |= {"policy": np.array(policy), "level": np.array(level)}
-    arrays |= {"seed": np.array(seed), "case": np.array(case)}
+    keys = zip(Key._fields, zip(*drives, strict=True), strict=True)
+    arrays |= {name: np.array(column) for name, column in keys}
     worst = folder / WORST_FILE
 
     def write(temporary: Path) -> None:
@@ -127,10 +133,9 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
         for row in _read_cases(folder / CASES_FILE):
             key = key_of(row)
             if key in episodes:
-                policy, level, seed, case = key
                 raise ValueError(
-                    f"{folder / CASES_FILE} repeats case {case} of {level} by {policy} "
-                    f"with seed {seed}, which a folder before it has"
+                    f"{folder / CASES_FILE} repeats case {key.case} of {key.level} by "
+                    f"{key.policy} with seed {key.seed}, which a folder before it has"
                 )
             episodes[key] = row
         worst = folder / WORST_FILE
@@ -164,10 +169,11 @@ def _read_cases(path: Path) -> list[Row]:
     if not rows:
         raise ValueError(f"{path} holds no episode")
     for row in rows:
-        if row["held_out"] != fingerprint(row["level"]):
+        expected = find_level(row["level"]).fingerprint
+        if row["held_out"] != expected:
             raise ValueError(
                 f"{path} is about other held-out cases, {row['held_out']!r}, not "
-                f"{fingerprint(row['level'])}"
+                f"{expected}"
             )
     return rows
 
@@ -184,8 +190,7 @@ def _parse(row: CsvRow) -> Row:
             if abs(parsed[name]) > _LARGEST:
                 raise ValueError(f"{row.place}: {name} is too large, {text}")
     level, case = parsed["level"], parsed["case"]
-    known = level in LEVELS or level in EXTRA_LEVELS
-    if not known or case not in case_numbers(level):
+    if not is_level(level) or case not in find_level(level).numbers:
         raise ValueError(f"{row.place}: there is no case {case} of level {level!r}")
     ends = [parsed[name] for name in ENDINGS]
     if not {*ends} <= {0.0, 1.0} or not any(ends):
@@ -205,8 +210,7 @@ def _read_worst(path: Path) -> dict[Key, Drives]:
         data = Archive(path).read(_FORMS)
     except ValueError as error:
         raise ValueError(f"{path} has no drives of the suite: {error}") from None
-    columns = (data[name].tolist() for name in ("policy", "level", "seed", "case"))
-    keys = zip(*columns, strict=True)
+    keys = map(Key, *(data[name].tolist() for name in Key._fields))
     return {
         key: Drives(*(data[name][[index]] for name in Drives._fields))
         for index, key in enumerate(keys)
@@ -227,6 +231,7 @@ FORMAT = "carpark_mj suite 1"
 SUITE_FILE = "suite.json"
 RATES = ("parked", "crashed", "timed_out")
 MEANS = ("gear_changes", "path", "time_to_park")  # over parked episodes
+MEAN_TITLES = ("gear changes", "path [m]", "time [s]")
 _LETTERS = {name[0]: name for name in ENDINGS}
 _ENTRY = {"policy": str, "level": str, "held_out": str, "made_with": str}
 
@@ -249,7 +254,7 @@ class Result(NamedTuple):
     @property
     def complete(self) -> bool:
         """Whether every case of the level was driven."""
-        return self.cases == len(case_numbers(self.entry["level"]))
+        return self.cases == len(find_level(self.entry["level"]).numbers)
 
 
 def write_submission(folder: Path, episodes: Sequence[Row]) -> Path:
@@ -308,10 +313,11 @@ def _result(place: str, entry: dict[str, Any]) -> Result:
 
     require_entries(entry, place, **_ENTRY, seeds=list)
     level, seeds = entry["level"], entry["seeds"]
-    require(level in (*LEVELS, *EXTRA_LEVELS), f"there is no level {level!r}")
+    require(is_level(level), f"there is no level {level!r}")
+    expected, known = find_level(level).fingerprint, len(find_level(level).numbers)
     require(
-        entry["held_out"] == fingerprint(level),
-        f"held_out must be {fingerprint(level)!r}, not {entry['held_out']!r}",
+        entry["held_out"] == expected,
+        f"held_out must be {expected!r}, not {entry['held_out']!r}",
     )
     whole = seeds and all(type(seed) is int for seed in seeds)
     require(
@@ -328,7 +334,6 @@ def _result(place: str, entry: dict[str, Any]) -> Result:
         ("outcomes" in entry) != ("rates" in entry),
         "outcomes or rates must be given, not both",
     )
-    known = len(case_numbers(level))
     if "rates" in entry:
         rates = entry["rates"]
         shares = isinstance(rates, dict) and sorted(rates) == sorted(RATES)
@@ -370,37 +375,32 @@ def check_submission(path: Path) -> list[Result]:
         if not result.complete:
             raise ValueError(
                 f"{path}: {policy} drove {result.cases} of the "
-                f"{len(case_numbers(level))} cases of level {level}"
+                f"{len(find_level(level).numbers)} cases of level {level}"
             )
     return results
 
 
 def leaderboard(results: Iterable[Result]) -> str:
     """The results as a Markdown table, by level and then by parked rate."""
-    lines = [
-        "| level | policy | rule | parked [%] | crashed [%] | timed out [%] "
-        "| gear changes | path [m] | time [s] | seeds |",
-        "|---|---|---|---|---:|---:|---:|---:|---:|---:|",
-    ]
     results = list(results)
     order = in_order(result.entry["level"] for result in results)
+    rows: list[dict[str, str]] = []
     for result in sorted(
         results, key=lambda r: (order.index(r.entry["level"]), -r.rates["parked"])
     ):
         entry, rates = result.entry, result.rates
         low, high = wilson_interval(rates["parked"] * result.cases, result.cases)
-        rule = f"{entry['rule']}{', moving car' * entry['moving_car']}"
         interval = f"({100 * low:.1f} … {100 * high:.1f})"
-        cells = [
-            *(entry["level"], f"`{entry['policy']}`{' †' * (not result.checked)}"),
-            *(rule, f"{100 * rates['parked']:.1f} {interval}"),
-            *(f"{100 * rates[name]:.1f}" for name in RATES[1:]),
-            *(_shown(entry.get(name)) for name in MEANS),
-            str(len(entry["seeds"])),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def _shown(value: float | None) -> str:
-    return "–" if value is None else f"{value:.1f}"
+        row = {
+            "level": entry["level"],
+            "policy": f"`{entry['policy']}`{' †' * (not result.checked)}",
+            "rule": f"{entry['rule']}{', moving car' * entry['moving_car']}",
+            "parked [%]": f"{100 * rates['parked']:.1f} {interval}",
+            "crashed [%]": f"{100 * rates['crashed']:.1f}",
+            "timed out [%]": f"{100 * rates['timed_out']:.1f}",
+        }
+        for title, name in zip(MEAN_TITLES, MEANS, strict=True):
+            value = entry.get(name)
+            row[title] = "–" if value is None else f"{value:.1f}"
+        rows.append(row | {"seeds": str(len(entry["seeds"]))})
+    return markdown(rows, left=4)

@@ -20,12 +20,12 @@ from carpark_mj.suite.evaluation import (
 )
 from carpark_mj.suite.levels import load_held_out, pick_cases
 from carpark_mj.suite.report import (
-    Video,
     header,
-    print_rows,
+    print_results,
     shown_cells,
     write_results,
 )
+from carpark_mj.suite.results import key_of
 
 PARKED = {"parked": 1.0, "crashed": 0.0, "timed_out": 0.0, "diverged": 0.0}
 MISSED = {"parked": 0.0, "crashed": 1.0, "timed_out": 0.0, "diverged": 0.0}
@@ -190,14 +190,14 @@ def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
 
 def test_policies_are_printed_by_the_names_they_have(capsys):
     rows = table_rows("x[/red]", [episode(0, "parallel", PARKED, policy="x[/red]")])
-    print_rows(rows, "a title")
+    print_results(rows, "a title")
     assert "x[/red]" in capsys.readouterr().out
 
 
 def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
     episodes = [episode(0, "parallel", PARKED), episode(7, "parallel", MISSED)]
     (row,) = table_rows("x", episodes)
-    videos = [Video(episodes[1], tmp_path / "videos" / "x.mp4")]
+    videos = {key_of(episodes[1]): tmp_path / "videos" / "x.mp4"}
     files = write_results(tmp_path, header(episodes), [row], episodes, [], videos)
     assert [path.name for path in files] == ["suite.md", "suite.csv", "suite.html"]
     page = files[0].read_text()
