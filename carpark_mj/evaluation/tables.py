@@ -7,7 +7,7 @@ import base64
 import html
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -49,14 +49,24 @@ def markdown(rows: Rows, left: int | None = None) -> str:
     return "\n".join(lines)
 
 
-def print_rows(rows: Rows, title: str, left: int | None = None) -> None:
-    """Prints a table on the terminal; columns beyond `left` are right-aligned."""
+def print_rows(
+    rows: Rows, title: str, left: int | None = None, ends: Container[int] = ()
+) -> None:
+    """Prints a table on the terminal.
+
+    Args:
+        rows: of the table.
+        title: above it.
+        left: columns beyond this number are right-aligned; None = no column is.
+        ends: rows below which a line is drawn.
+    """
     shown = Table(title=escape(title))
     for number, name in enumerate(rows[0] if rows else ()):
         is_left = left is None or number < left
         shown.add_column(name, justify="left" if is_left else "right")
-    for row in rows:
-        shown.add_row(*(escape(cell_text(value)) for value in row.values()))
+    for number, row in enumerate(rows):
+        cells = (escape(cell_text(value)) for value in row.values())
+        shown.add_row(*cells, end_section=number in ends)
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH

@@ -20,12 +20,16 @@ from carpark_mj.suite.evaluation import (
 )
 from carpark_mj.suite.levels import load_held_out, pick_cases
 from carpark_mj.suite.report import (
+    AROUND,
+    ASPECT,
+    _view,
     header,
     print_results,
     shown_cells,
     write_results,
 )
 from carpark_mj.suite.results import key_of
+from carpark_mj.suite.tpcap import TpcapConfig
 
 PARKED = {"parked": 1.0, "crashed": 0.0, "timed_out": 0.0, "diverged": 0.0}
 MISSED = {"parked": 0.0, "crashed": 1.0, "timed_out": 0.0, "diverged": 0.0}
@@ -208,3 +212,15 @@ def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
     assert '<video src="videos/x.mp4"' in html
     assert "case 7, seed 0: crashed" in html
     assert shown_cells(row)["path found [%]"] == "–"
+
+
+def test_start_and_goal_are_in_view_and_far_obstacles_are_not():
+    layout = jax.device_get(TpcapConfig(4).generate(jax.random.key(0)))
+    low, high = _view(layout, None)
+    ends = np.stack([layout.spawn_pose[0, :2], layout.bay_pose[0, :2]])
+    assert (low <= ends.min(axis=0)).all()
+    assert (high >= ends.max(axis=0)).all()
+    more = high - low - np.ptp(ends, axis=0) - 2 * AROUND
+    assert more.min() == pytest.approx(0.0, abs=1e-3)  # as close as the frame allows
+    assert (high - low)[0] == pytest.approx(ASPECT * (high - low)[1])
+    assert (high - low < 2 * layout.extent).any()
