@@ -12,10 +12,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
 from carpark_mj.files import write_atomically
 
 Rows = Sequence[Mapping[str, Any]]
@@ -60,6 +56,11 @@ def print_rows(
         left: columns beyond this number are right-aligned; None = no column is.
         ends: rows below which a line is drawn.
     """
+    # Here: whoever reads no table needs no rich.
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
     shown = Table(title=escape(title))
     for number, name in enumerate(rows[0] if rows else ()):
         is_left = left is None or number < left

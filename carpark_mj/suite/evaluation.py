@@ -39,7 +39,6 @@ from carpark_mj.layouts import Layout
 from carpark_mj.mdp.people import CLOSE_TIME
 from carpark_mj.observations import observe
 from carpark_mj.obstacles import make_movers, place_movers, trace_still
-from carpark_mj.planning.paths import PlannedPath
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import (
     AnyPolicy,
@@ -65,17 +64,14 @@ from carpark_mj.suite.levels import (
     reset_with_moving_car,
 )
 from carpark_mj.suite.report import (
+    PLANNER,
+    VEHICLE,
     WORST,
-    header,
+    Drawn,
     made_with,
-    make_videos,
-    parts_of,
-    plot_paths,
-    print_results,
     require_gl,
-    table_rows,
     worst_first,
-    write_results,
+    write_report,
 )
 from carpark_mj.suite.results import (
     MOVING_CAR,
@@ -85,18 +81,13 @@ from carpark_mj.suite.results import (
     key_of,
     leaderboard,
     read_runs,
-    write_run,
-    write_submission,
 )
 from carpark_mj.types import State
-from carpark_mj.vehicle import preset
 
-VEHICLE = "tpcap"
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
 HITS_OF_MOVING = tuple(f"hit_{kind}" for kind in MOVING)
 TIMED = 20  # calls of a policy whose shortest counts
-PLANNER = "planner"
 DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
 DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
 
@@ -375,7 +366,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     if config.videos:
         require_gl()
     require_writable(folder / "suite.csv", new_folders=True)  # refused before the work
-    drawn: _Drawn = []
+    drawn: Drawn = []
     if config.combine:
         episodes, drives = read_runs([Path(name) for name in config.combine])
     else:
@@ -384,33 +375,10 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     if config.videos:  # of combined folders
         for level in {row["level"] for row in episodes}:
             require_filmed(level)
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures: list[Path] = []
-    if drawn:
-        pictures.append(folder / "paths.png")
-        plot_paths(pictures[0], drawn, preset(VEHICLE))
-    # The planner first: others are compared with its paths.
-    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
-    rows = [row for name in names for row in table_rows(name, episodes)]
-    head = header(episodes)
-    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
-    written += write_results(folder, head, rows, episodes, pictures, {})
-    print_results(rows, head[0])
-    worst = [
-        row
-        for part in parts_of(episodes).values()
-        for row in worst_first(part)[: config.videos]
-    ]
-    if videos := make_videos(folder, worst, drives):  # once more, with them
-        write_results(folder, head, rows, episodes, pictures, videos)
-    print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
-    return rows
+    return write_report(folder, episodes, drives, drawn, config.videos)
 
 
-_Drawn = list[tuple[str, Layout, PlannedPath | None]]
-
-
-def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:
+def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn]:
     """Episodes, the driven paths of the worst ones, and the planner's first paths."""
     evaluators: dict[EnvConfig, CaseEvaluator] = {}
     policies: dict[tuple[str, EnvConfig], tuple[AnyPolicy, Planner | None]] = {}
@@ -442,7 +410,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Draw
     ]
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}
-    drawn: _Drawn = []
+    drawn: Drawn = []
     for name, seed, part in itertools.product(config.policies, config.seeds, cases):
         env_config = envs[name, part.level]
         evaluator, (policy, planner) = (
@@ -480,9 +448,9 @@ def _plan(planner: Planner, lot: int) -> Row:
     return planned | {"planning_seconds": first.seconds}
 
 
-def _drawn(planner: Planner, cases: Cases) -> _Drawn:
+def _drawn(planner: Planner, cases: Cases) -> Drawn:
     """Titles, layouts and paths of the cases in the picture."""
-    found: _Drawn = []
+    found: Drawn = []
     count = None if cases.level == TPCAP_LEVEL else DRAWN
     for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path

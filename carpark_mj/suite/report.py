@@ -41,10 +41,18 @@ from carpark_mj.suite.levels import (
     in_order,
     pick_cases,
 )
-from carpark_mj.suite.results import Drives, Key, has_moving_car, key_of
+from carpark_mj.suite.results import (
+    Drives,
+    Key,
+    has_moving_car,
+    key_of,
+    write_run,
+    write_submission,
+)
 from carpark_mj.types import ENDINGS, OUTCOMES
 from carpark_mj.vehicle import VehicleParameters, preset
 
+VEHICLE, PLANNER = "tpcap", "planner"
 WORST = 10  # cases shown of a policy and level
 # Columns on the screen; files have all.
 PRINTED = (
@@ -79,6 +87,46 @@ BAR = 5.0  # m
 DPI = 160
 GEARS = {1: "tab:blue", -1: "tab:red"}
 GEAR_NAMES = {1: "forwards", -1: "backwards"}
+
+
+# Cases of the picture of planned paths: titles, layouts and paths.
+Drawn = list[tuple[str, Layout, PlannedPath | None]]
+
+
+def write_report(
+    folder: Path,
+    episodes: Sequence[Row],
+    drives: Mapping[Key, Drives],
+    drawn: Drawn,
+    num_videos: int,
+) -> list[dict[str, Any]]:
+    """Writes all files of the suite and prints the table; returns the table's rows.
+
+    Args:
+        folder: where; made if it is missing.
+        episodes: all of them.
+        drives: driven paths of the worst ones.
+        drawn: cases of the picture of paths.
+        num_videos: of the worst cases of each policy and level.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures: list[Path] = []
+    if drawn:
+        pictures.append(folder / "paths.png")
+        plot_paths(pictures[0], drawn, preset(VEHICLE))
+    # The planner first: others are compared with its paths.
+    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
+    rows = [row for name in names for row in table_rows(name, episodes)]
+    head = header(episodes)
+    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
+    written += write_results(folder, head, rows, episodes, pictures, {})
+    print_results(rows, head[0])
+    parts = parts_of(episodes).values()
+    worst = [row for part in parts for row in worst_first(part)[:num_videos]]
+    if videos := make_videos(folder, worst, drives):  # once more, with them
+        write_results(folder, head, rows, episodes, pictures, videos)
+    print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
+    return rows
 
 
 def require_gl() -> None:
@@ -137,7 +185,7 @@ def recording_of(row: Row, drive: Drives) -> Recording:
 
 
 def _write(path: Path, recording: Recording) -> None:
-    stage = Stage(recording.layout, preset("tpcap"), recording.speed.shape[1], 0)
+    stage = Stage(recording.layout, preset(VEHICLE), recording.speed.shape[1], 0)
     with contextlib.closing(LotRenderer(stage, "topdown", SIZE)) as renderer:
         indices, rate = frame_indices(recording, FPS, FASTER, HOLD)
         pictures = (draw_frame(recording, renderer, index) for index in indices)
@@ -372,18 +420,8 @@ def _mean(rows: Sequence[Row], name: str) -> float:
     return float(np.mean(values)) if values else math.nan
 
 
-def plot_paths(
-    file: Path,
-    cases: list[tuple[str, Layout, PlannedPath | None]],
-    car: VehicleParameters,
-) -> None:
-    """Draws cases, each with a bar of `BAR` metres.
-
-    Args:
-        file: PNG.
-        cases: titles, layouts and paths.
-        car: that drives.
-    """
+def plot_paths(file: Path, cases: Drawn, car: VehicleParameters) -> None:
+    """Draws cases that a car drives into a PNG, each with a bar of `BAR` metres."""
     rows = -(-len(cases) // COLUMNS)
     size = (COLUMNS * CELL[0], rows * CELL[1] + FOOT)
     figure = Figure(size, layout="constrained")

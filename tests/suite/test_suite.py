@@ -15,8 +15,6 @@ from carpark_mj.registry import ANYWHERE
 from carpark_mj.suite.evaluation import (
     CaseEvaluator,
     suite_env,
-    table_rows,
-    worst_first,
 )
 from carpark_mj.suite.levels import load_held_out, pick_cases
 from carpark_mj.suite.report import (
@@ -26,6 +24,8 @@ from carpark_mj.suite.report import (
     header,
     print_results,
     shown_cells,
+    table_rows,
+    worst_first,
     write_results,
 )
 from carpark_mj.suite.results import key_of
