@@ -123,19 +123,7 @@ class Evaluator:
             raise ValueError(f"horizon must be positive, not {horizon!r}")
         env = self.env
         traced = {path: jnp.float32(value) for path, value in (values or {}).items()}
-        shares, counts = member_shares(env.layout_config), env.config.agent_counts
-        mean_count = (counts.start + env.num_agents) / 2
-        num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
-        # A member gets at least its share, rounded down.
-        rarest = min(shares.values()) / sum(shares.values())
-        num_lots = max(num_lots, math.ceil(round(len(counts) / rarest, 6)))
-        num_lots = -(-num_lots // len(counts)) * len(counts)
-        lots = Lots(
-            member=allot(list(shares.values()), num_lots),
-            # In turn, so that the lots of a family are spread over the numbers as well.
-            num_present=np.resize(np.array(counts, np.int32), num_lots),
-        )
-        families = [list(shares)[index] for index in lots.member]
+        lots, families = _make_lots(env, num_episodes, num_lots)
         rows: list[Row] = []
         reset_key, act_key = jax.random.split(evaluation_key(seed))
         begun = self._reset(traced, lots, reset_key)
@@ -143,19 +131,17 @@ class Evaluator:
         quota, last = math.ceil(num_episodes / present.sum()), math.inf
         if horizon is not None:
             quota, last = sys.maxsize, horizon / env.config.sim.ctrl_dt
-        kinds = env.fleet.agent_names
-        chunk = functools.partial(self._chunk, traced, as_argument(policy))
         quotas = np.where(begun[0].takes_part, quota, 0)
-        for which, values in ended_episodes(
-            chunk, Carry(*begun), act_key, quotas, last
-        ):
-            kind = kinds[int(values.pop("kind"))]
-            lot = int(which["lot"])
+        kinds, ctrl_dt = env.fleet.agent_names, env.config.sim.ctrl_dt
+        chunk = functools.partial(self._chunk, traced, as_argument(policy))
+        ended = ended_episodes(chunk, Carry(*begun), act_key, quotas, last)
+        for which, row in ended:
+            lot, kind = int(which["lot"]), int(row.pop("kind"))
             which |= {"agents_present": float(present[lot])}
-            row = which | complete_row(values, env.config.sim.ctrl_dt)
-            rows.append(row | {"family": families[lot], "vehicle": kind})
+            names = {"family": families[lots.member[lot]], "vehicle": kinds[kind]}
+            rows.append(which | complete_row(row, ctrl_dt) | names)
         rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
-        return _summarized(rows, list(shares), kinds)
+        return _summarized(rows, families, kinds)
 
 
 # Makes a control step for every key (steps,) of lots; returns the carry, and of each
@@ -228,6 +214,25 @@ class Lots(NamedTuple):
 
     member: np.ndarray
     num_present: np.ndarray
+
+
+def _make_lots(
+    env: ParkingEnv, num_episodes: int, num_lots: int
+) -> tuple[Lots, list[str]]:
+    """Lots for at least so many episodes, see `evaluate`, and the mixture's members."""
+    shares, counts = member_shares(env.layout_config), env.config.agent_counts
+    mean_count = (counts.start + env.num_agents) / 2
+    num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
+    # A member gets at least its share, rounded down.
+    rarest = min(shares.values()) / sum(shares.values())
+    num_lots = max(num_lots, math.ceil(round(len(counts) / rarest, 6)))
+    num_lots = -(-num_lots // len(counts)) * len(counts)
+    lots = Lots(
+        member=allot(list(shares.values()), num_lots),
+        # In turn, so that the lots of a family are spread over the numbers as well.
+        num_present=np.resize(np.array(counts, np.int32), num_lots),
+    )
+    return lots, list(shares)
 
 
 def _reset(
