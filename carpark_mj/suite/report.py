@@ -457,22 +457,26 @@ def _draw(
     layout: Any = jax.device_get(lot)
     axis.set_aspect("equal")
     axis.set(xticks=[], yticks=[])
-    mask = layout.wall_mask
+    mask, size = layout.wall_mask, np.array([[car.length, car.width]])
     # Outlined: edges of polygons are too thin to be seen.
-    _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], "0.6", width=0.8)
-    size = np.array([car.length, car.width])
-    _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], "tab:green", 0.4)
-    _fill(axis, layout.spawn_pose[:1], size[None], "tab:blue", 0.3)
+    _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], color="0.6", lw=0.8)
+    _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], color="tab:green", alpha=0.4)
+    _fill(axis, layout.spawn_pose[:1], size, color="tab:blue", alpha=0.3)
     for segment in path.segments if path is not None else ():
-        driven = centre(car, segment.pose)
-        outline = np.asarray(box_corners(jnp.asarray(driven[-1]), jnp.asarray(size)))
-        axis.fill(*outline.T, fill=False, ec=GEARS[segment.gear], lw=0.5)
-        axis.plot(*segment.pose[:, :2].T, color=GEARS[segment.gear], lw=1.0)
+        colour, last = GEARS[segment.gear], centre(car, segment.pose[-1:])
+        _fill(axis, last, size, fill=False, ec=colour, lw=0.5)
+        axis.plot(*segment.pose[:, :2].T, color=colour, lw=1.0)
     (left, low), (right, high) = _view(layout, path)
     axis.set(xlim=(left, right), ylim=(low, high))
     inset = (right - left) / 25
     bar = [left + inset, left + inset + BAR]
     axis.plot(bar, [low + inset] * 2, color="black", lw=2, solid_capstyle="butt")
+
+
+def _fill(axis: Axes, pose: np.ndarray, size: np.ndarray, **style: Any) -> None:
+    """Draws boxes (n, 3), (n, 2)."""
+    for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
+        axis.fill(*outline.T, **{"lw": 0.0, **style})
 
 
 def _view(layout: Layout, path: PlannedPath | None) -> np.ndarray:
@@ -485,15 +489,3 @@ def _view(layout: Layout, path: PlannedPath | None) -> np.ndarray:
     tall = max(half[1], half[0] / ASPECT)
     half = np.array([ASPECT * tall, tall])
     return np.stack([middle - half, middle + half])
-
-
-def _fill(
-    axis: Axes,
-    pose: np.ndarray,
-    size: np.ndarray,
-    color: str,
-    alpha: float = 1.0,
-    width: float = 0.0,
-) -> None:
-    for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
-        axis.fill(*outline.T, color=color, alpha=alpha, lw=width)
