@@ -197,16 +197,12 @@ def test_a_picture_shows_no_goal_of_an_agent_that_explores():
 def seen(pose, parked):
     """An instant with agents and parked cars at some poses."""
     return Snapshot(
-        seconds=0.0,
         pose_w=pose,
         steering=np.zeros(len(pose)),
         goal_pose=np.full_like(pose, np.nan),
         goal_size=np.full((len(pose), 2), np.nan),
         parked_pose=parked,
         active=np.ones(len(pose), bool),
-        state=("",) * len(pose),
-        tally={},
-        flashes=(),
     )
 
 

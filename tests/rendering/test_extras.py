@@ -104,16 +104,12 @@ def draw(flag, camera, show):
     """A picture, and the pixels of some points (2,) in it."""
     goal = np.array([3, 20])
     seen = Snapshot(
-        seconds=1.0,
         pose_w=POSE,
         steering=np.zeros(2),
         goal_pose=np.asarray(LAYOUT.bay_pose)[goal],
         goal_size=np.asarray(LAYOUT.bay_size)[goal],
         parked_pose=PARKED,
         active=np.ones(2, bool),
-        state=("",) * 2,
-        tally={},
-        flashes=(),
     )
     renderer = LotRenderer(Stage(LAYOUT, COMPACT, 2, 2), flag, (960, 360), show)
     try:
