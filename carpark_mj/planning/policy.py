@@ -338,7 +338,9 @@ def _look(state: State) -> dict[str, Any]:
     )
     boxes, discs = by_shape(lot_obstacles(layout, None, state.parked_cars))
     lead = state.goal.shape[:-1]
-    nothing = Boxes(jnp.zeros((*lead, 0, 3)), jnp.zeros((*lead, 0, 2)))
+    none = jnp.zeros((*lead, 0, 2))
+    movers = [Boxes(jnp.zeros((*lead, 0, 3)), none, none)]
+    movers += map(_outlines, state.movers.groups)
     return {
         "active": state.active,
         "begins": state.step == 0,
@@ -351,8 +353,8 @@ def _look(state: State) -> dict[str, Any]:
         "car": state.physics.vehicle,
         **_joined("box", boxes),
         **_joined("disc", discs),
-        **_joined("mover", [nothing, *map(_outlines, state.movers.groups)]),
-        "mover_velocity": _velocities(state),
+        **_joined("mover", movers),
+        "mover_velocity": jnp.concatenate([m.velocity_w for m in movers], axis=-2),
         "extent": layout.extent,
     }
 
@@ -372,20 +374,14 @@ def _joined(name: str, groups: Sequence[Group]) -> dict[str, jax.Array]:
 
 
 def _outlines(group: Group) -> Boxes:
-    """Boxes about the obstacles of a group (..., n)."""
-    if isinstance(group, Boxes):
-        return group
-    pose = jnp.pad(group.pose_w, [(0, 0)] * (group.pose_w.ndim - 1) + [(0, 1)])
-    return Boxes(pose, jnp.stack([2 * group.size] * 2, axis=-1), mask=group.mask)
-
-
-def _velocities(state: State) -> jax.Array:
-    """(..., n, 2) of all movers [m/s]."""
-    found = [jnp.zeros((*state.goal.shape[:-1], 0, 2))]
-    for group in state.movers.groups:
-        still = jnp.zeros((*group.pose_w.shape[:-1], 2))
-        found.append(still if group.velocity_w is None else group.velocity_w)
-    return jnp.concatenate(found, axis=-2)
+    """Boxes about the obstacles of a group (..., n), with velocities."""
+    pose, size, velocity = group.pose_w, group.size, group.velocity_w
+    if velocity is None:
+        velocity = jnp.zeros((*pose.shape[:-1], 2))
+    if not isinstance(group, Boxes):
+        pose = jnp.pad(pose, [(0, 0)] * (pose.ndim - 1) + [(0, 1)])
+        size = jnp.stack([2 * size] * 2, axis=-1)
+    return Boxes(pose, size, velocity, group.mask)
 
 
 def _solids(seen: dict[str, Any], lot: int) -> Solids:
