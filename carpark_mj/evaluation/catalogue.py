@@ -5,7 +5,6 @@ registered (`carpark_mj.mdp.metrics`). An evaluation has a column for each in th
 table of episodes, and one or several aggregates.
 """
 
-from carpark_mj.evaluation.tables import markdown
 from carpark_mj.mdp.metrics import METRICS, Metric, Pool
 from carpark_mj.mdp.safety import HORIZON, RANGE
 
@@ -191,19 +190,3 @@ _LIBRARY = OUTCOME + DRIVING + SAFETY + GOALS
 def metrics() -> tuple[Metric, ...]:
     """The library's metrics, and after them the registered ones by name."""
     return _LIBRARY + tuple(METRICS.values())
-
-
-def markdown_table(metrics: tuple[Metric, ...]) -> str:
-    """Metrics as a markdown table."""
-    return markdown(
-        [
-            {
-                "metric": f"`{m.name}`",
-                "unit": m.unit,
-                "meaning": m.meaning,
-                "aggregation": m.pool,
-                "Tanner 2022": m.study,
-            }
-            for m in metrics
-        ]
-    )

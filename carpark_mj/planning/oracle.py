@@ -342,20 +342,15 @@ class _Disc:
             -1, initial=np.inf
         )
         free = nearest > self.radius - CELL * np.sqrt(0.5)
-        self.centre, cells = centre[free], list(map(tuple, grid[free].tolist()))
-        index = {cell: number for number, cell in enumerate(cells)}
+        self.centre = centre[free]
+        index = {tuple(cell): k for k, cell in enumerate(grid[free].tolist())}
         self.beside = [
-            [
-                index[x, y]
-                for x, y in (np.array(cell) + STEPS).tolist()
-                if (x, y) in index
-            ]
-            for cell in cells
+            [index[at] for at in map(tuple, (cell + STEPS).tolist()) if at in index]
+            for cell in grid[free]
         ]
 
         def at(point: np.ndarray) -> int | None:
-            x, y = ((point + sight.extent) // CELL).astype(int).tolist()
-            return index.get((x, y))
+            return index.get(tuple(((point + sight.extent) // CELL).astype(int)))
 
         self.start = at(sight.pose[:2])
         self.left = self._steps_to(at(np.atleast_2d(sight.goal)[0, :2]))

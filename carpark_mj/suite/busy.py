@@ -46,6 +46,7 @@ from carpark_mj.suite.levels import (
     Cases,
     CaseStart,
     read_published,
+    write_published,
 )
 from carpark_mj.suite.tpcap import TPCAP_CAR
 from carpark_mj.types import State
@@ -359,8 +360,7 @@ def draw_cases(count: int = CASES) -> dict[str, np.ndarray]:
 
 def write(path: Path) -> None:
     """Draws all cases and writes them."""
-    with path.open("wb") as file:  # by name, savez would choose another suffix
-        np.savez(file, allow_pickle=False, **draw_cases())
+    write_published(path, draw_cases())
 
 
 NAME = "busy"

@@ -86,7 +86,6 @@ from carpark_mj.types import State
 
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
-HITS_OF_MOVING = tuple(f"hit_{kind}" for kind in MOVING)
 TIMED = 20  # calls of a policy whose shortest counts
 DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
 DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
@@ -216,13 +215,15 @@ def _reset(
 def _add_moving(row: Row, speed: np.ndarray) -> Row:
     """A row with what happened to people and movers; of a car's speeds (t,) [m/s]."""
     last = round(row["length"])
-    hit = any(row.get(name) for name in HITS_OF_MOVING)
-    own = {f"min_clearance_{kind}": math.inf for kind in MOVING} | row
-    soon = min(row.get(f"min_collision_time_{kind}", math.inf) for kind in MOVING)
+    hit = any(row.get(f"hit_{kind}") for kind in MOVING)
+    gap, soon = (
+        min(row.get(f"min_{what}_{kind}", math.inf) for kind in MOVING)
+        for what in ("clearance", "collision_time")
+    )
     near = soon < CLOSE_TIME or row.get("near_misses", 0.0) > 0
     return row | {
         "contact_speed": float(np.abs(speed[max(last - 2, 0) : last]).max() * hit),
-        "least_gap": min(own[f"min_clearance_{kind}"] for kind in MOVING),
+        "least_gap": gap,
         "near_miss": float(near and not hit),
     }
 

@@ -20,7 +20,7 @@ import dataclasses
 import functools
 import hashlib
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
@@ -147,6 +147,12 @@ def read_published(file: Path, sha256: str) -> dict[str, np.ndarray]:
         return {name: archive[name] for name in archive.files}
 
 
+def write_published(file: Path, arrays: Mapping[str, Any]) -> None:
+    """Writes an archive of cases, the same bytes again for the same arrays."""
+    with file.open("wb") as opened:  # by name, savez would choose another suffix
+        np.savez(opened, allow_pickle=False, **arrays)
+
+
 @functools.cache
 def load_held_out(level: Level) -> HeldOut:
     """The held-out cases of a level, for the car `tpcap`."""
@@ -189,19 +195,19 @@ def draw_cases(level: Level, count: int = CASES) -> dict[str, np.ndarray]:
     stacked = [jax.device_get(pad_layout(case, maxima)) for case in cases]
     lots = jax.tree.map(lambda *rows: np.stack(rows), *stacked)
     parallel = np.arange(count) % len(orientations) == len(orientations) - 1
+
+    def whole(value: np.ndarray, step: float | np.ndarray, kind: type) -> np.ndarray:
+        return np.rint(value / step).astype(kind)
+
     return {
-        "goal": _whole(lots.bay_pose[:, 0], _POSE, np.int16),
-        "bay": _whole(lots.bay_size[:, 0], METRE, np.uint16),
-        "start": _whole(lots.spawn_pose[:, 0], _POSE, np.int16),
-        "wall": _whole(lots.wall_pose, _POSE, np.int16),
-        "size": _whole(lots.wall_size, METRE, np.uint16),
-        "extent": _whole(lots.extent, METRE, np.uint16),
+        "goal": whole(lots.bay_pose[:, 0], _POSE, np.int16),
+        "bay": whole(lots.bay_size[:, 0], METRE, np.uint16),
+        "start": whole(lots.spawn_pose[:, 0], _POSE, np.int16),
+        "wall": whole(lots.wall_pose, _POSE, np.int16),
+        "size": whole(lots.wall_size, METRE, np.uint16),
+        "extent": whole(lots.extent, METRE, np.uint16),
         "parallel": parallel,
     }
-
-
-def _whole(value: np.ndarray, step: float | np.ndarray, kind: type) -> np.ndarray:
-    return np.rint(value / step).astype(kind)
 
 
 def write(path: Path) -> None:
@@ -211,8 +217,7 @@ def write(path: Path) -> None:
         for level in HOPE_LEVELS
         for name, array in draw_cases(level).items()
     }
-    with path.open("wb") as file:  # by name, savez would choose another suffix
-        np.savez(file, **arrays)
+    write_published(path, arrays)
 
 
 def _pick_hope(level: Level, which: slice) -> Cases:

@@ -8,6 +8,7 @@ import pytest
 
 from carpark_mj.evaluation import catalogue
 from carpark_mj.evaluation.catalogue import GOALS, POOLS, metrics
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.mdp.metrics import CONTEXTS, COUNTS, METRICS
 from carpark_mj.obstacles import hit_kinds
@@ -46,7 +47,18 @@ def test_the_page_of_metrics_is_made_from_the_catalogue(part):
     if part == "pools":
         expected = "\n".join(f"- *{name}*: {text}" for name, text in POOLS.items())
     else:
-        expected = catalogue.markdown_table(getattr(catalogue, part.upper()))
+        expected = markdown(
+            [
+                {
+                    "metric": f"`{m.name}`",
+                    "unit": m.unit,
+                    "meaning": m.meaning,
+                    "aggregation": m.pool,
+                    "Tanner 2022": m.study,
+                }
+                for m in getattr(catalogue, part.upper())
+            ]
+        )
     pattern = rf"<!-- {part} -->\n(.*?)\n?<!-- end of {part} -->"
     found = re.search(pattern, PAGE.read_text(), re.DOTALL)
     assert found, f"paste this between the markers:\n{expected}"
