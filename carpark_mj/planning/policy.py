@@ -341,6 +341,7 @@ def _look(state: State) -> dict[str, Any]:
     none = jnp.zeros((*lead, 0, 2))
     movers = [Boxes(jnp.zeros((*lead, 0, 3)), none, none)]
     movers += map(_outlines, state.movers.groups)
+    velocities: list[Any] = [group.velocity_w for group in movers]
     return {
         "active": state.active,
         "begins": state.step == 0,
@@ -354,7 +355,7 @@ def _look(state: State) -> dict[str, Any]:
         **_joined("box", boxes),
         **_joined("disc", discs),
         **_joined("mover", movers),
-        "mover_velocity": jnp.concatenate([m.velocity_w for m in movers], axis=-2),
+        "mover_velocity": jnp.concatenate(velocities, axis=-2),
         "extent": layout.extent,
     }
 

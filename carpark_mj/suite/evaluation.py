@@ -165,7 +165,7 @@ class CaseEvaluator:
             cases.layouts, jax.random.split(reset_key, count), cases.start
         )
         carry = Carry(*begun, init_progress(count) if moving else None)
-        policy, chunks = as_argument(policy), list[Drives]()
+        policy, chunks = as_argument(policy), list[tuple[np.ndarray, ...]]()
 
         def chunk(carry: Carry, keys: jax.Array) -> Any:
             carry, (done, metrics, recorded) = self._chunk(policy, carry, keys)
@@ -175,7 +175,8 @@ class CaseEvaluator:
         quota = np.tile(np.arange(self.env.num_agents) == 0, (count, 1)).astype(int)
         ended = ended_episodes(chunk, carry, act_key, quota)
         values = {int(which["lot"]): row for which, row in ended}
-        drives = jax.tree.map(lambda *x: np.concatenate(x).swapaxes(0, 1), *chunks)
+        parts = zip(*chunks, strict=True)
+        drives = Drives(*(np.concatenate(part).swapaxes(0, 1) for part in parts))
         rows: list[Row] = []
         for lot, (number, kind) in enumerate(
             zip(cases.number.tolist(), cases.kind.tolist(), strict=True)
@@ -192,10 +193,14 @@ class CaseEvaluator:
         key = jax.random.key(0)
         keys = jax.random.split(key, len(cases.number))
         starts = self._reset(cases.layouts, keys, cases.start)
-        first = jax.tree.map(lambda x: x[0], starts)
+        state, observation = jax.tree.map(lambda x: x[0], starts)
         policy = as_argument(policy)
-        self._choose_action(policy, *first, key).block_until_ready()
-        return best_time(lambda: self._choose_action(policy, *first, key), TIMED)
+
+        def decide() -> jax.Array:
+            return self._choose_action(policy, state, observation, key)
+
+        jax.block_until_ready(decide())
+        return best_time(decide, TIMED)
 
 
 def _reset(
@@ -241,7 +246,7 @@ def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) ->
 
     def report(step: Step) -> Any:
         timestep, motion = step.timestep, step.timestep.motion
-        recorded = Drives(motion.trace_w, motion.steering, motion.speed)
+        recorded = motion.trace_w, motion.steering, motion.speed
         return timestep.events.done, timestep.metrics, recorded
 
     return roll_out(env, act, carry, keys, report)

@@ -370,7 +370,7 @@ def _result(place: str, entry: Any, which: dict[str, Any]) -> Result:
         raise ValueError(f"{place} is not a JSON object")
     require_entries(entry, place, **dict.fromkeys(_NAMES, str), seeds=list)
     known = {field.name for field in dataclasses.fields(Result)}
-    given = {
+    given: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in (which | entry).items()
         if name in known
