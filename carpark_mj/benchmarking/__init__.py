@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import mujoco
 
 from carpark_mj.cli.process import configure_jax, enable_output_fusion
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import CONTACT_SIM_DT, EnvConfig, SimConfig
 from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Natural
 from carpark_mj.evaluation import tables
 from carpark_mj.files import write_csv
@@ -282,7 +282,6 @@ class Subject:
 
 def env_subject(job: Job) -> Subject:
     """Steps of `ParkingEnv` with random actions and respawning agents."""
-    from carpark_mj.config import EnvConfig
     from carpark_mj.env import ParkingEnv
 
     config = EnvConfig(
@@ -357,7 +356,6 @@ def ppo_subject(job: Job) -> Subject:
 
 def physics_subject(job: Job) -> Subject:
     """Cars alone, at the longest substep at which they pass the physics report."""
-    from carpark_mj.config import CONTACT_SIM_DT, SimConfig
     from carpark_mj.physics.mjx import MjxPhysics
     from carpark_mj.physics.mjx_step import ContactPhysics
     from carpark_mj.vehicle import make_vehicle, preset

@@ -474,9 +474,10 @@ def _draw(
 
 
 def _fill(axis: Axes, pose: np.ndarray, size: np.ndarray, **style: Any) -> None:
-    """Draws boxes (n, 3), (n, 2)."""
+    """Draws boxes (n, 3), (n, 2), by default without an outline."""
+    style.setdefault("lw", 0.0)
     for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
-        axis.fill(*outline.T, **({"lw": 0.0} | style))
+        axis.fill(*outline.T, **style)
 
 
 def _view(layout: Layout, path: PlannedPath | None) -> np.ndarray:
