@@ -25,7 +25,6 @@ from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, dra
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import (
     Recording,
-    frames_per_second,
     num_frames,
     record,
     recording_stage,
@@ -40,7 +39,7 @@ from carpark_mj.rendering.video import (
     CarCameras,
     car_cameras,
     draw_frame,
-    frame_stride,
+    frame_indices,
     write_video,
 )
 from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
@@ -204,12 +203,11 @@ def _write_frames(
     out: Path, fps: float, recording: Recording, draw: Callable[[int], np.ndarray]
 ) -> str:
     """Writes the video; returns how many frames were drawn, and how fast."""
-    stride = frame_stride(recording, fps)
-    indices = range(stride - 1, num_frames(recording), stride)
+    indices, rate = frame_indices(recording, fps)
     out.parent.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
     pictures = map(draw, track(indices, "rendering", transient=True))
-    count = write_video(out, pictures, frames_per_second(recording) / stride)
+    count = write_video(out, pictures, rate)
     return (
         f"{count} frames, {count / (time.monotonic() - start):.1f} rendered per second"
     )

@@ -263,6 +263,23 @@ def frame_stride(recording: Recording, fps: float) -> int:
     return min(max(1, wanted), num_frames(recording))
 
 
+def frame_indices(
+    recording: Recording, fps: float, faster: float = 1.0, hold: int = 0
+) -> tuple[list[int], float]:
+    """Which recorded instants a video shows, and its frames per second.
+
+    Args:
+        recording: to show.
+        fps: frames per second; the nearest that the recording allows.
+        faster: times as fast as driven.
+        hold: how many frames longer the last instant is shown.
+    """
+    stride = frame_stride(recording, fps / faster)
+    last = num_frames(recording) - 1
+    indices = [*range(stride - 1, last + 1, stride), *[last] * hold]
+    return indices, faster * frames_per_second(recording) / stride
+
+
 def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
     """Writes frames as `.mp4` or `.gif` by the path's suffix; returns their number.
 
