@@ -140,8 +140,8 @@ def test_arrays_are_the_callers_own():
     copies = [array.copy() for array in kept]
     for _ in range(MAX_STEPS):
         lots.step_numpy(halt())
-    for array, same in zip(kept, copies, strict=True):
-        np.testing.assert_array_equal(array, same)
+    for array, twin in zip(kept, copies, strict=True):
+        np.testing.assert_array_equal(array, twin)
         array[...] = 0  # not read-only
 
 
