@@ -103,7 +103,7 @@ FAULTS = {
         "spawning/placing.py",
         "return ~(meets & self.others).any(axis=-1) & ~self.touches(pose)",
         "return ~(meets & self.others).any(axis=-1)",
-        "spawning/test_placing.py spawning/test_surroundings.py",
+        "spawning/test_placing.py spawning/test_room.py",
     ),
     "lanes lead the wrong way": Fault(
         "layouts/build.py",
@@ -115,7 +115,7 @@ FAULTS = {
         "observations/tracked.py",
         "way = rotate(velocity[index], -own.pose_w[:, None, 2])",
         "way = velocity[index]",
-        "observations/test_observations.py observations/test_sets.py",
+        "observations/test_observations.py",
     ),
     "rays do not turn with the car": Fault(
         "observations/ranges.py",
@@ -127,7 +127,7 @@ FAULTS = {
         "movers/bodies.py",
         "STRENGTH = 2.1",
         "STRENGTH = 0.21",
-        "movers/test_social_force.py",
+        "movers/test_pedestrians.py",
     ),
     "people take the whole gap": Fault(
         "movers/bodies.py",

@@ -1,16 +1,65 @@
-"""Who fits into which bay, and bays drawn at random."""
+"""Bays: who fits, which end goes in first, from file to parked car, and exits."""
+
+import dataclasses
+import json
+import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from helpers.scenes import lot
+import pytest
+from helpers.observing import observed
+from helpers.rules import LIMITS
+from helpers.scenes import cars, lot
+from helpers.states import hand_cars, parked_at, parked_in, state_of
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig
-from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.parked_cars import BayFits, bay_fits, fits, free_bays, marked
+from carpark_mj.config import (
+    EnvConfig,
+    EpisodeConfig,
+    FleetConfig,
+    RayConfig,
+    RewardConfig,
+    SpawnConfig,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry import boxes_overlap
+from carpark_mj.layouts import (
+    BayEnd,
+    Maxima,
+    build,
+    layout_maxima,
+    make_layout,
+    mixture,
+    pad_layout,
+)
+from carpark_mj.layouts.files import layout_text, read_json
+from carpark_mj.mdp.parked_cars import (
+    BayFits,
+    bay_fits,
+    fits,
+    free_bays,
+    marked,
+    poses_in_bays,
+)
+from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
+from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
+from carpark_mj.planning.search import _poses_in_bay
 from carpark_mj.spawning.fleet import Wanted, draw_bays, shuffled_bays
+from carpark_mj.spawning.goals import goal_of_start
+from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.spawning.special_starts import (
+    clamp_to_bay_end,
+    misaligned_pose,
+    misaligned_shapes,
+    paths_out,
+    reverse_shapes,
+)
+from carpark_mj.spawning.starts import draw_uniform
+from carpark_mj.suite.metadrive import METADRIVE
+from carpark_mj.tasks.goal_pose import goal_features
 from carpark_mj.types import NO_BAY
+from carpark_mj.vehicle import COMPACT, make_vehicle
 
 ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(4)])
 
@@ -106,3 +155,221 @@ def test_who_finds_no_bay_that_fits_gets_none_or_any():
         assert (bay[:, 0] == 3).all()
         assert (bay[:, 1] == NO_BAY).all()  # wants none
         assert set(bay[:, 2]) == ({0, 1, 2} if anywhere else {NO_BAY})
+
+
+ENDS = ("either", "nose_first", "tail_first")
+PLACES = [(0.0, 0.0), (0.0, 3.0), (0.0, 6.0)]
+BAY = jnp.array([5.0, 2.5])
+IN, OUT = math.pi, 0.0  # headings of cars with their nose in, and out
+FITS = {IN: [True, True, False], OUT: [True, False, True]}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    rows = [
+        {"pose": [*xy, 0.0], "size": [5.0, 2.5], "end": end}
+        for xy, end in zip(PLACES, ENDS, strict=True)
+    ]
+    del rows[0]["end"]
+    data = {
+        "format": "carpark_mj layout 1",
+        "bays": rows,
+        "spawns": [{"pose": [10.0, 3.0, 1.5708], "size": [6.0, 1.0]}],
+        "extent": [15.0, 15.0],
+    }
+    file = tmp_path_factory.mktemp("ends") / "ends.json"
+    file.write_text(json.dumps(data))
+    return file
+
+
+@pytest.fixture(scope="module")
+def layout(path):
+    return read_json(path)
+
+
+def standing(yaw):
+    """A car in the middle of every bay."""
+    return cars([(*xy, yaw) for xy in PLACES])
+
+
+def test_files_say_which_end_and_are_written_as_they_were_read(layout, tmp_path):
+    assert layout.bay_end.tolist() == [*BayEnd]
+    (tmp_path / "again.json").write_text(layout_text(layout))
+    again = read_json(tmp_path / "again.json")
+    assert jax.tree.all(jax.tree.map(np.array_equal, layout, again))
+
+
+def test_groups_and_mixtures_with_and_without_ends_join(layout, path):
+    poses = jnp.zeros((2, 3)).at[:, 1].set(jnp.array([20.0, 25.0]))
+    groups = [build.bays(poses, BAY), build.bays(poses + 30.0, BAY, end=[1, 2])]
+    assert build.assemble((99.0, 99.0), *groups).bay_end.tolist() == [0, 0, 1, 2]
+    plain = make_layout("square_compact")
+    padded = pad_layout(plain, layout_maxima([plain, layout]))
+    assert padded.bay_end.tolist() == [BayEnd.EITHER] * 36
+    both = mixture([str(path), "square_compact"])
+    assert make_layout(both, jax.random.key(0)).bay_end.shape == (36,)
+
+
+@pytest.mark.parametrize("rule", LIMITS)
+@pytest.mark.parametrize("yaw", [IN, OUT])
+def test_no_rule_holds_the_wrong_way_round(layout, rule, yaw):
+    sizes = jnp.broadcast_to(BAY, (3, 2))
+    for off in (0.0, 0.01, -0.01):
+        motion = standing(yaw + off)
+        got = is_parked(rule, motion, layout.bay_pose, sizes, layout.bay_end)
+        assert got.tolist() == FITS[yaw]
+        assert is_parked(rule, motion, layout.bay_pose, sizes).all()
+
+
+@pytest.mark.parametrize("yaw", [IN, OUT])
+def test_the_wrong_way_round_is_farther_from_the_goal(layout, yaw):
+    weights = RewardConfig(progress=0.2, alignment=0.5)
+    motion, goal, one_way = standing(yaw), layout.parked_pose, layout.one_way
+    got = goal_potential(weights, motion.pose_w, goal, one_way=one_way)
+    wrong = ~np.array(FITS[yaw])
+    np.testing.assert_allclose(got, np.where(wrong, -0.5 * math.pi, 0.0), atol=1e-5)
+    car = hand_cars(motion, max_steering=0.6)
+    way = mix_in_maneuver(20.0, jnp.zeros(3), car, motion, goal, one_way)
+    assert (np.asarray(way) > 5.0).tolist() == wrong.tolist()
+
+
+def test_agents_observe_the_heading_to_park_with(layout):
+    observation = ContinuousObservation(tracked_agents=0, rays=RayConfig(count=0))
+    goals = jnp.arange(3)
+    fields = observed(observation, layout, standing(OUT), goals)
+    np.testing.assert_allclose(
+        fields["goal_heading"], [[1, 0], [-1, 0], [1, 0]], atol=1e-6
+    )
+    np.testing.assert_allclose(fields["goal_position"], 0.0, atol=1e-6)
+
+
+def test_parked_cars_stand_as_they_must(layout):
+    yaw = poses_in_bays(layout, parked_in(layout, [0, 1, 2]))[:, 2]
+    np.testing.assert_allclose(np.cos(yaw), [1, -1, 1], atol=1e-6)
+
+
+def test_the_goal_of_park_goal_is_the_end_that_may_go_in(layout):
+    state = state_of(layout, standing(OUT), jnp.arange(3))
+    np.testing.assert_allclose(goal_features(state)[:, 4], [-1, -1, 1], atol=1e-6)
+
+
+def test_the_planner_has_one_way_round_where_there_is_one():
+    goal = np.array([1.0, 2.0, 0.5])
+    assert _poses_in_bay(goal).shape == (2, 3)
+    np.testing.assert_array_equal(_poses_in_bay(goal[None]), goal[None])
+
+
+def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
+    shapes = reverse_shapes(SpawnConfig(close_ratio=0.0, reverse_ratio=1.0))
+    draws = draw_uniform(shapes, jax.random.key(0))
+    car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
+    for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
+        nose_out = clamp_to_bay_end(layout, jnp.int32(end), draws.nose_out)
+        right = draws._replace(nose_out=nose_out)
+        paths = paths_out(car, jnp.int32(0), jnp.zeros(3), right)
+        assert set(np.round(np.cos(paths[:, 0, 2]), 5)) == facing
+    np.testing.assert_array_equal(
+        clamp_to_bay_end(layout, jnp.int32(BayEnd.EITHER), draws.nose_out),
+        draws.nose_out,
+    )
+
+
+def test_misaligned_starts_stand_as_the_car_must_park(layout):
+    spawn = SpawnConfig(close_ratio=0.0, misaligned_ratio=1.0)
+    shapes = misaligned_shapes(spawn)
+    car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
+    inputs = SpawnInputs(layout, parked_at(), None, None, BayFits(), car)
+
+    def start(goal, key):
+        alone = jnp.array([True])
+        placing = start_placing(goal[None], parked_at().bay, jnp.zeros((1, 3)), alone)
+        around = surroundings(inputs, placing, jnp.array(0))
+        draws = draw_uniform(shapes, key)
+        return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
+
+    keys = jax.random.split(jax.random.key(0), 64)
+    pose, found = jax.vmap(lambda goal: jax.vmap(lambda key: start(goal, key))(keys))(
+        jnp.arange(3)
+    )
+    assert found.all()
+    nose_in = np.cos(pose[..., 2]) < 0.0
+    assert 0.3 < nose_in[0].mean() < 0.7
+    assert nose_in[1].all()
+    assert not nose_in[2].any()
+
+
+SPACES, EXITS = range(8), range(8, 11)
+SHORT = dataclasses.replace(METADRIVE.episode, max_steps=2)
+
+
+def test_cars_in_bays_drive_out_and_others_to_bays_that_nobody_drives_to():
+    layout = make_layout("metadrive")
+    # Agents 1 and 2 drive to spaces, 3 to an exit; 4 waits, its goal is free again.
+    goal = jnp.array([5, 0, 1, 8, 2])
+    waiting = jnp.array([False, False, False, False, True])
+    nobody = jnp.full(0, NO_BAY)
+
+    def goals(pose):
+        placing = start_placing(goal, nobody, jnp.tile(pose, (5, 1)), waiting)
+        scores = jax.random.uniform(jax.random.key(0), (500, 11))
+        draw = jax.vmap(lambda s: goal_of_start(layout, placing, jnp.int32(0), s))
+        return np.bincount(np.asarray(draw(scores)), minlength=11)
+
+    out = goals(layout.bay_pose[6])
+    assert not out[:8].any()
+    assert out[8:].min() > 500 / 3 * 0.8  # an exit may be the goal of several
+    into = goals(layout.spawn_pose[1])
+    assert into[[0, 1, 8, 9, 10]].tolist() == [0] * 5
+    assert into[2:8].min() > 500 / 6 * 0.6
+
+
+def test_cars_leave_again_where_every_bay_is_another_agents_goal():
+    layout = make_layout("metadrive")
+    goal = jnp.arange(9).at[8].set(NO_BAY)
+    placing = start_placing(
+        goal,
+        jnp.full(0, NO_BAY),
+        jnp.tile(layout.spawn_pose[1], (9, 1)),
+        jnp.arange(9) == 8,
+    )
+    scores = jax.random.uniform(jax.random.key(0), (100, 11))
+    drawn = jax.vmap(lambda s: goal_of_start(layout, placing, jnp.int32(8), s))(scores)
+    assert set(drawn.tolist()) == set(EXITS)
+
+
+def test_absent_agents_keep_no_bay_or_exit_from_others():
+    config = dataclasses.replace(METADRIVE, episode=SHORT, min_agents=1)
+    env = ParkingEnv(config)
+    reset = jax.jit(jax.vmap(lambda key: env.reset(key, num_present=3)))
+    state, _ = reset(jax.random.split(jax.random.key(0), 20))
+    goal = np.asarray(state.goal)
+    assert (goal[:, :3] != NO_BAY).all()
+    assert (goal[:, 3:] == NO_BAY).all()
+
+
+def test_lots_begin_with_cars_at_eleven_places_and_respawn_in_them():
+    env = ParkingEnv(dataclasses.replace(METADRIVE, episode=SHORT))
+    state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(1), 20))
+    _check(state)
+    step, rest = jax.jit(jax.vmap(env.step)), jnp.zeros((20, 10, 2))
+    # In the second step all time out, and start anew.
+    state, timestep = step(step(state, rest)[0], rest)
+    assert timestep.events.timed_out.all()
+    _check(state)
+
+
+def _check(state):
+    xy, goal = np.asarray(state.motion.pose_w[..., :2]), np.asarray(state.goal)
+    place = np.asarray(state.layout.spawn_pose[:, None, :, :2])
+    gap = np.abs(xy[:, :, None] - place).max(axis=-1)
+    assert (gap.min(axis=-1) <= 1.01).all()
+    in_bay = gap.argmin(axis=-1) >= 3
+    np.testing.assert_array_equal(in_bay, goal >= 8)
+    for goals in goal:
+        spaces = goals[goals < 8]
+        assert len(set(spaces.tolist())) == len(spaces)
+    pose, size = state.motion.pose_w, state.motion.size
+    meet = boxes_overlap(
+        pose[:, :, None], size[:, :, None], pose[:, None], size[:, None]
+    )
+    assert meet.sum() == meet.shape[0] * meet.shape[1]  # each with itself only

@@ -1,27 +1,38 @@
-"""Reward terms that other code registers."""
+"""Reward terms that other code registers, and what goals that agents choose pay."""
 
 import dataclasses
+import itertools
 import json
+import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.paying import GOAL, events, step, terms
-from helpers.scenes import cars
+from helpers.scenes import cars, lot
+from helpers.transitions import no_goal_events, transition
 
 from carpark_mj.config import (
     REWARD_TERMS,
+    REWARDS,
     EnvConfig,
+    GivingWayConfig,
+    GoalConfig,
+    GoalRewards,
     RewardConfig,
     RewardTerm,
     insert,
     is_data,
 )
-from carpark_mj.mdp.rewards import TERMS, reward_terms
+from carpark_mj.layouts import Maxima, pad_layout
+from carpark_mj.mdp.goals import target_bay
+from carpark_mj.mdp.rewards import TERMS, dynamic_progress, reward_terms, term_weights
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.training.ppo.group import make_learner, program
 from carpark_mj.training.ppo.parts import PRESETS
+from carpark_mj.types import NO_BAY
 
 CALLS = []
 
@@ -115,3 +126,196 @@ def test_runs_side_by_side_differ_in_a_term_as_far_as_it_says():
     assert program(run()) == program(run(hurry=2.0, **{"hurry.above": 1.0}))
     with pytest.raises(ValueError, match=r"the same env\.reward\.extra\.hurry\.kind"):
         make_learner([run(), run(**{"hurry.kind": 2.0})])
+
+
+# Five bays in a row, 4 m apart, and as many bays' worth of padding.
+ROW = pad_layout(
+    lot([(x, 10.0, math.pi / 2) for x in (0, 4, 8, 12, 16)]), Maxima(8, 1, 1, 0, 1)
+)
+
+
+def config_of(reward, agents=1, scheme=None):
+    return EnvConfig(
+        num_agents=agents,
+        goals=GoalConfig(dynamic=True),
+        reward=reward,
+        giving_way=scheme or GivingWayConfig(),
+    )
+
+
+def goal_step(config, goals, tracked, before, after, **more):
+    """A step in which goals (before, after) are chosen among tracked bays."""
+    old, new = (jnp.asarray(goal, jnp.int32) for goal in goals)
+    tracked = jnp.broadcast_to(jnp.array(tracked), (config.num_agents, len(tracked)))
+    aim = ROW.bay_pose[target_bay(ROW, new, tracked, after.xy)[0]]
+    made = transition(
+        config, ROW, before, after, {"tracked_bays": tracked}, target_pose=aim, **more
+    )
+    return made.replace(
+        before=made.before.replace(goal=old), after=made.after.replace(goal=new)
+    )
+
+
+WAY = RewardConfig(progress=0.2, alignment=0.0)
+
+
+def progress(poses, goals, tracked=(0, 4)):
+    """Progress of one agent over moves ((x, y, yaw) ...) with goals before each."""
+    config = config_of(WAY)
+    poses, goals = [cars([pose]) for pose in poses], [[goal] for goal in goals]
+    steps = zip(itertools.pairwise(goals), itertools.pairwise(poses), strict=True)
+    return [
+        float(dynamic_progress(config, goal_step(config, chosen, tracked, *moved))[0])
+        for chosen, moved in steps
+    ]
+
+
+def test_progress_counts_towards_the_goal_chosen_in_the_step():
+    # Along y = 10, through the bays' middles: bay 0 at x = 0, bay 4 at x = 16.
+    at = [(x, 10.0, 0.0) for x in (6.0, 5.0)]
+    assert progress(at, [0, 0]) == pytest.approx([0.2])
+    assert progress(at, [4, 4]) == pytest.approx([-0.2])
+    # Taking the nearer goal pays nothing, the farther one (10 m, not 6) the way lost.
+    assert progress(at, [4, 0]) == pytest.approx([0.2], abs=1e-6)
+    assert progress(at, [0, 4]) == pytest.approx([-0.2 - 0.8], abs=1e-6)
+    # Exploring earns nothing, but costs the way from the nearest tracked bay.
+    assert progress(at, [NO_BAY, NO_BAY]) == pytest.approx([0.0])
+    assert progress(at[::-1], [NO_BAY, NO_BAY]) == pytest.approx([-0.2])
+    assert progress(at[::-1], [0, NO_BAY]) == pytest.approx([-0.2])
+    assert progress(at, [NO_BAY, 0]) == pytest.approx([0.2])
+    # With nothing tracked there is nothing to come nearer to.
+    assert progress(at, [NO_BAY, NO_BAY], (NO_BAY, NO_BAY)) == [0.0]
+
+
+def test_no_closed_loop_of_motion_and_choices_pays():
+    # 0.2 a metre and 0.5 a radian: every loop that an agent can drive is tried by
+    # chance, 200 of 12 steps, choosing anything of what it tracks.
+    rng = np.random.default_rng(0)
+    loops, steps, bays = 200, 12, np.array([0, 2, 4, NO_BAY])
+    pose = rng.uniform((-5, -5, -3), (20, 15, 3), (steps, loops, 3))
+    goal = rng.choice(bays, (steps, loops)).astype(np.int32)
+    config = config_of(REWARDS["shaped"], loops)
+
+    @jax.jit
+    def paid(old, new, before, after):
+        happened = goal_step(config, (old, new), (0, 2, 4), cars(before), cars(after))
+        return dynamic_progress(config, happened)
+
+    total = np.zeros(loops)
+    for k in range(steps):
+        end = (k + 1) % steps
+        total += paid(goal[k], goal[end], pose[k], pose[end])
+    assert total.max() < 1e-4  # float32 sums of numbers up to 5
+    assert np.median(total) < -1.0
+    # With one goal all the time a loop costs nothing either.
+    total, goal = np.zeros(loops), np.full(loops, 2, np.int32)
+    for k in range(steps):
+        total += paid(goal, goal, pose[k], pose[(k + 1) % steps])
+    np.testing.assert_allclose(total, 0.0, atol=1e-4)
+
+
+def test_what_becomes_of_goals_pays_its_weight_by_name():
+    pay = GoalRewards(stop_explore=0.01, continue_goal=-0.003)
+    config = config_of(RewardConfig(goals=pay, extra={"approach": 200.0}), 6)
+    names = {
+        "continue_explore": [0],
+        "stop_explore": [1],
+        "continue_goal": [2, 5],
+        "change_goal": [3],
+        "stop_goal": [4],
+        "lost_untracked": [5],
+        "lost_taken": [2],
+    }
+    flags = {name: np.isin(np.arange(6), who) for name, who in names.items()}
+    still = cars(np.zeros((6, 3)))
+    goals = no_goal_events(6, **flags)
+    happened = goal_step(
+        config, ([0] * 6, [0] * 6), (0, 4), still, still, goal_events=goals
+    )
+    got = reward_terms(config, happened)
+    expected = {
+        "park": [0] * 6,
+        "crash": [0] * 6,
+        "time": [-1 / 200] * 6,
+        "closeness": got["closeness"],  # they stand in each other
+        "approach": [0, -1, -1, -1, 0, -1],  # not while exploring
+        "progress": [0] * 6,  # its own: nobody has moved
+        "continue_explore": [-0.002, 0, 0, 0, 0, 0],
+        "stop_explore": [0, 0.01, 0, 0, 0, 0],
+        "continue_goal": [0, 0, -0.003, 0, 0, -0.003],
+        "change_goal": [0, 0, 0, -0.05, 0, 0],
+        "stop_goal": [0, 0, 0, 0, -0.06, 0],  # -0.05 - 0.01
+        "lost_goal": [0, 0, 0, 0, 0, -0.06],
+    }
+    assert got.keys() == expected.keys()
+    for name, value in expected.items():
+        np.testing.assert_allclose(got[name], value, atol=1e-7, err_msg=name)
+
+
+def bad_goals(scheme):
+    """Terms of four agents; all but the third are in the contexts but (G,S).
+
+    The first and the third keep their goals, the others change them.
+    """
+    pay = GoalRewards(continue_goal=0.01)
+    config = config_of(RewardConfig(goals=pay), 4, scheme)
+    met = jnp.array([True, True, False, True])
+    kept = jnp.array([True, False, True, False])
+    contexts = dict.fromkeys(("local_same", "local_any", "global_any"), met)
+    events = no_goal_events(4, continue_goal=kept, change_goal=~kept, **contexts)
+    still = cars(np.zeros((4, 3)))
+    happened = goal_step(
+        config, ([0] * 4, [0] * 4), (0,), still, still, goal_events=events
+    )
+    terms = reward_terms(config, happened)
+    assert tuple(sorted(terms)) == tuple(sorted(term_weights(config)))
+    assert all(term.dtype == jnp.float32 for term in terms.values())
+    np.testing.assert_array_equal(
+        terms["change_goal"], np.float32([0, -0.05, 0, -0.05])
+    )
+    return terms
+
+
+def test_a_bad_goal_pays_its_own_reward_instead():
+    paid = bad_goals(GivingWayConfig("L,L,A", -0.1))
+    np.testing.assert_array_equal(paid["continue_goal"], np.float32([0, 0, 0.01, 0]))
+    np.testing.assert_array_equal(paid["bad_goal"], np.float32([-0.1, 0, 0, 0]))
+    # A reward of 0 replaces as well; in another context nobody is.
+    paid = bad_goals(GivingWayConfig("L,L,S"))
+    np.testing.assert_array_equal(paid["continue_goal"], np.float32([0, 0, 0.01, 0]))
+    np.testing.assert_array_equal(paid["bad_goal"], np.zeros(4))
+    paid = bad_goals(None)
+    np.testing.assert_array_equal(paid["continue_goal"], np.float32([0.01, 0, 0.01, 0]))
+    assert "bad_goal" not in paid
+
+
+@pytest.mark.parametrize("scheme", ["G,G,A", "G,G,S"])
+def test_only_the_enforced_context_makes_a_goal_bad(scheme):
+    observation = ContinuousObservation(global_information=True)
+    config = EnvConfig(
+        num_agents=1,
+        goals=GoalConfig(dynamic=True),
+        giving_way=GivingWayConfig(scheme, -0.1),
+        observation=observation,
+    )
+    still = cars([(0.0, 0.0, 0.0)])
+    events = no_goal_events(1, continue_goal=[True], global_any=[True])
+    happened = goal_step(config, ([0], [0]), (0,), still, still, goal_events=events)
+    expected = -0.1 if scheme == "G,G,A" else 0.0
+    assert float(reward_terms(config, happened)["bad_goal"][0]) == np.float32(expected)
+
+
+def test_agents_that_diverged_or_had_finished_get_nothing_for_their_goals():
+    config = config_of(RewardConfig(goals=GoalRewards(continue_goal=-0.1)), 3)
+    moved = cars([(1.0, 0.0, 0.0)] * 3), cars([(2.0, 0.0, 0.0)] * 3)
+    goals = no_goal_events(3, continue_goal=[True] * 3)
+    happened = goal_step(config, ([0] * 3, [0] * 3), (0,), *moved, goal_events=goals)
+    happened = happened.replace(
+        before=happened.before.replace(active=jnp.array([True, False, True])),
+        events=happened.events.replace(diverged=jnp.array([True, False, False])),
+    )
+    paid = reward_terms(config, happened)
+    for name, term in paid.items():
+        assert not term[:2].any(), name
+    assert float(paid["continue_goal"][2]) == pytest.approx(-0.1)
+    assert paid["progress"][2] != 0.0

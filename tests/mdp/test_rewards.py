@@ -6,16 +6,22 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.paying import GOAL, LIMITS, events, terms
+from helpers.paying import GOAL, LIMITS, MAX_STEPS, events, step, terms
 from helpers.scenes import cars, moved, moved_cars
 from helpers.states import HandPhysics, hand_cars
 from helpers.transitions import transition
 
-from carpark_mj.config import REWARDS, EnvConfig, RewardConfig
+from carpark_mj.config import REWARDS, WORLD_UNIT, EnvConfig, RewardConfig
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
-from carpark_mj.mdp.progress import goal_potential
-from carpark_mj.mdp.rewards import reward_terms
+from carpark_mj.mdp.progress import (
+    MOVING,
+    NEARER,
+    direction_of_travel,
+    goal_potential,
+    is_nearer,
+)
+from carpark_mj.mdp.rewards import NEAR, STANDS, reward_terms
 
 PUBLISHED = RewardConfig(  # Tanner 2022, table C.9
     park=1.0,
@@ -215,3 +221,116 @@ def test_rewards_do_not_depend_on_the_frame(config):
     for name, term in here.items():
         # float32 distances of 40 m: 4e-6 m; axis angles: 1e-6 rad.
         np.testing.assert_allclose(there[name], term, atol=1e-5, err_msg=name)
+
+
+POINT = WORLD_UNIT / 16  # m, of the finer grid
+
+
+def test_nearer_on_the_grid_is_exactly_what_whole_numbers_say():
+    """Moves of up to 16 points; ties of x^2 + y^2 abound."""
+    rng = np.random.default_rng(0)
+    goal = rng.integers(-512, 513, (20_000, 2))
+    reach = np.where(rng.random((20_000, 1)) < 0.5, 24, 1100)
+    before = goal + rng.integers(-reach, reach + 1, (20_000, 2))
+    after = before + rng.integers(-16, 17, (20_000, 2))
+    # Some swap their coordinates about the goal: exactly as far as before.
+    after[:3000] = goal[:3000] + (before[:3000] - goal[:3000])[:, ::-1]
+    metres = [jnp.float32(points * POINT) for points in (before, after, goal)]
+    far, near = ((before - goal) ** 2).sum(axis=1), ((after - goal) ** 2).sum(axis=1)
+    assert (far == near).sum() > 3000
+    np.testing.assert_array_equal(is_nearer(*metres), near < far)
+
+
+def test_nearer_is_by_more_than_rounding():
+    rng = np.random.default_rng(1)
+    angle = rng.uniform(-math.pi, math.pi, (2, 5000))
+    distance = rng.uniform(0.1, 30.0, 5000)
+    gained = rng.choice([-1, 1], 5000) * 10 ** rng.uniform(-3, -1, 5000)  # m
+
+    def place(angle, distance):
+        xy = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * distance[:, None]
+        return jnp.float32(xy)
+
+    target = jnp.zeros(2)
+    before = place(angle[0], distance)
+    after = place(angle[1], np.maximum(distance - gained, 0.0))
+    np.testing.assert_array_equal(is_nearer(before, after, target), gained > 0)
+    # Going round at the same distance, close enough for float32 to resolve it.
+    round_it = is_nearer(before, place(angle[1], distance), target)
+    assert np.finfo(np.float32).eps < NEARER
+    assert not round_it[distance < 1.0].any()
+
+
+def test_standing_still_is_not_coming_nearer_to_any_of_several_targets():
+    before = jnp.array([[[1.0, 2.0]], [[3.0, 4.0]]])
+    targets = jnp.array([[[1.0, 2.0], [9.0, 9.0]], [[0.0, 0.0], [3.0, 5.0]]])
+    assert not is_nearer(before, before, targets).any()
+    moved = is_nearer(before, before + jnp.array([0.0, 0.5]), targets)
+    assert moved.tolist() == [[False, True], [False, True]]
+
+
+def test_slow_cars_have_no_direction_of_travel():
+    speeds = [2.0, 1.01 * MOVING, 0.99 * MOVING, 0.0, -0.99 * MOVING, -1.01 * MOVING]
+    motion = cars(np.zeros((6, 3)), speed=speeds)
+    assert direction_of_travel(motion).tolist() == [1, 1, 0, 0, 0, -1]
+
+
+ON_A_LINE = [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (12.0, 0.0, 0.0)]
+REWARD = RewardConfig(time=1.0, extra={"yielding": 1.0})
+
+
+def refund(speed, pose=ON_A_LINE, happened=None, reward=REWARD):
+    """Refunds of a step, as shares of its time penalty."""
+    motion = cars(pose, speed=speed)
+    got = terms(reward, motion, motion, GOAL, happened)
+    return got["yielding"] * MAX_STEPS / reward.time
+
+
+@pytest.mark.parametrize(
+    ("speed", "expected"),
+    [
+        ((0.0, 1.0, 0.0), (1, 0, 1)),
+        ((0.0, 0.0, -1.0), (0, 1, 0)),  # the first is 12 m from the one that reverses
+        ((0.0, 0.0, 0.0), (0, 0, 0)),  # nobody who stands is waited for
+        ((1.0, 2.0, 3.0), (0, 0, 0)),
+        ((-0.9 * STANDS, 1.1 * STANDS, 0.0), (1, 0, 1)),
+    ],
+)
+def test_who_stands_is_paid_while_another_drives_nearby(speed, expected):
+    np.testing.assert_allclose(refund(speed), expected, rtol=1e-6)
+
+
+def test_nearby_ends_at_its_range():
+    for gap, expected in ((NEAR - 0.1, 1.0), (NEAR + 0.1, 0.0)):
+        found = refund([0.0, 1.0], [(0.0, 0.0, 0.0), (0.0, gap, 2.0)])
+        np.testing.assert_allclose(found, [expected, 0.0], rtol=1e-6)
+
+
+def test_who_has_just_finished_neither_waits_nor_is_waited_for():
+    for name in ("parked", "crashed", "timed_out", "diverged"):
+        found = refund([0.0, 1.0, 0.0], happened=events(3, **{name: [1]}))
+        np.testing.assert_array_equal(found, 0.0)
+        found = refund([0.0, 1.0, 0.0], happened=events(3, **{name: [0]}))
+        np.testing.assert_allclose(found, [0, 0, 1], rtol=1e-6)
+
+
+def test_an_absent_agent_is_not_waited_for():
+    config = EnvConfig(num_agents=3, reward=REWARD)
+    motion = cars(ON_A_LINE, speed=[0.0, 1.0, 0.0])
+    made = step(config, motion, motion)
+    before = dataclasses.replace(made.before, active=jnp.array([True, False, True]))
+    got = reward_terms(config, dataclasses.replace(made, before=before))
+    np.testing.assert_array_equal(got["yielding"], 0.0)
+
+
+@pytest.mark.parametrize(("weight", "time"), [(1.0, 2.5), (0.3, 2.5), (1.0, 0.0)])
+def test_nobody_earns_more_than_the_time_costs(weight, time):
+    reward = RewardConfig(time=time, extra={"yielding": weight})
+    motion = cars(ON_A_LINE, speed=[0.0, 1.0, 0.0])
+    got = terms(reward, motion, motion, GOAL)
+    np.testing.assert_allclose(
+        got["yielding"] + got["time"],
+        -time / MAX_STEPS * np.array([1 - weight, 1, 1 - weight]),
+        atol=1e-9,
+    )
+    assert (got["yielding"] + got["time"] <= 0.0).all()

@@ -1,10 +1,12 @@
-"""Cars that cannot drive or stand in a lot are refused, in one sentence."""
+"""Cars that cannot stand in a lot are refused; small lots have fewer agents."""
 
 import dataclasses
 import json
 import math
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from helpers.scenes import lot
 from helpers.sliding import SlidePhysics
@@ -15,12 +17,17 @@ from carpark_mj.config import (
     FleetConfig,
     GoalConfig,
     JitterConfig,
+    RayConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import LotConfig, layout_config, mixture
+from carpark_mj.evaluation.evaluator import evaluate
+from carpark_mj.layouts import LotConfig, StreetConfig, layout_config, mixture
+from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.spawning.checks import check_cars
+from carpark_mj.policy.named import random_policy
+from carpark_mj.spawning.checks import check_cars, check_numbers
 from carpark_mj.spawning.fleet import Fleet
+from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.sheet import parameters_text
 
@@ -72,6 +79,13 @@ BAD_ENVIRONMENTS = [
     (
         {"goals": GoalConfig(dynamic=True, num_tracked_bays=21)},
         r"num_tracked_bays must be at most 20 \(36 bays less 16 parked .* not 21",
+    ),
+    *(  # no bay is free, or fewer than none
+        (
+            {"num_parked_cars": parked, "goals": GoalConfig(dynamic=True)},
+            "num_tracked_bays must be at most 0 .*, not 1",
+        )
+        for parked in (36, 40)
     ),
     (
         {"physics": "scene", "fleet": FleetConfig(("van",)), "observation": OWN_CAR},
@@ -184,6 +198,7 @@ def test_a_custom_car_has_no_name_but_its_own():
     for car, name in (
         (PRESETS["sedan"], "sedan"),
         (PRESETS["suv"], "suv"),
+        (dataclasses.replace(COMPACT, length=4.2), "custom car"),
         (BUS, "custom car"),
     ):
         fleet = Fleet(config, car)
@@ -214,27 +229,113 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
     check(("van",), 4, "precise")  # 4.90 m by 1.90 m without slack
 
 
-@pytest.mark.parametrize(
-    ("num_parked_cars", "num_tracked_bays", "message"),
-    [
-        (16, 21, r"num_tracked_bays must be at most 20 \(36 bays less 16 .*, not 21"),
-        (36, 1, "num_tracked_bays must be at most 0 .*, not 1"),
-        (40, 1, "num_tracked_bays must be at most 0 .*, not 1"),
-    ],
-)
-def test_more_tracked_bays_than_the_lot_has_free_are_refused(
-    num_parked_cars, num_tracked_bays, message
-):
-    config = EnvConfig(
-        num_parked_cars=num_parked_cars, goals=GoalConfig(True, num_tracked_bays)
-    )
-    with pytest.raises(ValueError, match=message) as caught:
-        ParkingEnv(config)
-    assert "\n" not in str(caught.value)
-
-
 def test_there_may_be_more_agents_than_free_bays():
     env = ParkingEnv(
         EnvConfig(num_agents=4, num_parked_cars=35, goals=GoalConfig(True, 1))
     )
     assert env.num_agents == 4
+
+
+MOST, LOTS = 7, 48
+CONFIG = EnvConfig(  # streets of 4 and of 10 bays
+    layout=mixture(
+        [StreetConfig(bays_per_side=(2, 2)), StreetConfig(bays_per_side=(5, 5))]
+    ),
+    num_agents=MOST,
+    min_agents=2,
+    num_parked_cars=8,
+    occupancy=(0.5, 0.8),
+    episode=EpisodeConfig(max_steps=4),
+    observation=ContinuousObservation(rays=RayConfig()),
+)
+MEMBER = np.arange(LOTS) % 2
+WANTED = np.arange(LOTS) // 2 % (MOST + 1)  # 0 stands for a number drawn by the lot
+
+
+@pytest.fixture(scope="module")
+def env():
+    return ParkingEnv(CONFIG, SlidePhysics())
+
+
+@pytest.fixture(scope="module")
+def lots(env):
+    """Starts with two to seven agents asked for, and with drawn numbers of them."""
+    keys, member = jax.random.split(jax.random.key(0), LOTS), jnp.asarray(MEMBER)
+    asked = jnp.clip(WANTED, 2, MOST).astype(jnp.int32)
+
+    def start(key, member, asked):
+        return env.reset(key, "train", member, asked)[0]
+
+    return jax.device_get(
+        jax.jit(
+            lambda: jax.vmap(start)(keys, member, asked).replace(key=jnp.zeros(LOTS))
+        )()
+    )
+
+
+def test_a_lot_has_an_agent_for_every_two_bays_at_most_and_they_are_the_first(lots):
+    bays = lots.layout.bay_mask.sum(axis=1)
+    np.testing.assert_array_equal(bays, np.where(MEMBER, 10, 4))
+    expected = np.minimum(np.clip(WANTED, 2, MOST), bays // 2)
+    np.testing.assert_array_equal(lots.present, np.arange(MOST) < expected[:, None])
+    np.testing.assert_array_equal(lots.active, lots.present)
+    assert (expected < np.clip(WANTED, 2, MOST)).any()
+
+
+def test_goals_come_first_and_parked_cars_take_what_is_left(lots):
+    for k in range(LOTS):
+        mask, present = lots.layout.bay_mask[k], lots.present[k]
+        goal, parked = lots.goal[k], lots.parked_cars.bay[k]
+        assert (goal[~present] == NO_BAY).all()
+        held = np.concatenate([goal[present], parked[parked != NO_BAY]])
+        assert mask[held].all()
+        assert len(set(held.tolist())) == len(held)
+        # Of 4 bays 2 or 3 are to be taken, of 10 bays 5 to 8, as far as there are.
+        bays, left = mask.sum(), mask.sum() - present.sum()
+        count = (parked != NO_BAY).sum()
+        assert min(0.5 * bays, left) <= count <= min(0.8 * bays, left)
+
+
+def test_evaluation_counts_the_agents_that_lots_have(env):
+    found = evaluate(env, random_policy(ActionSpec(2)), 24, seed=0, num_lots=12)
+    present = {
+        row["lot"]: (row["family"], row["agents_present"]) for row in found.episodes
+    }
+    # Two to seven agents in turn in six lots of each family.
+    assert [count for _, count in present.values()] == [2] * 6 + [2, 3, 4, 5, 5, 5]
+    assert {n: part["episodes"] for n, part in found.agent_counts.items()} == {
+        n: n * lots for n, lots in zip(range(2, 6), (7, 1, 1, 3), strict=True)
+    }
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"min_agents": 5}, r"min_agents must be at most 4 \(a goal bay each\), not 5"),
+        ({"min_agents": None}, r"num_agents must be at most 4 .*, not 7"),
+        # Without an occupancy every agent and every parked car needs its bay.
+        ({"occupancy": None}, r"num_agents must be at most 4 .*, not 7"),
+        (
+            {"occupancy": None, "num_agents": 3},
+            r"num_parked_cars must be at most 1 \(4 bays less 3 agents' goals\), not 8",
+        ),
+    ],
+)
+def test_more_agents_than_bays_need_an_occupancy_and_a_least_number(changes, message):
+    config = dataclasses.replace(CONFIG, **changes)
+    with pytest.raises(ValueError, match=message) as refusal:
+        check_numbers(config, layout_config(config.layout))
+    assert "\n" not in str(refusal.value)
+    check_numbers(CONFIG, layout_config(CONFIG.layout))
+
+
+def test_a_fleet_in_a_fixed_lot_may_have_more_agents_than_bays_too():
+    config = dataclasses.replace(
+        CONFIG,
+        layout="square",
+        num_agents=40,
+        num_parked_cars=28,
+        fleet=FleetConfig(("city", "van")),
+        observation=ContinuousObservation(own_car=True),
+    )
+    assert ParkingEnv(config, SlidePhysics()).num_agents == 40

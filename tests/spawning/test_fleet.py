@@ -1,11 +1,13 @@
 """Cars of several kinds in one lot: they fit where they are, and drive as alone."""
 
+import dataclasses
 import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.registering import restore_after
 from helpers.scenes import cars, check_occupancy, fields_of, lot
 from helpers.sliding import SlidePhysics, placed
 from helpers.states import parked_in, state_of
@@ -14,6 +16,7 @@ from helpers.transitions import no_events
 from carpark_mj.config import (
     PARKED_RULES,
     EnvConfig,
+    EpisodeConfig,
     FleetConfig,
     JitterConfig,
     RandomizationConfig,
@@ -25,7 +28,7 @@ from carpark_mj.mdp.parked_cars import AWAY, relocate_parked_cars
 from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.types import NO_BAY
-from carpark_mj.vehicle import PRESETS
+from carpark_mj.vehicle import COMPACT, PRESETS, VEHICLES, register_vehicle
 
 AGENTS, PARKED = ("city", "suv", "van"), ("city", "sedan", "van")
 CONFIG = EnvConfig(
@@ -306,3 +309,27 @@ def test_randomization_varies_about_each_agents_own_car(env):
     assert len(set(ratio)) == 4
     assert (np.abs(ratio - 1.0) <= 0.1 + 1e-5).all()
     np.testing.assert_array_equal(cars.wheelbase, nominal.wheelbase)
+
+
+def test_presets_of_one_size_are_told_apart(monkeypatch):
+    restore_after(monkeypatch, VEHICLES)
+    heavy = register_vehicle("heavy", dataclasses.replace(COMPACT, mass=1900.0))
+    names = ("compact", "heavy")
+    config = EnvConfig(
+        num_agents=6,
+        num_parked_cars=8,
+        fleet=FleetConfig(agents=names, parked_cars=names),
+        observation=ContinuousObservation(own_car=True),
+        episode=EpisodeConfig(max_steps=2),
+    )
+    env = ParkingEnv(config, SlidePhysics())
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
+    mass, seen = np.array([COMPACT.mass, heavy.mass]), []
+    for _ in range(6):  # three respawns
+        np.testing.assert_allclose(state.physics.vehicle.mass, mass[state.kind])
+        seen.append(np.asarray(state.kind))
+        state, _ = jax.jit(env.step)(state, jnp.zeros((6, 2)))
+    assert {*np.unique(seen)} == {0, 1}
+    assert len(np.unique(seen, axis=0)) > 1
+    parked = env.fleet.parked_vehicles(state.parked_cars)
+    assert {car.mass for car in parked} == {COMPACT.mass, heavy.mass}

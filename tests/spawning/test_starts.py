@@ -1,3 +1,6 @@
+"""Starts at random or close to a goal: their random numbers, poses and redraws."""
+
+import dataclasses
 import functools
 
 import jax
@@ -10,7 +13,16 @@ from helpers.spawning import surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.spawning.starts import draw_kind, draw_uniform, spawn_pose, spawn_shapes
+from carpark_mj.spawning.goals import place_shapes
+from carpark_mj.spawning.starts import (
+    draw_kind,
+    draw_uniform,
+    pick,
+    pick_weighted,
+    redraw,
+    spawn_pose,
+    spawn_shapes,
+)
 
 RANDOM = SpawnConfig(close_ratio=0.0)
 CLOSE = SpawnConfig(close_ratio=1.0)
@@ -219,3 +231,123 @@ def test_spawns_move_with_the_lot():
         after = draw(config, there, tuple(moved(goal, motion)), count=500)[:, :2]
         expected = moved(np.c_[before, np.zeros(500)], motion)[:, :2]
         np.testing.assert_allclose(after, expected, atol=2e-5)  # float32 at 20 m
+
+
+KEYS = jax.random.split(jax.random.key(0), 4000)
+LARGEST = np.float32(1 - 2**-23)  # of `jax.random.uniform`
+
+
+def test_numbers_have_the_shapes_asked_for_and_are_uniform_and_independent():
+    shapes = place_shapes(SpawnConfig(conflict_ratio=0.5), num_agents=2, num_bays=3)
+    draws = jax.vmap(lambda key: draw_uniform(shapes, key))(KEYS)
+    is_shape = lambda node: type(node) is tuple  # noqa: E731
+    wanted = jax.tree.leaves(shapes, is_leaf=is_shape)
+    got = jax.tree.leaves(draws)
+    assert [x.shape[1:] for x in got] == wanted
+    numbers = np.concatenate([np.reshape(x, (len(KEYS), -1)) for x in got], axis=1)
+    assert 0.0 <= numbers.min() < numbers.max() < 1.0
+    # Deviations 0.0046 and 0.0034 of each of 400 columns: five and a half of them.
+    np.testing.assert_allclose(numbers.mean(axis=0), 0.5, atol=0.025)
+    np.testing.assert_allclose(numbers.std(axis=0), 12**-0.5, atol=0.019)
+    # No two columns share anything: a deviation of 0.016, six and a half of them.
+    alike = np.corrcoef(numbers, rowvar=False) - np.eye(numbers.shape[1])
+    assert np.abs(alike).max() < 0.1
+
+
+def test_a_pick_is_uniform_over_the_mask():
+    mask = jnp.array([False, True, False, True, True])
+    scores = jax.random.uniform(jax.random.key(0), (3000, 5))
+    picked = jax.vmap(lambda scores: pick(mask, scores))(scores)
+    # Mean 1000, deviation 26: five of them.
+    np.testing.assert_allclose(
+        np.bincount(picked, minlength=5), [0, 1000, 0, 1000, 1000], atol=130
+    )
+
+
+def test_a_weighted_pick_is_in_proportion_to_the_weights():
+    weights = jnp.array([0.0, 3.0, 0.0, 1.0, 2.0, 0.0])
+    numbers = jax.random.uniform(jax.random.key(0), (3000, 2))
+    picked = np.asarray(pick_weighted(weights, numbers))
+    assert picked.shape == (3000, 2)
+    # Deviations 39, 29 and 37: five of them.
+    np.testing.assert_allclose(
+        np.bincount(picked.ravel(), minlength=6), [0, 3000, 0, 1000, 2000, 0], atol=195
+    )
+
+
+def test_no_number_picks_what_has_no_weight():
+    rng = np.random.default_rng(0)
+    ends = jnp.array([0.0, LARGEST])
+    for weights in rng.uniform(0.0, 300.0, (200, 7)).astype(np.float32):
+        weights[[0, 3, 6]] = 0.0
+        assert set(np.asarray(pick_weighted(jnp.asarray(weights), ends))) == {1, 5}
+
+
+# One candidate a round, and others in three corners of the square of 23.6 m.
+ONE = SpawnConfig(close_ratio=0.0, num_candidates=1, min_distance=16.0)
+CORNERS = [(-11.0, -11.0), (11.0, -11.0), (-11.0, 11.0)]
+LAYOUT = make_layout("square")
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def draw_again(config, layout, around, keys):
+    def one(key):
+        first, again = jax.random.split(key)
+        draws = draw_uniform(spawn_shapes(config), first)
+        goal_pose = jnp.array([0.0, 18.0, 0.0])
+        pose = spawn_pose(config, layout, around, goal_pose, draws)
+        return redraw(config, layout, around, pose, again)
+
+    return jax.vmap(one)(keys)
+
+
+def starts(config, others, layout=LAYOUT, count=2000):
+    """Start poses, and their distances to the nearest of the others."""
+    around = surroundings_of(layout, others, True)
+    pose = np.asarray(
+        draw_again(config, layout, around, jax.random.split(jax.random.key(0), count))
+    )
+    gap = np.linalg.norm(pose[:, None, :2] - np.array(others), axis=2).min(axis=1)
+    return pose, gap
+
+
+def test_a_start_is_drawn_again_until_it_keeps_its_distance():
+    _, once = starts(ONE, CORNERS)
+    share = (once > ONE.min_distance).mean()
+    assert 0.05 < share < 0.2  # of the region
+    pose, gap = starts(dataclasses.replace(ONE, max_redraws=1000), CORNERS)
+    assert gap.min() > ONE.min_distance
+    # The first draw stays where it was good, and the others are uniform there: their
+    # mean is that of many draws that were.
+    np.testing.assert_array_equal(gap[once > 16.0], once[once > 16.0])
+    many, gaps = starts(ONE, CORNERS, count=40_000)
+    expected = many[gaps > ONE.min_distance, :2]
+    # Deviations 2.5 m over sqrt(2000) and over sqrt(4000): five of them.
+    np.testing.assert_allclose(pose[:, :2].mean(0), expected.mean(0), atol=0.5)
+
+
+def test_redraws_end_where_there_is_no_room():
+    small = lot([(0.0, 20.0, 0.0)], spawn_size=(4.0, 4.0))
+    _, gap = starts(dataclasses.replace(ONE, max_redraws=5), [(0.0, 0.0)], small, 20)
+    assert gap.max() < ONE.min_distance
+
+
+def test_a_close_start_has_one_walk_on_a_grid_and_a_walk_per_candidate_elsewhere():
+    # The other stands where walks begin: many end too near to it, and then a start on a
+    # grid is random.
+    beside, wide = (0.0, 11.8), SpawnConfig(close_ratio=1.0, min_distance=1.0)
+    grid = dataclasses.replace(wide, spacing=WORLD_UNIT)
+
+    def share_close(config):
+        _, gap = starts(config, [beside])
+        return (gap <= 5.7).mean()
+
+    assert share_close(wide) > 0.99
+    _, gap = starts(dataclasses.replace(grid, min_distance=0.0), [beside])
+    kept = (gap > 1.0).mean()
+    assert 0.1 < kept < 0.7
+    # Of the random ones those between 1 m and 5.7 m about it: half a ring of 558 m^2.
+    by_chance = np.pi / 2 * (5.7**2 - 1.0**2) / 558.0
+    # Deviation 1.1 %: five of them.
+    expected = kept + (1 - kept) * by_chance
+    assert share_close(grid) == pytest.approx(expected, abs=0.056)

@@ -1,0 +1,379 @@
+"""Statistics of hand-worked episodes, and what is reported of them."""
+
+import dataclasses
+import itertools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers.scenes import cars, lot
+from helpers.states import parked_at
+from helpers.transitions import CHOICES, no_events, no_goal_events, no_terms, transition
+
+from carpark_mj.config import EnvConfig, GoalConfig, MetricsConfig, SimConfig
+from carpark_mj.mdp.metrics import (
+    CHANGES,
+    CONTEXTS,
+    COUNTS,
+    count_goals,
+    episode_metrics,
+    fold_tallies,
+    init_stats,
+    update_stats,
+)
+from carpark_mj.mdp.progress import MOVING
+from carpark_mj.mdp.safety import HORIZON, RANGE
+from carpark_mj.types import NO_BAY, Events
+
+ONE, TWO = (EnvConfig(num_agents=count, num_parked_cars=16) for count in (1, 2))
+PLAN = lot([(0, 0, 0)])
+STANDING = cars([(0.0, 0.0, 0.0)])
+
+
+def step(config, stats, before, after, terms=(), active=True, **more):
+    """Statistics with a step added, whose reward is nothing except the terms given."""
+    state = {"stats": stats, "active": jnp.asarray(active)}
+    happened = transition(config, PLAN, before, after, state, **more)
+    return update_stats(config, happened, no_terms(config) | dict(terms))
+
+
+def after_speeds(speeds):
+    """Statistics of one car that ends its steps at the given speeds."""
+    stats = init_stats(ONE, PLAN)
+    for speed in speeds:
+        stats = step(ONE, stats, STANDING, cars([(0.0, 0.0, 0.0)], speed=speed))
+    return stats
+
+
+def test_return_length_and_invalid_actions_are_sums_over_steps():
+    stats, standing = init_stats(TWO, PLAN), cars([(0.0, 0.0, 0.0)] * 2)
+    for park, time in (
+        ([1.5, -2.0], [-0.5, 0.0]),
+        ([0.5, 0.0], [0.0, 0.25]),
+        ([-1.0, 0.0], [-2.0, 0.0]),
+    ):
+        terms = {"park": jnp.array(park), "time": jnp.array(time)}
+        invalid = jnp.array([True, False])
+        stats = step(TWO, stats, standing, standing, terms, invalid_action=invalid)
+    np.testing.assert_array_equal(stats.episode_return, [-1.5, -1.75])
+    np.testing.assert_array_equal(stats.length, [3.0, 3.0])
+    np.testing.assert_array_equal(stats.invalid_actions, [3.0, 0.0])
+
+
+def test_the_path_is_measured_along_the_trace_not_as_the_crow_flies():
+    trace = [[(3.0, 0.0, 0.0), (3.0, 4.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 0.0)]]
+    after = cars([(0.0, 0.0, 0.0)], trace=trace)
+    stats = step(ONE, init_stats(ONE, PLAN), STANDING, after)
+    np.testing.assert_allclose(stats.path, [3 + 4 + 3 + 4], rtol=1e-6)
+    stats = step(ONE, stats, STANDING, after)
+    np.testing.assert_allclose(stats.path, [28.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "changes"),
+    [
+        ([1.0, 1.0, 2.0], 0),
+        ([1.0, -1.0], 1),
+        ([1.0, -1.0, 1.0, -1.0], 3),
+        ([-1.0, 0.0, 0.0, 1.0], 1),  # a halt in between does not hide the change
+        ([1.0, 0.0, 1.0], 0),
+        ([0.0, -1.0], 0),  # the first motion is no change
+        ([1.0, -0.9 * MOVING, 1.0], 0),  # rolling back a little is no direction
+        ([1.0, -1.1 * MOVING, 1.0], 2),
+    ],
+)
+def test_gear_changes_count_changes_of_the_direction_of_travel(speeds, changes):
+    assert float(after_speeds(speeds).gear_changes[0]) == changes
+
+
+def test_the_statistics_of_finished_agents_stay_as_they_are():
+    config = dataclasses.replace(TWO, metrics=MetricsConfig(driving=True, safety=True))
+    before, after = (cars([(x, 0.0, 0.0), (0.0, 9.0, 0.0)], x) for x in (3.0, 2.0))
+    terms = {"time": jnp.full(2, -1.0)}
+    first = init_stats(config, PLAN)
+    active = jnp.array([False, True])
+    stats = step(config, first, before, after, terms, active=active)
+    for old, new in zip(jax.tree.leaves(first), jax.tree.leaves(stats), strict=True):
+        assert new[0] == old[0]
+    assert stats.length[1] == 1.0
+    assert stats.tallies["return_time"][1] == -1.0
+    assert stats.tallies["speed_sum"][1] == 2.0
+
+
+def test_lots_without_lanes_count_no_metres_against_them():
+    first = init_stats(ONE, PLAN)
+    assert first.wrong_way is None
+    plan = dataclasses.replace(PLAN, lane_mask=jnp.ones(1, bool))
+    stats = init_stats(ONE, plan)
+    assert stats.wrong_way is not None
+    for wrong in (True, False, True):
+        happened = transition(
+            ONE,
+            plan,
+            STANDING,
+            cars([(2.0, 0, 0)]),
+            {"stats": stats},
+            wrong_way=jnp.array([wrong]),
+        )
+        stats = update_stats(ONE, happened, no_terms(ONE))
+    assert stats.wrong_way.tolist() == [4.0]
+    named = episode_metrics(happened, stats)
+    assert (float(named["wrong_way"][0]), float(named["path"][0])) == (4.0, 6.0)
+
+
+def test_metrics_tell_how_a_car_stands_to_its_goal():
+    goal = jnp.array([[3.0, 4.0, 0.0], [0.0, 0.0, math.pi / 2]])
+    after = cars([(0.0, 0.0, math.pi - 0.1), (0.0, 0.5, 0.0)], speed=[-0.7, 0.2])
+    crashed = no_events(2, crashed=[True, False])
+    happened = transition(TWO, PLAN, after, after, target_pose=goal, events=crashed)
+    metrics = episode_metrics(happened, init_stats(TWO, PLAN))
+    # float32 rounding of numbers up to 5.
+    np.testing.assert_allclose(metrics["final_distance"], [5.0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(metrics["final_heading"], [0.1, np.pi / 2], atol=1e-6)
+    np.testing.assert_allclose(metrics["final_speed"], [0.7, 0.2], atol=1e-6)
+    np.testing.assert_array_equal(metrics["crashed"], [1.0, 0.0])
+    np.testing.assert_array_equal(metrics["parked"], [0.0, 0.0])
+
+
+def test_every_event_and_every_sum_has_a_metric_of_its_own():
+    stats = after_speeds([1.0, -1.0]).replace(episode_return=jnp.array([7.0]))
+    for field in dataclasses.fields(Events):
+        events = no_events(1, **{field.name: [True]})
+        happened = transition(ONE, PLAN, STANDING, STANDING, events=events)
+        metrics = episode_metrics(happened, stats)
+        flags = {f.name: float(metrics[f.name][0]) for f in dataclasses.fields(Events)}
+        assert flags == {name: float(name == field.name) for name in flags}
+    assert float(metrics["episode_return"][0]) == 7.0
+    assert float(metrics["length"][0]) == 2.0
+    assert float(metrics["gear_changes"][0]) == 1.0
+    for value in metrics.values():
+        assert value.dtype == jnp.float32
+
+
+def test_every_reward_term_is_summed_up_by_name_and_memory_is_not_reported():
+    config = dataclasses.replace(TWO, metrics=MetricsConfig(safety=True))
+    stats, standing = init_stats(config, PLAN), cars([(0.0, 0.0, 0.0)] * 2)
+    for park, time in (([0.0, 1.0], [-0.5, -0.5]), ([3.0, 0.0], [-0.25, 0.0])):
+        terms = {"time": jnp.array(time), "park": jnp.array(park)}
+        stats = step(config, stats, standing, standing, terms)
+    happened = transition(config, PLAN, standing, standing)
+    metrics = episode_metrics(happened, stats)
+    np.testing.assert_array_equal(metrics["return_park"], [3.0, 1.0])
+    np.testing.assert_array_equal(metrics["return_time"], [-0.75, -0.5])
+    names = {f"return_{name}" for name in no_terms(config)}
+    assert {name for name in metrics if name.startswith("return_")} == names
+    assert "last_acceleration_x" in stats.tallies
+    assert not any(name.startswith("last_") for name in metrics)
+
+
+def test_a_step_keeps_the_type_of_the_statistics():
+    everything = MetricsConfig(driving=True, safety=True)
+    config = dataclasses.replace(TWO, metrics=everything)
+    first, standing = init_stats(config, PLAN), cars([(0.0, 0.0, 0.0)] * 2)
+    found = jax.eval_shape(lambda: step(config, first, standing, standing))
+    assert jax.tree.structure(found) == jax.tree.structure(first)
+    for leaf in jax.tree.leaves(found):
+        assert (leaf.shape, leaf.dtype, leaf.weak_type) == ((2,), jnp.float32, False)
+
+
+DT = SimConfig().ctrl_dt
+SAFETY, DRIVING = MetricsConfig(safety=True), MetricsConfig(driving=True)
+
+
+def tally(measured, states, parked=None, goal=0):
+    """Tallies of the first of the cars that pass through some states."""
+    count, plan = states[0].size.shape[0], lot([(0.0, 0.0, 0.0)])
+    config = EnvConfig(num_agents=count, metrics=measured)
+    terms = no_terms(config)
+
+    @jax.jit
+    def step(stats, before, after):
+        state = {
+            "stats": stats,
+            "parked_cars": parked_at() if parked is None else parked,
+        }
+        happened = transition(config, plan, before, after, state, goal)
+        return update_stats(config, happened, terms)
+
+    stats = init_stats(config, plan)
+    for before, after in itertools.pairwise(states):
+        stats = step(stats, before, after)
+    return {
+        name: float(value[0])
+        for name, value in stats.tallies.items()
+        if not name.startswith("return_")
+    }
+
+
+def test_a_name_says_how_its_numbers_are_folded():
+    names = ("min_a", "peak_a", "last_a", "a")
+    tallies = dict.fromkeys(names, jnp.array([1.0, 5.0]))
+    folded = fold_tallies(tallies, dict.fromkeys(names, jnp.array([3, 3])))
+    assert {name: value.tolist() for name, value in folded.items()} == {
+        "min_a": [1.0, 3.0],
+        "peak_a": [3.0, 5.0],
+        "last_a": [3.0, 3.0],
+        "a": [4.0, 8.0],
+    }
+    assert all(value.dtype == jnp.float32 for value in folded.values())
+
+
+def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():
+    # 0.6, then 1.2 and 1.2 m/s less per step of 0.2 s: 3, 6, 6 m/s2, then none; the
+    # jerk is 3 / 0.2 = 15 at first, then 15, 0 and 6 / 0.2 = 30 m/s3.
+    assert DT == 0.2
+    speeds = (3.0, 2.4, 1.2, 0.0, 0.0)
+    found = tally(SAFETY, [cars([(0, 0, 0.7)], speed=speed) for speed in speeds])
+    expected = {
+        "acceleration_sum": 3 + 6 + 6,
+        "peak_acceleration": 6.0,
+        "jerk_sum": 15 + 15 + 0 + 30,
+        "peak_jerk": 30.0,
+    }
+    # float32: 1e-6 m/s over 0.04 s2.
+    assert {name: found[name] for name in expected} == pytest.approx(expected, abs=1e-4)
+
+
+def test_turning_at_constant_speed_is_acceleration_towards_the_centre():
+    speed, turn = 3.0, 0.1  # m/s, rad per step
+    found = tally(SAFETY, [cars([(0, 0, k * turn)], speed=speed) for k in range(4)])
+    # Chords: of the velocity's turn, and of the acceleration's, which turns as well.
+    chord = 2 * speed * np.sin(turn / 2) / DT
+    assert chord == pytest.approx(speed * turn / DT, rel=1e-3)
+    assert found["peak_acceleration"] == pytest.approx(chord, rel=1e-5)
+    assert found["acceleration_sum"] == pytest.approx(3 * chord, rel=1e-5)
+    assert found["peak_jerk"] == pytest.approx(chord / DT, rel=1e-5)  # at the start
+    steady = 2 * chord * np.sin(turn / 2) / DT
+    assert found["jerk_sum"] == pytest.approx(chord / DT + 2 * steady, rel=1e-4)
+    assert found["min_clearance_wall"] == RANGE
+    assert found["min_collision_time_agent"] == HORIZON
+
+
+def test_the_least_clearance_and_time_are_those_of_the_worst_step():
+    # Towards a parked car 4 m long at 20 m: gaps of 8, 6 and 9 m, at 1, 3 and -1 m/s.
+    parked = parked_at([(20, 0, 0)], (4.0, 2.0))
+    states = [cars([(x, 0, 0)], speed=v) for x, v in ((8, 1), (8, 1), (10, 3), (7, -1))]
+    found = tally(SAFETY, states, parked=parked)
+    assert found["min_clearance_parked_car"] == pytest.approx(6.0, abs=1e-5)
+    assert found["min_collision_time_parked_car"] == pytest.approx(2.0, abs=1e-5)
+    absent = parked_at([(20, 0, 0)], (4.0, 2.0), present=False)
+    found = tally(SAFETY, states, parked=absent)
+    assert found["min_clearance_parked_car"] == RANGE
+    assert found["min_collision_time_parked_car"] == HORIZON
+
+
+def test_driving_is_summed_up_as_by_hand():
+    states = [
+        cars([(10.0, 0, 0)]),
+        cars([(9.0, 0, 0)], speed=-1.5, steering=0.1, yaw_rate=-0.2),
+        cars([(9.0, 0, 0)], speed=0.5, steering=-0.1, yaw_rate=0.3),
+        cars([(8.5, 0, 0)], speed=0.25, steering=-0.1),
+    ]
+    parked = parked_at([(9, 3, 0), (9, 1, 0)], present=[True, False])
+    found = tally(DRIVING, states, parked=parked)
+    assert found == pytest.approx(
+        {
+            "speed_sum": 2.25,
+            "yaw_rate_sum": 0.5,
+            "steering_rate_sum": (0.1 + 0.2) / DT,
+            "goal_steps": 3.0,
+            "towards_goal_steps": 2.0,  # the second step stays where it was
+            "nearest_car_sum": 3.0 + 3.0 + np.hypot(0.5, 3.0),
+            "nearest_car_steps": 3.0,
+        }
+    )
+
+
+def test_steps_without_goal_or_other_car_do_not_count():
+    states = [cars([(5.0, 0, 0)]), cars([(4.0, 0, 0)])]
+    found = tally(DRIVING, states, goal=NO_BAY)
+    for name in ("goal_steps", "towards_goal_steps", "nearest_car_steps"):
+        assert found[name] == 0.0
+    assert found["nearest_car_sum"] == 0.0  # not inf
+
+
+def test_the_nearest_car_may_be_another_agent():
+    states = [cars([(0, 0, 0), (3.0, 4.0, 0)])] * 2
+    found = tally(DRIVING, states, parked=parked_at([(6.0, 0.0, 0.0)]))
+    assert found["nearest_car_sum"] == pytest.approx(5.0)
+
+
+BAYS = lot([(10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 10.0, 0.0)])
+
+
+def config(num_agents):
+    return EnvConfig(num_agents=num_agents, goals=GoalConfig(dynamic=True))
+
+
+def goal_step(xy, tracked_bays, goal_events=None, **of_state):
+    """A step of agents from the origin to the given places."""
+    after = cars([(x, y, 0.0) for x, y in xy])
+    before = cars(np.zeros((len(xy), 3)))
+    if tracked_bays is not None:
+        of_state["tracked_bays"] = jnp.array(tracked_bays, jnp.int32)
+    return transition(
+        config(len(xy)), BAYS, before, after, of_state, goal_events=goal_events
+    )
+
+
+def test_counts_of_an_episode_conserve_its_steps():
+    agents, steps = 200, 4
+    rng = np.random.default_rng(0)
+    tracked = rng.integers(0, 3, (agents, 1))
+    settings = config(agents)
+    stats, nothing = init_stats(settings, BAYS), no_terms(settings)
+    sums = {name: np.zeros(agents) for name in (*CHOICES, "lost_taken")}
+    towards = np.zeros(agents)
+    for _ in range(steps):
+        choice = rng.integers(0, len(CHOICES), agents)
+        flags = {name: choice == k for k, name in enumerate(CHOICES)}
+        flags["lost_taken"] = rng.random(agents) < 0.3
+        xy = rng.uniform(-1, 1, (agents, 2))
+        happened = goal_step(
+            xy, tracked, goal_events=no_goal_events(agents, **flags), stats=stats
+        )
+        stats = update_stats(settings, happened, nothing)
+        sums = {name: sums[name] + flag for name, flag in flags.items()}
+        gap = np.linalg.norm(np.asarray(BAYS.bay_pose)[tracked[:, 0], :2] - xy, axis=1)
+        # With a goal it does not count.
+        towards += (gap < 10) & (flags["continue_explore"] | flags["stop_goal"])
+    explored = sums["continue_explore"] + sums["stop_goal"]
+    np.testing.assert_array_equal(stats.tallies["explored_steps"], explored)
+    np.testing.assert_array_equal(stats.tallies["towards_bay_steps"], towards)
+    for name in CHANGES:
+        expected = sums.get(name, np.zeros(agents))
+        np.testing.assert_array_equal(stats.tallies[name], expected)
+    assert (towards > 0).any()
+    assert (towards < explored).any()
+
+
+def test_an_agent_gives_way_that_lets_go_of_its_goal_in_the_context():
+    # Four agents in the context, one outside; losing a goal is not letting go of it.
+    events = no_goal_events(
+        5,
+        change_goal=[True, False, False, False, True],
+        stop_goal=[False, True, False, False, False],
+        continue_goal=[False, False, True, True, False],
+        lost_taken=[False, False, False, True, False],
+        local_any=[True, True, True, True, False],
+        global_any=[True] * 5,
+    )
+    counts = count_goals(goal_step([(1.0, 0.0)] * 5, [[0]] * 5, events))
+    assert tuple(counts) == COUNTS
+    found = {name: np.asarray(count, float).tolist() for name, count in counts.items()}
+    assert found["met_local_any"] == [1, 1, 1, 1, 0]
+    assert found["gave_way_local_any"] == [1, 1, 0, 0, 0]
+    assert found["met_global_any"] == [1, 1, 1, 1, 1]
+    assert found["gave_way_global_any"] == [1, 1, 0, 0, 1]
+    for name in set(CONTEXTS) - {"local_any", "global_any"}:
+        assert found[f"met_{name}"] == found[f"gave_way_{name}"] == [0] * 5
+
+
+def test_only_agents_that_choose_their_goals_have_counts_of_them():
+    fixed = init_stats(EnvConfig(num_agents=2), BAYS).tallies
+    chosen = init_stats(config(2), BAYS).tallies
+    assert not set(COUNTS) & set(fixed)
+    assert set(COUNTS) <= set(chosen)
+    assert all(jnp.all(chosen[name] == 0.0) for name in COUNTS)
