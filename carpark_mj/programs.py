@@ -53,6 +53,7 @@ COMMANDS = {
     "scene": Command(
         "carpark_mj.cli.scene:main",
         "write a car park as MJCF, or show it",
+        (keep_compiled_programs,),
         drives=True,
     ),
     "play": Command(

@@ -6,6 +6,7 @@ import urllib.parse
 from pathlib import Path
 from typing import Annotated
 
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import DriveSettings, find_driver, with_settings
 from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import MetricsConfig, find_rules
@@ -89,7 +90,7 @@ class Task:
 def main(config: EvaluateConfig) -> Evaluation:
     """Evaluates, writes the files and prints the table."""
     task = prepare(config)
-    print("compiling ...", flush=True)
+    doing(COMPILING)
     result = evaluate(
         task.env,
         task.policy,

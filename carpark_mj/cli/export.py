@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import output_folder
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_unset
@@ -132,6 +133,7 @@ def main(config: ExportConfig) -> Path:
         save_policy(config.run, out)
     else:
         make = _car_model if config.from_state else _model
+        doing(COMPILING)
         model = make(loaded, config)
         out.parent.mkdir(parents=True, exist_ok=True)
         data = model.proto.SerializeToString()

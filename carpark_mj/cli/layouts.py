@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import tyro
 
+from carpark_mj.cli.clock import wait_for_user
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import Bounds, CheckedConfig, require_unset
 from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture
@@ -320,6 +321,7 @@ def edit(config: EditConfig) -> None:
         if draft.kept.exists():
             print(f"opened unsaved changes: {draft.kept}")
         print(f"open http://{HOST}:{server.server_port} (Ctrl-C ends)", flush=True)
+        wait_for_user()
         server.serve_forever()
 
 

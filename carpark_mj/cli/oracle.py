@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import jax
 import numpy as np
 
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import LotSettings
 from carpark_mj.cli.process import MAX_EPISODES
 from carpark_mj.config.checks import Bounds
@@ -57,10 +58,12 @@ def main(config: OracleConfig) -> list[dict[str, Any]]:
     if config.out:
         require_writable(file, new_folders=True)
     shares = member_shares(env.layout_config)
+    doing(COMPILING)
     member = allot(list(shares.values()), config.lots)
     keys = jax.random.split(evaluation_key(config.seed), config.lots)
     state, _ = jax.jit(jax.vmap(lambda key, n: env.reset(key, "test", n)))(keys, member)
     seconds = task.episode.max_steps * task.sim.ctrl_dt
+    doing(f"planning {config.lots} lots, some seconds each")
     rows: list[dict[str, Any]] = []
     for lot, seen in enumerate(sights(state)):
         begun = {"lot": lot, "family": list(shares)[member[lot]]}

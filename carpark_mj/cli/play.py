@@ -16,6 +16,7 @@ from carpark_mj.rendering.gl import Window, choose_gl, has_display
 if not has_display():
     choose_gl()  # before MuJoCo is imported; windows have an OpenGL of their own
 
+from carpark_mj.cli.clock import COMPILING, doing, wait_for_user
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.process import one_line, patient_interrupts
 from carpark_mj.cli.scene import ShownLot, default_env, serve
@@ -194,6 +195,7 @@ def _drive(lot: DrivenLot, draw: Callable[[], np.ndarray], window: Window) -> st
     due = time.monotonic()
     while not window.closed:
         lot.step()
+        wait_for_user()
         window.show(draw())
         pressed = window.held(COMMANDS)
         if pressed:
@@ -263,6 +265,7 @@ def show_replay(config: PlayConfig) -> None:
 
 def main(config: PlayConfig) -> None:
     """Plays, or replays."""
+    doing(COMPILING)
     if config.replay:
         show_replay(config)
     elif config.shown_in == "window":

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, cast
 
+from carpark_mj.cli.clock import CLOCK, LOADING
 from carpark_mj.rendering.gl import check_gl
 
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
@@ -40,9 +41,10 @@ EXTRAS = {
 def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
     """Runs a command as this process, and ends it.
 
-    Ctrl-C ends it with one line and exit code 130, also in compiled code, unless the
-    command has its own handler; a second Ctrl-C always does. A closed stdout, a full
-    disk or a character that the encoding lacks does not stop the work.
+    A clock runs on the terminal while it is silent, see `carpark_mj.cli.clock`. Ctrl-C
+    ends it with one line and exit code 130, also in compiled code, unless the command
+    has its own handler; a second Ctrl-C always does. A closed stdout, a full disk or a
+    character that the encoding lacks does not stop the work.
 
     Args:
         program: name before messages on stderr.
@@ -52,6 +54,9 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
     """
     interrupts, stdout = Interrupts(program), _keep_printing("stdout", 1)
     _keep_printing("stderr", 2)
+    # XLA warns of compilations above two minutes, which the clock shows.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    CLOCK.start(LOADING)
 
     def command() -> object:
         check_gl()
@@ -71,6 +76,7 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
         raise
     if interrupts.taken:
         interrupts.end()
+    CLOCK.stop()
     sys.stdout.flush()
     failed = stdout.error if stdout else None
     if failed is not None and failed.errno != errno.EPIPE and not code:
@@ -170,6 +176,7 @@ class _Output(io.FileIO):
 
     def write(self, data: Any, /) -> int:
         """Writes, or drops what cannot be written."""
+        CLOCK.printed()
         if self.error is None:
             try:
                 return super().write(data)
@@ -251,6 +258,7 @@ class Interrupts:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             with contextlib.suppress(Exception):
                 sys.stdout.flush()
+        CLOCK.stop()
         # Not `print`, whose lock the main thread may hold.
         os.write(2, f"{self._program}: interrupted\n".encode())
         os._exit(INTERRUPTED)

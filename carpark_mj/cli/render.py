@@ -14,6 +14,7 @@ from rich.progress import track
 
 from carpark_mj.cameras import RIGS, Rig
 from carpark_mj.cameras.see import Channel
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import DriveSettings, find_driver
 from carpark_mj.cli.process import MAX_SECONDS
 from carpark_mj.config import EnvConfig
@@ -149,7 +150,7 @@ def main(config: RenderConfig) -> Path:
     env = ParkingEnv(env_config)
     seconds = config.seconds if config.frame is None else config.frame
     num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
-    print("compiling ...", flush=True)
+    doing(COMPILING)
     recording = record(env, driver.policy(env), num_steps, config.seed)
     with contextlib.ExitStack() as stack:
         size = config.width, config.height

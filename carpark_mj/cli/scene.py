@@ -9,6 +9,7 @@ import jax
 import mujoco
 import numpy as np
 
+from carpark_mj.cli.clock import COMPILING, doing, wait_for_user
 from carpark_mj.cli.driver import LotSettings, find_driver
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import CheckedConfig, require_unset
@@ -135,6 +136,7 @@ def show_policy(config: SceneConfig) -> None:
     require_web()  # before the work
     driver = find_driver(config.policy)
     env = ParkingEnv(config.adapted(driver.env))
+    doing(COMPILING)
     viewer, server = make_live_viewer(
         LiveLot(env, driver.policy(env), config.seed), config.port
     )
@@ -144,6 +146,7 @@ def show_policy(config: SceneConfig) -> None:
 def serve(viewer: Any, server: Any) -> None:
     """Says where a page is, and shows it until Ctrl-C."""
     print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
+    wait_for_user()
     viewer.run()
 
 
@@ -197,6 +200,7 @@ def show_scene(
     elif output.view:
         from mujoco import viewer as window
 
+        wait_for_user()
         window.launch(spec.compile())
 
 

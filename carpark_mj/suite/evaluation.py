@@ -17,6 +17,7 @@ import numpy as np
 import tyro
 
 from carpark_mj.benchmarking import best_time
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.config import (
     EnvConfig,
@@ -376,7 +377,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     if config.combine:
         episodes, drives = read_runs([Path(name) for name in config.combine])
     else:
-        print("compiling ...", flush=True)
+        doing(COMPILING)
         episodes, drives, drawn = _drive_all(config)
     if config.videos:  # of combined folders
         for level in {row["level"] for row in episodes}:

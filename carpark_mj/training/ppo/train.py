@@ -11,6 +11,7 @@ from typing import Literal
 import jax
 import numpy as np
 
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training import hosts
@@ -127,7 +128,7 @@ def train(
     first = done = int(np.ravel(state.update)[0])
     used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
     print(announcement(config, done, used))
-    print("compiling ...", flush=True)
+    doing(COMPILING)
     skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
     diverged = np.zeros(count, bool)
     begun, at_begin = 0.0, count_steps(state)
