@@ -204,9 +204,10 @@ def train(arguments: Sequence[str]) -> int:
 def _train(arguments: Sequence[str]) -> int:
     import jax
 
+    from carpark_mj.training.loop import read_metrics
     from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
     from carpark_mj.training.ppo.parts import PRESETS, summaries
-    from carpark_mj.training.ppo.train import MAX_SKIPPED, train_runs
+    from carpark_mj.training.ppo.train import FEW_UPDATES, MAX_SKIPPED, train_runs
     from carpark_mj.training.run_folder import read_runs, read_settings
 
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
@@ -222,7 +223,11 @@ def _train(arguments: Sequence[str]) -> int:
         print(f"stopped; continue with: carpark_mj train --resume {' '.join(stopped)}")
     for folder, outcome in ended:
         if outcome == "done":
-            print(f"done: {folder}")
+            made = len(read_metrics(folder))
+            few = (
+                f"only {made} updates, too few to learn: more --minutes or --num-steps"
+            )
+            print(f"{'done' if made >= FEW_UPDATES else few}: {folder}")
         if outcome == "diverged":
             print(
                 f"ppo: {MAX_SKIPPED} updates in a row were non-finite; the "

@@ -96,9 +96,9 @@ class PPOConfig(RunConfig):
         warm_start: run whose networks the training starts from instead of random ones:
             folder, checkpoint, or name of a pretrained policy with `critic_steps`.
         num_steps: agent steps to make in all, see `steps_per_update`.
-        minutes: time after which training ends before `num_steps` are made, compiling
-            included, evaluation and video not [min]; 0 = no limit. Schedules then
-            follow steps or time, whichever is further.
+        minutes: time from the end of the first update, which compiles, after which
+            training ends before `num_steps` are made [min]; 0 = no limit. Schedules
+            then follow steps or time, whichever is further.
         num_lots: number of lots simulated in parallel.
         lot_life: most updates for which a random lot is kept; a few lots are drawn
             anew after every update. 0 = never drawn anew; fixed lots never are.
@@ -225,7 +225,7 @@ class PPOConfig(RunConfig):
 
         Args:
             update: updates made.
-            seconds: time used [s]; it counts if `minutes` limits it.
+            seconds: time since the first update [s]; it counts if `minutes` limits it.
         """
         by_steps = jnp.asarray(update / self.num_updates)
         if not self.minutes:

@@ -11,7 +11,7 @@ from typing import Literal
 import jax
 import numpy as np
 
-from carpark_mj.cli.clock import COMPILING, doing
+from carpark_mj.cli.clock import doing
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training import hosts
@@ -23,12 +23,12 @@ from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.warm_start import require_run, warm_start
 from carpark_mj.training.run_folder import (
     argument,
-    list_settings,
     open_run,
     read_header,
 )
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
+FEW_UPDATES = 20  # below this many a policy has hardly changed
 
 # Whether a run came to its end, was stopped before, or kept coming out non-finite.
 Outcome = Literal["done", "stopped", "diverged"]
@@ -121,17 +121,21 @@ def train(
         callback: called on every host after every update of every run.
     """
     config, count = learner.config, len(folders)
-    _print_settings(learner, folders)
+    where = f"{learner.mesh.size} x {jax.devices()[0].device_kind}"
+    if jax.process_count() > 1:
+        where += f" of {jax.process_count()} hosts"
+    names = ", ".join(map(str, folders))
+    print(f"run {names} on {where}; settings in config.json there")
     loop = Loop("PPO", config, clock)
     state = load_or_init(learner, folders)
     update = learner.compile()
     first = done = int(np.ravel(state.update)[0])
     used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
     print(announcement(config, done, used))
-    doing(COMPILING)
+    doing("compiling, usually 1 to 3 min, less once it is kept")
     skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
     diverged = np.zeros(count, bool)
-    begun, at_begin = 0.0, count_steps(state)
+    begun, at_begin = 0.0, count_steps(state)  # at the end of the first update
     leaving = asked = False
     progress = float(config.progress(done, used))
     with contextlib.ExitStack() as stack:
@@ -146,15 +150,15 @@ def train(
             values = {name: np.ravel(x) for name, x in jax.device_get(metrics).items()}
             done += 1
             due = loop.checkpoint_is_due
+            if done == first + 1:  # it has compiled, which `minutes` do not count
+                begun, at_begin = loop.seconds, count_steps(state)
             seconds, leaving, due = hosts.largest(
-                used + loop.seconds, loop.stopping, due
+                used + loop.seconds - begun, loop.stopping, due
             )
             progress = float(config.progress(done, seconds))
             if config.minutes:
                 state = learner.set_seconds(state, seconds)
             steps, updates = count_steps(state), done - first - 1
-            if not updates:  # the first update includes compilation
-                begun, at_begin = loop.seconds, steps
             rates = (steps - at_begin) / max(loop.seconds - begun, 1e-9)
             in_a_row = np.where(values["skipped"] > skipped, in_a_row + 1, 0)
             skipped = values["skipped"]
@@ -192,25 +196,14 @@ def train(
     return ["diverged" if failed else ended for failed in diverged]
 
 
-def _print_settings(learner: Learner, folders: Sequence[Path]) -> None:
-    """Prints every setting, one a line; where runs differ, the values of all."""
-    where = f"{learner.mesh.size} x {jax.devices()[0].device_kind}"
-    if jax.process_count() > 1:
-        where += f" of {jax.process_count()} hosts"
-    print(f"run {', '.join(map(str, folders))} on {where}")
-    for settings in zip(*map(list_settings, learner.configs), strict=True):
-        values = [str(value) for _, value in settings]
-        text = values[0] if len({*values}) == 1 else ", ".join(values)
-        print(f"  {settings[0][0]} = {text}")
-
-
 def announcement(config: PPOConfig, update: int, seconds: float) -> str:
     """What a run is going to do, after the updates and seconds that it continues."""
     left = max(config.num_steps - update * config.steps_per_update, 0) / 1e6
-    words = f"trains for {left:.3g} M steps"
+    budget = f"{left:.3g} M steps"
     if config.minutes:
         minutes = max(config.minutes - seconds / 60.0, 0.0)
-        words = f"trains for at most {minutes:.3g} min or {left:.3g} M steps"
+        budget = f"at most {minutes:.3g} min or {budget}"
+    words = f"compiles, then trains for {budget}"
     after = ["evaluates"] * bool(config.eval_episodes)
     after += ["renders"] * bool(config.video_seconds)
     return f"{words}, then {' and '.join(after)}" if after else words
