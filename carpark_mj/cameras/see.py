@@ -71,7 +71,7 @@ def see(
         hit = _ground_hits(state, goal, place, eye[2], rays[above:])
         hit = jnp.concatenate([jnp.full(above, _SKY), hit])
         around = [seat(each, agent, place, eye[2]) for each in (boxes, cylinders)]
-        return trace(hit, rays, *around, rig.shaded)
+        return trace(hit, rays, around[0], around[1], rig.shaded)
 
     # No pixel before this one looks down.
     down = np.flatnonzero((rays[..., 2] < 0.0).any(axis=0))

@@ -3,63 +3,27 @@
 Settings live beside the code that reads them and are loaded on first use, as that code
 in turn names `EnvConfig`. Impossible settings raise a one-sentence `ValueError`.
 """
-# ruff: noqa: F401
-# pyright: reportUnusedImport=false
+# ruff: noqa: F403
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from carpark_mj.config.checks import data
-    from carpark_mj.config.env import EnvConfig, insert, is_data, setting
-    from carpark_mj.geometry.obstacles import ObstacleKind
-    from carpark_mj.layouts.base import (
-        LAYOUTS,
-        LayoutChoice,
-        LayoutConfig,
-        register_layout,
-        require_layout,
-    )
-    from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig, Scheme
-    from carpark_mj.mdp.metrics import METRICS, Metric, MetricsConfig, register_metric
-    from carpark_mj.mdp.rewards import (
-        REWARD_TERMS,
-        REWARDS,
-        ExtraTerms,
-        GoalRewards,
-        RewardConfig,
-        RewardTerm,
-        term_settings,
-    )
-    from carpark_mj.mdp.terminations import (
-        PARKED_RULES,
-        WORLD_UNIT,
-        EpisodeConfig,
-        ParkedRule,
-        find_rules,
-    )
-    from carpark_mj.observations.fields import ENCODERS, ObservationConfig
-    from carpark_mj.observations.ranges import RayConfig, RingConfig, UltrasoundConfig
-    from carpark_mj.observations.sensors import SensorConfig
-    from carpark_mj.observations.tracked import ShareConfig
-    from carpark_mj.obstacles import MOVERS, Mover
-    from carpark_mj.physics.config import (
-        CONTACT_SIM_DT,
-        PHYSICS,
-        PhysicsChoice,
-        PhysicsConfig,
-        SimConfig,
-        Surface,
-        TyresName,
-        physics_config,
-    )
-    from carpark_mj.spawning.config import (
-        FleetConfig,
-        JitterConfig,
-        RandomizationConfig,
-        RelocationRule,
-        SpawnConfig,
-    )
+if TYPE_CHECKING:  # only `_NAMES` are there at run time
+    from carpark_mj.config.checks import *
+    from carpark_mj.config.env import *
+    from carpark_mj.geometry.obstacles import *
+    from carpark_mj.layouts.base import *
+    from carpark_mj.mdp.goals import *
+    from carpark_mj.mdp.metrics import *
+    from carpark_mj.mdp.rewards import *
+    from carpark_mj.mdp.terminations import *
+    from carpark_mj.observations.fields import *
+    from carpark_mj.observations.ranges import *
+    from carpark_mj.observations.sensors import *
+    from carpark_mj.observations.tracked import *
+    from carpark_mj.obstacles import *
+    from carpark_mj.physics.config import *
+    from carpark_mj.spawning.config import *
 
 _NAMES = {
     "config.checks": ("data",),

@@ -226,22 +226,22 @@ def _turned(features: list[Feature], report: Report) -> list[Feature]:
 
 
 def _bays(
-    features: list[Feature], roads: list[Feature], drivable: Any, report: Report
+    spots: list[Feature], roads: list[Feature], drivable: Any, report: Report
 ) -> list[tuple[Box, BayKind]]:
     """Rectangles of the spots, heading out into the aisle."""
     least = DesignCar().size
     near = drivable.buffer(NEAR)
-    spots = [one.shape for one in features]
+    shapes = [one.shape for one in spots]
     ways = shapely.union_all([one.shape for one in roads])
     # Without strips that are too narrow for a car, as between two rows.
     half = least[1] / 2
-    open_ground = drivable.difference(shapely.union_all(spots)).buffer(-half)
+    open_ground = drivable.difference(shapely.union_all(shapes)).buffer(-half)
     open_ground = open_ground.buffer(half, join_style="mitre")
     goals = [part for part in (open_ground, ways) if not part.is_empty]
-    tree = shapely.STRtree(spots)
+    tree = shapely.STRtree(shapes)
     found: list[tuple[Box, BayKind]] = []
     taken: list[Any] = []
-    for one in features:
+    for one in spots:
         fits = best_fits(one.shape)
         if (error := fits[0][1]) > WORST_FIT:
             report.lost[one.name] = f"no rectangle: {error:.2f} m off the best one"
@@ -262,7 +262,8 @@ def _bays(
             report.lost[one.name] = "covered by another spot"
             continue
         free = cut_free(box, others)
-        met = [spots[k] for k in tree.query(box.shape) if spots[k] is not one.shape]
+        met = [shapes[k] for k in tree.query(box.shape)]
+        met = [shape for shape in met if shape is not one.shape]
         if box.shape.difference(one.shape).area > LEANING * box.shape.area:
             # It leans: it ends at the spots behind it, and a car's nose stands out.
             free = _led_out(cut_free(box, [*met, *others]), box, others)

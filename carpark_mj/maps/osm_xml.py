@@ -160,7 +160,8 @@ def _places(nodes: list[tuple[str, Any, Tags]]) -> np.ndarray:
     names = ("local_x", "local_y") if local else ("lon", "lat")
     rows = []
     for name, element, tags in nodes:
-        pair = [(tags if local else element).get(part) for part in names]
+        source: Any = tags if local else element
+        pair = [source.get(part) for part in names]
         try:
             row = [float(number) for number in pair]
         except (TypeError, ValueError):

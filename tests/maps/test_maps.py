@@ -153,11 +153,6 @@ BROKEN = {
         json.dumps({"features": [{"properties": {}, "geometry": None}]}),
         "no feature with a geometry",
     ),
-    "projected without a system": (
-        "a.geojson",
-        json.dumps({"type": "Point", "coordinates": [691000.0, 5334000.0]}),
-        "--crs",
-    ),
     "unknown system": (
         "a.geojson",
         json.dumps(geojson() | {"crs": {"properties": {"name": "EPSG:0"}}}),

@@ -8,10 +8,9 @@ import mujoco
 import numpy as np
 
 from carpark_mj.layouts.build import assemble, lanes, walls
-from carpark_mj.layouts.types import Layout, WallKind
+from carpark_mj.layouts.types import LINE_HEIGHT, Layout, WallKind
 from carpark_mj.scene import looks
 from carpark_mj.scene.build import drivable_scene
-from carpark_mj.scene.markings import LINE_HEIGHT
 from carpark_mj.vehicle import VehicleParameters
 from carpark_papers.cederle.junction.roads import (
     CORNER,

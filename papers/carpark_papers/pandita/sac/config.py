@@ -12,7 +12,7 @@ from carpark_mj.config.checks import (
     Finite,
     Positive,
     Ratio,
-    require_whole,
+    require_count,
 )
 from carpark_mj.layouts import MixtureConfig, layout_config
 from carpark_mj.registry import environment
@@ -167,7 +167,7 @@ class SACConfig(RunConfig):
         super().__post_init__()
         if self.at_switch == "balance" and self.replay != "her":
             raise ValueError(f"at_switch balance needs replay her, not {self.replay}")
-        require_whole(self, self.num_cars, "buffer_size")
+        require_count("buffer_size", self.buffer_size, self.num_cars)
         if not (self.phases and self.deploy and self.hidden):
             raise ValueError("phases, deploy and hidden must have one item or more")
         for kind in self.kinds:
