@@ -162,10 +162,9 @@ class CaseEvaluator:
         """
         count, moving = len(cases.number), self.env.num_agents > 1
         reset_key, act_key = jax.random.split(evaluation_key(seed))
-        begun = self._reset(
-            cases.layouts, jax.random.split(reset_key, count), cases.start
-        )
-        carry = Carry(*begun, init_progress(count) if moving else None)
+        keys = jax.random.split(reset_key, count)
+        state, observation = self._reset(cases.layouts, keys, cases.start)
+        carry = Carry(state, observation, init_progress(count) if moving else None)
         policy, chunks = as_argument(policy), list[tuple[np.ndarray, ...]]()
 
         def chunk(carry: Carry, keys: jax.Array) -> Any:
