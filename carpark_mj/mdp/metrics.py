@@ -22,12 +22,12 @@ from carpark_mj.geometry import heading_error, norm
 from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.layouts.routes import has_lanes
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp import safety
+from carpark_mj.mdp.collisions import first_safety, measure_safety
 from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.progress import direction_of_travel, is_nearer
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.obstacles import hit_kinds
-from carpark_mj.types import NO_BAY, EpisodeStats, Events, Motion, State, Transition
+from carpark_mj.types import NO_BAY, EpisodeStats, Events, State, Transition
 
 if TYPE_CHECKING:
     from carpark_mj.config import EnvConfig
@@ -163,7 +163,10 @@ def update_stats(
 ) -> EpisodeStats:
     """Adds a step, with its reward by term, for agents that were active in it."""
     before, motion = transition.before, transition.after.motion
-    old, path = before.stats, _path(before.motion, motion)
+    old = before.stats
+    points = [before.motion.pose_w[..., None, :2], motion.trace_w[..., :2]]
+    points = jnp.concatenate(points, axis=-2)  # driven along
+    path = norm(jnp.diff(points, axis=-2)).sum(axis=-1)
     wrong_way = None
     if old.wrong_way is not None and transition.wrong_way is not None:
         wrong_way = old.wrong_way + path * transition.wrong_way
@@ -179,14 +182,6 @@ def update_stats(
         tallies=fold_tallies(old.tallies, measure(config, transition, terms)),
     )
     return jax.tree.map(lambda x, y: jnp.where(before.active, x, y), new, old)
-
-
-def _path(before: Motion, after: Motion) -> jax.Array:
-    """Length (num_agents,) [m] driven in a step, along the trace."""
-    points = jnp.concatenate(
-        [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
-    )
-    return norm(jnp.diff(points, axis=-2)).sum(axis=-1)
 
 
 def episode_metrics(
@@ -240,7 +235,7 @@ def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
     if config.metrics.driving:
         first |= dict.fromkeys(SUMS, 0.0)
     if config.metrics.safety:
-        first |= safety.first_safety(hit_kinds(config.movers))
+        first |= first_safety(hit_kinds(config.movers))
     for metric in _registered(config):
         if metric.tally in first:
             raise ValueError(f"there is a metric {metric.tally!r} already")
@@ -261,7 +256,7 @@ def measure(
     if config.metrics.driving:
         step |= measure_driving(config.sim.ctrl_dt, transition)
     if config.metrics.safety:
-        step |= safety.measure_safety(config.sim.ctrl_dt, transition)
+        step |= measure_safety(config.sim.ctrl_dt, transition)
     for metric in _registered(config):
         assert metric.value is not None
         step[metric.tally] = metric.value(config, transition)

@@ -57,23 +57,6 @@ if TYPE_CHECKING:
 TAKES_CLOSE_BAY = 0.5  # probability that a close start has the bay for its goal
 
 
-def place_agent(
-    config: EnvConfig,
-    inputs: SpawnInputs,
-    placing: Placing,
-    agent: jax.Array,
-    key: jax.Array,
-) -> Placing:
-    """Draws goal and start pose of one agent () that begins; `key` is consumed.
-
-    Before, `placing` has the agent where its last episode ended or, if the lot begins,
-    its goal.
-    """
-    if config.goals.dynamic:
-        return place_exploring(config.spawn, inputs, placing, agent, key)
-    return place_fixed(config, inputs, placing, agent, key)
-
-
 class PlaceDraws(NamedTuple):
     """Uniform numbers in [0, 1) for one start with a fixed goal.
 
@@ -103,18 +86,22 @@ def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDr
     return PlaceDraws(goal, start, course_goal, course, reverse, misaligned)
 
 
-def place_fixed(
+def place_agent(
     config: EnvConfig,
     inputs: SpawnInputs,
     placing: Placing,
     agent: jax.Array,
     key: jax.Array,
 ) -> Placing:
-    """A goal, and a start pose that may depend on it; see `place_agent`.
+    """Draws goal and start pose of one agent () that begins; `key` is consumed.
 
-    An agent that starts on a collision course gets the goal that made it possible;
-    where goals are given, attempts at one differ in their targets only.
+    Before, `placing` has the agent where its last episode ended or, if the lot begins,
+    its goal. A start pose may depend on the goal. An agent that starts on a collision
+    course gets the goal that made it possible; where goals are given, attempts at one
+    differ in their targets only.
     """
+    if config.goals.dynamic:
+        return place_exploring(config.spawn, inputs, placing, agent, key)
     spawn, layout, drive_out = config.spawn, inputs.layout, config.goals.drive_out
     key, again = split_redraws(spawn, key)
     shapes = place_shapes(spawn, placing.goal.shape[0], layout.num_bays)

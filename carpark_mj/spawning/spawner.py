@@ -217,7 +217,8 @@ class Spawner:
             pose_w = place_absent_agents(pose_w, ~placing.waiting)
         physics = self._physics.place(state.physics, begun, pose_w, vehicles)
         if options is not None and options.speed is not None:
-            physics = self._roll(physics, options.speed)
+            speed = jnp.where(jnp.isnan(options.speed), 0, options.speed)
+            physics = self._physics.set_speed(physics, speed)
         parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)
         physics = self._physics.set_parked_poses(
             physics, poses_in_bays(layout, parked_cars)
@@ -287,10 +288,6 @@ class Spawner:
             tries = FIRST_TRIES if first else STEP_TRIES
         place = functools.partial(place_agent, config)
         return place_waiting(place, inputs, placing, key, tries, not self._may_wait)
-
-    def _roll(self, physics: PhysicsState, speed: jax.Array) -> PhysicsState:
-        """Cars that begin at speeds (num_agents,) [m/s]; at rest where NaN."""
-        return self._physics.set_speed(physics, jnp.where(jnp.isnan(speed), 0, speed))
 
     def end(self, state: State, events: Events, key: jax.Array) -> State:
         """Ends the episodes of agents that are done; `key` is consumed.

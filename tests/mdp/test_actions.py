@@ -8,7 +8,7 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.actions import ActionSpec, action_spec, parse, sanitize_action
+from carpark_mj.mdp.actions import action_spec, parse
 
 NAN, INF = np.nan, np.inf
 CHOOSING = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=3))
@@ -27,11 +27,10 @@ CHOOSING = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=3))
     ],
 )
 def test_nan_becomes_zero_and_the_rest_is_clipped(action, sanitized, invalid):
-    sanitize = jax.jit(sanitize_action, static_argnums=0)
     actions = jnp.array([action, [0.1, 0.2]], jnp.float32)
-    numbers, indices, flagged = sanitize(ActionSpec(2), actions)
-    np.testing.assert_array_equal(numbers[0], np.float32(sanitized))
-    assert indices.shape == (2, 0)
+    controls, choice, flagged = jax.jit(parse, static_argnums=0)(EnvConfig(), actions)
+    np.testing.assert_array_equal(controls[0], np.float32(sanitized))
+    assert choice is None
     assert flagged.tolist() == [invalid, False]
 
 
@@ -52,10 +51,10 @@ def test_an_index_that_is_none_becomes_the_nearest_and_nan_the_middle(
     index, sanitized, invalid
 ):
     actions = jnp.array([[0.1, 0.2, index], [0.1, 0.2, 1]], jnp.float32)
-    numbers, indices, flagged = sanitize_action(action_spec(CHOOSING), actions)
-    np.testing.assert_array_equal(numbers, actions[:, :2])
-    assert indices.dtype == jnp.int32
-    assert indices.tolist() == [[sanitized], [1]]
+    controls, choice, flagged = parse(CHOOSING, actions)
+    np.testing.assert_array_equal(controls, actions[:, :2])
+    assert choice.dtype == jnp.int32
+    assert choice.tolist() == [sanitized, 1]
     assert flagged.tolist() == [invalid, False]
 
 

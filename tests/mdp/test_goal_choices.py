@@ -17,7 +17,6 @@ from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from carpark_mj.mdp.goals import (
     choose_goals,
     nearest_bays,
-    taken_by_others,
     target_bay,
     track_bays,
     update_goals,
@@ -152,13 +151,6 @@ def test_goals_are_lost_to_who_parks_there_and_when_no_longer_tracked(respawn):
     stays = events.parked & (not respawn)
     kept = np.where(stays, goal, NO_BAY)
     np.testing.assert_array_equal(ended.goal[done], kept[done])
-
-
-def test_whoever_has_the_goal_where_another_parks_loses_it():
-    goal = jnp.array([3, 3, 2, NO_BAY, 3, 2])
-    parked = jnp.array([False, True, False, False, False, False])
-    taken = taken_by_others(goal, parked)
-    np.testing.assert_array_equal(taken, [True, False, False, False, True, False])
 
 
 # Five bays in a row, 4 m apart, and as many bays' worth of padding.

@@ -13,6 +13,7 @@ from helpers.states import parked_at
 from helpers.transitions import CHOICES, no_events, no_goal_events, no_terms, transition
 
 from carpark_mj.config import EnvConfig, GoalConfig, MetricsConfig, SimConfig
+from carpark_mj.mdp.collisions import HORIZON, RANGE
 from carpark_mj.mdp.metrics import (
     CHANGES,
     CONTEXTS,
@@ -24,7 +25,6 @@ from carpark_mj.mdp.metrics import (
     update_stats,
 )
 from carpark_mj.mdp.progress import MOVING
-from carpark_mj.mdp.safety import HORIZON, RANGE
 from carpark_mj.types import NO_BAY, Events
 
 ONE, TWO = (EnvConfig(num_agents=count, num_parked_cars=16) for count in (1, 2))

@@ -12,14 +12,14 @@ from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
 from carpark_mj.geometry.obstacles import is_crowded
-from carpark_mj.mdp import safety as clearance
-from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.safety import (
+from carpark_mj.mdp import collisions as clearance
+from carpark_mj.mdp.collisions import (
     HORIZON,
     RANGE,
     agent_clearance,
     clearances,
     collision_times,
+    find_hits,
 )
 from carpark_mj.obstacles import lot_obstacles
 

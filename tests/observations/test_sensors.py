@@ -89,12 +89,6 @@ def test_exact_sensors_are_none_at_all():
     assert observed(state) is state.motion
 
 
-def test_delays_are_drawn_from_the_whole_range_and_from_no_more():
-    config = SensorConfig(delay_min=1, delay_max=3)
-    delay = np.asarray(init_sensors(config, standing(200), KEY).delay)
-    assert set(delay) == {1, 2, 3}
-
-
 ODOMETRY = SensorConfig(odometry_scale=0.01, odometry_veer=2e-3, odometry_turn=0.02)
 AHEAD = 1.25  # m, the centre of a car made by hand from its rear axle
 
