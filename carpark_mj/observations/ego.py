@@ -32,7 +32,7 @@ from carpark_mj.observations.fields import (
     repeated_values,
     unit_vector,
 )
-from carpark_mj.types import NO_BAY, Motion
+from carpark_mj.types import NO_BAY
 
 _GoalField = functools.partial(Field, reveals_goal=True)
 
@@ -256,23 +256,17 @@ def bays_part(count: int, global_information: bool) -> Part:
 
     def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         layout, motion, bays = sight.layout, sight.motion, sight.tracked_bays
-        values = _localise_bays(layout, motion, bays)
+        room = layout.bay_size[bays] - motion.size[:, None]
+        pose, present = layout.parked_pose[bays], bays != NO_BAY
+        values = localise(motion.pose_w, pose, room, present)
+        distance = jnp.minimum(norm(values["position"]), FARTHEST)[..., None]
+        values |= {"distance": distance}
         if global_information:
             values |= _rival_values(sight, bays)
         return repeated_values("bay", values)
 
     fields = [*_BAY_FIELDS, *(_RIVAL_FIELDS if global_information else ())]
     return Part(tuple(repeated("bay", count, fields)), fill)
-
-
-def _localise_bays(
-    layout: Layout, motion: Motion, bays: jax.Array
-) -> dict[str, jax.Array]:
-    """`_BAY_FIELDS` (num_agents, count, k) of bays; zeros for `NO_BAY`."""
-    room = layout.bay_size[bays] - motion.size[:, None]
-    values = localise(motion.pose_w, layout.parked_pose[bays], room, bays != NO_BAY)
-    distance = jnp.minimum(norm(values["position"]), FARTHEST)[..., None]
-    return values | {"distance": distance}
 
 
 def goal_code(goal: jax.Array, bays: jax.Array) -> jax.Array:

@@ -115,7 +115,10 @@ def parked_cars_part(count: int) -> Part:
 
     def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         own_pose = sight.motion.pose_w
-        cars = _at_least_one(sight.state.parked_cars)
+        cars = sight.state.parked_cars
+        if not cars.bay.shape[0]:  # an absent one keeps the shapes
+            pose, size = jnp.zeros((1, 3)), jnp.zeros((1, 2))
+            cars = ParkedCars(bay=jnp.full(1, NO_BAY), pose_w=pose, size=size)
         index, present = track_parked_cars(count, own_pose, cars)
         values = localise(own_pose, cars.pose_w[index], cars.size[index], present)
         return repeated_values("parked_car", values)
@@ -173,15 +176,6 @@ def _priority(sight: ObservationInput, index: jax.Array) -> jax.Array:
     own = jnp.arange(count) if number is None else number[:count]
     before = (index if number is None else number[index]) < own[:, None]
     return before[..., None].astype(jnp.float32)
-
-
-def _at_least_one(parked_cars: ParkedCars) -> ParkedCars:
-    """The parked cars; one that is absent keeps the shapes where there are none."""
-    if parked_cars.bay.shape[0]:
-        return parked_cars
-    return ParkedCars(
-        bay=jnp.full(1, NO_BAY), pose_w=jnp.zeros((1, 3)), size=jnp.zeros((1, 2))
-    )
 
 
 PACE = 2.0  # m/s, scale of their velocities

@@ -28,11 +28,9 @@ from carpark_mj.spawning.special_starts import (
     ReverseDraws,
     Targets,
     course_pose,
-    course_shapes,
     misaligned_pose,
-    misaligned_shapes,
     reverse_pose,
-    reverse_shapes,
+    special_shapes,
 )
 from carpark_mj.spawning.starts import (
     SpawnDraws,
@@ -46,7 +44,6 @@ from carpark_mj.spawning.starts import (
     redraw,
     spawn_pose,
     spawn_shapes,
-    split_redraws,
     walk_numbers,
 )
 from carpark_mj.types import NO_BAY, State
@@ -79,10 +76,9 @@ class PlaceDraws(NamedTuple):
 
 def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDraws:
     """Shapes of the numbers of a start, for `draw_uniform`."""
-    course, goal = course_shapes(config, num_agents), (2, num_bays)
+    course, reverse, misaligned = special_shapes(config, num_agents)
+    start, goal = spawn_shapes(config), (2, num_bays)
     course_goal = (*course.target[:1], *goal)
-    start, reverse = spawn_shapes(config), reverse_shapes(config)
-    misaligned = misaligned_shapes(config)
     return PlaceDraws(goal, start, course_goal, course, reverse, misaligned)
 
 
@@ -103,7 +99,9 @@ def place_agent(
     if config.goals.dynamic:
         return place_exploring(config.spawn, inputs, placing, agent, key)
     spawn, layout, drive_out = config.spawn, inputs.layout, config.goals.drive_out
-    key, again = split_redraws(spawn, key)
+    again = key
+    if spawn.max_redraws:
+        key, again = jax.random.split(key)
     shapes = place_shapes(spawn, placing.goal.shape[0], layout.num_bays)
     draws = draw_uniform(shapes, key)
     draws = draws._replace(start=at_random_after(placing.tries[agent], draws.start))
@@ -119,7 +117,8 @@ def place_agent(
     drawn, around = with_goal(draws.goal)
     goal_pose = layout.bay_pose[drawn.goal[agent]]
     pose = spawn_pose(spawn, layout, around, goal_pose, draws.start)
-    pose = redraw(spawn, layout, around, pose, again)
+    if spawn.max_redraws:
+        pose = redraw(spawn, layout, around, pose, again)
     if spawn.reverse_ratio:
         out, found = reverse_pose(inputs, drawn, around, agent, draws.reverse)
         pose = jnp.where(kind.reverse & found, out, pose)
@@ -265,7 +264,9 @@ def place_exploring(
     layout, only_random = inputs.layout, inputs.first and not config.kinds_at_reset
     placing = placing.set(agent, goal=NO_BAY)
     around = surroundings(inputs, placing, agent, placed_only=inputs.first)
-    key, again = split_redraws(config, key)
+    again = key
+    if config.max_redraws:
+        key, again = jax.random.split(key)
     bays = 0 if only_random else layout.num_bays
     walk = bays if config.close_ratio else 0, walk_numbers(config)
     draws = draw_uniform(
@@ -273,7 +274,8 @@ def place_exploring(
     )
     start = at_random_after(placing.tries[agent], draws.start)
     pose = random_pose(config, layout, around, start)
-    pose = redraw(config, layout, around, pose, again)
+    if config.max_redraws:
+        pose = redraw(config, layout, around, pose, again)
     if only_random:
         return placing.set(agent, pose_w=pose)
     kind, bay = draw_kind(config, start.kind), jnp.full((), NO_BAY, jnp.int32)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts import Layout, layout_config
 from carpark_mj.layouts.routes import make_routes
@@ -47,7 +47,7 @@ from carpark_mj.spawning.placing import (
 from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.spawning.reset_options import ResetOptions, given_goals, has_pose
 from carpark_mj.types import NO_BAY, Events, PhysicsState, State
-from carpark_mj.vehicle import Vehicle, VehicleParameters
+from carpark_mj.vehicle import Vehicle
 
 # Starts drawn for an agent in lots that may be full. Agents that respawn try again at
 # every step; without respawn they are absent until the lot is reset.
@@ -88,8 +88,12 @@ class Spawner:
         self._movers = make_movers(config.movers)
         lot = layout_config(config.layout)
         # Contacts can push parked cars into spawn regions, and movers can drive there.
+        # Regions fit the car they are made for; the margin fits it at any heading.
         clear = not config.physics_config.contacts and all(
-            _starts_are_free(lot, car) for car in fleet.agents
+            is_made_for(part, car)
+            or math.hypot(car.length, car.width) / 2 <= part.spawn_margin
+            for car in fleet.agents
+            for part in lot.parts
         )
         self._may_touch = bool(self._movers) or not clear
         self._only_movers = clear and bool(self._movers) and not fleet.mixed
@@ -346,12 +350,3 @@ class Spawner:
             key, movers = jax.random.split(key)
         spawn = SpawnKeys(cars, starts, goals, sensors)
         return StepKeys(key, reading, relocate, movers, spawn)
-
-
-def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
-    """Whether every start of a car in lots of a family is clear of obstacles."""
-    # Spawn regions fit the car they are made for; the margin fits it at any heading.
-    reach = math.hypot(car.length, car.width) / 2
-    return all(
-        is_made_for(part, car) or reach <= part.spawn_margin for part in lot.parts
-    )

@@ -138,14 +138,6 @@ def random_pose(
     return _best(config, around, jnp.concatenate([xy, yaw[:, None]], axis=-1))
 
 
-def split_redraws(config: SpawnConfig, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """A key for a start and one for `redraw`, if it is used; `key` is consumed."""
-    if not config.max_redraws:
-        return key, key
-    first, again = jax.random.split(key)
-    return first, again
-
-
 def redraw(
     config: SpawnConfig,
     layout: Layout,
@@ -158,8 +150,6 @@ def redraw(
     After `max_redraws` rounds of `num_candidates` it may still be too near. `key` is
     consumed.
     """
-    if not config.max_redraws:
-        return pose
     shapes = spawn_shapes(config)._replace(walk=(0, 0))
 
     def goes_on(carry: tuple[jax.Array, jax.Array]) -> jax.Array:

@@ -51,9 +51,8 @@ from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
     clamp_to_bay_end,
     misaligned_pose,
-    misaligned_shapes,
     paths_out,
-    reverse_shapes,
+    special_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.suite.metadrive import METADRIVE
@@ -260,7 +259,7 @@ def test_the_planner_has_one_way_round_where_there_is_one():
 
 
 def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
-    shapes = reverse_shapes(SpawnConfig(close_ratio=0.0, reverse_ratio=1.0))
+    shapes = special_shapes(SpawnConfig(close_ratio=0.0, reverse_ratio=1.0), 1)[1]
     draws = draw_uniform(shapes, jax.random.key(0))
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
@@ -276,7 +275,7 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
 
 def test_misaligned_starts_stand_as_the_car_must_park(layout):
     spawn = SpawnConfig(close_ratio=0.0, misaligned_ratio=1.0)
-    shapes = misaligned_shapes(spawn)
+    shapes = special_shapes(spawn, 1)[2]
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     inputs = SpawnInputs(layout, parked_at(), None, None, BayFits(), car)
 

@@ -31,7 +31,7 @@ from carpark_mj.spawning.special_starts import (
     NEAREST,
     ROOM,
     reverse_pose,
-    reverse_shapes,
+    special_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.types import NO_BAY, ParkedCars
@@ -93,7 +93,7 @@ def reverse_starts(layouts, cars, keys):
         inputs = inputs_of(layout, parked, cars)
         waiting = jnp.array([True, False])
         placing = start_placing(goal, bay, jnp.stack([pose, pose]), waiting)
-        draws = draw_uniform(reverse_shapes(REVERSE), draw_key)
+        draws = draw_uniform(special_shapes(REVERSE, 1)[1], draw_key)
         around = surroundings(inputs, placing, jnp.array(0))
         start = reverse_pose(inputs, placing, around, jnp.array(0), draws)
         return start, draws, goal[0], pose, parked

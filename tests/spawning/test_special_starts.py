@@ -25,9 +25,8 @@ from carpark_mj.spawning.special_starts import (
     CourseDraws,
     Targets,
     course_pose,
-    course_shapes,
     misaligned_pose,
-    misaligned_shapes,
+    special_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.vehicle import COMPACT, make_vehicle
@@ -43,7 +42,7 @@ OTHERS = np.array([False, True, True, True])
 
 @functools.partial(jax.jit, static_argnums=0)
 def try_all(config, layout, around, goal_xy, targets, keys):
-    shapes = CourseDraws(*(shape[1:] for shape in course_shapes(config, 4)))
+    shapes = CourseDraws(*(shape[1:] for shape in special_shapes(config, 4)[0]))
 
     def attempt(key):
         draws = draw_uniform(shapes, key)
@@ -258,7 +257,7 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
     around = surroundings(inputs, placing, jnp.array(0))
 
     def one(key):
-        draws = draw_uniform(misaligned_shapes(MISALIGNED), key)
+        draws = draw_uniform(special_shapes(MISALIGNED, 1)[2], key)
         return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
 
     pose, found = jax.vmap(one)(jax.random.split(jax.random.key(4), COUNT))
