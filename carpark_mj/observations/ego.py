@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_room, norm, rotate, to_local
-from carpark_mj.layouts.routes import RouteLeft, has_lanes, nearest_lane, route_to
+from carpark_mj.layouts.routes import RouteLeft, nearest_lane, route_to
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import (
     CLOSE,
@@ -198,7 +198,7 @@ _LANE_FIELDS = (
 def _lane(sight: ObservationInput) -> dict[str, jax.Array]:
     """Of the lane nearest to every agent; zeros without lanes."""
     layout, own_pose = sight.layout, sight.motion.pose_w
-    if not has_lanes(layout):
+    if not layout.has_lanes:
         count = own_pose.shape[0]
         return {field.name: jnp.zeros((count, field.size)) for field in _LANE_FIELDS}
     index, present = nearest_lane(layout, own_pose)
@@ -237,6 +237,7 @@ _RIVAL_FIELDS = (
 )
 
 
+@functools.cache
 def choice_part(num_tracked_bays: int) -> Part:
     """Which of the tracked bays an agent has chosen."""
 
@@ -251,6 +252,7 @@ def choice_part(num_tracked_bays: int) -> Part:
     return Part((field,), fill)
 
 
+@functools.cache
 def bays_part(count: int, global_information: bool) -> Part:
     """The tracked bays, with who is near them if there is global information."""
 

@@ -1,6 +1,7 @@
 """What agents observe of the nearest cars, people and other movers."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 
@@ -87,6 +88,7 @@ def mark(index: jax.Array, present: jax.Array, count: int) -> jax.Array:
 Shared = Callable[[ObservationInput, jax.Array], jax.Array]
 
 
+@functools.cache
 def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
     """The nearest `count` other agents, with what they share.
 
@@ -110,6 +112,7 @@ def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
     return Part(tuple(fields), fill)
 
 
+@functools.cache
 def parked_cars_part(count: int) -> Part:
     """The nearest `count` parked cars."""
 
@@ -189,6 +192,7 @@ _MOVER_FIELDS = (
 )
 
 
+@functools.cache
 def movers_part(count: int, in_sight: bool) -> Part:
     """The nearest `count` movers.
 

@@ -10,6 +10,7 @@ follow from where it stands.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -34,7 +35,6 @@ from carpark_mj.spawning.special_starts import (
 )
 from carpark_mj.spawning.starts import (
     SpawnDraws,
-    at_random_after,
     close_points,
     draw_heading,
     draw_kind,
@@ -74,6 +74,7 @@ class PlaceDraws(NamedTuple):
     misaligned: MisalignedDraws
 
 
+@functools.cache
 def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDraws:
     """Shapes of the numbers of a start, for `draw_uniform`."""
     course, reverse, misaligned = special_shapes(config, num_agents)
@@ -104,8 +105,10 @@ def place_agent(
         key, again = jax.random.split(key)
     shapes = place_shapes(spawn, placing.goal.shape[0], layout.num_bays)
     draws = draw_uniform(shapes, key)
-    draws = draws._replace(start=at_random_after(placing.tries[agent], draws.start))
-    kind = draw_kind(spawn, draws.start.kind)
+    # After a rejected try it is random, which can be anywhere: above all ratios.
+    number = jnp.where(placing.tries[agent] > 0, 2.0, draws.start.kind)
+    draws = draws._replace(start=draws.start._replace(kind=number))
+    kind = draw_kind(spawn, number)
     keeps_goal = inputs.first or drive_out
 
     def with_goal(scores: jax.Array) -> tuple[Placing, Surroundings]:
@@ -272,13 +275,13 @@ def place_exploring(
     draws = draw_uniform(
         ExploringDraws(spawn_shapes(config), walk, (bays,), (bays,)), key
     )
-    start = at_random_after(placing.tries[agent], draws.start)
-    pose = random_pose(config, layout, around, start)
+    pose = random_pose(config, layout, around, draws.start)
     if config.max_redraws:
         pose = redraw(config, layout, around, pose, again)
     if only_random:
         return placing.set(agent, pose_w=pose)
-    kind, bay = draw_kind(config, start.kind), jnp.full((), NO_BAY, jnp.int32)
+    number = jnp.where(placing.tries[agent] > 0, 2.0, draws.start.kind)
+    kind, bay = draw_kind(config, number), jnp.full((), NO_BAY, jnp.int32)
     if config.close_ratio:
         others_goal = jnp.where(around.others, placing.goal, NO_BAY)
         taken = jnp.concatenate([placing.parked_bay, others_goal])
@@ -307,12 +310,11 @@ def begin_goals(
     begun: jax.Array,
     key: jax.Array | None,
 ) -> State:
-    """Tracked bays and first goals of agents that begin, if they choose their goals.
+    """Tracked bays and first goals of agents that begin and choose their goals.
 
     `key` is consumed; None = no agent begins with a goal.
     """
-    if state.tracked_bays is None:
-        return state
+    assert state.tracked_bays is not None
     tracked = jnp.where(begun[:, None], NO_BAY, state.tracked_bays)
     state = track_bays(config, dataclasses.replace(state, tracked_bays=tracked))
     if key is None:

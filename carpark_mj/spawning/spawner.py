@@ -257,6 +257,8 @@ class Spawner:
             present=present,
             waited=waited,
         )
+        if state.tracked_bays is None:
+            return state
         begins = begun & ~placing.waiting
         return begin_goals(config, state, placing, begins, keys.goals)
 

@@ -71,12 +71,6 @@ def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
     return SpawnDraws((), (n,), (n, 2), (n,), (walks, walk_numbers(config)))
 
 
-def at_random_after(tries: jax.Array, draws: SpawnDraws) -> SpawnDraws:
-    """The numbers of a start, which is random after rejected `tries` ()."""
-    # Above all ratios, see `draw_kind`: at random a start can be anywhere.
-    return draws._replace(kind=jnp.where(tries > 0, 2.0, draws.kind))
-
-
 class SpawnKind(NamedTuple):
     """Kind of a start; random if it is none of these. (...) bool each.
 
