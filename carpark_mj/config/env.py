@@ -279,8 +279,9 @@ def insert(config: Config, values: Mapping[str, Any]) -> Config:
         ValueError: there is no such setting.
     """
     new = copy.copy(config)
-    for computed in vars(new).keys() - {*_names(new)}:
-        del vars(new)[computed]  # properties that follow from the other values
+    own = getattr(new, "__dict__", {})
+    for computed in own.keys() - {*_names(new)}:
+        del own[computed]  # properties that follow from the other values
     for path, value in values.items():
         if isinstance(new, ExtraTerms):
             new[_require_setting(new, path)] = value
