@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.paying import GOAL, events, step, terms
+from helpers.paying import GOAL, step, terms
 from helpers.scenes import cars, lot
 from helpers.transitions import no_goal_events, transition
 
@@ -92,13 +92,6 @@ def test_a_term_with_a_traced_weight_is_computed_even_where_it_is_0():
         expected = [-weight / 200 * (3.5 - above)] * 2
         np.testing.assert_allclose(pay(weight, above), expected, atol=1e-7)
     assert len(CALLS) == 1
-
-
-def test_agents_whose_episodes_are_over_are_not_paid():
-    config = EnvConfig(num_agents=2, reward=RewardConfig(extra={"bonus": 1.0}))
-    car = cars([(0.0, 0.0, 0.0)] * 2)
-    happened = step(config, car, car, happened=events(2, diverged=[0]))
-    assert reward_terms(config, happened)["bonus"].tolist() == [0.0, 1.0]
 
 
 def test_settings_come_back_from_json_in_their_order():

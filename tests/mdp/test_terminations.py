@@ -296,16 +296,6 @@ def test_outcomes_exclude_each_other_in_random_states(rule):
     np.testing.assert_array_equal(hits, events.crashed)
 
 
-def test_a_hitbox_scale_makes_cars_crash_that_are_near_each_other():
-    # Footprints of 4 m x 2 m, one beside the other with 0.6 m between them.
-    layout = lot([(20.0, 0.0, 0.0)])
-    beside = parked_at([(0.0, 2.6, 0.0)])
-    state = state_of(layout, cars([(0.0, 0.0, 0.0)]), [0], parked_cars=beside)
-    for scale, crashes in ((1.0, False), (1.25, False), (1.35, True)):
-        config = EpisodeConfig(hitbox_scale=scale)
-        assert bool(detect_jit(config, state).crashed[0]) == crashes
-
-
 def test_scaled_hitboxes_do_not_make_parking_harder():
     layout = lot([(0.0, 0.0, 0.0)], bay_size=(4.2, 2.2))
     state = state_of(layout, cars([(0.0, 0.0, 0.0)]), [0])
