@@ -47,7 +47,7 @@ def test_nan_becomes_zero_and_the_rest_is_clipped(action, sanitized, invalid):
         (1.6, 2, True),
     ],
 )
-def test_an_index_that_is_none_becomes_the_nearest_and_nan_the_middle(
+def test_invalid_index_becomes_the_nearest_and_nan_the_middle(
     index, sanitized, invalid
 ):
     actions = jnp.array([[0.1, 0.2, index], [0.1, 0.2, 1]], jnp.float32)
@@ -58,7 +58,7 @@ def test_an_index_that_is_none_becomes_the_nearest_and_nan_the_middle(
     assert flagged.tolist() == [invalid, False]
 
 
-def test_an_action_is_taken_apart_into_controls_and_the_choice_of_a_goal():
+def test_action_has_controls_and_the_choice_of_a_goal():
     fixed = parse(EnvConfig(), jnp.array([[0.5, -0.5], [0.5, 2.0]]))
     np.testing.assert_array_equal(fixed.controls, [[0.5, -0.5], [0.5, 1.0]])
     assert fixed.goal_choice is None
@@ -77,7 +77,7 @@ def test_the_middle_of_the_ranges_is_a_valid_action(config):
     assert not parse(config, spec.middle[None]).invalid.any()
 
 
-def test_the_environment_drives_on_with_the_sanitized_action_and_counts():
+def test_environment_sanitizes_actions_and_counts_them():
     env = ParkingEnv(EnvConfig(num_agents=3, num_parked_cars=0), SlidePhysics())
     step = jax.jit(env.step)
     state, _ = jax.jit(env.reset)(jax.random.key(0))

@@ -68,7 +68,7 @@ def test_in_a_lot_that_never_has_lanes_nobody_is_asked():
 
 
 @pytest.mark.parametrize("name", ["street", "angled", "lot", "garage_row"])
-def test_cars_that_follow_their_lane_are_right_and_those_that_go_back_are_wrong(name):
+def test_only_driving_back_in_a_lane_is_wrong(name):
     layout = make_layout(name)
     rows = np.flatnonzero(layout.lane_mask)
     pose = np.asarray(layout.lane_pose)[rows]
