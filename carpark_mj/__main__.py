@@ -11,22 +11,20 @@ def main() -> NoReturn:
     """Runs the program that the first argument names, as this process."""
     name = sys.argv[1] if len(sys.argv) > 1 else "--help"
     if name in ("-h", "--help"):
-        print(f"usage: carpark_mj COMMAND ...\n\n{table(COMMANDS)}\n")
+        summaries = {name: command.summary for name, command in COMMANDS.items()}
+        print(f"usage: carpark_mj COMMAND ...\n\n{table(summaries)}\n")
         print("carpark_mj COMMAND --help lists the settings of each.")
         sys.exit(0)
     if name not in COMMANDS:
         known = ", ".join(COMMANDS)
-        sys.exit(_refuse(f"unknown command {name!r}; choose from {known}"))
+        reason = f"unknown command {name!r}; choose from {known}"
+        print(f"carpark_mj: {reason}", file=sys.stderr)
+        sys.exit(2)
     words = sys.argv[2:]
     if words and f"{name} {words[0]}" in COMMANDS:
         name, words = f"{name} {words[0]}", words[1:]
     sys.argv = [f"carpark_mj {name}", *words]  # as the help calls it
     enter(name, "carpark_mj.programs:run", name)
-
-
-def _refuse(reason: str) -> int:
-    print(f"carpark_mj: {reason}", file=sys.stderr)
-    return 2
 
 
 if __name__ == "__main__":

@@ -1,24 +1,22 @@
-"""Several runs together: records, intervals, plots, and an HTML page of them.
+"""Several runs together: records, intervals, plots.
 
 Intervals are as Agarwal et al. 2021 recommend (arXiv 2108.13264): the interquartile
 mean is the mean of the middle half; its interval comes from resampling runs within each
 point of a sweep (a stratified bootstrap), so that points do not change their weight.
 """
 
-import base64
 import contextlib
 import dataclasses
 import html
 import math
-import os
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 
 from carpark_mj.evaluation.catalogue import metrics as known_metrics
+from carpark_mj.evaluation.tables import link
 from carpark_mj.files import write_atomically
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.reading import read_csv, read_object, require_entries
@@ -26,19 +24,8 @@ from carpark_mj.reading import read_csv, read_object, require_entries
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 GRID = 200  # points of a mean curve
-SHOWN_ROWS = 40  # of a table; a longer one is folded
 # Settings that may differ between runs of the same training.
 _INCIDENTAL = ("name", "runs_dir", "resume", "time_limit", "seed", "preset")
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto;
-  padding: 0 1rem; color: #222; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
-img, video { max-width: 100%; } .wide { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
-th:first-child, td:first-child { text-align: left; }
-th { background: #f4f4f4; }
-"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -409,76 +396,11 @@ def _axes(path: Path, title: str) -> Generator[Any]:
         plt.close(figure)
 
 
-def write_page(
-    path: Path, title: str, notes: Sequence[str], parts: Sequence[tuple[str, str]]
-) -> None:
-    """Writes an HTML page.
-
-    Args:
-        path: of the file.
-        title: its heading.
-        notes: paragraphs below it, plain text.
-        parts: headings and the HTML below each.
-    """
-    body = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
-    for heading, content in parts:
-        body += f"<h2>{html.escape(heading)}</h2>\n{content}\n"
-    text = (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>\n"
-        f"<body><h1>{html.escape(title)}</h1>\n{body}</body></html>\n"
-    )
-    write_atomically(path, lambda temporary: temporary.write_text(text))
-
-
-def picture(path: Path) -> str:
-    """A PNG embedded in HTML."""
-    data = base64.b64encode(path.read_bytes()).decode()
-    name = html.escape(path.stem.replace("_", " "))
-    return f'<img alt="{name}" src="data:image/png;base64,{data}">'
-
-
-def video_figure(path: Path, page: Path, caption: str) -> str:
-    """A video that lies beside the page, or below it, as HTML with a caption."""
-    return (
-        f'<figure><video src="{_link(path, page)}" controls muted '
-        'preload="metadata"></video>'
-        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
-    )
-
-
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows of the same columns as an HTML table."""
-    if not rows:
-        return "<p>none</p>"
-    cells = [[html.escape(cell_text(x)) for x in row.values()] for row in rows]
-    lines = [f"<td>{'</td><td>'.join(row)}</td>" for row in cells]
-    head = "".join(f"<th>{html.escape(str(name))}</th>" for name in rows[0])
-    shown = " open" if len(rows) <= SHOWN_ROWS else ""
-    return (
-        f"<details{shown}><summary>{len(rows)} rows</summary>"
-        f'<div class="wide"><table><tr>{"</tr><tr>".join([head, *lines])}</tr></table>'
-        "</div></details>"
-    )
-
-
 def videos(path: Path, records: Sequence[Record]) -> str:
     """Links to the videos of runs, as seen from the page at `path`."""
     links = [
-        f'<li><a href="{_link(video, path)}">{html.escape(record.name)}</a></li>'
+        f'<li><a href="{link(video, path)}">{html.escape(record.name)}</a></li>'
         for record in records
         if record.folder and (video := record.folder / "video.mp4").exists()
     ]
     return f"<ul>{''.join(links)}</ul>" if links else ""
-
-
-def _link(path: Path, page: Path) -> str:
-    """A file as seen from the page; sweeps' folders have `%` in their names."""
-    return html.escape(quote(os.path.relpath(path, page.parent), safe="/=,+"))
-
-
-def cell_text(value: Any) -> str:
-    """A value as tables show it; a dash for NaN, such as the interval of one run."""
-    if isinstance(value, float):
-        return "–" if math.isnan(value) else f"{value:.4g}"
-    return str(value)

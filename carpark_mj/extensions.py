@@ -35,8 +35,28 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
     return f"unknown {kind} {name!r}; choose from {names}{meant}"
 
 
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A part that is imported on first use.
+
+    Attributes:
+        home: `module:name` where it is.
+        summary: what it is, in a line.
+    """
+
+    home: str
+    summary: str = ""
+
+    def load(self) -> Any:
+        """Imports it."""
+        module, _, name = self.home.partition(":")
+        return getattr(importlib.import_module(module), name)
+
+
 class Registry(Mapping[str, T], Generic[T]):
     """Parts of one kind by name; looking a name up may import the extensions.
+
+    A part may be registered as an `Entry`: looking it up imports it.
 
     Examples:
         >>> cars: Registry[float] = Registry("car")
@@ -79,7 +99,13 @@ class Registry(Mapping[str, T], Generic[T]):
         """The part of that name; `ValueError` of an unknown one lists the known."""
         if name not in self:
             raise ValueError(unknown_name(self._kind, name, self._parts))
-        return self._parts[name]
+        part: Any = self._parts[name]
+        return part.load() if isinstance(part, Entry) else part
+
+    @property
+    def summaries(self) -> dict[str, str]:
+        """A line on each part that is registered as an entry, and "" on others."""
+        return {name: getattr(self._parts[name], "summary", "") for name in self}
 
     def __contains__(self, name: object) -> bool:
         if not isinstance(name, str):  # from a file; a list could not even be looked up
@@ -104,24 +130,6 @@ class Registry(Mapping[str, T], Generic[T]):
         for home in self._homes:
             importlib.import_module(home)
         load_extensions()
-
-
-@dataclasses.dataclass(frozen=True)
-class Entry:
-    """A part that is imported on first use.
-
-    Attributes:
-        home: `module:name` where it is.
-        summary: what it is, in a line.
-    """
-
-    home: str
-    summary: str = ""
-
-    def load(self) -> Any:
-        """Imports it."""
-        module, _, name = self.home.partition(":")
-        return getattr(importlib.import_module(module), name)
 
 
 def load_extensions() -> None:

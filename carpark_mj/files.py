@@ -53,6 +53,12 @@ def naming(path: Path, temporary: Path | None = None) -> Generator[None]:
         raise
 
 
+def require_suffix(name: str, file: str, *suffixes: str) -> None:
+    """Refuses a file whose name ends otherwise; "" is no file. Raises `ValueError`."""
+    if file and Path(file).suffix not in suffixes:
+        raise ValueError(f"{name} must end in {' or '.join(suffixes)}, not {file!r}")
+
+
 def require_writable(path: Path, new_folders: bool = False) -> None:
     """Refuses, before the work, a file that `write_atomically` cannot write after it.
 
@@ -79,10 +85,14 @@ def write_atomically(path: Path, write: Any) -> None:
         temporary.replace(path)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Writes a text atomically."""
+    write_atomically(path, lambda temporary: temporary.write_text(text))
+
+
 def write_json(path: Path, data: Any) -> None:
     """Writes JSON atomically."""
-    text = json.dumps(data, indent=2) + "\n"
-    write_atomically(path, lambda temporary: temporary.write_text(text))
+    write_text(path, json.dumps(data, indent=2) + "\n")
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -92,4 +102,4 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer = csv.DictWriter(text, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
+    write_text(path, text.getvalue())

@@ -89,12 +89,12 @@ class CsvRow(NamedTuple):
         """The whole number in a column, see `number`."""
         return self._parsed(name, int, "whole number")
 
-    def _parsed(self, name: str, kind: type, told: str) -> Any:
+    def _parsed(self, name: str, kind: type, what: str) -> Any:
         try:
             return kind(self.cells[name])
         except ValueError:
             raise ValueError(
-                f"{self.place}: {name} must be a {told}, not {self.cells[name]!r}"
+                f"{self.place}: {name} must be a {what}, not {self.cells[name]!r}"
             ) from None
 
 
@@ -102,7 +102,7 @@ def read_csv(path: Path, *columns: str, growing: bool = False) -> list[CsvRow]:
     """Reads a table whose first line names its columns; an empty file has no rows.
 
     Args:
-        path: of the file.
+        path: the file.
         *columns: that it must have.
         growing: a process that was killed may have left half a line at the end, which
             is left out.
@@ -153,8 +153,8 @@ class Archive:
     """The arrays of a `.npz` file.
 
     Attributes:
-        path: of the file.
-        names: of the arrays.
+        path: the file.
+        names: names of the arrays.
     """
 
     def __init__(self, path: Path) -> None:

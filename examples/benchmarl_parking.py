@@ -26,7 +26,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.process import enable_output_fusion, enter, patient_interrupts
 from carpark_mj.config import EnvConfig, SpawnConfig
-from carpark_mj.config.checks import require_whole
+from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
@@ -36,7 +36,7 @@ OFF_POLICY = ("maddpg", "iql", "vdn", "qmix")  # learn more often from fewer ste
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class Settings(CheckedConfig):
     """Settings of the example.
 
     Attributes:
@@ -53,19 +53,14 @@ class Settings:
     """
 
     algorithm: Literal["ippo", "mappo", "maddpg", "iql", "vdn", "qmix"] = "ippo"
-    agents: int = 4
+    agents: Count = 4
     parked_cars: int = 16
     layout: str = "square"
-    frames: int = 24_000_000
-    lots: int | None = None
-    evaluations: int = 10
+    frames: Count = 24_000_000
+    lots: Count | None = None
+    evaluations: Count = 10
     seed: int = 0
     out: Path = Path("runs/benchmarl")
-
-    def __post_init__(self) -> None:
-        require_whole(self, 1, "agents", "frames", "evaluations")
-        if self.lots is not None:
-            require_whole(self, 1, "lots")
 
 
 class Curve(Rates):

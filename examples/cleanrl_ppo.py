@@ -26,10 +26,11 @@ from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.process import enable_output_fusion, enter
 from carpark_mj.config import EnvConfig, EpisodeConfig, RayConfig, RingConfig
 from carpark_mj.config.checks import (
-    require_at_least,
-    require_positive,
-    require_ratio,
-    require_whole,
+    CheckedConfig,
+    Count,
+    NonNegative,
+    Positive,
+    Ratio,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
@@ -38,7 +39,7 @@ from carpark_mj.wrappers.torch_batch import TorchBatch
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class Settings(CheckedConfig):
     """Settings of the example.
 
     Attributes:
@@ -60,29 +61,22 @@ class Settings:
         out: picture of the learning curve.
     """
 
-    minutes: float = 12.0
-    lots: int = 64
-    agents: int = 2
+    minutes: Positive = 12.0
+    lots: Count = 64
+    agents: Count = 2
     layout: str = "square"
     cameras: bool = False
     seed: int = 0
-    unroll: int = 64
-    epochs: int = 4
-    minibatches: int = 16
-    learning_rate: float = 1e-3
-    discount: float = 0.99
-    gae_lambda: float = 0.92
-    clip: float = 0.2
-    entropy: float = 1e-3
-    episodes: int = 1024
+    unroll: Count = 64
+    epochs: Count = 4
+    minibatches: Count = 16
+    learning_rate: Positive = 1e-3
+    discount: Ratio = 0.99
+    gae_lambda: Ratio = 0.92
+    clip: Positive = 0.2
+    entropy: NonNegative = 1e-3
+    episodes: Count = 1024
     out: Path = Path("cleanrl_ppo.png")
-
-    def __post_init__(self) -> None:
-        require_positive(self, "minutes", "learning_rate", "clip")
-        require_ratio(self, "discount", "gae_lambda")
-        require_at_least(self, 0, "entropy")
-        require_whole(self, 1, "lots", "agents", "unroll", "epochs", "minibatches")
-        require_whole(self, 1, "episodes")
 
 
 class Agent(nn.Module):

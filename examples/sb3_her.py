@@ -20,13 +20,13 @@ from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
 
 from carpark_mj.cli.flags import read_flags  # noqa: E402
 from carpark_mj.cli.process import enter  # noqa: E402
-from carpark_mj.config.checks import require_positive, require_whole  # noqa: E402
+from carpark_mj.config.checks import CheckedConfig, Count, Positive  # noqa: E402
 from carpark_mj.files import require_writable  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class Settings(CheckedConfig):
     """Settings of the example.
 
     Attributes:
@@ -39,17 +39,13 @@ class Settings:
         out: picture of the learning curve.
     """
 
-    minutes: float = 15.0
-    lots: int = 32
+    minutes: Positive = 15.0
+    lots: Count = 32
     layout: str = "square"
     parked_cars: int = 0
     seed: int = 0
-    episodes: int = 256
+    episodes: Count = 256
     out: Path = Path("sb3_her.png")
-
-    def __post_init__(self) -> None:
-        require_positive(self, "minutes")
-        require_whole(self, 1, "lots", "episodes")
 
 
 def main(settings: Settings) -> None:

@@ -28,13 +28,13 @@ from carpark_mj.config import (  # noqa: E402
     RingConfig,
     SpawnConfig,
 )
-from carpark_mj.config.checks import require_positive, require_whole  # noqa: E402
+from carpark_mj.config.checks import CheckedConfig, Count, Positive  # noqa: E402
 from carpark_mj.files import require_writable  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class Settings(CheckedConfig):
     """Settings of the example.
 
     Attributes:
@@ -47,17 +47,13 @@ class Settings:
         out: picture of the learning curve.
     """
 
-    minutes: float = 14.0
-    lots: int = 256
+    minutes: Positive = 14.0
+    lots: Count = 256
     layout: str = "square"
     cameras: bool = False
     seed: int = 0
-    episodes: int = 1024
+    episodes: Count = 1024
     out: Path = Path("sb3_ppo.png")
-
-    def __post_init__(self) -> None:
-        require_positive(self, "minutes")
-        require_whole(self, 1, "lots", "episodes")
 
 
 def main(settings: Settings) -> None:

@@ -33,8 +33,7 @@ from carpark_mj.cli.analysis import AnalysisConfig
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.layout_files import EditConfig, ImportConfig
-from carpark_mj.cli.layouts import LayoutsConfig
+from carpark_mj.cli.layouts import EditConfig, ImportConfig, LayoutsConfig
 from carpark_mj.cli.oracle import OracleConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig

@@ -20,8 +20,9 @@ import jax.numpy as jnp
 import mujoco
 
 from carpark_mj.cli.process import configure_jax, enable_output_fusion
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import CONTACT_SIM_DT, EnvConfig, SimConfig
 from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Natural
+from carpark_mj.evaluation import tables
 from carpark_mj.files import write_csv
 
 What = Literal["env", "ppo", "physics"]
@@ -73,11 +74,6 @@ BEST: dict[str, Callable[[Sequence[float]], float]] = {
     "first_step_s": min,
     "peak_memory_mb": max,
 }
-_HEAD = (
-    "| what | layout | agents | lots | rate | unit | compile [s] | first step [s] | "
-    "peak memory [MB] |"
-)
-
 # The measurements of every job, one of each round.
 Rounds = dict[Job, list[Measurement]]
 
@@ -243,16 +239,18 @@ def run_job(job: Job) -> Measurement:
 def markdown(rounds: Rounds) -> str:
     """The table of the best rounds, under a line that names device and versions."""
     about = next(iter(rounds.values()))[0]
-    lines = [f"{about.device}, JAX {about.jax}, MuJoCo {about.mujoco}", ""]
-    lines += [_HEAD, "|" + "---|" * (_HEAD.count("|") - 1)]
+    rows: list[dict[str, Any]] = []
     for results in rounds.values():
         one = results[0]
         best = [f([getattr(r, name) for r in results]) for name, f in BEST.items()]
         rate, *others = best
-        cells = [one.what, one.layout, str(one.agents), f"{one.lots:,}"]
-        cells += [f"{rate:,.0f}", one.unit, *(f"{number:,.1f}" for number in others)]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        row = {"what": one.what, "layout": one.layout, "agents": one.agents}
+        row |= {"lots": f"{one.lots:,}", "rate": f"{rate:,.0f}", "unit": one.unit}
+        names = "compile [s]", "first step [s]", "peak memory [MB]"
+        row |= {n: f"{x:,.1f}" for n, x in zip(names, others, strict=True)}
+        rows.append(row)
+    about_machine = f"{about.device}, JAX {about.jax}, MuJoCo {about.mujoco}"
+    return f"{about_machine}\n\n{tables.markdown(rows)}"
 
 
 def best_time(
@@ -284,7 +282,6 @@ class Subject:
 
 def env_subject(job: Job) -> Subject:
     """Steps of `ParkingEnv` with random actions and respawning agents."""
-    from carpark_mj.config import EnvConfig
     from carpark_mj.env import ParkingEnv
 
     config = EnvConfig(
@@ -359,7 +356,6 @@ def ppo_subject(job: Job) -> Subject:
 
 def physics_subject(job: Job) -> Subject:
     """Cars alone, at the longest substep at which they pass the physics report."""
-    from carpark_mj.config import CONTACT_SIM_DT, SimConfig
     from carpark_mj.physics.mjx import MjxPhysics
     from carpark_mj.physics.mjx_step import ContactPhysics
     from carpark_mj.vehicle import make_vehicle, preset

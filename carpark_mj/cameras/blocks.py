@@ -1,26 +1,20 @@
 """What stands in a lot as upright boxes and cylinders, and rays that meet them."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.cameras.ground import MISS, SHADES, encode, fold
+from carpark_mj.cameras import ground
+from carpark_mj.cameras.ground import SHADES, Patches, Place
 from carpark_mj.cameras.rig import BODY, CABIN, CarBlock, Seen
 from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.geometry.se2 import move_forward, rotate
-from carpark_mj.layouts.types import (
-    DISC_HEIGHTS,
-    GROUND_CLEARANCE,
-    MOVER_HEIGHTS,
-    WALL_HEIGHTS,
-    DiscKind,
-    Layout,
-    WallKind,
-)
+from carpark_mj.layouts import types as lot
+from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import State
 
@@ -42,7 +36,7 @@ class Heights:
 
     @classmethod
     def of(cls, fleet: Any) -> "Heights":
-        """Those of an environment's cars, `ParkingEnv.fleet`."""
+        """Those of `fleet.agents` and `fleet.parked_cars`, as of `ParkingEnv.fleet`."""
         both = (fleet.agents, fleet.parked_cars)
         return cls(*(tuple(car.height / car.length for car in cars) for cars in both))
 
@@ -95,7 +89,7 @@ def _car(block: CarBlock, group: Group, state: State, heights: Heights) -> Block
     return Blocks(
         pose_w=move_forward(group.pose_w, half[:, 0] * (rear + front) / 2),
         half=_present(sides, group.mask),
-        low=jnp.maximum(low * height, GROUND_CLEARANCE),
+        low=jnp.maximum(low * height, lot.GROUND_CLEARANCE),
         high=high * height,
         seen=jnp.full(count, Seen.CAR),
         owner=owner,
@@ -107,11 +101,11 @@ def _look(group: Group, layout: Layout) -> tuple[jax.Array, jax.Array]:
     count, box = group.count, type(group) is Boxes
     if group.kind != ObstacleKind.WALL:
         seen = Seen.PERSON if group.kind == ObstacleKind.PERSON else Seen.CAR
-        return jnp.full(count, MOVER_HEIGHTS[type(group)]), jnp.full(count, seen)
+        return jnp.full(count, lot.MOVER_HEIGHTS[type(group)]), jnp.full(count, seen)
     if not box:
-        high = jnp.array([DISC_HEIGHTS[kind] for kind in DiscKind])[layout.disc_kind]
-        return high, jnp.full(count, Seen.WALL)
-    high = jnp.array([WALL_HEIGHTS[kind] for kind in WallKind])[layout.wall_kind]
+        high = jnp.array([lot.DISC_HEIGHTS[kind] for kind in DiscKind])
+        return high[layout.disc_kind], jnp.full(count, Seen.WALL)
+    high = jnp.array([lot.WALL_HEIGHTS[kind] for kind in WallKind])[layout.wall_kind]
     return high, jnp.array([_WALLS[kind] for kind in WallKind])[layout.wall_kind]
 
 
@@ -148,6 +142,7 @@ def _join(blocks: list[Blocks]) -> Blocks:
 
 SUN = (-0.34, -0.24, 0.91)  # unit vector to it, as in MuJoCo's scene
 AMBIENT, DIFFUSE = 0.45, 0.55
+FLAT = round(SHADES * (AMBIENT + DIFFUSE * SUN[2]))  # shade of what lies flat
 _LEAST = 1e-9  # slope of a ray along a face
 
 
@@ -155,35 +150,25 @@ _LEAST = 1e-9  # slope of a ray along a face
 class Seat:
     """Blocks (n,) as the camera of one car sees them."""
 
-    eye: jax.Array  # (n, 3) of the camera from the block's middle on the ground [m]
-    cos: jax.Array  # (n,) of the block's heading less the car's
-    sin: jax.Array
-    half: jax.Array  # (n, 2) half length and width [m], negative where there is none
-    span: jax.Array  # (n, 2) heights of its underside and its top [m]
-    seen: jax.Array  # (n,) int32 what it is
-    light: jax.Array  # (n, 2) the sun's share along its length and its width
+    base: Patches  # what they stand on; covers are `Seen`
+    up: jax.Array  # (n,) height of the camera [m]
+    span: jax.Array  # (n, 2) heights of the underside and the top [m]
+    light: jax.Array  # (n, 2) the sun's share along the length and the width
 
 
-def seat(blocks: Blocks, agent: jax.Array, pose_w: jax.Array, eye: jax.Array) -> Seat:
-    """Blocks as the camera of one agent sees them.
+def stand(blocks: Blocks, agent: jax.Array, place: Place) -> Patches:
+    """What blocks stand on, as seen from a place on the car of an agent."""
+    seen = jnp.where(blocks.owner == agent, Seen.OWN_CAR, blocks.seen)
+    return ground.patches(blocks.pose_w, blocks.half, seen, place)
 
-    The car is at pose_w (3,), the eye (3,) in its frame, from its middle on the ground
-    [m].
-    """
-    yaw = blocks.pose_w[:, 2]
-    turn = yaw - pose_w[2]
-    eye_w = pose_w[:2] + rotate(eye[:2], pose_w[2])
-    own = blocks.owner == agent
-    there = rotate(eye_w - blocks.pose_w[:, :2], -yaw)
-    up = jnp.broadcast_to(eye[2], (*yaw.shape, 1))
+
+def seat(blocks: Blocks, agent: jax.Array, place: Place, height: jax.Array) -> Seat:
+    """Blocks as the camera of one agent at a place and a height () [m] sees them."""
     return Seat(
-        eye=jnp.concatenate([there, up], axis=1),
-        cos=jnp.cos(turn),
-        sin=jnp.sin(turn),
-        half=blocks.half,
+        base=stand(blocks, agent, place),
+        up=jnp.broadcast_to(height, blocks.low.shape),
         span=jnp.stack([blocks.low, blocks.high], axis=1),
-        seen=jnp.where(own, Seen.OWN_CAR, blocks.seen),
-        light=rotate(jnp.array(SUN[:2]), -yaw),
+        light=rotate(jnp.array(SUN[:2]), -blocks.pose_w[:, 2]),
     )
 
 
@@ -193,17 +178,13 @@ def trace(
     """Hits (...) of rays (..., 3) in the car's frame, nearer than those so far."""
     slopes = [_off_zero(rays[..., k]) for k in range(3)]
 
-    def nearest(
-        hit: jax.Array, blocks: Seat, meet: Callable[..., jax.Array]
-    ) -> jax.Array:
-        if not blocks.cos.shape[0]:
-            return hit
-        nothing = jax.tree.map(lambda x: jnp.full_like(x[0], -1), blocks)
-        return fold(
-            hit, blocks, nothing, lambda h, b: jnp.minimum(h, meet(slopes, b, shaded))
+    for blocks, meet in ((boxes, _meet_box), (cylinders, _meet_cylinder)):
+        hit = ground.fold(
+            hit,
+            blocks,
+            lambda hit, block, meet=meet: jnp.minimum(hit, meet(slopes, block, shaded)),
         )
-
-    return nearest(nearest(hit, boxes, _meet_box), cylinders, _meet_cylinder)
+    return hit
 
 
 def _off_zero(slope: jax.Array) -> jax.Array:
@@ -220,15 +201,16 @@ def _slab(start: jax.Array, half: jax.Array, slope: jax.Array):
 def _storey(rays: list[jax.Array], block: Seat):
     """Where rays enter and leave the heights of a block."""
     half = (block.span[1] - block.span[0]) / 2
-    return _slab(block.eye[2] - block.span[0] - half, half, rays[2])
+    return _slab(block.up - block.span[0] - half, half, rays[2])
 
 
 def _meet_box(rays: list[jax.Array], box: Seat, shaded: bool) -> jax.Array:
     """Hits of rays with the outside of a box."""
-    dx = _off_zero(box.cos * rays[0] + box.sin * rays[1])
-    dy = _off_zero(box.cos * rays[1] - box.sin * rays[0])
-    enter_x, leave_x = _slab(box.eye[0], box.half[0], dx)
-    enter_y, leave_y = _slab(box.eye[1], box.half[1], dy)
+    base = box.base
+    dx = _off_zero(base.cos * rays[0] + base.sin * rays[1])
+    dy = _off_zero(base.cos * rays[1] - base.sin * rays[0])
+    enter_x, leave_x = _slab(base.xy[0], base.half[0], dx)
+    enter_y, leave_y = _slab(base.xy[1], base.half[1], dy)
     enter_z, leave_z = _storey(rays, box)
     enter = jnp.maximum(jnp.maximum(enter_x, enter_y), enter_z)
     leave = jnp.minimum(jnp.minimum(leave_x, leave_y), leave_z)
@@ -243,9 +225,10 @@ def _meet_box(rays: list[jax.Array], box: Seat, shaded: bool) -> jax.Array:
 
 def _meet_cylinder(rays: list[jax.Array], cylinder: Seat, shaded: bool) -> jax.Array:
     """Hits of rays with the outside of an upright cylinder."""
-    dx = cylinder.cos * rays[0] + cylinder.sin * rays[1]
-    dy = cylinder.cos * rays[1] - cylinder.sin * rays[0]
-    x, y, radius = cylinder.eye[0], cylinder.eye[1], cylinder.half[0]
+    base = cylinder.base
+    dx = base.cos * rays[0] + base.sin * rays[1]
+    dy = base.cos * rays[1] - base.sin * rays[0]
+    x, y, radius = base.xy[0], base.xy[1], base.half[0]
     flat = 1.0 / (dx * dx + dy * dy)
     nearest, aside = -(x * dx + y * dy) * flat, x * dy - y * dx
     # From the chord, not from the quadratic formula, which cancels far away.
@@ -271,4 +254,4 @@ def _hit(
         level = AMBIENT + DIFFUSE * jnp.maximum(light, 0.0)
         shade = jnp.round(SHADES * level).astype(jnp.int32)
     met = (enter <= leave) & (enter > 0.0)
-    return jnp.where(met, encode(enter, block.seen, shade), MISS)
+    return jnp.where(met, ground.encode(enter, block.base.cover, shade), ground.MISS)

@@ -10,19 +10,8 @@ from flax import struct
 
 from carpark_mj.cameras.rig import Seen
 from carpark_mj.geometry.se2 import norm, rotate
-from carpark_mj.layouts.types import (
-    ARROW_HEAD,
-    ARROW_HEIGHT,
-    ARROW_LENGTH,
-    ARROW_SHAFT,
-    ARROW_SPACING,
-    ARROW_WIDTH,
-    LINE_HEIGHT,
-    LINE_WIDTH,
-    VERGE_GAP,
-    VERGE_HEIGHT,
-    Layout,
-)
+from carpark_mj.layouts import types as paint
+from carpark_mj.layouts.types import LINE_WIDTH, Layout
 
 # A hit is a whole number whose order is that of the distance, so that a running minimum
 # keeps what is hit, too: the bits of the distance (float32), the last seven of which
@@ -62,7 +51,6 @@ def decode(hit: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 def fold(
     best: jax.Array,
     things: Tree,
-    padding: Tree,
     meet: Callable[[jax.Array, Tree], jax.Array],
     matters: jax.Array | None = None,
 ) -> jax.Array:
@@ -72,28 +60,28 @@ def fold(
 
     Args:
         best: of the pixels, before.
-        things: pytree of arrays (n, ...).
-        padding: one of them that changes nothing, arrays (...).
+        things: pytree of arrays (n, ...); those of -1, which pad, change nothing.
         meet: `best` after a thing, arrays (...).
         matters: (n,) bool, the things that can change something; passes over the others
             are saved. None = all.
     """
+    count = jax.tree.leaves(things)[0].shape[0]
+    if not count:
+        return best
     if matters is not None:
         first = jnp.argsort(~matters)
         things = jax.tree.map(lambda x: x[first], things)
-    count = jax.tree.leaves(things)[0].shape[0]
-    missing = -count % CHUNK
 
-    def chunks(x: jax.Array, other: jax.Array) -> jax.Array:
-        rest = jnp.broadcast_to(jnp.asarray(other, x.dtype), (missing, *x.shape[1:]))
-        return jnp.concatenate([x, rest]).reshape(-1, CHUNK, *x.shape[1:])
+    def chunks(x: jax.Array) -> jax.Array:
+        padding = jnp.full((-count % CHUNK, *x.shape[1:]), -1, x.dtype)
+        return jnp.concatenate([x, padding]).reshape(-1, CHUNK, *x.shape[1:])
 
     def visit(best: jax.Array, chunk: Tree) -> jax.Array:
         for k in range(CHUNK):
             best = meet(best, jax.tree.map(lambda x: x[k], chunk))  # noqa: B023
         return best
 
-    ready = jax.tree.map(chunks, things, padding)
+    ready = jax.tree.map(chunks, things)
     if matters is None:
         return jax.lax.scan(lambda *at: (visit(*at), None), best, ready)[0]
     return jax.lax.fori_loop(
@@ -107,7 +95,7 @@ def fold(
 # Covers of the ground, the upper ones last: what they show, and their heights [m].
 ASPHALT, BAY, OWN_BAY, ARROW, LINE, GRASS = range(6)
 SHOWS = (Seen.FLOOR, Seen.BAY, Seen.OWN_BAY, Seen.LINE, Seen.LINE, Seen.FLOOR)
-HEIGHTS = (0.0, 0.0, 0.0, ARROW_HEIGHT, LINE_HEIGHT, VERGE_HEIGHT)
+HEIGHTS = (0.0, 0.0, 0.0, paint.ARROW_HEIGHT, paint.LINE_HEIGHT, paint.VERGE_HEIGHT)
 
 
 @struct.dataclass
@@ -119,7 +107,7 @@ class Place:
 
 
 @struct.dataclass
-class _Patches:
+class Patches:
     """Rectangles (n,) on the ground."""
 
     xy: jax.Array  # (n, 2) the place in the frame of the rectangle [m]
@@ -152,14 +140,13 @@ def cover(
     own = jnp.arange(layout.num_bays) == goal
     kinds = jnp.where(own, OWN_BAY, BAY)
     best = jnp.full(jnp.shape(x), ASPHALT, jnp.int32)
-    bays = _patches(layout.bay_pose, layout.bay_size, layout.bay_mask, kinds, place)
-    best = _lay(best, bays, x, y, functools.partial(_in_bay, line_width), reach)
-    if count := layout.lane_mask.shape[-1]:
-        mask = layout.lane_mask & layout.lane_one_way
-        kinds = jnp.full(count, ARROW)
-        lanes = _patches(layout.lane_pose, layout.lane_size, mask, kinds, place)
-        best = _lay(best, lanes, x, y, _in_arrow, reach)
-    return best
+    half = jnp.where(layout.bay_mask[:, None], layout.bay_size / 2, -1.0)
+    bays = patches(layout.bay_pose, half, kinds, place)
+    best = lay(best, bays, x, y, functools.partial(_in_bay, line_width), reach)
+    mask = layout.lane_mask & layout.lane_one_way
+    half = jnp.where(mask[:, None], layout.lane_size / 2, -1.0)
+    lanes = patches(layout.lane_pose, half, jnp.full(mask.shape, ARROW), place)
+    return lay(best, lanes, x, y, _in_arrow, reach)
 
 
 def is_grass(layout: Layout, place: Place, x: jax.Array, y: jax.Array) -> jax.Array:
@@ -167,33 +154,40 @@ def is_grass(layout: Layout, place: Place, x: jax.Array, y: jax.Array) -> jax.Ar
     cos, sin = jnp.cos(place.yaw), jnp.sin(place.yaw)
     x_w = place.xy_w[0] + cos * x - sin * y
     y_w = place.xy_w[1] + sin * x + cos * y
-    far = layout.extent + VERGE_GAP
+    far = layout.extent + paint.VERGE_GAP
     return (jnp.abs(x_w) > far[0]) | (jnp.abs(y_w) > far[1])
 
 
-def _patches(
-    pose: jax.Array, size: jax.Array, mask: jax.Array, kinds: jax.Array, place: Place
-) -> _Patches:
+def patches(
+    pose: jax.Array, half: jax.Array, covers: jax.Array, place: Place
+) -> Patches:
+    """Rectangles seen from a place; a negative `half` (n, 2) means there is none."""
     turn = pose[:, 2] - place.yaw
-    return _Patches(
-        xy=rotate(place.xy_w - pose[:, :2], -pose[:, 2]),
-        cos=jnp.cos(turn),
-        sin=jnp.sin(turn),
-        half=jnp.where(mask[:, None], size / 2, -1.0),
-        cover=kinds,
-    )
+    xy = rotate(place.xy_w - pose[:, :2], -pose[:, 2])
+    return Patches(xy, jnp.cos(turn), jnp.sin(turn), half, covers)
 
 
-def _lay(best: jax.Array, patches: _Patches, x: jax.Array, y: jax.Array, fill, reach):
-    def meet(best: jax.Array, patch: _Patches) -> jax.Array:
+def lay(
+    best: jax.Array,
+    patches: Patches,
+    x: jax.Array,
+    y: jax.Array,
+    fill: Callable[[Patches, jax.Array, jax.Array], jax.Array],
+    reach: float | None,
+) -> jax.Array:
+    """Covers of points (...), of which the highest number counts; see `cover`.
+
+    `fill` gives the cover of a patch at points of its own frame.
+    """
+
+    def meet(best: jax.Array, patch: Patches) -> jax.Array:
         along = patch.xy[0] + patch.cos * x + patch.sin * y
         across = patch.xy[1] + patch.cos * y - patch.sin * x
         found = jnp.where(patch.half[0] > 0.0, fill(patch, along, across), ASPHALT)
         return jnp.maximum(best, found)
 
-    nothing = jax.tree.map(lambda value: jnp.full_like(value[0], -1), patches)
     matters = None if reach is None else is_near(patches.xy, patches.half, reach)
-    return fold(best, patches, nothing, meet, matters)
+    return fold(best, patches, meet, matters)
 
 
 def is_near(xy: jax.Array, half: jax.Array, reach: float) -> jax.Array:
@@ -206,7 +200,7 @@ def is_near(xy: jax.Array, half: jax.Array, reach: float) -> jax.Array:
 
 
 def _in_bay(
-    line_width: float, bay: _Patches, along: jax.Array, across: jax.Array
+    line_width: float, bay: Patches, along: jax.Array, across: jax.Array
 ) -> jax.Array:
     """A bay has lines about both long sides and within its far end."""
     beyond, aside = jnp.abs(along) - bay.half[0], jnp.abs(across) - bay.half[1]
@@ -216,14 +210,14 @@ def _in_bay(
     return jnp.where(side | end, LINE, jnp.where(inside, bay.cover, ASPHALT))
 
 
-def _in_arrow(lane: _Patches, along: jax.Array, across: jax.Array) -> jax.Array:
+def _in_arrow(lane: Patches, along: jax.Array, across: jax.Array) -> jax.Array:
     """A lane has arrows along its middle."""
     length = 2 * lane.half[0]
-    count = jnp.maximum(jnp.floor(length / ARROW_SPACING), 1.0)
+    count = jnp.maximum(jnp.floor(length / paint.ARROW_SPACING), 1.0)
     number = jnp.clip(jnp.floor((along / length + 0.5) * count), 0.0, count - 1)
-    to_tip = ((number + 0.5) / count - 0.5) * length + ARROW_LENGTH / 2 - along
-    head = ARROW_HEAD * ARROW_LENGTH
-    tip = jnp.clip(to_tip / head, 0.0, 1.0) * ARROW_WIDTH / 2
-    wide = jnp.where(to_tip <= head, tip, ARROW_SHAFT * ARROW_WIDTH / 2)
-    here = (to_tip > 0.0) & (to_tip <= ARROW_LENGTH)
+    to_tip = ((number + 0.5) / count - 0.5) * length + paint.ARROW_LENGTH / 2 - along
+    head = paint.ARROW_HEAD * paint.ARROW_LENGTH
+    tip = jnp.clip(to_tip / head, 0.0, 1.0) * paint.ARROW_WIDTH / 2
+    wide = jnp.where(to_tip <= head, tip, paint.ARROW_SHAFT * paint.ARROW_WIDTH / 2)
+    here = (to_tip > 0.0) & (to_tip <= paint.ARROW_LENGTH)
     return jnp.where(here & (jnp.abs(across) <= wide), lane.cover, ASPHALT)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import jax
@@ -10,40 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.cameras.blocks import (
-    AMBIENT,
-    DIFFUSE,
-    SUN,
-    Heights,
-    Seat,
-    lot_blocks,
-    seat,
-    trace,
-)
-from carpark_mj.cameras.ground import (
-    GRASS,
-    HEIGHTS,
-    LINE,
-    SHADES,
-    SHOWS,
-    Place,
-    cover,
-    decode,
-    encode,
-    fold,
-    is_grass,
-    is_near,
-    sky_hit,
-)
+from carpark_mj.cameras import ground
+from carpark_mj.cameras.blocks import FLAT, Heights, lot_blocks, seat, stand, trace
+from carpark_mj.cameras.ground import SHADES, SHOWS, Patches, Place, encode
 from carpark_mj.cameras.rig import BODY, Faults, Rig, Seen, is_dirty
 from carpark_mj.config.checks import CheckedConfig, Count, Positive
 from carpark_mj.geometry.se2 import rotate
 from carpark_mj.layouts.types import LINE_WIDTH
 from carpark_mj.types import State
 
-_SKY = sky_hit(int(Seen.SKY))
+_SKY = ground.sky_hit(int(Seen.SKY))
 _LEAST_DROP = 1e-6  # of a ray that meets the ground
-_BRIGHT = round(SHADES * (AMBIENT + DIFFUSE * SUN[2]))  # of what lies flat
 
 
 @struct.dataclass
@@ -90,10 +67,11 @@ def see(
     def look(
         agent: jax.Array, goal: jax.Array, pose_w: jax.Array, eye: jax.Array, rays
     ):
-        hit = _ground_hits(state, goal, pose_w, eye, rays[above:])
+        place = Place(pose_w[:2] + rotate(eye[:2], pose_w[2]), pose_w[2])
+        hit = _ground_hits(state, goal, place, eye[2], rays[above:])
         hit = jnp.concatenate([jnp.full(above, _SKY), hit])
-        around = [seat(blocks, agent, pose_w, eye) for blocks in (boxes, cylinders)]
-        return trace(hit, rays, around[0], around[1], rig.shaded)
+        around = [seat(each, agent, place, eye[2]) for each in (boxes, cylinders)]
+        return trace(hit, rays, *around, rig.shaded)
 
     # No pixel before this one looks down.
     down = np.flatnonzero((rays[..., 2] < 0.0).any(axis=0))
@@ -110,7 +88,7 @@ def see(
     if faults is not None and faults.spots.shape[-2]:
         dirt = encode(jnp.float32(0.0), int(Seen.OWN_CAR), 0)
         hit = jnp.where(is_dirty(rig, faults.spots), dirt, hit)
-    depth, seen, shade = decode(hit)
+    depth, seen, shade = ground.decode(hit)
     return Pictures(
         depth=jnp.minimum(depth, rig.reach),
         seen=seen.astype(jnp.uint8),
@@ -119,28 +97,25 @@ def see(
 
 
 def _ground_hits(
-    state: State, goal: jax.Array, pose_w: jax.Array, eye: jax.Array, rays: jax.Array
+    state: State, goal: jax.Array, place: Place, up: jax.Array, rays: jax.Array
 ) -> jax.Array:
-    """Hits of rays (..., 3) with the ground, or the sky."""
+    """Hits of rays (..., 3) with the ground, or the sky, from a height `up` () [m]."""
     x, y, drop = rays[..., 0], rays[..., 1], -rays[..., 2]
     slope = 1.0 / jnp.maximum(drop, _LEAST_DROP)
-    place = Place(pose_w[:2] + rotate(eye[:2], pose_w[2]), pose_w[2])
 
     def down_to(height: jax.Array | float) -> jax.Array:
-        return (eye[2] - height) * slope
+        return (up - height) * slope
 
-    on = down_to(HEIGHTS[LINE])
-    kind = cover(state.layout, goal, place, on * x, on * y)
-    on = down_to(HEIGHTS[GRASS])
-    kind = jnp.where(is_grass(state.layout, place, on * x, on * y), GRASS, kind)
-    height = sum(
-        jnp.where(kind == k, high, 0.0) for k, high in enumerate(HEIGHTS) if high
-    )
-    shows = sum(
-        jnp.where(kind == k, int(show), 0) for k, show in enumerate(SHOWS) if show
-    )
-    ground = encode(down_to(height), shows, _BRIGHT)
-    return jnp.where(drop > _LEAST_DROP, ground, _SKY)
+    on = down_to(ground.HEIGHTS[ground.LINE])
+    kind = ground.cover(state.layout, goal, place, on * x, on * y)
+    on = down_to(ground.HEIGHTS[ground.GRASS])
+    grass = ground.is_grass(state.layout, place, on * x, on * y)
+    kind = jnp.where(grass, ground.GRASS, kind)
+    heights, kinds = enumerate(ground.HEIGHTS), enumerate(SHOWS)
+    height = sum(jnp.where(kind == k, high, 0.0) for k, high in heights if high)
+    shows = sum(jnp.where(kind == k, int(show), 0) for k, show in kinds if show)
+    hit = encode(down_to(height), shows, FLAT)
+    return jnp.where(drop > _LEAST_DROP, hit, _SKY)
 
 
 # RGB in [0, 1] in full light.
@@ -233,12 +208,12 @@ def see_from_above(config: BirdsEye, state: State) -> jax.Array:
 
     def look(agent: jax.Array, goal: jax.Array, pose_w: jax.Array) -> jax.Array:
         place = Place(pose_w[:2], pose_w[2])
-        kind = cover(state.layout, goal, place, ahead, left, line_width, reach)
+        kind = ground.cover(state.layout, goal, place, ahead, left, line_width, reach)
         seen = jnp.array(SHOWS, jnp.int32)[kind]
         for blocks, inside in ((boxes, _in_box), (cylinders, _in_disc)):
-            if blocks.low.shape[0]:
-                seats = seat(blocks, agent, pose_w, jnp.zeros(3))
-                seen = _stand(seen, seats, ahead, left, inside, reach)
+            # `Seen` has the ground's kinds first.
+            patches = stand(blocks, agent, place)
+            seen = ground.lay(seen, patches, ahead, left, inside, reach)
         return seen
 
     agents = jnp.arange(state.goal.shape[0])
@@ -251,30 +226,10 @@ def channels(seen: jax.Array, kinds: Sequence[Seen] = tuple(Seen)) -> jax.Array:
     return seen[..., None] == jnp.array(kinds, seen.dtype)
 
 
-def _stand(
-    seen: jax.Array,
-    seats: Seat,
-    ahead: jax.Array,
-    left: jax.Array,
-    inside: Callable[..., jax.Array],
-    reach: float,
-) -> jax.Array:
-    """Pixels (n,) with what stands there; `Seen` has the ground's kinds first."""
-
-    def meet(seen: jax.Array, block: Seat) -> jax.Array:
-        x = block.eye[0] + block.cos * ahead + block.sin * left
-        y = block.eye[1] + block.cos * left - block.sin * ahead
-        return jnp.maximum(seen, jnp.where(inside(block, x, y), block.seen, 0))
-
-    nothing = jax.tree.map(lambda value: jnp.full_like(value[0], -1), seats)
-    return fold(
-        seen, seats, nothing, meet, is_near(seats.eye[:, :2], seats.half, reach)
-    )
+def _in_box(box: Patches, x: jax.Array, y: jax.Array) -> jax.Array:
+    inside = (jnp.abs(x) <= box.half[0]) & (jnp.abs(y) <= box.half[1])
+    return jnp.where(inside, box.cover, 0)
 
 
-def _in_box(box: Seat, x: jax.Array, y: jax.Array) -> jax.Array:
-    return (jnp.abs(x) <= box.half[0]) & (jnp.abs(y) <= box.half[1])
-
-
-def _in_disc(disc: Seat, x: jax.Array, y: jax.Array) -> jax.Array:
-    return (x * x + y * y <= disc.half[0] ** 2) & (disc.half[0] > 0.0)
+def _in_disc(disc: Patches, x: jax.Array, y: jax.Array) -> jax.Array:
+    return jnp.where(x * x + y * y <= disc.half[0] ** 2, disc.cover, 0)

@@ -3,20 +3,15 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from carpark_mj.analysis import (
     Point,
     Record,
     Sources,
-    cell_text,
     group,
-    picture,
     plot_curves,
     plot_metric,
     read_run,
@@ -24,10 +19,9 @@ from carpark_mj.analysis import (
     run_rows,
     spread_rows,
     swept_settings,
-    table,
     videos,
-    write_page,
 )
+from carpark_mj.evaluation.tables import picture, print_rows, table, write_page
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.policy.checkpoints import CheckpointError
 
@@ -147,7 +141,7 @@ def analyse(
         parts.append(("Videos", links))
     write_page(page, title, [*notes, METHOD, *_provenance(ours)], parts)
     if len(spreads) <= MAX_ROWS:
-        _print_table(spreads, title)
+        print_rows(spreads, title)
     for note in notes:
         print(note)
     print(f"wrote {page}, {out / 'spread.csv'}, {out / 'runs.csv'}")
@@ -172,15 +166,6 @@ def _plots(
         if plot_curves(path, points, column, title):
             drawn.append((path, f"learning curves, {column.rpartition('/')[2]}"))
     return drawn
-
-
-def _print_table(rows: Sequence[dict[str, Any]], title: str) -> None:
-    shown = Table(title=escape(title))
-    for name in rows[0] if rows else ():
-        shown.add_column(name)
-    for row in rows:
-        shown.add_row(*(escape(cell_text(value)) for value in row.values()))
-    Console().print(shown)
 
 
 def _provenance(records: Sequence[Record]) -> list[str]:

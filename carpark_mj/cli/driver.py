@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.flags import as_flags, read_flags
 from carpark_mj.config import (
     EnvConfig,
     FleetConfig,
@@ -52,9 +52,10 @@ class LotSettings(CheckedConfig):
         require_seed(self.seed)
 
     def adapted(self, env: EnvConfig, **changes: Any) -> EnvConfig:
-        """The environment with these settings and others, see `adapt`."""
-        names = (field.name for field in dataclasses.fields(LotSettings))
-        own = {name: getattr(self, name) for name in names if name != "seed"}
+        """The environment with its settings among these and others, see `adapt`."""
+        names = {field.name for field in dataclasses.fields(EnvConfig)}
+        shared = names & {field.name for field in dataclasses.fields(self)}
+        own = {name: getattr(self, name) for name in shared}
         return adapt(env, **own, **changes)
 
 
@@ -78,11 +79,6 @@ class DriveSettings(LotSettings):
     environment: str = ""
     movers: tuple[str, ...] | None = None
     physics: str | None = None
-
-    def adapted(self, env: EnvConfig, **changes: Any) -> EnvConfig:
-        """See `LotSettings`."""
-        own = {"movers": self.movers, "physics": self.physics}
-        return super().adapted(env, **own, **changes)
 
 
 def command_help(text: str) -> str:
@@ -162,15 +158,15 @@ def with_settings(env: EnvConfig, settings: Sequence[str]) -> EnvConfig:
     Raises:
         ValueError: a setting without a value, an unknown or an impossible one.
     """
-    words: list[str] = []
+    values: dict[str, str] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not (name and equals and value):
             raise ValueError(
                 f"set takes NAME=VALUE, as in sim.steering_delay=0.24, not {setting!r}"
             )
-        words += [f"--{name.replace('_', '-')}", *value.split()]
-    return read_flags(EnvConfig, words, default=env) if words else env
+        values[name] = value
+    return read_flags(EnvConfig, as_flags(values, env), env) if values else env
 
 
 def adapt(

@@ -6,6 +6,7 @@ import urllib.parse
 from pathlib import Path
 from typing import Annotated
 
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import DriveSettings, find_driver, with_settings
 from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
 from carpark_mj.config import MetricsConfig, find_rules
@@ -18,6 +19,8 @@ from carpark_mj.policy.acting import AnyPolicy
 
 # Settings that do not show in the name of an evaluation's folder.
 UNNAMED = ("run", "policy", "out")
+# Settings of another task or other episodes, whatever the environment.
+TASK = ("environment", "stochastic", "seed", "horizon", "num_lots", "episodes")
 MAX_NAME = 150  # characters of a folder's name; file systems allow 255
 
 
@@ -87,7 +90,7 @@ class Task:
 def main(config: EvaluateConfig) -> Evaluation:
     """Evaluates, writes the files and prints the table."""
     task = prepare(config)
-    print("compiling ...", flush=True)
+    doing(COMPILING)
     result = evaluate(
         task.env,
         task.policy,
@@ -115,21 +118,13 @@ def prepare(config: EvaluateConfig) -> Task:
         rule=config.rule,
         hitbox_scale=config.hitbox_scale,
         nominal=config.nominal,
-        min_agents=config.min_agents,
         metrics=MetricsConfig.everything(),
     )
     env = ParkingEnv(changed)
     policy = driver.policy(env)  # what is refused until here leaves no folder
     same = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env
-    changes = (
-        config.environment,
-        config.stochastic,
-        config.seed,
-        config.horizon,
-        config.num_lots != EvaluateConfig.num_lots,
-        config.episodes != EvaluateConfig.episodes,
-    )
-    own = same and not any(changes) and not _is_kept_checkpoint(config)
+    asked = [getattr(config, name) != getattr(EvaluateConfig, name) for name in TASK]
+    own = same and not any(asked) and not _is_kept_checkpoint(config)
     default = driver.folder if own else driver.folder / subfolder(config)
     folder = Path(config.out) if config.out else default
     # Refused before the work.

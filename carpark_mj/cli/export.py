@@ -1,10 +1,11 @@
 """`carpark_mj export`: a policy as an ONNX model or a checkpoint."""
 
 import dataclasses
+import functools
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -13,12 +14,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import output_folder
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key, require_seed
-from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.files import require_suffix, require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
 from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
@@ -37,7 +39,6 @@ from carpark_mj.policy.onnx_export import (
     policy_actions,
     random_observations,
     require_onnx,
-    require_outside,
     rounding_error,
     sensitivity,
 )
@@ -92,8 +93,7 @@ class ExportConfig:
     lanes: int | None = None
 
     def __post_init__(self) -> None:
-        if self.out and Path(self.out).suffix not in (".onnx", ".npz"):
-            raise ValueError(f"out must end in .onnx or .npz, not {self.out!r}")
+        require_suffix("out", self.out, ".onnx", ".npz")
         if self.out.endswith(".npz"):
             reason = "on a checkpoint"
             require_unset(self, reason, "seed", "from_state")
@@ -102,12 +102,22 @@ class ExportConfig:
         require_seed(self.seed)
 
 
+class Model(NamedTuple):
+    """A model that acts like its policy."""
+
+    proto: Any  # `onnx.ModelProto`
+    found: list[str]  # what comparing the two has shown, in sentences
+    inputs: list[tuple[str, tuple[int, ...], str]]  # name, shape and meaning
+    batch: tuple[str, ...]  # dimensions before these shapes
+
+
 def main(config: ExportConfig) -> Path:
     """Exports, checks and writes; returns the file.
 
     Raises:
         CheckpointError: the run cannot be read.
-        ValueError: the model differs from the policy.
+        ValueError: the model differs from the policy, a car outside cannot make the
+            policy's observation, or the lots have more rows than the counts.
         OSError: the file cannot be written, or a package is missing.
     """
     out = Path(config.out)
@@ -121,64 +131,56 @@ def main(config: ExportConfig) -> Path:
     if out.suffix == ".npz":
         out.parent.mkdir(parents=True, exist_ok=True)
         save_policy(config.run, out)
-    elif config.from_state:
-        _write_car(out, loaded, config)
     else:
-        _write_model(out, loaded, config.seed)
+        make = _car_model if config.from_state else _model
+        doing(COMPILING)
+        model = make(loaded, config)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        data = model.proto.SerializeToString()
+        write_atomically(out, lambda temporary: temporary.write_bytes(data))
+        print("\n".join(model.found))
+        Console().print(_table(loaded, model))
     print(f"wrote {out}: {out.stat().st_size / 1e6:.2f} MB")
     return out
 
 
-def _write_model(out: Path, loaded: LoadedPolicy, seed: int) -> None:
-    """Writes a model that acts like its policy, or none.
-
-    Raises:
-        ValueError: it acts otherwise.
-    """
-    model = make_model(loaded)
-    seen = rollout_observations(loaded, CHECKED, seed)
-    random = random_observations(loaded.env, seen, seed)
+def _model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
+    """The model of a policy, for a batch of observations."""
+    proto = make_model(loaded)
+    seen = rollout(loaded, CHECKED, config.seed)["observation"]
+    random = random_observations(loaded.env, seen, config.seed)
     found = [
         _require_alike(
             kind,
-            largest_difference(model, loaded, observation),
+            largest_difference(proto, loaded, observation),
             rounding_error(loaded, observation),
         )
         for kind, observation in (("of a roll-out", seen), ("drawn at random", random))
     ]
-    _write(out, model)
-    print("\n".join(found))
     inputs = [(x.name, x.shape, x.meaning) for x in onnx_inputs(loaded.env)]
-    Console().print(_table(loaded, inputs, ("batch",)))
+    return Model(proto, found, inputs, ("batch",))
 
 
-def _write_car(out: Path, loaded: LoadedPolicy, config: ExportConfig) -> None:
-    """Writes a model that acts in lots like its policy, or none.
-
-    Raises:
-        ValueError: it acts otherwise, a car outside cannot make the policy's
-            observation, or the lots have more rows than the counts.
-    """
-    require_outside(loaded.env)
+def _car_model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
+    """The model of a policy and its observation, for a car outside the simulator."""
     counts = {name: getattr(config, name) for name in COUNTS}
     rows = environment_rows(loaded.env, counts)
-    model = make_car_model(loaded, rows)
-    seen = rollout_states(loaded, rows, CHECKED, config.seed)
-    session = make_session(model)
+    proto = make_car_model(loaded, rows)
+    seen = rollout(loaded, CHECKED, config.seed, rows)
+    session = make_session(proto)
     start = time.process_time()
     action = decisions(session, seen)
     spent = (time.process_time() - start) / CHECKED
     observation = seen["observation"]
-    difference = differences(action, policy_actions(loaded, observation))
     rounding = np.maximum(
         rounding_error(loaded, observation),
         sensitivity(loaded, rows, seen, config.seed),
     )
+    difference = differences(action, policy_actions(loaded, observation))
     found = _require_alike("of a roll-out", difference, rounding)
-    _write(out, model)
-    print(f"{found}\n{1e3 * spent:.2f} ms a decision on one core")
-    inputs = [(x.name, x.shape(rows), describe(x)) for x in inputs_of(model)]
-    Console().print(_table(loaded, inputs, ()))
+    inputs = [(x.name, x.shape(rows), describe(x)) for x in inputs_of(proto)]
+    pace = f"{1e3 * spent:.2f} ms a decision on one core"
+    return Model(proto, [found, pace], inputs, ())
 
 
 def _require_alike(
@@ -187,7 +189,7 @@ def _require_alike(
     """What to print of a model that acts like its policy.
 
     Args:
-        kind: of the observations.
+        kind: kind of observations, for messages.
         difference: of actions, the largest or (count,).
         rounding: what float32 costs them, likewise.
 
@@ -205,13 +207,6 @@ def _require_alike(
     return (
         f"largest difference to the policy on {CHECKED:,} observations {kind}: "
         f"{difference.max():.2g}; error of float32: {np.median(rounding):.2g}"
-    )
-
-
-def _write(out: Path, model: Any) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(
-        out, lambda temporary: temporary.write_bytes(model.SerializeToString())
     )
 
 
@@ -233,35 +228,23 @@ def environment_rows(env: EnvConfig, counts: Mapping[str, int | None]) -> Rows:
     return dataclasses.replace(least, **given)
 
 
-def rollout_states(
-    loaded: LoadedPolicy, rows: Rows, count: int, seed: int
+def rollout(
+    loaded: LoadedPolicy, count: int, seed: int, rows: Rows | None = None
 ) -> dict[str, np.ndarray]:
-    """What agents know in held-out lots, (count, *shape) by name of the input.
+    """What agents observe in held-out lots that a policy drives in.
 
-    With it what they observe, `observation` (count, size).
+    Returns:
+        `observation` (count, size), and with `rows` what the agents know, (count,
+        *shape) by name of the input.
     """
-
-    def report(step: Step) -> dict[str, jax.Array]:
-        known = jax.vmap(lambda state: plain_values(rows, state))(step.before)
-        return {**known, **_observation(step)}
-
-    return _drive(loaded, count, seed, report)
-
-
-def rollout_observations(loaded: LoadedPolicy, count: int, seed: int) -> np.ndarray:
-    """Observations (count, size) of agents that a policy drives in held-out lots."""
-    return _drive(loaded, count, seed, _observation)["observation"]
-
-
-def _drive(
-    loaded: LoadedPolicy,
-    count: int,
-    seed: int,
-    report: Callable[[Step], dict[str, jax.Array]],
-) -> dict[str, np.ndarray]:
-    """Reports (LOTS, num_agents, ...) of steps, as (count, ...)."""
     env = ParkingEnv(loaded.env)
     num_steps = -(-count // (LOTS * min(env.config.agent_counts)))
+
+    def report(step: Step) -> dict[str, jax.Array]:
+        known: dict[str, jax.Array] = {}
+        if rows is not None:
+            known = jax.vmap(functools.partial(plain_values, rows))(step.before)
+        return known | {"observation": step.observation}
 
     def run(key: jax.Array) -> dict[str, jax.Array]:
         reset = jax.vmap(lambda key: env.reset(key, "test"))
@@ -276,23 +259,13 @@ def _drive(
     return {name: x[chosen] for name, x in seen.items()}
 
 
-def _observation(step: Step) -> dict[str, jax.Array]:
-    return {"observation": step.observation}
-
-
-def _table(
-    loaded: LoadedPolicy,
-    inputs: Iterable[tuple[str, tuple[int, ...], str]],
-    batch: tuple[str, ...],
-) -> Table:
-    """Inputs (name, shape, meaning) and output of a model."""
-    table = Table(title="inputs and output")
-    for column in ("name", "shape", "range and meaning"):
-        table.add_column(column)
-    for name, shape, meaning in inputs:
-        table.add_row(name, str((*batch, *shape)), escape(meaning))
-    spec = action_spec(loaded.env)
+def _table(loaded: LoadedPolicy, model: Model) -> Table:
+    """Inputs and output of a model."""
+    table = Table("name", "shape", "range and meaning", title="inputs and output")
+    for name, shape, meaning in model.inputs:
+        table.add_row(name, str((*model.batch, *shape)), escape(meaning))
     table.add_section()
-    shape = str((*batch, spec.size))
+    spec = action_spec(loaded.env)
+    shape = str((*model.batch, spec.size))
     table.add_row(OUTPUT, shape, escape(describe_action(spec)))
     return table

@@ -10,7 +10,7 @@ import re
 import sys
 import textwrap
 import typing
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import tyro
@@ -21,7 +21,6 @@ from tyro.constructors import (
     StructConstructorSpec,
     StructFieldSpec,
     StructTypeInfo,
-    UnsupportedTypeAnnotationError,
 )
 
 from carpark_mj.config import (
@@ -37,11 +36,6 @@ from carpark_mj.config.checks import Range
 
 Config = TypeVar("Config")
 
-# A union of dataclasses gives the flags of the member that is the default.
-_MARKERS = (tyro.conf.AvoidSubcommands,)
-
-_HELP_MARKERS = (*_MARKERS, tyro.conf.SuppressFixed)
-
 
 def _range(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Range] | None:
     """Two numbers that the help calls LOW HIGH."""
@@ -56,15 +50,6 @@ def _range(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Range] | None:
         is_instance=lambda value: isinstance(value, tuple) and len(value) == 2,
         str_from_instance=lambda value: [str(number) for number in value],
     )
-
-
-def _tag(info: PrimitiveTypeInfo) -> UnsupportedTypeAnnotationError | None:
-    """No flag in the help for the tag of a union's member, which has one value."""
-    if typing.get_origin(info.type) is not typing.Literal:
-        return None
-    if len(typing.get_args(info.type)) > 1:
-        return None
-    return UnsupportedTypeAnnotationError(())
 
 
 def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
@@ -86,13 +71,9 @@ def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
     return StructConstructorSpec(build, tuple(fields))
 
 
-_REGISTRY, _HELP_REGISTRY = ConstructorRegistry(), ConstructorRegistry()
+_REGISTRY = ConstructorRegistry()
 _REGISTRY.primitive_rule(_range)
-_HELP_REGISTRY.primitive_rule(_range)
 _REGISTRY.struct_rule(_extra_terms)
-_HELP_REGISTRY.struct_rule(_extra_terms)
-_HELP_REGISTRY.primitive_rule(_tag)
-
 
 PYTHON_WORDS = {
     ": invalid literal for int() with base 10:": " takes a whole number, not",
@@ -114,7 +95,7 @@ def read_flags(
 
     Args:
         cls: each field is a flag; the class's docstring is its help.
-        arguments: of the command line; None = those of the program.
+        arguments: the command line; None = that of the process.
         default: values of flags that are not given; None = `cls()`.
         description: at the head of the help.
         short: fields that `--help` lists, if not all; `--help-all` lists them all.
@@ -125,7 +106,11 @@ def read_flags(
         SystemExit: after the help.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    options: dict[str, Any] = {"description": _by_line(description), "prog": prog}
+    options: dict[str, Any] = {
+        "description": _by_line(description),
+        "prog": prog,
+        "registry": _REGISTRY,
+    }
     if "--help-all" in arguments:
         arguments = ["--help"]
     elif short and {"-h", "--help"} & {*arguments}:
@@ -134,17 +119,40 @@ def read_flags(
     if default is not None:
         options["default"] = default
     if {"-h", "--help"} & {*arguments}:
-        options["registry"] = _HELP_REGISTRY
-        return tyro.cli(cls, args=["--help"], config=_HELP_MARKERS, **options)
+        return tyro.cli(cls, args=["--help"], **options)
     with _stderr_as_text() as box:
         try:
-            return tyro.cli(
-                cls, args=arguments, config=_MARKERS, registry=_REGISTRY, **options
-            )
+            return tyro.cli(cls, args=arguments, **options)
         except SystemExit:
             if not box.getvalue():
                 raise
     raise ValueError(_sentence(box.getvalue()))
+
+
+def as_flags(settings: Mapping[str, str], config: Any) -> list[str]:
+    """Settings as flags, see `read_flags`.
+
+    Args:
+        settings: values by dotted name, as on a command line.
+        config: that has the settings.
+
+    Raises:
+        ValueError: a truth value that is not true or false, or a flag in a value.
+    """
+    words: list[str] = []
+    for field, value in settings.items():
+        *groups, last = field.replace("_", "-").split(".")
+        parts, now = value.split(), None
+        with contextlib.suppress(ValueError):  # tyro says what is unknown
+            now = setting(config, field)
+        if isinstance(now, bool):
+            if value.lower() not in ("true", "false"):
+                raise ValueError(f"{field} must be true or false, not {value!r}")
+            last, parts = last if value.lower() == "true" else f"no-{last}", []
+        if any(re.match(r"-[^\d.]", part) for part in parts):
+            raise ValueError(f"{field} takes values, not flags, as in {value!r}")
+        words += [f"--{'.'.join((*groups, last))}", *parts]
+    return words
 
 
 def _with_encoders(

@@ -1,8 +1,8 @@
-"""`carpark_mj layouts`: draws, plots, checks, runs and saves layouts."""
+"""`carpark_mj layouts`: draws, checks and saves layouts, edits them, imports maps."""
 
 import dataclasses
-from collections.abc import Iterator
-from functools import partial
+import math
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -10,10 +10,13 @@ import jax
 import numpy as np
 import tyro
 
+from carpark_mj.cli.clock import wait_for_user
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import Bounds, CheckedConfig, require_unset
+from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture
+from carpark_mj.editor.server import EditorServer
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.files import require_suffix, require_writable, write_text
 from carpark_mj.layouts import (
     AngledConfig,
     DeadEndConfig,
@@ -24,23 +27,22 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.car_park import crop
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.files import layout_text
+from carpark_mj.layouts.files import FARTHEST, layout_text
 from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
+from carpark_mj.rendering.local_pages import HOST, PORT, Port
 
 CHUNK = 250  # layouts drawn at once
 Lots = Annotated[int, Bounds(ge=0, le=10_000_000)]  # so many take an hour or more
+Crop = tuple[float, float, float, float]  # x and y of two opposite corners [m]
 PICTURES = (".png", ".pdf", ".svg")
 NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 
-_LEVELS: tuple[tuple[Orientation, Level], ...] = (
-    ("perpendicular", "normal"),
-    ("perpendicular", "complex"),
-    ("parallel", "normal"),
-    ("parallel", "complex"),
-    ("parallel", "extreme"),
-)
+_LEVELS: dict[Orientation, tuple[Level, ...]] = {
+    "perpendicular": ("normal", "complex"),
+    "parallel": ("normal", "complex", "extreme"),
+}
 
 # Settings with which lots of a family differ most from those with its defaults.
 VARIANTS: dict[str, LayoutConfig] = {
@@ -59,7 +61,8 @@ VARIANTS: dict[str, LayoutConfig] = {
             ("garage_row", GarageRowConfig),
             ("dead_end", DeadEndConfig),
         )
-        for orientation, level in _LEVELS
+        for orientation, levels in _LEVELS.items()
+        for level in levels
     },
 }
 
@@ -85,15 +88,15 @@ def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layou
             yield jax.tree.map(lambda leaf, row=row: leaf[row], batch)
 
 
-def check(
-    layout: LayoutConfig | str, num_keys: int, seed: int, vehicle: str = ""
-) -> list[str]:
-    """Problems of the lots of `num_keys` keys with a car, a sentence each.
+# What an inspection says of a lot, a sentence each.
+Inspect = Callable[[Layout], list[str]]
+
+
+def faults(layout: LayoutConfig | str, vehicle: str = "") -> Inspect:
+    """Problems of a lot's plan with a car.
 
     Args:
-        layout: a name, a file or a config.
-        num_keys: how many.
-        seed: of the keys.
+        layout: of which lots are drawn: a name, a file or a config.
         vehicle: a preset or file; by default the lots' design car.
     """
     config = layout_config(layout)
@@ -102,49 +105,35 @@ def check(
         from carpark_mj.vehicle import preset
 
         size = preset(vehicle).length, preset(vehicle).width
-    found = []
-    for number, drawn in enumerate(draw(config, num_keys, seed)):
+
+    def inspect(drawn: Layout) -> list[str]:
         problems = describe_faults(drawn, size)
         bays = int(drawn.bay_mask.sum())
         if bays < config.min_bays:
             problems.append(f"{bays} bays, min_bays is {config.min_bays}")
-        found += [f"key {number}: {problem}" for problem in problems]
-    return found
+        return problems
+
+    return inspect
 
 
-def check_paths(
-    layout: LayoutConfig | str, num_keys: int, seed: int, paths: int, vehicle: str = ""
-) -> list[str]:
-    """Bays that the planner finds no path to, a sentence for each lot with any.
+def out_of_reach(paths: int, seed: int, vehicle: str = "") -> Inspect:
+    """Bays that the planner finds no path to.
 
     Args:
-        layout: a name, a file or a config.
-        num_keys: how many lots.
-        seed: of the keys, the bays drawn and the searches.
-        paths: bays of each lot, drawn at random if it has more.
+        paths: bays of a lot, drawn at random if it has more.
+        seed: seed of the bays drawn and of the searches.
         vehicle: a preset or file; `compact` by default.
     """
     from carpark_mj.planning.search import unreached
     from carpark_mj.vehicle import preset
 
-    found = []
-    for number, drawn in enumerate(draw(layout, num_keys, seed)):
+    def inspect(drawn: Layout) -> list[str]:
         tried, missed = unreached(drawn, preset(vehicle or "compact"), paths, seed)
-        if missed:
-            found.append(
-                f"key {number}: no path found to {len(missed)} of {len(tried)} bays: "
-                f"{', '.join(map(str, missed))}"
-            )
-    return found
+        bays = ", ".join(map(str, missed))
+        words = f"no path found to {len(missed)} of {len(tried)} bays: {bays}"
+        return [words] if missed else []
 
-
-def run_scenes(layout: LayoutConfig | str, num_keys: int, seed: int) -> list[str]:
-    """MuJoCo's warnings while the scenes of `num_keys` keys run, a sentence each."""
-    return [
-        f"key {number}: {warning}"
-        for number, drawn in enumerate(draw(layout, num_keys, seed))
-        for warning in run_scene(drawn)
-    ]
+    return inspect
 
 
 def run_scene(layout: Layout) -> list[str]:
@@ -184,7 +173,7 @@ class LayoutsConfig(CheckedConfig):
             the checked lots; by default their design car.
         run: number of scenes of each layout to run.
         save: layout file to write, with the first lot of one layout.
-        crop: x and y of two opposite corners [m] of the part of it to save.
+        crop: x and y of two opposite corners [m] of the part to save.
         seed: seed of the keys.
     """
 
@@ -197,7 +186,7 @@ class LayoutsConfig(CheckedConfig):
     vehicle: str = ""
     run: Lots = 0
     save: str = ""
-    crop: tuple[float, float, float, float] | None = None
+    crop: Crop | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -212,15 +201,21 @@ class LayoutsConfig(CheckedConfig):
             require_unset(self, "without --check", "vehicle", "paths")
         if not self.save:
             require_unset(self, "without --save", "crop")
-        if self.plot and Path(self.plot).suffix not in PICTURES:
+        require_suffix("plot", self.plot, *PICTURES)
+        require_suffix("save", self.save, ".json")
+        if self.save and len(self.layouts) != 1:
             raise ValueError(
-                f"--plot writes a .png, .pdf or .svg file, not {self.plot}"
+                "--save writes one lot of one layout, not of "
+                f"{', '.join(self.layouts) or 'all families'}"
             )
-        if self.save and (len(self.layouts) != 1 or not self.save.endswith(".json")):
-            raise ValueError(
-                "--save writes one lot of one layout to a .json file, not "
-                f"{', '.join(self.layouts) or 'all families'} to {self.save}"
-            )
+
+
+def _save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
+    """Writes a layout, or a part of it, and prints the file's name."""
+    if part is not None:
+        layout = crop(layout, part)
+    write_text(path, layout_text(layout))
+    print(*said, f"wrote {path}: {int(layout.bay_mask.sum())} bays", sep="\n")
 
 
 def main(config: LayoutsConfig) -> int:
@@ -230,36 +225,156 @@ def main(config: LayoutsConfig) -> int:
         require_writable(Path(file))  # refused before the work
     if config.save:
         [drawn] = draw(config.layouts[0], 1, config.seed)
-        if config.crop is not None:
-            drawn = crop(drawn, config.crop)
-        write_atomically(
-            Path(config.save), lambda file: file.write_text(layout_text(drawn))
-        )
-        print(f"wrote {config.save}: {int(drawn.bay_mask.sum())} bays")
+        _save(drawn, config.crop, Path(config.save))
     if config.plot:
         pictures = [
             (name, drawn)
             for name, layout in shown.items()
             for drawn in draw(
-                layout, 2 if config.layouts and layout.is_random else 1, config.seed
+                layout, 1 + bool(config.layouts and layout.is_random), config.seed
             )
         ]
         print(f"wrote {plot_layouts(pictures, Path(config.plot))}")
     sound = True
     for name, layout in shown.items():
-        checked = partial(check, vehicle=config.vehicle)
-        reached = partial(check_paths, paths=config.paths, vehicle=config.vehicle)
-        inspections = (
-            (checked, config.check, "problems"),
-            (reached, config.check if config.paths else 0, "with bays out of reach"),
-            (run_scenes, config.run, "warnings"),
-        )
+        inspections: list[tuple[Inspect, int, str]] = []
+        if config.check:
+            inspect = faults(layout, config.vehicle)
+            inspections.append((inspect, config.check, "problems"))
+        if config.paths:
+            inspect = out_of_reach(config.paths, config.seed, config.vehicle)
+            inspections.append((inspect, config.check, "with bays out of reach"))
+        if config.run:
+            inspections.append((run_scene, config.run, "warnings"))
         for inspect, number, what in inspections:
-            if not number:
-                continue
-            found = inspect(layout, number, config.seed)
+            found = [
+                f"key {key}: {problem}"
+                for key, drawn in enumerate(draw(layout, number, config.seed))
+                for problem in inspect(drawn)
+            ]
             sound = sound and not found
             lots = "1 lot" if number == 1 else f"{number} lots"
             print(f"{name}: {lots}, {len(found)} {what}", flush=True)
             print("".join(f"  {problem}\n" for problem in found[:10]), end="")
     return 0 if sound else 1
+
+
+@dataclasses.dataclass(frozen=True)
+class EditConfig(CheckedConfig):
+    """Draws a lot in the browser and saves it as a layout file.
+
+    carpark_mj layouts edit --out my_lot.json
+    carpark_mj layouts edit my_lot.json
+    carpark_mj layouts edit --out my_lot.json --background plan.png --width 60
+
+    Attributes:
+        file: layout file (`.json`) to edit; an empty lot if not given.
+        out: layout file to save to; by default the edited one. Another one must be new.
+        background: picture under the drawing (`.png`, `.jpg`, `.webp`), its middle at
+            the origin.
+        scale: metres per pixel of the picture.
+        width: width of the picture [m], instead of `scale`.
+        port: port of the page on localhost.
+    """
+
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")] = ""
+    out: str = ""
+    background: str = ""
+    scale: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
+    width: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
+    port: Port = PORT
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.target:
+            raise ValueError("nothing to edit: give FILE.json, or --out for a new lot")
+        require_suffix("file", self.file, ".json")
+        require_suffix("out", self.out, ".json")
+        if not self.background:
+            require_unset(self, "without --background", "scale", "width")
+        elif bool(self.scale) == bool(self.width):
+            raise ValueError(
+                "--background takes either --scale in metres per pixel or --width in "
+                f"metres, not --scale {self.scale:g} and --width {self.width:g}"
+            )
+
+    @property
+    def target(self) -> str:
+        """The file to save to."""
+        return self.out or self.file
+
+
+def edit(config: EditConfig) -> None:
+    """Serves the page until it is interrupted."""
+    out, source = Path(config.target), Path(config.file) if config.file else None
+    if out.exists() and (source is None or not out.samefile(source)):
+        raise ValueError(f"{out} exists: edit it by `carpark_mj layouts edit {out}`")
+    picture: Picture | None = None
+    if config.background:
+        picture = read_picture(Path(config.background), config.scale, config.width)
+    require_writable(out)
+    extent = EXTENT
+    if picture:
+        extent = tuple(math.ceil(side) / 2 for side in picture.size)
+    draft = Draft(out, source, extent)
+    with EditorServer(draft, config.port, picture) as server:
+        if draft.kept.exists():
+            print(f"opened unsaved changes: {draft.kept}")
+        print(f"open http://{HOST}:{server.server_port} (Ctrl-C ends)", flush=True)
+        wait_for_user()
+        server.serve_forever()
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportConfig:
+    """Makes a layout file of a map of a car park; needs the extra `maps`.
+
+    carpark_mj layouts import car_park.osm --out lot.json
+    carpark_mj layouts import car_park.geojson --out part.json --crop -20 -10 20 10
+    carpark_mj layouts import plan.dxf --out lot.json --unit mm --layer stall=STELLPLATZ
+
+    Attributes:
+        map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), CommonRoad
+            (`.xml`), GeoJSON (`.geojson`, `.json`), or a drawing (`.dxf`).
+        out: layout file to write.
+        crop: x and y of two opposite corners [m] of the part to take, in the frame of
+            the whole lot.
+        level: of a car park with several, as the map names it; the one with most spots
+            by default.
+        crs: coordinate reference system of a GeoJSON file that does not name its own,
+            such as EPSG:25832.
+        layer: of a drawing, WORD=TEXT: the layers whose names contain the text hold
+            stalls, aisles, walls, kerbs, columns, drivable ground or starts; may be
+            repeated.
+        unit: of a drawing without one, or with a wrong one: mm, cm, m, in or ft.
+    """
+
+    map: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    out: str
+    crop: Crop | None = None
+    level: str | None = None
+    crs: str | None = None
+    layer: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="WORD=TEXT"),
+    ] = ()
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        require_suffix("out", self.out, ".json")
+
+
+def import_layout(config: ImportConfig) -> None:
+    """Reads the map, writes the layout file and says what was left out."""
+    from carpark_mj.maps.importing import import_map
+
+    require_writable(Path(config.out))
+    layout, report = import_map(
+        Path(config.map),
+        level=config.level,
+        crs=config.crs,
+        layers=config.layer,
+        unit=config.unit,
+    )
+    _save(layout, config.crop, Path(config.out), report)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import jax
 import numpy as np
 
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import LotSettings
 from carpark_mj.cli.process import MAX_EPISODES
 from carpark_mj.config.checks import Bounds
@@ -15,6 +16,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.evaluator import allot
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.layouts import member_shares
 from carpark_mj.planning.oracle import impossible, solve
@@ -56,10 +58,12 @@ def main(config: OracleConfig) -> list[dict[str, Any]]:
     if config.out:
         require_writable(file, new_folders=True)
     shares = member_shares(env.layout_config)
+    doing(COMPILING)
     member = allot(list(shares.values()), config.lots)
     keys = jax.random.split(evaluation_key(config.seed), config.lots)
     state, _ = jax.jit(jax.vmap(lambda key, n: env.reset(key, "test", n)))(keys, member)
     seconds = task.episode.max_steps * task.sim.ctrl_dt
+    doing(f"planning {config.lots} lots, some seconds each")
     rows: list[dict[str, Any]] = []
     for lot, seen in enumerate(sights(state)):
         begun = {"lot": lot, "family": list(shares)[member[lot]]}
@@ -93,22 +97,19 @@ def answers(
 
 def describe(rows: list[dict[str, Any]]) -> str:
     """A table of the outcomes [%] by family and number of agents, in Markdown."""
-    lines = [
-        f"| family | agents | lots | {' | '.join(OUTCOMES)} | lots in time |",
-        "|---|---" + "|---:" * (len(OUTCOMES) + 2) + "|",
-    ]
-    for cell in sorted({(row["family"], row["agents_present"]) for row in rows}):
-        those = [r for r in rows if (r["family"], r["agents_present"]) == cell]
-        lots: dict[int, bool] = {}
-        for row in those:
-            in_time = row["outcome"] == "in time"
-            lots[row["lot"]] = lots.get(row["lot"], True) and in_time
-        shares = [
-            f"{100 * sum(row['outcome'] == name for row in those) / len(those):.1f}"
-            for name in OUTCOMES
-        ]
-        low, high = wilson_interval(sum(lots.values()), len(lots))
-        whole = 100 * sum(lots.values()) / len(lots)
-        rate = f"{whole:.1f} ({100 * low:.1f} … {100 * high:.1f})"
-        lines.append(f"| {' | '.join(map(str, (*cell, len(lots), *shares, rate)))} |")
-    return "\n".join(lines)
+    cells: dict[Any, list[dict[str, Any]]] = {}
+    for row in rows:
+        cells.setdefault((row["family"], row["agents_present"]), []).append(row)
+    table: list[dict[str, Any]] = []
+    for (family, agents), those in sorted(cells.items()):
+        late = {row["lot"] for row in those if row["outcome"] != "in time"}
+        lots = len({row["lot"] for row in those})
+        cell: dict[str, Any] = {"family": family, "agents": agents, "lots": lots}
+        for name in OUTCOMES:
+            share = sum(row["outcome"] == name for row in those) / len(those)
+            cell[name] = f"{100 * share:.1f}"
+        found = lots - len(late)
+        low, high = (100 * end for end in wilson_interval(found, lots))
+        rate = f"{100 * found / lots:.1f} ({low:.1f} … {high:.1f})"
+        table.append(cell | {"lots in time": rate})
+    return markdown(table, left=2)

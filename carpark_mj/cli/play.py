@@ -1,5 +1,6 @@
 """`carpark_mj play`: driving by hand, in a window or on a page for a browser."""
 
+import contextlib
 import dataclasses
 import sys
 import time
@@ -15,9 +16,10 @@ from carpark_mj.rendering.gl import Window, choose_gl, has_display
 if not has_display():
     choose_gl()  # before MuJoCo is imported; windows have an OpenGL of their own
 
-from carpark_mj.cli.driver import LotSettings, find_driver
+from carpark_mj.cli.clock import COMPILING, doing, wait_for_user
+from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.process import one_line, patient_interrupts
-from carpark_mj.cli.scene import default_env
+from carpark_mj.cli.scene import ShownLot, default_env, serve
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
@@ -35,7 +37,7 @@ from carpark_mj.play.driving import (
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.local_pages import HOST, PORT, check_port
+from carpark_mj.rendering.local_pages import PORT, Port
 from carpark_mj.rendering.renderer import camera_names
 from carpark_mj.rendering.web import make_live_viewer, require_web
 
@@ -44,7 +46,7 @@ COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
 
 
 @dataclasses.dataclass(frozen=True)
-class PlayConfig(LotSettings):
+class PlayConfig(ShownLot):
     """Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
 
     carpark_mj play --layout street
@@ -56,33 +58,27 @@ class PlayConfig(LotSettings):
     Without a display a page is served instead, with a steering wheel and a pedal.
 
     Attributes:
-        layout: name of a lot or a family, or a layout file; default `square`, or the
-            policy's.
         policy: pretrained policy, run folder or checkpoint file that drives the other
             cars; without a policy they stand.
         num_agents: number of cars, yours included; default 1, or as in the policy's
             training.
-        num_parked_cars: number of parked cars; default 16, or as many as fit into a
-            smaller lot, or as in the policy's training.
-        vehicle: preset or file of all cars; default `compact`, or the policy's.
-        seed: of the lot; the next lot has the next seed.
+        seed: seed of the lot; the next lot has the next seed.
         view: `window`, or `web` for a page on this machine; default: a window if there
             is a display.
-        camera: of the window or the video: `topdown`, `overview`, `chase:0`, `driver:0`
-            or `split`.
+        camera: camera of the window or the video: `topdown`, `overview`, `chase:0`,
+            `driver:0` or `split`.
         out: folder in which every drive is saved as drive-K.npz.
         replay: a saved drive to look at instead.
         video: `.mp4` or `.gif` to write the replay to.
-        port: of the page.
+        port: port of the page.
     """
 
-    policy: str = ""
     view: Literal["", "window", "web"] = ""
     camera: str = "split"
     out: str = "runs/play"
     replay: str = ""
     video: str = ""
-    port: int = PORT
+    port: Port = PORT
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,7 +93,6 @@ class PlayConfig(LotSettings):
         else:
             require_unset(self, "in a window", "port")
         camera_names(self.camera)
-        check_port(self.port)
 
     @property
     def shown_in(self) -> str:
@@ -165,7 +160,6 @@ def pad(action: np.ndarray, size: int) -> np.ndarray:
 def play_in_window(config: PlayConfig) -> None:
     """Drives in a window until it is closed; every drive is saved."""
     env, others = make_env(config)
-    window = Window(SIZE)
     controls, seed = Controls(), config.seed
 
     def read(lot: DrivenLot) -> np.ndarray:
@@ -179,23 +173,19 @@ def play_in_window(config: PlayConfig) -> None:
         return pad(controls.action, env.action_spec.size)
 
     wanted = "N"
-    try:
+    with contextlib.closing(Window(SIZE)) as window:
         folder = open_folder(config)
         while wanted == "N":
             lot = DrivenLot(env, others, seed, read, lambda lot: save(lot, folder))
-            picture = Picture(lot, config.camera)
             wanted, seed = "R", seed + 1
-            try:
-                while wanted == "R":
-                    wanted = _drive(lot, picture.draw, window)
-                    lot.reset()
-            except BaseException:
-                save(lot, folder)
-                raise
-            finally:
-                picture.close()
-    finally:
-        window.close()
+            with contextlib.closing(Picture(lot, config.camera)) as picture:
+                try:
+                    while wanted == "R":
+                        wanted = _drive(lot, picture.draw, window)
+                        lot.reset()
+                except BaseException:
+                    save(lot, folder)
+                    raise
 
 
 def _drive(lot: DrivenLot, draw: Callable[[], np.ndarray], window: Window) -> str:
@@ -205,6 +195,7 @@ def _drive(lot: DrivenLot, draw: Callable[[], np.ndarray], window: Window) -> st
     due = time.monotonic()
     while not window.closed:
         lot.step()
+        wait_for_user()
         window.show(draw())
         pressed = window.held(COMMANDS)
         if pressed:
@@ -214,12 +205,11 @@ def _drive(lot: DrivenLot, draw: Callable[[], np.ndarray], window: Window) -> st
     return "Q"
 
 
-def serve_wheel(config: PlayConfig) -> tuple[Any, DrivenLot, dict[str, Any]]:
-    """Serves a lot to drive in a browser.
+def make_wheel(config: PlayConfig) -> tuple[Any, Any, DrivenLot, dict[str, Any]]:
+    """A page with a lot to drive in.
 
     Returns:
-        The viewer, whose `run` never returns, the lot, and the sliders `wheel` and
-        `pedal`.
+        Viewer and server, the lot, and the sliders `wheel` and `pedal`.
     """
     require_web()  # before the work
     env, others = make_env(config)
@@ -254,8 +244,7 @@ def serve_wheel(config: PlayConfig) -> tuple[Any, DrivenLot, dict[str, Any]]:
         except OSError as error:  # not the end of the drive
             print(one_line(error), file=sys.stderr)
 
-    print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
-    return viewer, lot, held
+    return viewer, server, lot, held
 
 
 def show_replay(config: PlayConfig) -> None:
@@ -267,9 +256,7 @@ def show_replay(config: PlayConfig) -> None:
         print(f"wrote {config.video}: {count} frames")
     elif config.shown_in == "web":
         require_web()
-        viewer, server = make_live_viewer(lot, config.port)
-        print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
-        viewer.run()
+        serve(*make_live_viewer(lot, config.port))
     else:
         window, picture = Window(SIZE), Picture(lot, config.camera)
         while _drive(lot, picture.draw, window) == "R":
@@ -278,14 +265,15 @@ def show_replay(config: PlayConfig) -> None:
 
 def main(config: PlayConfig) -> None:
     """Plays, or replays."""
+    doing(COMPILING)
     if config.replay:
         show_replay(config)
     elif config.shown_in == "window":
         with patient_interrupts():  # to save the drive
             play_in_window(config)
     else:
-        viewer, lot, _ = serve_wheel(config)
+        viewer, server, lot, _ = make_wheel(config)
         try:
-            viewer.run()
+            serve(viewer, server)
         finally:
             save(lot, Path(config.out))

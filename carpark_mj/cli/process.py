@@ -18,36 +18,45 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, cast
 
+from carpark_mj.cli.clock import CLOCK, LOADING
 from carpark_mj.rendering.gl import check_gl
 
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
 PATIENCE = 1.5  # s in which an interrupted command ends by itself
 USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
+_EXHAUSTED = "RESOURCE_EXHAUSTED"  # in errors of XLA
 MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
 MAX_SECONDS = 3600  # of a recording, or an evaluation's horizon, both held in memory
 OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
 # What installs the packages that commands need beside the library's own.
-EXTRAS = dict.fromkeys(
-    ("tyro", "rich", "matplotlib", "tensorboardX", "imageio_ffmpeg", "scipy"),
-    "train,eval",
-) | {"submitit": "sweep", "vehiclemodels": "test"}
+EXTRAS = {
+    **dict.fromkeys(("tyro", "rich", "matplotlib", "tensorboardX"), "train,eval"),
+    **dict.fromkeys(("imageio_ffmpeg", "scipy"), "train,eval"),
+    **dict.fromkeys(("ezdxf", "pyproj", "shapely"), "maps"),
+    "submitit": "sweep",
+    "vehiclemodels": "test",
+}
 
 
 def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
     """Runs a command as this process, and ends it.
 
-    Ctrl-C ends it with one line and exit code 130, also in compiled code, unless the
-    command has its own handler; a second Ctrl-C always does. A closed stdout, a full
-    disk or a character that the encoding lacks does not stop the work.
+    A clock runs on the terminal while it is silent, see `carpark_mj.cli.clock`. Ctrl-C
+    ends it with one line and exit code 130, also in compiled code, unless the command
+    has its own handler; a second Ctrl-C always does. A closed stdout, a full disk or a
+    character that the encoding lacks does not stop the work.
 
     Args:
         program: name before messages on stderr.
         entry: `module:function` that is the command, imported here; its value is the
             exit code if it is an int.
-        *arguments: of the function.
+        *arguments: arguments of the function.
     """
     interrupts, stdout = Interrupts(program), _keep_printing("stdout", 1)
     _keep_printing("stderr", 2)
+    # XLA warns of compilations above two minutes, which the clock shows.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    CLOCK.start(LOADING)
 
     def command() -> object:
         check_gl()
@@ -67,6 +76,7 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
         raise
     if interrupts.taken:
         interrupts.end()
+    CLOCK.stop()
     sys.stdout.flush()
     failed = stdout.error if stdout else None
     if failed is not None and failed.errno != errno.EPIPE and not code:
@@ -90,7 +100,13 @@ def run_command(program: str, command: Callable[[], object]) -> int:
     try:
         code = command()
     except Exception as error:
-        message = _for_the_user(error)
+        exhausted = isinstance(error, RuntimeError) and _EXHAUSTED in str(error)
+        if isinstance(error, USER_ERRORS) or exhausted:
+            message = one_line(error)
+        elif isinstance(error, ModuleNotFoundError):
+            message = _missing_extra(error)
+        else:
+            message = _missing_device()
         if message is None:
             raise
         print(f"{program}: {message}", file=sys.stderr)
@@ -104,28 +120,10 @@ def one_line(error: BaseException) -> str:
         return f"cannot use {error.filename}: {error.strerror}"
     if isinstance(error, OverflowError):
         return f"a number is too large: {error}"
-    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+    if isinstance(error, MemoryError) or _EXHAUSTED in str(error):
         reason = str(error).partition("\n")[0] or "allocation failed"
         return f"not enough memory, choose smaller sizes: {reason}"
     return " ".join(str(error).split())
-
-
-def _for_the_user(error: Exception) -> str | None:
-    """Message for an error that the user can fix; None for a bug."""
-    # Not imported here: if JAX or MuJoCo cannot be imported, that is the error.
-    homes = {
-        "carpark_mj.policy.checkpoints": "CheckpointError",
-        "carpark_mj.rendering.renderer": "RenderingError",
-    }
-    loaded = [(sys.modules[h], name) for h, name in homes.items() if h in sys.modules]
-    own = tuple(getattr(module, name) for module, name in loaded)
-    if isinstance(error, (*USER_ERRORS, *own)):
-        return one_line(error)
-    if isinstance(error, ModuleNotFoundError):
-        return _missing_extra(error)
-    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
-        return one_line(error)
-    return _missing_device()
 
 
 def _missing_extra(error: ModuleNotFoundError) -> str | None:
@@ -178,6 +176,7 @@ class _Output(io.FileIO):
 
     def write(self, data: Any, /) -> int:
         """Writes, or drops what cannot be written."""
+        CLOCK.printed()
         if self.error is None:
             try:
                 return super().write(data)
@@ -246,7 +245,7 @@ class Interrupts:
                 self.end()
 
     def _unraisable(self, unraisable: Any) -> None:
-        if issubclass(unraisable.exc_type, KeyboardInterrupt):  # else nobody sees it
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):  # else it is lost
             self.end()
         sys.__unraisablehook__(unraisable)
 
@@ -259,6 +258,7 @@ class Interrupts:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             with contextlib.suppress(Exception):
                 sys.stdout.flush()
+        CLOCK.stop()
         # Not `print`, whose lock the main thread may hold.
         os.write(2, f"{self._program}: interrupted\n".encode())
         os._exit(INTERRUPTED)

@@ -14,6 +14,7 @@ from rich.progress import track
 
 from carpark_mj.cameras import RIGS, Rig
 from carpark_mj.cameras.see import Channel
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import DriveSettings, find_driver
 from carpark_mj.cli.process import MAX_SECONDS
 from carpark_mj.config import EnvConfig
@@ -25,7 +26,6 @@ from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, dra
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import (
     Recording,
-    frames_per_second,
     num_frames,
     record,
     recording_stage,
@@ -40,7 +40,7 @@ from carpark_mj.rendering.video import (
     CarCameras,
     car_cameras,
     draw_frame,
-    frame_stride,
+    frame_indices,
     write_video,
 )
 from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
@@ -65,7 +65,7 @@ class RenderConfig(DriveSettings):
             wheel, or `split:K`: topdown and chase:K side by side. Or what the first
             agent's cameras see: a rig, as `surround`, or one of its cameras, as
             `surround:0`.
-        channel: of the pictures of a rig: `colour`, `depth` or `seen`.
+        channel: what a rig's pictures show: `colour`, `depth` or `seen`.
         show: comma-separated extras: `tracked` links every agent to the cars and bays
             it tracks, `rings` draws the circles in which it counts walls; of agent K
             alone with `chase:K`, `driver:K` and `split:K`.
@@ -88,8 +88,8 @@ class RenderConfig(DriveSettings):
     fps: Positive = 10.0
     frame: Annotated[float | None, Bounds(ge=0.0, le=MAX_SECONDS, unit="s")] = None
     gallery: bool = False
-    width: int = 1280
-    height: int = 720
+    width: Annotated[int, Bounds(ge=2, le=OFFSCREEN_WIDTH)] = 1280
+    height: Annotated[int, Bounds(ge=2, le=OFFSCREEN_HEIGHT)] = 720
     respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:
@@ -113,12 +113,9 @@ class RenderConfig(DriveSettings):
                 f"show takes tracked and rings, with a comma between, not "
                 f"{', '.join(sorted(unknown))!r}"
             )
-        for name, limit in (("width", OFFSCREEN_WIDTH), ("height", OFFSCREEN_HEIGHT)):
-            value = getattr(self, name)
-            if not 2 <= value <= limit or value % 2:
-                raise ValueError(
-                    f"{name} must be even and within 2 to {limit}, not {value}"
-                )
+        for name in ("width", "height"):
+            if (value := getattr(self, name)) % 2:
+                raise ValueError(f"{name} must be even, not {value}")
 
     def rig(self, num_agents: int | None = None) -> Rig | None:
         """The cameras of a car that `camera` names; None if it is one of the lot's."""
@@ -153,14 +150,15 @@ def main(config: RenderConfig) -> Path:
     env = ParkingEnv(env_config)
     seconds = config.seconds if config.frame is None else config.frame
     num_steps = max(1, round(seconds / env_config.sim.ctrl_dt))
-    print("compiling ...", flush=True)
+    doing(COMPILING)
     recording = record(env, driver.policy(env), num_steps, config.seed)
     with contextlib.ExitStack() as stack:
+        size = config.width, config.height
         if rig is not None:
-            size = config.width, config.height
             draw = CarCameras(env, recording, rig, config.channel, size).draw
         else:
-            renderer = _renderer(config, env, recording)
+            stage, show = recording_stage(env, recording), _show(config, env_config)
+            renderer = LotRenderer(stage, config.camera, size, show)
             stack.enter_context(contextlib.closing(renderer))
             draw = functools.partial(draw_frame, recording, renderer)
         if config.frame is not None:
@@ -189,14 +187,6 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
     return out
 
 
-def _renderer(
-    config: RenderConfig, env: ParkingEnv, recording: Recording
-) -> LotRenderer:
-    stage = recording_stage(env, recording)
-    size = (config.width, config.height)
-    return LotRenderer(stage, config.camera, size, _show(config, env.config))
-
-
 def _show(config: RenderConfig, env: EnvConfig) -> Show:
     seen, tracked = env.observation, None
     if "tracked" in config.extras:
@@ -214,14 +204,13 @@ def _write_frames(
     out: Path, fps: float, recording: Recording, draw: Callable[[int], np.ndarray]
 ) -> str:
     """Writes the video; returns how many frames were drawn, and how fast."""
-    stride = frame_stride(recording, fps)
-    indices = range(stride - 1, num_frames(recording), stride)
+    indices, rate = frame_indices(recording, fps)
     out.parent.mkdir(parents=True, exist_ok=True)
-    begun = time.monotonic()
+    start = time.monotonic()
     pictures = map(draw, track(indices, "rendering", transient=True))
-    count = write_video(out, pictures, frames_per_second(recording) / stride)
+    count = write_video(out, pictures, rate)
     return (
-        f"{count} frames, {count / (time.monotonic() - begun):.1f} rendered per second"
+        f"{count} frames, {count / (time.monotonic() - start):.1f} rendered per second"
     )
 
 

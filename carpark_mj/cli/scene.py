@@ -3,25 +3,26 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import mujoco
 import numpy as np
 
+from carpark_mj.cli.clock import COMPILING, doing, wait_for_user
 from carpark_mj.cli.driver import LotSettings, find_driver
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_unset
+from carpark_mj.config.checks import CheckedConfig, require_unset
 from carpark_mj.env import ParkingEnv
-from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.files import require_suffix, require_writable, write_text
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
 from carpark_mj.rendering.gl import missing_display
-from carpark_mj.rendering.local_pages import HOST, PORT, check_port
+from carpark_mj.rendering.local_pages import HOST, PORT, Port
 from carpark_mj.rendering.web import LiveLot, make_live_viewer, make_viewer, require_web
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.checks import has_exits
-from carpark_mj.vehicle import VehicleParameters, preset
+from carpark_mj.vehicle import preset
 
 WITHOUT_DISPLAY = (
     "use a desktop session or `ssh -X`, or look at it in a browser with --view web, or "
@@ -31,7 +32,7 @@ WITHOUT_DISPLAY = (
 
 
 @dataclasses.dataclass(frozen=True)
-class SceneOutput:
+class SceneOutput(CheckedConfig):
     """Where a scene goes.
 
     Attributes:
@@ -43,20 +44,35 @@ class SceneOutput:
 
     out: str = ""
     view: Literal["", "window", "web"] = ""
-    port: int = PORT
+    port: Port = PORT
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.out and not self.view:
             raise ValueError("give --out FILE.xml to write the scene, --view, or both")
         if self.view != "web":
             require_unset(self, "without --view web", "port")
-        if self.out and Path(self.out).suffix != ".xml":
-            raise ValueError(f"out must end in .xml, not {self.out!r}")
-        check_port(self.port)
+        require_suffix("out", self.out, ".xml")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ShownLot(LotSettings):
+    """A lot to look at, or to drive in.
+
+    Attributes:
+        layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
+            file, as in `EnvConfig`; default `square`, or the policy's.
+        policy: pretrained policy, run folder or checkpoint file that drives.
+        num_parked_cars: number of parked cars; default 16, or as many as fit into a
+            smaller lot, or as in the policy's training.
+        vehicle: preset or file of all cars; default `compact`, or the policy's.
+    """
+
+    policy: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
-class SceneConfig(SceneOutput, LotSettings):
+class SceneConfig(SceneOutput, ShownLot):
     """Writes a car park as MJCF that drives in the MuJoCo viewer, or opens it there.
 
     carpark_mj scene --layout square --out scene.xml
@@ -67,25 +83,18 @@ class SceneConfig(SceneOutput, LotSettings):
     carpark_mj scene --layout square --suspension --view
 
     Attributes:
-        layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
-            file, as in `EnvConfig`; default `square`, or the policy's.
         policy: pretrained policy, run folder or checkpoint file that drives, or `zero`
             or `random`; in the browser only.
         num_agents: number of cars to drive; default 2, or 1 in a lot with one goal, or
             as in the policy's training.
-        num_parked_cars: number of parked cars; default 16, or as many as fit into a
-            smaller lot, or as in the policy's training.
-        vehicle: preset or file of all cars; default `compact`, or the policy's.
         suspension: springs between the wheels and the cars to drive.
         seed: random seed of the lot and its cars.
     """
 
-    policy: str = ""
     suspension: bool = False
 
     def __post_init__(self) -> None:
-        SceneOutput.__post_init__(self)
-        LotSettings.__post_init__(self)
+        super().__post_init__()
         if self.policy and (self.view != "web" or self.out):
             raise ValueError(
                 "a policy drives in the browser only: give --view web alone"
@@ -109,11 +118,6 @@ def make_scene(config: SceneConfig) -> tuple[mujoco.MjSpec, np.ndarray]:
     return spec, np.asarray(state.layout.extent)
 
 
-def vehicle(config: SceneConfig) -> VehicleParameters:
-    """The cars to drive."""
-    return preset(config.adapted(default_env(config)).vehicle)
-
-
 def default_env(config: LotSettings) -> EnvConfig:
     """Two agents and sixteen parked cars, or as many as fit into the lot."""
     name = config.layout or "square"
@@ -132,10 +136,17 @@ def show_policy(config: SceneConfig) -> None:
     require_web()  # before the work
     driver = find_driver(config.policy)
     env = ParkingEnv(config.adapted(driver.env))
+    doing(COMPILING)
     viewer, server = make_live_viewer(
         LiveLot(env, driver.policy(env), config.seed), config.port
     )
+    serve(viewer, server)
+
+
+def serve(viewer: Any, server: Any) -> None:
+    """Says where a page is, and shows it until Ctrl-C."""
     print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
+    wait_for_user()
     viewer.run()
 
 
@@ -146,18 +157,23 @@ def main(config: SceneConfig) -> None:
         return
     require_view(config)
     spec, extent = make_scene(config)
-    show_scene(config, spec, extent, scene_xml(spec, vehicle(config)))
+    vehicle = preset(config.adapted(default_env(config)).vehicle)
+    show_scene(config, spec, extent, scene_xml(spec, vehicle))
 
 
 def require_view(output: SceneOutput) -> None:
     """Refuses, before the work, what cannot be shown or written."""
     if output.out:
         require_writable(Path(output.out), new_folders=True)
-    missing = missing_display() if output.view == "window" else None
-    if missing and not output.out:
-        raise OSError(f"{missing}: {WITHOUT_DISPLAY}")
+    else:
+        _require_display(output)
     if output.view == "web":
         require_web()
+
+
+def _require_display(output: SceneOutput) -> None:
+    if output.view == "window" and (missing := missing_display()):
+        raise OSError(f"{missing}: {WITHOUT_DISPLAY}")
 
 
 def show_scene(
@@ -174,18 +190,17 @@ def show_scene(
     if output.out:
         path = Path(output.out)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, lambda temporary: temporary.write_text(text))
+        write_text(path, text)
         print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
-    if output.view == "window" and (missing := missing_display()):
-        raise OSError(f"{missing}: {WITHOUT_DISPLAY}")
+    _require_display(output)
     if output.view == "web":
         model = spec.compile()
         viewer, server = make_viewer(model, mujoco.MjData(model), extent, output.port)
-        print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
-        viewer.run()
+        serve(viewer, server)
     elif output.view:
         from mujoco import viewer as window
 
+        wait_for_user()
         window.launch(spec.compile())
 
 

@@ -12,7 +12,7 @@ from rich.table import Column, Table
 
 from carpark_mj.config.checks import CheckedConfig, Finite
 from carpark_mj.config.vehicles import is_name
-from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.files import require_suffix, require_writable, write_text
 from carpark_mj.identification.fit import (
     PARAMETERS,
     Identification,
@@ -43,11 +43,9 @@ class VehiclesConfig:
     save: str = ""
 
     def __post_init__(self) -> None:
-        if self.save and not (self.vehicle and self.save.endswith(".json")):
-            raise ValueError(
-                f"--save writes one vehicle to a .json file, not "
-                f"{self.vehicle or 'none'} to {self.save}"
-            )
+        require_suffix("save", self.save, ".json")
+        if self.save and not self.vehicle:
+            raise ValueError("--save writes one vehicle: name it")
 
 
 def show(config: VehiclesConfig) -> None:
@@ -66,7 +64,7 @@ def show(config: VehiclesConfig) -> None:
     print("metres, kilograms, newtons, watts, seconds, radians")
     if config.save:
         text = json.dumps(json.loads(parameters_text(name, params)), indent=1) + "\n"
-        write_atomically(Path(config.save), lambda file: file.write_text(text))
+        write_text(Path(config.save), text)
         print(f"wrote {config.save}")
 
 
@@ -91,7 +89,8 @@ class IdentifyConfig(CheckedConfig):
         log: table of the drive, see docs/identify.md.
         vehicle: preset or file of a car like this one.
         out: vehicle file to write.
-        ahead: of the rear axle, the point whose x and y are in the log [m].
+        ahead: distance from the rear axle to the point whose x and y are logged,
+            forwards positive [m].
     """
 
     log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG.csv")]
@@ -101,8 +100,7 @@ class IdentifyConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.out and not self.out.endswith((".yaml", ".yml")):
-            raise ValueError(f"--out writes a .yaml file, not {self.out}")
+        require_suffix("out", self.out, ".yaml", ".yml")
 
 
 def fit(config: IdentifyConfig) -> None:
@@ -119,7 +117,7 @@ def fit(config: IdentifyConfig) -> None:
     found = identify(log, sheet.params, config.ahead)
     if config.out:
         text = vehicle_text(Path(config.out).stem, sheet, found, log)
-        write_atomically(Path(config.out), lambda file: file.write_text(text))
+        write_text(Path(config.out), text)
     _print(found, log)
     if config.out:
         print(f"wrote {config.out}")
@@ -145,11 +143,3 @@ def _print(found: Identification, log: DriveLog) -> None:
         if not estimate.identifiable:
             needs = PARAMETERS[name].needs
             print(f"{name} keeps the vehicle's value: identify it by {needs}")
-
-
-def main(config: VehiclesConfig | IdentifyConfig) -> None:
-    """Shows, or identifies."""
-    if isinstance(config, VehiclesConfig):
-        show(config)
-    else:
-        fit(config)

@@ -107,51 +107,6 @@ def require_count(name: str, value: Any, minimum: int) -> None:
     require_number(name, value, Bounds(ge=minimum))
 
 
-def require_whole(config: object, minimum: int, *names: str) -> None:
-    """Refuses attributes that are not whole numbers of at least a minimum."""
-    for name in names:
-        require_count(name, getattr(config, name), minimum)
-
-
-def _require_all(config: object, bounds: Bounds, names: Iterable[str]) -> None:
-    for name in names:
-        require_number(name, getattr(config, name), bounds)
-
-
-def require_finite(config: object, *names: str) -> None:
-    """Refuses attributes that are NaN or infinite; None is allowed."""
-    given = [name for name in names if getattr(config, name) is not None]
-    _require_all(config, Bounds(), given)
-
-
-def require_at_least(config: object, minimum: float, *names: str) -> None:
-    """Refuses attributes below a minimum."""
-    _require_all(config, Bounds(ge=minimum), names)
-
-
-def require_positive(config: object, *names: str) -> None:
-    """Refuses attributes that are not positive."""
-    _require_all(config, Bounds(gt=0.0), names)
-
-
-def require_ratio(config: object, *names: str) -> None:
-    """Refuses attributes outside [0, 1]."""
-    _require_all(config, Bounds(ge=0.0, le=1.0), names)
-
-
-def require_within(
-    config: object, least: float, most: float, unit: str, *names: str
-) -> None:
-    """Refuses implausible attributes, which may be in another unit."""
-    for name in names:
-        value = getattr(config, name)
-        if not (is_finite(value) and least <= value <= most):
-            raise ValueError(
-                f"{name} must lie within [{least:g}, {most:g}] {unit}, not {value}: "
-                f"its unit is {unit}"
-            )
-
-
 def require_kind(name: str, value: object, kind: Any) -> None:
     """Refuses an argument, with a `TypeError`, that is not an instance of a type."""
     if not isinstance(value, kind):

@@ -3,7 +3,6 @@
 The picture lies to scale under the drawing, as a site plan or an aerial photograph.
 """
 
-import json
 import re
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +20,7 @@ from carpark_mj.layouts.files import (
 )
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout
-from carpark_mj.reading import read_bytes, read_text
+from carpark_mj.reading import read_bytes, read_object
 
 KINDS = {
     ".png": "image/png",
@@ -163,7 +162,7 @@ def _padded(document: dict[str, Any]) -> Layout:
             numbers[name] = len(rows)
             most = max(LEAST_ROWS, 1 << (len(rows) - 1).bit_length())
             padded[name] = [*rows, *[filler] * (most - len(rows))]
-    layout = parse_layout(json.dumps(padded))
+    layout = parse_layout(padded)
     masks = {
         f"{name[:-1]}_mask": jnp.arange(len(padded[name])) < number
         for name, number in numbers.items()
@@ -174,7 +173,7 @@ def _padded(document: dict[str, Any]) -> Layout:
 def _read(path: Path) -> dict[str, Any]:
     """Reads a layout file, which may have faults but not in its format."""
     read_unchecked(path)
-    return complete(json.loads(read_text(path)))
+    return complete(read_object(path))
 
 
 def _write(path: Path, document: dict[str, Any]) -> None:

@@ -190,16 +190,3 @@ _LIBRARY = OUTCOME + DRIVING + SAFETY + GOALS
 def metrics() -> tuple[Metric, ...]:
     """The library's metrics, and after them the registered ones by name."""
     return _LIBRARY + tuple(METRICS.values())
-
-
-def markdown_table(metrics: tuple[Metric, ...]) -> str:
-    """Metrics as a markdown table."""
-    lines = [
-        "| metric | unit | meaning | aggregation | Tanner 2022 |",
-        "|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| `{m.name}` | {m.unit} | {m.meaning} | {m.pool} | {m.study} |"
-        for m in metrics
-    ]
-    return "\n".join(lines)

@@ -6,9 +6,10 @@ lots, and every number of agents the same number of lots.
 """
 
 import dataclasses
+import functools
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -122,72 +123,66 @@ class Evaluator:
             raise ValueError(f"horizon must be positive, not {horizon!r}")
         env = self.env
         traced = {path: jnp.float32(value) for path, value in (values or {}).items()}
-        shares, counts = member_shares(env.layout_config), env.config.agent_counts
-        mean_count = (counts.start + env.num_agents) / 2
-        num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
-        # A member gets at least its share, rounded down.
-        rarest = min(shares.values()) / sum(shares.values())
-        num_lots = max(num_lots, math.ceil(round(len(counts) / rarest, 6)))
-        num_lots = -(-num_lots // len(counts)) * len(counts)
-        lots = Lots(
-            member=allot(list(shares.values()), num_lots),
-            # In turn, so that the lots of a family are spread over the numbers as well.
-            num_present=np.resize(np.array(counts, np.int32), num_lots),
-        )
-        families = [list(shares)[index] for index in lots.member]
+        lots, families = _make_lots(env, num_episodes, num_lots)
         rows: list[Row] = []
         reset_key, act_key = jax.random.split(evaluation_key(seed))
         begun = self._reset(traced, lots, reset_key)
-        present = _takes_part(begun[0]).sum(axis=1)
+        present = np.asarray(begun[0].takes_part).sum(axis=1)
         quota, last = math.ceil(num_episodes / present.sum()), math.inf
         if horizon is not None:
             quota, last = sys.maxsize, horizon / env.config.sim.ctrl_dt
-        kinds = env.fleet.agent_names
-        start = Carry(*begun), act_key
-        episodes = self._episodes(traced, policy, start, (quota, last))
-        for (lot, agent, episode), kind, metrics in episodes:
-            which = {"lot": float(lot), "agent": float(agent)}
-            which |= {"episode": float(episode), "agents_present": float(present[lot])}
-            row = which | complete_row(metrics, env.config.sim.ctrl_dt)
-            rows.append(row | {"family": families[lot], "vehicle": kinds[kind]})
+        quotas = np.where(begun[0].takes_part, quota, 0)
+        kinds, ctrl_dt = env.fleet.agent_names, env.config.sim.ctrl_dt
+        chunk = functools.partial(self._chunk, traced, as_argument(policy))
+        ended = ended_episodes(chunk, Carry(*begun), act_key, quotas, last)
+        for which, row in ended:
+            lot, kind = int(which["lot"]), int(row.pop("kind"))
+            which |= {"agents_present": float(present[lot])}
+            names = {"family": families[lots.member[lot]], "vehicle": kinds[kind]}
+            rows.append(which | complete_row(row, ctrl_dt) | names)
         rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
-        return _summarized(rows, list(shares), kinds)
+        return _summarized(rows, families, kinds)
 
-    def _episodes(
-        self,
-        values: Mapping[str, jax.Array],
-        policy: AnyPolicy,
-        start: tuple[Carry, jax.Array],
-        limits: tuple[int, float],
-    ) -> Iterator[tuple[tuple[int, int, int], int, dict[str, float]]]:
-        """The episodes that count.
 
-        Each is its lot, agent and number, the kind of car driven, and its metrics.
+# Makes a control step for every key (steps,) of lots; returns the carry, and of each
+# step which episodes ended (steps, lots, agents) bool and their values by name.
+Chunk = Callable[[Carry, jax.Array], tuple[Carry, tuple[Any, Mapping[str, Any]]]]
 
-        Args:
-            values: of settings.
-            policy: acting function.
-            start: lots at their start, and a key, consumed.
-            limits: the number of episodes of every agent that its lot has, and the
-                control step before which they begin.
-        """
-        (carry, key), (quota, last) = start, limits
-        finished = np.where(_takes_part(carry.state), 0, quota)
-        begun, now = np.zeros(finished.shape, int), 0
-        policy = as_argument(policy)
-        while ((finished < quota) & (begun < last)).any():
-            keys = jax.random.split(jax.random.fold_in(key, now), CHUNK)
-            carry, (done, kind, metrics) = self._chunk(values, policy, carry, keys)
-            kind = np.asarray(kind)
-            metrics = {name: np.asarray(value) for name, value in metrics.items()}
-            for t, lot, agent in np.argwhere(np.asarray(done)):
-                if finished[lot, agent] < quota and begun[lot, agent] < last:
-                    row = {n: float(x[t, lot, agent]) for n, x in metrics.items()}
-                    which = int(lot), int(agent), int(finished[lot, agent])
-                    yield which, int(kind[t, lot, agent]), row
-                finished[lot, agent] += 1
-                begun[lot, agent] = now + t + 1
-            now += CHUNK
+
+def ended_episodes(
+    chunk: Chunk,
+    carry: Carry,
+    key: jax.Array,
+    quota: np.ndarray,
+    last: float = math.inf,
+) -> Iterator[tuple[Row, Row]]:
+    """Steps lots side by side until the episodes that count have ended.
+
+    Args:
+        chunk: makes `CHUNK` control steps of the lots.
+        carry: the lots at their start.
+        key: of what is random in the policy, consumed.
+        quota: (lots, agents) the number of episodes of each agent that count.
+        last: control step before which an episode begins that counts; inf = any.
+
+    Yields:
+        Of each, in the order in which they end, `lot`, `agent` and `episode`, their
+        numbers, and its values by name.
+    """
+    finished, begun, now = np.zeros_like(quota), np.zeros(quota.shape, int), 0
+    while ((finished < quota) & (begun < last)).any():
+        keys = jax.random.split(jax.random.fold_in(key, now), CHUNK)
+        carry, (done, values) = chunk(carry, keys)
+        values = {name: np.asarray(value) for name, value in values.items()}
+        for t, lot, agent in np.argwhere(np.asarray(done)):
+            number = finished[lot, agent]
+            if number < quota[lot, agent] and begun[lot, agent] < last:
+                which = {"lot": float(lot), "agent": float(agent)}
+                which |= {"episode": float(number)}
+                yield which, {n: float(x[t, lot, agent]) for n, x in values.items()}
+            finished[lot, agent] += 1
+            begun[lot, agent] = now + t + 1
+        now += CHUNK
 
 
 def _summarized(
@@ -221,6 +216,25 @@ class Lots(NamedTuple):
     num_present: np.ndarray
 
 
+def _make_lots(
+    env: ParkingEnv, num_episodes: int, num_lots: int
+) -> tuple[Lots, list[str]]:
+    """Lots for at least so many episodes, see `evaluate`, and the mixture's members."""
+    shares, counts = member_shares(env.layout_config), env.config.agent_counts
+    mean_count = (counts.start + env.num_agents) / 2
+    num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
+    # A member gets at least its share, rounded down.
+    rarest = min(shares.values()) / sum(shares.values())
+    num_lots = max(num_lots, math.ceil(round(len(counts) / rarest, 6)))
+    num_lots = -(-num_lots // len(counts)) * len(counts)
+    lots = Lots(
+        member=allot(list(shares.values()), num_lots),
+        # In turn, so that the lots of a family are spread over the numbers as well.
+        num_present=np.resize(np.array(counts, np.int32), num_lots),
+    )
+    return lots, list(shares)
+
+
 def _reset(
     env: ParkingEnv, values: Mapping[str, jax.Array], lots: Lots, key: jax.Array
 ) -> tuple[State, jax.Array]:
@@ -230,11 +244,6 @@ def _reset(
     keys = jax.random.split(key, len(lots.member))
     reset = jax.vmap(lambda key, *lot: env.reset(key, "test", *lot))
     return reset(keys, lots.member, lots.num_present if varies else None)
-
-
-def _takes_part(state: State) -> np.ndarray:
-    """(num_lots, num_agents) bool, the agents of lots that may have bays for fewer."""
-    return np.asarray(state.takes_part)
 
 
 def allot(shares: list[float], num_lots: int) -> np.ndarray:
@@ -253,12 +262,12 @@ def _chunk(
     policy: AnyPolicy,
     carry: Carry,
     keys: jax.Array,
-) -> tuple[Carry, tuple[jax.Array, jax.Array, dict[str, jax.Array]]]:
-    """Makes a control step for every key; returns the episodes that ended in each."""
+) -> tuple[Carry, tuple[jax.Array, dict[str, jax.Array]]]:
+    """See `Chunk`."""
 
     def report(step: Step) -> Any:
         done, kind = step.timestep.events.done, step.before.kind
         kind = jnp.zeros(done.shape, jnp.int32) if kind is None else kind
-        return done, kind, step.timestep.metrics
+        return done, {"kind": kind, **step.timestep.metrics}
 
     return roll_out(env.with_values(values), acts(policy), carry, keys, report)

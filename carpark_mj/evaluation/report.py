@@ -6,12 +6,11 @@ from typing import Any
 
 import jax
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from carpark_mj.evaluation.aggregation import HITS, contacts
 from carpark_mj.evaluation.catalogue import DRIVING, GOALS, OUTCOME, SAFETY, metrics
 from carpark_mj.evaluation.evaluator import Evaluation
+from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.types import ENDINGS, OUTCOMES
 
@@ -90,42 +89,31 @@ def _group_rows(column: str, groups: dict[str, dict[str, Any]]) -> list[dict[str
 
 def print_groups(name: str, groups: dict[str, dict[str, Any]]) -> None:
     """Prints the outcomes of groups of lots, the last all, with 95 % intervals."""
-    table = Table(title=f"by {name}: rate, and below it the 95 % interval [%]")
-    table.add_column(name)
-    for column in ("episodes", "parked", "crashed", "timed out"):
-        table.add_column(column, justify="right")
+    rows: list[dict[str, Any]] = []
     for group, summary in groups.items():
-        rates = [summary[name] for name in OUTCOMES]
-        table.add_row(
-            escape(group),
-            f"{summary['episodes']}",
-            *(
-                f"{r['rate']:.1%}\n{100 * r['low']:.1f} … {100 * r['high']:.1f}"
-                for r in rates
-            ),
-            end_section=group == list(groups)[-2],
-        )
-    Console().print(table)
+        row: dict[str, Any] = {name: group, "episodes": summary["episodes"]}
+        for outcome in OUTCOMES:
+            r = summary[outcome]
+            interval = f"{100 * r['low']:.1f} … {100 * r['high']:.1f}"
+            row[outcome.replace("_", " ")] = f"{r['rate']:.1%}\n{interval}"
+        rows.append(row)
+    title = f"by {name}: rate, and below it the 95 % interval [%]"
+    print_rows(rows, title, left=1, ends=(len(rows) - 2,))
 
 
 def print_table(summary: dict[str, Any], title: str) -> None:
     """Prints rates with 95 % intervals and means."""
-    table = Table(title=f"{escape(title)}: {summary['episodes']} episodes")
-    for column in ("outcome", "rate", "95 % interval", "episodes"):
-        table.add_column(column, justify="left" if column == "outcome" else "right")
     hits = [name for name in HITS if name in summary]
+    rows: list[dict[str, str]] = []
     for name in (*ENDINGS, *hits):
-        row = summary[name]
-        label = name.replace("_", " ")
-        table.add_row(
-            f"  {label}" if name in hits else label,
-            f"{row['rate']:.1%}",
-            f"{row['low']:.1%} … {row['high']:.1%}",
-            f"{row['count']:.0f}",
-        )
-    console = Console()
-    console.print(table)
+        rate, label = summary[name], name.replace("_", " ")
+        row = {"outcome": f"{'  ' * (name in hits)}{label}"}
+        row |= {"rate": f"{rate['rate']:.1%}"}
+        row |= {"95 % interval": f"{rate['low']:.1%} … {rate['high']:.1%}"}
+        rows.append(row | {"episodes": f"{rate['count']:.0f}"})
+    print_rows(rows, f"{title}: {summary['episodes']} episodes", left=1)
     touched = sum(summary[name]["count"] for name in hits)
+    console = Console()
     if more := touched - summary["crashed"]["count"]:
         console.print(f"{more:.0f} more hits: several obstacles in the same step")
     share = summary.get("wrong_way_share", math.nan)
@@ -150,38 +138,29 @@ def print_contacts(result: Evaluation) -> None:
     if found is None:
         return
     episodes = found.pop("episodes")
-    table = Table(
-        title=f"contacts with people: {episodes} episodes in which cars moved"
-    )
-    for column in ("speed [m/s]", "per 10,000", "95 % interval", "contacts"):
-        table.add_column(column, justify="right")
+    rows: list[dict[str, str]] = []
     for name, rate in found.items():
         mean, low, high = (1e4 * rate[key] for key in ("rate", "low", "high"))
-        table.add_row(
-            name,
-            f"{mean:.2f}",
-            f"{low:.2f} … {high:.2f}",
-            f"{rate['count']:.0f}",
-            end_section=name == "any",
-        )
-    Console().print(table)
+        row = {"speed [m/s]": name, "per 10,000": f"{mean:.2f}"}
+        row |= {"95 % interval": f"{low:.2f} … {high:.2f}"}
+        rows.append(row | {"contacts": f"{rate['count']:.0f}"})
+    title = f"contacts with people: {episodes} episodes in which cars moved"
+    print_rows(rows, title, left=0, ends=(0,))
 
 
 def print_metrics(summary: dict[str, Any]) -> None:
     """Prints metrics of driving and safety."""
-    table = Table(title="driving and safety (docs/metrics.md)")
-    for column in ("metric", "unit", "mean", "median", "worst 5 %", "worst"):
-        table.add_column(
-            column, justify="left" if column in ("metric", "unit") else "right"
-        )
     shown = [m for m in metrics() if m not in OUTCOME and m.name in summary]
+    columns = ("mean", "median", "worst 5 %", "worst")
+    rows: list[dict[str, str]] = []
     for metric in shown:
         value = summary[metric.name]
-        numbers = ["", *value.values()] if isinstance(value, dict) else [value]
-        table.add_row(
-            metric.name.replace("_", " "),
-            metric.unit,
-            *(n if isinstance(n, str) else f"{n:.3g}" for n in numbers),
-            end_section=metric in (DRIVING[-1], SAFETY[-1], GOALS[-1]),
-        )
-    Console().print(table)
+        first = 1 if isinstance(value, dict) else 0
+        numbers = value.values() if isinstance(value, dict) else [value]
+        row = {"metric": metric.name.replace("_", " "), "unit": metric.unit}
+        row |= dict.fromkeys(columns, "")
+        cells = zip(columns[first:], numbers, strict=False)
+        rows.append(row | {column: f"{x:.3g}" for column, x in cells})
+    lasts = (DRIVING[-1], SAFETY[-1], GOALS[-1])
+    ends = [number for number, metric in enumerate(shown) if metric in lasts]
+    print_rows(rows, "driving and safety (docs/metrics.md)", left=2, ends=ends)

@@ -264,8 +264,10 @@ class _Problem:
 
     def _redundancy(self, unknown: np.ndarray) -> np.ndarray:
         """Factor (channels,) on the noise, as successive residuals correlate."""
-        rows = zip(self._simulated(unknown)[0], self.measured, strict=True)
-        r = np.array([_correlation(row[there]) for row, there in rows]).clip(0.0, 0.999)
+        pairs = zip(self._simulated(unknown)[0], self.measured, strict=True)
+        rows = [row[there] for row, there in pairs]
+        r = [np.sum(x[1:] * x[:-1]) / max(np.sum(x * x), 1e-300) for x in rows]
+        r = np.clip(r, 0.0, 0.999)
         return np.sqrt((1 + r) / (1 - r))
 
 
@@ -278,11 +280,6 @@ def _without_starts(squares: np.ndarray, starts: np.ndarray) -> np.ndarray:
     across = np.linalg.solve(squares[..., p:-1, p:-1], squares[..., p:-1, :])
     left = squares[..., :p, :] - squares[..., :p, p:-1] @ across
     return np.delete(left, np.s_[p:-1], axis=-1)
-
-
-def _correlation(row: np.ndarray) -> float:
-    """Of successive values."""
-    return np.sum(row[1:] * row[:-1]) / max(np.sum(row * row), 1e-300)
 
 
 # Settings of an environment for numbers that a vehicle does not have.

@@ -82,28 +82,24 @@ class Replay:
         """Cuts the log; the arguments are those of `fit.identify`."""
         self.log = log
         self.channels = tuple(n for n in (*POSE, *RATES) if n in log.measured)
-        wheel, full = log.names[0] == "steering_wheel", _full(log, params)
+        wheel = log.names[0] == "steering_wheel"
+        pedal, full = _pedal(log, params)
         self._vehicle = _test_car(params, wheel)
-        self.own = Sought(
-            *(0.0, 0.0, 15.0 if wheel else 1.0, 0.0, params.tyre.cornering_stiffness),
-            params.max_acceleration,
-            params.max_deceleration,
-            params.tyre.rolling_resistance,
-            params.drive_lag,
-            params.tyre.lateral_relaxation,
-            params.tyre.patch_radius,
+        own = {"steering_delay": 0.0, "pedal_delay": 0.0, "steering_offset": 0.0}
+        own |= {"steering_ratio": 15.0 if wheel else 1.0}
+        own |= vars(params) | vars(params.tyre)
+        self.own = Sought(*(own[name] for name in Sought._fields))
+        self._scale = (
+            full[0] / self.own.max_acceleration,
+            full[1] / self.own.max_deceleration,
         )
-        self._scale = np.array(full) / [
-            params.max_acceleration,
-            params.max_deceleration,
-        ]
         stands = _stands(log.time, log.speed)
         begin, piece = _pieces(log.time, np.abs(log.speed), stands)
         unmeasured = piece < 0
         self.recording = Recording(
             log.time - log.time[0],
             log.steering,
-            _released(_pedal(log, full), log.speed, stands),
+            _released(pedal, log.speed, stands),
             begin - log.time[0],
             np.maximum(piece, 0),
             np.where(unmeasured, 0.0, log.time - begin[piece]),
@@ -208,23 +204,22 @@ def _released(pedal: np.ndarray, speed: np.ndarray, stands: np.ndarray) -> np.nd
     return np.where(stands & (pedal * speed[moving[after]] < 0), 0.0, pedal)
 
 
-def _full(log: DriveLog, params: VehicleParameters) -> tuple[float, float]:
-    """Acceleration and deceleration [m/s^2] that the pedal 1 stands for."""
+def _pedal(
+    log: DriveLog, params: VehicleParameters
+) -> tuple[np.ndarray, tuple[float, float]]:
+    """The pedal (n,) of a log, and what 1 stands for, driving and braking [m/s^2].
+
+    Of accelerations it is by the way the car moves.
+    """
     full = params.max_acceleration, params.max_deceleration
     if log.names[1] == "pedal":
-        return full
+        return log.pedal, full
     asked, brakes = np.abs(log.pedal), log.pedal * log.speed < 0
-    return (
+    full = (
         max(full[0], asked[~brakes].max(initial=0.0)),
         max(full[1], asked[brakes].max(initial=0.0)),
     )
-
-
-def _pedal(log: DriveLog, full: tuple[float, float]) -> np.ndarray:
-    """The pedal (n,) of a log; of accelerations, by the way the car moves."""
-    if log.names[1] == "pedal":
-        return log.pedal
-    return log.pedal / np.where(log.pedal * log.speed < 0, full[1], full[0])
+    return log.pedal / np.where(brakes, full[1], full[0]), full
 
 
 def _test_car(params: VehicleParameters, wheel: bool) -> Vehicle:

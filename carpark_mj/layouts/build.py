@@ -171,6 +171,13 @@ def spawns_in(car: DesignCar, pose: Any, size: Any, mask: Any = True) -> Group:
     return spawns(pose, jnp.asarray(size) - 2 * reach, LANE_SPREAD, mask)
 
 
+def driven_lanes(
+    car: DesignCar, pose: Any, size: Any, mask: Any = True
+) -> tuple[Group, Group]:
+    """Lanes (..., 3), (..., 2), and the spawn regions of a car in them."""
+    return lanes(pose, size, mask=mask), spawns_in(car, pose, size, mask)
+
+
 def swept_size(car: DesignCar) -> tuple[float, float]:
     """Length and width [m] of the ground of a car that spawns in a lane."""
     # `swept_half_size` of a small spread, without JAX: configs must not start it.

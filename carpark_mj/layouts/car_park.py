@@ -79,8 +79,7 @@ def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
     for row, least in (("wall", THINNEST), ("lane", SHORTEST), ("spawn", THINNEST)):
         pose, size = fields[f"{row}_pose"], fields[f"{row}_size"]
         back, front = _within(pose, size[:, 0], low, high)
-        ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
-        pose[:, :2] += ahead * ((back + front) / 2)[:, None]
+        pose[:, :2] += _ahead(pose) * ((back + front) / 2)[:, None]
         masks[row] = front - back > np.minimum(least, size[:, 0] / 2)
         size[:, 0] = front - back
     if len(plan.lane_mask):
@@ -106,11 +105,14 @@ def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
     return Layout(**fields)
 
 
+def _ahead(pose: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 2) of headings."""
+    return np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
+
+
 def _to_lane(plan: Any, pose: Any, size: Any, mask: np.ndarray) -> np.ndarray:
     """Distance (bays,) from the front end of each bay to the nearest lane [m]."""
-    bays = plan.bay_pose
-    ahead = np.stack([np.cos(bays[:, 2]), np.sin(bays[:, 2])], axis=-1)
-    front = bays[:, :2] + plan.bay_size[:, :1] / 2 * ahead
+    front = plan.bay_pose[:, :2] + plan.bay_size[:, :1] / 2 * _ahead(plan.bay_pose)
     gap = np.asarray(point_box_distance(front, pose[:, None], size[:, None]))
     return np.where(mask[:, None], gap, np.inf).min(axis=0)
 
@@ -119,7 +121,7 @@ def _within(
     pose: np.ndarray, length: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The part of each centre line in a rectangle, from its middle [m]."""
-    ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
+    ahead = _ahead(pose)
     ahead = np.where(np.abs(ahead) < 1e-9, 1e-9, ahead)
     first, second = (low - pose[:, :2]) / ahead, (high - pose[:, :2]) / ahead
     back = np.maximum(np.minimum(first, second).max(axis=1), -length / 2)
@@ -151,12 +153,11 @@ def dragon_lake() -> Layout:
     aisles += [(x, (low + high) / 2, math.pi / 2) for x in AISLES_X]
     along = [(east, WIDTH)] * len(AISLES_Y) + [(high - low, WIDTH)] * len(AISLES_X)
     shift = np.array([*SIZE / 2, 0.0])
-    lanes, lane_sizes = build.two_lanes(np.array(aisles) - shift, np.array(along))
+    lanes = build.two_lanes(np.array(aisles) - shift, np.array(along))
     return build.assemble(
         SIZE / 2,
         build.bays(np.array(poses) - shift, np.array(sizes)),
-        build.lanes(lanes, lane_sizes),
-        build.spawns_in(DesignCar(), lanes, lane_sizes),
+        *build.driven_lanes(DesignCar(), *lanes),
     )
 
 

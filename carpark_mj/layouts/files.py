@@ -32,15 +32,11 @@ import numpy as np
 
 from carpark_mj.extensions import unknown_name
 from carpark_mj.layouts import build
-from carpark_mj.layouts.base import (
-    FAMILIES,
-    LAYOUT_FORMATS,
-    layout_format,
-)
+from carpark_mj.layouts.base import FAMILIES, LAYOUT_FORMATS, layout_format
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
-from carpark_mj.reading import read_bytes, read_text
+from carpark_mj.reading import parse_object, read_bytes, read_text
 
 FORMAT = "carpark_mj layout 1"
 
@@ -79,13 +75,9 @@ def read_unchecked(path: Path) -> Layout:
         ValueError: no such file, or one of another format; the message names the row.
     """
     try:
-        return parse_layout(read_text(path))
+        return parse_layout(parse_object(read_text(path), "the layout"))
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    except json.JSONDecodeError as error:
-        raise ValueError(
-            f"{path}, line {error.lineno}: not JSON ({error.msg})"
-        ) from None
     except RecursionError:
         raise ValueError(f"{path}: brackets are nested too deeply") from None
     except ValueError as error:
@@ -157,15 +149,12 @@ def _default(part: str, form: Any) -> Any:
     return (_names(form) or [_DEFAULTS.get(part)])[0]
 
 
-def parse_layout(text: str) -> Layout:
-    """Parses a layout, which may have faults.
+def parse_layout(data: Mapping[str, Any]) -> Layout:
+    """The layout of a file's object, which may have faults.
 
     Raises:
-        ValueError: not JSON, or not of the format; the message names the row.
+        ValueError: not of the format; the message names the row.
     """
-    data = json.loads(text)
-    if not isinstance(data, dict):
-        raise ValueError(f"a layout is an object, not {type(data).__name__}")
     if data.get("format") != FORMAT:
         raise ValueError(f"format must be {FORMAT!r}, not {data.get('format')!r}")
     if missing := [name for name in _NEEDED if name not in data]:

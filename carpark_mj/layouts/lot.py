@@ -299,17 +299,13 @@ def _lanes(config: LotConfig, plan: _Plan) -> list[build.Group]:
         backwards = (jnp.arange(num_aisles) % 2 == 1) != config.back_in
         pose = pose.at[:, 2].set(jnp.where(backwards, jnp.pi, 0.0))
         mask = plan.aisle_mask
-    groups = [
-        build.lanes(pose, size, mask=mask),
-        build.spawns_in(config.car, pose, size, mask),
-    ]
+    groups = [*build.driven_lanes(config.car, pose, size, mask)]
 
     side = jnp.array([-1.0, 1.0])
     x = side * (plan.field + plan.cross) / 2
     pose = build.stacked(x, 0.0, jnp.pi / 2)
     size = jnp.broadcast_to(jnp.stack([plan.cross, 2 * plan.half[1]])[::-1], (2, 2))
-    pose, size = build.two_lanes(pose, size)
-    groups += [build.lanes(pose, size), build.spawns_in(config.car, pose, size)]
+    groups += build.driven_lanes(config.car, *build.two_lanes(pose, size))
 
     x = side * (plan.half[0] + ENTRANCE_LENGTH / 2)
     inwards = jnp.array([0.0, jnp.pi])
@@ -336,12 +332,8 @@ def _outer_walls(config: LotConfig, plan: _Plan) -> list[build.Group]:
     high = (half_y + plan.entrance_y + opening / 2) / 2
     x = side * (half_x + thick / 2)
     pose = build.stacked(x, jnp.stack([low, high]), 0.0)
-    length = jnp.stack(
-        [
-            half_y + plan.entrance_y - opening / 2,
-            half_y - plan.entrance_y - opening / 2,
-        ]
-    )
+    ways = jnp.stack([plan.entrance_y, -plan.entrance_y])
+    length = half_y + ways - opening / 2
     pieces = build.walls(pose, build.stacked(thick, length), kind)
     x = side * (half_x + (ENTRANCE_LENGTH + thick) / 2)
     aside = (ENTRANCE_WIDTH + thick) / 2

@@ -95,14 +95,13 @@ class StreetConfig(LayoutConfig):
         half = jnp.stack(
             [count * along / 2 + end, aisle / 2 + across + standards.WALL_GAP]
         )
-        lane, lane_size = build.two_lanes(jnp.zeros(3), jnp.stack([2 * half[0], aisle]))
+        lanes = build.two_lanes(jnp.zeros(3), jnp.stack([2 * half[0], aisle]))
         kind = WallKind.KERB if self.parallel else WallKind.WALL
         return build.assemble(
             half,
             build.bays(pose, jnp.stack([length, width]), mask=row < count),
             build.boundary(half[0], half[1], self.wall_thickness, kind),
-            build.lanes(lane, lane_size),
-            build.spawns_in(self.car, lane, lane_size),
+            *build.driven_lanes(self.car, *lanes),
         )
 
 

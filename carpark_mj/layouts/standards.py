@@ -26,13 +26,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
-from carpark_mj.config.checks import (
-    Bounds,
-    CheckedConfig,
-    IntRange,
-    Positive,
-    Range,
-)
+from carpark_mj.config.checks import Bounds, CheckedConfig, IntRange, Positive, Range
 
 FOOT = 0.3048  # m
 # Of any bay, in length and width [m]: for a motorcycle and for a lorry with a trailer.

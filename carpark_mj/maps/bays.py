@@ -1,6 +1,5 @@
 """Spots that a map gives by their number, their place or the lines between them."""
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -10,7 +9,13 @@ import numpy as np
 import shapely
 
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import Feature, Group, Plan, first_names, on_same_level
+from carpark_mj.maps.features import (
+    Feature,
+    Plan,
+    first_names,
+    on_same_level,
+    tagged,
+)
 from carpark_mj.maps.fit import Box, around, leaning, parallelogram
 
 # Sizes [m] of bays between lines, a wider range than `layouts.standards` has. Twice the
@@ -124,12 +129,9 @@ def _between(
         box = Box(
             x, y, float(yaw[a] + turn[pair] / 2), float(long[pair]), float(width[pair])
         )
-        half, wide = box.length / 2, box.width / 2
-        if box.length <= side[1]:
-            found.append(box.shape)
-        else:
-            found.append(box.part(-half, 0.0, -wide, wide).shape)
-            found.append(box.part(0.0, half, -wide, wide).shape)
+        half, double = box.length / 2, box.length > side[1]
+        parts = [box.part(-half, 0.0), box.part(0.0, half)] if double else [box]
+        found += [part.shape for part in parts]
     return found
 
 
@@ -150,23 +152,21 @@ def _apart(shapes: list[Any], taken: Sequence[Any]) -> list[Any]:
 
 
 def lay_out(plan: Plan) -> Plan:
-    """Turns groups of spots into spots with outlines; notes say what was assumed.
+    """Turns spots without outlines into bays; notes say what was assumed.
 
     A point becomes a bay across the nearest road, a row is divided into its number of
     spots, and in the rest of a car park bays stand on both sides of its aisles. Spots
     drawn inside a group stay, and are all of it if it has no number.
     """
-    features, lost, notes = list(plan.features), dict(plan.lost), list(plan.notes)
-    roads = [one for one in plan.features if one.tag == "lane"]
+    groups, report = tagged(plan.features, "spots"), plan.report
+    features = [one for one in plan.features if one.tag != "spots"]
+    roads = tagged(features, "lane")
     ways = shapely.union_all([road.shape for road in roads])
-    walls = [
-        one.shape
-        for one in plan.features
-        if one.tag in ("wall", "kerb", "pillar") and not one.shape.intersects(ways)
-    ]
-    points = [group for group in plan.groups if not group.shape.area]
-    areas = [group for group in plan.groups if group.shape.area]
-    drawn = [one.shape.centroid for one in features if one.tag == "bay"]
+    walls = [one.shape for one in tagged(features, "wall", "kerb", "pillar")]
+    walls = [wall for wall in walls if not wall.intersects(ways)]
+    points = [group for group in groups if not group.shape.area]
+    areas = [group for group in groups if group.shape.area]
+    drawn = [one.shape.centroid for one in tagged(features, "bay")]
     drawn += [group.shape for group in points]
     laid: list[str] = []
     # Smaller areas first: a row is often drawn inside its car park.
@@ -180,7 +180,7 @@ def lay_out(plan: Plan) -> Plan:
             features.append(ground)
         if inside and not (group.count or group.is_row):
             continue
-        others = [one.shape for one in features if one.tag == "bay"]
+        others = [one.shape for one in tagged(features, "bay")]
         if is_row:
             pieces = [piece for piece in pieces if _has_room(piece, others)]
         else:
@@ -194,11 +194,13 @@ def lay_out(plan: Plan) -> Plan:
             laid.append(f"{len(pieces)} of {group.count or '?'} in {group.name}")
         elif not (pieces or inside) and (group.count or group.is_row):
             count = group.count or "?"
-            lost[group.name] = f"an area without a row or aisles for its spots: {count}"
+            report.lost[group.name] = (
+                f"an area without a row or aisles for its spots: {count}"
+            )
     beside = _across_roads(points, roads)
     for group, shape in zip(points, beside, strict=True):
         if shape is None or group.count > 1:
-            lost[group.name] = (
+            report.lost[group.name] = (
                 f"a point for several spots: {group.count}"
                 if group.count > 1
                 else f"a point, more than {NEAREST_ROAD:g} m from a road"
@@ -206,20 +208,20 @@ def lay_out(plan: Plan) -> Plan:
         else:
             features.append(_bay(group, shape, 0))
     if laid:
-        notes.append(f"spots laid out that are not drawn: {first_names(laid)}")
+        report.notes.append(f"spots laid out that are not drawn: {first_names(laid)}")
     if points:
-        notes.append(f"{len(points)} spots are points: bays across the nearest road")
-    return dataclasses.replace(
-        plan, features=features, lost=lost, groups=[], notes=notes
-    )
+        report.notes.append(
+            f"{len(points)} spots are points: bays across the nearest road"
+        )
+    return Plan(features, report)
 
 
-def _bay(group: Group, shape: Any, number: int) -> Feature:
+def _bay(group: Feature, shape: Any, number: int) -> Feature:
     name = f"{group.name}/{number + 1}" if group.shape.area else group.name
     return Feature("bay", shape, name, group.kind, level=group.level)
 
 
-def divided(group: Group) -> Iterator[Any]:
+def divided(group: Feature) -> Iterator[Any]:
     """The spots of a row, or of two back to back; none if they had odd sizes.
 
     A row without a count has as many as have room.
@@ -292,7 +294,7 @@ def beside_aisles(area: Any, roads: list[Feature], taken: list[Any]) -> Iterator
                     yield bay
 
 
-def _across_roads(points: list[Group], roads: list[Feature]) -> list[Any]:
+def _across_roads(points: list[Feature], roads: list[Feature]) -> list[Any]:
     """Bays around points, each beside the nearest road; None where there is none."""
     spots = [group.shape for group in points]
     tree = shapely.STRtree(spots)

@@ -13,9 +13,9 @@ from shapely import affinity
 
 from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import Feature, Plan, Tag, require_near
+from carpark_mj.maps.features import Feature, Plan, Tag, centred
 from carpark_mj.maps.fit import Box
-from carpark_mj.maps.osm_xml import lanelet_features
+from carpark_mj.maps.osm_xml import add_lanelet
 
 # Types of static obstacles that are not walls, as everything else that stands is.
 _TAGS: dict[str, Tag] = {
@@ -44,30 +44,23 @@ def commonroad_features(root: Any) -> Plan:
         elif element.tag == "planningProblem":
             _add_problem(plan, name, element)
         elif element.tag not in _SKIPPED:
-            plan.unknown[element.tag] += 1
-    if not plan.features:
-        return plan
-    xy = shapely.get_coordinates([one.shape for one in plan.features])
-    x, y = (xy.min(axis=0) + xy.max(axis=0)) / 2
-    require_near(xy - (x, y))
-    plan.features[:] = [
-        dataclasses.replace(one, shape=affinity.translate(one.shape, -x, -y))
-        for one in plan.features
-    ]
+            plan.report.unknown[element.tag] += 1
+    if plan.features:
+        shapes = np.array([one.shape for one in plan.features])
+        xy = centred(shapely.get_coordinates(shapes))
+        plan.features[:] = [
+            dataclasses.replace(one, shape=shape)
+            for one, shape in zip(
+                plan.features, shapely.set_coordinates(shapes, xy), strict=True
+            )
+        ]
     return plan
 
 
 def _add_lanelet(plan: Plan, name: str, element: Any) -> None:
-    borders = {}
-    for side in ("left", "right"):
-        points = _points(element.find(f"{side}Bound"))
-        if len(points) > 1:
-            borders[side] = points
-    one_way = element.find("userBidirectional") is None
-    found = lanelet_features(name, borders, one_way)
-    plan.features.extend(found)
-    if not found:
-        plan.unknown["lanelet without two borders"] += 1
+    bounds = {side: _points(element.find(f"{side}Bound")) for side in ("left", "right")}
+    borders = {side: points for side, points in bounds.items() if len(points) > 1}
+    add_lanelet(plan, name, borders, element.find("userBidirectional") is None)
 
 
 def _add_obstacle(plan: Plan, name: str, element: Any) -> None:
@@ -75,7 +68,7 @@ def _add_obstacle(plan: Plan, name: str, element: Any) -> None:
     pose = _pose(element.find("initialState"))
     shapes = _shapes(element.find("shape"))
     if pose is None or not shapes:
-        plan.unknown[f"staticObstacle {kind} without an outline and a pose"] += 1
+        plan.report.unknown[f"staticObstacle {kind} without an outline and a pose"] += 1
         return
     x, y, yaw = pose
     for shape in shapes:
@@ -88,7 +81,7 @@ def _add_problem(plan: Plan, name: str, element: Any) -> None:
     """The start and the goals of a car."""
     pose = _pose(element.find("initialState"))
     if pose is None:
-        plan.unknown["initialState without a pose"] += 1
+        plan.report.unknown["initialState without a pose"] += 1
     else:
         length, width = swept_size(DesignCar())
         start = Box(*pose, length + 2 * _ROOM, width + 2 * _ROOM)
@@ -97,7 +90,7 @@ def _add_problem(plan: Plan, name: str, element: Any) -> None:
         goal = f"{name}.{k}" if k else name
         shapes = _shapes(position)
         if not shapes:
-            plan.lost[goal] = "its goal has no outline"
+            plan.report.lost[goal] = "its goal has no outline"
         for shape in shapes:
             plan.features.append(Feature("bay", shape, goal))
 

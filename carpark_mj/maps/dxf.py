@@ -74,8 +74,8 @@ def dxf_features(path: Path, layers: Sequence[str] = (), unit: str = "") -> Plan
     try:
         drawing: Any = ezdxf.readfile(path)  # pyright: ignore[reportPrivateImportUsage]
         scale = _metres(unit, drawing.units)
-        entities = _entities(drawing, tag_of, plan.unknown)
-        shapes = _shapes(entities, scale, tag_of, plan.unknown)
+        entities = _entities(drawing, tag_of, plan.report.unknown)
+        shapes = _shapes(entities, scale, tag_of, plan.report.unknown)
         found = [*itertools.islice(shapes, MOST_SHAPES)]
     except _UnusableError:
         raise
@@ -86,7 +86,7 @@ def dxf_features(path: Path, layers: Sequence[str] = (), unit: str = "") -> Plan
         known = ", ".join((*WORDS, *sorted(PARKING)))
         raise ValueError(
             f"no layer with shapes is named by one of the words {known}; --layer "
-            f"stall=TEXT names another one; found: {commonest(plan.unknown)}"
+            f"stall=TEXT names another one; found: {commonest(plan.report.unknown)}"
         )
     if len(found) == MOST_SHAPES:
         raise ValueError(f"the drawing has {MOST_SHAPES} shapes or more")
@@ -148,7 +148,7 @@ def _add_bays(plan: Plan, dividers: list[Any]) -> None:
         not shapely.dwithin(line, np.array([*drawn, *found], object), 0.1).any()
         for line in dividers
     ):
-        plan.unknown["lines of bays between which there is none"] += idle
+        plan.report.unknown["lines of bays between which there is none"] += idle
 
 
 class _UnusableError(ValueError):

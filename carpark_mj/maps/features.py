@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from collections import Counter
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ WGS84 = "EPSG:4326"
 FARTHEST = 1_000.0  # m from the middle: maps of at most 2 km
 Tag = Literal["bay", "lane", "wall", "kerb", "pillar", "drivable", "start"]
 MOST_KINDS, NAMED = 10, 5  # kinds and names in a message
+STRETCH = 0.1  # m by which a spot may be too short for the car
 BEND = 0.5  # m between a curved lane and its straight parts
 LINE_THICKNESS = 0.2  # m of walls and kerbs drawn as lines
 
@@ -55,6 +57,17 @@ def to_metres(coordinates: np.ndarray, system: str = WGS84) -> np.ndarray:
     return xy
 
 
+def centred(xy: np.ndarray) -> np.ndarray:
+    """Coordinates (n, 2) [m] from their middle.
+
+    Raises:
+        ValueError: they are more than 2 km apart.
+    """
+    xy = xy - (xy.min(axis=0) + xy.max(axis=0)) / 2
+    require_near(xy)
+    return xy
+
+
 def require_near(xy: np.ndarray) -> None:
     """Refuses maps of more than 2 km."""
     if not np.isfinite(xy).all():
@@ -72,59 +85,100 @@ class Feature:
     """One shape of a map.
 
     Attributes:
-        tag: its meaning.
-        shape: a shapely polygon, of a lane the centre line in its direction [m].
+        tag: its meaning; `spots` are bays without outlines of their own.
+        shape: a shapely polygon, of a lane the centre line in its direction [m]; of
+            spots around all of them and maybe their aisles, or the point of one.
         name: its name in the map.
-        kind: of a bay.
+        kind: of a bay, or of spots.
+        level: floors that it belongs to, separated by semicolons; all if empty.
+        count: of spots; 0 if the map does not say.
+        orientation: of spots to the road: `parallel`, `perpendicular`, `diagonal`, or
+            empty.
+        is_row: whether the polygon holds spots alone, without an aisle.
         width: of a lane [m].
         one_way: whether a lane is driven along its line only.
         yaw: heading of a start that has one [rad].
-        level: floors that it belongs to, separated by semicolons; all if empty.
     """
 
-    tag: Tag
+    tag: Tag | Literal["spots"]
     shape: Any
     name: str
     kind: BayKind = BayKind.STANDARD
+    level: str = ""
+    count: int = 0
+    orientation: str = ""
+    is_row: bool = False
     width: float = 0.0
     one_way: bool = False
     yaw: float | None = None
-    level: str = ""
 
 
-@dataclasses.dataclass(frozen=True)
-class Group:
-    """Spots that are given by their number or place instead of their outlines."""
+@dataclasses.dataclass
+class Report:
+    """Report of an import, to which every step adds.
 
-    name: str  # its name in the map
-    # a shapely polygon around the spots and maybe their aisles, or the point of one
-    # spot [m]
-    shape: Any
-    count: int = 0  # of spots; 0 if the map does not say
-    # `parallel`, `perpendicular` or `diagonal` to the road, or empty
-    orientation: str = ""
-    is_row: bool = False  # whether the polygon holds spots alone, without an aisle
-    kind: BayKind = BayKind.STANDARD  # of the spots
-    level: str = ""  # as of `Feature`
+    Attributes:
+        spots: number of spots in the map.
+        lost: spots without a bay, with the reason, by their names.
+        unknown: numbers of unknown elements by kind.
+        outside: shapes left out because they lie outside the drivable part, by tag.
+        errors: between the outlines of spots and of their bays [m].
+        stretched: names of spots lengthened into the aisle to hold the car, and left to
+            parked cars.
+        turned: angle by which the map was turned to the rows of its bays [rad].
+        notes: sentences on what was assumed.
+    """
+
+    spots: int = 0
+    lost: dict[str, str] = dataclasses.field(default_factory=dict)
+    unknown: Counter[str] = dataclasses.field(default_factory=Counter)
+    outside: Counter[str] = dataclasses.field(default_factory=Counter)
+    errors: list[float] = dataclasses.field(default_factory=list)
+    stretched: list[str] = dataclasses.field(default_factory=list)
+    turned: float = 0.0
+    notes: list[str] = dataclasses.field(default_factory=list)
+
+    def __str__(self) -> str:
+        """The report as lines of text."""
+        worst, mean = max(self.errors), float(np.mean(self.errors))
+        lines = [
+            f"{len(self.errors)} of {self.spots} spots imported; their rectangles are "
+            f"off by {mean:.2f} m on average, {worst:.2f} m at most",
+            f"turned by {np.degrees(self.turned):.1f} deg to its rows",
+            *self.notes,
+        ]
+        left: dict[str, list[str]] = {}
+        for name, why in self.lost.items():
+            kind, _, detail = why.partition(": ")
+            left.setdefault(kind, []).append(f"{name} ({detail})" if detail else name)
+        for kind, names in left.items():
+            lines.append(f"left out, {kind}: {len(names)} spots, {first_names(names)}")
+        if self.stretched:
+            lines.append(
+                f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "
+                f"the aisle to hold the car, for parked cars only: "
+                f"{', '.join(self.stretched)}"
+            )
+        for what, counts in (
+            ("outside the drivable part", self.outside),
+            ("not understood", self.unknown),
+        ):
+            if counts:
+                lines.append(f"{what}: {commonest(counts)}")
+        return "\n".join(lines)
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """The features of a map.
-
-    Attributes:
-        features: in the map's order, metres.
-        unknown: numbers of unknown elements by kind.
-        lost: spots that cannot become shapes, with the reason, by their names.
-        groups: spots without outlines, which `bays.lay_out` turns into features.
-        notes: sentences on what was assumed.
-    """
+    """The features of a map, in its order."""
 
     features: list[Feature] = dataclasses.field(default_factory=list)
-    unknown: Counter[str] = dataclasses.field(default_factory=Counter)
-    lost: dict[str, str] = dataclasses.field(default_factory=dict)
-    groups: list[Group] = dataclasses.field(default_factory=list)
-    notes: list[str] = dataclasses.field(default_factory=list)
+    report: Report = dataclasses.field(default_factory=Report)
+
+
+def tagged(features: Iterable[Feature], *tags: str) -> list[Feature]:
+    """The features with one of some tags."""
+    return [one for one in features if one.tag in tags]
 
 
 def lane_features(
@@ -148,46 +202,39 @@ def on_level(plan: Plan, level: str | None = None) -> Plan:
     Raises:
         ValueError: no spot is on the level.
     """
-    spots = [one for one in plan.features if one.tag == "bay"]
-    counts = Counter[str]()
-    for spot in spots:
-        counts.update(_levels(spot, "0"))
-    for group in plan.groups:
-        for found in _levels(group, "0"):
-            counts[found] += max(group.count, 1)
+    counts, report = Counter[str](), plan.report
+    for tag in ("bay", "spots"):
+        for one in tagged(plan.features, tag):
+            for found in _levels(one, "0"):
+                counts[found] += max(one.count, 1)
     if level is not None and counts and level not in counts:
         raise ValueError(
             f"no spot is on level {level}; there are {', '.join(sorted(counts))}"
         )
     chosen = level or max(counts, key=lambda name: counts[name], default="0")
-    ground = {id(one) for one in spots}
-    kept, groups = list[Feature](), list[Group]()
-    lost, unknown = dict(plan.lost), plan.unknown.copy()
+    kept = list[Feature]()
     for one in plan.features:
-        if chosen in _levels(one, "0" if id(one) in ground else chosen):
+        is_ground = one.tag in ("bay", "spots")
+        if chosen in _levels(one, "0" if is_ground else chosen):
             kept.append(one)
-        elif one.tag == "bay":
-            lost[one.name] = f"on level {one.level or 0}, not {chosen}"
-        else:
-            unknown[f"{one.tag} on another level"] += 1
-    for group in plan.groups:
-        if chosen in _levels(group, "0"):
-            groups.append(group)
-        elif group.count or not group.shape.area:
-            lost[group.name] = f"on level {group.level or 0}, not {chosen}"
-    notes = list(plan.notes)
+        elif not is_ground:
+            report.unknown[f"{one.tag} on another level"] += 1
+        elif one.tag == "bay" or one.count or not one.shape.area:
+            report.lost[one.name] = f"on level {one.level or 0}, not {chosen}"
     if len(counts) > 1:
         levels = ", ".join(f"{name or '?'} ({n})" for name, n in counts.most_common())
-        notes.append(f"level {chosen} of these, by their spots: {levels}; see --level")
-    return Plan(kept, unknown, lost, groups, notes)
+        report.notes.append(
+            f"level {chosen} of these, by their spots: {levels}; see --level"
+        )
+    return Plan(kept, report)
 
 
-def on_same_level(road: Feature, group: Group) -> bool:
-    """Whether a road is on a group's level; on the ground if the map does not say."""
-    return bool({*_levels(road, "0")} & {*_levels(group, "0")})
+def on_same_level(road: Feature, spots: Feature) -> bool:
+    """Whether a road is on the level of spots; on the ground if the map says none."""
+    return bool({*_levels(road, "0")} & {*_levels(spots, "0")})
 
 
-def _levels(one: Feature | Group, default: str) -> list[str]:
+def _levels(one: Feature, default: str) -> list[str]:
     return [name.strip() for name in (one.level or default).split(";")]
 
 

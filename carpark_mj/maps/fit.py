@@ -65,8 +65,16 @@ class Box:
         moved = affinity.translate(shape, -self.x, -self.y)
         return affinity.rotate(moved, -self.yaw, origin=(0, 0), use_radians=True)
 
-    def part(self, back: float, front: float, right: float, left: float) -> "Box":
-        """The part within these coordinates of the rectangle's own frame."""
+    def part(
+        self,
+        back: float,
+        front: float,
+        right: float | None = None,
+        left: float | None = None,
+    ) -> "Box":
+        """The part within these coordinates of its own frame, as wide by default."""
+        right = -self.width / 2 if right is None else right
+        left = self.width / 2 if left is None else left
         along, aside = (back + front) / 2, (right + left) / 2
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
         return Box(
@@ -90,6 +98,12 @@ def around(polygon: Any) -> Box:
     x, y = hull.centroid.coords[0]
     yaw = math.atan2(ahead[1], ahead[0])
     return Box(x, y, yaw, float(length), float(width))
+
+
+def opened(shape: Any, width: float) -> Any:
+    """A shape without its parts that are narrower; gaps are closed if negative."""
+    narrow = shape.buffer(-width / 2, join_style="mitre")
+    return narrow.buffer(width / 2, join_style="mitre")
 
 
 def parallelogram(polygon: Any) -> tuple[np.ndarray, np.ndarray] | None:
@@ -241,8 +255,7 @@ def cut_free(box: Box, others: Iterable[Any], gap: float = 0.002) -> Box | None:
     left = rows[:, 1].min(initial=box.width / 2, where=rows[:, 1] > 0)
     right = rows[:, 3].max(initial=-box.width / 2, where=rows[:, 3] < 0)
     if left - right < box.width - 2 * gap > 0:
-        half = box.length / 2
-        part = box.part(-half, half, right, left)
+        part = box.part(-box.length / 2, box.length / 2, right, left)
         part = dataclasses.replace(part, width=part.width - 2 * gap)
         if part.width > 0:
             found.append(_cut_each(part, others, gap))
@@ -315,7 +328,7 @@ def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
         mean = float(np.average(width[joined], weights=length[joined]))
         x, y = (float(value) for value in middle[first])
         whole = Box(x, y, float(yaw[first]), float(length[first]), mean)
-        lanes.append(whole.part(float(back), float(front), -mean / 2, mean / 2))
+        lanes.append(whole.part(float(back), float(front)))
         with_it = np.cos(yaw[joined] - yaw[first]) >= 0
         one_way.append(bool((only[joined] & with_it).all()))
     return list(zip(_reaching(lanes), one_way, strict=True))
@@ -337,8 +350,7 @@ def _reaching(lanes: list[Box]) -> list[Box]:
     gaps = np.full(len(rays), np.inf)
     np.minimum.at(gaps, ray, shapely.distance(hits, shapely.points(ends[ray])))
     front, back = np.where(np.isfinite(gaps), gaps, 0.0).reshape(2, -1)
-    longer = []
-    for lane, before, after in zip(lanes, back, front, strict=True):
-        half, wide = lane.length / 2, lane.width / 2
-        longer.append(lane.part(-half - before, half + after, -wide, wide))
-    return longer
+    return [
+        lane.part(-lane.length / 2 - before, lane.length / 2 + after)
+        for lane, before, after in zip(lanes, back, front, strict=True)
+    ]

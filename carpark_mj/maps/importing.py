@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,20 +19,23 @@ from carpark_mj.maps.bays import lay_out
 from carpark_mj.maps.commonroad import commonroad_features
 from carpark_mj.maps.features import (
     LINE_THICKNESS,
+    STRETCH,
     Feature,
     Plan,
-    commonest,
-    first_names,
+    Report,
     on_level,
+    tagged,
 )
-from carpark_mj.maps.fit import Box, around, best_fits, boxes, cut_free, joined_lanes
-from carpark_mj.maps.osm_xml import (
-    is_lanelet2,
-    lanelet2_features,
-    osm_features,
-    read_osm,
-    read_xml,
+from carpark_mj.maps.fit import (
+    Box,
+    around,
+    best_fits,
+    boxes,
+    cut_free,
+    joined_lanes,
+    opened,
 )
+from carpark_mj.maps.osm_xml import osm_features, read_xml
 from carpark_mj.maps.tagged import geojson_features
 
 FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
@@ -46,7 +48,6 @@ NEAR = 4.0  # m from the drivable ground within which a spot must begin
 WORST_FIT = 0.6  # m between the outlines of a spot and its rectangle
 TWICE = 0.5  # share of a spot that another covers, for it to be the same one
 DETAIL = 0.25  # m, smaller bends of walls are straightened
-STRETCH = 0.1  # m by which a spot may be too short for the car
 SLIVER = 0.08  # m, thinner walls are dropped
 THINNEST = 0.02  # m, of a wall
 LEAST_START = 0.05  # m that a start is long and wide
@@ -56,62 +57,6 @@ AHEAD = 1.0  # m in front of a spot, where its aisle is
 ROUND = 0.75  # of a column's radius that bays must leave, for it to be a disc
 MARGIN = 1.0  # m around everything
 _Disc = tuple[float, float, float]
-
-
-@dataclasses.dataclass
-class Report:
-    """Report of an import.
-
-    Attributes:
-        spots: number of spots in the map.
-        lost: spots without a bay, with the reason, by their names.
-        unknown: numbers of unknown elements by kind.
-        outside: shapes left out because they lie outside the drivable part, by tag.
-        errors: between the outlines of spots and of their bays [m].
-        stretched: names of spots lengthened into the aisle to hold the car, and left to
-            parked cars.
-        turned: angle by which the map was turned to the rows of its bays [rad].
-        notes: sentences on what was assumed.
-    """
-
-    spots: int = 0
-    lost: dict[str, str] = dataclasses.field(default_factory=dict)
-    unknown: Counter[str] = dataclasses.field(default_factory=Counter)
-    outside: Counter[str] = dataclasses.field(default_factory=Counter)
-    errors: list[float] = dataclasses.field(default_factory=list)
-    stretched: list[str] = dataclasses.field(default_factory=list)
-    turned: float = 0.0
-    notes: list[str] = dataclasses.field(default_factory=list)
-
-    def __str__(self) -> str:
-        """The report as lines of text."""
-        worst, mean = max(self.errors), float(np.mean(self.errors))
-        lines = [
-            f"{len(self.errors)} of {self.spots} spots imported; their rectangles are "
-            f"off by {mean:.2f} m on average, {worst:.2f} m at most",
-            f"turned by {np.degrees(self.turned):.1f} deg to its rows",
-            *self.notes,
-        ]
-        left: dict[str, list[str]] = {}
-        for name, why in self.lost.items():
-            kind, _, detail = why.partition(": ")
-            left.setdefault(kind, []).append(f"{name} ({detail})" if detail else name)
-        for kind, names in left.items():
-            listed = first_names(names)
-            lines.append(f"left out, {kind}: {len(names)} spots, {listed}")
-        if self.stretched:
-            lines.append(
-                f"{len(self.stretched)} spots lengthened by at most {STRETCH:g} m into "
-                f"the aisle to hold the car, for parked cars only: "
-                f"{', '.join(self.stretched)}"
-            )
-        for what, counts in (
-            ("outside the drivable part", self.outside),
-            ("not understood", self.unknown),
-        ):
-            if counts:
-                lines.append(f"{what}: {commonest(counts)}")
-        return "\n".join(lines)
 
 
 def import_map(
@@ -144,11 +89,7 @@ def import_map(
 
 
 def read_plan(
-    path: Path,
-    *,
-    crs: str | None = None,
-    layers: Sequence[str] = (),
-    unit: str = "",
+    path: Path, *, crs: str | None = None, layers: Sequence[str] = (), unit: str = ""
 ) -> Plan:
     """The features of a map.
 
@@ -172,12 +113,9 @@ def read_plan(
     root = read_xml(path)
     if root.tag == "commonRoad":
         return commonroad_features(root)
-    if root.tag != "osm":
-        raise ValueError(
-            f"the outermost element must be osm or commonRoad, not {root.tag}"
-        )
-    osm = read_osm(root)
-    return lanelet2_features(osm) if is_lanelet2(osm) else osm_features(osm)
+    if root.tag == "osm":
+        return osm_features(root)
+    raise ValueError(f"the outermost element must be osm or commonRoad, not {root.tag}")
 
 
 def assemble(plan: Plan) -> tuple[Layout, Report]:
@@ -187,23 +125,23 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
         ValueError: no spot can be a bay, there are too many, or nowhere is room to
             start.
     """
-    report = Report(lost=dict(plan.lost), unknown=plan.unknown, notes=[*plan.notes])
-    found = Counter(feature.tag for feature in plan.features)
-    report.spots = found["bay"] + len(plan.lost)
-    if not found["bay"]:
+    report, count = plan.report, len(tagged(plan.features, "bay"))
+    report.spots = count + len(report.lost)
+    if not count:
         raise ValueError(f"the map has no parking spot{_reasons(report)}")
-    if found["bay"] > MOST_BAYS:
-        raise ValueError(f"the map has {found['bay']} spots; at most {MOST_BAYS}")
+    if count > MOST_BAYS:
+        raise ValueError(f"the map has {count} spots; at most {MOST_BAYS}")
     features = _turned(plan.features, report)
-    spots = [one.shape for one in features if one.tag == "bay"]
+    spots = tagged(features, "bay")
     drivable = shapely.union_all(
-        [_ground(one) for one in features if one.tag in ("lane", "drivable", "start")]
+        [_ground(one) for one in tagged(features, "lane", "drivable", "start")]
     )
     if drivable.is_empty:
-        hull = shapely.union_all(spots).convex_hull
+        hull = shapely.union_all([one.shape for one in spots]).convex_hull
         drivable = hull.buffer(APRON, join_style="mitre")
         report.notes.append("the map has no ground to drive on: taken around its spots")
-    bays = _bays(features, drivable, report)
+    roads = tagged(features, "lane")
+    bays = _bays(spots, roads, drivable, report)
     if not bays:
         raise ValueError(f"no spot of the map can be a bay{_reasons(report)}")
     taken = [box.shape for box, _ in bays]
@@ -213,13 +151,13 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
     standing += [shapely.Point(x, y).buffer(r) for x, y, r in discs]
     lanes = []
     tree = shapely.STRtree([*taken, *standing])
-    for lane, one_way in joined_lanes([one for one in features if one.tag == "lane"]):
+    for lane, one_way in joined_lanes(roads):
         free = cut_free(lane, _met(tree, lane))
         if free and free.length > 2.0 and free.width > 1.0:
             lanes.append((free, one_way))
         else:
             report.outside["lane without room"] += 1
-    starts = [_start(one) for one in features if one.tag == "start"]
+    starts = [_start(one) for one in tagged(features, "start")]
     starts += [lane for lane, _ in lanes]
     starts += [lane.turned() for lane, one_way in lanes if not one_way]
     starts = [box for box in starts if _room(box).min() > LEAST_START]
@@ -273,7 +211,7 @@ def _room(box: Box) -> np.ndarray:
 
 def _turned(features: list[Feature], report: Report) -> list[Feature]:
     """Turns the map so that most of its bays lie along x or y."""
-    yaws = np.array([around(one.shape).yaw for one in features if one.tag == "bay"])
+    yaws = np.array([around(one.shape).yaw for one in tagged(features, "bay")])
     report.turned = -float(np.angle(np.exp(4j * yaws).sum())) / 4
     return [
         dataclasses.replace(
@@ -288,24 +226,22 @@ def _turned(features: list[Feature], report: Report) -> list[Feature]:
 
 
 def _bays(
-    features: list[Feature], drivable: Any, report: Report
+    features: list[Feature], roads: list[Feature], drivable: Any, report: Report
 ) -> list[tuple[Box, BayKind]]:
     """Rectangles of the spots, heading out into the aisle."""
     least = DesignCar().size
     near = drivable.buffer(NEAR)
-    spots = [one.shape for one in features if one.tag == "bay"]
-    roads = shapely.union_all([one.shape for one in features if one.tag == "lane"])
+    spots = [one.shape for one in features]
+    ways = shapely.union_all([one.shape for one in roads])
     # Without strips that are too narrow for a car, as between two rows.
     half = least[1] / 2
     open_ground = drivable.difference(shapely.union_all(spots)).buffer(-half)
     open_ground = open_ground.buffer(half, join_style="mitre")
-    goals = [part for part in (open_ground, roads) if not part.is_empty]
+    goals = [part for part in (open_ground, ways) if not part.is_empty]
     tree = shapely.STRtree(spots)
     found: list[tuple[Box, BayKind]] = []
     taken: list[Any] = []
     for one in features:
-        if one.tag != "bay":
-            continue
         fits = best_fits(one.shape)
         if (error := fits[0][1]) > WORST_FIT:
             report.lost[one.name] = f"no rectangle: {error:.2f} m off the best one"
@@ -313,16 +249,16 @@ def _bays(
         box = _facing([box for box, _ in fits], goals, found[-1][0].yaw if found else 0)
         short = box.length < least[0] < box.length + STRETCH
         if short:  # what stands behind it stays
-            back, side = -box.length / 2, box.width / 2
-            box = box.part(back, back + least[0] + 0.01, -side, side)
+            back = -box.length / 2
+            box = box.part(back, back + least[0] + 0.01)
         if not one.shape.intersects(near):
             report.lost[one.name] = f"more than {NEAR:g} m from what can be driven on"
             continue
         others = [other for other in taken if other.intersects(box.shape)]
-        over = [
-            o for o in others if o.intersection(box.shape).area > TWICE * one.shape.area
-        ]
-        if over:
+        if any(
+            other.intersection(box.shape).area > TWICE * one.shape.area
+            for other in others
+        ):
             report.lost[one.name] = "covered by another spot"
             continue
         free = cut_free(box, others)
@@ -355,8 +291,8 @@ def _led_out(free: Box | None, box: Box, others: list[Any]) -> Box | None:
     length = min(box.length, DesignCar().length + NOSE)
     if free is None or free.length >= length:
         return free
-    back, side = -free.length / 2, free.width / 2
-    return cut_free(free.part(back, back + length, -side, side), others)
+    back = -free.length / 2
+    return cut_free(free.part(back, back + length), others)
 
 
 def _facing(found: list[Box], goals: list[Any], yaw: float) -> Box:
@@ -384,17 +320,14 @@ def _solids(
     tree = shapely.STRtree(taken)
     kept: dict[WallKind, list[Any]] = {WallKind.WALL: [], WallKind.KERB: []}
     discs: list[_Disc] = []
-    roads = [one for one in features if one.tag == "lane"]
-    for one in features:
-        if one.tag not in ("wall", "kerb", "pillar"):
-            continue
+    for one in tagged(features, "wall", "kerb", "pillar"):
         shape = one.shape
         if one.tag != "pillar":
             if len(tree.query(shape, "contains")):
                 # What stands around spots is drawn by its outline.
                 shape = shape.boundary.buffer(LINE_THICKNESS / 2)
                 report.notes.append(f"{one.tag} {one.name} is an outline around spots")
-            for road in roads:
+            for road in tagged(features, "lane"):
                 if len(shapely.get_parts(road.shape.difference(shape))) > 1:
                     way = road.shape.intersection(shape)
                     shape = shape.difference(way.buffer(road.width / 2))
@@ -412,12 +345,8 @@ def _solids(
             kept[kind].append(shape)
     solids = list[tuple[Box, WallKind]]()
     for kind, shapes in kept.items():
-        closed = shapely.union_all(shapes).buffer(DETAIL / 2, join_style="mitre")
-        whole = closed.buffer(-DETAIL / 2, join_style="mitre").difference(occupied)
-        # Without the slivers between bays.
-        whole = whole.buffer(-SLIVER / 2, join_style="mitre")
-        whole = whole.buffer(SLIVER / 2, join_style="mitre")
-        parts = shapely.get_parts(whole)
+        closed = opened(shapely.union_all(shapes), -DETAIL).difference(occupied)
+        parts = shapely.get_parts(opened(closed, SLIVER))  # without those between bays
         parts = parts[shapely.area(parts) > 0]
         # No more than a quarter of a thin wall's thickness.
         thickness = 2 * shapely.area(parts) / shapely.length(parts)
@@ -441,30 +370,25 @@ def _layout(
     middle = np.array([(left + right) / 2, (low + high) / 2, 0.0])
     extent = np.array([right - left, high - low]) / 2 + MARGIN
 
-    def placed(found: list[Box]) -> tuple[np.ndarray, np.ndarray]:
+    def rows(found: Sequence[Box], **others: Any) -> dict[str, Any]:
         pose = np.array([box.pose for box in found]).reshape(-1, 3) - middle
-        return pose, np.array([box.size for box in found]).reshape(-1, 2)
+        size = np.array([box.size for box in found]).reshape(-1, 2)
+        return {"pose": pose, "size": size, **others}
 
-    pose, _ = placed(starts)
+    def tagged_rows(found: list[tuple[Box, Any]], part: str, dtype: type) -> Any:
+        values = np.array([value for _, value in found], dtype)
+        return rows([box for box, _ in found], **{part: values})
+
     room = np.array([_room(box) for box in starts])
-    rows = np.array(discs).reshape(-1, 3)
-
-    def columns(found: list[tuple[Box, Any]], part: str, kind: type) -> dict[str, Any]:
-        pose, size = placed([box for box, _ in found])
-        return {
-            "pose": pose,
-            "size": size,
-            part: np.array([what for _, what in found], kind),
-        }
-
+    columns = np.array(discs).reshape(-1, 3)
     return build.from_columns(
         extent,
         {
-            "bays": columns(bays, "kind", int),
-            "walls": columns(solids, "kind", int),
-            "discs": {"centre": rows[:, :2] - middle[:2], "radius": rows[:, 2]},
-            "lanes": columns(lanes, "one_way", bool),
-            "spawns": {"pose": pose, "size": room, "spread": build.LANE_SPREAD},
+            "bays": tagged_rows(bays, "kind", int),
+            "walls": tagged_rows(solids, "kind", int),
+            "discs": {"centre": columns[:, :2] - middle[:2], "radius": columns[:, 2]},
+            "lanes": tagged_rows(lanes, "one_way", bool),
+            "spawns": rows(starts) | {"size": room, "spread": build.LANE_SPREAD},
         },
     )
 

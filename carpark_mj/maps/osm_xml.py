@@ -1,6 +1,7 @@
 """OSM XML: maps of OpenStreetMap, and of Lanelet2 with its lanelets and spots."""
 
 import dataclasses
+import itertools
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,11 +16,11 @@ from carpark_mj.maps.features import (
     Feature,
     Plan,
     Tag,
+    centred,
     lane_features,
-    require_near,
     to_metres,
 )
-from carpark_mj.maps.tagged import add_by_tags
+from carpark_mj.maps.tagged import add_by_tags, add_tagged
 from carpark_mj.reading import read_bytes
 
 Tags = dict[str, str]
@@ -71,9 +72,7 @@ class Way(NamedTuple):
     @property
     def shape(self) -> Any:
         """A shapely polygon where it closes, or else a line."""
-        if self.closed:
-            return shapely.Polygon(self.points)
-        return shapely.LineString(self.points)
+        return (shapely.Polygon if self.closed else shapely.LineString)(self.points)
 
 
 class Relation(NamedTuple):
@@ -84,12 +83,16 @@ class Relation(NamedTuple):
 
 
 class OsmXml(NamedTuple):
-    """The elements of a file by their ids, and the faults found in it."""
+    """The elements of a file by their ids."""
 
     nodes: dict[str, tuple[np.ndarray, Tags]]
     ways: dict[str, Way]
     relations: dict[str, Relation]
-    faults: Counter[str]
+
+    def outline(self, relation: Relation) -> Any:
+        """The polygon that the outer ways of a relation form together, or None."""
+        outer = [way for role, way in relation.members if role != "inner"]
+        return joined([self.ways[way].shape for way in outer])
 
 
 def read_xml(path: Path) -> Any:
@@ -108,86 +111,67 @@ def read_xml(path: Path) -> Any:
         raise ValueError(f"not XML ({error})") from None
 
 
-def read_osm(root: Any) -> OsmXml:
-    """Reads the element `osm` of a file.
+def _read(root: Any, unknown: Counter[str]) -> OsmXml:
+    """Reads the element `osm` of a file; what is missing in it counts as unknown."""
 
-    Raises:
-        ValueError: invalid coordinates.
-    """
-    faults: Counter[str] = Counter()
-    kept = [node for node in root.iter("node") if node.get("action") != "delete"]
-    ids = [node.get("id", "") for node in kept]
-    tags = [_tags(node) for node in kept]
-    xy = _places(kept, tags)
-    nodes = {i: (at, tag) for i, at, tag in zip(ids, xy, tags, strict=True)}
+    def elements(kind: str) -> list[tuple[str, Any, Tags]]:
+        kept = [one for one in root.iter(kind) if one.get("action") != "delete"]
+        return [(one.get("id", ""), one, _tags(one)) for one in kept]
+
+    found = elements("node")
+    xy = _places(found)
+    nodes = {name: (at, tags) for (name, _, tags), at in zip(found, xy, strict=True)}
     ways = {}
-    for way in root.iter("way"):
-        if way.get("action") == "delete":
-            continue
+    for name, way, tags in elements("way"):
         refs = [nd.get("ref", "") for nd in way.iter("nd")]
         known = [ref for ref in refs if ref in nodes]
         if len(known) < len(refs):
-            faults["reference to a missing node"] += len(refs) - len(known)
-        steps = [
-            ref for ref, last in zip(known, ["", *known], strict=False) if ref != last
-        ]
+            unknown["reference to a missing node"] += len(refs) - len(known)
+        steps = [ref for ref, _ in itertools.groupby(known)]
         if len(steps) < 2:
-            faults["way of fewer than two nodes"] += 1
+            unknown["way of fewer than two nodes"] += 1
             continue
         points = np.stack([nodes[ref][0] for ref in steps])
         # Programs also close a way with a second node in the first one's place.
-        tags_of_way = _tags(way)
         closed = len(steps) > 3 and bool(np.ptp(points[[0, -1]], axis=0).max() < 1e-3)
         # Autoware's polygons do not come back to their first node.
-        closed = closed or (len(steps) > 2 and tags_of_way.get("area") == "yes")
-        ways[way.get("id", "")] = Way(points, tags_of_way, closed)
-    relations = {
-        relation.get("id", ""): Relation(
-            [
-                (member.get("role", ""), member.get("ref", ""))
-                for member in relation.iter("member")
-                if member.get("type") == "way"
-            ],
-            _tags(relation),
-        )
-        for relation in root.iter("relation")
-        if relation.get("action") != "delete"
-    }
-    return OsmXml(nodes, ways, relations, faults)
+        closed = closed or (len(steps) > 2 and tags.get("area") == "yes")
+        ways[name] = Way(points, tags, closed)
+    relations = {}
+    for name, relation, tags in elements("relation"):
+        members = [
+            (member.get("role", ""), member.get("ref", ""))
+            for member in relation.iter("member")
+            if member.get("type") == "way" and member.get("ref") in ways
+        ]
+        relations[name] = Relation(members, tags)
+    return OsmXml(nodes, ways, relations)
 
 
 def _tags(element: Any) -> Tags:
     return {tag.get("k", ""): tag.get("v", "") for tag in element.iter("tag")}
 
 
-def _places(elements: list[Any], tags: list[Tags]) -> np.ndarray:
+def _places(nodes: list[tuple[str, Any, Tags]]) -> np.ndarray:
     """Coordinates (n, 2) [m]; `local_x`, `local_y` where every node has them."""
-    if not elements:
+    if not nodes:
         raise ValueError("the map has no node")
-    local = all("local_x" in tag and "local_y" in tag for tag in tags)
+    local = all("local_x" in tags and "local_y" in tags for _, _, tags in nodes)
+    names = ("local_x", "local_y") if local else ("lon", "lat")
     rows = []
-    for element, tag in zip(elements, tags, strict=True):
-        pair = (
-            (tag["local_x"], tag["local_y"])
-            if local
-            else (element.get("lon"), element.get("lat"))
-        )
+    for name, element, tags in nodes:
+        pair = [(tags if local else element).get(part) for part in names]
         try:
             row = [float(number) for number in pair]
         except (TypeError, ValueError):
             row = [np.nan]
         if not np.isfinite(row).all():
             raise ValueError(
-                f"node {element.get('id')} must have two numbers as its place, not "
+                f"node {name} must have two numbers as its place, not "
                 f"{pair[0]} and {pair[1]}"
             )
         rows.append(row)
-    xy = np.array(rows)
-    if not local:
-        return to_metres(xy)
-    xy -= (xy.min(axis=0) + xy.max(axis=0)) / 2
-    require_near(xy)
-    return xy
+    return centred(np.array(rows)) if local else to_metres(np.array(rows))
 
 
 def joined(pieces: list[Any]) -> Any:
@@ -201,99 +185,76 @@ def joined(pieces: list[Any]) -> Any:
     return largest and shapely.Polygon(largest.exterior)
 
 
-def osm_features(osm: OsmXml) -> Plan:
-    """The features of a map of OpenStreetMap."""
-    plan = Plan(unknown=Counter(osm.faults))
+def osm_features(root: Any) -> Plan:
+    """The features of an element `osm`: of a Lanelet2 map, or one of OpenStreetMap.
+
+    Raises:
+        ValueError: invalid coordinates.
+    """
+    plan = Plan()
+    osm = _read(root, plan.report.unknown)
+    is_lanelet2 = any(
+        element.tags.get("type") == "lanelet" or _tag(element.tags) == "bay"
+        for element in (*osm.relations.values(), *osm.ways.values())
+        if "amenity" not in element.tags
+    )
+    (_add_lanelet2 if is_lanelet2 else _add_openstreetmap)(plan, osm)
+    return plan
+
+
+def _add_openstreetmap(plan: Plan, osm: OsmXml) -> None:
     used: set[str] = set()
     for name, relation in osm.relations.items():
-        if relation.tags.get("type") != "multipolygon":
-            plan.unknown[f"relation {relation.tags.get('type', 'without a type')}"] += 1
-            continue
-        outer = [
-            (way, osm.ways[way].shape)
-            for role, way in relation.members
-            if way in osm.ways and role != "inner"
-        ]
+        if (kind := relation.tags.get("type", "without a type")) != "multipolygon":
+            plan.report.unknown[f"relation {kind}"] += 1
         # Older maps have the tags on the outer way.
-        if any(key in relation.tags for key in ("amenity", "building", "barrier")):
-            used.update(way for way, _ in outer)
-            add_by_tags(
-                plan, name, relation.tags, joined([shape for _, shape in outer])
-            )
+        elif any(key in relation.tags for key in ("amenity", "building", "barrier")):
+            used.update(way for role, way in relation.members if role != "inner")
+            add_by_tags(plan, name, relation.tags, osm.outline(relation))
     for name, way in osm.ways.items():
         if name not in used:
             add_by_tags(plan, name, way.tags, way.shape)
     for name, (place, tags) in osm.nodes.items():
         if tags:
             add_by_tags(plan, name, tags, shapely.Point(place))
-    return plan
-
-
-def is_lanelet2(osm: OsmXml) -> bool:
-    """Whether a file is a Lanelet2 map rather than one of OpenStreetMap."""
-    return any(
-        element.tags.get("type") == "lanelet" or _tag(element.tags) == "bay"
-        for element in (*osm.relations.values(), *osm.ways.values())
-        if "amenity" not in element.tags
-    )
 
 
 def _tag(tags: Tags) -> Tag | None:
-    """Tag of an element by its subtype, or else by its type."""
+    """Tag of an element of Lanelet2 by its subtype, or else by its type."""
     for key in ("subtype", "type"):
         if found := _TAGS.get(tags.get(key, "").lower()):
             return found
     return None
 
 
-def lanelet2_features(osm: OsmXml) -> Plan:
-    """The features of a Lanelet2 map."""
-    plan = Plan(unknown=Counter(osm.faults))
+def _add_lanelet2(plan: Plan, osm: OsmXml) -> None:
     used: set[str] = set()
     for name, relation in osm.relations.items():
-        ways = [
-            (role, osm.ways[way]) for role, way in relation.members if way in osm.ways
-        ]
-        if relation.tags.get("type") == "lanelet":
-            if (kind := relation.tags.get("subtype", "road")) in _ON_FOOT:
-                plan.unknown[f"lanelet {kind}"] += 1
+        tags = relation.tags
+        kind = tags.get("subtype") or tags.get("type") or "without a type"
+        if tags.get("type") == "lanelet":
+            if tags.get("subtype") in _ON_FOOT:
+                plan.report.unknown[f"lanelet {kind}"] += 1
                 continue
-            one_way = relation.tags.get("one_way", "yes") != "no"
-            borders = {role: way.points for role, way in ways}
-            level = relation.tags.get("level", "")
-            lanelet = [
-                dataclasses.replace(one, level=level)
-                for one in lanelet_features(name, borders, one_way)
-            ]
-            plan.features.extend(lanelet)
-            if not lanelet:
-                plan.unknown["lanelet without two borders"] += 1
-        elif _tag(relation.tags) in ("bay", "drivable"):
+            borders = {role: osm.ways[way].points for role, way in relation.members}
+            one_way, level = tags.get("one_way", "yes") != "no", tags.get("level", "")
+            add_lanelet(plan, name, borders, one_way, level)
+        elif _tag(tags) in ("bay", "drivable"):
             used.update(way for _, way in relation.members)
-            shape = joined([way.shape for role, way in ways if role != "inner"])
-            _add(plan, name, relation.tags, shape)
+            _add(plan, name, tags, osm.outline(relation))
         else:
-            kind = relation.tags.get("subtype") or relation.tags.get("type", "")
-            plan.unknown[f"relation {kind or 'without a type'}"] += 1
+            plan.report.unknown[f"relation {kind}"] += 1
     for name, way in osm.ways.items():
-        if name in used or not (way.tags.get("type") or way.tags.get("subtype")):
-            continue  # a piece of a spot or a border of a lanelet
-        _add(plan, name, way.tags, _shape(way))
-    return plan
+        # Others are pieces of a spot or borders of lanelets.
+        if name not in used and (way.tags.get("type") or way.tags.get("subtype")):
+            _add(plan, name, way.tags, _shape(way))
 
 
 def _add(plan: Plan, name: str, tags: Tags, shape: Any) -> None:
-    tag = _tag(tags)
-    kind = tags.get("subtype") or tags.get("type", "")
-    if tag is None:
-        plan.unknown[kind] += 1
-    elif shape is None or not shape.area:
-        if tag == "bay":
-            plan.lost[name] = "its lines close no polygon"
-        plan.unknown[f"{kind} that closes no polygon"] += 1
+    if tag := _tag(tags):
+        add_tagged(plan, name, shape, {"tag": tag, "level": tags.get("level")})
     else:
-        level = tags.get("level", "")
-        plan.features.append(Feature(tag, shapely.make_valid(shape), name, level=level))
+        plan.report.unknown[tags.get("subtype") or tags.get("type", "")] += 1
 
 
 def _shape(way: Way) -> Any:
@@ -313,21 +274,32 @@ def _shape(way: Way) -> Any:
     return shape.buffer(width / 2, cap_style="flat", join_style="mitre")
 
 
-def lanelet_features(
-    name: str, borders: Mapping[str, np.ndarray], one_way: bool
-) -> list[Feature]:
-    """The straight lanes of a lanelet, and the ground that it covers.
+def add_lanelet(
+    plan: Plan,
+    name: str,
+    borders: Mapping[str, np.ndarray],
+    one_way: bool,
+    level: str = "",
+) -> None:
+    """Adds the straight lanes of a lanelet, and the ground that it covers.
 
     Args:
+        plan: to add to.
         name: of the lanelet.
         borders: points (n, 2) of `left` and `right` [m], two at least.
         one_way: whether it is driven in its direction only.
-
-    Returns:
-        None at all if a border is missing or they cover no ground.
+        level: floors that it belongs to.
     """
-    if not {"left", "right"} <= set(borders):
-        return []
+    found = _lanelet(name, borders, one_way) if {"left", "right"} <= {*borders} else []
+    plan.features.extend(dataclasses.replace(one, level=level) for one in found)
+    if not found:
+        plan.report.unknown["lanelet without two borders"] += 1
+
+
+def _lanelet(
+    name: str, borders: Mapping[str, np.ndarray], one_way: bool
+) -> list[Feature]:
+    """Features of a lanelet; none if its borders cover no ground."""
     left, right = (borders[side] for side in ("left", "right"))
     ends = [shapely.LineString([left[i], right[i]]) for i in (0, -1)]
     if ends[0].intersects(ends[1]):

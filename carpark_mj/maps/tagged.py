@@ -20,13 +20,12 @@ from carpark_mj.maps.features import (
     LINE_THICKNESS,
     WGS84,
     Feature,
-    Group,
     Plan,
     Tag,
     lane_features,
     to_metres,
 )
-from carpark_mj.maps.fit import boxes
+from carpark_mj.maps.fit import boxes, opened
 from carpark_mj.reading import parse_object, read_text
 
 # Widths [m] of aisles that have none in the map, driven both ways and one way: the
@@ -53,7 +52,7 @@ def add_by_tags(plan: Plan, name: str, tags: Mapping[str, Any], shape: Any) -> N
     """Adds a shape with the meaning of its tags, or counts it as unknown."""
     if shape is None or shape.is_empty:
         if tags.get("amenity") == "parking_space":
-            plan.lost[name] = "its lines close no polygon"
+            plan.report.lost[name] = _no_area(None)
         return
     is_area = bool(shape.area)
     level = str(tags.get("level") or tags.get("layer") or "")
@@ -78,7 +77,7 @@ def add_by_tags(plan: Plan, name: str, tags: Mapping[str, Any], shape: Any) -> N
         elif tags["building"] != "roof":  # cars drive and park below
             plan.features.append(Feature("wall", shape, name))
     elif left := sorted(set(tags) - _PLAIN):
-        plan.unknown[f"{left[0]}={tags[left[0]]}"] += 1
+        plan.report.unknown[f"{left[0]}={tags[left[0]]}"] += 1
 
 
 def _add_parking(
@@ -100,9 +99,9 @@ def _add_parking(
         shape = shapely.make_valid(shape)
     elif shape.length or not is_spot:
         if is_spot:
-            plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
+            plan.report.lost[name] = _no_area(shape)
         elif count:
-            plan.lost[name] = f"a point for several spots: {count}"
+            plan.report.lost[name] = f"a point for several spots: {count}"
         return
     if is_spot and shape.area and count <= 1:
         plan.features.append(Feature("bay", shape, name, kind, level=level))
@@ -111,10 +110,12 @@ def _add_parking(
         plan.features.append(Feature("drivable", shape, name))
         if count:
             where = f"{tags['parking']}, its {count} spots are not laid out"
-            plan.notes.append(f"{name}: {where}")
+            plan.report.notes.append(f"{name}: {where}")
         return
     is_row = is_spot or tags.get("parking") in _ROWS
-    plan.groups.append(Group(name, shape, count, str(orientation), is_row, kind, level))
+    plan.features.append(
+        Feature("spots", shape, name, kind, level, count, str(orientation), is_row)
+    )
 
 
 def _lanes(name: str, tags: Mapping[str, Any], line: Any, level: str) -> list[Feature]:
@@ -145,7 +146,7 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
     if tag is None:
         add_by_tags(plan, name, tags, shape)
     elif tag not in get_args(Tag):
-        plan.unknown[f"tag={tag}"] += 1
+        plan.report.unknown[f"tag={tag}"] += 1
     elif tag == "lane" and shape.area:
         _add_aisle(plan, name, shapely.make_valid(shape), bool(tags.get("one_way")))
     elif tag == "lane":
@@ -153,26 +154,29 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
         road |= {"highway": "service", "oneway": "yes" if tags.get("one_way") else "no"}
         add_by_tags(plan, name, road, shape)
     else:
-        if not shape.area and tag in ("wall", "kerb", "pillar"):
+        if shape and not shape.area and tag in ("wall", "kerb", "pillar"):
             shape = shape.buffer(LINE_THICKNESS / 2)
-        if shape.area:
-            level = str(tags.get("level") or "")
-            plan.features.append(
-                Feature(tag, shapely.make_valid(shape), name, level=level)
-            )
+        if shape and shape.area:
+            shape, level = shapely.make_valid(shape), str(tags.get("level") or "")
+            plan.features.append(Feature(tag, shape, name, level=level))
         elif tag == "bay":
-            plan.lost[name] = f"a {shape.geom_type.lower()}, not an area"
+            plan.report.lost[name] = _no_area(shape)
         else:
-            plan.unknown[f"{tag} that is no area"] += 1
+            plan.report.unknown[f"{tag} that is no area"] += 1
+
+
+def _no_area(shape: Any) -> str:
+    """Why a spot has no area; its shape is None if it consists of lines."""
+    if shape is None:
+        return "its lines close no polygon"
+    return f"a {shape.geom_type.lower()}, not an area"
 
 
 def _add_aisle(plan: Plan, name: str, ground: Any, one_way: bool) -> None:
     """Adds the ground of an aisle, and lanes along the rectangles that cover it."""
     plan.features.append(Feature("drivable", ground, name))
     # Without its narrow corners and small bends.
-    wide = ground.buffer(-NARROW / 2, join_style="mitre")
-    wide = wide.buffer(NARROW / 2, join_style="mitre").simplify(DETAIL)
-    for box in boxes(wide):
+    for box in boxes(opened(ground, NARROW).simplify(DETAIL)):
         dx, dy = (box.length / 2 * f(box.yaw) for f in (math.cos, math.sin))
         line = shapely.LineString([(box.x - dx, box.y - dy), (box.x + dx, box.y + dy)])
         plan.features.extend(lane_features(name, line, box.width, one_way))
@@ -198,7 +202,7 @@ def geojson_features(path: Path, crs: str | None = None) -> Plan:
             raise ValueError(f"features[{index}] must be an object with properties")
         geometry = row.get("geometry")
         if geometry is None:  # RFC 7946, section 3.2: a feature without a place
-            plan.unknown["feature without a geometry"] += 1
+            plan.report.unknown["feature without a geometry"] += 1
             continue
         try:
             shape = shapely.from_geojson(json.dumps(geometry))
@@ -207,7 +211,7 @@ def geojson_features(path: Path, crs: str | None = None) -> Plan:
                 f"features[{index}] must have a geometry, not {str(geometry)[:60]}"
             ) from None
         if shape.is_empty:
-            plan.unknown["feature without a geometry"] += 1
+            plan.report.unknown["feature without a geometry"] += 1
         for part in shapely.get_parts(shape):
             shapes.append(shapely.force_2d(part))
             names.append(str(row.get("id", index)))

@@ -1,12 +1,9 @@
 """Which agents of a lot can park in time, by a planner that sees and moves all of them.
 
 Prioritised planning: cars drive in turn, each past those that still stand at their
-starts and those that have parked, which stay in their bays. A path is driven with a
-trapezoidal speed profile; where another car is in the way, the car waits before it
-pulls away or stops on its path, so that it arrives as early as possible (path-velocity
-decomposition, Kant and Zucker 1986). A car in the way of others first moves aside along
-its lane. Several orders are tried. What is found is a witness; what is not found may
-still exist.
+starts and those that have parked, which stay in their bays (`planning.schedule`). A car
+in the way of others first moves aside along its lane. Several orders are tried. What is
+found is a witness; what is not found may still exist.
 
 `impossible` is a necessary test: a disc as wide as each car moves among the cells of a
 grid, alone and with that of every other car. A cell counts as free where any point of
@@ -23,161 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carpark_mj.planning.obstacles import FreeSpace, Solids, gaps
-from carpark_mj.planning.paths import (
-    CREEP,
-    SHIFT_TIME,
-    STEP,
-    PlannedPath,
-    centre,
-    make_path,
-    rear_axle,
-)
+from carpark_mj.planning.paths import SHIFT_TIME, STEP, make_path, rear_axle
 from carpark_mj.planning.policy import Sight
+from carpark_mj.planning.schedule import DT, Drive, instants, meet, schedule
 from carpark_mj.planning.search import SearchConfig, search
-from carpark_mj.vehicle import VehicleParameters
 
-DT = 0.2  # s between instants
-CRUISE = 2.5  # m/s, highest speed
-ACCELERATION = 1.5  # m/s^2, by which cars speed up and slow down
-STOP = CRUISE / ACCELERATION  # s, least loss of a stop on the way
 MARGIN = 0.02  # m on every side of a car that drives
-
-
-class Drive(NamedTuple):
-    """What a car does from the beginning; afterwards it stands at the last pose.
-
-    Attributes:
-        pose: (n, 3) of the footprint's centre, without repetitions while it waits.
-        point: (t,) which of them, at instants `DT` apart.
-        size: (2,) length and width [m].
-    """
-
-    pose: np.ndarray
-    point: np.ndarray
-    size: np.ndarray
-
-    def at(self, instants: np.ndarray) -> np.ndarray:
-        """Which poses, at these instants (k,)."""
-        return self.point[np.minimum(instants, len(self.point) - 1)]
-
-    @property
-    def seconds(self) -> float:
-        """Time of the arrival [s]."""
-        return DT * (len(self.point) - 1)
-
-
-def instants(path: PlannedPath, car: VehicleParameters) -> np.ndarray:
-    """Poses (n, 3) of the footprint's centre, `DT` apart, on a path without stops."""
-    now, wheels = 0.0, 0.0
-    times, poses = [], []
-    for segment in path.segments:
-        gap = np.diff(segment.distance)
-        now += abs(float(segment.steering[0]) - wheels) / car.steering_rate
-        now += SHIFT_TIME if times else 0.0
-        wheels = float(segment.steering[-1])
-        turning = np.abs(np.gradient(segment.steering, segment.distance))
-        limit = np.clip(car.steering_rate / np.maximum(turning, 1e-6), CREEP, CRUISE)
-        speed = _speeds(limit, gap)
-        begun = now + np.concatenate(
-            [[0.0], np.cumsum(2 * gap / (speed[1:] + speed[:-1]))]
-        )
-        times.append(begun)
-        poses.append(segment.pose)
-        now = float(begun[-1])
-    time, pose = np.concatenate(times), centre(car, np.concatenate(poses))
-    yaw = np.unwrap(pose[:, 2])
-    at = DT * np.arange(math.ceil(now / DT) + 1)
-    return np.column_stack([np.interp(at, time, x) for x in (*pose[:, :2].T, yaw)])
-
-
-def _speeds(limit: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """Speeds (n,) from rest to rest, below limits (n,); `gap` (n - 1,) between."""
-    speed = limit.copy()
-    speed[0] = speed[-1] = 0.0
-    for k in range(1, len(speed)):
-        speed[k] = min(
-            speed[k], math.sqrt(speed[k - 1] ** 2 + 2 * ACCELERATION * gap[k - 1])
-        )
-    for k in range(len(speed) - 2, -1, -1):
-        speed[k] = min(
-            speed[k], math.sqrt(speed[k + 1] ** 2 + 2 * ACCELERATION * gap[k])
-        )
-    return speed
-
-
-def meet(
-    pose: np.ndarray, size: np.ndarray, other: np.ndarray, other_size: np.ndarray
-) -> np.ndarray:
-    """(n, m) bool, which poses (n, 3), (m, 3) of two rectangles overlap (SAT)."""
-    dx = other[:, 0] - pose[:, None, 0]
-    dy = other[:, 1] - pose[:, None, 1]
-    found = np.hypot(dx, dy) < (math.hypot(*size) + math.hypot(*other_size)) / 2
-    rows, columns = np.nonzero(found)
-    x, y, a, b = dx[found], dy[found], pose[rows, 2], other[columns, 2]
-    half, other_half = np.asarray(size) / 2, np.asarray(other_size) / 2
-    c, s = np.abs(np.cos(b - a)), np.abs(np.sin(b - a))
-    apart = np.zeros(len(x), bool)
-    for yaw, own, its in ((a, half, other_half), (b, other_half, half)):
-        along = np.abs(np.cos(yaw) * x + np.sin(yaw) * y)
-        across = np.abs(np.cos(yaw) * y - np.sin(yaw) * x)
-        apart |= along >= own[0] + its[0] * c + its[1] * s
-        apart |= across >= own[1] + its[0] * s + its[1] * c
-    found[rows, columns] = ~apart
-    return found
-
-
-def schedule(
-    pose: np.ndarray, size: np.ndarray, others: list[Drive], begin: int
-) -> np.ndarray | None:
-    """The earliest arrival on a path among cars whose drives are known.
-
-    Args:
-        pose: (n, 3) of a car that drives without stops, `DT` apart.
-        size: (2,) of it.
-        others: drives of the other cars.
-        begin: instant from which it may pull away.
-
-    Returns:
-        (t,) which pose at every instant from 0 to the arrival; None if there is none.
-    """
-    count, wait = len(pose), round(STOP / DT)
-    last = max((len(other.point) for other in others), default=0)
-    total = max(last, begin) + count + wait + 2
-    free = np.ones((total, count), bool)
-    for other in others:
-        taken = meet(pose, size, other.pose, other.size)
-        free &= ~taken[:, other.at(np.arange(total))].T
-    stays = np.logical_and.accumulate(free[::-1, -1])[::-1]  # for good, at the end
-    moves = np.zeros((total, count), bool)
-    stood = np.zeros((total, count), int)
-    stood[: begin + 1, 0] = wait
-    for t in range(begin, total - 1):
-        if stays[t] and (moves[t, -1] or stood[t, -1]):
-            return _backtrack(moves, stood, t)
-        goes = moves[t] | (stood[t] >= wait)
-        # Free in all corners of the cell of time and path: nobody is passed through.
-        clear = free[t + 1, 1:] & free[t, 1:] & free[t + 1, :-1]
-        moves[t + 1, 1:] = goes[:-1] & clear
-        stood[t + 1] = np.where(stood[t] > 0, stood[t] + 1, moves[t]) * free[t + 1]
-    return None
-
-
-def _backtrack(moves: np.ndarray, stood: np.ndarray, t: int) -> np.ndarray:
-    """The poses from 0 to an arrival at instant t."""
-    point, index = moves.shape[1] - 1, []
-    driving = bool(moves[t, point])
-    while point:
-        if driving:
-            index.append(point)
-            t, point = t - 1, point - 1
-            driving = bool(moves[t, point])
-        else:
-            pause = int(stood[t, point])
-            index += [point] * pause
-            t, driving = t - pause, True
-    return np.array((index + [0] * (t + 1))[::-1])
-
-
 ORDERS = 6
 BREADTH = 3  # cars of an order among which the one that parks first is next
 WAYS = 2  # of every car in a lot without others
@@ -494,20 +342,15 @@ class _Disc:
             -1, initial=np.inf
         )
         free = nearest > self.radius - CELL * np.sqrt(0.5)
-        self.centre, cells = centre[free], list(map(tuple, grid[free].tolist()))
-        index = {cell: number for number, cell in enumerate(cells)}
+        self.centre = centre[free]
+        index = {tuple(cell): k for k, cell in enumerate(grid[free].tolist())}
         self.beside = [
-            [
-                index[x, y]
-                for x, y in (np.array(cell) + STEPS).tolist()
-                if (x, y) in index
-            ]
-            for cell in cells
+            [index[at] for at in map(tuple, (cell + STEPS).tolist()) if at in index]
+            for cell in grid[free]
         ]
 
         def at(point: np.ndarray) -> int | None:
-            x, y = ((point + sight.extent) // CELL).astype(int).tolist()
-            return index.get((x, y))
+            return index.get(tuple(((point + sight.extent) // CELL).astype(int)))
 
         self.start = at(sight.pose[:2])
         self.left = self._steps_to(at(np.atleast_2d(sight.goal)[0, :2]))

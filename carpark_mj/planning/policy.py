@@ -23,6 +23,7 @@ from carpark_mj.planning.obstacles import FreeSpace, Solids
 from carpark_mj.planning.paths import (
     CREEP,
     CRUISE,
+    FASTEST,
     STANDING,
     Command,
     Driven,
@@ -30,6 +31,7 @@ from carpark_mj.planning.paths import (
     Progress,
     brake,
     centre,
+    hurry,
     rear_axle,
     track,
 )
@@ -49,6 +51,7 @@ PATIENCE = 20  # control steps until an agent that stands plans again
 PATIENCE_MOVERS = 40  # the same where there are movers, which often go away
 ASTRAY = 0.3  # m from the path: the agent replans
 MAX_PLANS = 6  # of an episode
+IN_TIME = 0.9  # of the time left: a path that takes longer is driven faster
 
 
 class Sight(NamedTuple):
@@ -90,9 +93,23 @@ class Agent:
         searches: of the running episode.
     """
 
-    def __init__(self, seed: Sequence[int], dt: float, config: SearchConfig) -> None:
-        """An agent without a path; `dt` is the control period [s]."""
+    def __init__(
+        self,
+        seed: Sequence[int],
+        dt: float,
+        config: SearchConfig,
+        seconds: float = math.inf,
+    ) -> None:
+        """An agent without a path.
+
+        Args:
+            seed: of its searches.
+            dt: control period [s].
+            config: how to search.
+            seconds: of an episode.
+        """
         self.searches: list[Search] = []
+        self._seconds = self._left = seconds
         self._seed, self._dt, self._config = tuple(seed), dt, config
         self._path: PlannedPath | None = None
         self._progress = Progress()
@@ -100,8 +117,9 @@ class Agent:
 
     def act(self, sight: Sight) -> tuple[float, float]:
         """Steer and pedal in [-1, 1]."""
+        self._left -= self._dt
         if sight.begins:
-            self.searches = []
+            self.searches, self._left = [], self._seconds
             self._plan(sight, sight.solids)
         command = self._follow(sight)
         if command is not None and command.error > ASTRAY:
@@ -128,11 +146,14 @@ class Agent:
         found = search(
             sight.pose, sight.goal, solids, sight.car, sight.extent, seed, self._config
         )
-        if found.path is not None or not self.searches:
-            self._path, self._progress = found.path, Progress()
+        path = found.path
+        if path is not None:
+            path = hurry(path, sight.car, IN_TIME * self._left)
+        if path is not None or not self.searches:
+            self._path, self._progress = path, Progress()
         self.searches.append(found)
 
-    def _follow(self, sight: Sight, pace: float = CRUISE) -> Command | None:
+    def _follow(self, sight: Sight, pace: float = FASTEST) -> Command | None:
         if self._path is None:
             return None
         driven = Driven(rear_axle(sight.car, sight.pose), sight.speed, sight.steering)
@@ -147,7 +168,8 @@ class Agent:
         stand = pose[still], size[still]
         if not self._is_free(sight, ROOM, GAP * CREEP / CRUISE, *stand):
             return 0.0
-        for pace in PACES:
+        top = CRUISE if self._path is None else self._path.cruise
+        for pace in PACES if top <= CRUISE else (top, *PACES):
             share = pace / CRUISE
             foreseen = FORESEEN if pace > CREEP else (0.0,)
             moves = (velocity * (share * seconds) for seconds in foreseen)
@@ -190,7 +212,11 @@ class Planner:
     """
 
     def __init__(
-        self, ctrl_dt: float, seed: int = 0, config: SearchConfig | None = None
+        self,
+        ctrl_dt: float,
+        seed: int = 0,
+        config: SearchConfig | None = None,
+        seconds: float = math.inf,
     ) -> None:
         """A planner without any paths.
 
@@ -198,8 +224,10 @@ class Planner:
             ctrl_dt: control period [s].
             seed: see `reset`.
             config: how to search; the defaults if None.
+            seconds: of an episode.
         """
         self._dt, self._config = ctrl_dt, config or SearchConfig()
+        self._seconds = seconds
         self.reset(seed)
 
     def reset(self, seed: int, first_lot: int = 0) -> None:
@@ -236,7 +264,7 @@ class Planner:
     def _agent(self, lot: int, agent: int) -> Agent:
         if (lot, agent) not in self.agents:
             seed = self._seed, self._first_lot + lot, agent
-            self.agents[lot, agent] = Agent(seed, self._dt, self._config)
+            self.agents[lot, agent] = Agent(seed, self._dt, self._config, self._seconds)
         return self.agents[lot, agent]
 
 
@@ -254,7 +282,7 @@ def planner_policy(
     seconds = env.config.episode.max_steps * dt
     # A path that takes most of an episode leaves no time to wait or to plan again.
     slow = min(SearchConfig.slow, SLOW * seconds)
-    planner = Planner(dt, seed, config or SearchConfig(slow=slow))
+    planner = Planner(dt, seed, config or SearchConfig(slow=slow), seconds)
     return StatePolicy(_callback(planner.act)), planner
 
 
@@ -310,7 +338,10 @@ def _look(state: State) -> dict[str, Any]:
     )
     boxes, discs = by_shape(lot_obstacles(layout, None, state.parked_cars))
     lead = state.goal.shape[:-1]
-    nothing = Boxes(jnp.zeros((*lead, 0, 3)), jnp.zeros((*lead, 0, 2)))
+    none = jnp.zeros((*lead, 0, 2))
+    movers = [Boxes(jnp.zeros((*lead, 0, 3)), none, none)]
+    movers += map(_outlines, state.movers.groups)
+    velocities: list[Any] = [group.velocity_w for group in movers]
     return {
         "active": state.active,
         "begins": state.step == 0,
@@ -323,8 +354,8 @@ def _look(state: State) -> dict[str, Any]:
         "car": state.physics.vehicle,
         **_joined("box", boxes),
         **_joined("disc", discs),
-        **_joined("mover", [nothing, *map(_outlines, state.movers.groups)]),
-        "mover_velocity": _velocities(state),
+        **_joined("mover", movers),
+        "mover_velocity": jnp.concatenate(velocities, axis=-2),
         "extent": layout.extent,
     }
 
@@ -344,20 +375,14 @@ def _joined(name: str, groups: Sequence[Group]) -> dict[str, jax.Array]:
 
 
 def _outlines(group: Group) -> Boxes:
-    """Boxes about the obstacles of a group (..., n)."""
-    if isinstance(group, Boxes):
-        return group
-    pose = jnp.pad(group.pose_w, [(0, 0)] * (group.pose_w.ndim - 1) + [(0, 1)])
-    return Boxes(pose, jnp.stack([2 * group.size] * 2, axis=-1), mask=group.mask)
-
-
-def _velocities(state: State) -> jax.Array:
-    """(..., n, 2) of all movers [m/s]."""
-    found = [jnp.zeros((*state.goal.shape[:-1], 0, 2))]
-    for group in state.movers.groups:
-        still = jnp.zeros((*group.pose_w.shape[:-1], 2))
-        found.append(still if group.velocity_w is None else group.velocity_w)
-    return jnp.concatenate(found, axis=-2)
+    """Boxes about the obstacles of a group (..., n), with velocities."""
+    pose, size, velocity = group.pose_w, group.size, group.velocity_w
+    if velocity is None:
+        velocity = jnp.zeros((*pose.shape[:-1], 2))
+    if not isinstance(group, Boxes):
+        pose = jnp.pad(pose, [(0, 0)] * (pose.ndim - 1) + [(0, 1)])
+        size = jnp.stack([2 * size] * 2, axis=-1)
+    return Boxes(pose, size, velocity, group.mask)
 
 
 def _solids(seen: dict[str, Any], lot: int) -> Solids:

@@ -103,10 +103,11 @@ def search(
         if not (space.is_free(*start) and space.is_free(*np.atleast_2d(goal)[0])):
             continue
         here = rear_axle(car, start)
-        tasks = [_Task(here, rear_axle(car, goals)) for goals in (poses, poses[::-1])]
+        ends = rear_axle(car, poses), rear_axle(car, poses[::-1])
         best: PlannedPath | None = None
         for number in range(config.most_searches):
-            path = _connect(tasks[number % 2], space, car, config, seeds[number])
+            goals = ends[number % 2]
+            path = _connect(here, goals, space, car, config, seeds[number])
             if path and (best is None or path.duration < best.duration):
                 best = path
             is_slow = best is not None and best.duration > config.slow
@@ -130,13 +131,6 @@ def _wrap(yaw: float) -> float:
     """The same direction in [-pi, pi): OMPL leaves out states beyond its bounds."""
     yaw = math.remainder(yaw, 2 * math.pi)
     return -math.pi if yaw == math.pi else yaw
-
-
-class _Task(NamedTuple):
-    """Poses of the rear axle: the start (3,), the goals (n, 3), the first preferred."""
-
-    start: np.ndarray
-    goals: np.ndarray
 
 
 @functools.cache
@@ -177,13 +171,17 @@ class _Counter:
 
 
 def _connect(
-    task: _Task,
+    start: np.ndarray,
+    goals: np.ndarray,
     space: FreeSpace,
     car: VehicleParameters,
     config: SearchConfig,
     seed: int,
 ) -> PlannedPath | None:
-    """One search and its path, shortened; None if it was given up."""
+    """One search and its path, shortened; None if it was given up.
+
+    Start (3,) and goals (n, 3), the preferred one first, are of the rear axle.
+    """
     base, geometric, util = _ompl()
     util.RNG.setSeed(max(seed, 1))  # 0 is none
     lock = car.max_steering * (1.0 - config.spare_steering)
@@ -205,11 +203,11 @@ def _connect(
     setup = geometric.SimpleSetup(curves)
     setup.setStateValidityChecker(count)
     information = setup.getSpaceInformation()
-    goals = base.GoalStates(information)
-    setup.addStartState(_state(curves, task.start))
-    for goal in task.goals:
-        goals.addState(_state(curves, goal))
-    setup.setGoal(goals)
+    ends = base.GoalStates(information)
+    setup.addStartState(_state(curves, start))
+    for goal in goals:
+        ends.addState(_state(curves, goal))
+    setup.setGoal(ends)
     planner = geometric.RRTConnect(information)
     planner.setRange(config.step)
     setup.setPlanner(planner)

@@ -1,1 +1,1 @@
-"""Driving by hand: controls, a lot to drive in, and what is recorded of it."""
+"""Driving by hand: controls, a lot to drive in, and recordings."""

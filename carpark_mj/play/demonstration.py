@@ -24,7 +24,7 @@ class Demonstration:
 
     Attributes:
         config: the environment.
-        seed: of the lot, see `carpark_mj.evaluation.keys.evaluation_key`.
+        seed: seed of the lot, see `carpark_mj.evaluation.keys.evaluation_key`.
         observations: (t, agents, observation_size) float32, before the steps.
         actions: (t, agents, size) float32.
         rewards: (t, agents) float32.

@@ -1,5 +1,6 @@
 """Driving by hand: keys and gamepads, a live lot that is recorded, its pictures."""
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path
@@ -14,7 +15,7 @@ from carpark_mj.play.demonstration import STEPS, Demonstration
 from carpark_mj.policy.acting import Step, as_argument
 from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.renderer import LotRenderer
-from carpark_mj.rendering.video import draw_labels, draw_status, write_video
+from carpark_mj.rendering.video import draw_labelled, write_video
 from carpark_mj.rendering.web import LiveLot
 
 LEFT, RIGHT = ("LEFT", "A"), ("RIGHT", "D")
@@ -58,7 +59,7 @@ def from_keys(
     Args:
         held: names of `KEYS`.
         before: the controls until now.
-        speed: of the car [m/s], forwards positive.
+        speed: speed of the car [m/s], forwards positive.
         seconds: since `before`.
     """
     wanted = _any(held, LEFT) - _any(held, RIGHT)
@@ -108,7 +109,7 @@ class DrivenLot(LiveLot):
         Args:
             env: of cars that steer.
             others: policy of the other agents.
-            seed: of the lot.
+            seed: seed of the lot.
             read: the actions (k, size) of the first k agents, asked for at the start of
                 every control step.
             keep: called before the lot restarts, with what has been recorded.
@@ -202,13 +203,7 @@ class Picture:
 
     def draw(self) -> np.ndarray:
         """The present instant, (height, width, 3) uint8."""
-        seen, renderer = self._lot.snapshot(), self._renderer
-        views = [
-            draw_labels(renderer.draw(seen, camera), renderer, seen, camera)
-            for camera in renderer.cameras
-        ]
-        views[-1] = draw_status(views[-1], seen)
-        return np.concatenate(views, axis=1)
+        return draw_labelled(self._lot.snapshot(), self._renderer)
 
     def close(self) -> None:
         """Frees the GL context."""
@@ -222,14 +217,11 @@ def record_video(lot: DrivenLot, camera: str, steps: int, path: Path) -> int:
         RenderingError: no GL.
         ValueError: no such camera, or another suffix than .mp4 or .gif.
     """
-    picture = Picture(lot, camera)
+    with contextlib.closing(Picture(lot, camera)) as picture:
 
-    def frames() -> Iterator[np.ndarray]:
-        for _ in range(steps * lot.traces):
-            lot.step()
-            yield picture.draw()
+        def frames() -> Iterator[np.ndarray]:
+            for _ in range(steps * lot.traces):
+                lot.step()
+                yield picture.draw()
 
-    try:
         return write_video(path, frames(), 1.0 / lot.stage.model.opt.timestep)
-    finally:
-        picture.close()

@@ -42,7 +42,7 @@ def choose_actions(
 
     Args:
         policy: any kind.
-        state: of the lots.
+        state: states of the lots.
         observation: (..., num_agents, observation_size).
         key: randomness, consumed.
     """

@@ -21,8 +21,21 @@ FORMAT = "carpark_mj checkpoint 1"
 _HEADER = "header"
 
 
-class CheckpointError(Exception):
+class CheckpointError(ValueError):
     """A checkpoint that is missing, truncated, foreign or does not fit."""
+
+
+@contextlib.contextmanager
+def refused_as(what: str) -> Generator[None]:
+    """Makes errors about values inside a `CheckpointError` that begins with `what`."""
+    try:
+        yield
+    except CheckpointError:
+        raise
+    except KeyError as error:
+        raise CheckpointError(f"{what}: no setting {error}") from None
+    except (TypeError, ValueError) as error:
+        raise CheckpointError(f"{what}: {error}") from None
 
 
 def _named_leaves(tree: Any) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.observations.fields import ORDERED
 from carpark_mj.policy import checkpoints
-from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import (
     NetworkConfig,
     Policy,
@@ -80,14 +79,13 @@ def load_policy(
     """
     require_float32()
     require_kind("env", env, EnvConfig | None)
-    path = latest_checkpoint(find_policy(run))
-    header = checkpoints.read_header(path, env_steps=int, config=dict)
-    own, parameters = _read(path, header)
+    path, header, own, parameters = _read(run)
     env = own if env is None else env
     config = network_config(header)
     _require_fit(run, config, own, env)
     if config is None:
-        policy = _algorithm(header).policy(parameters, header, env)
+        algorithm: Algorithm = ALGORITHMS[header["algorithm"]]
+        policy = algorithm.policy(parameters, header, env)
     else:
         networks = make_networks(config, make_fields(env), action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
@@ -105,32 +103,28 @@ def save_policy(run: str | Path, out: Path) -> None:
         CheckpointError: missing, damaged or foreign checkpoint.
         OSError: `out` cannot be written.
     """
-    path = latest_checkpoint(find_policy(run))
-    header = checkpoints.read_header(path, env_steps=int, config=dict)
-    _, parameters = _read(path, header)
+    _, header, _, parameters = _read(run)
     settings = header["config"]
     kept = {name: settings[name] for name in settings if name not in FOLDER_SETTINGS}
     checkpoints.save(out, parameters, header | {"config": kept})
 
 
-def _read(path: Path, header: dict[str, Any]) -> tuple[EnvConfig, Any]:
-    """The environment a policy was trained in, and its parameters by kind."""
+def _read(run: str | Path) -> tuple[Path, dict[str, Any], EnvConfig, Any]:
+    """Checkpoint of a policy, its header, its environment, its parameters by kind."""
+    path = latest_checkpoint(find_policy(run))
+    header = checkpoints.read_header(path, env_steps=int, config=dict)
     check_version(header, path)
-    try:
+    with checkpoints.refused_as(f"{path} has an unusable config"):
         env = from_dict(EnvConfig, header["config"]["env"])
         config = network_config(header)
         if config is None:
-            template = _algorithm(header).shapes(header, env)
+            template = ALGORITHMS[header["algorithm"]].shapes(header, env)
         else:
             shapes = network_shapes(config, env)
             template = {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
-    except KeyError as error:
-        raise CheckpointError(f"{path} has no setting {error}") from None
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} has an unusable config: {error}") from None
     parameters = checkpoints.load(path, template)
     checkpoints.require_finite(path, parameters)
-    return env, parameters
+    return path, header, env, parameters
 
 
 def network_config(header: dict[str, Any]) -> NetworkConfig | None:
@@ -138,10 +132,6 @@ def network_config(header: dict[str, Any]) -> NetworkConfig | None:
     if "algorithm" in header:
         return None
     return from_dict(NetworkConfig, header["config"]["networks"])
-
-
-def _algorithm(header: dict[str, Any]) -> Algorithm:
-    return ALGORITHMS[header["algorithm"]].load()
 
 
 def network_shapes(config: NetworkConfig, env: EnvConfig) -> dict[str, Any]:
@@ -177,6 +167,11 @@ def _require_fit(
             f"{run} was trained on other observations ({observation_size(own)} "
             f"numbers) than this environment's ({observation_size(env)}){number}"
         )
+    require_actions(run, own, env)
+
+
+def require_actions(run: str | Path, own: EnvConfig, env: EnvConfig) -> None:
+    """Refuses an environment with other actions than a run's `own` has."""
     if action_spec(env) != action_spec(own):
         raise ValueError(
             f"{run} was trained for other actions ({action_spec(own)}) than this "

@@ -122,7 +122,7 @@ class NetworkConfig(CheckedConfig):
     encoder: Literal["set", "flat"] = "set"
     own_size: Count = 128
     entity_size: Count = 64
-    # The first convolution has half of it.
+    # The first convolution has half as many channels.
     picture_size: Annotated[int, Bounds(ge=2)] = 64
     min_std: Positive = MIN_STD
 

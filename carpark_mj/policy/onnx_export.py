@@ -26,7 +26,8 @@ from carpark_mj.observations.compose import is_picture, join
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.networks import MIN_DEVIATION
-from carpark_mj.policy.onnx_program import BATCH, make_graph
+from carpark_mj.policy.onnx_graph import BATCH
+from carpark_mj.policy.onnx_program import make_graph
 from carpark_mj.policy.outside import INPUTS, PlainInput, Rows, sight_of
 
 OUTPUT = "action"
@@ -152,7 +153,7 @@ def random_observations(
     Args:
         config: the environment.
         typical: (count, size) observations of a roll-out.
-        seed: of the draws.
+        seed: seed of the draws.
 
     Returns:
         (count, size) float32.
@@ -303,9 +304,9 @@ def sensitivity(
 
     Args:
         loaded: the policy.
-        rows: of the model.
+        rows: rows of the model's inputs.
         known: inputs (count, *shape) by name; those that are missing are 0.
-        seed: of the directions in which the inputs are off.
+        seed: seed of the directions in which the inputs are off.
     """
     count = len(next(iter(known.values())))
     given = {

@@ -1,206 +1,29 @@
 """Programs of JAX as ONNX models: a table from primitives to operators.
 
-Shapes are static but for a batch, loops are unrolled, and constant expressions are
-computed here. A value may have a smaller shape than it stands for if it broadcasts to
-that shape, because operators broadcast.
+Loops are unrolled, and constant expressions are computed here.
 """
 
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import ShapeDtypeStruct as Form
 from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters.partial_eval import dce_jaxpr
 
-OPSET, IR_VERSION = 18, 8  # onnxruntime takes them from 1.14 on
-# The batch's size while a program is translated; no other size is a multiple of it.
-BATCH = 7919
+from carpark_mj.policy.onnx_graph import BATCH, Graph, Named, Value
+
 LONGEST_LOOP = 16  # iterations
 _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
 
 
-class Named(NamedTuple):
-    """A value that depends on inputs."""
-
-    name: str
-    shape: tuple[int, ...]
-    dtype: Any
-
-
-Value = Named | np.ndarray  # arrays are constants
-
-
-class Graph:
-    """Nodes and constants; both are named by number."""
-
-    def __init__(self, batched: str = "") -> None:
-        """Begins an empty one; `batched` names an input whose first axis is a batch."""
-        self._batched = batched
-        self._nodes: list[Any] = []
-        self._constants: dict[tuple[Any, ...], Any] = {}
-        self._joined: dict[str, tuple[int, list[Value]]] = {}
-        self._reshaped: dict[str, Named] = {}  # what it was before
-        self._known: dict[Any, Named] = {}
-
-    def add(self, kind: str, *values: Value, like: Any, **attributes: Any) -> Named:
-        """Adds a node of one output, whose shape and dtype are those of `like`."""
-        from onnx import helper
-
-        inputs = [self._name(value) for value in values]
-        key = (kind, *inputs, *map(str, attributes.items()))
-        if key not in self._known:
-            name = f"v{len(self._nodes)}"
-            self._nodes.append(helper.make_node(kind, inputs, [name], **attributes))
-            self._known[key] = Named(name, tuple(like.shape), np.dtype(like.dtype))
-        return self._known[key]
-
-    def _name(self, value: Value) -> str:
-        from onnx import numpy_helper
-
-        if isinstance(value, Named):
-            return value.name
-        key = (value.dtype.str, value.shape, value.tobytes())
-        if key not in self._constants:
-            name = f"c{len(self._constants)}"
-            self._constants[key] = numpy_helper.from_array(value, name)
-        return self._constants[key].name
-
-    def elementwise(self, kind: str, dtype: Any, *values: Value, **more: Any) -> Named:
-        """Adds an operator that broadcasts its values."""
-        shape = np.broadcast_shapes(*(value.shape for value in values))
-        return self.add(kind, *values, like=jax.ShapeDtypeStruct(shape, dtype), **more)
-
-    def cast(self, value: Value, dtype: Any) -> Value:
-        """The value as another dtype."""
-        from onnx import helper
-
-        if isinstance(value, np.ndarray):
-            return value.astype(dtype)
-        if value.dtype == dtype:
-            return value
-        to = helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
-        return self.elementwise("Cast", dtype, value, to=to)
-
-    def reshape(self, value: Value, shape: Sequence[int]) -> Value:
-        """The same numbers in another shape."""
-        if isinstance(value, np.ndarray):
-            return value.reshape(shape)
-        before = self._reshaped.get(value.name, value)
-        found = self._shaped("Reshape", before, shape)
-        if found is not before:
-            self._reshaped[found.name] = before
-        return found
-
-    def expand(self, value: Value, shape: Sequence[int]) -> Value:
-        """The value in the whole shape that it stands for."""
-        if value.shape == tuple(shape):
-            return value
-        if BATCH not in shape:
-            if isinstance(value, np.ndarray):
-                return np.broadcast_to(value, shape)
-            return self._shaped("Expand", value, shape)
-        one = jax.ShapeDtypeStruct((1,), np.int64)
-        batch = Named(self._batched, (BATCH,), np.int64)
-        size = self.add("Shape", batch, like=one, start=0, end=1)
-        sizes = [size if n == BATCH else np.array([n], np.int64) for n in shape]
-        whole = self.join(sizes, 0, jax.ShapeDtypeStruct((len(shape),), np.int64))
-        like = jax.ShapeDtypeStruct(shape, value.dtype)
-        return self.add("Expand", value, whole, like=like)
-
-    def transpose(self, value: Value, order: Sequence[int]) -> Value:
-        """The axes in another order."""
-        if isinstance(value, np.ndarray):
-            return value.transpose(order)
-        if list(order) == sorted(order):
-            return value
-        shape = [value.shape[axis] for axis in order]
-        like = jax.ShapeDtypeStruct(shape, value.dtype)
-        return self.add("Transpose", value, like=like, perm=list(order))
-
-    def join(self, values: Sequence[Value], axis: int, like: Any) -> Named:
-        """Concatenates values."""
-        found = self.add("Concat", *values, like=like, axis=axis)
-        self._joined[found.name] = axis, list(values)
-        return found
-
-    def slice(
-        self,
-        value: Value,
-        starts: Sequence[int],
-        ends: Sequence[int],
-        steps: Sequence[int] | None = None,
-    ) -> Value:
-        """A part of a value; taken from a joined value if that contains it."""
-        steps = steps or [1] * len(starts)
-        if isinstance(value, np.ndarray):
-            return value[tuple(map(slice, starts, ends, steps))]
-        axis, parts = self._joined.get(value.name, (0, []))
-        begin = 0
-        for part in parts:
-            low, high = starts[axis] - begin, ends[axis] - begin
-            if 0 <= low < high <= part.shape[axis]:
-                starts, ends = (
-                    [*bounds[:axis], at, *bounds[axis + 1 :]]
-                    for bounds, at in ((starts, low), (ends, high))
-                )
-                return self.slice(part, starts, ends, steps)
-            begin += part.shape[axis]
-        shape = [
-            -(-(b - a) // step) for a, b, step in zip(starts, ends, steps, strict=True)
-        ]
-        if tuple(shape) == value.shape:
-            return value
-        axes = [k for k, size in enumerate(value.shape) if size != shape[k]]
-        places = range(len(shape))
-        bounds = (np.array(x, np.int64)[axes] for x in (starts, ends, places, steps))
-        like = jax.ShapeDtypeStruct(shape, value.dtype)
-        return self.add("Slice", value, *bounds, like=like)
-
-    def _shaped(self, kind: str, value: Named, shape: Sequence[int]) -> Named:
-        if value.shape == tuple(shape):
-            return value
-        like = jax.ShapeDtypeStruct(shape, value.dtype)
-        sizes = [-1 if n and n % BATCH == 0 else n for n in shape]
-        return self.add(kind, value, np.array(sizes, np.int64), like=like)
-
-    def model(self, inputs: Sequence[Named], outputs: Mapping[str, Value]) -> Any:
-        """The model (`onnx.ModelProto`), without nodes that no output needs."""
-        from onnx import helper
-
-        for name, value in outputs.items():
-            node = helper.make_node("Identity", [self._name(value)], [name])
-            self._nodes.append(node)
-        needed, nodes = set(outputs), []
-        for node in reversed(self._nodes):
-            if node.output[0] in needed:
-                needed.update(node.input)
-                nodes.append(node)
-        made = helper.make_graph(
-            nodes[::-1],
-            "carpark_mj",
-            [_describe(x.name, x) for x in inputs if self._batched or x.name in needed],
-            [_describe(name, value) for name, value in outputs.items()],
-            [x for x in self._constants.values() if x.name in needed],
-        )
-        opset = helper.make_opsetid("", OPSET)
-        return helper.make_model(made, opset_imports=[opset], ir_version=IR_VERSION)
-
-
-def _describe(name: str, value: Any) -> Any:
-    from onnx import helper
-
-    kind = helper.np_dtype_to_tensor_dtype(np.dtype(value.dtype))
-    shape = ["batch" if size == BATCH else size for size in value.shape]
-    return helper.make_tensor_value_info(name, kind, shape)
-
-
 def make_graph(
     function: Callable[..., Mapping[str, jax.Array]],
-    inputs: Mapping[str, jax.ShapeDtypeStruct],
+    inputs: Mapping[str, Form],
 ) -> Any:
     """The ONNX model (`onnx.ModelProto`) of a function.
 
@@ -324,10 +147,12 @@ def _broadcast(graph: Graph, value: Value, **params: Any) -> Value:
     return graph.reshape(value, [sizes.get(axis, 1) for axis in range(len(shape))])
 
 
-def _plain(kind: str) -> Callable[..., Value]:
+def _operator(kind: str, **attributes: Any) -> Callable[..., Value]:
+    """Adds one operator, whatever the primitive's parameters."""
+
     def add(graph: Graph, dtype: Any, *values: Value, **params: Any) -> Value:
         del params
-        return graph.elementwise(kind, dtype, *values)
+        return graph.elementwise(kind, dtype, *values, **attributes)
 
     return add
 
@@ -351,27 +176,15 @@ def _select(graph: Graph, dtype: Any, which: Value, no: Value, yes: Value) -> Va
     return graph.elementwise("Or", bool, first, second)
 
 
-def _remainder(graph: Graph, dtype: Any, *values: Value) -> Value:
-    return graph.elementwise("Mod", dtype, *values, fmod=1)  # of the dividend's sign
-
-
-def _square(graph: Graph, dtype: Any, value: Value) -> Value:
-    return graph.elementwise("Mul", dtype, value, value)
-
-
-def _power(graph: Graph, dtype: Any, value: Value, y: int) -> Value:
+def _power(graph: Graph, dtype: Any, value: Value, y: int = 2) -> Value:
     if y == 2:
-        return _square(graph, dtype, value)
+        return graph.elementwise("Mul", dtype, value, value)
     return graph.elementwise("Pow", dtype, value, np.asarray(y, dtype))
 
 
 def _inverse_root(graph: Graph, dtype: Any, value: Value, **params: Any) -> Value:
     root = graph.elementwise("Sqrt", dtype, value)
     return graph.elementwise("Reciprocal", dtype, root)
-
-
-def _cast(graph: Graph, dtype: Any, value: Value, **params: Any) -> Value:
-    return graph.cast(value, dtype)
 
 
 def _clamp(graph: Graph, dtype: Any, low: Value, value: Value, high: Value) -> Value:
@@ -387,36 +200,24 @@ _SAME = (
 )
 # By primitive: of values that broadcast.
 _ELEMENTWISE: dict[str, Callable[..., Value]] = {
-    **{name: _plain(name.capitalize()) for name in _SAME},
+    **{name: _operator(name.capitalize()) for name in _SAME},
     "clamp": _clamp,
-    "convert_element_type": _cast,
-    "eq": _plain("Equal"),
-    "ge": _plain("GreaterOrEqual"),
-    "gt": _plain("Greater"),
+    "convert_element_type": lambda graph, dtype, value, **_: graph.cast(value, dtype),
+    "eq": _operator("Equal"),
+    "ge": _operator("GreaterOrEqual"),
+    "gt": _operator("Greater"),
     "integer_pow": _power,
     "is_finite": _is_finite,
-    "le": _plain("LessOrEqual"),
-    "logistic": _plain("Sigmoid"),
-    "lt": _plain("Less"),
+    "le": _operator("LessOrEqual"),
+    "logistic": _operator("Sigmoid"),
+    "lt": _operator("Less"),
     "ne": _not_equal,
-    "rem": _remainder,
+    "rem": _operator("Mod", fmod=1),  # of the dividend's sign
     "rsqrt": _inverse_root,
     "select_n": _select,
-    "square": _square,
+    "square": _power,
     "stop_gradient": lambda graph, dtype, value: value,
 }
-
-
-def _reshape(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
-    return graph.reshape(value, like.shape)
-
-
-def _transpose(graph: Graph, like: Any, value: Value, permutation: Any) -> Value:
-    return graph.transpose(value, permutation)
-
-
-def _concatenate(graph: Graph, like: Any, *values: Value, dimension: int) -> Value:
-    return graph.join([x for x in values if 0 not in x.shape], dimension, like)
 
 
 def _stack(graph: Graph, like: Any, *values: Value, axis: int) -> Value:
@@ -427,7 +228,7 @@ def _stack(graph: Graph, like: Any, *values: Value, axis: int) -> Value:
 def _split(graph: Graph, likes: Any, value: Value, sizes: Any, axis: int) -> Any:
     del likes
     edges = np.cumsum([0, *sizes]).tolist()
-    return [_slice_axis(graph, value, axis, *two) for two in itertools.pairwise(edges)]
+    return [graph.part(value, axis, *two) for two in itertools.pairwise(edges)]
 
 
 def _slice(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
@@ -436,11 +237,12 @@ def _slice(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
     return graph.slice(value, starts, ends, params["strides"])
 
 
-def _slice_axis(graph: Graph, value: Value, axis: int, start: int, end: int) -> Value:
-    """What lies from `start` to `end` along an axis."""
-    starts, ends = [0] * len(value.shape), list(value.shape)
-    starts[axis], ends[axis] = start, end
-    return graph.slice(value, starts, ends)
+def _concatenate(graph: Graph, like: Any, *values: Value, dimension: int) -> Value:
+    return graph.join([x for x in values if 0 not in x.shape], dimension, like)
+
+
+def _reshape(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
+    return graph.reshape(value, like.shape)
 
 
 def _pad(graph: Graph, like: Any, value: Value, fill: Value, **params: Any) -> Value:
@@ -456,15 +258,12 @@ def _reduce(kind: str) -> Callable[..., Value]:
         pair = [value.shape[axis] for axis in axes] == [2] and value.dtype.kind == "f"
         if pair and kind != "ReduceSum":
             # onnxruntime's extremes of two keep NaN, those along an axis drop it.
-            one, other = (
-                _slice_axis(graph, value, int(axes[0]), k, k + 1) for k in (0, 1)
-            )
-            found = graph.elementwise(kind[-3:], like.dtype, one, other)
+            two = (graph.part(value, int(axes[0]), k, k + 1) for k in (0, 1))
+            found = graph.elementwise(kind[-3:], like.dtype, *two)
             return graph.reshape(found, like.shape)
         if value.dtype != bool:
             return graph.add(kind, value, axes, like=like, keepdims=0)
-        number = graph.cast(value, np.int32)
-        whole = jax.ShapeDtypeStruct(like.shape, np.int32)
+        number, whole = graph.cast(value, np.int32), Form(like.shape, np.int32)
         found = graph.add(kind, number, axes, like=whole, keepdims=0)
         return graph.cast(found, bool)
 
@@ -474,7 +273,7 @@ def _reduce(kind: str) -> Callable[..., Value]:
 def _arg_reduce(kind: str) -> Callable[..., Value]:
     def add(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
         [axis] = params["axes"]
-        whole = jax.ShapeDtypeStruct(like.shape, np.int64)
+        whole = Form(like.shape, np.int64)
         if value.dtype == bool:
             value = graph.cast(value, np.int32)
         found = graph.add(kind, value, like=whole, axis=axis, keepdims=0)
@@ -499,7 +298,7 @@ def _dot_general(graph: Graph, like: Any, a: Value, b: Value, **params: Any) -> 
     shape = (left.shape[0], left.shape[1], right.shape[2])
     if shape[0] == 1:
         left, right = (graph.reshape(x, x.shape[1:]) for x in (left, right))
-    like_matrix = jax.ShapeDtypeStruct(shape[shape[0] == 1 :], like.dtype)
+    like_matrix = Form(shape[shape[0] == 1 :], like.dtype)
     found = graph.add("MatMul", left, right, like=like_matrix)
     return graph.reshape(found, like.shape)
 
@@ -510,7 +309,7 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
     lead, batch = at.shape[:-1], numbers.operand_batching_dims
     starts, moving = [0] * len(value.shape), {}
     for k, axis in enumerate(numbers.start_index_map):
-        index = graph.reshape(_slice_axis(graph, at, len(lead), k, k + 1), lead)
+        index = graph.reshape(graph.part(at, len(lead), k, k + 1), lead)
         if isinstance(index, Named) or np.ptp(index):
             moving[axis] = index
         else:
@@ -538,7 +337,7 @@ def _gather(graph: Graph, like: Any, value: Value, at: Value, **params: Any) -> 
         inside = graph.elementwise("And", bool, inside, same)
         row = graph.elementwise("Mul", np.int32, row, np.asarray(count, np.int32))
         row = graph.elementwise("Add", np.int32, row, clipped)
-    shape = jax.ShapeDtypeStruct((*lead, *whole), value.dtype)
+    shape = Form((*lead, *whole), value.dtype)
     row = graph.expand(row, lead)
     found: Value = graph.add("Gather", table, row, like=shape, axis=0)
     if params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP and moving:
@@ -572,5 +371,5 @@ _SHAPED: dict[str, Callable[..., Any]] = {
     "split": _split,
     "squeeze": _reshape,
     "stack": _stack,
-    "transpose": _transpose,
+    "transpose": lambda graph, like, x, permutation: graph.transpose(x, permutation),
 }

@@ -150,7 +150,7 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
     """The view of a car from all of `INPUTS`, by name."""
 
     def cars(name: str) -> jax.Array:
-        """Of the own car, then of the others; zeros if these do not communicate."""
+        """Values of the own car, then of the others; zeros without communication."""
         own = given[name][None]
         none = jnp.zeros((rows.others, *own.shape[1:]))
         return jnp.concatenate([own, given.get(f"other_{name}", none)])

@@ -11,7 +11,6 @@ each with its model card `<name>.md`.
 """
 
 import dataclasses
-import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,89 +20,58 @@ from carpark_mj.config import (
     ENCODERS,
     PHYSICS,
     ExtraTerms,
-    LayoutConfig,
-    PhysicsConfig,
 )
-from carpark_mj.config.checks import require_kind, require_type
-from carpark_mj.extensions import Entry, Registry, unknown_name
+from carpark_mj.config.checks import require_kind
+from carpark_mj.extensions import Registry, unknown_name
 from carpark_mj.layouts.base import FAMILIES
-from carpark_mj.obstacles import MOVERS, Mover
+from carpark_mj.obstacles import MOVERS
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.checkpoints import CheckpointError
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
 CONFIG_VERSION = 4
-_WIDER: dict[Any, Any] = {  # types of values that flags know the names of only
-    str: LayoutConfig | PhysicsConfig | str,
-    tuple[str, ...]: tuple[Mover | str, ...],
+# Parts by name, which their settings have in this entry.
+_NAMED: dict[str, Mapping[str, Any]] = {
+    "mover": MOVERS,
+    "family": FAMILIES,
+    "encoding": ENCODERS,
+    "back_end": PHYSICS,
 }
 # By `algorithm` in the header of checkpoints without networks, see `loading.Algorithm`.
-ALGORITHMS: Registry[Entry] = Registry("algorithm")
+ALGORITHMS: Registry[Any] = Registry("algorithm")
 FOLDER = Path(__file__).resolve().parent / "pretrained"
 
 
 def from_dict(cls: Any, data: Any) -> Any:
-    """Rebuilds a frozen dataclass from a dictionary of `dataclasses.asdict`.
-
-    In a union of dataclasses a tag, a field with a `Literal` of one value, selects the
-    class.
-    """
+    """Rebuilds a config, which checks itself, from a dictionary of its `asdict`."""
     if not isinstance(data, dict):
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
     hints = typing.get_type_hints(cls)
     names = {field.name for field in dataclasses.fields(cls)}
     for unknown in sorted(set(data) - names):
         raise ValueError(unknown_name(f"{cls.__name__} setting", unknown, names))
-    values = {name: from_json(name, hints[name], value) for name, value in data.items()}
-    for name, value in values.items():
-        require_type(name, value, _WIDER.get(hints[name], hints[name]))
-    return cls(**values)
+    return cls(**{name: from_json(hints[name], value) for name, value in data.items()})
 
 
-def from_json(name: str, hint: Any, value: Any) -> Any:
-    """Rebuilds a value of the type `hint` from its JSON; `name` is for messages."""
-    if dataclasses.is_dataclass(hint):
-        return from_dict(hint, value)
-    if hint is ExtraTerms and isinstance(value, dict):
-        return ExtraTerms(value)
-    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
-    members = typing.get_args(hint) if union else ()
-    classes = [member for member in members if dataclasses.is_dataclass(member)]
-    if not classes or not isinstance(value, dict):
-        return _plain_value(value)
-    for cls in classes:
-        if all(value.get(tag) == only for tag, only in _tags(cls).items()):
-            return from_dict(cls, value)
-    raise ValueError(
-        f"{name} must be one of {[_tags(cls) for cls in classes]}, not "
-        f"{ {tag: value.get(tag) for cls in classes for tag in _tags(cls)} }"
-    )
+def from_json(hint: Any, value: Any) -> Any:
+    """Rebuilds a value of a type from its JSON.
 
-
-def _tags(cls: Any) -> dict[str, Any]:
-    """The fields of a dataclass that can have one value only, and that value."""
-    hints = typing.get_type_hints(cls)
-    choices = {
-        field.name: typing.get_args(hints[field.name])
-        for field in dataclasses.fields(cls)
-        if typing.get_origin(hints[field.name]) is typing.Literal
-    }
-    return {name: values[0] for name, values in choices.items() if len(values) == 1}
-
-
-def _plain_value(value: Any) -> Any:
-    """Lists become tuples, and settings of parts that have a name their config."""
+    Lists become tuples, and settings of parts that have a name their config.
+    """
+    for kind in (hint, *typing.get_args(hint)):  # of a union the one that is a config
+        if dataclasses.is_dataclass(kind) and (kind is hint or isinstance(value, dict)):
+            return from_dict(kind, value)
     if isinstance(value, list | tuple):
-        return tuple(_plain_value(item) for item in value)
-    if isinstance(value, dict) and "mover" in value:
-        return from_dict(type(MOVERS[value["mover"]]), value)
-    if isinstance(value, dict) and "family" in value:
-        return from_dict(FAMILIES[value["family"]], value)
-    if isinstance(value, dict) and "encoding" in value:
-        return from_dict(ENCODERS[value["encoding"]], value)
-    if isinstance(value, dict) and "back_end" in value:
-        return from_dict(type(PHYSICS[value["back_end"]]), value)
+        return tuple(from_json(None, item) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if hint is ExtraTerms:
+        return ExtraTerms(value)
+    for tag, parts in _NAMED.items():
+        if tag in value:
+            part: Any = parts[value[tag]]
+            return from_dict(part if isinstance(part, type) else type(part), value)
     return value
 
 

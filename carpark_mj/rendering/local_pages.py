@@ -2,18 +2,16 @@
 
 import re
 from collections.abc import Sequence
+from typing import Annotated
+
+from carpark_mj.config.checks import Bounds
 
 # No other page may frame ours, where it could direct clicks.
 NO_FRAMES = "frame-ancestors 'none'"
 HOST, PORT = "localhost", 8080
-LAST_PORT = 65_535
+# Bounded: viser would silently choose another one.
+Port = Annotated[int, Bounds(ge=1, le=65_535)]
 LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
-
-
-def check_port(port: int) -> None:
-    """Refuses a number that is not a port; viser would silently choose another one."""
-    if not 1 <= port <= LAST_PORT:
-        raise ValueError(f"port must be 1 to {LAST_PORT}, not {port}")
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | None:

@@ -86,7 +86,7 @@ FLASH_COLOURS = {
 }
 
 
-class RenderingError(Exception):
+class RenderingError(OSError):
     """OpenGL is not available, or there is no display."""
 
 

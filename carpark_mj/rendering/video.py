@@ -241,6 +241,11 @@ def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.nd
     """Draws one recorded instant with its labels, (height, width, 3) uint8."""
     seen = snapshot(recording, index)
     renderer.place(seen)
+    return draw_labelled(seen, renderer)
+
+
+def draw_labelled(seen: Snapshot, renderer: LotRenderer) -> np.ndarray:
+    """Draws an instant with labels and status, (height, width, 3) uint8."""
     views = [
         draw_labels(renderer.draw(seen, camera), renderer, seen, camera)
         for camera in renderer.cameras
@@ -256,6 +261,23 @@ def frame_stride(recording: Recording, fps: float) -> int:
     """
     wanted = round(frames_per_second(recording) / fps)
     return min(max(1, wanted), num_frames(recording))
+
+
+def frame_indices(
+    recording: Recording, fps: float, faster: float = 1.0, hold: int = 0
+) -> tuple[list[int], float]:
+    """Which recorded instants a video shows, and its frames per second.
+
+    Args:
+        recording: to show.
+        fps: frames per second; the nearest that the recording allows.
+        faster: times as fast as driven.
+        hold: how many frames longer the last instant is shown.
+    """
+    stride = frame_stride(recording, fps / faster)
+    last = num_frames(recording) - 1
+    indices = [*range(stride - 1, last + 1, stride), *[last] * hold]
+    return indices, faster * frames_per_second(recording) / stride
 
 
 def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:

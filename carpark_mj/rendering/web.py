@@ -12,6 +12,7 @@ import numpy as np
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.layouts.types import VERGE_GAP
 from carpark_mj.mdp.parked_cars import AWAY
 from carpark_mj.policy.acting import (
     AnyPolicy,
@@ -26,7 +27,7 @@ from carpark_mj.rendering.recording import Snapshot, aimed_at, parked_trace
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
 from carpark_mj.scene.looks import ASPHALT, agent_colour
-from carpark_mj.scene.parts import GROUND, VERGE_GAP
+from carpark_mj.scene.parts import GROUND
 from carpark_mj.types import ENDINGS, State
 
 

@@ -13,15 +13,8 @@ import numpy as np
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import cameras, looks, markings, parts
-from carpark_mj.scene.markings import add_bay_numbers
 from carpark_mj.scene.movers import add_movers
-from carpark_mj.vehicle.contact_wheels import (
-    FULL_BRAKE,
-    add_contact_wheels,
-    add_controls,
-    rolling_loss,
-    set_contact_options,
-)
+from carpark_mj.vehicle import contact_wheels as contact
 from carpark_mj.vehicle.mjcf import add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
@@ -67,7 +60,7 @@ def build_scene(
     parts.add_verge(spec, extent)
     markings.add_bay_lines(spec, layout)
     markings.add_lane_arrows(spec, layout)
-    add_bay_numbers(spec, layout)
+    markings.add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_discs(spec, layout)
     add_movers(spec, movers)
@@ -82,10 +75,12 @@ def build_scene(
             suspension=suspension,
         )
     if contact_wheels:
-        set_contact_options(spec)
+        contact.set_contact_options(spec)
         for k in range(num_agents):
-            add_contact_wheels(spec, params, f"agent{k}/", parts.GROUND, suspension)
-            add_controls(spec, params, f"agent{k}/")
+            contact.add_contact_wheels(
+                spec, params, f"agent{k}/", parts.GROUND, suspension
+            )
+            contact.add_controls(spec, params, f"agent{k}/")
     parts.add_lights(spec, extent)
     cameras.add_lot_cameras(spec, extent)
     return spec
@@ -172,11 +167,11 @@ def rest_attitude(
 ) -> tuple[float, float]:
     """Height [m] and pitch [rad] at which a car on contact wheels is at rest."""
     spec = mujoco.MjSpec()
-    set_contact_options(spec)
+    contact.set_contact_options(spec)
     parts.add_ground(spec)
     add_car(spec.worldbody, spec, params, "", servos=False, suspension=suspension)
-    add_contact_wheels(spec, params, "", parts.GROUND, suspension)
-    add_controls(spec, params, "")
+    contact.add_contact_wheels(spec, params, "", parts.GROUND, suspension)
+    contact.add_controls(spec, params, "")
     model = spec.compile()
     data = mujoco.MjData(model)
     for _ in range(round(SETTLING / model.opt.timestep)):
@@ -195,11 +190,7 @@ def _place(
     x, y, yaw = (float(value) for value in centre)
     offset = params.centre_offset
     body.pos = [x - offset * math.cos(yaw), y - offset * math.sin(yaw), height]
-    turn, tilt, quat = np.zeros((3, 4))
-    mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), yaw)
-    mujoco.mju_axisAngle2Quat(tilt, np.array([0.0, 1.0, 0.0]), pitch)
-    mujoco.mju_mulQuat(quat, turn, tilt)
-    body.quat = quat
+    body.quat = parts.yaw_quat(yaw, pitch)
 
 
 def scene_xml(
@@ -217,8 +208,8 @@ def scene_xml(
         rate=params.steering_rate,
         reverse=-params.max_reverse_speed / params.max_speed,
         speed=params.max_speed,
-        loss=rolling_loss(params),
-        brake=FULL_BRAKE * params.tyre.friction * GRAVITY,
+        loss=contact.rolling_loss(params),
+        brake=contact.FULL_BRAKE * params.tyre.friction * GRAVITY,
         grip=params.tyre.friction * GRAVITY,
         friction=params.tyre.friction,
     )

@@ -54,6 +54,11 @@ def loft(rings: np.ndarray) -> trimesh.Trimesh:
     return make_mesh(rings.reshape(-1, 3), faces)
 
 
+def loft_mirrored(left: np.ndarray) -> trimesh.Trimesh:
+    """A skin over rings of which (stations, points, 3) [m] is the left half."""
+    return loft(np.concatenate([left, left[:, ::-1] * [1.0, -1.0, 1.0]], axis=1))
+
+
 def revolve(profile: np.ndarray, sections: int) -> trimesh.Trimesh:
     """A closed profile (points, 2) of (radius, y) [m] turned about the y axis."""
     points = len(profile)
@@ -199,9 +204,7 @@ def _shell(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     y = half[:, None] * _SECTION
     lean = np.maximum(0.0, 1.0 - u / 0.07) - np.maximum(0.0, 1.0 - (1.0 - u) / 0.05)
     along = x[:, None] - lean[:, None] * _LEAN
-    left = np.stack([along, y, z], -1)
-    right = left[:, ::-1] * [1.0, -1.0, 1.0]
-    return loft(np.concatenate([left, right], axis=1))
+    return loft_mirrored(np.stack([along, y, z], -1))
 
 
 def _cabin(
@@ -224,10 +227,9 @@ def _cabin(
     left = np.stack([fore * centre, fore, middle, aft, aft * centre], 1)
     left[:, 0, 0] += 0.05
     left[:, -1, 0] -= 0.02
-    rings = np.concatenate([left, left[:, ::-1] * [1.0, -1.0, 1.0]], axis=1)
     side = np.stack([fore, middle, aft])
     pillars = [_pillar(side, a, b, sign) for a, b in style.pillars for sign in (1, -1)]
-    return loft(rings), merge([_roof(params, left[-1]), *pillars])
+    return loft_mirrored(left), merge([_roof(params, left[-1]), *pillars])
 
 
 def _pillar(side: np.ndarray, start: float, end: float, sign: int) -> trimesh.Trimesh:
@@ -256,8 +258,8 @@ def _roof(params: VehicleParameters, rim: np.ndarray) -> trimesh.Trimesh:
     across, down = np.array([1.0, 0.96, 0.72]), np.array([1.0, 0.35, 0.0])
     y = wide[:, None] * across
     z = top[:, None] - down * (top - low)[:, None]
-    left = np.stack([np.broadcast_to(x[:, None], y.shape), y, z], -1)
-    return loft(np.concatenate([left, left[:, ::-1] * [1.0, -1.0, 1.0]], axis=1))
+    x = np.broadcast_to(x[:, None], y.shape)
+    return loft_mirrored(np.stack([x, y, z], -1))
 
 
 def _pair(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:
@@ -336,42 +338,30 @@ def _shade(params: VehicleParameters) -> trimesh.Trimesh:
         across = np.array([y - corner, y, y, y - corner])
         z = 0.004 + 0.001 * np.array([k, k + 0.5])
         low, high = (np.stack([along, across, np.full(4, h)], -1) for h in z)
-        left = np.stack([low, high], axis=1)
-        sheets.append(
-            loft(np.concatenate([left, left[:, ::-1] * [1.0, -1.0, 1.0]], axis=1))
-        )
+        sheets.append(loft_mirrored(np.stack([low, high], axis=1)))
     return merge(sheets)
+
+
+def _both_ways(side: list[tuple[float, float]]) -> np.ndarray:
+    """A profile of (radius, y) that is the same at -y, from its half at +y."""
+    return np.array([(r, -y) for r, y in side] + side[::-1])
 
 
 def _tyre(params: VehicleParameters) -> trimesh.Trimesh:
     """Tread, shoulders and side walls down to the rim, and a dark disc inside it."""
     radius, half = params.wheel_radius, params.tyre_width / 2
     inner = RIM * radius
-    profile = [
-        (inner, -0.92 * half),
-        (0.90 * radius, -half),
-        (radius, -0.80 * half),
-        (radius, 0.80 * half),
-        (0.90 * radius, half),
-        (inner, 0.92 * half),
-    ]
-    disc = [
-        (0.04, -0.55 * half),
-        (inner + 0.01, -0.55 * half),
-        (inner + 0.01, 0.55 * half),
-        (0.04, 0.55 * half),
-    ]
-    return merge(
-        [revolve(np.array(profile), SECTIONS), revolve(np.array(disc), SECTIONS)]
-    )
+    outline = [(inner, 0.92 * half), (0.90 * radius, half), (radius, 0.80 * half)]
+    disc = [(0.04, 0.55 * half), (inner + 0.01, 0.55 * half)]
+    return merge([revolve(_both_ways(side), SECTIONS) for side in (outline, disc)])
 
 
 def _rim(params: VehicleParameters) -> trimesh.Trimesh:
     """A flange, a hub and spokes, alike on both sides of the wheel."""
     radius, half = RIM * params.wheel_radius, 0.93 * params.tyre_width / 2
     flange = [(radius - 0.022, 0.0), (radius, -half), (radius, half)]
-    hub = [(0.02, -half), (0.24 * radius, -half), (0.24 * radius, half), (0.02, half)]
-    parts = [revolve(np.array(flange), SECTIONS), revolve(np.array(hub), 10)]
+    hub = _both_ways([(0.02, half), (0.24 * radius, half)])
+    parts = [revolve(np.array(flange), SECTIONS), revolve(hub, 10)]
     long, wide = radius - 0.01, 0.075 * params.wheel_radius
     for k in range(SPOKES):
         angle = 2 * np.pi * k / SPOKES

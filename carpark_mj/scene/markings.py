@@ -1,49 +1,53 @@
 """Paint on the asphalt: bay lines and numbers, and arrows along one-way lanes."""
 
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
 import trimesh
 
-from carpark_mj.layouts.types import (
-    ARROW_HEAD,
-    ARROW_HEIGHT,
-    ARROW_LENGTH,
-    ARROW_SHAFT,
-    ARROW_SPACING,
-    ARROW_WIDTH,
-    LINE_HEIGHT,
-    LINE_WIDTH,
-    Layout,
-)
+from carpark_mj.layouts import types as paint
+from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import looks
 from carpark_mj.scene.cameras import view_yaw
 from carpark_mj.scene.car_mesh import add_mesh, merge
 from carpark_mj.scene.parts import yaw_quat
 
 
+def _paint(
+    spec: mujoco.MjSpec, name: str, pose: Any, along: float, aside: float, **shape: Any
+) -> None:
+    """Adds paint at a place in the frame of a pose (3,) [m, m, rad]."""
+    x, y, yaw = (float(value) for value in pose)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    spec.worldbody.add_geom(
+        name=name,
+        pos=[x + cos * along - sin * aside, y + sin * along + cos * aside, 0.0],
+        quat=yaw_quat(yaw),
+        **shape,
+        **looks.PAINT,
+    )
+
+
+def _mesh(name: str) -> dict[str, Any]:
+    return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
+
+
 def add_bay_lines(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Paints both long sides of every bay and its far end."""
     for bay in np.flatnonzero(np.asarray(layout.bay_mask)):
-        x, y, yaw = np.asarray(layout.bay_pose[bay], float)
         length, width = np.asarray(layout.bay_size[bay], float)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        half = LINE_WIDTH / 2
+        half = paint.LINE_WIDTH / 2
         lines = {
             "left": (0.0, width / 2, length / 2, half),
             "right": (0.0, -width / 2, length / 2, half),
             "end": (-length / 2 + half, 0.0, half, width / 2),
         }
         for name, (dx, dy, half_x, half_y) in lines.items():
-            spec.worldbody.add_geom(
-                name=f"bay{bay}/{name}",
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=[x + cos * dx - sin * dy, y + sin * dx + cos * dy, 0.0],
-                quat=yaw_quat(yaw),
-                size=[half_x, half_y, LINE_HEIGHT],
-                **looks.PAINT,
-            )
+            size = [half_x, half_y, paint.LINE_HEIGHT]
+            shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": size}
+            _paint(spec, f"bay{bay}/{name}", layout.bay_pose[bay], dx, dy, **shape)
 
 
 def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
@@ -51,36 +55,22 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
     rows = np.flatnonzero(np.asarray(layout.lane_mask & layout.lane_one_way))
     if not rows.size:
         return
-    half, head = ARROW_LENGTH / 2, ARROW_LENGTH * ARROW_HEAD
-    thick = 2 * ARROW_HEIGHT  # half of it under the ground
-    shaft = trimesh.creation.box(
-        (ARROW_LENGTH - head, ARROW_WIDTH * ARROW_SHAFT, thick)
-    )
+    length, width = paint.ARROW_LENGTH, paint.ARROW_WIDTH
+    half, head = length / 2, length * paint.ARROW_HEAD
+    high = paint.ARROW_HEIGHT  # as deep under the ground
+    shaft = trimesh.creation.box((length - head, width * paint.ARROW_SHAFT, 2 * high))
     shaft.apply_translation((-head / 2, 0.0, 0.0))
-    corners = [
-        (half, 0.0),
-        (half - head, ARROW_WIDTH / 2),
-        (half - head, -ARROW_WIDTH / 2),
-    ]
+    corners = [(half, 0.0), (half - head, width / 2), (half - head, -width / 2)]
     tip = trimesh.convex.convex_hull(
-        np.array([(x, y, z) for x, y in corners for z in (-ARROW_HEIGHT, ARROW_HEIGHT)])
+        np.array([(x, y, z) for x, y in corners for z in (-high, high)])
     )
-    arrow = merge([shaft, tip])
-    add_mesh(spec, "arrow", arrow)
+    add_mesh(spec, "arrow", merge([shaft, tip]))
     for lane in rows:
-        x, y, yaw = np.asarray(layout.lane_pose[lane], float)
         length = float(layout.lane_size[lane, 0])
-        count = max(int(length / ARROW_SPACING), 1)
+        count = max(int(length / paint.ARROW_SPACING), 1)
         for k in range(count):
-            along = ((k + 0.5) / count - 0.5) * length
-            spec.worldbody.add_geom(
-                name=f"lane{lane}/arrow{k}",
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname="arrow",
-                pos=[x + along * math.cos(yaw), y + along * math.sin(yaw), 0.0],
-                quat=yaw_quat(yaw),
-                **looks.PAINT,
-            )
+            along, name = ((k + 0.5) / count - 0.5) * length, f"lane{lane}/arrow{k}"
+            _paint(spec, name, layout.lane_pose[lane], along, 0.0, **_mesh("arrow"))
 
 
 HEIGHT, WIDTH = 0.42, 0.24  # m, of a digit
@@ -132,8 +122,7 @@ def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Paints every bay's index at its open end, upright for the lot's cameras."""
     right = view_yaw(np.asarray(layout.extent, float))
     for digit in range(10):
-        mesh = digit_mesh(digit)
-        add_mesh(spec, f"digit{digit}", mesh)
+        add_mesh(spec, f"digit{digit}", digit_mesh(digit))
     for bay in np.flatnonzero(np.asarray(layout.bay_mask)):
         x, y, yaw = np.asarray(layout.bay_pose[bay], float)
         reach = float(layout.bay_size[bay, 0]) / 2 - EDGE_DISTANCE
@@ -144,11 +133,5 @@ def add_bay_numbers(spec: mujoco.MjSpec, layout: Layout) -> None:
         text = str(bay)
         for place, digit in enumerate(text):
             along = (place - (len(text) - 1) / 2) * SPACING
-            spec.worldbody.add_geom(
-                name=f"bay{bay}/digit{place}",
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname=f"digit{digit}",
-                pos=[x + along * math.cos(turn), y + along * math.sin(turn), 0.0],
-                quat=[math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)],
-                **looks.PAINT,
-            )
+            name, shape = f"bay{bay}/digit{place}", _mesh(f"digit{digit}")
+            _paint(spec, name, (x, y, turn), along, 0.0, **shape)

@@ -196,10 +196,8 @@ class Walkers:
             for side, sign in enumerate(LEGS):
                 out = HIP_Y * scale * sign
                 hip = [xy[0] - out * math.sin(yaw), xy[1] + out * math.cos(yaw)]
-                quat = np.zeros(4)
-                turn = [math.cos(sign * swing / 2), 0.0, math.sin(sign * swing / 2), 0]
-                mujoco.mju_mulQuat(quat, np.array(yaw_quat(yaw)), np.array(turn))
-                found[f"{name}/leg{side}"] = [*hip, z + HIP * scale], quat
+                place = [*hip, z + HIP * scale], yaw_quat(yaw, sign * swing)
+                found[f"{name}/leg{side}"] = place
         return found
 
     def _walk(self, number: int, xy: np.ndarray) -> tuple[float, float]:

@@ -8,17 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from carpark_mj.layouts.types import (
-    DISC_HEIGHTS,
-    GROUND_CLEARANCE,
-    VERGE_GAP,
-    VERGE_HEIGHT,
-    WALL_HEIGHT,
-    WALL_HEIGHTS,
-    DiscKind,
-    Layout,
-    WallKind,
-)
+from carpark_mj.layouts import types as lot
+from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.scene import looks
 from carpark_mj.scene.cameras import add_car_cameras
 from carpark_mj.scene.car_mesh import add_mesh, car_meshes, standing_wheels
@@ -130,9 +121,12 @@ COLLIDES: dict[str, Any] = {
 }
 
 
-def yaw_quat(yaw: float) -> list[float]:
-    """Quaternion (w, x, y, z) of a turn about the vertical by `yaw` [rad]."""
-    return [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+def yaw_quat(yaw: float, pitch: float = 0.0) -> list[float]:
+    """Quaternion (w, x, y, z) of a pitch, nose down, and then a yaw [rad]."""
+    (cos, sin), (level, nod) = (
+        (math.cos(x / 2), math.sin(x / 2)) for x in (yaw, pitch)
+    )
+    return [cos * level, 0.0 - sin * nod, cos * nod, sin * level]
 
 
 def add_ground(spec: mujoco.MjSpec) -> None:
@@ -175,7 +169,7 @@ def add_ground(spec: mujoco.MjSpec) -> None:
 def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
     """Grass around the lot, visual only."""
     far = VERGE * float(np.max(extent))
-    x, y = np.asarray(extent, float) + VERGE_GAP
+    x, y = np.asarray(extent, float) + lot.VERGE_GAP
     for name, centre, size in (
         ("north", (0.0, (y + far) / 2), (far, (far - y) / 2)),
         ("south", (0.0, -(y + far) / 2), (far, (far - y) / 2)),
@@ -186,7 +180,7 @@ def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
             name=f"verge/{name}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=[*centre, 0.0],
-            size=[*size, VERGE_HEIGHT],
+            size=[*size, lot.VERGE_HEIGHT],
             **looks.PAINT | {"rgba": looks.GRASS},
         )
 
@@ -201,7 +195,7 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
         x, y, yaw = np.asarray(layout.wall_pose[wall], float)
         length, width = np.asarray(layout.wall_size[wall], float)
         kind = WallKind(int(layout.wall_kind[wall]))
-        height, colour = WALL_HEIGHTS[kind], _WALL_COLOURS[kind]
+        height, colour = lot.WALL_HEIGHTS[kind], _WALL_COLOURS[kind]
 
         def box(height: float, **fields: Any) -> None:
             spec.worldbody.add_geom(
@@ -212,11 +206,11 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
                 **fields,
             )
 
-        low = height < WALL_HEIGHT
+        low = height < lot.WALL_HEIGHT
         if low:
             box(height, rgba=colour, **looks.VISUAL)
         box(
-            WALL_HEIGHT,
+            lot.WALL_HEIGHT,
             name=f"wall{wall}",
             rgba=colour,
             group=HULL_GROUP if low else 1,
@@ -229,7 +223,7 @@ def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
     for disc in np.flatnonzero(np.asarray(layout.disc_mask)):
         x, y = np.asarray(layout.disc_centre[disc], float)
         kind = DiscKind(int(layout.disc_kind[disc]))
-        height, colour = DISC_HEIGHTS[kind], _DISC_COLOURS[kind]
+        height, colour = lot.DISC_HEIGHTS[kind], _DISC_COLOURS[kind]
         spec.worldbody.add_geom(
             name=f"disc{disc}",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -243,7 +237,7 @@ def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
 
 def add_hull(body: mujoco.MjsBody, params: VehicleParameters, name: str) -> None:
     """The box with which a car touches others: its footprint, up to its roof."""
-    low, high = GROUND_CLEARANCE, params.height
+    low, high = lot.GROUND_CLEARANCE, params.height
     body.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_BOX,

@@ -125,7 +125,9 @@ class Fleet:
         goal_bays = layout.goal_mask[None]  # any is a goal for the one kind of car
         if self.mixed:
             slack = config.episode.slack
-            goal_bays = fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
+            goal_bays = (
+                fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
+            )
         shape = n, len(self.agents), layout.num_bays
         goal_bays = jnp.broadcast_to(goal_bays, shape)
         clear = jnp.zeros(layout.num_bays, bool)

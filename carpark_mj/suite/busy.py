@@ -42,10 +42,11 @@ from carpark_mj.obstacles import Boxes, Discs
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.levels import (
     EXTRA_LEVELS,
+    CaseLevel,
     Cases,
     CaseStart,
-    ExtraLevel,
     read_published,
+    write_published,
 )
 from carpark_mj.suite.tpcap import TPCAP_CAR
 from carpark_mj.types import State
@@ -359,8 +360,7 @@ def draw_cases(count: int = CASES) -> dict[str, np.ndarray]:
 
 def write(path: Path) -> None:
     """Draws all cases and writes them."""
-    with path.open("wb") as file:  # by name, savez would choose another suffix
-        np.savez(file, allow_pickle=False, **draw_cases())
+    write_published(path, draw_cases())
 
 
 NAME = "busy"
@@ -434,7 +434,4 @@ def _case(columns: Any, number: jax.Array, group: jax.Array) -> Any:
     return layout, CaseStart(key, options, movers)
 
 
-EXTRA_LEVELS.register(
-    NAME,
-    ExtraLevel(range(CASES), SHA256, pick, busy_env),
-)
+EXTRA_LEVELS.register(NAME, CaseLevel(range(CASES), SHA256, pick, busy_env))

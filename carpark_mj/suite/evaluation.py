@@ -6,9 +6,8 @@ ends after 100 s.
 
 import dataclasses
 import functools
+import itertools
 import math
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from carpark_mj.benchmarking import best_time
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.config import (
     EnvConfig,
@@ -32,14 +33,13 @@ from carpark_mj.config import (
 from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row
-from carpark_mj.evaluation.evaluator import CHUNK
+from carpark_mj.evaluation.evaluator import ended_episodes
 from carpark_mj.evaluation.keys import evaluation_key, require_seed
 from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.people import CLOSE_TIME
 from carpark_mj.observations import observe
 from carpark_mj.obstacles import make_movers, place_movers, trace_still
-from carpark_mj.planning.paths import PlannedPath
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import (
     AnyPolicy,
@@ -55,11 +55,9 @@ from carpark_mj.suite.levels import (
     TPCAP_LEVEL,
     Cases,
     CaseStart,
-    case_numbers,
     drive_moving_car,
-    fingerprint,
+    find_level,
     init_progress,
-    level_env,
     pick_cases,
     require_aisle,
     require_alike,
@@ -67,17 +65,14 @@ from carpark_mj.suite.levels import (
     reset_with_moving_car,
 )
 from carpark_mj.suite.report import (
+    PLANNER,
+    VEHICLE,
     WORST,
-    header,
+    Drawn,
     made_with,
-    make_videos,
-    parts_of,
-    plot_paths,
-    print_rows,
     require_gl,
-    table_rows,
     worst_first,
-    write_results,
+    write_report,
 )
 from carpark_mj.suite.results import (
     MOVING_CAR,
@@ -87,18 +82,12 @@ from carpark_mj.suite.results import (
     key_of,
     leaderboard,
     read_runs,
-    write_run,
-    write_submission,
 )
 from carpark_mj.types import State
-from carpark_mj.vehicle import preset
 
-VEHICLE = "tpcap"
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
-HITS_OF_MOVING = tuple(f"hit_{kind}" for kind in MOVING)
 TIMED = 20  # calls of a policy whose shortest counts
-PLANNER = "planner"
 DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
 DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
 
@@ -154,7 +143,7 @@ class CaseEvaluator:
     def __init__(self, env: ParkingEnv) -> None:
         """Takes the environment, one of `suite_env`."""
         self.env = env
-        self._reset = jax.jit(jax.vmap(_reset(env)))
+        self._reset = jax.jit(jax.vmap(functools.partial(_reset, env)))
         self._chunk = jax.jit(functools.partial(_chunk, env))
         self._choose_action = jax.jit(_choose_action)
 
@@ -172,36 +161,33 @@ class CaseEvaluator:
             A row for each, see `evaluation.catalogue`, and the driven paths.
         """
         count, moving = len(cases.number), self.env.num_agents > 1
-        ctrl_dt = self.env.config.sim.ctrl_dt
         reset_key, act_key = jax.random.split(evaluation_key(seed))
-        keys = jax.random.split(reset_key, count)
-        state, observation = self._reset(cases.layouts, keys, cases.start)
-        progress = init_progress(count) if moving else None
-        rows: list[Row | None] = [None] * count
-        chunks: list[tuple[np.ndarray, ...]] = []
-        policy, carry = as_argument(policy), Carry(state, observation, progress)
-        while any(row is None for row in rows):
-            act_key, own = jax.random.split(act_key)
-            carry, out = self._chunk(policy, carry, jax.random.split(own, CHUNK))
-            done, metrics, recorded = out
-            chunks.append(jax.device_get(recorded))
-            metrics = {name: np.asarray(value) for name, value in metrics.items()}
-            for t, lot in np.argwhere(np.asarray(done)[..., 0]):
-                if rows[lot] is None:
-                    row = {n: float(value[t, lot, 0]) for n, value in metrics.items()}
-                    which = {"level": cases.level, "case": int(cases.number[lot])}
-                    which |= {"kind": str(cases.kind[lot])}
-                    rows[lot] = which | complete_row(row, ctrl_dt)
-        drives = Drives(
-            *(
-                np.concatenate(parts).swapaxes(0, 1)
-                for parts in zip(*chunks, strict=True)
-            )
+        begun = self._reset(
+            cases.layouts, jax.random.split(reset_key, count), cases.start
         )
-        finished = [row for row in rows if row is not None]
+        carry = Carry(*begun, init_progress(count) if moving else None)
+        policy, chunks = as_argument(policy), list[tuple[np.ndarray, ...]]()
+
+        def chunk(carry: Carry, keys: jax.Array) -> Any:
+            carry, (done, metrics, recorded) = self._chunk(policy, carry, keys)
+            chunks.append(jax.device_get(recorded))
+            return carry, (done, metrics)
+
+        quota = np.tile(np.arange(self.env.num_agents) == 0, (count, 1)).astype(int)
+        ended = ended_episodes(chunk, carry, act_key, quota)
+        values = {int(which["lot"]): row for which, row in ended}
+        parts = zip(*chunks, strict=True)
+        drives = Drives(*(np.concatenate(part).swapaxes(0, 1) for part in parts))
+        rows: list[Row] = []
+        for lot, (number, kind) in enumerate(
+            zip(cases.number.tolist(), cases.kind.tolist(), strict=True)
+        ):
+            row = {"level": cases.level, "case": number, "kind": kind}
+            row |= complete_row(values[lot], self.env.config.sim.ctrl_dt)
+            rows.append(row)
         if self.env.config.movers:
-            finished = list(map(_add_moving, finished, drives.speed[..., 0]))
-        return finished, drives
+            rows = list(map(_add_moving, rows, drives.speed[..., 0]))
+        return rows, drives
 
     def decision_time(self, policy: AnyPolicy, cases: Cases) -> float:
         """Time of a policy for one decision of one car [s]."""
@@ -209,41 +195,41 @@ class CaseEvaluator:
         keys = jax.random.split(key, len(cases.number))
         starts = self._reset(cases.layouts, keys, cases.start)
         state, observation = jax.tree.map(lambda x: x[0], starts)
-        policy, taken = as_argument(policy), []
-        for _ in range(TIMED + 1):
-            begun = time.perf_counter()
-            self._choose_action(policy, state, observation, key).block_until_ready()
-            taken.append(time.perf_counter() - begun)
-        return min(taken[1:])
+        policy = as_argument(policy)
+
+        def decide() -> jax.Array:
+            return self._choose_action(policy, state, observation, key)
+
+        jax.block_until_ready(decide())
+        return best_time(decide, TIMED)
 
 
-def _reset(env: ParkingEnv) -> Callable[[Layout, jax.Array, CaseStart | None], Any]:
-    plain = env.reset_to_layout
-    if env.num_agents > 1:
-        plain = functools.partial(reset_with_moving_car, env)
-
-    def begin(layout: Layout, key: jax.Array, start: CaseStart | None) -> Any:
-        if start is None:
-            return plain(layout, key)
-        state, _ = env.reset_to_layout(layout, start.key, None, start.options)
-        movers = place_movers(make_movers(env.config.movers), start.movers)
-        movers = trace_still(movers, env.config.sim.num_traces)
-        state = dataclasses.replace(state, movers=movers)
-        return state, observe(env.config, state)
-
-    return begin
+def _reset(
+    env: ParkingEnv, layout: Layout, key: jax.Array, start: CaseStart | None
+) -> tuple[State, jax.Array]:
+    if start is None:
+        if env.num_agents > 1:
+            return reset_with_moving_car(env, layout, key)
+        return env.reset_to_layout(layout, key)
+    state, _ = env.reset_to_layout(layout, start.key, None, start.options)
+    movers = place_movers(make_movers(env.config.movers), start.movers)
+    movers = trace_still(movers, env.config.sim.num_traces)
+    state = dataclasses.replace(state, movers=movers)
+    return state, observe(env.config, state)
 
 
 def _add_moving(row: Row, speed: np.ndarray) -> Row:
     """A row with what happened to people and movers; of a car's speeds (t,) [m/s]."""
     last = round(row["length"])
-    hit = any(row.get(name) for name in HITS_OF_MOVING)
-    own = {f"min_clearance_{kind}": math.inf for kind in MOVING} | row
-    soon = min(row.get(f"min_collision_time_{kind}", math.inf) for kind in MOVING)
+    hit = any(row.get(f"hit_{kind}") for kind in MOVING)
+    gap, soon = (
+        min(row.get(f"min_{what}_{kind}", math.inf) for kind in MOVING)
+        for what in ("clearance", "collision_time")
+    )
     near = soon < CLOSE_TIME or row.get("near_misses", 0.0) > 0
     return row | {
         "contact_speed": float(np.abs(speed[max(last - 2, 0) : last]).max() * hit),
-        "least_gap": min(own[f"min_clearance_{kind}"] for kind in MOVING),
+        "least_gap": gap,
         "near_miss": float(near and not hit),
     }
 
@@ -261,7 +247,7 @@ def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) ->
 
     def report(step: Step) -> Any:
         timestep, motion = step.timestep, step.timestep.motion
-        recorded = (motion.trace_w, motion.steering, motion.speed)
+        recorded = motion.trace_w, motion.steering, motion.speed
         return timestep.events.done, timestep.metrics, recorded
 
     return roll_out(env, act, carry, keys, report)
@@ -352,14 +338,13 @@ class SuiteConfig:
             value = getattr(self, name)
             if len(set(value)) < len(value):
                 raise ValueError(f"{name} must differ from each other, not {value}")
-        for name in ("levels", "seeds"):
-            if not getattr(self, name):
+            if not value and name in ("levels", "seeds"):
                 raise ValueError(f"{name} must not be empty")
         for seed in self.seeds:
             require_seed(seed)
 
     def _check_cases(self, level: str) -> None:
-        numbers = case_numbers(level)
+        numbers = find_level(level).numbers
         known = len(numbers)
         if not 0 <= self.first_case < known:
             raise ValueError(
@@ -388,122 +373,91 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     if config.videos:
         require_gl()
     require_writable(folder / "suite.csv", new_folders=True)  # refused before the work
-    drawn: _Drawn = []
+    drawn: Drawn = []
     if config.combine:
         episodes, drives = read_runs([Path(name) for name in config.combine])
     else:
-        print("compiling ...", flush=True)
+        doing(COMPILING)
         episodes, drives, drawn = _drive_all(config)
     if config.videos:  # of combined folders
         for level in {row["level"] for row in episodes}:
             require_filmed(level)
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures: list[Path] = []
-    if drawn:
-        pictures.append(folder / "paths.png")
-        plot_paths(pictures[0], drawn, preset(VEHICLE))
-    # The planner first: others are compared with its paths.
-    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
-    rows = [row for name in names for row in table_rows(name, episodes)]
-    head = header(episodes)
-    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
-    written += write_results(folder, head, rows, episodes, pictures, ())
-    print_rows(rows, head[0])
-    worst = [
-        row
-        for part in parts_of(episodes).values()
-        for row in worst_first(part)[: config.videos]
-    ]
-    if videos := make_videos(folder, worst, drives):  # once more, with them
-        write_results(folder, head, rows, episodes, pictures, videos)
-    print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
-    return rows
+    return write_report(folder, episodes, drives, drawn, config.videos)
 
 
-_Drawn = list[tuple[str, Layout, PlannedPath | None]]
-
-
-def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], _Drawn]:
+def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn]:
     """Episodes, the driven paths of the worst ones, and the planner's first paths."""
-    drivers = {name: find_driver(name) for name in config.policies}
-    first, moving = config.first_case, config.moving_car
-
-    def env_of(name: str, level: str) -> EnvConfig:
-        base = suite_env(drivers[name].env, config.rule, moving)
-        return level_env(level, base)
-
-    for name, driver in drivers.items():  # all are refused before one of them drives
-        for env_config in {env_of(name, level) for level in config.levels}:
-            driver.policy(ParkingEnv(env_config))
+    evaluators: dict[EnvConfig, CaseEvaluator] = {}
+    policies: dict[tuple[str, EnvConfig], tuple[AnyPolicy, Planner | None]] = {}
+    envs: dict[tuple[str, str], EnvConfig] = {}
+    # All are refused before one of them drives.
+    for name in config.policies:
+        driver = find_driver(name)
+        base = suite_env(driver.env, config.rule, config.moving_car)
+        for level in config.levels:
+            env_config = envs[name, level] = find_level(level).env(base)
+            if env_config not in evaluators:
+                evaluators[env_config] = CaseEvaluator(ParkingEnv(env_config))
+            env = evaluators[env_config].env
+            if (name, env_config) not in policies:
+                policies[name, env_config] = (
+                    planner_policy(env)
+                    if name == PLANNER
+                    else (driver.policy(env), None)
+                )
+    first = config.first_case
     cases = [
         pick_cases(
-            level, config.cases or len(case_numbers(level)) - first, first, moving
+            level,
+            config.cases or len(find_level(level).numbers) - first,
+            first,
+            config.moving_car,
         )
         for level in config.levels
     ]
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}
-    drawn: _Drawn = []
-    evaluators: dict[EnvConfig, CaseEvaluator] = {}
-    policies: dict[tuple[str, EnvConfig], tuple[AnyPolicy, Planner | None]] = {}
-    for name, driver in drivers.items():
-        for seed in config.seeds:
-            for part in cases:
-                env_config = env_of(name, part.level)
-                if env_config not in evaluators:
-                    evaluators[env_config] = CaseEvaluator(ParkingEnv(env_config))
-                evaluator, key = evaluators[env_config], (name, env_config)
-                if key not in policies:
-                    if name == PLANNER:
-                        policies[key] = planner_policy(evaluator.env)
-                    else:
-                        policies[key] = driver.policy(evaluator.env), None
-                policy, planner = policies[key]
-                if planner is not None:
-                    planner.reset(seed, first)
-                rows, driven = evaluator.drive(policy, part, seed)
-                if planner is not None:
-                    plans = _plans(planner, len(rows))
-                    rows = [row | own for row, own in zip(rows, plans, strict=True)]
-                    if seed == config.seeds[0]:
-                        drawn += _drawn(planner, part)
-                    seconds = planner.seconds / planner.decisions
-                else:
-                    seconds = evaluator.decision_time(policy, part)
-                own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
-                which = {"policy": name, "seed": seed, "rule": config.rule}
-                which |= {"held_out": fingerprint(part.level)}
-                which |= {MOVING_CAR: 1} if moving else {}
-                rows = [which | row | own for row in rows]
-                episodes += rows
-                drives |= _worst_drives(rows, driven)
+    drawn: Drawn = []
+    for name, seed, part in itertools.product(config.policies, config.seeds, cases):
+        env_config = envs[name, part.level]
+        evaluator, (policy, planner) = (
+            evaluators[env_config],
+            policies[name, env_config],
+        )
+        if planner is not None:
+            planner.reset(seed, first)
+        rows, driven = evaluator.drive(policy, part, seed)
+        if planner is None:
+            seconds = evaluator.decision_time(policy, part)
+        else:
+            rows = [row | _plan(planner, lot) for lot, row in enumerate(rows)]
+            if seed == config.seeds[0]:
+                drawn += _drawn(planner, part)
+            seconds = planner.seconds / planner.decisions
+        which = {"policy": name, "seed": seed, "rule": config.rule}
+        which |= {"held_out": find_level(part.level).fingerprint}
+        which |= {MOVING_CAR: 1} if config.moving_car else {}
+        own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
+        rows = [which | row | own for row in rows]
+        episodes += rows
+        numbers = {key_of(row): number for number, row in enumerate(rows)}
+        for row in worst_first(rows)[:WORST]:
+            number, length = numbers[key_of(row)], round(row["length"])
+            drives[key_of(row)] = Drives(*(x[[number], :length] for x in driven))
     return episodes, drives, drawn
 
 
-def _worst_drives(rows: list[Row], driven: Drives) -> dict[Key, Drives]:
-    """Driven paths of the worst of some episodes, which are numbered as the drives."""
-    numbers = {key_of(row): number for number, row in enumerate(rows)}
-    kept: dict[Key, Drives] = {}
-    for row in worst_first(rows)[:WORST]:
-        number, length = numbers[key_of(row)], round(row["length"])
-        kept[key_of(row)] = Drives(*(x[[number], :length] for x in driven))
-    return kept
+def _plan(planner: Planner, lot: int) -> Row:
+    """Results of the planner's first search in a lot."""
+    first = planner.searches(lot, 0)[0]
+    length = first.path.length if first.path else math.nan
+    planned = {"planned": float(first.path is not None), "planned_path": length}
+    return planned | {"planning_seconds": first.seconds}
 
 
-def _plans(planner: Planner, lots: int) -> list[Row]:
-    """Results of the planner's first search in every lot."""
-    found: list[Row] = []
-    for lot in range(lots):
-        first = planner.searches(lot, 0)[0]
-        length = first.path.length if first.path else math.nan
-        planned = {"planned": float(first.path is not None), "planned_path": length}
-        found.append(planned | {"planning_seconds": first.seconds})
-    return found
-
-
-def _drawn(planner: Planner, cases: Cases) -> _Drawn:
+def _drawn(planner: Planner, cases: Cases) -> Drawn:
     """Titles, layouts and paths of the cases in the picture."""
-    found: _Drawn = []
+    found: Drawn = []
     count = None if cases.level == TPCAP_LEVEL else DRAWN
     for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path

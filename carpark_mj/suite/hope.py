@@ -44,7 +44,7 @@ from carpark_mj.layouts.types import Layout, WallKind
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.registry import ANYWHERE, ENVIRONMENTS
 from carpark_mj.suite.tpcap import START, TPCAP_CAR
-from carpark_mj.training.ppo.parts import PRESET_ENTRIES
+from carpark_mj.training.ppo.parts import PRESETS
 
 MARGIN = 0.1  # m from the parked car to the nearest obstacle, and to the bay's lines
 SOLID = 0.5  # share of the sides with a solid obstacle instead of parked cars
@@ -355,4 +355,4 @@ HOPE = dataclasses.replace(
 )
 
 ENVIRONMENTS.register("hope", HOPE)
-PRESET_ENTRIES.register("hope", Entry("carpark_mj.suite.presets:HOPE"))
+PRESETS.register("hope", Entry("carpark_mj.suite.presets:HOPE", "GPU"))

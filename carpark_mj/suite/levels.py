@@ -5,9 +5,8 @@ HOPE's levels have 1,000 held-out cases each. The package stores them, drawn onc
 millimetres and 1e-4 rad. Cases of `normal` and `complex` are perpendicular and parallel
 in turn, those of `extreme` are parallel. `write` draws the same bytes again.
 
-A package may register an `ExtraLevel`, a fixed list of cases that it stores. The level
-may change the suite's environment, and say how its cases begin: with movers, given
-starts and goals.
+A package may register a `CaseLevel` of its own. The level may change the suite's
+environment, and say how its cases begin: with movers, given starts and goals.
 
 Another car may drive through the aisle of HOPE's cases. HOPE's program has none, so the
 numbers are ours. It keeps to the far side of the aisle and drives straight through at
@@ -21,9 +20,9 @@ import dataclasses
 import functools
 import hashlib
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
 import jax
 import jax.numpy as jnp
@@ -94,30 +93,37 @@ class Cases(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class ExtraLevel:
-    """A level that a package adds.
+class CaseLevel:
+    """A level: a fixed list of cases.
 
     Attributes:
         numbers: of its cases.
         sha256: of the data of its cases.
         pick: its cases whose places in `numbers` are in a slice.
         env: its environment, from that of the suite.
+        source: of its cases, for tables; empty = `Cases of` the level.
     """
 
     numbers: range
     sha256: str
     pick: Callable[[slice], Cases]
-    env: Callable[[EnvConfig], EnvConfig]
+    env: Callable[[EnvConfig], EnvConfig] = lambda env: env
+    source: str = ""
+
+    @property
+    def fingerprint(self) -> str:
+        """The first digits of `sha256`."""
+        return self.sha256[:16]
 
 
-EXTRA_LEVELS: Registry[ExtraLevel] = Registry("level of the suite")
+# Levels of other packages, and `busy`: driven alone, for their columns may differ.
+EXTRA_LEVELS: Registry[CaseLevel] = Registry("level of the suite")
 VERSION = 1
 FILE = Path(__file__).with_name(f"held_out_{VERSION}.npz")
 SHA256 = "773f2791aba75242a8e3f765aaa6d1263017e218add2a1b30b8cffaf74989b91"
 CASES = 1000  # a level
 HOPE_LEVELS: tuple[Level, ...] = get_args(Level)  # driven by default
 TPCAP_LEVEL = "tpcap"
-LEVELS: tuple[str, ...] = (*HOPE_LEVELS, TPCAP_LEVEL)  # of this package, but for `busy`
 METRE, RADIAN = 1e-3, 1e-4  # steps of the numbers in the file
 _POSE = np.array([METRE, METRE, RADIAN])
 
@@ -139,6 +145,12 @@ def read_published(file: Path, sha256: str) -> dict[str, np.ndarray]:
         )
     with np.load(io.BytesIO(data)) as archive:
         return {name: archive[name] for name in archive.files}
+
+
+def write_published(file: Path, arrays: Mapping[str, Any]) -> None:
+    """Writes an archive of cases, the same bytes again for the same arrays."""
+    with file.open("wb") as opened:  # by name, savez would choose another suffix
+        np.savez(opened, allow_pickle=False, **arrays)
 
 
 @functools.cache
@@ -183,19 +195,19 @@ def draw_cases(level: Level, count: int = CASES) -> dict[str, np.ndarray]:
     stacked = [jax.device_get(pad_layout(case, maxima)) for case in cases]
     lots = jax.tree.map(lambda *rows: np.stack(rows), *stacked)
     parallel = np.arange(count) % len(orientations) == len(orientations) - 1
+
+    def whole(value: np.ndarray, step: float | np.ndarray, kind: type) -> np.ndarray:
+        return np.rint(value / step).astype(kind)
+
     return {
-        "goal": _whole(lots.bay_pose[:, 0], _POSE, np.int16),
-        "bay": _whole(lots.bay_size[:, 0], METRE, np.uint16),
-        "start": _whole(lots.spawn_pose[:, 0], _POSE, np.int16),
-        "wall": _whole(lots.wall_pose, _POSE, np.int16),
-        "size": _whole(lots.wall_size, METRE, np.uint16),
-        "extent": _whole(lots.extent, METRE, np.uint16),
+        "goal": whole(lots.bay_pose[:, 0], _POSE, np.int16),
+        "bay": whole(lots.bay_size[:, 0], METRE, np.uint16),
+        "start": whole(lots.spawn_pose[:, 0], _POSE, np.int16),
+        "wall": whole(lots.wall_pose, _POSE, np.int16),
+        "size": whole(lots.wall_size, METRE, np.uint16),
+        "extent": whole(lots.extent, METRE, np.uint16),
         "parallel": parallel,
     }
-
-
-def _whole(value: np.ndarray, step: float | np.ndarray, kind: type) -> np.ndarray:
-    return np.rint(value / step).astype(kind)
 
 
 def write(path: Path) -> None:
@@ -205,23 +217,48 @@ def write(path: Path) -> None:
         for level in HOPE_LEVELS
         for name, array in draw_cases(level).items()
     }
-    with path.open("wb") as file:  # by name, savez would choose another suffix
-        np.savez(file, **arrays)
+    write_published(path, arrays)
 
 
-def case_numbers(level: str) -> range:
-    """The numbers of a level's cases: of HOPE's from 0, TPCAP's as published."""
-    if level not in LEVELS:
-        require_level(level)
-        return EXTRA_LEVELS[level].numbers
-    return tpcap.NUMBERS if level == TPCAP_LEVEL else range(CASES)
+def _pick_hope(level: Level, which: slice) -> Cases:
+    layouts, parallel = load_held_out(level)
+    maxima = layout_maxima([load_held_out(name).layouts for name in HOPE_LEVELS])
+    padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
+        jax.tree.map(lambda x: x[which], layouts)
+    )
+    kind = np.where(parallel[which], "parallel", "perpendicular")
+    return Cases(level, np.arange(CASES)[which], kind, padded)
 
 
-def fingerprint(level: str) -> str:
-    """The first digits of the SHA-256 of the data of a level's cases."""
-    if level not in LEVELS:
-        return EXTRA_LEVELS[level].sha256[:16]
-    return (tpcap.SHA256 if level == TPCAP_LEVEL else SHA256)[:16]
+def _pick_tpcap(which: slice) -> Cases:
+    number = np.array(tpcap.NUMBERS[which])
+    layouts = jax.tree.map(lambda x: x[which], tpcap.load_tpcap())
+    return Cases(TPCAP_LEVEL, number, np.full(len(number), "published"), layouts)
+
+
+_HELD_OUT = f"Held-out cases version {VERSION}"
+LEVELS = {
+    level: CaseLevel(
+        range(CASES), SHA256, functools.partial(_pick_hope, level), source=_HELD_OUT
+    )
+    for level in HOPE_LEVELS
+}
+LEVELS[TPCAP_LEVEL] = CaseLevel(
+    tpcap.NUMBERS, tpcap.SHA256, _pick_tpcap, source="TPCAP's cases"
+)
+
+
+def is_level(name: str) -> bool:
+    """Whether there is a level of this name."""
+    return name in LEVELS or name in EXTRA_LEVELS
+
+
+def find_level(level: str) -> CaseLevel:
+    """A level by name; `ValueError` if nobody has registered it."""
+    if not is_level(level):
+        known = ", ".join((*LEVELS, *EXTRA_LEVELS))
+        raise ValueError(f"level must be one of {known}, not {level!r}")
+    return LEVELS[level] if level in LEVELS else EXTRA_LEVELS[level]
 
 
 def require_aisle(level: str) -> None:
@@ -233,18 +270,11 @@ def require_aisle(level: str) -> None:
         )
 
 
-def require_level(level: str) -> None:
-    """Refuses levels that nobody has registered."""
-    if level not in LEVELS and level not in EXTRA_LEVELS:
-        known = ", ".join((*LEVELS, *EXTRA_LEVELS))
-        raise ValueError(f"level must be one of {known}, not {level!r}")
-
-
 def require_alike(levels: Iterable[str]) -> None:
     """Refuses unknown levels, and added ones beside others: their columns differ."""
     found = in_order(levels)
     for level in found:
-        require_level(level)
+        find_level(level)
         if level not in LEVELS and len(found) > 1:
             others = ", ".join(name for name in found if name != level)
             raise ValueError(f"level {level} must be driven alone, not with {others}")
@@ -257,14 +287,9 @@ def require_filmed(level: str) -> None:
 
 
 def in_order(levels: Iterable[str]) -> list[str]:
-    """Levels as tables list them: those driven by default, then others by name."""
+    """Levels as tables list them: those of this module, then others by name."""
     found = set(levels)
     return [x for x in LEVELS if x in found] + sorted(found - {*LEVELS})
-
-
-def level_env(level: str, env: EnvConfig) -> EnvConfig:
-    """The environment of a level, from that of the suite."""
-    return env if level in LEVELS else EXTRA_LEVELS[level].env(env)
 
 
 def pick_cases(
@@ -276,25 +301,10 @@ def pick_cases(
         level: whose.
         count: how many.
         first: how many of the level's are left out before them.
-        with_moving_car: of HOPE's levels only.
+        with_moving_car: in HOPE's levels; ignored in others.
     """
-    which = slice(first, first + count)
-    if level not in LEVELS:
-        return EXTRA_LEVELS[level].pick(which)
-    number = np.array(case_numbers(level)[which])
-    if level == TPCAP_LEVEL:
-        layouts = jax.tree.map(lambda x: x[which], tpcap.load_tpcap())
-        return Cases(level, number, np.full(len(number), "published"), layouts)
-    layouts, parallel = load_held_out(level)
-    shapes = [load_held_out(name).layouts for name in HOPE_LEVELS]
-    maxima, parallel = layout_maxima(shapes), parallel[which]
-    padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
-        jax.tree.map(lambda x: x[which], layouts)
-    )
-    if with_moving_car and level in HOPE_LEVELS:
-        padded = add_ends(level, number, parallel, padded)
-    kind = np.where(parallel, "parallel", "perpendicular")
-    return Cases(level, number, kind, padded)
+    cases = find_level(level).pick(slice(first, first + count))
+    return add_ends(cases) if with_moving_car and level in HOPE_LEVELS else cases
 
 
 CAR = 1  # its number among the agents, its bay's and its start's
@@ -313,30 +323,23 @@ class Progress(NamedTuple):
     waited: jax.Array  # how long it has waited [s]
 
 
-def add_ends(
-    level: Level, number: np.ndarray, parallel: np.ndarray, layouts: Layout
-) -> Layout:
-    """Held-out cases with the start and the goal of a moving car.
+def add_ends(cases: Cases) -> Cases:
+    """HOPE's cases with the start and the goal of a moving car.
 
     It comes from the left in two cases, from the right in the next two, so that
     both happen with either kind of bay.
-
-    Args:
-        level: of the cases.
-        number: (n,) which of the level's.
-        parallel: (n,) bool; the others are perpendicular.
-        layouts: (n, ...).
     """
-    way = np.where(number // 2 % 2 == 0, 1.0, -1.0)
+    layouts = cases.layouts
+    way = np.where(cases.number // 2 % 2 == 0, 1.0, -1.0)
     end = layouts.extent[:, 0] - MARGIN - TPCAP_CAR.length / 2
-    y, yaw = _line(level, parallel, layouts), np.where(way > 0, 0.0, np.pi)
+    y, yaw = _line(cases), np.where(way > 0, 0.0, np.pi)
     goal = jnp.stack([way * end, y, yaw], axis=-1)
     start = jnp.stack([-way * end, y, yaw], axis=-1)
     size = jnp.array(TPCAP_CAR.size) + 2 * MARGIN
     rows = layout_maxima([layouts])
     rows = dataclasses.replace(rows, bays=CAR + 1, spawns=CAR + 1)
     padded = jax.vmap(lambda layout: pad_layout(layout, rows))(layouts)
-    return dataclasses.replace(
+    layouts = dataclasses.replace(
         padded,
         bay_pose=padded.bay_pose.at[:, CAR].set(goal),
         bay_size=padded.bay_size.at[:, CAR].set(size),
@@ -346,14 +349,13 @@ def add_ends(
         spawn_pose=padded.spawn_pose.at[:, CAR].set(start),  # no area: never drawn
         spawn_mask=padded.spawn_mask.at[:, CAR].set(True),
     )
+    return cases._replace(layouts=layouts)
 
 
-def _line(level: Level, parallel: np.ndarray, layouts: Layout) -> jax.Array:
+def _line(cases: Cases) -> jax.Array:
     """(n,) y of the car's way [m]."""
-    aisle = [
-        HopeConfig(level, "parallel" if along else "perpendicular").room.aisle
-        for along in parallel.tolist()
-    ]
+    layouts, level = cases.layouts, cast(Level, cases.level)
+    aisle = [HopeConfig(level, kind).room.aisle for kind in cases.kind.tolist()]
     start = layouts.spawn_pose[:, 0]
     axle = move_forward(start, -TPCAP_CAR.centre_offset)[:, 1]  # is in the aisle
     corners = box_corners(layouts.wall_pose, layouts.wall_size)[..., 1]

@@ -1,11 +1,12 @@
 """Results of the suite as a table on the terminal, a page and short videos."""
 
+import contextlib
 import importlib.metadata
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import quote
 
 import jax
@@ -15,35 +16,43 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from carpark_mj.analysis import picture, table, video_figure, write_page
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
+from carpark_mj.evaluation.tables import (
+    markdown,
+    picture,
+    print_rows,
+    table,
+    video_figure,
+    write_page,
+)
 from carpark_mj.files import write_atomically, write_csv
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import Layout
 from carpark_mj.planning.paths import PlannedPath, centre
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.recording import Recording, frames_per_second, num_frames
+from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.rendering.video import draw_frame, write_video
+from carpark_mj.rendering.video import draw_frame, frame_indices, write_video
 from carpark_mj.suite.levels import (
-    LEVELS,
-    TPCAP_LEVEL,
-    VERSION,
-    case_numbers,
-    fingerprint,
+    find_level,
     in_order,
     pick_cases,
 )
-from carpark_mj.suite.results import Drives, Key, has_moving_car, key_of
+from carpark_mj.suite.results import (
+    Drives,
+    Key,
+    has_moving_car,
+    key_of,
+    write_run,
+    write_submission,
+)
 from carpark_mj.types import ENDINGS, OUTCOMES
 from carpark_mj.vehicle import VehicleParameters, preset
 
+VEHICLE, PLANNER = "tpcap", "planner"
 WORST = 10  # cases shown of a policy and level
 # Columns on the screen; files have all.
 PRINTED = (
@@ -57,12 +66,11 @@ RATES = (
     *("timed out", "path found"),
 )
 DIGITS = {"decisions/s": 0}  # after the point, where not two
-WIDTH = 160  # of the table where there is no terminal
 PACKAGES = ("carpark_mj", "mujoco", "jax", "ompl")
 SIZE = (640, 400)  # pixels
 FASTER = 4  # times: 100 s last 25 s
 FPS = 10.0
-END = 10  # frames that the last one stays
+HOLD = 10  # frames that the last one stays
 FOLDER = "videos"
 AMONG = {  # columns of such levels, and what they are means of
     "hit person": "hit_person",
@@ -81,11 +89,44 @@ GEARS = {1: "tab:blue", -1: "tab:red"}
 GEAR_NAMES = {1: "forwards", -1: "backwards"}
 
 
-class Video(NamedTuple):
-    """A video of an episode."""
+# Cases of the picture of planned paths: titles, layouts and paths.
+Drawn = list[tuple[str, Layout, PlannedPath | None]]
 
-    row: Row  # the episode
-    path: Path  # the file
+
+def write_report(
+    folder: Path,
+    episodes: Sequence[Row],
+    drives: Mapping[Key, Drives],
+    drawn: Drawn,
+    num_videos: int,
+) -> list[dict[str, Any]]:
+    """Writes all files of the suite and prints the table; returns the table's rows.
+
+    Args:
+        folder: where; made if it is missing.
+        episodes: all of them.
+        drives: driven paths of the worst ones.
+        drawn: cases of the picture of paths.
+        num_videos: of the worst cases of each policy and level.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures: list[Path] = []
+    if drawn:
+        pictures.append(folder / "paths.png")
+        plot_paths(pictures[0], drawn, preset(VEHICLE))
+    # The planner first: others are compared with its paths.
+    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
+    rows = [row for name in names for row in table_rows(name, episodes)]
+    head = header(episodes)
+    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
+    written += write_results(folder, head, rows, episodes, pictures, {})
+    print_results(rows, head[0])
+    parts = parts_of(episodes).values()
+    worst = [row for part in parts for row in worst_first(part)[:num_videos]]
+    if videos := make_videos(folder, worst, drives):  # once more, with them
+        write_results(folder, head, rows, episodes, pictures, videos)
+    print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
+    return rows
 
 
 def require_gl() -> None:
@@ -96,22 +137,25 @@ def require_gl() -> None:
 
 def make_videos(
     folder: Path, rows: Sequence[Row], drives: Mapping[Key, Drives]
-) -> list[Video]:
+) -> dict[Key, Path]:
     """Draws episodes from above, `FASTER` times as fast as driven.
 
     Args:
         folder: the videos' folder is made in it.
         rows: the episodes.
         drives: their driven paths.
+
+    Returns:
+        The files.
     """
-    videos = []
+    videos: dict[Key, Path] = {}
     for row in rows:
-        policy = quote(row["policy"], safe="")  # of runs the whole path
-        name = f"{policy}-{row['level']}-{row['seed']}-{row['case']}.mp4"
-        path = folder / FOLDER / name
+        key = key_of(row)
+        policy = quote(key.policy, safe="")  # of runs the whole path
+        path = folder / FOLDER / f"{policy}-{key.level}-{key.seed}-{key.case}.mp4"
         path.parent.mkdir(exist_ok=True)
-        _write(path, recording_of(row, drives[key_of(row)]))
-        videos.append(Video(row, path))
+        _write(path, recording_of(row, drives[key]))
+        videos[key] = path
     return videos
 
 
@@ -119,7 +163,7 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     """An episode as the renderer takes it."""
     steps, agents = round(row["length"]), drive.speed.shape[-1]
     first = np.broadcast_to(np.arange(agents) == 0, (steps, agents))  # the one judged
-    place = case_numbers(row["level"]).index(row["case"])
+    place = find_level(row["level"]).numbers.index(row["case"])
     cases = pick_cases(row["level"], 1, place, agents > 1)
     pose_w = drive.pose_w[0, :steps].swapaxes(1, 2)
     ends = {
@@ -141,16 +185,11 @@ def recording_of(row: Row, drive: Drives) -> Recording:
 
 
 def _write(path: Path, recording: Recording) -> None:
-    stage = Stage(recording.layout, preset("tpcap"), recording.speed.shape[1], 0)
-    renderer = LotRenderer(stage, "topdown", SIZE)
-    stride = max(1, round(FASTER * frames_per_second(recording) / FPS))
-    last = num_frames(recording) - 1
-    indices = [*range(stride - 1, last, stride), *[last] * END]
-    try:
+    stage = Stage(recording.layout, preset(VEHICLE), recording.speed.shape[1], 0)
+    with contextlib.closing(LotRenderer(stage, "topdown", SIZE)) as renderer:
+        indices, rate = frame_indices(recording, FPS, FASTER, HOLD)
         pictures = (draw_frame(recording, renderer, index) for index in indices)
-        write_video(path, pictures, FASTER * frames_per_second(recording) / stride)
-    finally:
-        renderer.close()
+        write_video(path, pictures, rate)
 
 
 def made_with() -> str:
@@ -169,13 +208,11 @@ def header(episodes: Sequence[Row]) -> list[str]:
     seeds = sorted({row["seed"] for row in episodes})
     parts: dict[str, list[str]] = {}
     for level in in_order(row["level"] for row in episodes):
-        held_out = f"Held-out cases version {VERSION}"
-        source = "TPCAP's cases" if level == TPCAP_LEVEL else held_out
-        source = source if level in LEVELS else f"Cases of {level}"
-        if found := {row["case"] for row in episodes if row["level"] == level}:
-            counts = f"{len(found)} of {level} ({_ranges(found)})"
-            title = f"{source} (SHA-256 {fingerprint(level)})"
-            parts.setdefault(title, []).append(counts)
+        about = find_level(level)
+        title = f"{about.source or f'Cases of {level}'} (SHA-256 {about.fingerprint})"
+        found = {row["case"] for row in episodes if row["level"] == level}
+        counts = f"{len(found)} of {level} ({_ranges(found)})"
+        parts.setdefault(title, []).append(counts)
     cases = "; ".join(f"{title}: {', '.join(found)}" for title, found in parts.items())
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
     moving = has_moving_car(episodes)
@@ -224,23 +261,13 @@ def _number(value: Any, digits: int) -> str:
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def print_rows(rows: Sequence[Mapping[str, Any]], title: str) -> None:
+def print_results(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Prints the table; files have more columns."""
-    shown = Table(title=title)
     cells = [
         {name: cell for name, cell in shown_cells(row).items() if name in PRINTED}
         for row in rows
     ]
-    for name in cells[0]:
-        shown.add_column(
-            name, justify="left" if name in ("policy", "level") else "right"
-        )
-    for row in cells:
-        shown.add_row(*map(escape, row.values()))
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH
-    console.print(shown)
+    print_rows(cells, title, left=2)
 
 
 def write_results(
@@ -249,7 +276,7 @@ def write_results(
     rows: Sequence[Mapping[str, Any]],
     episodes: Sequence[Row],
     pictures: Sequence[Path],
-    videos: Sequence[Video],
+    videos: Mapping[Key, Path],
 ) -> list[Path]:
     """Writes `suite.md`, `suite.csv` and `suite.html`; returns them.
 
@@ -259,28 +286,31 @@ def write_results(
         rows: of the table.
         episodes: all of them.
         pictures: PNG files for the page.
-        videos: for the page, in the same folder or below it.
+        videos: of episodes, for the page, in the same folder or below it.
     """
     cells = [shown_cells(row) for row in rows]
-    lines = [f"# {head[0]}", "", *head[1:], "", f"| {' | '.join(cells[0])} |"]
-    lines.append(f"|{'---|' * len(cells[0])}")
-    lines += [f"| {' | '.join(row.values())} |" for row in cells]
-    text = "\n".join(lines) + "\n"
+    text = "\n".join([f"# {head[0]}", "", *head[1:], "", markdown(cells)]) + "\n"
     files = [folder / name for name in ("suite.md", "suite.csv", "suite.html")]
     write_atomically(files[0], lambda temporary: temporary.write_text(text))
-    listed = {"by seed": lambda rates: " ".join(map(str, rates))}
     write_csv(
         files[1],
-        [{n: listed.get(n, lambda x: x)(x) for n, x in row.items()} for row in rows],
+        [
+            row | {"by seed": " ".join(map(str, row["by seed"]))}
+            for row in map(dict, rows)
+        ],
     )
     parts = [("Results", table(cells))]
     parts += [(path.stem.capitalize(), picture(path)) for path in pictures]
     for which, part in parts_of(episodes).items():
-        own = [video for video in videos if video.row in part]
+        worst = worst_first(part)[:WORST]
         shown = "".join(
-            video_figure(video.path, files[2], _caption(video.row)) for video in own
+            video_figure(videos[key_of(row)], files[2], _caption(row))
+            for row in worst
+            if key_of(row) in videos
         )
-        parts.append((f"Worst cases of {which}", table(_worst(part)) + shown))
+        parts.append(
+            (f"Worst cases of {which}", table(list(map(_described, worst))) + shown)
+        )
     write_page(files[2], head[0], head[1:], parts)
     return files
 
@@ -302,16 +332,11 @@ def _caption(row: Row) -> str:
     return f"case {row['case']}, seed {row['seed']}: {_outcome(row)}"
 
 
-def _worst(episodes: Sequence[Row]) -> list[dict[str, Any]]:
+def _described(row: Row) -> dict[str, Any]:
+    """One of the worst cases, as a row of the page's table."""
+    which = {name: row[name] for name in ("case", "seed", "kind")}
     columns = ("length", "path", "gear_changes", "final_distance")
-    return [
-        {
-            **{name: row[name] for name in ("case", "seed", "kind")},
-            "outcome": _outcome(row),
-            **{name: row[name] for name in columns},
-        }
-        for row in worst_first(episodes)[:WORST]
-    ]
+    return which | {"outcome": _outcome(row)} | {name: row[name] for name in columns}
 
 
 def worst_first(rows: Sequence[Row]) -> list[Row]:
@@ -319,15 +344,6 @@ def worst_first(rows: Sequence[Row]) -> list[Row]:
     return sorted(
         rows, key=lambda row: (-row["crashed"], row["parked"], -row["length"])
     )
-
-
-def planned_paths(rows: Sequence[Row]) -> dict[tuple[int, str, int], float]:
-    """Length of the planner's paths [m] by seed, level and case, where it found one."""
-    return {
-        (row["seed"], row["level"], row["case"]): row["planned_path"]
-        for row in rows
-        if not math.isnan(row.get("planned_path", math.nan))
-    }
 
 
 def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -339,7 +355,11 @@ def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
             policies and their seeds. Those of the planner also have `planned`, whether
             it found a path, `planned_path`, its length [m], and `planning_seconds`.
     """
-    plans = planned_paths(rows)
+    plans = {
+        (row["seed"], row["level"], row["case"]): row["planned_path"]
+        for row in rows
+        if not math.isnan(row.get("planned_path", math.nan))
+    }
     own = [row for row in rows if row["policy"] == policy]
     found = []
     for level in in_order(row["level"] for row in own):
@@ -400,18 +420,8 @@ def _mean(rows: Sequence[Row], name: str) -> float:
     return float(np.mean(values)) if values else math.nan
 
 
-def plot_paths(
-    file: Path,
-    cases: list[tuple[str, Layout, PlannedPath | None]],
-    car: VehicleParameters,
-) -> None:
-    """Draws cases, each with a bar of `BAR` metres.
-
-    Args:
-        file: PNG.
-        cases: titles, layouts and paths.
-        car: that drives.
-    """
+def plot_paths(file: Path, cases: Drawn, car: VehicleParameters) -> None:
+    """Draws cases that a car drives into a PNG, each with a bar of `BAR` metres."""
     rows = -(-len(cases) // COLUMNS)
     size = (COLUMNS * CELL[0], rows * CELL[1] + FOOT)
     figure = Figure(size, layout="constrained")
@@ -447,22 +457,27 @@ def _draw(
     layout: Any = jax.device_get(lot)
     axis.set_aspect("equal")
     axis.set(xticks=[], yticks=[])
-    mask = layout.wall_mask
+    mask, size = layout.wall_mask, np.array([[car.length, car.width]])
     # Outlined: edges of polygons are too thin to be seen.
-    _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], "0.6", width=0.8)
-    size = np.array([car.length, car.width])
-    _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], "tab:green", 0.4)
-    _fill(axis, layout.spawn_pose[:1], size[None], "tab:blue", 0.3)
+    _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], color="0.6", lw=0.8)
+    _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], color="tab:green", alpha=0.4)
+    _fill(axis, layout.spawn_pose[:1], size, color="tab:blue", alpha=0.3)
     for segment in path.segments if path is not None else ():
-        driven = centre(car, segment.pose)
-        outline = np.asarray(box_corners(jnp.asarray(driven[-1]), jnp.asarray(size)))
-        axis.fill(*outline.T, fill=False, ec=GEARS[segment.gear], lw=0.5)
-        axis.plot(*segment.pose[:, :2].T, color=GEARS[segment.gear], lw=1.0)
+        colour, last = GEARS[segment.gear], centre(car, segment.pose[-1:])
+        _fill(axis, last, size, fill=False, ec=colour, lw=0.5)
+        axis.plot(*segment.pose[:, :2].T, color=colour, lw=1.0)
     (left, low), (right, high) = _view(layout, path)
     axis.set(xlim=(left, right), ylim=(low, high))
     inset = (right - left) / 25
     bar = [left + inset, left + inset + BAR]
     axis.plot(bar, [low + inset] * 2, color="black", lw=2, solid_capstyle="butt")
+
+
+def _fill(axis: Axes, pose: np.ndarray, size: np.ndarray, **style: Any) -> None:
+    """Draws boxes (n, 3), (n, 2), by default without an outline."""
+    style.setdefault("lw", 0.0)
+    for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
+        axis.fill(*outline.T, **style)
 
 
 def _view(layout: Layout, path: PlannedPath | None) -> np.ndarray:
@@ -475,15 +490,3 @@ def _view(layout: Layout, path: PlannedPath | None) -> np.ndarray:
     tall = max(half[1], half[0] / ASPECT)
     half = np.array([ASPECT * tall, tall])
     return np.stack([middle - half, middle + half])
-
-
-def _fill(
-    axis: Axes,
-    pose: np.ndarray,
-    size: np.ndarray,
-    color: str,
-    alpha: float = 1.0,
-    width: float = 0.0,
-) -> None:
-    for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
-        axis.fill(*outline.T, color=color, alpha=alpha, lw=width)

@@ -8,6 +8,7 @@ each seed with a letter for each case, in order: p parked, c crashed, t timed ou
 diverged. Rates follow from them. Results known from a table alone have `rates` instead.
 """
 
+import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -16,8 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carpark_mj.config import find_rules
+from carpark_mj.config.checks import CheckedConfig, NonNegative, is_finite
 from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
 from carpark_mj.evaluation.catalogue import metrics
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import write_atomically, write_csv, write_json
 from carpark_mj.reading import (
     TEXT,
@@ -29,11 +32,9 @@ from carpark_mj.reading import (
     require_entries,
 )
 from carpark_mj.suite.levels import (
-    EXTRA_LEVELS,
-    LEVELS,
-    case_numbers,
-    fingerprint,
+    find_level,
     in_order,
+    is_level,
     require_alike,
 )
 from carpark_mj.types import ENDINGS
@@ -67,12 +68,20 @@ _NEEDED = (
 )
 _PLANNED = ("planned", "planned_path", "planning_seconds")  # of the planner alone
 _LARGEST = 1e15  # of a number; sums of them are finite
-Key = tuple[str, str, int, int]  # of an episode: policy, level, seed, case
+
+
+class Key(NamedTuple):
+    """Which episode."""
+
+    policy: str
+    level: str
+    seed: int
+    case: int
 
 
 def key_of(row: Row) -> Key:
     """Key of a row's episode."""
-    return row["policy"], row["level"], row["seed"], row["case"]
+    return Key(*(row[name] for name in Key._fields))
 
 
 def has_moving_car(rows: Sequence[Row]) -> bool:
@@ -93,7 +102,6 @@ def write_run(
     columns = list(dict.fromkeys(name for row in episodes for name in row))
     cases = folder / CASES_FILE
     write_csv(cases, [{n: row.get(n, "") for n in columns} for row in episodes])
-    policy, level, seed, case = (list(part) for part in zip(*drives, strict=True))
     length = max(drive.speed.shape[1] for drive in drives.values())
     arrays = {
         name: np.concatenate([_pad(x, length) for x in parts])
@@ -101,8 +109,8 @@ def write_run(
             Drives._fields, zip(*drives.values(), strict=True), strict=True
         )
     }
-    arrays |= {"policy": np.array(policy), "level": np.array(level)}
-    arrays |= {"seed": np.array(seed), "case": np.array(case)}
+    keys = zip(Key._fields, zip(*drives, strict=True), strict=True)
+    arrays |= {name: np.array(column) for name, column in keys}
     worst = folder / WORST_FILE
 
     def write(temporary: Path) -> None:
@@ -127,10 +135,9 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
         for row in _read_cases(folder / CASES_FILE):
             key = key_of(row)
             if key in episodes:
-                policy, level, seed, case = key
                 raise ValueError(
-                    f"{folder / CASES_FILE} repeats case {case} of {level} by {policy} "
-                    f"with seed {seed}, which a folder before it has"
+                    f"{folder / CASES_FILE} repeats case {key.case} of {key.level} by "
+                    f"{key.policy} with seed {key.seed}, which a folder before it has"
                 )
             episodes[key] = row
         worst = folder / WORST_FILE
@@ -164,10 +171,11 @@ def _read_cases(path: Path) -> list[Row]:
     if not rows:
         raise ValueError(f"{path} holds no episode")
     for row in rows:
-        if row["held_out"] != fingerprint(row["level"]):
+        expected = find_level(row["level"]).fingerprint
+        if row["held_out"] != expected:
             raise ValueError(
                 f"{path} is about other held-out cases, {row['held_out']!r}, not "
-                f"{fingerprint(row['level'])}"
+                f"{expected}"
             )
     return rows
 
@@ -184,8 +192,7 @@ def _parse(row: CsvRow) -> Row:
             if abs(parsed[name]) > _LARGEST:
                 raise ValueError(f"{row.place}: {name} is too large, {text}")
     level, case = parsed["level"], parsed["case"]
-    known = level in LEVELS or level in EXTRA_LEVELS
-    if not known or case not in case_numbers(level):
+    if not is_level(level) or case not in find_level(level).numbers:
         raise ValueError(f"{row.place}: there is no case {case} of level {level!r}")
     ends = [parsed[name] for name in ENDINGS]
     if not {*ends} <= {0.0, 1.0} or not any(ends):
@@ -205,8 +212,7 @@ def _read_worst(path: Path) -> dict[Key, Drives]:
         data = Archive(path).read(_FORMS)
     except ValueError as error:
         raise ValueError(f"{path} has no drives of the suite: {error}") from None
-    columns = (data[name].tolist() for name in ("policy", "level", "seed", "case"))
-    keys = zip(*columns, strict=True)
+    keys = map(Key, *(data[name].tolist() for name in Key._fields))
     return {
         key: Drives(*(data[name][[index]] for name in Drives._fields))
         for index, key in enumerate(keys)
@@ -227,29 +233,89 @@ FORMAT = "carpark_mj suite 1"
 SUITE_FILE = "suite.json"
 RATES = ("parked", "crashed", "timed_out")
 MEANS = ("gear_changes", "path", "time_to_park")  # over parked episodes
+MEAN_TITLES = ("gear changes", "path [m]", "time [s]")
 _LETTERS = {name[0]: name for name in ENDINGS}
-_ENTRY = {"policy": str, "level": str, "held_out": str, "made_with": str}
+_NAMES = ("policy", "level", "held_out", "made_with")
 
 
-class Result(NamedTuple):
-    """A policy in the cases of a level.
+@dataclasses.dataclass(frozen=True)
+class Result(CheckedConfig):
+    """A policy in the cases of a level, an object of `results` in `suite.json`.
 
     Attributes:
-        entry: of the file: policy, level, seeds and means.
-        rates: shares of episodes, by `RATES`.
-        cases: how many of the level were driven; further seeds do not add cases.
-        checked: whether the rates are counted from outcomes.
+        policy: its name.
+        level: whose cases.
+        held_out: fingerprint of these.
+        made_with: processor and versions of packages.
+        rule: when the car counts as parked.
+        moving_car: whether another car drives through the aisle.
+        seeds: that drove the cases.
+        gear_changes: mean over parked episodes; None = none parked, as for the next.
+        path: mean [m].
+        time_to_park: mean [s].
+        outcomes: of each seed, a letter for each case.
+        rates: shares of episodes by `RATES`, if there are no outcomes.
     """
 
-    entry: dict[str, Any]
-    rates: dict[str, float]
-    cases: int
-    checked: bool
+    policy: str
+    level: str
+    held_out: str
+    made_with: str
+    rule: str
+    moving_car: bool
+    seeds: tuple[int, ...]
+    gear_changes: NonNegative | None = None
+    path: NonNegative | None = None
+    time_to_park: NonNegative | None = None
+    outcomes: tuple[str, ...] | None = None
+    rates: dict[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        level, seeds = find_level(self.level), self.seeds
+        if self.held_out != level.fingerprint:
+            raise ValueError(
+                f"held_out must be {level.fingerprint!r}, not {self.held_out!r}"
+            )
+        if not seeds or len({*seeds}) < len(seeds):
+            raise ValueError(f"seeds must be different whole numbers, not {seeds}")
+        if (self.outcomes is None) == (self.rates is None):
+            raise ValueError("outcomes or rates must be given, not both")
+        if self.rates is not None:
+            _require_shares(self.rates)
+            return
+        outcomes, known = self.outcomes or (), len(level.numbers)
+        lengths, letters = {*map(len, outcomes)}, {*"".join(outcomes)}
+        alike = len(outcomes) == len(seeds) and len(lengths) == 1
+        if not (alike and lengths <= {*range(1, known + 1)} and letters <= {*_LETTERS}):
+            raise ValueError(
+                f"outcomes must be a string of 1 to {known} letters "
+                f"{', '.join(_LETTERS)} for each seed, all of the same length"
+            )
 
     @property
-    def complete(self) -> bool:
-        """Whether every case of the level was driven."""
-        return self.cases == len(case_numbers(self.entry["level"]))
+    def shares(self) -> dict[str, float]:
+        """Shares of episodes by `RATES`, counted from the outcomes if there are any."""
+        letters = "".join(self.outcomes or ())
+        if self.rates is not None:
+            return self.rates
+        return {name: letters.count(name[0]) / len(letters) for name in RATES}
+
+    @property
+    def cases(self) -> int:
+        """How many cases were driven; further seeds do not add cases."""
+        known = len(find_level(self.level).numbers)
+        return known if self.outcomes is None else len(self.outcomes[0])
+
+
+def _require_shares(rates: dict[str, float]) -> None:
+    named = sorted(rates) == sorted(RATES)
+    shares = named and all(is_finite(x) and x >= 0.0 for x in rates.values())
+    # Each is rounded to three digits.
+    if not shares or not math.isclose(math.fsum(rates.values()), 1.0, abs_tol=0.0015):
+        raise ValueError(
+            f"rates must be shares of {', '.join(RATES)} that add up to 1, not {rates}"
+        )
 
 
 def write_submission(folder: Path, episodes: Sequence[Row]) -> Path:
@@ -268,7 +334,7 @@ def _entry(rows: list[Row]) -> dict[str, Any]:
     rows = sorted(rows, key=lambda row: (row["seed"], row["case"]))
     seeds, means = sorted({row["seed"] for row in rows}), summarize(rows)
     return {
-        **{name: rows[0][name] for name in _ENTRY},
+        **{name: rows[0][name] for name in _NAMES},
         "seeds": seeds,
         "outcomes": [
             "".join(
@@ -289,118 +355,70 @@ def read_submission(path: Path) -> list[Result]:
     if found["format"] != FORMAT:
         raise ValueError(f"{what}: format must be {FORMAT!r}, not {found['format']!r}")
     find_rules(found["rule"])
-    results: list[Result] = []
-    for number, entry in enumerate(found["results"], 1):
-        place = f"{what}, result {number}"
-        if not isinstance(entry, dict):
-            raise ValueError(f"{place} is not a JSON object")
-        which = {name: found[name] for name in ("rule", "moving_car")}
-        results.append(_result(place, which | entry))
+    which = {name: found[name] for name in ("rule", "moving_car")}
+    results = [
+        _result(f"{what}, result {number}", entry, which)
+        for number, entry in enumerate(found["results"], 1)
+    ]
     if not results:
         raise ValueError(f"{what} has no result")
     return results
 
 
-def _result(place: str, entry: dict[str, Any]) -> Result:
-    def require(holds: object, rule: str) -> None:
-        if not holds:
-            raise ValueError(f"{place}: {rule}")
-
-    require_entries(entry, place, **_ENTRY, seeds=list)
-    level, seeds = entry["level"], entry["seeds"]
-    require(level in (*LEVELS, *EXTRA_LEVELS), f"there is no level {level!r}")
-    require(
-        entry["held_out"] == fingerprint(level),
-        f"held_out must be {fingerprint(level)!r}, not {entry['held_out']!r}",
-    )
-    whole = seeds and all(type(seed) is int for seed in seeds)
-    require(
-        whole and len({*seeds}) == len(seeds),
-        f"seeds must be different whole numbers, not {seeds}",
-    )
-    for name in MEANS:
-        value = entry.get(name, 0.0)
-        require(
-            value is None or _is_number(value),
-            f"{name} must be a number of at least 0, or null, not {value!r}",
-        )
-    require(
-        ("outcomes" in entry) != ("rates" in entry),
-        "outcomes or rates must be given, not both",
-    )
-    known = len(case_numbers(level))
-    if "rates" in entry:
-        rates = entry["rates"]
-        shares = isinstance(rates, dict) and sorted(rates) == sorted(RATES)
-        shares = shares and all(map(_is_number, rates.values()))
-        # Each is rounded to three digits.
-        require(
-            shares and math.isclose(math.fsum(rates.values()), 1.0, abs_tol=0.0015),
-            f"rates must be shares of {', '.join(RATES)} that add up to 1, not {rates}",
-        )
-        return Result(entry, rates, known, checked=False)
-    outcomes = entry["outcomes"]
-    strings = isinstance(outcomes, list) and len(outcomes) == len(seeds)
-    strings = strings and all(
-        isinstance(x, str) and len(x) in range(1, known + 1) for x in outcomes
-    )
-    require(
-        strings
-        and len({*map(len, outcomes)}) == 1
-        and {*"".join(outcomes)} <= {*_LETTERS},
-        f"outcomes must be a string of 1 to {known} letters {', '.join(_LETTERS)} for "
-        "each seed, all of the same length",
-    )
-    letters = "".join(outcomes)
-    rates = {name: letters.count(name[0]) / len(letters) for name in RATES}
-    return Result(entry, rates, len(outcomes[0]), checked=True)
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and 0.0 <= value < math.inf
+def _result(place: str, entry: Any, which: dict[str, Any]) -> Result:
+    if not isinstance(entry, dict):
+        raise ValueError(f"{place} is not a JSON object")
+    require_entries(entry, place, **dict.fromkeys(_NAMES, str), seeds=list)
+    known = {field.name for field in dataclasses.fields(Result)}
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in (which | entry).items()
+        if name in known
+    }
+    try:
+        return Result(**given)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from None
 
 
 def check_submission(path: Path) -> list[Result]:
     """Reads an entry of the leaderboard; ValueError unless it has every outcome."""
     results = read_submission(path)
     for result in results:
-        policy, level = result.entry["policy"], result.entry["level"]
-        if not result.checked:
-            raise ValueError(f"{path}: {policy} has no outcomes in level {level}")
-        if not result.complete:
+        policy, known = result.policy, len(find_level(result.level).numbers)
+        if result.outcomes is None:
             raise ValueError(
-                f"{path}: {policy} drove {result.cases} of the "
-                f"{len(case_numbers(level))} cases of level {level}"
+                f"{path}: {policy} has no outcomes in level {result.level}"
+            )
+        if result.cases < known:
+            raise ValueError(
+                f"{path}: {policy} drove {result.cases} of the {known} cases of level "
+                f"{result.level}"
             )
     return results
 
 
 def leaderboard(results: Iterable[Result]) -> str:
     """The results as a Markdown table, by level and then by parked rate."""
-    lines = [
-        "| level | policy | rule | parked [%] | crashed [%] | timed out [%] "
-        "| gear changes | path [m] | time [s] | seeds |",
-        "|---|---|---|---|---:|---:|---:|---:|---:|---:|",
-    ]
     results = list(results)
-    order = in_order(result.entry["level"] for result in results)
+    order = in_order(result.level for result in results)
+    rows: list[dict[str, str]] = []
     for result in sorted(
-        results, key=lambda r: (order.index(r.entry["level"]), -r.rates["parked"])
+        results, key=lambda r: (order.index(r.level), -r.shares["parked"])
     ):
-        entry, rates = result.entry, result.rates
-        low, high = wilson_interval(rates["parked"] * result.cases, result.cases)
-        rule = f"{entry['rule']}{', moving car' * entry['moving_car']}"
+        parked, crashed, timed_out = (result.shares[name] for name in RATES)
+        low, high = wilson_interval(parked * result.cases, result.cases)
         interval = f"({100 * low:.1f} … {100 * high:.1f})"
-        cells = [
-            *(entry["level"], f"`{entry['policy']}`{' †' * (not result.checked)}"),
-            *(rule, f"{100 * rates['parked']:.1f} {interval}"),
-            *(f"{100 * rates[name]:.1f}" for name in RATES[1:]),
-            *(_shown(entry.get(name)) for name in MEANS),
-            str(len(entry["seeds"])),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def _shown(value: float | None) -> str:
-    return "–" if value is None else f"{value:.1f}"
+        row = {
+            "level": result.level,
+            "policy": f"`{result.policy}`{' †' * (result.outcomes is None)}",
+            "rule": f"{result.rule}{', moving car' * result.moving_car}",
+            "parked [%]": f"{100 * parked:.1f} {interval}",
+            "crashed [%]": f"{100 * crashed:.1f}",
+            "timed out [%]": f"{100 * timed_out:.1f}",
+        }
+        for title, name in zip(MEAN_TITLES, MEANS, strict=True):
+            value = getattr(result, name)
+            row[title] = "–" if value is None else f"{value:.1f}"
+        rows.append(row | {"seeds": str(len(result.seeds))})
+    return markdown(rows, left=4)

@@ -105,66 +105,52 @@ def _numbers(path: Path) -> tuple[list[float], list[int]]:
     return numbers, lines
 
 
+def _require(holds: object, place: int, message: str) -> None:
+    if not holds:
+        raise _FaultError(place, message)
+
+
 def _parts(numbers: list[float]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
     """Start and goal (3,), and the vertices (n, 2) of each obstacle."""
     there = len(numbers)
-    if there < 7:
-        raise _FaultError(
-            there,
-            "a case begins with start, goal and the number of obstacles (7 numbers), "
-            f"not {there}",
-        )
+    whole = "a case begins with start, goal and the number of obstacles (7 numbers)"
+    _require(there >= 7, there, f"{whole}, not {there}")
     count = _whole(numbers, 6, "number of obstacles", 0)
     first = 7 + count  # of the vertices
-    if there < first:
-        raise _FaultError(
-            there,
-            f"{count} obstacles need {count} vertex counts, there are {there - 7}",
-        )
+    few = f"{count} obstacles need {count} vertex counts, there are {there - 7}"
+    _require(there >= first, there, few)
     sizes = [
         _whole(numbers, k, f"vertex count of obstacle {k - 7}", 3)
         for k in range(7, first)
     ]
     expected = first + 2 * sum(sizes)
-    if there != expected:
-        raise _FaultError(
-            there,
-            f"{count} obstacles with {sum(sizes)} vertices make {expected} numbers, "
-            f"not {there}",
-        )
+    parts = f"{count} obstacles with {sum(sizes)} vertices make {expected} numbers"
+    _require(there == expected, there, f"{parts}, not {there}")
     for k in (2, 5):
-        if abs(numbers[k]) > MOST_HEADING:
-            raise _FaultError(
-                k,
-                f"a heading must be at most {MOST_HEADING:.4g} rad either way, not "
-                f"{numbers[k]:g}",
-            )
+        rule = f"a heading must be at most {MOST_HEADING:.4g} rad either way"
+        _require(abs(numbers[k]) <= MOST_HEADING, k, f"{rule}, not {numbers[k]:g}")
     for turn, k in enumerate((0, 1, 3, 4, *range(first, expected))):  # x, y in turn
-        away = abs(numbers[k] - numbers[turn % 2])
-        if abs(numbers[k]) > FARTHEST_ORIGIN:
-            rule = f"at most {FARTHEST_ORIGIN:g} m, not {numbers[k]:g}"
-            raise _FaultError(k, f"a coordinate must be {rule}")
-        if away > FARTHEST:
-            rule = f"at most {FARTHEST:g} m from the start's, not {away:g} m"
-            raise _FaultError(k, f"a coordinate must be {rule}")
+        value, away = numbers[k], abs(numbers[k] - numbers[turn % 2])
+        rule = f"a coordinate must be at most {FARTHEST_ORIGIN:g} m, not {value:g}"
+        _require(abs(value) <= FARTHEST_ORIGIN, k, rule)
+        rule = f"a coordinate must be at most {FARTHEST:g} m from the start's, not"
+        _require(away <= FARTHEST, k, f"{rule} {away:g} m")
     vertices = np.array(numbers[first:]).reshape(-1, 2)
     polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
     for k, polygon in enumerate(polygons):
-        if abs(_area(polygon)) < LEAST_AREA:
-            raise _FaultError(
-                first + 2 * sum(sizes[:k]),
-                f"obstacle {k} has no area, its {sizes[k]} vertices lie on a line or "
-                "its edges cross",
-            )
+        _require(
+            abs(_area(polygon)) >= LEAST_AREA,
+            first + 2 * sum(sizes[:k]),
+            f"obstacle {k} has no area, its {sizes[k]} vertices lie on a line or its "
+            "edges cross",
+        )
     return np.array(numbers[:3]), np.array(numbers[3:6]), polygons
 
 
 def _whole(numbers: list[float], place: int, what: str, least: int) -> int:
     value = numbers[place]
-    if value != int(value) or value < least:
-        raise _FaultError(
-            place, f"{what} must be a whole number of at least {least}, not {value:g}"
-        )
+    rule = f"{what} must be a whole number of at least {least}, not {value:g}"
+    _require(value == int(value) and value >= least, place, rule)
     return int(value)
 
 
@@ -199,9 +185,8 @@ def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> La
         sizes[[0, *range(len(sizes))]],
         solid,
     )
-    for first, what, number in ((0, "start", 0), (3, "goal", 1)):
-        if blocked[number]:
-            raise _FaultError(first, f"a car at the {what} would stand in an obstacle")
+    for first, what, stands in ((0, "start", blocked[0]), (3, "goal", blocked[1])):
+        _require(not stands, first, f"a car at the {what} would stand in an obstacle")
     free = sizes[1:][~blocked[2:]]
     bay_size = free[0] if len(free) else np.array(car.size)
     layout = assemble(

@@ -6,28 +6,30 @@
     print(evaluate(run).summary["parked"])
     render(run, "drive.mp4")
 
-The names load on first use, so that registering presets costs no import.
+What they need loads on first use, so that registering presets costs no import.
 """
 
+import contextlib
+import dataclasses
 import importlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from carpark_mj.cli.process import configure_jax, naming_extras
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before MuJoCo is imported, for `render`
 
 if TYPE_CHECKING:
+    from carpark_mj.evaluation.evaluator import Evaluation
+    from carpark_mj.policy.loading import LoadedPolicy
     from carpark_mj.training.ppo.config import PPOConfig
     from carpark_mj.training.ppo.parts import PRESETS
-    from carpark_mj.training.run import Run, evaluate, render, train
 
 _HOMES = {
     "PPOConfig": "carpark_mj.training.ppo.config",
     "PRESETS": "carpark_mj.training.ppo.parts",
-    "Run": "carpark_mj.training.run",
-    "evaluate": "carpark_mj.training.run",
-    "render": "carpark_mj.training.run",
-    "train": "carpark_mj.training.run",
 }
 
 __all__ = ["PRESETS", "PPOConfig", "Run", "evaluate", "render", "train"]
@@ -37,3 +39,107 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'carpark_mj.training' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+# Receives the metrics of an update by name; True ends the training after it.
+Callback = Callable[[Mapping[str, float]], bool | None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A run of PPO.
+
+    Attributes:
+        folder: of its settings, checkpoints and metrics.
+        outcome: `done`, `stopped` before its end, or `diverged`.
+    """
+
+    folder: Path
+    outcome: str = "done"
+
+    @property
+    def metrics(self) -> list[dict[str, float]]:
+        """Metrics of every update so far, by name.
+
+        Raises:
+            ValueError: `metrics.csv` is damaged.
+        """
+        with naming_extras():
+            from carpark_mj.training.loop import read_metrics
+        return read_metrics(self.folder)
+
+    @property
+    def policy(self) -> "LoadedPolicy":
+        """The policy of the newest checkpoint, and its environment.
+
+        Raises:
+            CheckpointError: the checkpoint is missing or damaged.
+        """
+        from carpark_mj.policy.loading import load_policy
+
+        return load_policy(self.folder)
+
+
+def train(config: "PPOConfig", callback: Callback | None = None) -> Run:
+    """Trains a run, or continues `config.resume`.
+
+    Unlike `carpark_mj train` it does not evaluate or render: call `evaluate` and
+    `render`. If JAX has made no array yet, the lots are divided over all cores.
+
+    Args:
+        config: settings, for example one of `PRESETS` with other values.
+        callback: called on the host after every update with its row of `metrics.csv`;
+            True ends the training after this update, as Ctrl-C does.
+
+    Raises:
+        ValueError: impossible settings.
+        CheckpointError: a checkpoint to resume from is damaged.
+        ImportError: the packages of the extra `train` are missing.
+    """
+    with naming_extras():
+        from carpark_mj.training.ppo.train import train_runs
+    with contextlib.suppress(RuntimeError):  # JAX runs already, on the devices it has
+        configure_jax()
+
+    def called(number: int, metrics: Mapping[str, float]) -> bool:
+        del number
+        return callback is not None and callback(metrics) is True
+
+    [(folder, outcome)] = train_runs([config], finish_run=None, callback=called)
+    return Run(folder, outcome)
+
+
+def evaluate(run: Run, **settings: Any) -> "Evaluation":
+    """Evaluates a run on held-out seeds; prints the table and writes the files.
+
+    Args:
+        run: to evaluate.
+        **settings: of `carpark_mj.cli.evaluate.EvaluateConfig`.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        ValueError: impossible settings.
+    """
+    with naming_extras():
+        from carpark_mj.cli.evaluate import EvaluateConfig, main
+        from carpark_mj.training.run_folder import argument
+    return main(EvaluateConfig(argument(run.folder), **settings))
+
+
+def render(run: Run, out: str | Path, **settings: Any) -> Path:
+    """Renders a run's episodes to an `.mp4`, a `.gif`, or a `.png` of one moment.
+
+    Args:
+        run: to render.
+        out: file to write.
+        **settings: of `carpark_mj.cli.render.RenderConfig`.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        RenderingError: OpenGL does not work here.
+        ValueError: impossible settings.
+    """
+    with naming_extras():
+        from carpark_mj.cli.render import RenderConfig, main
+        from carpark_mj.training.run_folder import argument
+    return main(RenderConfig(argument(run.folder), out=str(out), **settings))

@@ -10,9 +10,9 @@ import dataclasses
 import os
 import re
 import zlib
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
@@ -61,19 +61,38 @@ class Hosts:
             )
 
 
-def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:
-    """The flags of the hosts, and the others, whose defaults depend on the devices."""
+def take_flags(
+    arguments: Sequence[str], **flags: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[str]]:
+    """The values of some flags, and the words of the others.
+
+    Args:
+        arguments: the command line.
+        **flags: options of `argparse.ArgumentParser.add_argument` by name.
+
+    Raises:
+        ValueError: a value is missing or impossible.
+    """
     parser = argparse.ArgumentParser(
         add_help=False, allow_abbrev=False, exit_on_error=False
     )
-    for field in dataclasses.fields(Hosts):
-        flag = f"--{field.name.replace('_', '-')}"
-        parser.add_argument(flag, type=type(field.default), default=field.default)
+    for name, options in flags.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", **options)
     try:
         values, others = parser.parse_known_args(arguments)
     except argparse.ArgumentError as error:
         raise ValueError(str(error)) from None
-    return Hosts(**vars(values)), others
+    return vars(values), others
+
+
+def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:
+    """The flags of the hosts, and the others, whose defaults depend on the devices."""
+    flags = {
+        field.name: {"type": type(field.default), "default": field.default}
+        for field in dataclasses.fields(Hosts)
+    }
+    values, others = take_flags(arguments, **flags)
+    return Hosts(**values), others
 
 
 @contextlib.contextmanager

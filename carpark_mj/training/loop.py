@@ -55,7 +55,7 @@ class Loop:
         """Starts the clocks.
 
         Args:
-            title: of the bar.
+            title: title of the bar.
             config: `time_limit` and `checkpoint_minutes` count.
             clock: gives the time [s].
         """
@@ -257,7 +257,7 @@ def plot_learning_curve(
     """Draws outcome rates and return over the steps to `learning_curve.png`.
 
     Args:
-        folder: of the run.
+        folder: run folder.
         outcomes: columns under `episode/` with rates, and their colours.
         returns: the column with the return.
         unit: name and size of the unit of steps.

@@ -1,6 +1,5 @@
 """A run's settings, from flags, a preset or its folder, and that folder's lock."""
 
-import argparse
 import contextlib
 import dataclasses
 import fcntl
@@ -22,8 +21,9 @@ from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
-from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.policy.checkpoints import CheckpointError, refused_as
 from carpark_mj.reading import read_object
+from carpark_mj.training.hosts import take_flags
 
 LOCK = ".lock"
 MAX_SEEDS = 1024
@@ -65,7 +65,7 @@ class RunConfig(CheckedConfig):
 
     @property
     def default_name(self) -> str:
-        """Of the run's folder."""
+        """Name of the folder of an unnamed run."""
         return f"{self.preset}-{self.seed}"
 
 
@@ -98,7 +98,7 @@ def open_run(config: RunConfig) -> Generator[Path]:
             if not config.resume:
                 write_json(folder / "config.json", describe(config))
             yield folder
-        except (*USER_ERRORS, CheckpointError, JaxRuntimeError):
+        except (*USER_ERRORS, JaxRuntimeError):
             if not config.resume and not runs.checkpoint_files(folder):
                 shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -106,29 +106,24 @@ def open_run(config: RunConfig) -> Generator[Path]:
 
 def _new_folder(config: RunConfig) -> Path:
     """Makes the folder; an unnamed run never touches an older one."""
-    name = config.name or config.default_name
-    folder = Path(config.runs_dir) / name
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    number = 1
+    name, parent = config.name or config.default_name, Path(config.runs_dir)
+    parent.mkdir(parents=True, exist_ok=True)
+    folder, number = parent / name, 1
     while True:
-        try:
+        with contextlib.suppress(FileExistsError):
             folder.mkdir()
-        except FileExistsError:
-            # A run was killed before it wrote its settings, or its lock is held.
-            bare = folder.is_dir() and all(
-                path.name.startswith(".") for path in folder.iterdir()
-            )
-            if config.name and bare:
-                return folder
-            if config.name:
-                raise ValueError(
-                    f"{folder} exists: choose another --name, or continue with "
-                    f"--resume {folder}"
-                ) from None
-            number += 1
-            folder = folder.with_name(f"{name}-{number}")
-        else:
             return folder
+        if not config.name:
+            number += 1
+            folder = parent / f"{name}-{number}"
+        # A run was killed before it wrote its settings, or its lock is held.
+        elif folder.is_dir() and all(x.name[0] == "." for x in folder.iterdir()):
+            return folder
+        else:
+            raise ValueError(
+                f"{folder} exists: choose another --name, or continue with --resume "
+                f"{folder}"
+            )
 
 
 def argument(folder: Path) -> str:
@@ -165,10 +160,8 @@ def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, A
     """
     header = checkpoints.read_header(path, config=dict, **kinds)
     runs.check_version(header, path)
-    try:
+    with refused_as(f"{path} has an unusable config"):
         runs.from_dict(kind, header["config"])
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} has an unusable config: {error}") from None
     return header
 
 
@@ -179,24 +172,18 @@ def stored(folder: Path) -> dict[str, Any]:
         CheckpointError: the run does not exist, or another version wrote it.
     """
     path = folder / "config.json"
-    try:
+    if not path.exists():
+        raise CheckpointError(f"no run at {folder} (no {path})")
+    with refused_as(f"{path} is not the config of a run"):
         described = read_object(path, config=dict)
-    except (FileNotFoundError, NotADirectoryError):
-        raise CheckpointError(f"no run at {folder} (no {path})") from None
-    except ValueError as error:
-        raise CheckpointError(f"{path} is not the config of a run: {error}") from None
     runs.check_version(described, path)
     return described["config"]
 
 
 def read_config(cls: type[Config], folder: Path) -> Config:
     """Reads the settings of a run, see `stored`."""
-    try:
+    with refused_as(f"{folder / 'config.json'} is not the config of a run"):
         return runs.from_dict(cls, stored(folder))
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(
-            f"{folder / 'config.json'} is not the config of a run: {error}"
-        ) from None
 
 
 def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -224,7 +211,7 @@ def read_settings(
     Args:
         default: preset taken if the flag `preset` names none of the presets.
         presets: by name.
-        arguments: of the command line; None = those of the program.
+        arguments: the command line; None = that of the process.
         description: at the head of the help.
         short: settings that the short help lists.
         summaries: purpose of each preset, for the help.
@@ -268,12 +255,7 @@ def read_settings(
 
 def named(arguments: Sequence[str], setting: str) -> str:
     """The value of a flag before the others are read; empty if it is not given."""
-    name = ""
-    for word, after in zip(arguments, [*arguments[1:], ""], strict=False):
-        flag, equals, value = word.partition("=")
-        if flag == f"--{setting}":
-            name = value if equals else after
-    return name
+    return take_flags(arguments, **{setting: {"default": ""}})[0][setting]
 
 
 def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> str:
@@ -307,21 +289,14 @@ def read_runs(
         ValueError: impossible settings.
         CheckpointError: `--resume` names no run, or one of an older version.
     """
-    parser = argparse.ArgumentParser(
-        add_help=False, allow_abbrev=False, exit_on_error=False
-    )
-    parser.add_argument("--seeds")
-    parser.add_argument("--resume", nargs="+", default=[])
-    try:
-        ours, others = parser.parse_known_args(arguments)
-    except argparse.ArgumentError as error:
-        raise ValueError(str(error)) from None
-    if ours.resume and ours.seeds is not None:
+    ours, others = take_flags(arguments, seeds={}, resume={"nargs": "+", "default": []})
+    seeds, resumed = ours["seeds"], ours["resume"]
+    if resumed and seeds is not None:
         raise ValueError("resumed runs keep their own seeds: drop seeds")
-    if ours.resume:
-        return [read([*others, "--resume", folder]) for folder in ours.resume]
+    if resumed:
+        return [read([*others, "--resume", folder]) for folder in resumed]
     config = read(others)
-    if ours.seeds is None:
+    if seeds is None:
         return [config]
     if config.seed:
         raise ValueError(f"give seed or seeds, not both: drop seed {config.seed}")
@@ -329,7 +304,7 @@ def read_runs(
         dataclasses.replace(
             config, seed=seed, name=f"{config.name}-{seed}" if config.name else ""
         )
-        for seed in parse_seeds(ours.seeds)
+        for seed in parse_seeds(seeds)
     ]
 
 

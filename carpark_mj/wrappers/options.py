@@ -79,7 +79,7 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
         ValueError: impossible value.
     """
     require_options(options, allowed)
-    given = {name: from_json(name, _KINDS[name], x) for name, x in options.items()}
+    given = {name: from_json(_KINDS[name], x) for name, x in options.items()}
     config = given.get("config", EnvConfig())
     if isinstance(config, str):
         config = environment(config)

@@ -15,7 +15,6 @@ from matplotlib.axes import Axes
 from rich.console import Console
 
 from carpark_mj.analysis import (
-    SHOWN_ROWS,
     Record,
     flat_metrics,
     group,
@@ -25,10 +24,10 @@ from carpark_mj.analysis import (
     run_folders,
     run_rows,
     spread_rows,
-    table,
     videos,
 )
 from carpark_mj.cli.analysis import analyse
+from carpark_mj.evaluation.tables import SHOWN_ROWS, table
 from carpark_mj.training.ppo.parts import PRESETS
 
 BASE = PRESETS["square"]

@@ -1,4 +1,4 @@
-"""Cameras: worked examples, symmetries, refusals, faults."""
+"""Cameras: worked examples, symmetries, refusals, faults, MuJoCo's own pictures."""
 
 import functools
 import math
@@ -10,6 +10,7 @@ import pytest
 from helpers.scenes import cars, lot, moved, moved_cars, moved_lot
 from helpers.states import parked_at, state_of
 
+from cameras import ENOUGH, compare, environment
 from carpark_mj.cameras import (
     RIGS,
     Camera,
@@ -219,3 +220,14 @@ def test_faults_turn_shift_hide_and_darken():
     near = np.asarray(exact.depth) < 20.0
     spread = np.std((np.asarray(noisy) / np.asarray(exact.depth))[near])
     assert spread == pytest.approx(0.02, rel=0.1)
+
+
+def test_depth_and_classes_are_those_that_mujoco_draws():
+    # No skip without GL: CI installs it, and a silent skip would hide its loss.
+    env = environment("lot")
+    state = jax.jit(lambda key: env.reset(key)[0])(jax.random.key(1))
+    found = compare(env, [state], meshes=False)
+    assert found.pixels == 2 * 5 * 64 * 48  # of two agents with five cameras
+    assert found.on_edge < 0.05 * found.pixels
+    assert found.depth >= ENOUGH
+    assert found.classes >= ENOUGH

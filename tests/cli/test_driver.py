@@ -42,9 +42,12 @@ def test_a_vehicle_is_that_of_all_cars_instead_of_a_fleet():
 
 
 def test_any_setting_of_an_environment_can_be_given_as_for_the_trainer():
-    changed = with_settings(RUN, ["sim.steering_delay=0.24", "occupancy=0.2 0.5"])
+    given = ["sim.steering_delay=0.24", "occupancy=0.2 0.5", "episode.respawn=false"]
+    changed = with_settings(RUN, given)
     sim = dataclasses.replace(RUN.sim, steering_delay=0.24)
-    assert changed == dataclasses.replace(RUN, sim=sim, occupancy=(0.2, 0.5))
+    episode = dataclasses.replace(RUN.episode, respawn=False)
+    changes = {"sim": sim, "episode": episode, "occupancy": (0.2, 0.5)}
+    assert changed == dataclasses.replace(RUN, **changes)
     assert with_settings(RUN, []) is RUN
 
 

@@ -2,6 +2,7 @@
 
 import collections
 
+import jax
 import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics
@@ -10,6 +11,7 @@ from carpark_mj.config import EnvConfig, EpisodeConfig, insert
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import effective_episodes, wilson_interval
 from carpark_mj.evaluation.evaluator import Evaluator, allot, evaluate
+from carpark_mj.evaluation.keys import evaluation_key, training_key
 from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy.acting import as_argument
@@ -228,3 +230,12 @@ def test_numbers_of_agents_are_summed_up_apart_and_add_up(crowds, plain):
         assert crowds.summary[outcome]["count"] == total
     assert list(plain.agent_counts) == [3]
     assert {row["agents_present"] for row in plain.episodes} == {3}
+
+
+def test_no_training_shares_its_key_with_an_evaluation():
+    training, held_out = (
+        {tuple(np.asarray(jax.random.key_data(key(seed)))) for seed in range(50)}
+        for key in (training_key, evaluation_key)
+    )
+    assert len(training) == len(held_out) == 50
+    assert not training & held_out

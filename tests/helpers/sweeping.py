@@ -6,7 +6,8 @@ import signal
 import time
 from pathlib import Path
 
-from carpark_mj.sweeps import Plan, checked_runs, read_axis, run_folder, settings_of
+from carpark_mj.sweeps import run_folder
+from carpark_mj.sweeps.plan import Plan, checked_runs, read_axis, settings_of
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.run_folder import describe
 

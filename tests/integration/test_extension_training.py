@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carpark_mj.training.run import Run
+from carpark_mj.training import Run
 
 pytestmark = pytest.mark.slow
 
@@ -15,9 +15,9 @@ ROOT = Path(__file__).parents[2]
 MODULE = """
 from carpark_mj.extensions import Entry
 from carpark_mj.programs import STUDY_PROGRAMS
-from carpark_mj.training.ppo.parts import PRESET_ENTRIES, VARIANTS
+from carpark_mj.training.ppo.parts import PRESETS, VARIANTS
 
-PRESET_ENTRIES.register("tiny", Entry("tiny_parts:TINY", "of another package"))
+PRESETS.register("tiny", Entry("tiny_parts:TINY", "of another package"))
 VARIANTS.register("halved", Entry("tiny_parts:HALVED"))
 STUDY_PROGRAMS.register("hello", Entry("tiny_parts:hello", "greet"))
 """

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from helpers.programs import layouts as main
 from helpers.scenes import polygons
 
@@ -21,20 +22,7 @@ def test_bays_open_onto_lanes_and_the_lot_is_valid(name):
     lot = layout_config(name).layout
     assert describe_faults(lot) == []
     assert int(lot.bay_mask.sum()) == BAYS[name]
-    lanes = polygons(lot.lane_pose, lot.lane_size)
-    ahead = np.stack([np.cos(lot.bay_pose[:, 2]), np.sin(lot.bay_pose[:, 2])], axis=-1)
-    ends = [
-        lot.bay_pose[:, :2] + side * ahead * lot.bay_size[:, :1] / 2 for side in (1, -1)
-    ]
-    front, back = (_to_lanes(end, lanes) for end in ends)
-    assert (front < back).mean() > 0.98
-
-
-def _to_lanes(points, lanes):
-    import shapely
-
-    distance = shapely.distance(shapely.points(points)[:, None], np.array(lanes))
-    return distance.min(axis=1)
+    assert (_gaps(lot) < _gaps(lot, -1)).mean() > 0.98
 
 
 @pytest.mark.parametrize("name", BAYS)
@@ -44,8 +32,6 @@ def test_a_crop_holds_the_bays_between_its_corners(name):
     low, high = np.array(CORNERS[:2]), np.array(CORNERS[2:])
     assert np.allclose(part.extent, (high - low) / 2)
     assert describe_faults(part) == []
-    import shapely
-
     region = shapely.box(*CORNERS)
     inside = region.covers(polygons(whole.bay_pose, whole.bay_size))
     # Bays of lanes outside are left out; none has a lane that is farther away.
@@ -63,10 +49,12 @@ def _places(lot, shift=(0.0, 0.0)):
     return np.round(lot.bay_pose[:, :2] + np.array(shift), 2)
 
 
-def _gaps(lot):
+def _gaps(lot, side=1):
+    """Distances of the bays' ends in front (side 1) or behind (-1) to lanes."""
     ahead = np.stack([np.cos(lot.bay_pose[:, 2]), np.sin(lot.bay_pose[:, 2])], axis=-1)
-    fronts = lot.bay_pose[:, :2] + ahead * lot.bay_size[:, :1] / 2
-    return _to_lanes(fronts, polygons(lot.lane_pose, lot.lane_size))
+    ends = shapely.points(lot.bay_pose[:, :2] + side * ahead * lot.bay_size[:, :1] / 2)
+    lanes = np.array(polygons(lot.lane_pose, lot.lane_size))
+    return shapely.distance(ends[:, None], lanes).min(axis=1)
 
 
 @pytest.mark.parametrize("name", BAYS)

@@ -127,10 +127,7 @@ BAD_JSON = [
         changed(bays=[{"pose": [0, 6, -90], "size": [5, 2]}]),
         r"bays\[0\].pose .* rad, not -90: headings are in radians",
     ),
-    (
-        changed(spawns=[{**HAND["spawns"][0], "spread": -3}]),
-        r"\[0, 3.142\], not -3",
-    ),
+    (changed(spawns=[{**HAND["spawns"][0], "spread": -3}]), r"\[0, 3.142\], not -3"),
     (changed(spawns=[{**HAND["spawns"][0], "spread": 4}]), "spread must lie in"),
     (changed(spawns=[3]), r"spawns\[0\] must be an object, not 3"),
 ]

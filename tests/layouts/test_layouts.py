@@ -146,75 +146,54 @@ def test_a_larger_car_needs_more_room():
     assert problems[0].startswith("bays are smaller than the car: [0, 1, 2]")
 
 
-def broken(name):
-    layout = make_layout("square")
-    bay, wall = layout.bay_pose, layout.wall_size
-    faults = {
-        "overlapping bays": layout.replace(bay_pose=bay.at[1, 0].add(-1.0)),
-        "the same bay twice": layout.replace(bay_pose=bay.at[1].set(bay[0])),
-        "negative bay size": layout.replace(
-            bay_size=layout.bay_size.at[3, 1].set(-1.0)
-        ),
-        "zero wall size": layout.replace(wall_size=wall.at[0, 0].set(0.0)),
-        "NaN bay": layout.replace(bay_pose=bay.at[0, 2].set(jnp.nan)),
-        "infinite wall": layout.replace(wall_size=wall.at[0, 0].set(jnp.inf)),
-        "NaN extent": layout.replace(extent=jnp.array([jnp.nan, 20.0])),
-        "bay outside": layout.replace(bay_pose=bay.at[0, 1].add(-0.5)),
-        "bay in a wall": layout.replace(wall_pose=layout.wall_pose.at[0].set(bay[5])),
-        "spawn region in a wall": layout.replace(spawn_size=jnp.array([[32.0, 32.0]])),
-        "no bay": layout.replace(bay_mask=jnp.zeros(36, bool)),
-        "no spawn region": layout.replace(spawn_mask=jnp.zeros(1, bool)),
-        "mask of numbers": layout.replace(bay_mask=jnp.ones(36)),
-        "poses of integers": layout.replace(bay_pose=bay.astype(jnp.int32)),
-        "rows missing": layout.replace(wall_pose=layout.wall_pose[:7]),
-        "disc in a bay": furnished(layout, disc=(0.0, -17.0, 0.3)),
-        "disc near a spawn region": furnished(layout, disc=(0.0, -14.0, 0.3)),
-        "disc in a lane": furnished(layout, disc=(0.0, -14.0, 0.3), lane=14.0),
-        "negative disc": furnished(layout, disc=(0.0, -14.0, -0.3)),
-        "lane through bays": furnished(layout, lane=14.0, lane_width=4.0),
-        "lane through a wall": furnished(layout, lane=21.5),
-        "spawn region beside bays": layout.replace(
-            spawn_size=jnp.array([[27.0, 27.0]])
-        ),
-        "bay too narrow": layout.replace(
-            bay_size=layout.bay_size.at[7].set(jnp.array([5.0, 1.7]))
-        ),
-        "kinds of floats": layout.replace(bay_kind=jnp.zeros(36)),
-    }
-    return faults[name]
+def put(field, row, value):
+    """Changes rows of a field, `value` may be a function of the layout."""
+
+    def change(lot):
+        new = value(lot) if callable(value) else value
+        return lot.replace(**{field: getattr(lot, field).at[row].set(new)})
+
+    return change
 
 
-@pytest.mark.parametrize(
-    ("fault", "word"),
-    [
-        ("overlapping bays", "bays overlap"),
-        ("the same bay twice", "bays overlap"),
-        ("negative bay size", "bay_size must be positive"),
-        ("zero wall size", "wall_size must be positive"),
-        ("NaN bay", "bay_pose holds a non-finite"),
-        ("infinite wall", "wall_size holds a non-finite"),
-        ("NaN extent", "extent"),
-        ("bay outside", r"bays lie outside the extent: \[0\]"),
-        ("bay in a wall", "bays meet walls"),
-        ("spawn region in a wall", "spawn regions meet walls"),
-        ("no bay", "no bay"),
-        ("no spawn region", "no spawn region"),
-        ("mask of numbers", "bay_mask must be bool"),
-        ("poses of integers", "bay_pose must be float32"),
-        ("rows missing", "wall_pose must be"),
-        ("disc in a bay", "bays meet discs: "),
-        ("disc near a spawn region", "cars spawning in spawn regions meet discs"),
-        ("disc in a lane", "lanes meet discs"),
-        ("negative disc", "disc_radius must be positive"),
-        ("lane through bays", "lanes meet bays"),
-        ("lane through a wall", "lanes meet walls"),
-        ("spawn region beside bays", "cars spawning in spawn regions meet bays"),
-        ("bay too narrow", r"bays are smaller than the car: \[7\]"),
-        ("kinds of floats", "bay_kind must be int32"),
-    ],
-)
-def test_describe_faults_names_each_kind_of_fault(fault, word):
-    problems = describe_faults(broken(fault))
+DISC = (0.0, -14.0, 0.3)
+FAULTS = [
+    ("bays overlap", put("bay_pose", (1, 0), lambda lot: lot.bay_pose[1, 0] - 1.0)),
+    ("bays overlap", put("bay_pose", 1, lambda lot: lot.bay_pose[0])),
+    ("bay_size must be positive", put("bay_size", (3, 1), -1.0)),
+    ("wall_size must be positive", put("wall_size", (0, 0), 0.0)),
+    ("bay_pose holds a non-finite", put("bay_pose", (0, 2), math.nan)),
+    ("wall_size holds a non-finite", put("wall_size", (0, 0), math.inf)),
+    ("extent", put("extent", 0, math.nan)),
+    (
+        r"bays lie outside the extent: \[0\]",
+        put("bay_pose", (0, 1), lambda lot: lot.bay_pose[0, 1] - 0.5),
+    ),
+    ("bays meet walls", put("wall_pose", 0, lambda lot: lot.bay_pose[5])),
+    ("spawn regions meet walls", put("spawn_size", 0, 32.0)),
+    ("no bay", put("bay_mask", ..., False)),
+    ("no spawn region", put("spawn_mask", ..., False)),
+    ("bay_mask must be bool", lambda lot: lot.replace(bay_mask=jnp.ones(36))),
+    (
+        "bay_pose must be float32",
+        lambda lot: lot.replace(bay_pose=lot.bay_pose.astype(jnp.int32)),
+    ),
+    ("wall_pose must be", lambda lot: lot.replace(wall_pose=lot.wall_pose[:7])),
+    ("bay_kind must be int32", lambda lot: lot.replace(bay_kind=jnp.zeros(36))),
+    ("bays meet discs: ", lambda lot: furnished(lot, (0.0, -17.0, 0.3))),
+    ("cars spawning in spawn regions meet discs", lambda lot: furnished(lot, DISC)),
+    ("lanes meet discs", lambda lot: furnished(lot, DISC, lane=14.0)),
+    ("disc_radius must be positive", lambda lot: furnished(lot, (0.0, -14.0, -0.3))),
+    ("lanes meet bays", lambda lot: furnished(lot, lane=14.0, lane_width=4.0)),
+    ("lanes meet walls", lambda lot: furnished(lot, lane=21.5)),
+    ("cars spawning in spawn regions meet bays", put("spawn_size", 0, 27.0)),
+    (r"bays are smaller than the car: \[7\]", put("bay_size", 7, np.array([5.0, 1.7]))),
+]
+
+
+@pytest.mark.parametrize(("word", "broken"), FAULTS)
+def test_describe_faults_names_each_kind_of_fault(word, broken):
+    problems = describe_faults(broken(make_layout("square")))
     assert any(re.search(word, problem) for problem in problems), problems
 
 

@@ -166,7 +166,7 @@ def test_any_entity_may_be_on_a_known_layer(tmp_path):
     found = Counter(feature.tag for feature in plan.features)
     assert found["bay"] == found["pillar"] == found["lane"] == found["kerb"] == 1
     assert found["wall"] >= 3
-    assert dict(plan.unknown) == {"TEXT on layer stall": 1}
+    assert dict(plan.report.unknown) == {"TEXT on layer stall": 1}
 
 
 def test_outlines_within_the_ground_are_islands(tmp_path):
@@ -266,7 +266,7 @@ def test_blocks_that_say_nothing_are_not_opened(tmp_path):
     draw_lines(model, comb(), "stalls")
     plan = read_plan(saved(tmp_path, new))
     assert len(plan.features) == COUNT
-    assert dict(plan.unknown) == {"INSERT on layer furniture": 1}
+    assert dict(plan.report.unknown) == {"INSERT on layer furniture": 1}
 
 
 def test_a_block_within_itself_is_refused(tmp_path):
@@ -286,7 +286,7 @@ def test_a_helix_without_end_is_left_out(tmp_path):
     model.add_helix(radius=100, pitch=1, turns=400, dxfattribs={"layer": "wall"})
     plan = read_plan(saved(tmp_path, new))
     assert [one.tag for one in plan.features] == ["kerb"]
-    assert dict(plan.unknown) == {"HELIX on layer wall": 1}
+    assert dict(plan.report.unknown) == {"HELIX on layer wall": 1}
 
 
 def test_the_commonest_kinds_are_named():

@@ -187,7 +187,9 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.delitem(sys.modules, "carpark_mj.maps.dxf", raising=False)
     path = write(tmp_path, "a.dxf", "")
     assert main(["import", str(path), "--out", str(tmp_path / "lot.json")]) == 2
-    assert "maps need ezdxf: pip install" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "ezdxf" in error
+    assert 'pip install "carpark_mj[maps]"' in error
 
 
 @pytest.mark.parametrize("name", TEXTS)

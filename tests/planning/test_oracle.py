@@ -12,8 +12,9 @@ from shapely.geometry import box
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.planning.obstacles import Solids
-from carpark_mj.planning.oracle import CRUISE, DT, impossible, solve
+from carpark_mj.planning.oracle import impossible, solve
 from carpark_mj.planning.policy import Sight, sights
+from carpark_mj.planning.schedule import CRUISE, DT
 from carpark_mj.vehicle import COMPACT
 
 SECONDS = 60.0

@@ -1,12 +1,24 @@
-"""Paths of a rear axle: cut at changes of gear, steered and timed."""
+"""Paths of a rear axle, and the controller that drives a car along them."""
 
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.planned import CAR
 
-from carpark_mj.planning.paths import BLEND, CREEP, SHIFT_TIME, STEP, make_path
+from carpark_mj.config import SimConfig
+from carpark_mj.physics.bicycle import BicyclePhysics
+from carpark_mj.planning.paths import (
+    BLEND,
+    CREEP,
+    SHIFT_TIME,
+    STEP,
+    hold_distances,
+    make_path,
+)
+from carpark_mj.vehicle import COMPACT, make_vehicle
 
 RADIUS = 5.0
 
@@ -87,3 +99,21 @@ def test_the_wheels_can_follow_and_the_car_can_stop():
 
 def test_a_path_of_one_place_is_none():
     assert make_path(np.zeros((5, 3)), CAR) is None
+
+
+def test_a_car_whose_pedal_is_released_rolls_as_far_as_is_planned():
+    speed = np.array([0.05, 0.1, 0.2, 0.25, 0.295, 0.2999])  # below `CREEP`
+    assert speed.max() < CREEP
+    physics = BicyclePhysics(SimConfig())
+    cars = jax.tree.map(
+        lambda x: jnp.broadcast_to(x, (len(speed), *x.shape)), make_vehicle(COMPACT)
+    )
+    state = physics.init(jnp.zeros((len(speed), 3)), cars)
+    state = physics.set_speed(state, jnp.array(speed, jnp.float32))
+    step = jax.jit(physics.step)
+    for _ in range(5):
+        state = step(state, jnp.zeros((len(speed), 2)))
+    motion = physics.read(state)
+    assert np.abs(motion.velocity_b).max() == 0.0
+    planned = np.interp(speed, *hold_distances())
+    np.testing.assert_allclose(motion.pose_w[:, 0], planned, atol=2e-3)

@@ -1,14 +1,17 @@
 """Agents on planned paths: in the real car's physics, and in front of others."""
 
+import math
+
 import jax
 import numpy as np
 import pytest
-from helpers.planned import CAR, case
+from helpers.planned import CAR, case, drive
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.planning import policy as policy_module
 from carpark_mj.planning import search as search_module
-from carpark_mj.planning.paths import CRUISE, centre
+from carpark_mj.planning.paths import CRUISE, centre, make_path
 from carpark_mj.planning.policy import (
     LOOK_AHEAD,
     MAX_PLANS,
@@ -19,10 +22,10 @@ from carpark_mj.planning.policy import (
     Sight,
     planner_policy,
 )
-from carpark_mj.planning.search import SearchConfig
+from carpark_mj.planning.search import Search, SearchConfig
 from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
 from carpark_mj.suite.levels import pick_cases
-from carpark_mj.vehicle import make_vehicle
+from carpark_mj.vehicle import make_vehicle, preset
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 2))
 
@@ -135,6 +138,36 @@ def test_an_agent_without_a_path_stands_and_gives_up_after_a_few_searches():
         assert agent.act(shut._replace(begins=False)) == (0.0, 0.0)
     assert len(agent.searches) == MAX_PLANS
     assert all(found.path is None for found in agent.searches)
+
+
+def test_a_path_too_long_for_the_episode_is_driven_faster(monkeypatch):
+    """As a van's of 60 m on `angled`, in an episode of 60 s."""
+    car = preset("van")
+    ahead = np.linspace(0.0, 60.0, 3001)
+    # A bend of full lock first, and the last metres backwards.
+    turn = np.minimum(ahead, 6.0) * math.tan(0.8 * car.max_steering) / car.wheelbase
+    steps = 0.02 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    there = np.column_stack([np.cumsum(steps, axis=0), turn])
+    points = np.concatenate([there, there[-2::-1][:300]])
+    path = make_path(points, car)
+    found = Search(path, 0.0, 0.08)
+    monkeypatch.setattr(policy_module, "search", lambda *_: found)
+    begins = sight(centre(car, points[0]), begins=True)._replace(car=car)
+    for seconds, hurries in ((path.duration + 10.0, False), (path.duration, True)):
+        agent = Agent((0,), 0.2, SearchConfig(), seconds)
+        agent.act(begins)
+        assert (agent._path.cruise > CRUISE) == hurries
+        poses, speeds, error = drive(agent._path, car)
+        assert len(speeds) / 40 * 0.2 < seconds
+        assert error < 0.1
+        last = path.segments[-1].pose[-1]
+        assert math.dist(poses[-1, :2], last[:2]) < 0.05
+    # A car that stands plans again, with less time left.
+    late = Agent((0,), 0.2, SearchConfig(), path.duration + 10.0)
+    for step in range(5 * PATIENCE):
+        late.act(begins._replace(begins=step == 0))
+    assert len(late.searches) > 1
+    assert late._path.cruise > CRUISE
 
 
 def test_the_planner_drives_one_lot_as_it_drives_a_batch():

@@ -5,7 +5,8 @@ import pytest
 from shapely import affinity
 from shapely.geometry import box
 
-from carpark_mj.planning.oracle import (
+from carpark_mj.planning.paths import make_path, rear_axle
+from carpark_mj.planning.schedule import (
     ACCELERATION,
     CRUISE,
     DT,
@@ -15,7 +16,6 @@ from carpark_mj.planning.oracle import (
     meet,
     schedule,
 )
-from carpark_mj.planning.paths import make_path, rear_axle
 from carpark_mj.vehicle import COMPACT
 
 SIZE = np.array([COMPACT.length, COMPACT.width])

@@ -1,4 +1,4 @@
-"""Lots driven by hand: who drives what, recording and replay."""
+"""Lots driven by hand: keys, gamepads, who drives what, recording and replay."""
 
 import contextlib
 import json
@@ -12,7 +12,16 @@ from carpark_mj.cli.play import PlayConfig, main, make_env, pad, replay, save
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import observation_size
 from carpark_mj.play.demonstration import STEPS, Demonstration, load_demonstration
-from carpark_mj.play.driving import DrivenLot
+from carpark_mj.play.driving import (
+    KEY_PEDAL,
+    KEYS,
+    STEER_RATE,
+    Controls,
+    DrivenLot,
+    from_gamepad,
+    from_keys,
+    stop,
+)
 
 STEPS_DRIVEN = 6
 
@@ -100,9 +109,9 @@ def test_dynamic_goals_are_bays_that_the_driver_tracks():
 
 def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
     pytest.importorskip("mjviser")
-    from carpark_mj.cli.play import serve_wheel
+    from carpark_mj.cli.play import make_wheel
 
-    viewer, lot, held = serve_wheel(
+    viewer, _, lot, held = make_wheel(
         PlayConfig(num_parked_cars=2, view="web", port=8767, out=str(tmp_path))
     )
     try:
@@ -129,7 +138,7 @@ def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
         (["--layout", "moon", "--view", "web"], "unknown layout 'moon'"),
         (["--view", "window"], "no display"),
         (["--num-agents", "0", "--view", "web"], "num_agents must be at least 1"),
-        (["--port", "65536"], "port must be 1 to 65535, not 65536"),
+        (["--port", "65536"], "port must lie in [1, 65535], not 65536"),
     ],
 )
 def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch):
@@ -193,3 +202,67 @@ def test_a_drive_with_junk_in_its_header_is_a_drive_or_refused(still, tmp_path):
         np.savez(path, **arrays | {"header": np.array(junk)})
         with contextlib.suppress(ValueError):
             assert load_demonstration(path).actions.shape[0] == 3
+
+
+STEP = 0.2  # s
+
+
+def hold(keys, controls=None, speed=0.0, steps=1):
+    controls = controls or Controls()
+    for _ in range(steps):
+        controls = from_keys({*keys}, controls, speed, STEP)
+    return controls
+
+
+@pytest.mark.parametrize(
+    ("keys", "steer", "pedal"),
+    [
+        ((), 0, 0),
+        (("LEFT",), 1, 0),
+        (("D",), -1, 0),
+        (("UP",), 0, 1),
+        (("S",), 0, -1),
+        (("W", "A"), 1, 1),
+        (("LEFT", "RIGHT", "UP", "DOWN"), 0, 0),
+    ],
+)
+def test_keys_steer_and_drive(keys, steer, pedal):
+    assert {*keys} <= {*KEYS}
+    controls = hold(keys)
+    assert np.sign(controls.steer) == steer
+    assert controls.pedal == pytest.approx(pedal * KEY_PEDAL)
+
+
+def test_the_wheel_turns_at_a_rate_and_comes_back():
+    turned = hold(["LEFT"])
+    assert turned.steer == pytest.approx(STEER_RATE * STEP)
+    assert hold(["LEFT"], steps=20).steer == 1.0
+    assert hold([], turned).steer == pytest.approx(0.0)
+    assert hold([], hold(["RIGHT"], steps=20)).steer == pytest.approx(-0.6)
+
+
+def test_the_brake_acts_against_the_motion_and_lets_a_standing_car_stand():
+    assert hold(["SPACE", "UP"], speed=2.0).pedal == -1.0
+    assert hold(["SPACE"], speed=-2.0).pedal == 1.0
+    assert hold(["SPACE"]).pedal == stop(0.05) == 0.0
+
+
+def gamepad(stick=0.0, left=-1.0, right=-1.0):
+    return from_gamepad([stick, 0.0, 0.0, 0.0, left, right])
+
+
+def test_a_gamepad_at_rest_does_nothing_and_at_the_stops_everything():
+    assert gamepad() == Controls(0.0, 0.0)
+    assert gamepad(stick=0.09).steer == 0.0  # dead zone
+    assert gamepad(stick=-1.0).steer == 1.0
+    assert gamepad(stick=1.0).steer == -1.0
+    assert gamepad(right=1.0).pedal == 1.0
+    assert gamepad(left=1.0).pedal == -1.0
+    assert gamepad(left=0.0, right=0.0).pedal == 0.0
+    assert 0.0 < gamepad(stick=-0.2).steer < 0.2
+
+
+def test_actions_stay_in_range():
+    action = Controls(1.5, -3.0).action
+    assert action.dtype == np.float32
+    np.testing.assert_array_equal(action, [1.0, -1.0])

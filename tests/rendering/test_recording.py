@@ -1,4 +1,4 @@
-"""Recording in compiled stretches, with the policy as an argument of the program."""
+"""Recordings, and what is visible at one instant of them."""
 
 import dataclasses
 
@@ -14,7 +14,9 @@ from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.layouts import make_layout
 from carpark_mj.observations import ContinuousObservation, make_fields
+from carpark_mj.observations.fields import Tracked
 from carpark_mj.policy.named import random_policy
 from carpark_mj.policy.networks import (
     NetworkConfig,
@@ -24,7 +26,16 @@ from carpark_mj.policy.networks import (
     network_inputs,
 )
 from carpark_mj.rendering import recording as record_module
-from carpark_mj.rendering.recording import num_frames, parked_trace, record
+from carpark_mj.rendering.recording import (
+    Recording,
+    Snapshot,
+    aimed_at,
+    num_frames,
+    parked_trace,
+    record,
+    snapshot,
+    tracked_points,
+)
 from carpark_mj.rendering.video import CarCameras, car_cameras
 from carpark_mj.rendering.web import LiveLot
 from carpark_mj.types import NO_BAY
@@ -153,3 +164,116 @@ def test_another_checkpoint_needs_no_other_program(env, drive, programs):
     assert compiled
     drive(env, make_policy(networks, normalizer, weights[1], True))
     assert programs() == compiled
+
+
+def test_a_picture_shows_no_goal_of_an_agent_that_explores():
+    layout = make_layout("square")
+    flags = np.zeros((1, 2), bool)
+    recording = Recording(
+        layout=layout,
+        ctrl_dt=0.2,
+        pose_w=np.zeros((1, 1, 2, 3)),
+        steering=np.zeros((1, 2)),
+        speed=np.array([[1.0, 0.0]]),
+        goal=np.array([[5, NO_BAY]]),
+        parked_pose=np.zeros((1, 1, 0, 3)),
+        active=~flags,
+        parked=flags,
+        crashed=flags,
+        timed_out=flags,
+        step=np.ones((1, 2), int),
+        tracked_bays=np.array([[[5, 7], [NO_BAY, 3]]]),
+    )
+    seen = snapshot(recording, 0)
+    assert seen.state == ("drives", "stands, explores")
+    np.testing.assert_array_equal(seen.goal_pose[0], layout.bay_pose[5])
+    assert np.isnan(seen.goal_pose[1]).all()
+    assert np.isnan(aimed_at(layout, np.array([NO_BAY]))[1]).all()
+    bays = np.asarray(layout.bay_pose)[:, :2]
+    expected = [[bays[5], bays[7]], [[np.nan] * 2, bays[3]]]
+    np.testing.assert_array_equal(seen.tracked_bay_xy, expected)
+
+
+def seen(pose, parked):
+    """An instant with agents and parked cars at some poses."""
+    return Snapshot(
+        pose_w=pose,
+        steering=np.zeros(len(pose)),
+        goal_pose=np.full_like(pose, np.nan),
+        goal_size=np.full((len(pose), 2), np.nan),
+        parked_pose=parked,
+        active=np.ones(len(pose), bool),
+    )
+
+
+def links(what, tracked):
+    """What is tracked, as (agent, (x, y))."""
+    return [(agent, tuple(point)) for agent, point in tracked_points(what, tracked)]
+
+
+def test_tracked_points_are_the_nearest_cars_of_each_agent():
+    pose = np.array([[0.0, 0, 0], [3, 0, 0], [10, 0, 0]])
+    parked = np.array([[0.0, 5, 0], [9, 5, 0]])
+    what = seen(pose, parked)
+    assert sorted(links(what, Tracked(1, 1))) == [
+        (0, (0.0, 5.0)),
+        (0, (3.0, 0.0)),
+        (1, (0.0, 0.0)),
+        (1, (0.0, 5.0)),
+        (2, (3.0, 0.0)),
+        (2, (9.0, 5.0)),
+    ]
+    assert links(what, Tracked()) == []
+    # In one list the nearest is an agent for 0 and 1 and a parked car for 2.
+    together = [(0, (3.0, 0.0)), (1, (0.0, 0.0)), (2, (9.0, 5.0))]
+    assert links(what, Tracked(cars=1)) == together
+    empty = dataclasses.replace(what, parked_pose=np.zeros((0, 3)))
+    assert len(links(empty, Tracked(5, 2))) == 6  # two others each, no parked car
+
+
+def test_tracked_bays_are_linked_and_empty_slots_are_not():
+    none = [np.nan, np.nan]
+    bays = np.array([[[1.0, 2.0], none], [none, none], [[3.0, 4.0], [5.0, 6.0]]])
+    what = seen(np.zeros((3, 3)), np.zeros((0, 3)))
+    what = dataclasses.replace(what, tracked_bay_xy=bays)
+    expected = [(0, (1.0, 2.0)), (2, (3.0, 4.0)), (2, (5.0, 6.0))]
+    assert links(what, Tracked()) == expected
+
+
+@pytest.fixture(scope="module")
+def small_env():
+    config = EnvConfig(num_agents=4, min_agents=1, num_parked_cars=4)
+    return ParkingEnv(config, SlidePhysics())
+
+
+def test_absent_agents_are_not_recorded(small_env, monkeypatch):
+    monkeypatch.setattr(record_module, "CHUNK", 2)
+    counts = set()
+    for seed in range(4):
+        recording = record(small_env, random_policy(small_env.action_spec), 2, seed)
+        count = recording.goal.shape[1]
+        for name in ("steering", "speed", "active", "parked", "step"):
+            assert getattr(recording, name).shape[1] == count
+        assert recording.pose_w.shape[2] == count
+        assert recording.parked_pose.shape[1] == 4
+        assert recording.active.all()
+        assert np.abs(recording.pose_w).max() < 100.0
+        counts.add(count)
+    assert len(counts) > 1
+
+
+def test_absent_agents_are_not_shown_live(small_env):
+    for seed in range(4):
+        lot = LiveLot(small_env, random_policy(small_env.action_spec), seed)
+        lot.step()
+        assert len(lot.goal_pose) == lot.stage.num_agents < 4
+        assert np.abs(lot.stage.data.qpos).max() < 100.0
+        break
+
+
+def test_a_live_lot_begins_as_the_video_with_its_seed(small_env):
+    for seed in range(2):
+        lot = LiveLot(small_env, random_policy(small_env.action_spec), seed)
+        video = record(small_env, random_policy(small_env.action_spec), 2, seed)
+        goals = np.asarray(video.layout.bay_pose)[video.goal[0]]
+        np.testing.assert_array_equal(lot.goal_pose, goals)

@@ -1,6 +1,7 @@
 """Cameras: the lot fills the frame, and a driver sees the road over the bonnet."""
 
 import dataclasses
+from contextlib import closing
 
 import mujoco
 import numpy as np
@@ -88,12 +89,10 @@ def has_hue(pixels, colour):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_the_driver_sees_sky_asphalt_and_bonnet_not_the_inside_of_the_body(name):
-    renderer = LotRenderer(Stage(LAYOUT, PRESETS[name], 1, 0), "driver:0", (160, 120))
-    try:
+    stage = Stage(LAYOUT, PRESETS[name], 1, 0)
+    with closing(LotRenderer(stage, "driver:0", (160, 120))) as renderer:
         renderer.place(SEEN)
         frame = renderer.draw(SEEN, "agent0/driver").astype(float)
-    finally:
-        renderer.close()
 
     def share(rows, colour):
         """Of the middle third's pixels whose hue is a colour's."""
@@ -110,18 +109,16 @@ def test_the_driver_sees_sky_asphalt_and_bonnet_not_the_inside_of_the_body(name)
 def fleet():
     """Draws the view of an agent that drives a preset, one of all of them."""
     kinds = list(PRESETS.values())
-    renderer = LotRenderer(
-        Stage(LAYOUT, kinds[0], 1, 0, kinds), "driver:0", (1280, 720)
-    )
+    stage = Stage(LAYOUT, kinds[0], 1, 0, kinds)
+    with closing(LotRenderer(stage, "driver:0", (1280, 720))) as renderer:
 
-    def draw(name):
-        kind = np.array([list(PRESETS).index(name)])
-        seen = dataclasses.replace(SEEN, kind=kind)
-        renderer.place(seen)
-        return renderer.draw(seen, "agent0/driver").astype(float)
+        def draw(name):
+            kind = np.array([list(PRESETS).index(name)])
+            seen = dataclasses.replace(SEEN, kind=kind)
+            renderer.place(seen)
+            return renderer.draw(seen, "agent0/driver").astype(float)
 
-    yield draw
-    renderer.close()
+        yield draw
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -138,15 +135,12 @@ def test_no_pillar_and_no_shadow_of_the_roof_cuts_the_driver_s_view(fleet, name)
 
 
 def test_other_cameras_see_the_roof_again():
-    kind = PRESETS["compact"]
-    renderer = LotRenderer(Stage(LAYOUT, kind, 1, 0), "driver:0", (160, 120))
-    before = renderer.model.geom_group.copy()
-    try:
+    stage = Stage(LAYOUT, PRESETS["compact"], 1, 0)
+    with closing(LotRenderer(stage, "driver:0", (160, 120))) as renderer:
+        before = renderer.model.geom_group.copy()
         renderer.place(SEEN)
         renderer.draw(SEEN, "agent0/driver")
         np.testing.assert_array_equal(renderer.model.geom_group, before)
-    finally:
-        renderer.close()
 
 
 @pytest.mark.parametrize("name", ["square", "street_parallel"])

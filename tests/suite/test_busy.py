@@ -22,7 +22,7 @@ from carpark_mj.suite.busy import (
     ScriptedPerson,
 )
 from carpark_mj.suite.evaluation import suite_env
-from carpark_mj.suite.levels import level_env, pick_cases
+from carpark_mj.suite.levels import find_level, pick_cases
 from carpark_mj.vehicle import preset
 
 
@@ -60,12 +60,12 @@ def test_a_group_has_200_cases_in_which_one_kind_of_thing_moves(cases):
 
 def test_the_level_keeps_the_car_and_the_rules_of_the_suite():
     base = suite_env(EnvConfig(), "strict")
-    own = level_env("busy", base)
+    own = find_level("busy").env(base)
     changed = {"layout", "num_parked_cars", "movers", "metrics"}
     for field in dataclasses.fields(base):
         same = getattr(own, field.name) == getattr(base, field.name)
         assert same == (field.name not in changed), field.name
-    assert level_env("normal", base) is base
+    assert find_level("normal").env(base) is base
 
 
 def place(mover, way):

@@ -7,7 +7,7 @@ import pytest
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.suite.evaluation import SuiteConfig, main
-from carpark_mj.suite.levels import case_numbers, fingerprint
+from carpark_mj.suite.levels import find_level
 from carpark_mj.suite.results import (
     check_submission,
     leaderboard,
@@ -21,7 +21,11 @@ MEANS = {"gear_changes": 2.0, "path": 9.0, "time_to_park": 30.0}
 
 def episode(case, end, seed=0):
     which = {"policy": "x", "rule": "strict", "made_with": "cpu", "seed": seed}
-    which |= {"level": "tpcap", "held_out": fingerprint("tpcap"), "case": case}
+    which |= {
+        "level": "tpcap",
+        "held_out": find_level("tpcap").fingerprint,
+        "case": case,
+    }
     ends = dict.fromkeys(("parked", "crashed", "timed_out", "diverged"), 0.0)
     return which | ends | {end: 1.0} | MEANS
 
@@ -31,7 +35,7 @@ def episodes(seeds=(0,)):
     return [
         episode(case, "crashed" if n < 2 + seed else "parked", seed)
         for seed in seeds
-        for n, case in enumerate(case_numbers("tpcap"))
+        for n, case in enumerate(find_level("tpcap").numbers)
     ]
 
 
@@ -39,9 +43,9 @@ def test_rates_are_counted_from_what_was_written(tmp_path, capsys):
     rows = episodes((0, 1))
     path = write_submission(tmp_path, rows[::-1])  # in any order
     [result] = check_submission(path)
-    assert result.rates == {"parked": 35 / 40, "crashed": 5 / 40, "timed_out": 0.0}
+    assert result.shares == {"parked": 35 / 40, "crashed": 5 / 40, "timed_out": 0.0}
     assert result.cases == 20
-    assert result.entry["outcomes"][1].startswith("cccp")
+    assert result.outcomes[1].startswith("cccp")
     assert main(SuiteConfig(check=str(path))) == []
     low, high = wilson_interval(17.5, 20)  # another seed is not another case
     shown = f"| 87.5 ({100 * low:.1f} … {100 * high:.1f}) | 12.5 |"
@@ -50,7 +54,7 @@ def test_rates_are_counted_from_what_was_written(tmp_path, capsys):
 
 def test_the_leaderboard_takes_every_case_and_outcomes_only(tmp_path):
     path = write_submission(tmp_path, episodes()[:-1])
-    assert not read_submission(path)[0].complete
+    assert read_submission(path)[0].cases == 19
     with pytest.raises(ValueError, match="x drove 19 of the 20 cases of level tpcap"):
         check_submission(path)
     data = json.loads(path.read_text())
@@ -58,7 +62,7 @@ def test_the_leaderboard_takes_every_case_and_outcomes_only(tmp_path):
     rates = {"parked": 0.9, "crashed": 0.1, "timed_out": 0.0}
     data["results"][0]["rates"] = rates
     path.write_text(json.dumps(data))
-    assert read_submission(path)[0].rates == rates
+    assert read_submission(path)[0].shares == rates
     with pytest.raises(ValueError, match="x has no outcomes in level tpcap"):
         check_submission(path)
 
@@ -66,17 +70,17 @@ def test_the_leaderboard_takes_every_case_and_outcomes_only(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"level": "hard"}, "no level 'hard'"),
+        ({"level": "hard"}, "level must be one of .*, not 'hard'"),
         ({"held_out": "0"}, "held_out must be '.*', not '0'"),
         ({"policy": 3}, "no 'policy' of str"),
-        ({"seeds": [0, 0]}, r"seeds must be different whole numbers, not \[0, 0\]"),
-        ({"seeds": [True]}, "seeds must be different whole numbers"),
-        ({"path": -1.0}, "path must be a number of at least 0, or null, not -1"),
-        ({"path": float("nan")}, "path must be a number"),
+        ({"seeds": [0, 0]}, r"seeds must be different whole numbers, not \(0, 0\)"),
+        ({"seeds": [True]}, "seeds must be .* a whole number"),
+        ({"path": -1.0}, "path must be at least 0, not -1"),
+        ({"path": float("nan")}, "path must be at least 0, not nan"),
         ({"rates": {}}, "outcomes or rates must be given, not both"),
         ({"outcomes": []}, "outcomes must be a string"),
         ({"outcomes": ["px"]}, "letters p, c, t, d"),
-        ({"outcomes": [[]]}, "outcomes must be a string"),
+        ({"outcomes": [[]]}, "outcomes must be .* text"),
         ({"outcomes": ["p" * 21]}, "1 to 20 letters"),
         ({"seeds": [0, 1], "outcomes": ["pp", "p"]}, "all of the same length"),
     ],

@@ -15,17 +15,21 @@ from carpark_mj.registry import ANYWHERE
 from carpark_mj.suite.evaluation import (
     CaseEvaluator,
     suite_env,
-    table_rows,
-    worst_first,
 )
 from carpark_mj.suite.levels import load_held_out, pick_cases
 from carpark_mj.suite.report import (
-    Video,
+    AROUND,
+    ASPECT,
+    _view,
     header,
-    print_rows,
+    print_results,
     shown_cells,
+    table_rows,
+    worst_first,
     write_results,
 )
+from carpark_mj.suite.results import key_of
+from carpark_mj.suite.tpcap import TpcapConfig
 
 PARKED = {"parked": 1.0, "crashed": 0.0, "timed_out": 0.0, "diverged": 0.0}
 MISSED = {"parked": 0.0, "crashed": 1.0, "timed_out": 0.0, "diverged": 0.0}
@@ -190,14 +194,14 @@ def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
 
 def test_policies_are_printed_by_the_names_they_have(capsys):
     rows = table_rows("x[/red]", [episode(0, "parallel", PARKED, policy="x[/red]")])
-    print_rows(rows, "a title")
+    print_results(rows, "a title")
     assert "x[/red]" in capsys.readouterr().out
 
 
 def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
     episodes = [episode(0, "parallel", PARKED), episode(7, "parallel", MISSED)]
     (row,) = table_rows("x", episodes)
-    videos = [Video(episodes[1], tmp_path / "videos" / "x.mp4")]
+    videos = {key_of(episodes[1]): tmp_path / "videos" / "x.mp4"}
     files = write_results(tmp_path, header(episodes), [row], episodes, [], videos)
     assert [path.name for path in files] == ["suite.md", "suite.csv", "suite.html"]
     page = files[0].read_text()
@@ -208,3 +212,15 @@ def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
     assert '<video src="videos/x.mp4"' in html
     assert "case 7, seed 0: crashed" in html
     assert shown_cells(row)["path found [%]"] == "–"
+
+
+def test_start_and_goal_are_in_view_and_far_obstacles_are_not():
+    layout = jax.device_get(TpcapConfig(4).generate(jax.random.key(0)))
+    low, high = _view(layout, None)
+    ends = np.stack([layout.spawn_pose[0, :2], layout.bay_pose[0, :2]])
+    assert (low <= ends.min(axis=0)).all()
+    assert (high >= ends.max(axis=0)).all()
+    more = high - low - np.ptp(ends, axis=0) - 2 * AROUND
+    assert more.min() == pytest.approx(0.0, abs=1e-3)  # as close as the frame allows
+    assert (high - low)[0] == pytest.approx(ASPECT * (high - low)[1])
+    assert (high - low < 2 * layout.extent).any()

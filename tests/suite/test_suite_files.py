@@ -161,9 +161,11 @@ def test_a_video_is_faster_than_driving(tmp_path):
 
     assert choose_gl() is None, "this machine cannot render"
     row = episode(0, length=40.0)  # 8 s, and then the last picture for 1 s
-    (video,) = make_videos(tmp_path, [row], {("x", "extreme", 0, 0): drives(40)})
-    assert video.path == tmp_path / "videos" / "x-extreme-0-0.mp4"
-    data = next(imageio_ffmpeg.read_frames(str(video.path)))
+    (path,) = make_videos(
+        tmp_path, [row], {("x", "extreme", 0, 0): drives(40)}
+    ).values()
+    assert path == tmp_path / "videos" / "x-extreme-0-0.mp4"
+    data = next(imageio_ffmpeg.read_frames(str(path)))
     assert data["duration"] == pytest.approx(8.0 / FASTER + 1.0, abs=0.2)
 
 
@@ -177,5 +179,5 @@ def test_runs_whose_folders_have_the_same_name_have_videos_of_their_own(
     rows = [episode(0, policy=name, length=4.0) for name in names]
     kept = {(name, "extreme", 0, 0): drives(4) for name in names}
     videos = make_videos(tmp_path, rows, kept)
-    assert len({video.path for video in videos}) == 3
-    assert all(video.path.read_text() == "video" for video in videos)
+    assert len({*videos.values()}) == 3
+    assert all(path.read_text() == "video" for path in videos.values())

@@ -4,7 +4,7 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_mj import sweeps
-from carpark_mj.sweeps import (
+from carpark_mj.sweeps.plan import (
     Axis,
     Plan,
     checked_runs,

@@ -1,4 +1,4 @@
-"""The learner: the same update as Brax's own PPO, and the NaN guard."""
+"""The learner: the update of Brax's PPO, the NaN guard, the GPU kernel."""
 
 import dataclasses
 import re
@@ -22,7 +22,9 @@ from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import OWN
 from carpark_mj.observations.fields import Field
 from carpark_mj.policy.networks import MIN_DEVIATION, NetworkConfig, make_networks
+from carpark_mj.training.ppo import learner as learners
 from carpark_mj.training.ppo.collect import AXIS, Rollout, compute_advantages
+from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.learn import learn, network_params
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.parts import PRESETS
@@ -389,3 +391,22 @@ def test_a_non_finite_update_is_dropped_whole(learner, update):
         np.testing.assert_allclose(same, first, atol=1e-7)
         np.testing.assert_allclose(mean, first + (last - first) / 3, atol=1e-7)
         assert np.abs(mean - last).max() > 1e-5
+
+
+ENCODED = PPOConfig(
+    num_lots=2,
+    unroll_length=4,
+    num_minibatches=1,
+    networks=NetworkConfig((16,), (16,), own_size=8, entity_size=16),
+    env=EnvConfig(num_agents=2),
+)
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_on_a_gpu_sets_are_encoded_in_the_kernel(monkeypatch, half):
+    monkeypatch.setattr(learners, "has_triton", lambda: True)
+    learner = Learner(dataclasses.replace(ENCODED, half_precision=half))
+    traced = learner.compile().trace(learner.shapes())
+    program = str(traced.jaxpr)
+    assert "name=entities_gradient" in program
+    assert ("bf16" in program) == half

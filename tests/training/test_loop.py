@@ -1,11 +1,24 @@
-"""The loop of all trainers where there is no terminal."""
+"""The loop of all trainers, the log of a run and its learning curve."""
 
+import contextlib
+import csv
 import sys
 
+import numpy as np
+import pytest
+from helpers.mutating import damaged
 from rich import jupyter
 from rich.console import Console
 
+from carpark_mj.analysis import read_curve
+from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training import loop as loops
+from carpark_mj.training.loop import (
+    MetricsLog,
+    plot_learning_curve,
+    read_metrics,
+    smooth,
+)
 from carpark_mj.training.run_folder import RunConfig
 
 
@@ -26,3 +39,96 @@ def test_a_line_that_a_notebook_s_callback_began_stops_no_training(monkeypatch):
         print("half a line", end="")
         loop.show(1, "parked 50 %")
     assert any("parked 50 %" in text for text in shown)
+
+
+def test_tensorboard_reads_what_is_logged(tmp_path):
+    accumulator = pytest.importorskip(
+        "tensorboard.backend.event_processing.event_accumulator"
+    )
+    for begun in (0, 2):  # a run, then resumed after its second update
+        with contextlib.closing(MetricsLog(tmp_path, begun)) as log:
+            for update in range(begun + 1, begun + 4):
+                log.write({"update": update, "env_steps": 10 * update, "a": update / 2})
+    events = accumulator.EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    found = [(event.step, event.value) for event in events.Scalars("a")]
+    assert found == [(10 * update, update / 2) for update in range(1, 6)]
+    rows = [(row["env_steps"], row["a"]) for row in read_metrics(tmp_path)]
+    assert rows == found
+
+
+def row(update):
+    return {"update": update, "env_steps": 10 * update, "loss": 0.5 * update}
+
+
+@pytest.fixture
+def log(tmp_path):
+    """A file of three updates."""
+    with contextlib.closing(MetricsLog(tmp_path, 0)) as opened:
+        for update in (1, 2, 3):
+            opened.write(row(update))
+    return tmp_path / "metrics.csv"
+
+
+def go_on(log, update):
+    with contextlib.closing(MetricsLog(log.parent, update)) as opened:
+        opened.write(row(update + 1))
+    return [row["update"] for row in read_metrics(log.parent)]
+
+
+def test_rows_after_the_checkpoint_and_half_a_line_are_written_anew(log):
+    assert go_on(log, 2) == [1, 2, 3]
+    with log.open("a") as file:
+        file.write("4,4")
+    assert [row["loss"] for row in read_metrics(log.parent)] == [0.5, 1.0, 1.5]
+    assert go_on(log, 3) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("update", "updates", "lacks the columns update"),
+        ("env_steps", "steps", "lacks the columns env_steps"),
+        ("0.5", "x", "line 2: loss .*'x'"),
+        ("0.5", "0" * 200_000, "line 2: field larger"),
+        ("0.5", "0.5,1", "line 2: not as many values"),
+    ],
+)
+def test_a_damaged_log_is_refused_and_stays_as_it_is(log, old, new, said):
+    log.write_text(log.read_text().replace(old, new, 1))
+    text = log.read_bytes()
+    with pytest.raises(ValueError, match=rf"metrics\.csv.* {said}"):
+        MetricsLog(log.parent, 3)
+    assert log.read_bytes() == text
+
+
+def test_of_a_damaged_log_are_numbers_or_one_sentence(log):
+    data = log.read_bytes()
+    for seed in range(200):
+        log.write_bytes(damaged(data, seed))
+        with contextlib.suppress(ValueError):
+            assert all(type(row["update"]) is float for row in read_metrics(log.parent))
+        with contextlib.suppress(CheckpointError):
+            assert len(read_curve(log.parent, "loss")) <= 3
+
+
+def test_smoothing_weights_by_episodes_and_keeps_constants():
+    np.testing.assert_allclose(smooth(np.full(50, 0.3), np.arange(1.0, 51.0)), 0.3)
+    # Two updates: one episode with rate 1, three with rate 0.
+    np.testing.assert_allclose(smooth(np.array([1.0, 0.0]), np.array([1.0, 3.0]))[0], 1)
+    np.testing.assert_allclose(
+        smooth(np.array([1.0, 0.0, 0.0]), np.array([1.0, 3.0, 0.0]), window=3)[1], 0.25
+    )
+
+
+@pytest.mark.parametrize("episodes", [(), (0, 0), (0, 3, 2)])
+def test_a_run_in_which_no_episode_ended_still_has_a_picture(tmp_path, episodes):
+    names = ("parked", "crashed", "timed_out", "episode_return")
+    columns = ["update", "env_steps", "episodes", *(f"episode/{n}" for n in names)]
+    with (tmp_path / "metrics.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for k, count in enumerate(episodes):
+            rate = "0.5" if count else "nan"
+            writer.writerow([k + 1, 100 * (k + 1), count, rate, rate, rate, rate])
+    assert plot_learning_curve(tmp_path).read_bytes()[:4] == b"\x89PNG"

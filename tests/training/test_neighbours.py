@@ -186,9 +186,8 @@ def learned(monkeypatch, share, near, weight, reward=None, done=1.0):
         raise StopIteration
 
     monkeypatch.setattr(epochs, "compute_advantages", watched)
-    monkeypatch.setattr(
-        epochs, "variant", lambda name: SimpleNamespace(normalizes=0, prepared=prepared)
-    )
+    stopped = SimpleNamespace(normalizes=0, prepared=prepared)
+    monkeypatch.setattr(epochs, "VARIANTS", {config.variant: stopped})
     given = config, networks, learner.inputs, learner.optimizer, state
     with pytest.raises(StopIteration):
         epochs.learn(*given, rollout, jax.random.key(2))

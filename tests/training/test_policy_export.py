@@ -61,7 +61,7 @@ def test_a_run_becomes_a_model_that_is_checked(trained, capsys, monkeypatch, qui
     path = trained / "policy.onnx"
     assert f"wrote {path}" in out
     loaded = loading.load_policy(trained)
-    seen = command.rollout_observations(loaded, 50, seed=3)
+    seen = command.rollout(loaded, 50, seed=3)["observation"]
     session = onnxruntime.InferenceSession(path)
     [action] = session.run(None, split_observation(loaded.env, seen))
     expected, _ = loaded.policy(seen, jax.random.key(0))
@@ -136,7 +136,7 @@ def test_observations_of_a_rollout_are_those_of_agents_that_drive(trained):
     loaded = loading.load_policy(trained)
     env = dataclasses.replace(loaded.env, num_agents=3, min_agents=1)
     loaded = loading.load_policy(trained, env=env)
-    seen = command.rollout_observations(loaded, 999, seed=0)
+    seen = command.rollout(loaded, 999, seed=0)["observation"]
     assert seen.shape == (999, observation_size(env))
     assert np.isfinite(seen).all()
     assert seen.any(axis=-1).all()  # agents that are absent do not count

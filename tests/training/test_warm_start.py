@@ -308,3 +308,27 @@ def test_agents_that_observe_a_new_kind_of_entities_act_as_before_and_learn_from
     assert float(after) == pytest.approx(float(before.sum()), rel=1e-5)
     slope = slopes["params"]["MLP_0"]["hidden_0"]["kernel"]
     assert (jnp.abs(slope).max(axis=1) > 0).all()
+
+
+def test_near_rays_keep_their_bearings():
+    few, many = (
+        dataclasses.replace(
+            TINY.env, observation=ContinuousObservation(rays=RayConfig(count, near=1.0))
+        )
+        for count in (24, 72)
+    )
+
+    def near(env):
+        """Whether the agent's own numbers are near rays."""
+        own = [field for field in make_fields(env) if not field.group]
+        names = [field.name for field in own for _ in range(field.size)]
+        return np.array(names) == "rays_near"
+
+    theirs = Learner(dataclasses.replace(TINY, env=few)).init().normalizer
+    numbered = np.arange(near(few).size, dtype=np.float32)
+    theirs = theirs | {"own": theirs["own"].replace(mean=numbered)}
+    config = dataclasses.replace(TINY, env=many)
+    wide = widen(config, few, {"normalizer": theirs}, {"normalizer": {}})["normalizer"]
+    found = np.asarray(wide["own"].mean)[near(many)]
+    np.testing.assert_array_equal(found[::3], numbered[near(few)])
+    np.testing.assert_array_equal(np.delete(found, np.s_[::3]), 0.0)

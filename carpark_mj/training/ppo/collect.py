@@ -307,8 +307,8 @@ class Families:
         Args:
             rates: running means of parked episodes before, exponential in the number of
                 episodes.
-            info: of the lots' Brax state, with what was drawn of them.
-            totals: of the unroll.
+            info: `info` of the lots' Brax state, with their members and agent counts.
+            totals: sums over the unroll.
             axis: name of the devices' axis.
         """
         pair = info["member"] * len(self.counts)

@@ -169,7 +169,7 @@ class PPOConfig(RunConfig):
             raise ValueError("PPO needs env.episode.respawn = True")
         if self.half_precision and self.networks.encoder != "set":
             raise ValueError("half_precision needs networks.encoder 'set'")
-        VARIANTS[self.variant].load().check(self)
+        VARIANTS[self.variant].check(self)
         if self.curriculum.target_rate and not self.lot_life:
             raise ValueError("curriculum.target_rate needs lot_life of at least 1")
         if self.curriculum.neighbour_share and self.env.num_agents == 1:

@@ -80,7 +80,7 @@ class GroupLearner(Learner):
 
     @property
     def configs(self) -> tuple[PPOConfig, ...]:
-        """Of every run."""
+        """Settings of every run."""
         return self._configs
 
     def build(self) -> TrainingState:

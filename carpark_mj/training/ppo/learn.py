@@ -1,4 +1,4 @@
-"""What an update learns from a rollout, and what of it changes during a training.
+"""What an update learns from a rollout, and its schedules over a training.
 
 Evaluations never see a curriculum: they run in `PPOConfig.env` as it is.
 """
@@ -26,7 +26,8 @@ from carpark_mj.training.ppo.collect import (
     neighbours_mean,
 )
 from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
-from carpark_mj.training.ppo.variants import Minibatch, Weights, variant
+from carpark_mj.training.ppo.parts import VARIANTS
+from carpark_mj.training.ppo.variants import Minibatch, Variant, Weights
 
 # Progress at which a change begins, and at which it ends.
 DISCOUNT_CHANGES = (0.3, 0.8)
@@ -106,7 +107,7 @@ def learn(
 
     Values and advantages are those of the parameters at the start of an epoch. A
     minibatch holds all steps of its agents, and its parts on all devices are one. All
-    this is as Brax has it, and `PPOConfig.variant` may change it.
+    this is the same as in Brax; `PPOConfig.variant` may change it.
 
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.
@@ -118,7 +119,7 @@ def learn(
         clip=schedule(config.clip, config.clip_end, progress),
         teacher_cost=teacher_cost(config.curriculum, progress),
     )
-    details = variant(config.variant)
+    details: Variant = VARIANTS[config.variant]
     normalizer = state.normalizer
     if details.normalizes:
         normalizer = update_normalizer(

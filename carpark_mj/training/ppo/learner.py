@@ -45,7 +45,7 @@ from carpark_mj.training.ppo.learn import (
     network_params,
     training_env,
 )
-from carpark_mj.training.ppo.variants import variant
+from carpark_mj.training.ppo.parts import VARIANTS
 from carpark_mj.training.ppo.warm_start import make_teacher
 from carpark_mj.wrappers.brax import BraxParking
 
@@ -74,7 +74,7 @@ def num_devices(config: PPOConfig) -> int:
 
 
 def due_lots(update: jax.Array | int, num_lots: int, life: int) -> jax.Array:
-    """Lots (n,) int32 that are drawn anew after an update; they take turns.
+    """Lots (n,) int32 that are redrawn after an update; they take turns.
 
     n is the same for all updates, and the least for which no lot outlives `life`
     updates.
@@ -109,7 +109,7 @@ class Learner:
 
     @property
     def configs(self) -> tuple[PPOConfig, ...]:
-        """Of every run that is trained."""
+        """Settings of every run that is trained."""
         return (self.config,)
 
     def init(self) -> TrainingState:
@@ -132,7 +132,7 @@ class Learner:
             self.networks.policy_network.init(policy_key),
             self.networks.value_network.init(value_key),
         )
-        params, key = variant(self.config.variant).initial_weights(params, key)
+        params, key = VARIANTS[self.config.variant].initial_weights(params, key)
         rates = self.families.init()
         lots = self.families.draw(rates, env_key, self.config.num_lots)
         state = TrainingState(
@@ -167,7 +167,11 @@ class Learner:
         """The whole state in this host's memory; all hosts must call it."""
         if jax.process_count() > 1:
             whole = NamedSharding(self.mesh, PartitionSpec())
-            state = jax.jit(_without_keys, out_shardings=whole)(state)
+            # Keys as the integers that checkpoints hold.
+            plain = functools.partial(
+                jax.tree.map, lambda x: jax.random.key_data(x) if _is_key(x) else x
+            )
+            state = jax.jit(plain, out_shardings=whole)(state)
         return jax.device_get(state)
 
     def split(self, state: TrainingState) -> list[TrainingState]:
@@ -309,7 +313,7 @@ class Learner:
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
     ) -> Any:
-        """Draws the lots that are due anew (one device's share).
+        """Redraws the lots that are due (one device's share).
 
         It happens between unrolls, where the value is bootstrapped anyway, so that
         episodes cut off are truncated correctly; they do not count as ended.
@@ -341,11 +345,6 @@ def _put(x: Any, sharding: NamedSharding) -> jax.Array:
         return jax.random.wrap_key_data(_put(jax.random.key_data(x), sharding))
     host = np.asarray(x)
     return jax.make_array_from_callback(host.shape, sharding, lambda i: host[i])
-
-
-def _without_keys(state: TrainingState) -> TrainingState:
-    """Keys as the integers that checkpoints hold."""
-    return jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, state)
 
 
 def _is_key(x: Any) -> bool:

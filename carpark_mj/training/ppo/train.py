@@ -11,6 +11,7 @@ from typing import Literal
 import jax
 import numpy as np
 
+from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training import hosts
@@ -36,10 +37,11 @@ Outcome = Literal["done", "stopped", "diverged"]
 Callback = Callable[[int, dict[str, float]], bool]
 
 
-def finish(config: PPOConfig, folder: Path) -> None:
+def finish(config: PPOConfig, folder: Path, stochastic: bool = False) -> None:
     """Learning curve, evaluation on held-out seeds and a video of the trained policy.
 
-    Regenerates all outputs from the run folder.
+    Regenerates all outputs from the run folder. A `stochastic` policy is evaluated on
+    sampled actions.
     """
     print(f"wrote {plot_learning_curve(folder)}")
     run = argument(folder)
@@ -47,7 +49,7 @@ def finish(config: PPOConfig, folder: Path) -> None:
         from carpark_mj.cli import evaluate
 
         settings = evaluate.EvaluateConfig(
-            run=run, episodes=config.eval_episodes, out=run
+            run, episodes=config.eval_episodes, stochastic=stochastic, out=run
         )
         evaluate.main(settings)
     if config.video_seconds:
@@ -67,8 +69,8 @@ def train_runs(
     """Trains runs, several of them side by side, and finishes those that are done.
 
     Args:
-        configs: of the runs; `group.program` of all is equal. All are new, or all are
-            resumed.
+        configs: settings of the runs, with equal `group.program`; either all are new
+            or all are resumed.
         finish_run: called with config and folder of every run that is done.
         callback: see `train`.
 
@@ -113,8 +115,8 @@ def train(
     diverges writes nothing any more; its checkpoints are from before.
 
     Args:
-        learner: of the runs.
-        folders: of the runs; only host 0 writes to them.
+        learner: learner of the runs.
+        folders: run folders; only host 0 writes to them.
         clock: gives the time [s].
         callback: called on every host after every update of every run.
     """
@@ -126,7 +128,7 @@ def train(
     first = done = int(np.ravel(state.update)[0])
     used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
     print(announcement(config, done, used))
-    print("compiling ...", flush=True)
+    doing(COMPILING)
     skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
     diverged = np.zeros(count, bool)
     begun, at_begin = 0.0, count_steps(state)

@@ -13,8 +13,6 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
 
-from carpark_mj.training.ppo.parts import VARIANTS
-
 if TYPE_CHECKING:
     from carpark_mj.training.ppo.config import PPOConfig
 
@@ -57,7 +55,7 @@ def standardize(advantage: jax.Array, weight: jax.Array, floor: float) -> jax.Ar
     """Advantages (...) less their mean, over their deviation, both of all devices.
 
     Args:
-        advantage: of the steps.
+        advantage: (...) advantages of the steps.
         weight: (...) of `balance`.
         floor: added to the standard deviation.
     """
@@ -74,7 +72,7 @@ def ppo_loss(
     weights: Weights,
     key: jax.Array,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The clipped loss, and what of it is reported; to be averaged over the devices.
+    """The clipped loss and its reported parts, to be averaged over the devices.
 
     It is that of `brax.training.agents.ppo.losses.compute_ppo_loss` but where steps are
     truncated, which Brax counts with an advantage of 0 before it normalises, and over
@@ -85,7 +83,7 @@ def ppo_loss(
         networks: that take them.
         normalizer: running statistics of the observations.
         batch: this device's part of the minibatch; its advantages are normalised here.
-        weights: of the terms.
+        weights: weights of the terms.
         key: for the entropy, which is sampled.
     """
     distribution: Any = networks.parametric_action_distribution
@@ -180,13 +178,8 @@ class Variant:
         weights: Weights,
         key: jax.Array,
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """The loss of a minibatch (steps, ...), and what of it is reported."""
+        """The loss of a minibatch (steps, ...) and its reported parts."""
         return ppo_loss(params, networks, normalizer, batch, weights, key)
 
 
 BRAX = Variant()
-
-
-def variant(name: str) -> Variant:
-    """The details of that name."""
-    return VARIANTS[name].load()

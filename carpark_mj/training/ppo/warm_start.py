@@ -28,7 +28,12 @@ from carpark_mj.observations.compose import OWN, observation_sets, part_name
 from carpark_mj.observations.fields import ORDERED, Field
 from carpark_mj.observations.ranges import RAYS, RAYS_NEAR
 from carpark_mj.policy import checkpoints
-from carpark_mj.policy.loading import load_policy, network_config, network_shapes
+from carpark_mj.policy.loading import (
+    load_policy,
+    network_config,
+    network_shapes,
+    require_actions,
+)
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.runs import describe_names, find_policy
 from carpark_mj.training.ppo.collect import Teacher, TrainingState
@@ -78,7 +83,7 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
     Where agents observe more than those of that run, see `widen`.
 
     Args:
-        config: of the training.
+        config: settings of the training.
         state: as it would begin otherwise.
 
     Raises:
@@ -89,12 +94,8 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
     added = new_fields(config, run.env)
     if not added:
         load_policy(config.warm_start, env=config.env)  # refuses what does not fit
-    elif action_spec(run.env) != action_spec(config.env):
-        raise ValueError(
-            f"{config.warm_start} was trained for other actions "
-            f"({action_spec(run.env)}) than this environment's "
-            f"({action_spec(config.env)})"
-        )
+    else:
+        require_actions(config.warm_start, run.env, config.env)
     shapes = network_shapes(config.networks, run.env)
     # Optimizer, schedules, lots and counters are the run's own.
     template = {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
@@ -146,7 +147,7 @@ def widen(
     """Normalizer and networks of a run in `env`, for agents that observe more.
 
     Args:
-        config: of the training that takes them over.
+        config: settings of the training that takes them over.
         env: in which agents observe less, see `new_fields`.
         taken: `normalizer`, and networks by name.
         new: the same of a training that takes nothing over.

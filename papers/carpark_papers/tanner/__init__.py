@@ -3,7 +3,7 @@
 from carpark_mj.extensions import Entry
 from carpark_mj.policy.runs import ALGORITHMS
 from carpark_mj.programs import STUDY_PROGRAMS
-from carpark_mj.training.ppo.parts import PRESET_ENTRIES, VARIANTS
+from carpark_mj.training.ppo.parts import PRESETS, VARIANTS
 from carpark_papers.tanner import environments, grid, indices, observation
 
 __all__ = ["environments", "grid", "indices", "observation"]
@@ -32,7 +32,7 @@ for _name, _summary in {
     "fixed-original": "GPU, hyperparameters of the study",
     "dynamic-original": "GPU, hyperparameters of the study",
 }.items():
-    PRESET_ENTRIES.register(
+    PRESETS.register(
         f"tanner-{_name}",
         Entry(f"{_PRESETS}:{_name.upper().replace('-', '_')}", _summary),
     )

@@ -11,15 +11,8 @@ from helpers.sweeping import train
 from carpark_mj import sweeps
 from carpark_mj.analysis import Record, group
 from carpark_mj.evaluation.catalogue import metrics
-from carpark_mj.sweeps import (
-    Outcome,
-    checked_runs,
-    open_sweep,
-    run_sweep,
-    runs,
-    settings_of,
-    write_outcome,
-)
+from carpark_mj.sweeps import Outcome, open_sweep, run_sweep, write_outcome
+from carpark_mj.sweeps.plan import checked_runs, runs, settings_of
 from carpark_mj.training.run_folder import list_settings
 from carpark_papers.tanner.experiments import program as study
 from carpark_papers.tanner.experiments.figures import (

@@ -10,8 +10,8 @@ from carpark_mj.config.checks import (
     NonNegative,
     Positive,
     Ratio,
-    require_ratio,
-    require_whole,
+    require_count,
+    require_number,
 )
 from carpark_papers.cederle.junction.config import EndRule
 from carpark_papers.cederle.training.config import Algorithm, JunctionRunConfig
@@ -98,7 +98,7 @@ class BenchMARLConfig(JunctionRunConfig):
                 f"max_steps must be a multiple of repeat, {self.repeat}, or time would "
                 f"run out within a decision, not {self.max_steps}"
             )
-        require_whole(self, self.batch_size, "buffer_size")
+        require_count("buffer_size", self.buffer_size, self.batch_size)
         if self.on_policy and self.batch_size > self.decisions:
             raise ValueError(
                 f"batch_size must be at most {self.decisions}, num_junctions times "
@@ -110,7 +110,7 @@ class BenchMARLConfig(JunctionRunConfig):
                 f"{self.epsilon_start}"
             )
         if self.algorithm in ("vdn", "qmix"):
-            require_ratio(self, "epsilon_start")
+            require_number("epsilon_start", self.epsilon_start, Bounds(ge=0.0, le=1.0))
         if not self.hidden:
             raise ValueError("hidden must have one width or more")
 

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Annotated, Literal
 
-from carpark_mj.config.checks import Bounds, Count, Positive, Ratio, require_whole
+from carpark_mj.config.checks import Bounds, Count, Positive, Ratio, require_count
 from carpark_papers.cederle.training.config import Algorithm, JunctionRunConfig
 
 Optimizer = Literal["adam", "rmsprop"]
@@ -57,7 +57,8 @@ class DQNConfig(JunctionRunConfig):
                 f"pixels must be at least {MIN_PIXELS} for the convolutional network, "
                 f"not {self.pixels}"
             )
-        require_whole(self, max(self.batch_size, self.added), "buffer_size")
+        least = max(self.batch_size, self.added)
+        require_count("buffer_size", self.buffer_size, least)
         if not self.hidden:
             raise ValueError("hidden must have one width or more")
 

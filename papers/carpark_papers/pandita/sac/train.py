@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
+from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.networks import Policy
@@ -44,7 +45,7 @@ _LOSSES = ("actor_loss", "critic_loss", "ent_coef")
 
 
 @dataclasses.dataclass
-class Progress:
+class Progress(CheckedConfig):
     """Progress of a run."""
 
     phase: int = 0  # number of the phase, from 0; the number of phases after the last

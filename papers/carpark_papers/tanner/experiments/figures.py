@@ -18,7 +18,7 @@ from pathlib import Path
 
 from carpark_mj.analysis import Point, Record, Spread, show, spread
 from carpark_mj.files import write_atomically
-from carpark_mj.sweeps import Axis, Plan
+from carpark_mj.sweeps.plan import Axis, Plan
 from carpark_mj.types import OUTCOMES
 
 PATH = Path(__file__).parent / "tanner_2022.csv"

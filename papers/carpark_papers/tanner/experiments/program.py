@@ -17,16 +17,8 @@ from pathlib import Path
 
 from carpark_mj.analysis import group, run_folders
 from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
-from carpark_mj.sweeps import (
-    Cluster,
-    Plan,
-    Run,
-    SlurmConfig,
-    Where,
-    groups,
-    read_outcome,
-    settings_of,
-)
+from carpark_mj.sweeps import Cluster, SlurmConfig, Where, read_outcome
+from carpark_mj.sweeps.plan import Plan, Run, groups, settings_of
 from carpark_papers.tanner.experiments.figures import (
     ELSEWHERE,
     EXPERIMENTS,
@@ -198,7 +190,8 @@ def say_budget(chosen: Sequence[Cost], rest: Sequence[Cost], minutes: float) -> 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Runs the study; returns the exit code, 1 if runs have failed."""
     from carpark_mj.cli.flags import read_flags
-    from carpark_mj.sweeps import checked_runs, prepare, read_axis, run_sweep
+    from carpark_mj.sweeps import prepare, run_sweep
+    from carpark_mj.sweeps.plan import checked_runs, read_axis
     from carpark_mj.training.ppo.parts import PRESETS
 
     config = read_flags(StudyConfig, arguments, description=__doc__)

@@ -11,21 +11,16 @@ runs/SWEEP/
 import contextlib
 import dataclasses
 import fcntl
-import functools
-import itertools
-import math
 import os
-import re
 import shutil
 import subprocess
 import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from urllib.parse import quote
 
 from carpark_mj.rendering.gl import choose_gl
 
@@ -45,227 +40,28 @@ from carpark_mj.cli.process import (
     keep_compiled_programs,
     one_line,
 )
-from carpark_mj.config import REWARD_TERMS, term_settings
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    Count,
-    Natural,
-    NonNegative,
-)
-from carpark_mj.extensions import unknown_name
+from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.reading import read_csv, read_object
-from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.parts import PRESETS, summaries
-from carpark_mj.training.run_folder import (
-    RunConfig,
-    list_settings,
-    read_config,
-    read_settings,
+from carpark_mj.sweeps.plan import (
+    Plan,
+    Run,
+    checked_runs,
+    groups,
+    read_axis,
+    settings_of,
 )
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.parts import PRESETS
+from carpark_mj.training.run_folder import RunConfig, read_config
 
-MAX_RUNS = 100_000
-MAX_NAME = 200  # characters; file systems allow 255 bytes
 POLL_SECONDS = {"local": 0.5, "debug": 0.0, "slurm": 10.0}
 ENDLESS = 10 * 365 * 24 * 60  # of a local job, which submitit would end [min]
-# What a sweep itself sets in every run.
-OWN_FIELDS = ("preset", "name", "runs_dir", "resume", "time_limit", "seed")
 
 Cluster = Literal["local", "debug", "slurm"]
 Status = Literal["done", "stopped", "failed", "waiting"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Axis:
-    """Settings that change together."""
-
-    fields: tuple[str, ...]  # dotted names of settings, `env.num_agents`
-    values: tuple[tuple[str, ...], ...]  # of all fields for every point, as words
-
-    @property
-    def is_swept(self) -> bool:
-        """Whether it has several points."""
-        return len(self.values) > 1
-
-
-def read_axis(text: str, config: PPOConfig) -> Axis:
-    """Reads `FIELD=VALUES`.
-
-    VALUES are separated by commas, or by semicolons where a value has commas itself;
-    `1..7` is a range of whole numbers, both ends included.
-    """
-    name, equals, values = text.partition("=")
-    if not equals:
-        raise ValueError(
-            f"set takes FIELD=VALUES, for example num_agents=1..7, not {text!r}"
-        )
-    field = _find_field(name.strip().replace("-", "_"), _settings(config))
-    words: list[str] = []
-    for part in values.removesuffix(";").split(";" if ";" in values else ","):
-        ends = re.fullmatch(r"\s*(-?\d+)\.\.(-?\d+)\s*", part)
-        first, last = map(int, ends.groups()) if ends else (0, -1)
-        if last - first >= MAX_RUNS:
-            raise ValueError(f"a sweep has at most {MAX_RUNS} runs, not {part.strip()}")
-        words += map(str, range(first, last + 1)) if ends else [part.strip()]
-    if not all(words) or not words or len({*words}) < len(words):
-        raise ValueError(f"{field} has no values, or one twice, in {text!r}")
-    return Axis((field,), tuple((word,) for word in words))
-
-
-def _settings(config: PPOConfig) -> dict[str, Any]:
-    """All settings by their dotted names."""
-    names = [key for name in REWARD_TERMS for key in term_settings(name)]
-    extra = dict.fromkeys((f"env.reward.extra.{key}" for key in names), 0.0)
-    return extra | dict(list_settings(config))
-
-
-def _find_field(name: str, known: Mapping[str, Any]) -> str:
-    """The dotted name of a setting, given in full or by an unambiguous suffix."""
-    found = [path for path in known if f".{path}".endswith(f".{name}")]
-    if name in known:
-        found = [name]
-    if not found:
-        last = {path.rpartition(".")[2] for path in known}
-        raise ValueError(unknown_name("setting", name, last))
-    if len(found) > 1:
-        raise ValueError(f"{name!r} is several settings: {', '.join(found)}")
-    if found[0] in OWN_FIELDS:
-        raise ValueError(f"{found[0]} is not swept: see the flags of the sweep")
-    return found[0]
-
-
-def _flags(settings: dict[str, str], config: PPOConfig) -> list[str]:
-    """Settings (dotted name to value) as flags of the trainer."""
-    words: list[str] = []
-    known = _settings(config)
-    for field, value in settings.items():
-        *groups, last = field.replace("_", "-").split(".")
-        parts = value.split()
-        if isinstance(known[field], bool):
-            value = value.lower()
-            if value not in ("true", "false"):
-                raise ValueError(f"{field} must be true or false, not {value!r}")
-            last, parts = last if value == "true" else f"no-{last}", []
-        if any(re.match(r"-[^\d.]", part) for part in parts):
-            raise ValueError(f"{field} takes values, not flags, as in {value!r}")
-        words += [f"--{'.'.join((*groups, last))}", *parts]
-    return words
-
-
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """A sweep."""
-
-    base: str  # preset of all runs
-    axes: tuple[Axis, ...]  # varied settings; a single value is fixed across runs
-    repeats: int = 1  # runs of every combination
-    seed: int = 0  # of the first run of a combination; run i uses seed + i
-
-    def __post_init__(self) -> None:
-        fields = [field for axis in self.axes for field in axis.fields]
-        if twice := {field for field in fields if fields.count(field) > 1}:
-            raise ValueError(f"{', '.join(twice)} is given twice")
-        if len(self) > MAX_RUNS:
-            raise ValueError(f"a sweep has at most {MAX_RUNS} runs, not {len(self)}")
-
-    def __len__(self) -> int:
-        """Number of runs."""
-        return self.repeats * math.prod(len(axis.values) for axis in self.axes)
-
-    @property
-    def definition(self) -> dict[str, Any]:
-        """Common settings of all runs; sweeps in one folder must agree in them."""
-        fixed = [axis for axis in self.axes if not axis.is_swept]
-        return {
-            "base": self.base,
-            "fixed": {
-                f: v for a in fixed for f, v in zip(a.fields, a.values[0], strict=True)
-            },
-            "swept": [list(axis.fields) for axis in self.axes if axis.is_swept],
-        }
-
-
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """A run of a sweep."""
-
-    name: str  # of its folder, made of what differs between runs
-    base: str  # preset
-    settings: tuple[tuple[str, str], ...]  # dotted names and values, of all axes
-    swept: tuple[str, ...]  # those of them that differ between runs
-    seed: int  # random seed
-
-
-def runs(plan: Plan) -> Iterator[Run]:
-    """All runs: the seeds of a combination one after the other."""
-    swept = tuple(f for axis in plan.axes if axis.is_swept for f in axis.fields)
-    for point in itertools.product(*(axis.values for axis in plan.axes)):
-        settings = {
-            field: value
-            for axis, values in zip(plan.axes, point, strict=True)
-            for field, value in zip(axis.fields, values, strict=True)
-        }
-        for seed in range(plan.seed, plan.seed + plan.repeats):
-            parts = {field.rpartition(".")[2]: settings[field] for field in swept}
-            if len(parts) < len(swept):  # two settings of the same last name
-                parts = {field: settings[field] for field in swept}
-            words = [f"{key}={quote(value, safe='+,')}" for key, value in parts.items()]
-            name = ",".join([*words, f"seed={seed}"])
-            yield Run(name, plan.base, tuple(settings.items()), swept, seed)
-
-
-def checked_runs(plan: Plan) -> list[Run]:
-    """All runs, each with settings that can be trained."""
-    from carpark_mj.env import ParkingEnv
-
-    possible: set[Any] = set()
-    known: dict[PPOConfig, Run] = {}
-    for run in runs(plan):
-        where = ", ".join(f"{k}={v}" for k, v in run.settings if k in run.swept)
-        try:
-            config = settings_of(run)
-            if config.env not in possible:
-                ParkingEnv(config.env)  # more cars than bays, for example
-                possible.add(config.env)
-            if known.setdefault(config, run) is not run:
-                raise ValueError(f"the same settings as {known[config].name}")
-            if len(run.name) > MAX_NAME:
-                raise ValueError(f"its name is longer than {MAX_NAME}: sweep less")
-        except ValueError as error:
-            raise ValueError(f"{plan.base}, {where}: {error}") from None
-    return [*known.values()]
-
-
-@functools.cache
-def settings_of(run: Run) -> PPOConfig:
-    """The trainer's settings of a run; no video unless the sweep asks for one."""
-    settings = {"video_seconds": "0"} | dict(run.settings)
-    words = ["--preset", run.base, "--seed", str(run.seed)]
-    words += _flags(settings, PRESETS[run.base])
-    return read_settings(PRESETS[run.base], PRESETS, words, None, (), summaries())
-
-
-def groups(runs: Sequence[Run], size: int) -> list[tuple[Run, ...]]:
-    """Runs that train in one program: they differ in seeds and data only.
-
-    A run that ends after some `minutes` is alone: others beside it would slow it down.
-
-    Groups have at most `size` runs.
-    """
-    from carpark_mj.training.ppo.group import program
-
-    alike: dict[Any, list[Run]] = {}
-    for run in runs:
-        config = settings_of(run)
-        alone = size == 1 or config.minutes
-        alike.setdefault(run.name if alone else program(config), []).append(run)
-    return [
-        tuple(members[start : start + size])
-        for members in alike.values()
-        for start in range(0, len(members), size)
-    ]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -313,7 +109,7 @@ def write_outcome(sweep: Path, run: Run, outcome: Outcome) -> None:
 
 
 @contextlib.contextmanager
-def locked(sweep: Path, run: Run) -> Iterator[None]:
+def locked(sweep: Path, run: Run) -> Generator[None]:
     """Holds a run alone; waits while another process works on it.
 
     A sweep that was killed may have left a job that still trains.
@@ -329,19 +125,18 @@ def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
     Rows of runs that were trained before, with other values or seeds, stay.
     """
     path, names = sweep / "sweep.csv", {run.name for run in runs}
-    rows: list[dict[str, Any]] = []
-    if path.exists():
-        known = (row.cells for row in read_csv(path, "run"))
-        rows += [cells for cells in known if cells["run"] not in names]
+    known = read_csv(path, "run") if path.exists() else []
+    rows: list[dict[str, Any]] = [x.cells for x in known if x.cells["run"] not in names]
     for run in runs:
         outcome = read_outcome(sweep, run)
         row = {"run": run.name, "base": run.base, **dict(run.settings)}
-        rows.append(row | {"seed": run.seed, **dataclasses.asdict(outcome)})
+        row |= {"seed": run.seed, **dataclasses.asdict(outcome)}
         with contextlib.suppress(CheckpointError):
             if outcome.status == "done":
                 found = read_run(run_folder(sweep, run))
-                rows[-1] |= {**found.metrics, "device": found.device}
-                rows[-1] |= {f"version_{k}": v for k, v in found.versions.items()}
+                row |= {**found.metrics, "device": found.device}
+                row |= {f"version_{k}": v for k, v in found.versions.items()}
+        rows.append(row)
     columns = dict.fromkeys(name for row in rows for name in row)
     write_csv(path, [{name: row.get(name, "") for name in columns} for row in rows])
     return path
@@ -362,22 +157,13 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) ->
         stochastic: evaluate sampled actions.
         report: called with the outcome of each run.
     """
-    from carpark_mj.cli import evaluate
     from carpark_mj.training.ppo.train import MAX_SKIPPED, finish, train_runs
 
     by_folder = {run_folder(sweep, run): run for run in runs}
 
     def finish_run(config: PPOConfig, folder: Path) -> None:
         try:
-            finish(dataclasses.replace(config, eval_episodes=0), folder)
-            if config.eval_episodes:
-                settings = evaluate.EvaluateConfig(
-                    str(folder),
-                    episodes=config.eval_episodes,
-                    stochastic=stochastic,
-                    out=str(folder),
-                )
-                evaluate.main(settings)
+            finish(config, folder, stochastic)
         except Exception as error:  # the others are still to be evaluated
             report(by_folder[folder], "failed", _sentence(error))
         else:
@@ -401,7 +187,7 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) ->
         for folder, outcome in ended:
             if outcome == "stopped":
                 report(by_folder[folder], "stopped", "")
-            if outcome == "diverged":
+            elif outcome == "diverged":
                 error = f"{MAX_SKIPPED} updates in a row were non-finite"
                 report(by_folder[folder], "failed", error)
         if any(outcome == "stopped" for _, outcome in ended):
@@ -409,7 +195,7 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) ->
 
 
 def _sentence(error: Exception) -> str:
-    """An error as one sentence; all of it stands in the job's log."""
+    """An error as one sentence; the traceback goes to the job's log."""
     traceback.print_exception(error)
     return one_line(error) or type(error).__name__
 
@@ -428,7 +214,7 @@ class Work:
     own_process: bool = True  # whether JAX is still to be set up
 
     def __call__(self) -> None:
-        """Trains what is left of the runs, and writes what becomes of each."""
+        """Trains the unfinished runs and records the outcome of each."""
         if self.gpus:
             os.environ["CUDA_VISIBLE_DEVICES"] = ",".join(self.gpus)
         elif self.gpus is not None:
@@ -444,10 +230,10 @@ class Work:
 
     def _train(self) -> None:
         left = [r for r in self.runs if read_outcome(self.sweep, r).status != "done"]
-        begun, reported = time.monotonic(), set[Run]()
+        start, reported = time.monotonic(), set[Run]()
 
         def report(run: Run, status: Status, error: str = "") -> None:
-            seconds = (time.monotonic() - begun) / len(left)
+            seconds = (time.monotonic() - start) / len(left)
             write_outcome(self.sweep, run, Outcome(status, error, seconds))
             reported.add(run)
 
@@ -690,7 +476,7 @@ def run_sweep(
     for work, reason in run_works(executor, works, where.jobs or 1):
         for run in work.runs:
             outcome = read_outcome(folder, run)
-            if outcome.status == "waiting":  # its process had no time to say so
+            if outcome.status == "waiting":  # its process was killed
                 outcome = Outcome("failed", reason or "its job did not train it")
                 write_outcome(folder, run, outcome)
             done += outcome.status == "done"
@@ -751,7 +537,7 @@ class SweepConfig(Where):
 
     @property
     def folder(self) -> Path:
-        """Of the sweep."""
+        """Folder of the sweep."""
         swept = [x.fields[0].rpartition(".")[2] for x in self.plan.axes if x.is_swept]
         return Path(self.runs_dir) / (self.name or "-".join((self.base, *swept)))
 

@@ -1,0 +1,82 @@
+"""A running clock on the terminal, so that nobody waits for a command in silence."""
+
+import os
+import threading
+import time
+
+SILENCE = 0.5  # s without output before the clock shows
+PERIOD = 0.25  # s between its moves
+# What commands do.
+LOADING = "loading JAX and MuJoCo, usually 2 to 10 s"
+COMPILING = "compiling, usually 10 to 60 s, fewer once it is kept"
+CLEAR = b"\r\x1b[K"
+
+
+class Clock:
+    """Says on a terminal's stderr what a command does, and for how long.
+
+    The line is drawn in a thread while nothing else is printed, and gives way to what
+    is printed. There is none where stderr is no terminal.
+    """
+
+    def __init__(self) -> None:
+        """Shows nothing yet."""
+        self._lock = threading.Lock()
+        self._what = ""
+        self._drawn = False
+        self._since = time.monotonic()
+
+    def start(self, what: str) -> None:
+        """Starts to run beside a command that begins with `what`."""
+        self.set(what)
+        if os.isatty(2) and os.environ.get("TERM") != "dumb":
+            threading.Thread(target=self._run, daemon=True).start()
+
+    def set(self, what: str) -> None:
+        """From now on the command does `what`; nothing is shown if it is empty."""
+        with self._lock:
+            self._clear()
+            self._what, self._since = what, time.monotonic()
+
+    def printed(self) -> None:
+        """Clears the line: the command is about to print."""
+        with self._lock:
+            self._clear()
+            self._what = self._what and "working"
+            self._since = time.monotonic()
+
+    def stop(self) -> None:
+        """Clears the line for good."""
+        self.set("")
+
+    def _run(self) -> None:
+        while True:
+            time.sleep(PERIOD)
+            with self._lock:
+                seconds = time.monotonic() - self._since
+                if self._what and seconds > SILENCE:
+                    line = f"{self._what} ... {seconds:.0f} s"
+                    width = os.get_terminal_size(2).columns or 80
+                    os.write(2, f"\r{line[: width - 1]}".encode())
+                    self._drawn = True
+
+    def _clear(self) -> None:
+        if self._drawn:
+            os.write(2, CLEAR)
+            self._drawn = False
+
+
+CLOCK = Clock()
+
+
+def doing(what: str) -> None:
+    """Says what the command does from now on: a clock on a terminal, else a line."""
+    CLOCK.set(what)
+    if not (os.isatty(1) and os.isatty(2)):
+        print(f"{what} ...", flush=True)
+        CLOCK.set(what)
+
+
+def wait_for_user() -> None:
+    """Shows no clock until the next `doing`: a page or a window is open."""
+    CLOCK.stop()

@@ -1,0 +1,232 @@
+"""The commands of `carpark_mj`, and the programs of papers and extensions."""
+
+import dataclasses
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, get_type_hints
+
+from carpark_mj.cli.process import (
+    configure_jax,
+    dispatch_synchronously,
+    enable_output_fusion,
+    keep_compiled_programs,
+)
+from carpark_mj.extensions import Entry, Registry
+from carpark_mj.rendering.gl import choose_gl
+
+ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
+
+
+@dataclasses.dataclass(frozen=True)
+class Command(Entry):
+    """A command: a function of its settings, or of the words of the command line.
+
+    Its settings are a config class, whose docstring is the help.
+
+    Attributes:
+        setup: called before the import, which may load MuJoCo, and before JAX computes.
+        drives: its help names the pretrained policies.
+    """
+
+    setup: tuple[Callable[[], object], ...] = ()
+    drives: bool = False
+
+
+COMMANDS = {
+    "train": Command(
+        "carpark_mj.programs:train",
+        "train a policy with PPO",
+        (choose_gl, configure_jax, keep_compiled_programs),
+    ),
+    "evaluate": Command(
+        "carpark_mj.cli.evaluate:main",
+        "evaluate a policy on held-out seeds",
+        ACTING,
+        drives=True,
+    ),
+    "render": Command(
+        "carpark_mj.cli.render:main",
+        "render episodes to a video or a still",
+        (choose_gl, *ACTING),
+        drives=True,
+    ),
+    "scene": Command(
+        "carpark_mj.cli.scene:main",
+        "write a car park as MJCF, or show it",
+        (keep_compiled_programs,),
+        drives=True,
+    ),
+    "play": Command(
+        "carpark_mj.cli.play:main",
+        "drive a car yourself",
+        (keep_compiled_programs,),
+        drives=True,
+    ),
+    "layouts": Command(
+        "carpark_mj.cli.layouts:main", "draw, plot, check and save layouts"
+    ),
+    "layouts edit": Command("carpark_mj.cli.layouts:edit", "draw a lot in the browser"),
+    "layouts import": Command(
+        "carpark_mj.cli.layouts:import_layout", "make a layout of a map"
+    ),
+    "vehicles": Command(
+        "carpark_mj.cli.vehicles:show",
+        "show a vehicle and its estimated parameters",
+    ),
+    "identify": Command(
+        "carpark_mj.cli.vehicles:fit",
+        "find a car's parameters in the log of a drive",
+        (enable_output_fusion,),
+    ),
+    "oracle": Command(
+        "carpark_mj.cli.oracle:main",
+        "say which agents of held-out lots can park",
+        (enable_output_fusion, keep_compiled_programs),
+    ),
+    "suite": Command(
+        "carpark_mj.suite.evaluation:main",
+        "compare policies on the held-out hard cases",
+        (choose_gl, *ACTING),
+        drives=True,
+    ),
+    # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
+    "export": Command(
+        "carpark_mj.cli.export:main",
+        "export a policy as an ONNX model",
+        (keep_compiled_programs,),
+        drives=True,
+    ),
+    "sweep": Command(
+        "carpark_mj.sweeps:main", "train every combination of some settings"
+    ),
+    "analysis": Command(
+        "carpark_mj.cli.analysis:main", "compare runs: tables, plots, a page"
+    ),
+    "benchmark": Command(
+        "carpark_mj.benchmarking:main",
+        "measure speed, compilation and memory",
+        (enable_output_fusion,),
+    ),
+    "study": Command(
+        "carpark_mj.programs:study", "run a program of a paper or an extension"
+    ),
+}
+
+STUDY_PROGRAMS: Registry[Any] = Registry("program")
+
+
+def run(name: str, arguments: Sequence[str] | None = None) -> object:
+    """Sets this process up and runs a command.
+
+    Args:
+        name: of `COMMANDS`.
+        arguments: the command line; None = that of this process.
+
+    Returns:
+        The exit code if it is an int; other values mean 0.
+    """
+    for prepare in COMMANDS[name].setup:
+        prepare()
+    return call(name, sys.argv[1:] if arguments is None else arguments)
+
+
+def call(name: str, arguments: Sequence[str]) -> object:
+    """Runs a command in a process that is set up, see `run`."""
+    words = list(arguments)
+    if words and f"{name} {words[0]}" in COMMANDS:
+        return call(f"{name} {words[0]}", words[1:])
+    command = COMMANDS[name]
+    function = command.load()
+    (settings,) = [x for k, x in get_type_hints(function).items() if k != "return"]
+    if not isinstance(settings, type):  # the words themselves
+        return function(words)
+    from carpark_mj.cli.flags import help_of, read_flags
+
+    description = help_of(settings)
+    if command.drives:
+        from carpark_mj.cli.driver import command_help
+
+        description = command_help(description)
+    words = getattr(sys.modules[function.__module__], "complete", list)(words)
+    prog = f"carpark_mj {name}"
+    return function(read_flags(settings, words, description=description, prog=prog))
+
+
+def table(summaries: Mapping[str, str]) -> str:
+    """A line for each program."""
+    width = max(map(len, summaries), default=0)
+    return "\n".join(f"  {name:{width}}  {x}" for name, x in summaries.items())
+
+
+def study(arguments: Sequence[str]) -> object:
+    """Runs a program of a paper or another extension, which the first argument names.
+
+    Raises:
+        ValueError: there is no such program, or none at all.
+    """
+    choose_gl()  # before an extension imports MuJoCo
+    if not STUDY_PROGRAMS:
+        raise ValueError(
+            "no program is installed: those of the papers come with carpark_papers, "
+            "`pip install ./papers` in a checkout of carpark_mj"
+        )
+    if not arguments or arguments[0] in ("-h", "--help"):
+        listed = table(STUDY_PROGRAMS.summaries)
+        print(f"usage: carpark_mj study NAME ...\n\n{listed}")
+        return 0
+    program = STUDY_PROGRAMS[arguments[0]]
+    sys.argv = [f"carpark_mj study {arguments[0]}", *arguments[1:]]
+    return program(list(arguments[1:]))
+
+
+TRAIN_HELP = """Trains one shared parking policy for all agents with PPO (IPPO).
+
+    carpark_mj train                        # preset by hardware, runs/cpu-0 or gpu-0
+    carpark_mj train --resume runs/cpu-0    # continues where it stopped
+    carpark_mj train --preset dynamic --seeds 0..7       # runs side by side
+    carpark_mj train --help-all             # every setting
+    carpark_mj train --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
+    srun carpark_mj train --coordinator auto                         # a cluster
+
+Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
+"""
+
+
+def train(arguments: Sequence[str]) -> int:
+    """Trains, with other hosts if asked; returns the exit code."""
+    from carpark_mj.training.hosts import joined, read_hosts
+
+    hosts, arguments = read_hosts(arguments)
+    with joined(hosts):
+        return _train(arguments)
+
+
+def _train(arguments: Sequence[str]) -> int:
+    import jax
+
+    from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
+    from carpark_mj.training.ppo.parts import PRESETS, summaries
+    from carpark_mj.training.ppo.train import MAX_SKIPPED, train_runs
+    from carpark_mj.training.run_folder import read_runs, read_settings
+
+    hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
+
+    def read(arguments: Sequence[str]) -> PPOConfig:
+        return read_settings(
+            PRESETS[hardware], PRESETS, arguments, TRAIN_HELP, RUN_SETTINGS, summaries()
+        )
+
+    ended = train_runs(read_runs(arguments, read))
+    stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
+    if stopped:
+        print(f"stopped; continue with: carpark_mj train --resume {' '.join(stopped)}")
+    for folder, outcome in ended:
+        if outcome == "done":
+            print(f"done: {folder}")
+        if outcome == "diverged":
+            print(
+                f"ppo: {MAX_SKIPPED} updates in a row were non-finite; the "
+                f"checkpoints in {folder} are older",
+                file=sys.stderr,
+            )
+    return int(any(outcome == "diverged" for _, outcome in ended))
