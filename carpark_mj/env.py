@@ -95,7 +95,7 @@ class ParkingEnv:
             TypeError: the config, the back end or the car has another type.
         """
         require_float32()
-        if not isinstance(config, EnvConfig | None):
+        if not isinstance(config, EnvConfig | None):  # pyright: ignore
             raise TypeError(
                 f"config must be an EnvConfig, not {config!r}; "
                 "`carpark_mj.registry.environment` gives those that have a name"
