@@ -95,7 +95,7 @@ class ParkingEnv:
             TypeError: the config, the back end or the car has another type.
         """
         require_float32()
-        if not isinstance(config, EnvConfig | None):
+        if not isinstance(config, EnvConfig | None):  # pyright: ignore
             raise TypeError(
                 f"config must be an EnvConfig, not {config!r}; "
                 "`carpark_mj.registry.environment` gives those that have a name"
@@ -234,7 +234,8 @@ class ParkingEnv:
         _require_index("num_present", num_present, 1, self.num_agents)
         given = read_reset_options(self.config, options)
         state = self._spawner.begin_lot(layout, key, num_present, given)
-        if given and not _is_traced((state, given)):
+        leaves = jax.tree.leaves((state, given))
+        if given and not any(isinstance(leaf, Tracer) for leaf in leaves):
             check_starts(self.config, given, state)
         return own_buffers(state), observe(self.config, state)
 
@@ -355,10 +356,6 @@ def _require_index(name: str, value: Any, least: int, most: int) -> None:
         raise ValueError(f"{name} must be a whole number, not {value!r}")
     if not isinstance(value, Tracer | None) and not least <= int(value) <= most:
         raise ValueError(f"{name} must lie in [{least}, {most}], not {value}")
-
-
-def _is_traced(tree: Any) -> bool:
-    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def _freeze(

@@ -109,7 +109,7 @@ FAULTS = {
         "layouts/build.py",
         "back = jnp.concatenate([centre - right, yaw[..., None] + jnp.pi], axis=-1)",
         "back = jnp.concatenate([centre - right, yaw[..., None]], axis=-1)",
-        "layouts/test_lanes.py",
+        "layouts/test_routes.py",
     ),
     "velocities of others are in the frame of the lot": Fault(
         "observations/tracked.py",

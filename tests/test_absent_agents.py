@@ -23,8 +23,8 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
+from carpark_mj.mdp.collisions import HORIZON, RANGE
 from carpark_mj.mdp.parked_cars import BayFits
-from carpark_mj.mdp.safety import HORIZON, RANGE
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.spawning import goals as fixed_goals
 from carpark_mj.spawning.placing import SpawnInputs, start_placing

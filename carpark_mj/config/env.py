@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, TypeVar
 
@@ -216,7 +217,7 @@ class EnvConfig:
             "track at least 1, not 0",
         )
 
-    @property
+    @functools.cached_property
     def physics_config(self) -> PhysicsConfig:
         """The back end, with the traits that the task asks of it."""
         return physics_config(self.physics)
@@ -232,7 +233,7 @@ class EnvConfig:
         """Whether the route along the lanes is rewarded or observed."""
         return self.observation.sees_routes or self.reward.route
 
-    @property
+    @functools.cached_property
     def varies(self) -> bool:
         """Whether the number, kinds, poses in bays or sizes of parked cars vary."""
         return self.fleet.is_on or self.jitter.is_on or self.occupancy is not None
@@ -278,6 +279,9 @@ def insert(config: Config, values: Mapping[str, Any]) -> Config:
         ValueError: there is no such setting.
     """
     new = copy.copy(config)
+    own = getattr(new, "__dict__", {})
+    for computed in own.keys() - {*_names(new)}:
+        del own[computed]  # properties that follow from the other values
     for path, value in values.items():
         if isinstance(new, ExtraTerms):
             new[_require_setting(new, path)] = value

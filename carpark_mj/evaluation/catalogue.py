@@ -5,8 +5,8 @@ registered (`carpark_mj.mdp.metrics`). An evaluation has a column for each in th
 table of episodes, and one or several aggregates.
 """
 
+from carpark_mj.mdp.collisions import HORIZON, RANGE
 from carpark_mj.mdp.metrics import METRICS, Metric, Pool
-from carpark_mj.mdp.safety import HORIZON, RANGE
 
 # How episodes add up.
 POOLS: dict[Pool, str] = {

@@ -20,11 +20,6 @@ PARALLEL = 0.2  # sine of the angle below which lanes lie beside each other: 11.
 INSIDE = 0.1  # m, a car this close to its nearest lane is in it
 
 
-def has_lanes(layout: Layout) -> bool:
-    """Whether lots of this shape can have lanes."""
-    return layout.lane_mask.shape[-1] > 0
-
-
 def lane_distance(layout: Layout, pose_w: jax.Array) -> jax.Array:
     """(num_agents, lanes) distance of centres of cars (num_agents, 3) to lanes [m].
 

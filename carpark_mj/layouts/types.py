@@ -146,6 +146,11 @@ class Layout:
         return jnp.asarray(self.bay_pose).at[..., 2].set(yaw)
 
     @property
+    def has_lanes(self) -> bool:
+        """Whether lots of this shape can have lanes."""
+        return self.lane_mask.shape[-1] > 0
+
+    @property
     def one_way(self) -> jax.Array | None:
         """(..., bays) bool, whether cars must stand as `parked_pose`; None = nowhere.
 

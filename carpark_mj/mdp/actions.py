@@ -70,31 +70,18 @@ def action_spec(config: EnvConfig) -> ActionSpec:
 
 def parse(config: EnvConfig, action: jax.Array) -> Action:
     """Sanitizes actions (..., size) and takes them apart."""
-    numbers, indices, invalid = sanitize_action(action_spec(config), action)
-    choice = indices[..., -1] if config.goals.dynamic else None
-    chosen = indices[..., : len(config.physics_config.choices)]
-    if not chosen.shape[-1]:
-        return Action(numbers, choice, invalid)
-    if not numbers.shape[-1]:
-        return Action(chosen, choice, invalid)
-    return Action(jnp.concatenate([numbers, chosen], axis=-1), choice, invalid)
-
-
-def sanitize_action(
-    spec: ActionSpec, action: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Replaces NaN and numbers out of range in actions (..., spec.size).
-
-    Returns:
-        The numbers (..., spec.continuous), the indices (..., choices) int32, and (...)
-        bool, whether any was replaced.
-    """
-    numbers, invalid = sanitize_numbers(action[..., : spec.continuous])
-    indices = action[..., spec.continuous :].astype(jnp.int32)
+    spec, choice = action_spec(config), None
+    controls, invalid = sanitize_numbers(action[..., : spec.continuous])
     if spec.choices:
         indices, wrong = sanitize_indices(action[..., spec.continuous :], spec.choices)
         invalid = invalid | wrong
-    return numbers, indices, invalid
+        if config.goals.dynamic:
+            indices, choice = indices[..., :-1], indices[..., -1]
+        if not spec.continuous:
+            controls = indices
+        elif indices.shape[-1]:
+            controls = jnp.concatenate([controls, indices], axis=-1)
+    return Action(controls, choice, invalid)
 
 
 def sanitize_numbers(numbers: jax.Array) -> tuple[jax.Array, jax.Array]:

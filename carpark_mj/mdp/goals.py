@@ -192,7 +192,9 @@ def update_goals(
     """
     if not config.goals.dynamic:
         return after, None
-    taken = taken_by_others(after.goal, events.parked) & ~events.done
+    goal = after.goal
+    same = (goal[:, None] == goal) & ~jnp.eye(goal.shape[0], dtype=bool)
+    taken = (same & events.parked).any(axis=1) & ~events.done
     # Where finished agents stay, those that have parked stand in their bays.
     respawn = config.episode.respawn
     leaves = events.done if respawn else events.done & ~events.parked
@@ -212,12 +214,6 @@ def update_goals(
         lost_taken=taken,
         contexts=find_contexts(before, chosen, tracks(config, before)),
     )
-
-
-def taken_by_others(goal: jax.Array, parked: jax.Array) -> jax.Array:
-    """(num_agents,) bool, whose goal is a bay where another agent has just parked."""
-    same = (goal[:, None] == goal) & ~jnp.eye(goal.shape[0], dtype=bool)
-    return (same & parked).any(axis=1) & ~parked
 
 
 def track_bays(config: EnvConfig, state: State) -> State:

@@ -20,14 +20,13 @@ from carpark_mj.config.checks import LARGEST, CheckedConfig, require_name
 from carpark_mj.extensions import Registry
 from carpark_mj.geometry import heading_error, norm
 from carpark_mj.geometry.obstacles import ObstacleKind
-from carpark_mj.layouts.routes import has_lanes
 from carpark_mj.layouts.types import Layout
-from carpark_mj.mdp import safety
+from carpark_mj.mdp.collisions import first_safety, measure_safety
 from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.progress import direction_of_travel, is_nearer
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.obstacles import hit_kinds
-from carpark_mj.types import NO_BAY, EpisodeStats, Events, Motion, State, Transition
+from carpark_mj.types import NO_BAY, EpisodeStats, Events, State, Transition
 
 if TYPE_CHECKING:
     from carpark_mj.config import EnvConfig
@@ -153,7 +152,7 @@ def init_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
         gear_changes=zero,
         direction=zero,
         invalid_actions=zero,
-        wrong_way=zero if has_lanes(layout) else None,
+        wrong_way=zero if layout.has_lanes else None,
         tallies=first_tallies(config),
     )
 
@@ -163,10 +162,23 @@ def update_stats(
 ) -> EpisodeStats:
     """Adds a step, with its reward by term, for agents that were active in it."""
     before, motion = transition.before, transition.after.motion
-    old, path = before.stats, _path(before.motion, motion)
+    old = before.stats
+    points = [before.motion.pose_w[..., None, :2], motion.trace_w[..., :2]]
+    points = jnp.concatenate(points, axis=-2)  # driven along
+    path = norm(jnp.diff(points, axis=-2)).sum(axis=-1)
     wrong_way = None
     if old.wrong_way is not None and transition.wrong_way is not None:
         wrong_way = old.wrong_way + path * transition.wrong_way
+    step = {f"return_{name}": term for name, term in terms.items()}
+    if transition.goal_events is not None:
+        step |= count_goals(transition)
+    if config.metrics.driving:
+        step |= measure_driving(config.sim.ctrl_dt, transition)
+    if config.metrics.safety:
+        step |= measure_safety(config.sim.ctrl_dt, transition)
+    for metric in _registered(config):
+        assert metric.value is not None
+        step[metric.tally] = metric.value(config, transition)
     direction = direction_of_travel(motion)
     new = EpisodeStats(
         episode_return=old.episode_return + jnp.sum(jnp.stack([*terms.values()]), 0),
@@ -176,17 +188,9 @@ def update_stats(
         direction=jnp.where(direction != 0, direction, old.direction),
         invalid_actions=old.invalid_actions + transition.invalid_action,
         wrong_way=wrong_way,
-        tallies=fold_tallies(old.tallies, measure(config, transition, terms)),
+        tallies=fold_tallies(old.tallies, step),
     )
     return jax.tree.map(lambda x, y: jnp.where(before.active, x, y), new, old)
-
-
-def _path(before: Motion, after: Motion) -> jax.Array:
-    """Length (num_agents,) [m] driven in a step, along the trace."""
-    points = jnp.concatenate(
-        [before.pose_w[..., None, :2], after.trace_w[..., :2]], axis=-2
-    )
-    return norm(jnp.diff(points, axis=-2)).sum(axis=-1)
 
 
 def episode_metrics(
@@ -227,9 +231,8 @@ def episode_metrics(
 
 def _registered(config: EnvConfig) -> list[Metric]:
     """Metrics of `MetricsConfig.extra` whose obstacles the lots may have."""
-    kinds = {None, *hit_kinds(config.movers)}
     found = [METRICS[name] for name in config.metrics.extra]
-    return [metric for metric in found if metric.kind in kinds]
+    return [x for x in found if x.kind in {None, *hit_kinds(config.movers)}]
 
 
 def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
@@ -240,7 +243,7 @@ def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
     if config.metrics.driving:
         first |= dict.fromkeys(SUMS, 0.0)
     if config.metrics.safety:
-        first |= safety.first_safety(hit_kinds(config.movers))
+        first |= first_safety(hit_kinds(config.movers))
     for metric in _registered(config):
         if metric.tally in first:
             raise ValueError(f"there is a metric {metric.tally!r} already")
@@ -249,23 +252,6 @@ def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
         name: jnp.full(config.num_agents, value, jnp.float32)
         for name, value in first.items()
     }
-
-
-def measure(
-    config: EnvConfig, transition: Transition, terms: dict[str, jax.Array]
-) -> dict[str, jax.Array]:
-    """The numbers (num_agents,) of one step, by the names of `first_tallies`."""
-    step = {f"return_{name}": term for name, term in terms.items()}
-    if transition.goal_events is not None:
-        step |= count_goals(transition)
-    if config.metrics.driving:
-        step |= measure_driving(config.sim.ctrl_dt, transition)
-    if config.metrics.safety:
-        step |= safety.measure_safety(config.sim.ctrl_dt, transition)
-    for metric in _registered(config):
-        assert metric.value is not None
-        step[metric.tally] = metric.value(config, transition)
-    return step
 
 
 def fold_tallies(
@@ -282,16 +268,17 @@ def fold_tallies(
             f"{sorted(tallies.keys() - step.keys())} are only tallies and "
             f"{sorted(step.keys() - tallies.keys())} only numbers of the step"
         )
-
-    def fold(name: str) -> jax.Array:
-        old, new = tallies[name], step[name].astype(jnp.float32)
+    folded: dict[str, jax.Array] = {}
+    for name, old in tallies.items():
+        new = step[name].astype(jnp.float32)
         if name.startswith("min_"):
-            return jnp.minimum(old, new)
-        if name.startswith("peak_"):
-            return jnp.maximum(old, new)
-        return new if name.startswith("last_") else old + new
-
-    return {name: fold(name) for name in tallies}
+            new = jnp.minimum(old, new)
+        elif name.startswith("peak_"):
+            new = jnp.maximum(old, new)
+        elif not name.startswith("last_"):
+            new = old + new
+        folded[name] = new
+    return folded
 
 
 SUMS = (

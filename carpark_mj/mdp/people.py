@@ -7,16 +7,16 @@ gap below 0.5 m at more than 1 m/s.
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry.obstacles import Group, ObstacleKind
-from carpark_mj.mdp.metrics import Metric, register_metric
+from carpark_mj.mdp.collisions import HORIZON, RANGE, collision_times
+from carpark_mj.mdp.metrics import Metric, Pool, register_metric
 from carpark_mj.mdp.rewards import REWARD_TERMS, RewardTerm
-from carpark_mj.mdp.safety import HORIZON, RANGE, collision_times
 from carpark_mj.types import State, Transition
 
 if TYPE_CHECKING:
@@ -116,46 +116,39 @@ def waiting(config: EnvConfig, transition: Transition) -> jax.Array:
     return (stands & near) * config.sim.ctrl_dt
 
 
-_metric = functools.partial(Metric, kind=PERSON)
-for _one in (
-    _metric(
-        "near_misses",
+_METRICS: dict[str, tuple[str, str, Pool, Callable[..., jax.Array]]] = {
+    "near_misses": (
         "",
         f"near misses: time to collision with a person below {CLOSE_TIME:g} s, or a "
         f"gap below {CLOSE:g} m at more than {FAST:g} m/s",
         "mean",
-        value=near_misses,
+        near_misses,
     ),
-    _metric(
-        "min_person_gap",
+    "min_person_gap": (
         "m",
         f"smallest gap to a person at the ends of steps; capped at {RANGE:g} m",
         "least",
-        value=lambda config, step: _gap(step.after),
+        lambda config, step: _gap(step.after),
     ),
-    _metric(
-        "person_speed", "m/s", "own speed at that gap", "mean", value=speed_at_least_gap
-    ),
-    _metric(
-        "peak_contact_speed",
+    "person_speed": ("m/s", "own speed at that gap", "mean", speed_at_least_gap),
+    "peak_contact_speed": (
         "m/s",
         "own speed at a contact with a person; 0 without one",
         "most",
-        value=contact_speed,
+        contact_speed,
     ),
-    _metric(
-        "hard_braking",
+    "hard_braking": (
         "steps",
         f"steps that brake by more than {HARD_BRAKING:g} m/s²",
         "mean",
-        value=hard_braking,
+        hard_braking,
     ),
-    _metric(
-        "waiting",
+    "waiting": (
         "s",
         f"time standing with a person within {WAITS_FOR:g} m",
         "mean",
-        value=waiting,
+        waiting,
     ),
-):
-    register_metric(_one)
+}
+for _name, (_unit, _meaning, _pool, _value) in _METRICS.items():
+    register_metric(Metric(_name, _unit, _meaning, _pool, value=_value, kind=PERSON))

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import heading_error, move_forward, norm, reeds_shepp_length
-from carpark_mj.layouts.routes import has_lanes, lane_distance
+from carpark_mj.layouts.routes import lane_distance
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.terminations import WORLD_UNIT
 from carpark_mj.types import Motion, Transition, Vehicle
@@ -104,7 +104,7 @@ def drives_wrong_way(layout: Layout, motion: Motion) -> jax.Array | None:
     Returns:
         (num_agents,) bool; None in lots that never have lanes.
     """
-    if not has_lanes(layout):
+    if not layout.has_lanes:
         return None
     inside = lane_distance(layout, motion.pose_w) <= 0.0
     travel = motion.pose_w[:, 2] + jnp.where(motion.speed < 0.0, jnp.pi, 0.0)

@@ -20,6 +20,7 @@ from carpark_mj.config.checks import CheckedConfig, Finite, NonNegative, data, i
 from carpark_mj.extensions import Registry
 from carpark_mj.geometry import norm
 from carpark_mj.layouts.routes import route_to
+from carpark_mj.mdp.collisions import agent_clearance
 from carpark_mj.mdp.goals import target_bay
 from carpark_mj.mdp.progress import (
     direction_of_travel,
@@ -28,7 +29,6 @@ from carpark_mj.mdp.progress import (
     is_nearer,
     mix_in_maneuver,
 )
-from carpark_mj.mdp.safety import agent_clearance
 from carpark_mj.types import NO_BAY, Motion, Transition
 
 if TYPE_CHECKING:

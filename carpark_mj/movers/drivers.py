@@ -16,8 +16,7 @@ from carpark_mj.config.checks import Bounds, Count, Range, Ratio
 from carpark_mj.geometry import boxes_overlap, move_forward, norm, to_world, wrap_angle
 from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind, touches
 from carpark_mj.layouts.types import BayEnd, BayKind, Layout
-from carpark_mj.movers.driving import drive
-from carpark_mj.movers.lookout import HARD, is_clear
+from carpark_mj.movers.driving import HARD, drive, is_clear
 from carpark_mj.movers.traffic import (
     AWAY,
     BACK_OUT,

@@ -41,23 +41,15 @@ def observe(config: EnvConfig, state: State) -> jax.Array:
 
 
 def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.Array:
-    """The observations (count, observation_size) float32 of values by field."""
+    """The observations (count, observation_size) float32 of values by field.
+
+    Raises:
+        ValueError: the values do not match the fields, each (count, size).
+    """
     fields = make_fields(config)
-    _require_fit(config.observation.encoding, fields, values, count)
-    # XLA would compute the values within the concatenation, some of them repeatedly.
-    ordered = jax.lax.optimization_barrier([values[field.name] for field in fields])
-    return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
-
-
-def _require_fit(
-    encoding: str,
-    fields: Sequence[Field],
-    values: Mapping[str, jax.Array],
-    num_agents: int,
-) -> None:
-    """Refuses values that do not match the fields, each (num_agents, size)."""
-    shapes = {field.name: (num_agents, field.size) for field in fields}
+    shapes = {field.name: (count, field.size) for field in fields}
     given = {name: jnp.shape(value) for name, value in values.items()}
+    wrong = ""
     if len(shapes) < len(fields):
         names = [field.name for field in fields]
         wrong = f"declares {sorted({x for x in names if names.count(x) > 1})} twice"
@@ -70,9 +62,12 @@ def _require_fit(
             f"fills {bad} with {[given[name] for name in bad]} numbers but declares "
             f"{[shapes[name] for name in bad]}"
         )
-    else:
-        return
-    raise ValueError(f"the observation encoder {encoding!r} {wrong}")
+    if wrong:
+        encoding = config.observation.encoding
+        raise ValueError(f"the observation encoder {encoding!r} {wrong}")
+    # XLA would compute the values within the concatenation, some of them repeatedly.
+    ordered = jax.lax.optimization_barrier([values[field.name] for field in fields])
+    return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
 
 
 def unpack(

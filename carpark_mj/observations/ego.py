@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_room, norm, rotate, to_local
-from carpark_mj.layouts.routes import RouteLeft, has_lanes, nearest_lane, route_to
+from carpark_mj.layouts.routes import RouteLeft, nearest_lane, route_to
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import (
     CLOSE,
@@ -32,7 +32,7 @@ from carpark_mj.observations.fields import (
     repeated_values,
     unit_vector,
 )
-from carpark_mj.types import NO_BAY, Motion
+from carpark_mj.types import NO_BAY
 
 _GoalField = functools.partial(Field, reveals_goal=True)
 
@@ -198,7 +198,7 @@ _LANE_FIELDS = (
 def _lane(sight: ObservationInput) -> dict[str, jax.Array]:
     """Of the lane nearest to every agent; zeros without lanes."""
     layout, own_pose = sight.layout, sight.motion.pose_w
-    if not has_lanes(layout):
+    if not layout.has_lanes:
         count = own_pose.shape[0]
         return {field.name: jnp.zeros((count, field.size)) for field in _LANE_FIELDS}
     index, present = nearest_lane(layout, own_pose)
@@ -237,6 +237,7 @@ _RIVAL_FIELDS = (
 )
 
 
+@functools.cache
 def choice_part(num_tracked_bays: int) -> Part:
     """Which of the tracked bays an agent has chosen."""
 
@@ -251,28 +252,23 @@ def choice_part(num_tracked_bays: int) -> Part:
     return Part((field,), fill)
 
 
+@functools.cache
 def bays_part(count: int, global_information: bool) -> Part:
     """The tracked bays, with who is near them if there is global information."""
 
     def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         layout, motion, bays = sight.layout, sight.motion, sight.tracked_bays
-        values = _localise_bays(layout, motion, bays)
+        room = layout.bay_size[bays] - motion.size[:, None]
+        pose, present = layout.parked_pose[bays], bays != NO_BAY
+        values = localise(motion.pose_w, pose, room, present)
+        distance = jnp.minimum(norm(values["position"]), FARTHEST)[..., None]
+        values |= {"distance": distance}
         if global_information:
             values |= _rival_values(sight, bays)
         return repeated_values("bay", values)
 
     fields = [*_BAY_FIELDS, *(_RIVAL_FIELDS if global_information else ())]
     return Part(tuple(repeated("bay", count, fields)), fill)
-
-
-def _localise_bays(
-    layout: Layout, motion: Motion, bays: jax.Array
-) -> dict[str, jax.Array]:
-    """`_BAY_FIELDS` (num_agents, count, k) of bays; zeros for `NO_BAY`."""
-    room = layout.bay_size[bays] - motion.size[:, None]
-    values = localise(motion.pose_w, layout.parked_pose[bays], room, bays != NO_BAY)
-    distance = jnp.minimum(norm(values["position"]), FARTHEST)[..., None]
-    return values | {"distance": distance}
 
 
 def goal_code(goal: jax.Array, bays: jax.Array) -> jax.Array:

@@ -1,6 +1,7 @@
 """Distances to obstacles: rays of a laser scanner, rings that count, ultrasound."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from typing import Annotated
@@ -116,6 +117,7 @@ RAYS_NEAR = "rays_near"
 CHUNK = 8  # obstacles whose rays are computed at a time in a crowded lot
 
 
+@functools.cache
 def rays_part(config: RayConfig) -> Part:
     """The field `rays`, and `rays_near` if the rays are to be seen in centimetres."""
 
@@ -202,6 +204,7 @@ def ring_fields(config: RingConfig, high: float, where: str) -> list[Field]:
     return [Field(name, 1, 0.0, high, meaning) for name in _ring_names(config)]
 
 
+@functools.cache
 def rings_part(config: RingConfig) -> Part:
     """The counts in units of the cap."""
 
@@ -286,6 +289,7 @@ SENSORS = (
 )
 
 
+@functools.cache
 def ultrasound_part(config: UltrasoundConfig) -> Part:
     """The field `ultrasound`."""
 

@@ -5,6 +5,7 @@ step and is the same for all observers.
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -49,7 +50,7 @@ class SensorConfig(CheckedConfig):
                 f"{self.delay_max}"
             )
 
-    @property
+    @functools.cached_property
     def is_on(self) -> bool:
         """Whether observations differ from the true motion."""
         return self != SensorConfig()

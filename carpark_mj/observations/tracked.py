@@ -1,6 +1,7 @@
 """What agents observe of the nearest cars, people and other movers."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 
@@ -87,6 +88,7 @@ def mark(index: jax.Array, present: jax.Array, count: int) -> jax.Array:
 Shared = Callable[[ObservationInput, jax.Array], jax.Array]
 
 
+@functools.cache
 def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
     """The nearest `count` other agents, with what they share.
 
@@ -110,12 +112,16 @@ def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
     return Part(tuple(fields), fill)
 
 
+@functools.cache
 def parked_cars_part(count: int) -> Part:
     """The nearest `count` parked cars."""
 
     def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         own_pose = sight.motion.pose_w
-        cars = _at_least_one(sight.state.parked_cars)
+        cars = sight.state.parked_cars
+        if not cars.bay.shape[0]:  # an absent one keeps the shapes
+            pose, size = jnp.zeros((1, 3)), jnp.zeros((1, 2))
+            cars = ParkedCars(bay=jnp.full(1, NO_BAY), pose_w=pose, size=size)
         index, present = track_parked_cars(count, own_pose, cars)
         values = localise(own_pose, cars.pose_w[index], cars.size[index], present)
         return repeated_values("parked_car", values)
@@ -175,15 +181,6 @@ def _priority(sight: ObservationInput, index: jax.Array) -> jax.Array:
     return before[..., None].astype(jnp.float32)
 
 
-def _at_least_one(parked_cars: ParkedCars) -> ParkedCars:
-    """The parked cars; one that is absent keeps the shapes where there are none."""
-    if parked_cars.bay.shape[0]:
-        return parked_cars
-    return ParkedCars(
-        bay=jnp.full(1, NO_BAY), pose_w=jnp.zeros((1, 3)), size=jnp.zeros((1, 2))
-    )
-
-
 PACE = 2.0  # m/s, scale of their velocities
 STANDS = 0.05  # m/s, below which a velocity has no direction
 _MOVER_FIELDS = (
@@ -195,6 +192,7 @@ _MOVER_FIELDS = (
 )
 
 
+@functools.cache
 def movers_part(count: int, in_sight: bool) -> Part:
     """The nearest `count` movers.
 

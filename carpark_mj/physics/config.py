@@ -6,6 +6,7 @@ settings, and loaded when they are looked up; extensions register others.
 
 import abc
 import dataclasses
+import functools
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -124,12 +125,12 @@ class SimConfig(CheckedConfig):
                 f"{self.sim_dt}: cars would shake or be thrown"
             )
 
-    @property
+    @functools.cached_property
     def has_delays(self) -> bool:
         """Whether commands arrive late."""
         return bool(self.steering_delay or self.pedal_delay)
 
-    @property
+    @functools.cached_property
     def has_ramp(self) -> bool:
         """Whether the slope depends on the place."""
         return self.ramp[2] != 0.0
@@ -139,12 +140,12 @@ class SimConfig(CheckedConfig):
         """The largest slope, either way."""
         return max(abs(self.grade_x), abs(self.grade_x + self.ramp[2]))
 
-    @property
+    @functools.cached_property
     def num_substeps(self) -> int:
         """Physics substeps per control step."""
         return round(self.ctrl_dt / self.sim_dt)
 
-    @property
+    @functools.cached_property
     def num_traces(self) -> int:
         """Poses recorded per control step, the fewest that respect `trace_dt`."""
         longest = int(self.trace_dt / self.sim_dt + 1e-6)

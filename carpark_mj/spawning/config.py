@@ -4,6 +4,7 @@ The code is beside this file; it needs MuJoCo's models of cars, the settings do 
 """
 
 import dataclasses
+import functools
 import math
 from typing import Annotated, Literal
 
@@ -74,7 +75,7 @@ class SpawnConfig(CheckedConfig):
                 f"be at most 1, not {' + '.join(map(str, self.ratios))}"
             )
 
-    @property
+    @functools.cached_property
     def ratios(self) -> tuple[float, float, float, float]:
         """Shares of spawns that are close, in conflict, reverse and misaligned."""
         return (
@@ -119,7 +120,7 @@ class FleetConfig(CheckedConfig):
                     f"{names}, not {given}"
                 )
 
-    @property
+    @functools.cached_property
     def is_on(self) -> bool:
         """Whether cars of several kinds may meet."""
         return bool(self.agents or self.parked_cars)
@@ -155,7 +156,7 @@ class JitterConfig(CheckedConfig):
         neat = (0.0, 0.0)
         return not self.along == self.across == self.heading == neat
 
-    @property
+    @functools.cached_property
     def is_on(self) -> bool:
         """Whether anything varies."""
         return self != JitterConfig()
@@ -202,7 +203,7 @@ class RandomizationConfig(CheckedConfig):
         nominal = 0.0 if name in ADDED else 1.0
         return getattr(self, name) != (nominal, nominal)
 
-    @property
+    @functools.cached_property
     def is_on(self) -> bool:
         """Whether anything varies."""
         return self != RandomizationConfig()

@@ -122,9 +122,14 @@ class Fleet:
         config = self._config
         n, m = config.num_agents, config.num_parked_cars
         goal_key, count_key, scale_key, place_key, offset_key = jax.random.split(key, 5)
-        goal_bays = jnp.broadcast_to(
-            self._goal_bays(layout), (n, len(self.agents), layout.num_bays)
-        )
+        goal_bays = layout.goal_mask[None]  # any is a goal for the one kind of car
+        if self.mixed:
+            slack = config.episode.slack
+            goal_bays = (
+                fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
+            )
+        shape = n, len(self.agents), layout.num_bays
+        goal_bays = jnp.broadcast_to(goal_bays, shape)
         clear = jnp.zeros(layout.num_bays, bool)
         given = given_goals(options, n)
         if options is not None:
@@ -191,13 +196,6 @@ class Fleet:
             scaled(car, length / car.length)
             for car, length in zip(presets, lengths, strict=True)
         ]
-
-    def _goal_bays(self, layout: Layout) -> jax.Array:
-        """Bays (kinds, bays) bool that can be goals of each kind of car."""
-        if not self.mixed:  # any bay is a goal for the one kind of car
-            return layout.goal_mask[None]
-        slack = self._config.episode.slack
-        return fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
 
     def _num_parked_cars(self, layout: Layout, key: jax.Array) -> jax.Array:
         """How many parked cars the lot has; a whole number within the range."""

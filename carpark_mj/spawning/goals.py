@@ -10,6 +10,7 @@ follow from where it stands.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -28,15 +29,12 @@ from carpark_mj.spawning.special_starts import (
     ReverseDraws,
     Targets,
     course_pose,
-    course_shapes,
     misaligned_pose,
-    misaligned_shapes,
     reverse_pose,
-    reverse_shapes,
+    special_shapes,
 )
 from carpark_mj.spawning.starts import (
     SpawnDraws,
-    at_random_after,
     close_points,
     draw_heading,
     draw_kind,
@@ -46,7 +44,6 @@ from carpark_mj.spawning.starts import (
     redraw,
     spawn_pose,
     spawn_shapes,
-    split_redraws,
     walk_numbers,
 )
 from carpark_mj.types import NO_BAY, State
@@ -55,23 +52,6 @@ if TYPE_CHECKING:
     from carpark_mj.config import EnvConfig
 
 TAKES_CLOSE_BAY = 0.5  # probability that a close start has the bay for its goal
-
-
-def place_agent(
-    config: EnvConfig,
-    inputs: SpawnInputs,
-    placing: Placing,
-    agent: jax.Array,
-    key: jax.Array,
-) -> Placing:
-    """Draws goal and start pose of one agent () that begins; `key` is consumed.
-
-    Before, `placing` has the agent where its last episode ended or, if the lot begins,
-    its goal.
-    """
-    if config.goals.dynamic:
-        return place_exploring(config.spawn, inputs, placing, agent, key)
-    return place_fixed(config, inputs, placing, agent, key)
 
 
 class PlaceDraws(NamedTuple):
@@ -94,33 +74,41 @@ class PlaceDraws(NamedTuple):
     misaligned: MisalignedDraws
 
 
+@functools.cache
 def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDraws:
     """Shapes of the numbers of a start, for `draw_uniform`."""
-    course, goal = course_shapes(config, num_agents), (2, num_bays)
+    course, reverse, misaligned = special_shapes(config, num_agents)
+    start, goal = spawn_shapes(config), (2, num_bays)
     course_goal = (*course.target[:1], *goal)
-    start, reverse = spawn_shapes(config), reverse_shapes(config)
-    misaligned = misaligned_shapes(config)
     return PlaceDraws(goal, start, course_goal, course, reverse, misaligned)
 
 
-def place_fixed(
+def place_agent(
     config: EnvConfig,
     inputs: SpawnInputs,
     placing: Placing,
     agent: jax.Array,
     key: jax.Array,
 ) -> Placing:
-    """A goal, and a start pose that may depend on it; see `place_agent`.
+    """Draws goal and start pose of one agent () that begins; `key` is consumed.
 
-    An agent that starts on a collision course gets the goal that made it possible;
-    where goals are given, attempts at one differ in their targets only.
+    Before, `placing` has the agent where its last episode ended or, if the lot begins,
+    its goal. A start pose may depend on the goal. An agent that starts on a collision
+    course gets the goal that made it possible; where goals are given, attempts at one
+    differ in their targets only.
     """
+    if config.goals.dynamic:
+        return place_exploring(config.spawn, inputs, placing, agent, key)
     spawn, layout, drive_out = config.spawn, inputs.layout, config.goals.drive_out
-    key, again = split_redraws(spawn, key)
+    again = key
+    if spawn.max_redraws:
+        key, again = jax.random.split(key)
     shapes = place_shapes(spawn, placing.goal.shape[0], layout.num_bays)
     draws = draw_uniform(shapes, key)
-    draws = draws._replace(start=at_random_after(placing.tries[agent], draws.start))
-    kind = draw_kind(spawn, draws.start.kind)
+    # After a rejected try it is random, which can be anywhere: above all ratios.
+    number = jnp.where(placing.tries[agent] > 0, 2.0, draws.start.kind)
+    draws = draws._replace(start=draws.start._replace(kind=number))
+    kind = draw_kind(spawn, number)
     keeps_goal = inputs.first or drive_out
 
     def with_goal(scores: jax.Array) -> tuple[Placing, Surroundings]:
@@ -132,7 +120,8 @@ def place_fixed(
     drawn, around = with_goal(draws.goal)
     goal_pose = layout.bay_pose[drawn.goal[agent]]
     pose = spawn_pose(spawn, layout, around, goal_pose, draws.start)
-    pose = redraw(spawn, layout, around, pose, again)
+    if spawn.max_redraws:
+        pose = redraw(spawn, layout, around, pose, again)
     if spawn.reverse_ratio:
         out, found = reverse_pose(inputs, drawn, around, agent, draws.reverse)
         pose = jnp.where(kind.reverse & found, out, pose)
@@ -278,18 +267,21 @@ def place_exploring(
     layout, only_random = inputs.layout, inputs.first and not config.kinds_at_reset
     placing = placing.set(agent, goal=NO_BAY)
     around = surroundings(inputs, placing, agent, placed_only=inputs.first)
-    key, again = split_redraws(config, key)
+    again = key
+    if config.max_redraws:
+        key, again = jax.random.split(key)
     bays = 0 if only_random else layout.num_bays
     walk = bays if config.close_ratio else 0, walk_numbers(config)
     draws = draw_uniform(
         ExploringDraws(spawn_shapes(config), walk, (bays,), (bays,)), key
     )
-    start = at_random_after(placing.tries[agent], draws.start)
-    pose = random_pose(config, layout, around, start)
-    pose = redraw(config, layout, around, pose, again)
+    pose = random_pose(config, layout, around, draws.start)
+    if config.max_redraws:
+        pose = redraw(config, layout, around, pose, again)
     if only_random:
         return placing.set(agent, pose_w=pose)
-    kind, bay = draw_kind(config, start.kind), jnp.full((), NO_BAY, jnp.int32)
+    number = jnp.where(placing.tries[agent] > 0, 2.0, draws.start.kind)
+    kind, bay = draw_kind(config, number), jnp.full((), NO_BAY, jnp.int32)
     if config.close_ratio:
         others_goal = jnp.where(around.others, placing.goal, NO_BAY)
         taken = jnp.concatenate([placing.parked_bay, others_goal])
@@ -318,12 +310,11 @@ def begin_goals(
     begun: jax.Array,
     key: jax.Array | None,
 ) -> State:
-    """Tracked bays and first goals of agents that begin, if they choose their goals.
+    """Tracked bays and first goals of agents that begin and choose their goals.
 
     `key` is consumed; None = no agent begins with a goal.
     """
-    if state.tracked_bays is None:
-        return state
+    assert state.tracked_bays is not None
     tracked = jnp.where(begun[:, None], NO_BAY, state.tracked_bays)
     state = track_bays(config, dataclasses.replace(state, tracked_bays=tracked))
     if key is None:

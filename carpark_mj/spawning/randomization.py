@@ -127,11 +127,11 @@ def _check_tipping(
         )
         for cg_x in ahead
     ]
-    lengthways = [
-        tip_limit(heaviest, height, arm, pitch_stiffness(params, cg_x))
-        for cg_x in ahead
-        for arm in (cg_x, params.wheelbase - cg_x)
-    ]
+    lengthways: list[float] = []
+    for cg_x in ahead:
+        arms = cg_x, params.wheelbase - cg_x  # of the axles, about which it pitches
+        pitch = 2.0 * params.tyre.vertical_stiffness * (arms[0] ** 2 + arms[1] ** 2)
+        lengthways += [tip_limit(heaviest, height, arm, pitch) for arm in arms]
     # Torques do not change with the load.
     pedal = max(params.max_deceleration * config.brake_gain[1], params.max_acceleration)
     asked = min(OVERSHOOT * pedal * params.mass / lightest, grip)
@@ -179,10 +179,3 @@ def roll_stiffness(
     pitch = mass * GRAVITY * share / (2.0 * rate * wheelbase)
     share += height / wheelbase * (pitch + braking / GRAVITY)
     return rate * params.track_width**2 / (2.0 * min(share, 1.0))
-
-
-def pitch_stiffness(params: VehicleParameters, cg_to_rear_axle: float) -> float:
-    """The same against pitch about a centre of gravity ahead of the rear axle [m]."""
-    to_front = params.wheelbase - cg_to_rear_axle
-    arms = cg_to_rear_axle**2 + to_front**2
-    return 2.0 * params.tyre.vertical_stiffness * arms

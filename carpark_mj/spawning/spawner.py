@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import EnvConfig, LayoutConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts import Layout, layout_config
 from carpark_mj.layouts.routes import make_routes
@@ -47,7 +47,7 @@ from carpark_mj.spawning.placing import (
 from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.spawning.reset_options import ResetOptions, given_goals, has_pose
 from carpark_mj.types import NO_BAY, Events, PhysicsState, State
-from carpark_mj.vehicle import Vehicle, VehicleParameters
+from carpark_mj.vehicle import Vehicle
 
 # Starts drawn for an agent in lots that may be full. Agents that respawn try again at
 # every step; without respawn they are absent until the lot is reset.
@@ -88,8 +88,12 @@ class Spawner:
         self._movers = make_movers(config.movers)
         lot = layout_config(config.layout)
         # Contacts can push parked cars into spawn regions, and movers can drive there.
+        # Regions fit the car they are made for; the margin fits it at any heading.
         clear = not config.physics_config.contacts and all(
-            _starts_are_free(lot, car) for car in fleet.agents
+            is_made_for(part, car)
+            or math.hypot(car.length, car.width) / 2 <= part.spawn_margin
+            for car in fleet.agents
+            for part in lot.parts
         )
         self._may_touch = bool(self._movers) or not clear
         self._only_movers = clear and bool(self._movers) and not fleet.mixed
@@ -217,7 +221,8 @@ class Spawner:
             pose_w = place_absent_agents(pose_w, ~placing.waiting)
         physics = self._physics.place(state.physics, begun, pose_w, vehicles)
         if options is not None and options.speed is not None:
-            physics = self._roll(physics, options.speed)
+            speed = jnp.where(jnp.isnan(options.speed), 0, options.speed)
+            physics = self._physics.set_speed(physics, speed)
         parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)
         physics = self._physics.set_parked_poses(
             physics, poses_in_bays(layout, parked_cars)
@@ -252,6 +257,8 @@ class Spawner:
             present=present,
             waited=waited,
         )
+        if state.tracked_bays is None:
+            return state
         begins = begun & ~placing.waiting
         return begin_goals(config, state, placing, begins, keys.goals)
 
@@ -287,10 +294,6 @@ class Spawner:
             tries = FIRST_TRIES if first else STEP_TRIES
         place = functools.partial(place_agent, config)
         return place_waiting(place, inputs, placing, key, tries, not self._may_wait)
-
-    def _roll(self, physics: PhysicsState, speed: jax.Array) -> PhysicsState:
-        """Cars that begin at speeds (num_agents,) [m/s]; at rest where NaN."""
-        return self._physics.set_speed(physics, jnp.where(jnp.isnan(speed), 0, speed))
 
     def end(self, state: State, events: Events, key: jax.Array) -> State:
         """Ends the episodes of agents that are done; `key` is consumed.
@@ -349,12 +352,3 @@ class Spawner:
             key, movers = jax.random.split(key)
         spawn = SpawnKeys(cars, starts, goals, sensors)
         return StepKeys(key, reading, relocate, movers, spawn)
-
-
-def _starts_are_free(lot: LayoutConfig, car: VehicleParameters) -> bool:
-    """Whether every start of a car in lots of a family is clear of obstacles."""
-    # Spawn regions fit the car they are made for; the margin fits it at any heading.
-    reach = math.hypot(car.length, car.width) / 2
-    return all(
-        is_made_for(part, car) or reach <= part.spawn_margin for part in lot.parts
-    )

@@ -71,12 +71,6 @@ class CourseDraws(NamedTuple):
     heading: Any
 
 
-def course_shapes(config: SpawnConfig, num_agents: int) -> CourseDraws:
-    """Shapes of the numbers of all attempts."""
-    n = ATTEMPTS if config.conflict_ratio else 0
-    return CourseDraws((n, num_agents), (n, MEETINGS), (n, MEETINGS))
-
-
 def course_pose(
     config: SpawnConfig,
     layout: Layout,
@@ -152,12 +146,6 @@ class ReverseDraws(NamedTuple):
     curvature: Any
     direction: Any
     point: Any
-
-
-def reverse_shapes(config: SpawnConfig) -> ReverseDraws:
-    """Shapes of the numbers of a start."""
-    n, points = (PATHS, POINTS) if config.reverse_ratio else (0, 0)
-    return ReverseDraws((n,), (n, ARCS), (n, ARCS), (n, ARCS), (points,))
 
 
 def reverse_pose(
@@ -258,10 +246,16 @@ class MisalignedDraws(NamedTuple):
     score: Any
 
 
-def misaligned_shapes(config: SpawnConfig) -> MisalignedDraws:
-    """Shapes of the numbers of a start."""
+def special_shapes(
+    config: SpawnConfig, num_agents: int
+) -> tuple[CourseDraws, ReverseDraws, MisalignedDraws]:
+    """Shapes of the numbers of a start of each kind, without any if its share is 0."""
+    n = ATTEMPTS if config.conflict_ratio else 0
+    course = CourseDraws((n, num_agents), (n, MEETINGS), (n, MEETINGS))
+    n, points = (PATHS, POINTS) if config.reverse_ratio else (0, 0)
+    reverse = ReverseDraws((n,), (n, ARCS), (n, ARCS), (n, ARCS), (points,))
     n = POSES if config.misaligned_ratio else 0
-    return MisalignedDraws((n, 3), (n,), (n,))
+    return course, reverse, MisalignedDraws((n, 3), (n,), (n,))
 
 
 def misaligned_pose(

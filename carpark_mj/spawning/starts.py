@@ -71,12 +71,6 @@ def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
     return SpawnDraws((), (n,), (n, 2), (n,), (walks, walk_numbers(config)))
 
 
-def at_random_after(tries: jax.Array, draws: SpawnDraws) -> SpawnDraws:
-    """The numbers of a start, which is random after rejected `tries` ()."""
-    # Above all ratios, see `draw_kind`: at random a start can be anywhere.
-    return draws._replace(kind=jnp.where(tries > 0, 2.0, draws.kind))
-
-
 class SpawnKind(NamedTuple):
     """Kind of a start; random if it is none of these. (...) bool each.
 
@@ -138,14 +132,6 @@ def random_pose(
     return _best(config, around, jnp.concatenate([xy, yaw[:, None]], axis=-1))
 
 
-def split_redraws(config: SpawnConfig, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """A key for a start and one for `redraw`, if it is used; `key` is consumed."""
-    if not config.max_redraws:
-        return key, key
-    first, again = jax.random.split(key)
-    return first, again
-
-
 def redraw(
     config: SpawnConfig,
     layout: Layout,
@@ -158,8 +144,6 @@ def redraw(
     After `max_redraws` rounds of `num_candidates` it may still be too near. `key` is
     consumed.
     """
-    if not config.max_redraws:
-        return pose
     shapes = spawn_shapes(config)._replace(walk=(0, 0))
 
     def goes_on(carry: tuple[jax.Array, jax.Array]) -> jax.Array:

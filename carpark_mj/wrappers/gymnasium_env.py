@@ -286,7 +286,13 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         infos = _infos(success & ~done, crashed & ~done, np.ones_like(done))
         if done.any():
             infos["final_info"] = _infos(success, crashed, done)
-            infos["final_obs"] = self._final_observations(step.final_observation, done)
+            final, each = (
+                np.full(self.num_envs, None),
+                self._by_env(step.final_observation),
+            )
+            for index in np.flatnonzero(done):
+                final[index] = jax.tree.map(lambda x: x[index], each)  # noqa: B023
+            infos["final_obs"] = final
             infos["_final_info"] = infos["_final_obs"] = done
         observation = self._by_env(step.observation)
         return observation, step.reward.ravel(), terminated, truncated, infos
@@ -307,14 +313,6 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         return jax.tree.map(
             lambda x: x.reshape(self.num_envs, *x.shape[2:]), observation
         )
-
-    def _final_observations(self, seen: Any, done: np.ndarray) -> np.ndarray:
-        """Observations (num_envs,) of the environments that are done; else None."""
-        each = self._by_env(seen)
-        final = np.full(self.num_envs, None, dtype=object)
-        for index in np.flatnonzero(done):
-            final[index] = jax.tree.map(lambda x: x[index], each)  # noqa: B023
-        return final
 
 
 def _infos(

@@ -368,3 +368,11 @@ def test_numbers_may_be_numpys():
     config = SimConfig(ctrl_dt=np.float32(0.25), sim_dt=np.float64(0.05))
     assert config.num_substeps == 5
     assert EnvConfig(num_agents=np.int32(3)).num_agents == 3
+
+
+def test_what_follows_from_settings_follows_from_the_new_ones():
+    config = EnvConfig()
+    assert (config.physics_config.back_end, config.varies) == ("mjx", False)
+    new = insert(config, {"physics": "bicycle", "occupancy": (0.1, 0.2)})
+    assert (new.physics_config.back_end, new.varies) == ("bicycle", True)
+    assert (config.physics_config.back_end, config.varies) == ("mjx", False)

@@ -11,8 +11,7 @@ from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry import obstacles as near
 from carpark_mj.geometry.obstacles import visit_near
-from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.safety import agent_clearance
+from carpark_mj.mdp.collisions import agent_clearance, find_hits
 from carpark_mj.types import Motion
 
 AGENTS, PARKED, WALLS, TRACES = 12, 20, 8, 4

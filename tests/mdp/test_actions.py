@@ -8,7 +8,7 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.actions import ActionSpec, action_spec, parse, sanitize_action
+from carpark_mj.mdp.actions import action_spec, parse
 
 NAN, INF = np.nan, np.inf
 CHOOSING = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=3))
@@ -27,11 +27,10 @@ CHOOSING = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=3))
     ],
 )
 def test_nan_becomes_zero_and_the_rest_is_clipped(action, sanitized, invalid):
-    sanitize = jax.jit(sanitize_action, static_argnums=0)
     actions = jnp.array([action, [0.1, 0.2]], jnp.float32)
-    numbers, indices, flagged = sanitize(ActionSpec(2), actions)
-    np.testing.assert_array_equal(numbers[0], np.float32(sanitized))
-    assert indices.shape == (2, 0)
+    controls, choice, flagged = jax.jit(parse, static_argnums=0)(EnvConfig(), actions)
+    np.testing.assert_array_equal(controls[0], np.float32(sanitized))
+    assert choice is None
     assert flagged.tolist() == [invalid, False]
 
 
@@ -48,18 +47,18 @@ def test_nan_becomes_zero_and_the_rest_is_clipped(action, sanitized, invalid):
         (1.6, 2, True),
     ],
 )
-def test_an_index_that_is_none_becomes_the_nearest_and_nan_the_middle(
+def test_invalid_index_becomes_the_nearest_and_nan_the_middle(
     index, sanitized, invalid
 ):
     actions = jnp.array([[0.1, 0.2, index], [0.1, 0.2, 1]], jnp.float32)
-    numbers, indices, flagged = sanitize_action(action_spec(CHOOSING), actions)
-    np.testing.assert_array_equal(numbers, actions[:, :2])
-    assert indices.dtype == jnp.int32
-    assert indices.tolist() == [[sanitized], [1]]
+    controls, choice, flagged = parse(CHOOSING, actions)
+    np.testing.assert_array_equal(controls, actions[:, :2])
+    assert choice.dtype == jnp.int32
+    assert choice.tolist() == [sanitized, 1]
     assert flagged.tolist() == [invalid, False]
 
 
-def test_an_action_is_taken_apart_into_controls_and_the_choice_of_a_goal():
+def test_action_has_controls_and_the_choice_of_a_goal():
     fixed = parse(EnvConfig(), jnp.array([[0.5, -0.5], [0.5, 2.0]]))
     np.testing.assert_array_equal(fixed.controls, [[0.5, -0.5], [0.5, 1.0]])
     assert fixed.goal_choice is None
@@ -78,7 +77,7 @@ def test_the_middle_of_the_ranges_is_a_valid_action(config):
     assert not parse(config, spec.middle[None]).invalid.any()
 
 
-def test_the_environment_drives_on_with_the_sanitized_action_and_counts():
+def test_environment_sanitizes_actions_and_counts_them():
     env = ParkingEnv(EnvConfig(num_agents=3, num_parked_cars=0), SlidePhysics())
     step = jax.jit(env.step)
     state, _ = jax.jit(env.reset)(jax.random.key(0))

@@ -51,9 +51,8 @@ from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
     clamp_to_bay_end,
     misaligned_pose,
-    misaligned_shapes,
     paths_out,
-    reverse_shapes,
+    special_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.suite.metadrive import METADRIVE
@@ -78,7 +77,7 @@ def test_a_bay_must_leave_the_slack_in_length_and_in_width():
     np.testing.assert_array_equal(both[1], [True, False, False, False])
 
 
-def test_only_agents_of_a_fleet_need_the_slack_of_the_parked_rule():
+def test_only_agents_of_a_fleet_need_the_rules_slack():
     size = jnp.array([[4.95, 2.4]])
     layout = ROW.replace(bay_size=jnp.full((4, 2), 5.0).at[0, 0].set(4.9))
     assert bay_fits(EnvConfig(), layout, size, size) == BayFits()
@@ -107,7 +106,7 @@ def test_no_bay_marks_nothing_and_padding_is_never_free():
     assert marked(layout, bays).tolist() == [False, False, True, False, False, False]
 
 
-def test_shuffled_bays_are_all_bays_in_any_order_with_the_padding_last():
+def test_shuffled_bays_have_the_padding_last():
     layout = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
     order = np.asarray(jax.vmap(lambda key: shuffled_bays(layout, key))(keys(3600)))
     assert order.dtype == np.int32
@@ -127,7 +126,7 @@ def draw_many(wanted, free, count=4000):
     return map(np.asarray, draw(keys(count)))
 
 
-def test_kinds_are_drawn_by_weight_among_those_that_fit_into_a_free_bay():
+def test_kinds_that_fit_are_drawn_by_weight():
     # Kind 0 fits everywhere, kind 1 in bay 2 only, kind 2 in bay 0, which is taken.
     fit = jnp.array([[True] * 4, [False, False, True, False], [True, *[False] * 3]])
     wanted = Wanted(
@@ -260,7 +259,7 @@ def test_the_planner_has_one_way_round_where_there_is_one():
 
 
 def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
-    shapes = reverse_shapes(SpawnConfig(close_ratio=0.0, reverse_ratio=1.0))
+    shapes = special_shapes(SpawnConfig(close_ratio=0.0, reverse_ratio=1.0), 1)[1]
     draws = draw_uniform(shapes, jax.random.key(0))
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
@@ -276,7 +275,7 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
 
 def test_misaligned_starts_stand_as_the_car_must_park(layout):
     spawn = SpawnConfig(close_ratio=0.0, misaligned_ratio=1.0)
-    shapes = misaligned_shapes(spawn)
+    shapes = special_shapes(spawn, 1)[2]
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     inputs = SpawnInputs(layout, parked_at(), None, None, BayFits(), car)
 
@@ -302,7 +301,7 @@ SPACES, EXITS = range(8), range(8, 11)
 SHORT = dataclasses.replace(METADRIVE.episode, max_steps=2)
 
 
-def test_cars_in_bays_drive_out_and_others_to_bays_that_nobody_drives_to():
+def test_cars_in_bays_drive_out_and_others_to_free_bays():
     layout = make_layout("metadrive")
     # Agents 1 and 2 drive to spaces, 3 to an exit; 4 waits, its goal is free again.
     goal = jnp.array([5, 0, 1, 8, 2])
@@ -347,7 +346,7 @@ def test_absent_agents_keep_no_bay_or_exit_from_others():
     assert (goal[:, 3:] == NO_BAY).all()
 
 
-def test_lots_begin_with_cars_at_eleven_places_and_respawn_in_them():
+def test_metadrive_lots_have_eleven_starts():
     env = ParkingEnv(dataclasses.replace(METADRIVE, episode=SHORT))
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(1), 20))
     _check(state)

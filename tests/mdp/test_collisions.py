@@ -78,7 +78,7 @@ def test_hits_agree_with_shapely_at_every_traced_instant():
 FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
 
 
-def test_a_car_that_passes_through_another_between_two_instants_is_caught():
+def test_passing_through_a_car_within_a_step_is_a_hit():
     hits = hits_of(FAR_LOT, crossing(True))
     np.testing.assert_array_equal(hits["agent"], [True, True])
     assert not (hits["parked_car"] | hits["wall"]).any()
@@ -154,7 +154,7 @@ def test_turning_cars_hit_thin_poles_wherever_in_a_step():
     assert unseen.mean() > 0.02  # at the instants alone
 
 
-def test_the_parked_cars_of_a_full_tanner_lot_hit_no_wall_and_not_each_other():
+def test_parked_cars_of_a_full_lot_hit_nothing():
     layout = make_layout("square")
     size = jnp.broadcast_to(jnp.array([4.255, 1.799]), (36, 2))
     motion = cars(layout.bay_pose, size=size)
@@ -181,7 +181,7 @@ def scaled_hits(scale, gap=1.0):
     return np.array([*hits_of(layout, motion, parked, scale).values()])
 
 
-def test_a_hitbox_scale_multiplies_length_and_width_of_all_cars_and_of_no_wall():
+def test_hitbox_scale_scales_cars_and_no_walls():
     """A gap of 1 m: closed at 5 / 4 nose to tail, 3 / 2 side by side, 2 at a wall."""
     nothing = np.zeros((3, 4), bool)
     for scale, hit in ((1.24, ()), (1.26, (0, 1)), (1.49, (0, 1)), (1.51, (0, 1, 2))):
@@ -261,7 +261,7 @@ def test_a_kerb_touches_a_wheel_where_mujoco_says():
         assert find_hits_and_kerbs(SLOW.episode, state)["wall"] == (gap < 0)
 
 
-def test_a_kerb_stops_a_slow_car_before_it_and_a_fast_one_crashes():
+def test_kerb_stops_a_slow_car_and_a_fast_one_crashes():
     # The face lies where the tyre is a third of the way through the step's last 50 ms.
     for speed, slow in ((0.4, True), (0.49, True), (0.52, False), (2.0, False)):
         face = TYRE - 0.3 * speed * 0.05

@@ -63,7 +63,7 @@ def free(state):
 # Starting
 
 
-def test_everybody_starts_exploring_and_knows_the_nearest_free_bays():
+def test_agents_start_exploring_near_free_bays():
     env, reset, _ = slide()
     assert env.action_spec.continuous == 2
     assert env.action_spec.choices == (1 + SLOTS,)
@@ -164,7 +164,7 @@ def test_a_goal_out_of_sight_is_lost_at_the_end_of_the_step():
     assert timestep.reward_terms["lost_goal"][0] == pytest.approx(-0.05)
 
 
-def test_of_two_agents_in_one_bay_the_first_parks_and_the_other_crashes():
+def test_of_two_agents_in_one_bay_only_the_first_parks():
     state = start()[2]
     bay = int(free(state)[0])
     pose = APART.copy()
@@ -177,7 +177,7 @@ def test_of_two_agents_in_one_bay_the_first_parks_and_the_other_crashes():
     assert bay in after.parked_cars.bay
 
 
-def test_without_respawning_a_parked_agent_keeps_its_bay_from_the_others():
+def test_parked_agent_keeps_its_bay_without_respawn():
     state = start(respawn=False)[2]
     gap = np.linalg.norm(state.layout.bay_pose[:, :2] - APART[0, :2], axis=1)
     bay = int(min(free(state), key=lambda bay: gap[bay]))  # agent 0 would track it

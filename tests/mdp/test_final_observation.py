@@ -54,7 +54,7 @@ def start(env, reset, steps=(MAX_STEPS - 1, 2, 2, 0)):
 ACTION = np.float32([[0.3, 0.5], [0.0, 0.0], [0.0, 0.0], [-0.2, 0.4]])
 
 
-def test_agents_that_are_done_see_what_they_would_without_respawning():
+def test_final_observation_is_that_without_respawn():
     env, reset, step = make()
     _, _, stay = make(respawn=False)
     state = start(env, reset)
@@ -83,7 +83,7 @@ def test_agents_that_are_done_see_what_they_would_without_respawning():
 CHOOSING = dataclasses.replace(CONFIG, goals=GoalConfig(dynamic=True))
 
 
-def test_who_runs_out_of_time_sees_what_more_time_would_have_shown():
+def test_final_observation_ignores_the_time_limit():
     """The goal chosen in the step, and the bays tracked from where the car stands."""
     choice = 1
     env, reset, step = make(CHOOSING)

@@ -17,7 +17,6 @@ from carpark_mj.layouts import Maxima, make_layout, pad_layout
 from carpark_mj.mdp.goals import (
     choose_goals,
     nearest_bays,
-    taken_by_others,
     target_bay,
     track_bays,
     update_goals,
@@ -135,7 +134,7 @@ def test_the_five_choices_partition_the_steps_of_active_agents():
 
 
 @pytest.mark.parametrize("respawn", [True, False])
-def test_goals_are_lost_to_who_parks_there_and_when_no_longer_tracked(respawn):
+def test_goals_are_lost_if_taken_or_untracked(respawn):
     before, chosen, ended, events, goals = random_steps(respawn)
     done, goal = events.parked | events.crashed, chosen.goal
     goes_on, has = before.active & ~done, goal != NO_BAY
@@ -152,13 +151,6 @@ def test_goals_are_lost_to_who_parks_there_and_when_no_longer_tracked(respawn):
     stays = events.parked & (not respawn)
     kept = np.where(stays, goal, NO_BAY)
     np.testing.assert_array_equal(ended.goal[done], kept[done])
-
-
-def test_whoever_has_the_goal_where_another_parks_loses_it():
-    goal = jnp.array([3, 3, 2, NO_BAY, 3, 2])
-    parked = jnp.array([False, True, False, False, False, False])
-    taken = taken_by_others(goal, parked)
-    np.testing.assert_array_equal(taken, [True, False, False, False, True, False])
 
 
 # Five bays in a row, 4 m apart, and as many bays' worth of padding.
@@ -189,13 +181,13 @@ def tracked_at(x, taken=(), tracked=None, count=2, by_distance=False):
     return track(state, None, by_distance)[0].tolist()
 
 
-def test_an_agent_that_tracks_none_yet_numbers_the_nearest_bays_by_distance():
+def test_first_slots_are_by_distance():
     assert tracked_at(0.0) == [0, 1]
     assert tracked_at(15.0, count=3) == [4, 3, 2]
     assert tracked_at(0.0, taken=[0, 2, NO_BAY]) == [1, 3]
 
 
-def test_a_bay_keeps_its_slot_for_as_long_as_it_is_among_the_nearest():
+def test_tracked_bay_keeps_its_slot_while_among_the_nearest():
     assert tracked_at(3.0, tracked=[0, 1]) == [0, 1]  # bay 1 is nearer now
     assert tracked_at(7.0, tracked=[0, 1]) == [2, 1]  # bay 0 has left its slot to 2
     assert tracked_at(16.0, tracked=[0, 1]) == [4, 3]  # both are new
@@ -216,7 +208,7 @@ def test_slots_for_which_there_is_no_bay_are_empty():
     assert tracked_at(0.0, count=7) == [0, 1, 2, 3, 4, NO_BAY, NO_BAY]
 
 
-def test_the_bays_of_finished_agents_are_not_free_and_goals_of_others_are():
+def test_only_bays_of_finished_agents_are_taken():
     state = state_of(
         LINE,
         cars([(0.0, 0.0, 0.0)] * 3),
@@ -235,7 +227,7 @@ def test_only_usable_bays_are_tracked():
     assert tracked.tolist() == [[3, NO_BAY], [1, 2]]
 
 
-def test_tracking_on_random_states_keeps_slots_and_finds_the_nearest():
+def test_tracking_keeps_slots_and_finds_the_nearest():
     layout, agents, count = make_layout("square"), 5, 4
 
     def step(tracked, key):
@@ -263,7 +255,7 @@ def test_tracking_on_random_states_keeps_slots_and_finds_the_nearest():
     assert 300 < full < 1500
 
 
-def test_agents_head_for_their_goals_or_the_nearest_bays_they_track():
+def test_target_is_the_goal_or_the_nearest_tracked_bay():
     xy = jnp.zeros((3, 2))
     tracked = jnp.array([[4, 2], [NO_BAY, 1], [NO_BAY, NO_BAY]])
     bay, known = target_bay(LINE, jnp.array([0, NO_BAY, NO_BAY]), tracked, xy)

@@ -13,6 +13,7 @@ from helpers.states import parked_at
 from helpers.transitions import CHOICES, no_events, no_goal_events, no_terms, transition
 
 from carpark_mj.config import EnvConfig, GoalConfig, MetricsConfig, SimConfig
+from carpark_mj.mdp.collisions import HORIZON, RANGE
 from carpark_mj.mdp.metrics import (
     CHANGES,
     CONTEXTS,
@@ -24,7 +25,6 @@ from carpark_mj.mdp.metrics import (
     update_stats,
 )
 from carpark_mj.mdp.progress import MOVING
-from carpark_mj.mdp.safety import HORIZON, RANGE
 from carpark_mj.types import NO_BAY, Events
 
 ONE, TWO = (EnvConfig(num_agents=count, num_parked_cars=16) for count in (1, 2))
@@ -62,7 +62,7 @@ def test_return_length_and_invalid_actions_are_sums_over_steps():
     np.testing.assert_array_equal(stats.invalid_actions, [3.0, 0.0])
 
 
-def test_the_path_is_measured_along_the_trace_not_as_the_crow_flies():
+def test_path_is_measured_along_the_trace():
     trace = [[(3.0, 0.0, 0.0), (3.0, 4.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 0.0)]]
     after = cars([(0.0, 0.0, 0.0)], trace=trace)
     stats = step(ONE, init_stats(ONE, PLAN), STANDING, after)
@@ -152,7 +152,7 @@ def test_every_event_and_every_sum_has_a_metric_of_its_own():
         assert value.dtype == jnp.float32
 
 
-def test_every_reward_term_is_summed_up_by_name_and_memory_is_not_reported():
+def test_reward_terms_are_summed_by_name():
     config = dataclasses.replace(TWO, metrics=MetricsConfig(safety=True))
     stats, standing = init_stats(config, PLAN), cars([(0.0, 0.0, 0.0)] * 2)
     for park, time in (([0.0, 1.0], [-0.5, -0.5]), ([3.0, 0.0], [-0.25, 0.0])):
@@ -220,7 +220,7 @@ def test_a_name_says_how_its_numbers_are_folded():
     assert all(value.dtype == jnp.float32 for value in folded.values())
 
 
-def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():
+def test_braking_gives_hand_worked_deceleration_and_jerk():
     # 0.6, then 1.2 and 1.2 m/s less per step of 0.2 s: 3, 6, 6 m/s2, then none; the
     # jerk is 3 / 0.2 = 15 at first, then 15, 0 and 6 / 0.2 = 30 m/s3.
     assert DT == 0.2
@@ -236,7 +236,7 @@ def test_braking_straight_gives_the_hand_worked_deceleration_and_jerk():
     assert {name: found[name] for name in expected} == pytest.approx(expected, abs=1e-4)
 
 
-def test_turning_at_constant_speed_is_acceleration_towards_the_centre():
+def test_turning_is_acceleration_towards_the_centre():
     speed, turn = 3.0, 0.1  # m/s, rad per step
     found = tally(SAFETY, [cars([(0, 0, k * turn)], speed=speed) for k in range(4)])
     # Chords: of the velocity's turn, and of the acceleration's, which turns as well.
@@ -251,7 +251,7 @@ def test_turning_at_constant_speed_is_acceleration_towards_the_centre():
     assert found["min_collision_time_agent"] == HORIZON
 
 
-def test_the_least_clearance_and_time_are_those_of_the_worst_step():
+def test_least_clearance_and_time_are_of_the_worst_step():
     # Towards a parked car 4 m long at 20 m: gaps of 8, 6 and 9 m, at 1, 3 and -1 m/s.
     parked = parked_at([(20, 0, 0)], (4.0, 2.0))
     states = [cars([(x, 0, 0)], speed=v) for x, v in ((8, 1), (8, 1), (10, 3), (7, -1))]
@@ -349,7 +349,7 @@ def test_counts_of_an_episode_conserve_its_steps():
     assert (towards < explored).any()
 
 
-def test_an_agent_gives_way_that_lets_go_of_its_goal_in_the_context():
+def test_giving_up_a_goal_in_a_context_is_giving_way():
     # Four agents in the context, one outside; losing a goal is not letting go of it.
     events = no_goal_events(
         5,

@@ -56,7 +56,7 @@ def test_a_car_that_fits_stays_within_the_lines(standing):
     assert shapely.covers(lines, polygons(pose, size))[fit].all()
 
 
-def test_a_car_stands_no_further_off_than_wished_and_as_wished_where_it_may(standing):
+def test_offset_is_at_most_as_wished_and_exact_if_possible(standing):
     bay, bay_size, size, wish, pose = standing
     off = np.asarray(to_local(bay, pose))
     assert (np.abs(off) <= np.abs(wish) + ROUNDING).all()
@@ -79,7 +79,7 @@ def test_the_heading_is_cut_no_more_than_the_lines_demand(standing):
     assert not shapely.covers(lines, polygons(more, size))[cut].any()
 
 
-def test_a_car_that_does_not_fit_stands_in_the_middle_where_it_is_too_large():
+def test_car_too_large_for_its_bay_is_centred():
     bay, size = jnp.zeros(3), jnp.array([5.0, 2.0])
     wish = jnp.array([0.5, 0.4, 0.2])
     stand = jax.jit(stand_in_bay)
@@ -99,7 +99,7 @@ def test_absent_cars_stand_away_and_apart():
     assert pose[2, 0] - pose[1, 0] > 10.0
 
 
-def test_a_car_that_keeps_its_bay_keeps_the_pose_it_was_pushed_to():
+def test_pushed_car_keeps_its_pose_while_in_its_bay():
     pushed = jnp.array([[0.4, -0.2, 0.1], [10.3, 0.1, -0.1], [AWAY, 0.0, 0.0]])
     parked = parked_in(ROW, [0, 1, NO_BAY]).replace(pose_w=pushed)
     same = in_bays(ROW, parked, parked.bay)
@@ -204,7 +204,7 @@ RULES = {
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_every_agent_that_parks_moves_one_car_and_no_tracked_one_without_need(rule):
+def test_each_parked_agent_moves_one_parked_car(rule):
     layout, config, agents, num_cars = make_layout("square"), RULES[rule], 5, 12
 
     @jax.jit
@@ -248,7 +248,7 @@ def test_two_agents_that_park_in_one_step_each_get_a_car(config):
     np.testing.assert_array_equal(np.sort(after, axis=1), [[0, 5]] * 100)
 
 
-def test_the_farthest_car_is_found_where_cars_stand_not_in_their_bays():
+def test_farthest_car_is_measured_where_it_stands():
     state = row_of([0], [2, 3], [0.0])
     # The car of bay 3, 30 m away, has been pushed to 3 m from the agent.
     pushed = state.parked_cars.pose_w.at[1, 0].set(3.0)
@@ -267,7 +267,7 @@ class PushedPhysics(SlidePhysics):
         return self.pose_w
 
 
-def test_agents_observe_and_hit_parked_cars_where_they_were_pushed_to():
+def test_pushed_parked_cars_are_observed_and_hit():
     pushed = [[5.0, 1.0, 0.0], [-8.0, 0.5, 1.5]]
     config = EnvConfig(
         num_agents=2,
@@ -339,7 +339,7 @@ def test_no_bay_stays_occupied_for_ever_while_another_is_free(rule):
     assert longest.min() > 0  # and every bay has its turn
 
 
-def test_a_rule_that_always_moves_the_same_car_would_be_a_deadlock():
+def test_always_moving_the_same_car_is_a_deadlock():
     def first_car(state, events, key):
         del key
         goal = state.goal[jnp.argmax(events.parked)]

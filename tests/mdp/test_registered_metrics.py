@@ -40,7 +40,7 @@ def episode(extra):
     return {name: np.asarray(value).tolist() for name, value in found.items()}
 
 
-def test_an_episode_has_the_sum_the_mean_the_least_and_the_largest():
+def test_metrics_are_pooled_over_an_episode():
     found = episode(tuple(POOLS))
     assert found["count"] == found["pace_sum"] == [4.0, -3.0]
     assert found["min_pace"] == [1.0, -2.0]

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.paying import GOAL, events, step, terms
+from helpers.paying import GOAL, step, terms
 from helpers.scenes import cars, lot
 from helpers.transitions import no_goal_events, transition
 
@@ -77,7 +77,7 @@ def test_a_term_that_weighs_nothing_is_not_computed(extra):
     assert not CALLS
 
 
-def test_a_term_with_a_traced_weight_is_computed_even_where_it_is_0():
+def test_term_with_a_traced_weight_of_0_is_computed():
     reward = RewardConfig(extra={"hurry": 0.0, "hurry.above": 1.5})
     config = EnvConfig(num_agents=2, reward=reward)
     car = cars([(0.0, 0.0, 0.0)] * 2, speed=3.5)
@@ -92,13 +92,6 @@ def test_a_term_with_a_traced_weight_is_computed_even_where_it_is_0():
         expected = [-weight / 200 * (3.5 - above)] * 2
         np.testing.assert_allclose(pay(weight, above), expected, atol=1e-7)
     assert len(CALLS) == 1
-
-
-def test_agents_whose_episodes_are_over_are_not_paid():
-    config = EnvConfig(num_agents=2, reward=RewardConfig(extra={"bonus": 1.0}))
-    car = cars([(0.0, 0.0, 0.0)] * 2)
-    happened = step(config, car, car, happened=events(2, diverged=[0]))
-    assert reward_terms(config, happened)["bonus"].tolist() == [0.0, 1.0]
 
 
 def test_settings_come_back_from_json_in_their_order():
@@ -305,7 +298,7 @@ def test_only_the_enforced_context_makes_a_goal_bad(scheme):
     assert float(reward_terms(config, happened)["bad_goal"][0]) == np.float32(expected)
 
 
-def test_agents_that_diverged_or_had_finished_get_nothing_for_their_goals():
+def test_diverged_or_finished_agents_get_no_goal_rewards():
     config = config_of(RewardConfig(goals=GoalRewards(continue_goal=-0.1)), 3)
     moved = cars([(1.0, 0.0, 0.0)] * 3), cars([(2.0, 0.0, 0.0)] * 3)
     goals = no_goal_events(3, continue_goal=[True] * 3)

@@ -73,7 +73,7 @@ def test_every_term_of_a_hand_worked_step():
         np.testing.assert_allclose(got[name], value, atol=1e-6, err_msg=name)
 
 
-def test_closeness_looks_at_the_nearest_other_agent_and_begins_at_its_range():
+def test_closeness_is_of_the_nearest_agent_within_range():
     config = RewardConfig(closeness=10.0)
     size = np.asarray(cars([(0.0, 0.0, 0.0)]).size[0], np.float64)
     # In a row, nose to tail with gaps of 1.5 m and 2.99 m; the fourth stands alone.
@@ -96,7 +96,7 @@ def test_closeness_is_paid_for_where_a_step_ends():
     np.testing.assert_array_equal(leaving, [0.0, 0.0])
 
 
-def test_the_potential_is_minus_the_weighted_way_and_misalignment_left():
+def test_potential_is_minus_the_weighted_way_left():
     config = RewardConfig(progress=0.2, alignment=0.5)
     pose = jnp.array([[10.0, 0.0, 0.0], [6.0, 3.0, 0.0], [10.0, 4.0, -math.pi / 2]])
     potential = goal_potential(config, pose, jnp.array(GOAL))
@@ -169,7 +169,7 @@ def test_near_the_goal_every_metre_of_a_maneuver_can_pay():
     np.testing.assert_allclose(got, 0.1 * radius, rtol=2e-3)
 
 
-def test_far_from_the_goal_the_way_is_straight_and_it_changes_steadily():
+def test_far_from_the_goal_the_way_is_straight():
     way = RewardConfig(progress=1.0, alignment=0.0)
     near = dataclasses.replace(way, reeds_shepp_reach=8.0)
     far = [(-9.0, 0.5, 1.0), (-8.5, 0.5, 1.0)]
@@ -193,7 +193,7 @@ def test_a_diverged_car_gets_nothing(config):
     assert got["time"][1] < 0.0
 
 
-def test_a_diverged_car_gets_nothing_even_from_numbers_that_are_not_finite():
+def test_diverged_car_gets_nothing_from_non_finite_numbers():
     before = cars([(0.0, 0.0, 0.0)])
     after = cars([(math.nan, 0.0, 1.0)], speed=math.inf, steering=math.nan)
     got = terms(SHAPED, before, after, GOAL, events(1, diverged=[0]))
@@ -261,7 +261,7 @@ def test_nearer_is_by_more_than_rounding():
     assert not round_it[distance < 1.0].any()
 
 
-def test_standing_still_is_not_coming_nearer_to_any_of_several_targets():
+def test_standing_still_is_not_coming_nearer():
     before = jnp.array([[[1.0, 2.0]], [[3.0, 4.0]]])
     targets = jnp.array([[[1.0, 2.0], [9.0, 9.0]], [[0.0, 0.0], [3.0, 5.0]]])
     assert not is_nearer(before, before, targets).any()

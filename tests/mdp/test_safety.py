@@ -12,14 +12,14 @@ from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
 from carpark_mj.geometry.obstacles import is_crowded
-from carpark_mj.mdp import safety as clearance
-from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.safety import (
+from carpark_mj.mdp import collisions as clearance
+from carpark_mj.mdp.collisions import (
     HORIZON,
     RANGE,
     agent_clearance,
     clearances,
     collision_times,
+    find_hits,
 )
 from carpark_mj.obstacles import lot_obstacles
 
@@ -94,7 +94,7 @@ def oracle(scene):
     return {name: np.clip(gap, 0.0, RANGE) for name, gap in found.items()}
 
 
-def test_clearance_is_shapely_s_distance_and_zero_just_where_cars_are_hit(scene):
+def test_clearance_is_shapely_s_and_0_where_cars_are_hit(scene):
     got, hits = run(*scene)
     expected = oracle(scene)
     for name, gap in expected.items():
@@ -199,7 +199,7 @@ def moved_boxes(pose, size, velocity, times):
     return polygons(pose, np.float64(size)[:, None])
 
 
-def test_boxes_touch_first_when_moving_them_step_by_step_says_so(pairs):
+def test_contact_times_of_boxes_match_small_steps(pairs):
     pose_a, size_a, pose_b, size_b, velocity = pairs
     other = polygons(pose_b, size_b)[:, None]
 
@@ -210,7 +210,7 @@ def test_boxes_touch_first_when_moving_them_step_by_step_says_so(pairs):
     check(found, gap_at, velocity.any(axis=1))
 
 
-def test_discs_are_touched_first_when_moving_step_by_step_says_so(pairs):
+def test_contact_times_of_discs_match_small_steps(pairs):
     pose, size, where, sizes, velocity = pairs
     centre, radius = where[:, :2], sizes[:, 0] / 2
     point = shapely.points(np.float64(centre))[:, None]
@@ -287,7 +287,7 @@ def test_a_collision_beyond_the_horizon_is_none():
     assert found["parked_car"] == HORIZON
 
 
-def test_the_search_among_many_finds_what_testing_all_pairs_finds():
+def test_search_among_many_finds_what_all_pairs_give():
     rng = np.random.default_rng(1)
     agents, others, discs = 12, 30, 20
 

@@ -14,7 +14,6 @@ from helpers.sliding import SlidePhysics, placed
 from carpark_mj.config import EnvConfig, EpisodeConfig, RingConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
-from carpark_mj.layouts.routes import has_lanes
 from carpark_mj.mdp.progress import drives_wrong_way
 from carpark_mj.observations import ContinuousObservation
 
@@ -69,7 +68,7 @@ def test_in_a_lot_that_never_has_lanes_nobody_is_asked():
 
 
 @pytest.mark.parametrize("name", ["street", "angled", "lot", "garage_row"])
-def test_cars_that_follow_their_lane_are_right_and_those_that_go_back_are_wrong(name):
+def test_only_driving_back_in_a_lane_is_wrong(name):
     layout = make_layout(name)
     rows = np.flatnonzero(layout.lane_mask)
     pose = np.asarray(layout.lane_pose)[rows]
@@ -140,7 +139,7 @@ def test_the_way_driven_wrong_starts_anew_with_the_episode(street):
 def test_a_lot_without_lanes_has_no_metric_and_sees_zeros():
     env = street_env("square")
     state, observation = jax.jit(env.reset)(jax.random.key(0))
-    assert not has_lanes(state.layout)
+    assert not state.layout.has_lanes
     seen = fields_of(observation, env.config)
     for name in ("lane_present", "lane_heading", "lane_one_way"):
         np.testing.assert_array_equal(seen[name], 0.0)

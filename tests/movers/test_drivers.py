@@ -189,7 +189,7 @@ def traffic():
     return jax.device_get(run(jax.random.split(jax.random.key(2), LOTS)))
 
 
-def test_the_attentive_never_collide_with_drivers_walls_and_parked_cars(traffic):
+def test_attentive_drivers_never_collide(traffic):
     hit, still, phase, centre = traffic
     assert not hit.any()
     assert not still.any()

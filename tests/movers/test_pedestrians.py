@@ -119,7 +119,7 @@ def drive():
     return [jax.device_get(run(MANY, keys, mode)) for mode in range(4)]
 
 
-def test_a_car_that_brakes_for_who_is_near_hits_nobody_and_one_that_does_not_does(
+def test_braking_for_people_prevents_hits(
     drive,
 ):
     hits = [hit.sum() for _, hit, _ in drive]
@@ -131,7 +131,7 @@ def test_a_car_that_brakes_for_who_is_near_hits_nobody_and_one_that_does_not_doe
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_nobody_beside_a_cars_way_comes_nearer_to_it_where_the_car_cannot_stop(side):
+def test_nobody_steps_before_a_car_that_cannot_stop(side):
     size = COMPACT.length, COMPACT.width
     physics, car = MjxPhysics(SimConfig()), make_vehicle(COMPACT)
     motion = cars([(0.0, 0.0, 0.0)], speed=2.0, size=size)
@@ -149,7 +149,7 @@ def test_nobody_beside_a_cars_way_comes_nearer_to_it_where_the_car_cannot_stop(s
         assert bool(jnp.abs(found[0] - move[0]).max() < 1e-6) == goes
 
 
-def test_so_it_is_with_tyres_brakes_and_steering_of_the_default_physics():
+def test_braking_prevents_hits_with_the_default_physics():
     physics, lots, car = MjxPhysics(SimConfig()), 6, make_vehicle(COMPACT)
     vehicles = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *x.shape)), car)
 
@@ -284,7 +284,7 @@ WEIDMANN = {1.0: 1.06, 2.0: 0.61}  # m/s at persons/m², of one-way flow
 EAST = jnp.array([[1.0, 0.0]])
 
 
-def test_a_person_alone_reaches_the_desired_speed_with_the_relaxation_time():
+def test_lone_person_speeds_up_with_the_relaxation_time():
     velocity, nothing = jnp.zeros((1, 2)), jnp.zeros((1, 2))
     for step in range(1, 11):  # any step size gives the exact solution
         velocity = model.accelerate(velocity, 1.34 * EAST, nothing, 0.2)
@@ -313,7 +313,7 @@ def test_the_force_is_the_slope_of_the_potential(x, y, speed):
     np.testing.assert_allclose([fx[0, 1], fy[0, 1]], expected, rtol=1e-3)
 
 
-def test_two_who_meet_push_each_other_alike_and_mirrored_crowds_stay_mirrored():
+def test_mirrored_crowds_stay_mirrored():
     # Farther apart than a step of 2.6 m, within which the ellipse is a line.
     offset = jnp.array([[0.0, -4.0], [4.0, 0.0]]), jnp.zeros((2, 2))
     fx, fy = model.push(offset, jnp.full(2, 1.3), jnp.array([[1.0, 0], [-1.0, 0]]))
@@ -333,7 +333,7 @@ def test_two_who_meet_push_each_other_alike_and_mirrored_crowds_stay_mirrored():
     np.testing.assert_allclose(force(1), force(-1), rtol=1e-4, atol=1e-6)
 
 
-def test_what_is_behind_counts_less_and_coinciding_people_stay_finite():
+def test_force_from_behind_is_less_and_always_finite():
     offset = jnp.array([[1.0]]), jnp.array([[0.0]])
     [[seen]], _ = model.push(offset, jnp.zeros(1), -EAST)
     [[unseen]], _ = model.push(offset, jnp.zeros(1), EAST)

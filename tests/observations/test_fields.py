@@ -63,7 +63,7 @@ def test_by_default_all_lots_lie_within_the_ranges():
     assert 80.0 < most < FAR * FARTHEST
 
 
-def test_the_markdown_table_has_a_row_for_every_field_of_the_first_car_of_a_kind():
+def test_table_has_each_field_of_the_first_entity():
     config = config_of(ContinuousObservation(3, 2), num_tracked_bays=4)
     rows = markdown_table(make_fields(config)).splitlines()[2:]
     once = config_of(ContinuousObservation(1, 1), num_tracked_bays=1)
@@ -73,9 +73,7 @@ def test_the_markdown_table_has_a_row_for_every_field_of_the_first_car_of_a_kind
 
 @pytest.mark.parametrize("num_tracked_bays", [0, 3])
 @pytest.mark.parametrize("config", CONFIGS)
-def test_the_entities_of_a_group_have_the_same_fields_side_by_side(
-    config, num_tracked_bays
-):
+def test_entities_of_a_group_have_the_same_fields(config, num_tracked_bays):
     fields = make_fields(config_of(config, num_tracked_bays))
     groups = itertools.groupby(fields, lambda field: field.group)
     counts = {}
@@ -132,9 +130,7 @@ def test_each_setting_adds_or_drops_its_numbers(change, numbers):
     ("num_agents", "num_parked_cars", "slots"),
     [(9, 5, (6, 4)), (7, 4, (6, 4)), (6, 3, (5, 3)), (2, 1, (1, 1)), (1, 0, (1, 1))],
 )
-def test_there_are_as_many_slots_as_the_lot_s_cars_fill_and_at_least_one(
-    num_agents, num_parked_cars, slots
-):
+def test_slots_are_as_many_as_cars_and_at_least_one(num_agents, num_parked_cars, slots):
     names = {
         field.name
         for field in make_fields(

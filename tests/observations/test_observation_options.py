@@ -192,7 +192,7 @@ def test_the_past_of_the_rings_shifts():
     np.testing.assert_array_equal([unseen[name] for name in names[2:]], 0.0)
 
 
-def test_the_nearest_are_tracked_in_a_list_of_agents_and_one_of_parked_cars():
+def test_nearest_agents_and_parked_cars_are_tracked():
     motion = cars([(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
 
     def matrices(observation, present=True):

@@ -191,7 +191,7 @@ def test_observations_do_not_change_when_the_whole_lot_is_moved(shift):
         np.testing.assert_allclose(there[name], value, atol=5e-6, err_msg=name)
 
 
-def test_observations_do_not_depend_on_the_order_of_the_other_agents():
+def test_observations_ignore_the_order_of_agents():
     config, layout = ContinuousObservation(), make_layout("square")
     motion, goal, *parked = random_scene()
     order = np.array([0, 4, 2, 5, 1, 3])
@@ -202,7 +202,7 @@ def test_observations_do_not_depend_on_the_order_of_the_other_agents():
         np.testing.assert_array_equal(there[name], value[order], err_msg=name)
 
 
-def test_observations_do_not_depend_on_the_order_of_the_parked_cars():
+def test_observations_ignore_the_order_of_parked_cars():
     config, layout = ContinuousObservation(), make_layout("square")
     motion, goal, parked_bay, parked_size = random_scene()
     order = np.random.default_rng(1).permutation(16)
@@ -214,7 +214,7 @@ def test_observations_do_not_depend_on_the_order_of_the_parked_cars():
         np.testing.assert_array_equal(there[name], value, err_msg=name)
 
 
-def test_tracked_cars_are_the_nearest_and_the_nearest_comes_first():
+def test_tracked_cars_are_the_nearest_in_order():
     config = ContinuousObservation(2, 2)
     layout = make_layout("square")
     motion, goal, parked_bay, parked_size = random_scene(2)
@@ -237,7 +237,7 @@ def rollout_fields():
     return fields_of(observation, mjx_env().config)
 
 
-def test_observations_stay_within_the_declared_ranges_while_driving():
+def test_observations_keep_to_their_ranges_while_driving():
     named = rollout_fields()
     for field in make_fields(mjx_env().config):
         value = named[field.name]
@@ -303,7 +303,7 @@ def test_room_to_the_lines_by_hand():
     np.testing.assert_array_equal(named["line_room"][1], [1.0, -1.0, 1.0, -1.0])
 
 
-def test_pushed_cars_are_observed_where_they_stand_and_absent_ones_nowhere():
+def test_pushed_cars_are_observed_where_they_stand():
     parked = parked_in(BAYS, [2, 3])
     pushed = parked.replace(pose_w=parked.pose_w + jnp.array([0.5, -0.25, 0.1]))
     absent = parked.replace(bay=jnp.array([2, NO_BAY], jnp.int32))
@@ -366,7 +366,7 @@ def places(rows):
     return [tuple(np.round(r["position"] * 20.0, 3)) for r in rows if r["present"]]
 
 
-def test_the_nearest_come_first_in_the_own_frame_and_padding_is_zero():
+def test_nearest_movers_come_first_in_the_own_frame():
     rows = see(6)
     # North is ahead: west is left. The masked one, 4 m ahead, is not there.
     assert places(rows) == [(0, 3), (6, 0), (0, -8), (0, 9)]
@@ -397,7 +397,7 @@ def test_a_turned_lot_looks_the_same_also_with_those_who_stand(angle):
             np.testing.assert_allclose(other[name], value, atol=1e-5, err_msg=name)
 
 
-def test_what_stands_behind_a_car_or_a_wall_is_hidden_if_sight_is_asked_for():
+def test_in_sight_hides_what_is_behind_cars_and_walls():
     hiding: Any = {"walls": [(0.0, 4.0, 0.0)], "parked": [(5.0, 0.0, 1.0)]}
     assert places(see(4, **hiding)) == [(0, 3), (6, 0), (0, -8), (0, 9)]
     assert places(see(4, True, **hiding)) == [(0, 3), (0, 9)]

@@ -81,7 +81,7 @@ def test_a_car_alone_sees_nothing_not_even_itself_or_padding():
     np.testing.assert_array_equal(ways(motion, masked, absent, 12), 10.0)
 
 
-def test_the_way_ends_at_the_range_and_is_none_inside_an_obstacle():
+def test_rays_end_at_their_range_and_are_0_inside():
     motion = cars([(0.0, 0.0, 0.0)])
     for gap, seen in ((4.99, 4.99), (5.01, 5.0), (0.0, 0.0), (-1.0, 0.0)):
         layout = lot([(50.0, 0.0, 0.0)], walls=[(2.5 + gap, 0.0, 0.0)])
@@ -246,7 +246,7 @@ def test_rays_are_a_field_of_the_observation():
     np.testing.assert_allclose(observe_jit(config, again), seen, atol=5e-6)
 
 
-def test_near_rays_are_the_same_distances_divided_by_the_near_one():
+def test_near_rays_are_distances_over_the_near_range():
     observation = ContinuousObservation(
         0, 0, rings=RingConfig(), rays=RayConfig(4, reach=8.0, near=1.0)
     )

@@ -89,12 +89,6 @@ def test_exact_sensors_are_none_at_all():
     assert observed(state) is state.motion
 
 
-def test_delays_are_drawn_from_the_whole_range_and_from_no_more():
-    config = SensorConfig(delay_min=1, delay_max=3)
-    delay = np.asarray(init_sensors(config, standing(200), KEY).delay)
-    assert set(delay) == {1, 2, 3}
-
-
 ODOMETRY = SensorConfig(odometry_scale=0.01, odometry_veer=2e-3, odometry_turn=0.02)
 AHEAD = 1.25  # m, the centre of a car made by hand from its rear axle
 
@@ -273,7 +267,7 @@ def late_scene(config):
 
 
 @pytest.mark.parametrize("config", SCENES)
-def test_agents_observe_what_they_would_see_from_where_their_sensors_put_all(config):
+def test_observations_follow_measured_poses(config):
     found, expected, _ = late_scene(config)
     for name, value in expected.items():
         np.testing.assert_array_equal(found[name], value, err_msg=name)
@@ -345,7 +339,7 @@ def test_judging_rewards_and_motion_ignore_the_sensors():
         np.testing.assert_array_equal(truth.metrics[name], run.metrics[name])
 
 
-def test_an_agent_observes_its_own_past_and_a_fresh_start_after_a_respawn():
+def test_late_sensors_start_afresh_after_a_respawn():
     env = slide(LATE)
     step = jax.jit(env.step)
     state, _ = jax.jit(env.reset)(KEY)

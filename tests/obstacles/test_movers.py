@@ -81,7 +81,7 @@ def state_with(mover, count=5):
     return state_of(LOT, motion, 0, movers=movers)
 
 
-def test_a_mover_goes_straight_from_step_to_step_and_what_comes_is_there_at_once():
+def test_movers_go_straight_and_new_ones_appear_at_once():
     mover, state = Hands(), state_with(Hands())
     after = step_movers([mover], state, 0.2, KEY)
     box, discs = after.groups

@@ -101,7 +101,7 @@ def test_impossible_fleets_are_refused_at_construction(change, message):
     assert "\n" not in str(refusal.value)
 
 
-def test_a_car_that_turns_wide_is_refused_only_where_it_gets_into_no_bay():
+def test_wide_turning_car_is_refused_if_no_bay_can_be_entered():
     def make(layout, vehicle="van", physics="mjx"):
         config = EnvConfig(
             layout=layout, num_parked_cars=4, physics=physics, vehicle=vehicle
@@ -273,7 +273,7 @@ def lots(env):
     )
 
 
-def test_a_lot_has_an_agent_for_every_two_bays_at_most_and_they_are_the_first(lots):
+def test_lot_has_at_most_one_agent_for_two_bays(lots):
     bays = lots.layout.bay_mask.sum(axis=1)
     np.testing.assert_array_equal(bays, np.where(MEMBER, 10, 4))
     expected = np.minimum(np.clip(WANTED, 2, MOST), bays // 2)
@@ -321,7 +321,7 @@ def test_evaluation_counts_the_agents_that_lots_have(env):
         ),
     ],
 )
-def test_more_agents_than_bays_need_an_occupancy_and_a_least_number(changes, message):
+def test_more_agents_than_bays_need_occupancy_and_min_agents(changes, message):
     config = dataclasses.replace(CONFIG, **changes)
     with pytest.raises(ValueError, match=message) as refusal:
         check_numbers(config, layout_config(config.layout))
@@ -329,7 +329,7 @@ def test_more_agents_than_bays_need_an_occupancy_and_a_least_number(changes, mes
     check_numbers(CONFIG, layout_config(CONFIG.layout))
 
 
-def test_a_fleet_in_a_fixed_lot_may_have_more_agents_than_bays_too():
+def test_fleet_in_a_fixed_lot_may_have_more_agents_than_bays():
     config = dataclasses.replace(
         CONFIG,
         layout="square",

@@ -147,7 +147,7 @@ def test_jitter_fills_its_ranges_and_stays_in_them(started):
     np.testing.assert_allclose([scale.min(), scale.max()], [0.95, 1.02], atol=1e-3)
 
 
-def test_absent_parked_cars_are_not_seen_and_the_others_as_they_stand(env, started):
+def test_absent_parked_cars_are_not_observed(env, started):
     state, observation = started
     named = fields_of(observation, env.config)
     present = sum(named[f"parked_car_{k}_present"][:, 0, 0] for k in range(4))
@@ -224,7 +224,7 @@ def test_agents_change_cars_when_they_respawn_and_only_then(driven):
     assert changed > 200
 
 
-def test_no_car_stays_on_the_goal_of_an_agent_that_finds_no_other(started, step):
+def test_no_parked_car_stays_on_a_goal_that_is_kept(started, step):
     """Everybody parks where, but for their goals, bays are for city cars only."""
     state = jax.tree.map(lambda x: x[:LOTS], started[0])
     goal = np.asarray(state.goal)
@@ -243,7 +243,7 @@ def test_no_car_stays_on_the_goal_of_an_agent_that_finds_no_other(started, step)
     check_occupancy(after.goal, np.where(here, bay, own), every)
 
 
-def test_the_farthest_car_that_fits_moves_to_where_an_agent_has_parked():
+def test_farthest_car_that_fits_is_relocated():
     # Five bays 20 m apart; car 0 fits in the first three, car 1 in all.
     sizes = jnp.array([(5.0, 2.5)] * 3 + [(4.0, 2.0)] * 2)
     row = lot([(20.0 * k, 30.0, 1.57) for k in range(5)], bay_size=sizes)

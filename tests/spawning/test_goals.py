@@ -75,7 +75,7 @@ def history(layout, num_agents, num_parked_cars, num_steps, seed=0, reach=20.0):
 
 
 @pytest.mark.parametrize("num_parked_cars", [0, 16, 33])
-def test_a_lot_starts_with_distinct_goals_and_parked_cars_elsewhere(num_parked_cars):
+def test_goals_at_a_start_are_distinct_and_without_cars(num_parked_cars):
     layout = make_layout("square")
     goal, bay = jax.vmap(lambda key: start_lot(layout, 3, num_parked_cars, key))(
         jax.random.split(jax.random.key(1), 200)
@@ -113,7 +113,7 @@ def test_no_goal_ever_holds_a_parked_car(num_agents, num_parked_cars):
     assert (np.diff(bay, axis=1) != 0).any(axis=1).all()
 
 
-def test_every_bay_becomes_every_agents_goal_and_none_stays_taken_for_ever():
+def test_every_bay_becomes_every_agents_goal():
     layout = make_layout("square")
     _, (goal, bay, agent) = history(layout, 3, 16, 3000)
     steps = np.arange(3000)
@@ -163,7 +163,7 @@ def test_a_car_on_the_new_goal_makes_way_to_the_old_goal():
     np.testing.assert_array_equal(after.parked_bay[free], [[2, 3]] * free.sum())
 
 
-def test_a_car_makes_way_elsewhere_when_another_agent_is_near_the_old_goal():
+def test_car_makes_way_elsewhere_near_another_agent():
     # Agent 1 stands 7 m from bay 0, closer than MIN_DISTANCE.
     after = draws([0, 5], [2, 3], [[0.0, 0.0], [0.0, 7.0]])
     evicted = after.goal[:, 0] == 2
@@ -172,7 +172,7 @@ def test_a_car_makes_way_elsewhere_when_another_agent_is_near_the_old_goal():
     assert set(after.parked_bay[evicted, 0]) == {1, 4}
 
 
-def test_a_car_makes_way_elsewhere_when_the_old_goal_has_just_been_filled():
+def test_car_makes_way_elsewhere_if_old_goal_is_filled():
     # As after a relocation: a car stands in agent 0's old goal.
     after = draws([0, 5], [0, 3], [[0.0, 20.0], [50.0, 20.0]])
     evicted = after.goal[:, 0] == 3
@@ -203,7 +203,7 @@ def test_a_full_row_swaps_goal_and_car_when_nobody_is_near():
     np.testing.assert_array_equal(moved, 0)
 
 
-def test_a_car_on_a_goal_that_is_kept_makes_way_even_near_another_agent():
+def test_car_on_a_kept_goal_makes_way_even_near_an_agent():
     # As after a relocation from bay 3: the only bays that are not reserved are goals.
     kind = jnp.full(6, BayKind.RESERVED).at[jnp.array([1, 5])].set(BayKind.STANDARD)
     row = ROW.replace(bay_kind=kind)
@@ -350,14 +350,14 @@ def test_a_random_start_begins_exploring():
     assert goals() == {NO_BAY: 1.0}
 
 
-def test_half_of_the_close_starts_have_the_bay_for_their_goal_if_they_track_it():
+def test_half_of_close_starts_have_the_tracked_bay():
     share = goals(close_bay=7)
     # Deviation 1.1 %: five of them.
     assert share == pytest.approx({7: 0.5, NO_BAY: 0.5}, abs=0.056)
     assert goals(close_bay=9) == {NO_BAY: 1.0}
 
 
-def test_a_start_in_conflict_takes_a_random_tracked_bay_that_is_another_s_goal():
+def test_start_in_conflict_shares_a_tracked_goal():
     assert goals(conflict=True) == pytest.approx({3: 0.5, 8: 0.5}, abs=0.056)
     assert goals(conflict=True, others=(8, 9, 8)) == {8: 1.0}
     # Nobody heads for a tracked bay; who explores has no goal to share.

@@ -117,7 +117,7 @@ def test_close_crash_and_random_starts_come_in_their_ratios():
     assert near[~close].mean() < 0.01
 
 
-def test_a_crash_start_has_a_new_goal_that_is_nobody_s_and_no_car_s():
+def test_crash_start_has_a_new_free_goal():
     before, after = placed(MIXED)
     check_occupancy(after.goal, after.parked_bay, np.ones((2000, 36), bool))
     assert (after.goal[:, 0] != before[:, 0]).all()
@@ -129,7 +129,7 @@ def test_a_crash_start_has_a_new_goal_that_is_nobody_s_and_no_car_s():
     assert gap[course].min() > MIXED.min_distance
 
 
-def test_two_that_end_together_are_no_targets_of_each_other_until_they_start():
+def test_agents_that_end_together_are_no_targets():
     before, after = placed(MIXED, done=np.arange(AGENTS) < 2)
     check_occupancy(after.goal, after.parked_bay, np.ones((2000, 36), bool))
     old = np.asarray(lots(2000)[2], np.float64)
@@ -148,7 +148,7 @@ def test_two_that_end_together_are_no_targets_of_each_other_until_they_start():
     assert share(old[:, :2], goal[:, :2]) < 0.02
 
 
-def test_a_start_that_is_not_on_course_is_a_new_goal_and_then_a_pose():
+def test_start_off_course_is_a_new_goal_and_then_a_pose():
     spawn = SpawnConfig()
     goal, parked_cars, pose = lots(200)
     keys = jax.random.split(jax.random.key(2), 200)
@@ -170,7 +170,7 @@ def test_a_start_that_is_not_on_course_is_a_new_goal_and_then_a_pose():
     np.testing.assert_allclose(after.pose_w[:, 0], start, atol=2e-6)  # float32
 
 
-def test_at_a_reset_agents_start_on_course_for_those_placed_before_them():
+def test_reset_starts_are_on_course_for_earlier_agents():
     goal, parked_cars, _ = lots(300)
     first, everybody = placer(config_of(CONFLICT)), jnp.ones(AGENTS, bool)
     nowhere = jnp.zeros((AGENTS, 3))
@@ -194,7 +194,7 @@ def test_at_a_reset_agents_start_on_course_for_those_placed_before_them():
     assert (met[3:] > 0.35).all()  # and later there is less and less room
 
 
-def test_who_chooses_goals_is_placed_exploring_and_nobody_else_is_touched():
+def test_exploring_agents_alone_are_placed():
     goal, parked_cars, pose = lots(200)
     done = np.isin(np.arange(AGENTS), (1, 4))
     keys = jax.random.split(jax.random.key(2), 200)
@@ -261,7 +261,7 @@ def test_a_new_goal_fits_and_cars_make_way_to_bays_they_fit_in():
     assert set(goal) == {1, 3}
 
 
-def test_an_agent_for_whose_new_car_there_is_no_bay_keeps_its_goal():
+def test_agent_without_a_bay_for_its_new_car_keeps_its_goal():
     place = placer(EnvConfig())
 
     @jax.jit
@@ -336,7 +336,7 @@ def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
     assert share_touching(False, size, small, nowhere) > 0.4
 
 
-def test_what_a_start_would_touch_is_what_the_judge_of_collisions_says():
+def test_starts_touch_what_collisions_say():
     """Parked cars where they will stand: car 1 is on its way from bay 0 to bay 2."""
     rng = np.random.default_rng(2)
     layout = lot(

@@ -215,7 +215,7 @@ class Loaded(NamedTuple):
         return with_mass(car, self.mass * car.mass, cg)
 
 
-def test_the_tallest_cars_accepted_stay_upright_and_taller_ones_end_on_their_side():
+def test_accepted_cars_stay_upright():
     """Full steps of wheel and pedal; a car on its side is put back and flagged."""
     grid = list(itertools.product(("city", "van"), (1.0, 2.0, 3.0), (0.2, 0.5, 0.8)))
     cases = [Loaded(*car, offset) for offset in (0.0, 0.2) for car in grid]
@@ -260,7 +260,7 @@ def compiled(env):
     return jax.jit(env.reset), jax.jit(env.step)
 
 
-def test_cars_are_drawn_anew_for_those_who_respawn_and_for_nobody_else(env, compiled):
+def test_only_respawned_agents_get_new_cars(env, compiled):
     reset, step = compiled
     state, _ = reset(KEY)
     mass = np.asarray(state.physics.vehicle.mass)

@@ -31,7 +31,7 @@ from carpark_mj.spawning.special_starts import (
     NEAREST,
     ROOM,
     reverse_pose,
-    reverse_shapes,
+    special_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.types import NO_BAY, ParkedCars
@@ -93,7 +93,7 @@ def reverse_starts(layouts, cars, keys):
         inputs = inputs_of(layout, parked, cars)
         waiting = jnp.array([True, False])
         placing = start_placing(goal, bay, jnp.stack([pose, pose]), waiting)
-        draws = draw_uniform(reverse_shapes(REVERSE), draw_key)
+        draws = draw_uniform(special_shapes(REVERSE, 1)[1], draw_key)
         around = surroundings(inputs, placing, jnp.array(0))
         start = reverse_pose(inputs, placing, around, jnp.array(0), draws)
         return start, draws, goal[0], pose, parked
@@ -236,13 +236,13 @@ def test_a_start_falls_back_to_random_where_no_way_leads_out():
     assert np.abs(ends_of(closed, REVERSE)[:, 0]).max() <= 0.5
 
 
-def test_a_start_falls_back_to_random_where_other_agents_leave_no_room():
+def test_start_is_random_if_agents_leave_no_room():
     agents = [(20.0 + 6.0 * x, 6.0 * y, 0.0) for x in (-1, 0, 1) for y in (-1, 0, 1)]
     agents = [(0.0, 40.0, 0.0), *agents]
     assert np.abs(ends_of(FAR, REVERSE, agents)[:, 0]).max() <= 0.5
 
 
-def test_parked_cars_count_where_they_stand_once_the_goal_is_drawn():
+def test_parked_cars_count_where_they_stand_after_the_draw():
     """The new goal is bay 1, whose car makes way to bay 0, the old goal."""
     layout = lot([(10.0, 0.0, 0.0), (10.0, 3.0, 0.0)], spawn_size=(0.1, 0.1))
     parked, compact = parked_in(layout, [1]), vehicles(["compact"])

@@ -166,7 +166,7 @@ def test_room_for_all_is_room_wherever_the_others_stand(spacing):
     assert least < 0.7  # the bound is not idle
 
 
-def test_a_start_on_a_car_is_not_made_and_who_has_waited_longest_comes_first():
+def test_blocked_starts_wait_and_the_longest_wait_is_first():
     """A stand-in draws starts one beside the other; one place is taken."""
     layout = lot([(0.0, 20.0, 0.0)], spawn_size=(40.0, 40.0))
     size = jnp.tile(jnp.array([SIZE]), (4, 1))
@@ -203,7 +203,7 @@ def test_a_start_on_a_car_is_not_made_and_who_has_waited_longest_comes_first():
     assert at_last.goal[3] == 7
 
 
-def test_starts_after_a_first_try_are_at_random_even_if_all_are_to_be_close():
+def test_starts_after_a_first_try_are_random():
     """All close starts are blocked by a car beside the goal."""
     spawn = SpawnConfig(close_ratio=1.0, close_distance=0.1, min_distance=0.0)
     config = dataclasses.replace(CROWD, layout="square", num_agents=2, spawn=spawn)
@@ -250,7 +250,7 @@ def test_starts_keep_off_parked_cars_where_they_stand():
     assert touched.tolist() == [True, True, False, False]
 
 
-def test_in_a_crowded_lane_the_start_with_most_room_between_outlines_is_taken():
+def test_crowded_lane_start_has_the_most_room():
     # A lane of 12 m by 3 m with a long car across it: no start keeps 7 m. Cars whose
     # centres are far apart may still touch, so that centres do not count.
     lane = lot([(0.0, 20.0, 0.0)]).replace(
@@ -292,7 +292,7 @@ def test_in_a_crowded_lane_the_start_with_most_room_between_outlines_is_taken():
 
 
 @pytest.mark.parametrize("vehicle", ["van", "compact"])
-def test_a_car_larger_than_lots_are_made_for_starts_clear_of_them_too(vehicle):
+def test_car_larger_than_the_design_car_starts_clear(vehicle):
     config = EnvConfig(
         layout="dead_end",
         vehicle=vehicle,

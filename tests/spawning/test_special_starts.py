@@ -25,9 +25,8 @@ from carpark_mj.spawning.special_starts import (
     CourseDraws,
     Targets,
     course_pose,
-    course_shapes,
     misaligned_pose,
-    misaligned_shapes,
+    special_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.vehicle import COMPACT, make_vehicle
@@ -43,7 +42,7 @@ OTHERS = np.array([False, True, True, True])
 
 @functools.partial(jax.jit, static_argnums=0)
 def try_all(config, layout, around, goal_xy, targets, keys):
-    shapes = CourseDraws(*(shape[1:] for shape in course_shapes(config, 4)))
+    shapes = CourseDraws(*(shape[1:] for shape in special_shapes(config, 4)[0]))
 
     def attempt(key):
         draws = draw_uniform(shapes, key)
@@ -65,7 +64,7 @@ def attempts(
     return np.asarray(pose, np.float64), np.asarray(found)
 
 
-def test_both_straight_ways_reach_the_crash_point_after_equal_distance():
+def test_both_reach_the_crash_point_after_equal_distance():
     pose, found = attempts()
     assert found.mean() > 0.3
     met = meets(COURSE, pose[found], XY, GOAL)
@@ -75,7 +74,7 @@ def test_both_straight_ways_reach_the_crash_point_after_equal_distance():
     assert not meets(COURSE, pose[found] + [0.3, 0.3, 0.0], XY, GOAL).any(axis=1).all()
 
 
-def test_a_crash_start_is_in_the_spawn_area_and_far_enough_from_others():
+def test_crash_start_is_in_the_area_and_keeps_its_distance():
     def farthest(side):
         layout = lot([(0.0, 20.0, 0.0)], spawn_size=(side, side))
         pose, found = attempts(layout=layout)
@@ -89,7 +88,7 @@ def test_a_crash_start_is_in_the_spawn_area_and_far_enough_from_others():
     assert farthest(200.0) > 10.98
 
 
-def test_crash_targets_are_uniform_among_those_far_enough_from_their_goals():
+def test_crash_targets_are_uniform_if_far_from_goals():
     # Everything is in the area, and the scene is its own mirror image.
     wide = lot([(0.0, 20.0, 0.0)], spawn_size=(200.0, 200.0))
     xy = np.array([[0.0, 0.0], [-9.0, -9.0], [9.0, -9.0], [0.0, 80.0]])
@@ -121,7 +120,7 @@ def test_the_crash_point_is_uniform_between_both_least_distances():
     np.testing.assert_allclose(count, count.mean(), atol=75)
 
 
-def test_without_anybody_far_enough_from_its_goal_the_attempt_fails():
+def test_crash_start_fails_without_a_far_target():
     wide = lot([(0.0, 20.0, 0.0)], spawn_size=(200.0, 200.0))
 
     def any_found(way, targets=OTHERS):
@@ -200,7 +199,7 @@ TIGHT = lot(
 )
 
 
-def test_they_are_in_the_bay_both_ways_round_and_not_within_its_lines():
+def test_misaligned_starts_cross_the_lines_of_the_bay():
     pose = starts(TIGHT)
     along, across, askew, way = in_bay(pose)
     for values, most in zip((along, across, askew), FARTHEST, strict=True):
@@ -258,7 +257,7 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
     around = surroundings(inputs, placing, jnp.array(0))
 
     def one(key):
-        draws = draw_uniform(misaligned_shapes(MISALIGNED), key)
+        draws = draw_uniform(special_shapes(MISALIGNED, 1)[2], key)
         return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
 
     pose, found = jax.vmap(one)(jax.random.split(jax.random.key(4), COUNT))
@@ -269,7 +268,7 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
     assert 0.0 < shapely.distance(cars_beside[1], own).min() < MARGIN
 
 
-def test_where_a_car_is_always_within_the_lines_the_start_is_random():
+def test_start_is_random_if_always_within_the_lines():
     wide = lot(
         TIGHT.bay_pose, bay_size=(SIZE[0] + 2.0, SIZE[1] + 2.0), spawn_size=(1.0, 1.0)
     )

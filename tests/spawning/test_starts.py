@@ -82,7 +82,7 @@ def test_spawn_headings_are_uniform():
         assert chi_square < 31.3  # the 0.1 % quantile at 11 degrees of freedom
 
 
-def test_regions_are_drawn_in_proportion_to_their_area_and_padding_never():
+def test_regions_are_drawn_in_proportion_to_their_area():
     layout = two_regions()
     pose = draw(RANDOM, layout)
     point = shapely.points(pose[:, :2])
@@ -94,7 +94,7 @@ def test_regions_are_drawn_in_proportion_to_their_area_and_padding_never():
     assert inside[0].mean() == pytest.approx(0.8, abs=0.032)
 
 
-def test_random_spawns_keep_the_distance_to_others_where_there_is_room():
+def test_random_spawns_keep_their_distance_if_there_is_room():
     # They take a third of the region: all 16 candidates fail once in 1e8 draws.
     others = people((-9.0, -9.0), (9.0, 9.0))
     pose = draw(RANDOM, make_layout("square"), others=others)
@@ -110,7 +110,7 @@ def test_agents_that_are_masked_are_not_kept_away_from():
     assert (gap < 4.2).mean() == pytest.approx(np.pi * 4.2**2 / 23.625**2, abs=0.03)
 
 
-def test_the_farthest_candidate_is_taken_when_none_keeps_the_distance():
+def test_farthest_candidate_is_taken_if_none_is_far_enough():
     # An agent in the middle of a square of 4 m: no point is 7.38 m away.
     layout = lot([(0.0, 20.0, 0.0)], spawn_size=(4.0, 4.0))
     pose = draw(RANDOM, layout, others=people((0.0, 0.0)))
@@ -123,7 +123,7 @@ def test_the_farthest_candidate_is_taken_when_none_keeps_the_distance():
 
 
 @pytest.mark.parametrize("goal", [(0.0, 18.0, 0.0), (18.0, -13.5, 0.0), (3.0, 2.0, 0)])
-def test_close_spawns_lie_within_close_distance_of_the_point_nearest_the_goal(goal):
+def test_close_spawns_are_within_close_distance(goal):
     half = 21 * 0.5625
     nearest = np.clip(goal[:2], -half, half)
     pose = draw(CLOSE, make_layout("square"), goal=goal)
@@ -191,7 +191,7 @@ def test_starts_touch_nothing_where_there_is_room(config):
 
 
 @pytest.mark.parametrize("config", [RANDOM, CLOSE])
-def test_headings_stray_from_the_regions_no_farther_than_its_spread(config):
+def test_headings_are_within_the_spread_of_regions(config):
     layout = two_regions().replace(
         spawn_pose=jnp.array([[-10.0, 0.0, 3.1], [10.0, 0.0, -1.0], [0.0, 0.0, 0.0]]),
         spawn_spread=jnp.array([0.2, 0.05, 0.0]),
@@ -211,7 +211,7 @@ SPACED_CLOSE = SpawnConfig(close_ratio=1.0, spacing=WORLD_UNIT / 16)
 FAR = (0.0, 60.0, 0.0)  # a goal far above: walks begin in the middle of the upper edge
 
 
-def test_on_a_grid_a_close_spawn_is_a_walk_of_unit_steps_within_the_region():
+def test_close_spawn_on_a_grid_is_a_walk_of_unit_steps():
     side = 21 * WORLD_UNIT
     pose = draw(SPACED_CLOSE, make_layout("square"), goal=FAR)[:, :2]
     steps = (pose - [0.0, side]) / WORLD_UNIT
@@ -237,7 +237,7 @@ KEYS = jax.random.split(jax.random.key(0), 4000)
 LARGEST = np.float32(1 - 2**-23)  # of `jax.random.uniform`
 
 
-def test_numbers_have_the_shapes_asked_for_and_are_uniform_and_independent():
+def test_drawn_numbers_are_uniform_and_independent():
     shapes = place_shapes(SpawnConfig(conflict_ratio=0.5), num_agents=2, num_bays=3)
     draws = jax.vmap(lambda key: draw_uniform(shapes, key))(KEYS)
     is_shape = lambda node: type(node) is tuple  # noqa: E731
@@ -332,7 +332,7 @@ def test_redraws_end_where_there_is_no_room():
     assert gap.max() < ONE.min_distance
 
 
-def test_a_close_start_has_one_walk_on_a_grid_and_a_walk_per_candidate_elsewhere():
+def test_grid_has_one_walk_else_one_per_candidate():
     # The other stands where walks begin: many end too near to it, and then a start on a
     # grid is random.
     beside, wide = (0.0, 11.8), SpawnConfig(close_ratio=1.0, min_distance=1.0)

@@ -74,7 +74,7 @@ def test_without_a_seed_lots_go_on_and_do_not_repeat():
 
 
 @pytest.mark.parametrize("num_lots", [4, LOTS])
-def test_lots_begin_anew_in_the_step_in_which_all_their_agents_have_finished(num_lots):
+def test_lots_restart_when_all_agents_have_finished(num_lots):
     lots, waiting = batch(num_lots), batch(num_lots, restart=False)
     first = lots.reset_numpy(0)
     np.testing.assert_array_equal(waiting.reset_numpy(0), first)
@@ -90,7 +90,7 @@ def test_lots_begin_anew_in_the_step_in_which_all_their_agents_have_finished(num
     np.testing.assert_allclose(step.observation, waiting.reset_numpy(), atol=1e-6)
 
 
-def test_a_lot_waits_for_its_last_agent_and_leaves_the_others_alone():
+def test_lot_waits_for_its_last_agent():
     lots, waiting = batch(), batch(restart=False)
     pose = np.tile(APART, (4, 1, 1))
     pose[1] = APART[0]  # in lot 1 all agents collide, in lot 2 two of the three

@@ -19,7 +19,7 @@ def brax():
     return wrapped, jax.jit(wrapped.reset), jax.jit(wrapped.step)
 
 
-def test_brax_flattens_lots_by_agents_with_the_agents_of_a_lot_together():
+def test_brax_flattens_lots_by_agents():
     env, reset, step = slide()
     _, brax_reset, brax_step = brax()
     keys = jax.random.split(jax.random.key(0), 4)

@@ -223,7 +223,7 @@ def test_no_environment_of_many_is_an_absent_agent():
         {"layout": "square_compact"},
     ],
 )
-def test_a_car_that_drives_straight_on_stays_in_the_observation_space(options):
+def test_driving_straight_on_stays_in_the_observation_space(options):
     vector = gymnasium.make_vec(PARK, 8, physics="bicycle", **options)
     vector.reset(seed=0)
     action = np.float32([[0.0, -1.0], [0.0, 1.0]] * 4)
@@ -294,7 +294,7 @@ def test_pictures_are_collected_in_a_list():
     env.close()
 
 
-def test_every_lot_of_a_vector_has_its_picture_and_its_scene_is_built_once(
+def test_each_lot_has_a_picture_of_a_scene_built_once(
     monkeypatch,
 ):
     built = []
@@ -354,7 +354,7 @@ def test_a_window_shows_every_step(monkeypatch):
     assert (window.synced, window.closed) == (2, 1)
 
 
-def test_importing_the_package_registers_the_ids_and_loads_no_simulator():
+def test_import_registers_ids_and_loads_no_simulator():
     code = (
         "import sys, carpark_mj, gymnasium\n"
         "print(*sorted(n for n in gymnasium.registry if n[:7] == 'carpark'))\n"

@@ -39,7 +39,7 @@ def test_the_reward_is_the_weighted_norm_of_highway_env():
     np.testing.assert_allclose(found, [0.0, 0.08, turned], rtol=1e-5)
 
 
-def test_steps_pay_what_compute_reward_says_one_by_one_and_all_at_once():
+def test_compute_reward_matches_steps_one_and_all():
     env = gymnasium.make_vec(GOAL, 16)
     single = gymnasium.make(GOAL).unwrapped
     env.reset(seed=0)

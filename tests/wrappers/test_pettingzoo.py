@@ -55,7 +55,7 @@ def test_agents_leave_one_by_one_and_say_how_it_ended(env):
     assert counts == sorted(counts, reverse=True)
 
 
-def test_the_state_is_all_observations_and_zeros_of_those_who_have_left(env):
+def test_state_has_zeros_for_agents_that_have_left(env):
     observations, _ = env.reset(seed=1)
     np.testing.assert_array_equal(env.state(), np.concatenate([*observations.values()]))
     assert env.state_space.contains(env.state())
@@ -118,7 +118,7 @@ def test_wrong_shapes_nan_and_infinity_are_refused(env, action, message):
         env.step(idle(env) | {"agent_1": action})
 
 
-def test_a_step_after_the_last_agent_has_left_warns_and_does_nothing(env, caplog):
+def test_step_after_the_last_agent_has_left_does_nothing(env, caplog):
     env.reset(seed=0)
     env.agents = []
     assert env.step({}) == ({}, {}, {}, {}, {})

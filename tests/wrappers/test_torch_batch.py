@@ -27,7 +27,7 @@ def test_tensors_hold_the_numbers_of_the_numpy_batch():
     assert step.observation.dtype == torch.float32
 
 
-def test_nothing_is_copied_and_nothing_that_a_tensor_shows_is_written_again():
+def test_tensors_share_memory_and_stay_as_they_are():
     lots = batch()
     lots.reset(0)
     seen = []
@@ -45,7 +45,7 @@ def test_nothing_is_copied_and_nothing_that_a_tensor_shows_is_written_again():
             assert torch.equal(tensor, clone)
 
 
-def test_actions_may_require_gradients_be_strided_and_change_after_the_step():
+def test_actions_may_be_strided_and_require_gradients():
     one, other = batch(), batch()
     one.reset(0)
     other.reset(0)

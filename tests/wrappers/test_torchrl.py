@@ -85,7 +85,7 @@ def test_agents_stay_done_observe_zeros_and_earn_nothing(rollout):
     assert not crashed[before].any()
 
 
-def test_a_lot_is_done_when_its_agents_are_and_only_that_lot_is_reset(rollout):
+def test_only_a_lot_whose_agents_are_all_done_is_reset(rollout):
     over = rollout["next", "done"][..., 0]
     np.testing.assert_array_equal(
         over, rollout["next", "agents", "done"].all(2)[..., 0]
