@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from carpark_mj.cli.export import environment_rows
-from carpark_mj.cli.scene import SceneConfig, make_scene, vehicle
+from carpark_mj.cli.scene import SceneConfig, make_scene
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.onnx_export import make_car_model, make_session
 from carpark_mj.scene.build import scene_xml
+from carpark_mj.vehicle import preset
 
 onnxruntime = pytest.importorskip("onnxruntime")
 
@@ -55,7 +56,7 @@ def test_the_example_parks_a_car_of_the_square_without_jax(model_file, tmp_path)
     for seed in range(SEEDS):
         config = SceneConfig(out="scene.xml", num_agents=1, seed=seed)
         scenes.append(tmp_path / f"{seed}.xml")
-        scenes[-1].write_text(scene_xml(make_scene(config)[0], vehicle(config)))
+        scenes[-1].write_text(scene_xml(make_scene(config)[0], preset("compact")))
     ended = subprocess.run(
         [sys.executable, "-c", DRIVES, DEPLOY, model_file, *scenes],
         capture_output=True,
