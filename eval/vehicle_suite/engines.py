@@ -12,16 +12,18 @@ import mujoco
 import numpy as np
 
 from carpark_mj.config import CONTACT_SIM_DT, SimConfig
-from carpark_mj.physics.coordinates import CarIndex, init_tyres
+from carpark_mj.physics.coordinates import CarDynamics, CarIndex, init_tyres
 from carpark_mj.physics.forces import generalized_forces
 from carpark_mj.physics.mjx_step import (
+    ContactStep,
     WheelIndex,
     contact_car_model,
-    mjx,  # pyright: ignore[reportAttributeAccessIssue]
+    with_masses,
     with_wheels,
 )
 from carpark_mj.precision import full_float32
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+from carpark_mj.vehicle.drive import init_actuators
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from vehicle_suite.report import Study
@@ -197,31 +199,28 @@ def _program(sim: SimConfig, x64: bool):
     """
     del x64  # the arrays' precision; a key of the cache
     compiled = contact_car_model(COMPACT, sim)
-    index, wheels = CarIndex(compiled), WheelIndex(compiled)
+    step = ContactStep(compiled, sim)
+    index, wheels = step.index, WheelIndex(compiled)
     positions, velocities = rigid_joints(compiled)
-    model = mjx.put_model(compiled)
-    data = mjx.make_data(model)
 
     @jax.jit
     @full_float32
     def drive(vehicle: Vehicle, qpos: jax.Array, qvel: jax.Array, signals: jax.Array):
-        body = {
-            name: getattr(vehicle, name)
-            for name in ("body_mass", "body_inertia", "body_ipos", "body_pos")
-        }
+        masses = with_masses(step.model, vehicle)
+        start = CarDynamics(
+            jnp.zeros(compiled.nq, qpos.dtype).at[positions].set(qpos),
+            jnp.zeros(compiled.nv, qpos.dtype).at[velocities].set(qvel),
+            init_tyres(qpos.dtype),
+            init_actuators(vehicle),
+        )
 
-        def substep(carry, signal):
-            qpos, qvel = carry
-            ctrl, torque, brake = controls(vehicle, signal, qpos, qvel)
-            car = with_wheels(model.tree_replace(body), index, wheels, vehicle, brake)
-            applied = jnp.zeros_like(qvel).at[index.spin_dof].set(torque)
-            after = mjx.step(
-                car, data.replace(qpos=qpos, qvel=qvel, qfrc_applied=applied, ctrl=ctrl)
-            )
-            return (after.qpos, after.qvel), after.qpos[:2]
+        def substep(car: CarDynamics, signal: jax.Array):
+            ctrl, torque, brake = controls(vehicle, signal, car.qpos, car.qvel)
+            model = with_wheels(masses, index, wheels, vehicle, brake)
+            applied = jnp.zeros_like(car.qvel).at[index.spin_dof].set(torque)
+            car = step.integrate(model, car, applied, ctrl)
+            return car, car.qpos[:2]
 
-        full = jnp.zeros(compiled.nq, qpos.dtype).at[positions].set(qpos)
-        speeds = jnp.zeros(compiled.nv, qpos.dtype).at[velocities].set(qvel)
-        return jax.lax.scan(substep, (full, speeds), signals)[1]
+        return jax.lax.scan(substep, start, signals)[1]
 
     return drive

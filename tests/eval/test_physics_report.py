@@ -162,16 +162,26 @@ def check(manoeuvre, bed: BrushTestbed | ContactTestbed, params=COMPACT) -> None
 
 # Taps are below; `tests/physics` has springs, and contact wheels in MJX and C MuJoCo.
 ELSEWHERE = driver.taps, chassis.suspension, engines.contact_engines
-CASES = [
-    pytest.param(tyres, manoeuvre, id=f"{tyres}-{manoeuvre.__name__}")
-    for tyres, suite in physics_report.SUITES.items()
-    for manoeuvre in suite
-    if manoeuvre not in ELSEWHERE
-]
+COSTLY = turns.turning, chassis.slope_hold, engines.brush_engines
+COSTLY += engines.mirror, engines.convergence  # they compile float64
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("tyres", "manoeuvre"), CASES)
+def case(tyres: str, manoeuvre):
+    costly = manoeuvre in COSTLY or manoeuvre.__module__ == driver.__name__
+    name = f"{tyres}-{manoeuvre.__name__}"
+    marks = [pytest.mark.slow] if costly else []
+    return pytest.param(tyres, manoeuvre, id=name, marks=marks)
+
+
+@pytest.mark.parametrize(
+    ("tyres", "manoeuvre"),
+    [
+        case(tyres, manoeuvre)
+        for tyres, suite in physics_report.SUITES.items()
+        for manoeuvre in suite
+        if manoeuvre not in ELSEWHERE
+    ],
+)
 def test_the_compact_passes(tyres: physics_report.Tyres, manoeuvre):
     check(manoeuvre, physics_report.TESTBEDS[tyres]())
 
