@@ -24,16 +24,15 @@ def command(
         fused: share results between loops on a CPU, see `enable_output_fusion`.
     """
     name = run.__module__
+    prog = f"python eval/{name}.py"
 
     def main(arguments: Sequence[str] | None = None) -> int:
         if fused:
             enable_output_fusion()
 
         def work() -> object:
-            prog = f"python eval/{name}.py"
-            return run(
-                read_flags(config, arguments, description=description, prog=prog)
-            )
+            flags = read_flags(config, arguments, description=description, prog=prog)
+            return run(flags)
 
         return run_command(name, work)
 
