@@ -45,14 +45,13 @@ from carpark_mj.cameras import (
 )
 from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.cameras.see import Channel
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import run_command
 from carpark_mj.config import LAYOUTS, GoalConfig, Mover, ObstacleKind, SpawnConfig
 from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import BayKind, layout_config, make_layout
 from carpark_mj.obstacles import Boxes, Discs, Group
 from carpark_mj.types import State
+from shell import command
 
 AT_RANDOM = SpawnConfig(close_ratio=0.0, conflict_ratio=0.0, reverse_ratio=0.0)
 AGENTS, PARKED_CARS, PEOPLE = 2, 8, 3
@@ -430,9 +429,4 @@ def run(config: CamerasConfig) -> int:
     return 0
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    return run_command(
-        "cameras",
-        lambda: run(read_flags(CamerasConfig, arguments, description=__doc__)),
-    )
+main = command(CamerasConfig, run, __doc__)

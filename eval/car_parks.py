@@ -14,7 +14,6 @@ if __name__ == "__main__":  # before the imports, which take seconds
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,8 +21,6 @@ import tyro
 
 from carpark_mj import ParkingEnv
 from carpark_mj.cli.driver import adapt, find_driver
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.config.checks import CheckedConfig, Count, Positive
 from carpark_mj.evaluation.aggregation import summarize
 from carpark_mj.evaluation.evaluator import evaluate
@@ -31,6 +28,7 @@ from carpark_mj.evaluation.report import print_groups
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.layouts import MixtureConfig, member_shares
 from carpark_mj.layouts.car_park import CAR_PARKS, random_parts
+from shell import command
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,10 +107,4 @@ def by_agents(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
     return {**groups, "all": summarize([row | {"agents_present": 0} for row in own])}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    enable_output_fusion()
-    return run_command(
-        "car_parks",
-        lambda: run(read_flags(CarParksConfig, arguments, description=__doc__)),
-    )
+main = command(CarParksConfig, run, __doc__, fused=True)

@@ -14,19 +14,18 @@ if __name__ == "__main__":  # before the imports, which take seconds
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import run_command
 from carpark_mj.files import require_writable, write_atomically, write_csv
 from carpark_mj.geometry import norm
 from carpark_mj.movers import bodies
 from carpark_mj.movers.bodies import go_round, outlines, room_among, room_to
+from shell import command
 
 DT = 0.2  # s, the control period
 RADIUS = 0.3  # m
@@ -264,12 +263,7 @@ def run(config: CrowdsConfig) -> None:
 
 def draw(path: Path, walks: dict[bool, tuple], flows: np.ndarray) -> None:
     """The figure: a corridor first and last, lanes over time, flows by speed."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure = plt.figure(figsize=(10, 5.6), layout="constrained")
+    figure = Figure((10, 5.6), layout="constrained")
     grid = figure.add_gridspec(3, 2, height_ratios=[1, 1, 1.8])
     first, last, way, orders = walks[True]
     for row, (places, name) in enumerate(((first, "0 s"), (last, f"{WALK_TIME:g} s"))):
@@ -289,11 +283,6 @@ def draw(path: Path, walks: dict[bool, tuple], flows: np.ndarray) -> None:
     axes.set(xlabel="desired speed [m/s]", ylabel=f"flow, door of {DOOR:g} m [1/s]")
     axes.set_ylim(bottom=0)
     write_atomically(path, lambda file: figure.savefig(file, dpi=110, format="png"))
-    plt.close(figure)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    return run_command(
-        "crowds", lambda: run(read_flags(CrowdsConfig, arguments, description=__doc__))
-    )
+main = command(CrowdsConfig, run, __doc__)

@@ -17,7 +17,6 @@ if __name__ == "__main__":  # before the imports, which take seconds
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +24,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import run_command
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import write_json
 from carpark_mj.reading import read_object
 from carpark_mj.registry import ENVIRONMENTS
+from shell import command
 
 STEPS = 8
 OPTIONS: Any = {"xla_backend_optimization_level": 1}
@@ -112,10 +110,4 @@ def compare(config: FingerprintsConfig) -> int:
     return min(wrong, 1)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-
-    def command() -> object:
-        return compare(read_flags(FingerprintsConfig, arguments, description=__doc__))
-
-    return run_command("fingerprints", command)
+main = command(FingerprintsConfig, compare, __doc__)

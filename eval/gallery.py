@@ -26,9 +26,8 @@ import tyro
 from PIL import Image, ImageDraw, ImageOps, ImageSequence
 
 from carpark_mj import programs
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import run_command
 from carpark_mj.rendering.video import font, write_video
+from shell import command
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "gallery.md"
@@ -106,9 +105,4 @@ def _sheet(tiles: Sequence[Image.Image]) -> np.ndarray:
     return np.asarray(sheet)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    return run_command(
-        "gallery",
-        lambda: make(read_flags(GalleryConfig, arguments, description=__doc__)),
-    )
+main = command(GalleryConfig, make, __doc__)

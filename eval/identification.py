@@ -23,14 +23,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.identification.fit import identify
 from carpark_mj.identification.log import POSE, RATES, DriveLog
 from carpark_mj.identification.simulation import SIM_DT, Sought
 from carpark_mj.vehicle import COMPACT
+from shell import command
 from vehicle_suite.logs import Drive, DriveName, SingleTrack, drive_single_track, record
 
 # Least and largest true values; the compact car has a stiffness of 12, 2 and 4 m/s^2.
@@ -154,18 +153,4 @@ def _print(rows: list[dict], kind: str) -> None:
     Console().print(f"{kind}: the first seed and all", table)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the script; returns the exit code."""
-    enable_output_fusion()
-
-    def command() -> None:
-        run(
-            read_flags(
-                IdentificationConfig,
-                arguments,
-                description=__doc__,
-                prog="python eval/identification.py",
-            )
-        )
-
-    return run_command("identification", command)
+main = command(IdentificationConfig, run, __doc__, fused=True)

@@ -16,14 +16,12 @@ if __name__ == "__main__":  # before the imports, which take seconds
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.config.checks import CheckedConfig, Count, Natural
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import require_seed
@@ -32,6 +30,7 @@ from carpark_mj.geometry.obstacles import Boxes, Discs, Group, ObstacleKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.registry import environment
 from carpark_mj.types import State
+from shell import command
 
 HOLD = 5  # control steps of the same controls
 FOUND = ("not finite", "diverged", "crashed", "hit a person", "parked")
@@ -256,10 +255,4 @@ def run(config: InhabitedConfig) -> int:
     return int(any(total[:2]))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    enable_output_fusion()
-    return run_command(
-        "inhabited",
-        lambda: run(read_flags(InhabitedConfig, arguments, description=__doc__)),
-    )
+main = command(InhabitedConfig, run, __doc__, fused=True)

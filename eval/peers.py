@@ -27,13 +27,12 @@ import jax
 import numpy as np
 import tyro
 
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import run_command
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_mj.env import ParkingEnv
 from carpark_mj.wrappers.batch import Batch, NumpyBatch
 from carpark_mj.wrappers.options import share
+from shell import command
 
 Peer = Literal["core", "highway-env"]
 PARKING = "highway_env:parking-v0"
@@ -221,12 +220,10 @@ class PeersConfig(CheckedConfig):
     rounds: Count = 3
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the comparison; returns the exit code."""
+def compare(config: PeersConfig) -> None:
+    """Prints the comparison."""
+    with subjects(config.peer, config.lots) as found:
+        print(comparison(take_turns(found, config.rounds)))
 
-    def command() -> object:
-        config = read_flags(PeersConfig, arguments, description=__doc__)
-        with subjects(config.peer, config.lots) as found:
-            print(comparison(take_turns(found, config.rounds)))
 
-    return run_command("peers", command)
+main = command(PeersConfig, compare, __doc__)

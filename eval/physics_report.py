@@ -12,16 +12,15 @@ if __name__ == "__main__":  # before the imports, which take seconds
     enter("physics_report", "physics_report:main")
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
 import jax
 
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import run_command
 from carpark_mj.files import require_writable
 from carpark_mj.vehicle import PRESETS, preset
+from shell import command
 from vehicle_suite import chassis, driver, engines, turns
 from vehicle_suite.report import Curve, Row, Study, write_report
 from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
@@ -134,9 +133,4 @@ def run(config: ReportConfig) -> int:
     return 1 if missed else 0
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    return run_command(
-        "physics_report",
-        lambda: run(read_flags(ReportConfig, arguments, description=__doc__)),
-    )
+main = command(ReportConfig, run, __doc__)

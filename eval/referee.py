@@ -18,18 +18,18 @@ if __name__ == "__main__":  # before the imports, which take seconds
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from matplotlib.figure import Figure
 from scipy import integrate
 
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import enable_output_fusion, run_command
-from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.files import require_writable, write_atomically, write_text
 from carpark_mj.vehicle import COMPACT, VehicleParameters
+from shell import command
 from vehicle_suite import formulas
 from vehicle_suite.testbeds import BrushTestbed
 from vehicle_suite.track import Run, Track
@@ -344,14 +344,8 @@ def table(found: list[Trial]) -> str:
 
 def draw(path: Path, found: list[Trial]) -> None:
     """Paths above, distances over time below."""
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(
-        2, len(found), figsize=(4.6 * len(found), 7.0), layout="constrained"
-    )
+    figure = Figure((4.6 * len(found), 7.0), layout="constrained")
+    axes = figure.subplots(2, len(found))
     for column, trial in enumerate(found):
         above, below = axes[0, column], axes[1, column]
         track = trial.track
@@ -371,7 +365,6 @@ def draw(path: Path, found: list[Trial]) -> None:
             axis.grid(alpha=0.3)
             axis.legend(fontsize=8)
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=110))
-    plt.close(figure)
 
 
 def write_report(folder: Path, found: list[Trial]) -> None:
@@ -382,7 +375,7 @@ def write_report(folder: Path, found: list[Trial]) -> None:
         slalom_mb_std=between(found[0], "MB", "STD"),
         brake_mb_std=between(found[1], "MB", "STD"),
     )
-    write_atomically(folder / "referee.md", lambda file: file.write_text(text))
+    write_text(folder / "referee.md", text)
     draw(folder / "referee.png", found)
 
 
@@ -407,10 +400,4 @@ def run(config: RefereeConfig) -> None:
     print(f"{table(found)}\nwrote {config.out}/referee.md and referee.png")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    enable_output_fusion()
-    return run_command(
-        "referee",
-        lambda: run(read_flags(RefereeConfig, arguments, description=__doc__)),
-    )
+main = command(RefereeConfig, run, __doc__, fused=True)

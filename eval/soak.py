@@ -16,7 +16,6 @@ if __name__ == "__main__":  # before the imports, which take seconds
 
 import dataclasses
 import time
-from collections.abc import Sequence
 from functools import partial
 from typing import TypeVar
 
@@ -28,14 +27,13 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.process import enable_output_fusion, run_command
 from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.mdp.actions import sanitize_numbers
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.spawning.randomization import randomize
 from carpark_mj.vehicle import PRESETS, Vehicle, make_vehicle
+from shell import command
 
 ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)
 
@@ -288,9 +286,4 @@ def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
     Console().print(table)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
-    enable_output_fusion()
-    return run_command(
-        "soak", lambda: run(read_flags(SoakConfig, arguments, description=__doc__))
-    )
+main = command(SoakConfig, run, __doc__, fused=True)

@@ -103,21 +103,28 @@ def record(
     """Drives in C MuJoCo, all of one length and step; `noise` scales `NOISE`."""
     commands = [drive.commands() for drive in drives]
     motion = _drive(drives, commands)
-    logs = []
-    every = round(LOG_DT / drives[0].sim_dt)
-    for drive, (time, wheel, pedal), path in zip(drives, commands, motion, strict=True):
-        dice = np.random.default_rng([drive.seed, 1])
-        rows = {
-            name: values[::every]
-            + dice.normal(0.0, noise * NOISE[name], len(time[::every]))
-            for name, values in zip((*POSE, *RATES), path.T, strict=True)
-            if name in measured
-        }
-        names = "steering_wheel", "pedal"
-        logs.append(
-            DriveLog(time[::every], wheel[::every], pedal[::every], names, rows)
-        )
-    return logs
+    return [
+        _log(rows, path, measured, noise, np.random.default_rng([drive.seed, 1]))
+        for drive, rows, path in zip(drives, commands, motion, strict=True)
+    ]
+
+
+def _log(
+    commands: tuple[np.ndarray, np.ndarray, np.ndarray],
+    path: np.ndarray,
+    measured: Sequence[str],
+    noise: float,
+    dice: np.random.Generator,
+) -> DriveLog:
+    """The log of commands (n,), see `Drive.commands`, and of the motion (n, 5)."""
+    every = round(LOG_DT / commands[0][1])
+    time, wheel, pedal = (values[::every] for values in commands)
+    rows = {
+        name: values[::every] + dice.normal(0.0, noise * NOISE[name], len(time))
+        for name, values in zip((*POSE, *RATES), path.T, strict=True)
+        if name in measured
+    }
+    return DriveLog(time, wheel, pedal, ("steering_wheel", "pedal"), rows)
 
 
 def _drive(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
@@ -245,16 +252,8 @@ def drive_single_track(
     phases, (wide, fast) = dice.uniform(0, 6, 2), dice.uniform([0.2, 0.1], [0.3, 0.15])
     angle = wide * np.sin(0.5 * time + phases[0]) + fast * np.sin(2 * time + phases[1])
     path, pedal = _simulate(car, time, angle, _Driver(dice, stops), dt)
-    every = round(LOG_DT / dt)
-    rows = {
-        name: values[::every]
-        + dice.normal(0.0, noise * NOISE[name], len(time[::every]))
-        for name, values in zip((*POSE, *RATES), path.T, strict=True)
-        if name in measured
-    }
-    wheel = angle * car.steering_ratio
-    names = "steering_wheel", "pedal"
-    return DriveLog(time[::every], wheel[::every], pedal[::every], names, rows)
+    commands = time, angle * car.steering_ratio, pedal
+    return _log(commands, path, measured, noise, dice)
 
 
 class _Driver:

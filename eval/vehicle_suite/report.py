@@ -1,17 +1,25 @@
-"""The physics report: rows and curves, and how they are written."""
+"""The physics report: rows and curves, and how they are written.
+
+`rows.csv` has the formula, the unit and the tolerance of every row. The first line
+whose name (`*` stands for any text) and tyres (none: all) match is the row's. A
+tolerance is the larger of a share of the expected value and an absolute one.
+"""
 
 import csv
 import dataclasses
-import io
+import functools
+import math
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from carpark_mj.files import write_atomically
+from carpark_mj.files import write_atomically, write_csv, write_text
 from carpark_mj.vehicle import VehicleParameters
-from vehicle_suite.track import Testbed
+from vehicle_suite.testbeds import Testbed
 
 COLUMNS = ("row", "preset", "tyres", "formula", "unit", "measured", "expected",
            "tolerance", "verdict")  # fmt: skip
@@ -116,20 +124,22 @@ class Study:
         return self.bed.tyres
 
     def row(
-        self,
-        row: str,
-        formula: str,
-        unit: str,
-        measured: float,
-        expected: float,
-        tolerance: float | tuple[float, str],
+        self, row: str, measured: float, expected: float = 0.0, scale: float = math.nan
     ) -> None:
-        """Adds a row; see `Row`. A tolerance may come with its physical reason."""
-        largest, why = tolerance if isinstance(tolerance, tuple) else (tolerance, "")
-        numbers = float(measured), float(expected), float(largest)
-        self.rows.append(
-            Row(row, self.preset, self.tyres, formula, unit, *numbers, why)
-        )
+        """Adds a row of `rows.csv`.
+
+        Args:
+            row: its name.
+            measured: from the simulation.
+            expected: from the parameters.
+            scale: whose share the tolerance is; by default the expected value.
+        """
+        fact = declared(row, self.tyres)
+        scale = abs(expected if math.isnan(scale) else scale)
+        tolerance = max(float(fact["share"] or 0) * scale, float(fact["absolute"] or 0))
+        texts = row, self.preset, self.tyres, fact["formula"], fact["unit"]
+        numbers = float(measured), float(expected), tolerance
+        self.rows.append(Row(*texts, *numbers, fact["why"]))
 
     def curve(
         self, figure: str, label: str, x: ArrayLike, y: ArrayLike, style: str = "-"
@@ -140,18 +150,19 @@ class Study:
         self.curves.append(Curve(figure, panel, label, *points, style))
 
 
-def relative(expected: float, share: float) -> float:
-    """An absolute tolerance from a share of the expected value."""
-    return abs(expected) * share
+@functools.cache
+def facts() -> list[dict[str, str]]:
+    """The lines of `rows.csv`."""
+    with (Path(__file__).parent / "rows.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Writes the table as CSV."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(row.cells().values() for row in rows)
-    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue()))
+def declared(row: str, tyres: str) -> dict[str, str]:
+    """The line of `rows.csv` of a row; raises `ValueError` if there is none."""
+    for fact in facts():
+        if fact["tyres"] in ("", tyres) and fnmatchcase(row, fact["row"]):
+            return fact
+    raise ValueError(f"rows.csv has no {row!r} on {tyres} tyres")
 
 
 def markdown(rows: Sequence[Row]) -> str:
@@ -194,15 +205,12 @@ def excerpt(report: Path) -> str:
         }
     lines = ["| manoeuvre | expected | brush | contact |", "|---|---|---|---|"]
     for name in EXCERPT:
-        brush, contact = found[name, "brush"], found.get((name, "contact"))
-        expected = f"{float(brush['expected']):.4g} {brush['unit']}"
-        if contact and contact["expected"] != brush["expected"]:
-            expected = (
-                f"{float(brush['expected']):.4g}, "
-                f"{float(contact['expected']):.4g} {brush['unit']}"
-            )
-        values = [f"{float(r['measured']):.4g}" if r else "–" for r in (brush, contact)]
-        lines.append(f"| {name} | {expected} | {values[0]} | {values[1]} |")
+        cells = [found.get((name, tyres)) for tyres in ("brush", "contact")]
+        rows = [row for row in cells if row]
+        numbers = dict.fromkeys(f"{float(row['expected']):.4g}" for row in rows)
+        expected = f"{', '.join(numbers)} {rows[0]['unit']}"
+        shown = [f"{float(row['measured']):.4g}" if row else "–" for row in cells]
+        lines.append(f"| {name} | {expected} | {shown[0]} | {shown[1]} |")
     return "\n".join(lines)
 
 
@@ -237,35 +245,21 @@ FIGURES = {
 
 def draw(path: Path, name: str, curves: Sequence[Curve]) -> None:
     """Writes a figure of its curves as PNG."""
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot as plt
-
     title, x_label, y_label, logarithmic = FIGURES[name]
     panels = list(dict.fromkeys(c.panel for c in curves))
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    figure, axes = plt.subplots(
-        rows,
-        columns,
-        figsize=(1.0 + 4.2 * columns, 1.0 + 3.0 * rows),
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-        layout="constrained",
-    )
+    figure = Figure((1.0 + 4.2 * columns, 1.0 + 3.0 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axis, panel in zip(axes.flat, panels, strict=False):
-        own = [c for c in curves if c.panel == panel]
-        labels = list(dict.fromkeys(c.label for c in own))
-        named: set[str] = set()
-        for curve in own:
-            label = "" if curve.label in named else curve.label
-            colour = f"C{labels.index(curve.label)}"
+        colours: dict[str, str] = {}
+        for curve in (c for c in curves if c.panel == panel):
+            new = curve.label not in colours
+            colour = colours.setdefault(curve.label, f"C{len(colours)}")
+            label = curve.label if new else ""
             axis.plot(
                 curve.x, curve.y, curve.style, color=colour, label=label, markersize=4
             )
-            named.add(curve.label)
         axis.set_title(panel, fontsize=10)
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8)
@@ -278,7 +272,6 @@ def draw(path: Path, name: str, curves: Sequence[Curve]) -> None:
     figure.supxlabel(x_label)
     figure.supylabel(y_label)
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=110))
-    plt.close(figure)
 
 
 SHOWN = "compact"  # the preset whose rows are in the report, if it was driven
@@ -287,9 +280,9 @@ INTRODUCTION = """# Vehicle physics: measured against formulas
 Written by `{command}`; do not edit.
 
 Every expected value follows from the preset's parameters by the formula in its row
-(`formulas.py` in `eval/vehicle_suite`). The test driver sets wheel angles and wheel
-torques directly, without pedals and rate limits. Rows about pedals, the hold,
-standstill and options (`driver.py`) use the shipped driver.
+(`formulas.py` in `eval/vehicle_suite`, tolerances in `rows.csv`). The test driver sets
+wheel angles and wheel torques directly, without pedals and rate limits. Rows about
+pedals, the hold, standstill and options (`driver.py`) use the shipped driver.
 
 - *brush*: MJX in float32 at 10 ms with the tyres that training uses.
 - *contact*: C MuJoCo in float64 at 2 ms with the contact wheels of exported scenes.
@@ -325,7 +318,7 @@ def write_report(
 ) -> None:
     """Writes `report.csv`, `report.md` and the plots."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_csv(folder / "report.csv", rows)
+    write_csv(folder / "report.csv", [row.cells() for row in rows])
     missed = [row for row in rows if not row.passes]
     presets = list(dict.fromkeys(row.preset for row in rows))
     shown = SHOWN if SHOWN in presets else presets[0]
@@ -346,5 +339,4 @@ def write_report(
     for tyres in models:
         own = [row for row in rows if (row.preset, row.tyres) == (shown, tyres)]
         parts.append(f"## {shown}, {tyres} tyres\n\n{markdown(own)}\n")
-    text = "\n".join(parts)
-    write_atomically(folder / "report.md", lambda file: file.write_text(text))
+    write_text(folder / "report.md", "\n".join(parts))

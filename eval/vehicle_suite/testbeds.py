@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import jax
@@ -81,18 +81,14 @@ class BrushTestbed:
             [np.pad(s, ((0, length - len(s)), (0, 0)), mode="edge") for s in signals], 1
         )
         dtype = jnp.result_type(float)
-        starts = [run.start() for run in cars]
+        starts = [np.stack(x) for x in zip(*(r.start() for r in cars), strict=True)]
         vehicles = jax.tree.map(lambda *x: jnp.stack(x), *map(vehicle_of, cars))
         locked = jnp.array([locked_wheels(run) for run in cars], dtype)
         tyres = jax.tree.map(
             lambda x: jnp.broadcast_to(x, (WIDTH, 4)), init_tyres(dtype)
         )
-        carry = (
-            jnp.array([s[0] for s in starts], dtype),
-            jnp.array([s[1] for s in starts], dtype),
-            tyres,
-            jnp.zeros(WIDTH, dtype),
-        )
+        qpos, qvel = (jnp.array(x, dtype) for x in starts)
+        carry = qpos, qvel, tyres, jnp.zeros(WIDTH, dtype)
         rows = []
         for first in range(0, length, CHUNK):
             part = table[first : first + CHUNK]
@@ -101,20 +97,15 @@ class BrushTestbed:
                 carry, vehicles, locked, jnp.array(part, dtype), gravity, dtype.type(dt)
             )
             rows.append(jax.device_get(seen))
-        qpos, qvel, load, torque = (np.concatenate(x) for x in zip(*rows, strict=True))
+        seen = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
         tracks = []
         for i, run in enumerate(runs):
-            count = len(signals[i])
-            tracks.append(
-                Track(
-                    run,
-                    dt,
-                    np.vstack([starts[i][0], qpos[:count, i]]).astype(float),
-                    np.vstack([starts[i][1], qvel[:count, i]]).astype(float),
-                    load[:count, i].astype(float),
-                    torque[:count, i].astype(float),
-                )
+            qpos, qvel, load, torque = (x[: len(signals[i]), i] for x in seen)
+            qpos, qvel = (
+                np.vstack([starts[0][i], qpos]),
+                np.vstack([starts[1][i], qvel]),
             )
+            tracks.append(Track(run, dt, qpos, qvel, load, torque))
         return tracks
 
 
@@ -276,36 +267,59 @@ class ContactTestbed:
     def _drive(self, run: Run, dt: float) -> Track:
         params = run.params
         model = contact_model(params, dt, self.suspension)
-        data = mujoco.MjData(model)
-        positions, velocities = rigid_joints(model)
-        spin_dof = CarIndex(model).spin_dof
-        data.qpos[positions], data.qvel[velocities] = run.start()
-        rolling = model.dof_frictionloss[spin_dof].copy()
+        spin = CarIndex(model).spin_dof
+        rolling = model.dof_frictionloss[spin].copy()
         drive_share = np.repeat([params.front_drive, 1 - params.front_drive], 2) / 2
         brake_share = np.repeat([params.front_brake, 1 - params.front_brake], 2) / 2
-        signals = run.signals(dt)
-        gravity = gravity_of(signals[:, 5])
         most = HOLD_LIMIT * GRAVITY * params.mass
-        count = len(signals)
-        qpos, qvel = np.zeros((count + 1, 13)), np.zeros((count + 1, 12))
-        load, torque = np.zeros((count, 4)), np.zeros((count, 4))
-        qpos[0], qvel[0] = data.qpos[positions], data.qvel[velocities]
-        rotation, contact = np.zeros(9), np.zeros(6)
-        tyres = [model.geom(f"tyre_{name}").id for name in WHEELS]
-        for i, (steering, force, brake, target, gain, _) in enumerate(signals):
+        rotation, torques = np.zeros(9), []
+
+        def act(data: Any, signal: np.ndarray) -> None:
+            steering, force, brake, target, gain, tilt = signal
             mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
             hold = gain * (target - rotation[::3] @ data.qvel[:3])
             force = force + np.clip(hold, -most, most)
-            torque[i] = force * params.wheel_radius * drive_share
-            data.qfrc_applied[spin_dof] = torque[i]
-            model.dof_frictionloss[spin_dof] = (
-                rolling + brake * params.wheel_radius * brake_share
-            )
+            torques.append(force * params.wheel_radius * drive_share)
+            data.qfrc_applied[spin] = torques[-1]
+            brakes = brake * params.wheel_radius * brake_share
+            model.dof_frictionloss[spin] = rolling + brakes
             data.ctrl = front_wheel_angles(params, float(steering))
-            model.opt.gravity = gravity[i]
-            mujoco.mj_step(model, data)
-            qpos[i + 1], qvel[i + 1] = data.qpos[positions], data.qvel[velocities]
-            for c in range(data.ncon):
-                mujoco.mj_contactForce(model, data, c, contact)
-                load[i, tyres.index(data.contact[c].geom[1])] += contact[0]
-        return Track(run, dt, qpos, qvel, load, torque)
+            model.opt.gravity = gravity_of(tilt)
+
+        return Track(run, dt, *drive_in_c(run, model, act), np.array(torques))
+
+
+def drive_in_c(
+    run: Run, model: mujoco.MjModel, act: Callable[[Any, np.ndarray], None]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Drives a run in C MuJoCo.
+
+    Args:
+        run: the run.
+        model: of its car.
+        act: sets the inputs of the data for a row of `Run.signals`.
+
+    Returns:
+        `qpos` (T + 1, 13), `qvel` (T + 1, 12), and the contacts' loads (T, 4) [N].
+    """
+    data = mujoco.MjData(model)
+    positions, velocities = rigid_joints(model)
+    data.qpos[positions], data.qvel[velocities] = run.start()
+    geoms = [model.geom(i).name.removeprefix("tyre_") for i in range(model.ngeom)]
+    wheels = {i: WHEELS.index(name) for i, name in enumerate(geoms) if name in WHEELS}
+    signals = run.signals(model.opt.timestep)
+    qpos, qvel = [data.qpos[positions]], [data.qvel[velocities]]
+    load, contact = np.zeros((len(signals), 4)), np.zeros(6)
+    for i, signal in enumerate(signals):
+        act(data, signal)
+        mujoco.mj_step(model, data)
+        qpos.append(data.qpos[positions])
+        qvel.append(data.qvel[velocities])
+        for c in range(data.ncon):
+            mujoco.mj_contactForce(model, data, c, contact)
+            pressed = [wheels[geom] for geom in data.contact[c].geom if geom in wheels]
+            load[i, pressed] += contact[0]
+    return np.array(qpos), np.array(qvel), load
+
+
+Testbed = BrushTestbed | ContactTestbed

@@ -6,9 +6,8 @@ standard's manoeuvre and the car.
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
-from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -58,15 +57,9 @@ class Run:
     def signals(self, dt: float) -> np.ndarray:
         """(T, 6) steering, force, brake, target, gain [N s/m], tilt per substep."""
         time = np.arange(round(self.duration / dt)) * dt
-        hold = self.target is not None
-        values: list[Signal] = [
-            self.steering,
-            self.force,
-            self.brake,
-            self.target if self.target is not None else 0.0,
-            SPEED_GAIN * self.params.mass if hold else 0.0,
-            self.tilt,
-        ]
+        target, gain = self.target, SPEED_GAIN * self.params.mass
+        hold = (0.0, 0.0) if target is None else (target, gain)
+        values = [self.steering, self.force, self.brake, *hold, self.tilt]
         columns = [v(time) if callable(v) else np.full(len(time), v) for v in values]
         return np.stack(columns, axis=-1)
 
@@ -98,11 +91,7 @@ def ramp(final: float, start: float, rise: float) -> Signal:
     return lambda time: final * np.clip((time - start) / rise, 0.0, 1.0)
 
 
-def _index() -> CarIndex:
-    return CarIndex(car_model(COMPACT, 0.01, (0.0, 0.0, -GRAVITY)))
-
-
-INDEX = _index()
+INDEX = CarIndex(car_model(COMPACT, 0.01, (0.0, 0.0, -GRAVITY)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -233,24 +222,6 @@ class Track:
         mujoco.mj_forward(model, data)
         mujoco.mj_energyVel(model, data)
         return float(data.energy[1])
-
-
-class Testbed(Protocol):
-    """Drives runs: a tyre model on an engine."""
-
-    @property
-    def tyres(self) -> str:
-        """Name of the tyre model."""
-        ...
-
-    @property
-    def dt(self) -> float:
-        """Substep [s] unless a manoeuvre asks for another."""
-        ...
-
-    def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
-        """Drives the runs at a substep [s] (its own by default)."""
-        ...
 
 
 def circle_radius(path: np.ndarray) -> float:

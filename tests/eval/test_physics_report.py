@@ -3,14 +3,16 @@
 import csv
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import physics_report
+from carpark_mj.files import write_csv
 from carpark_mj.vehicle import COMPACT, PRESETS, preset
 from vehicle_suite import chassis, driver, engines, formulas, turns
-from vehicle_suite.report import Row, Study, markdown, relative, write_csv
+from vehicle_suite.report import Row, Study, declared, facts, markdown
 from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
 from vehicle_suite.track import Run, circle_radius, crossing, ramp, step
 
@@ -158,35 +160,30 @@ def check(manoeuvre, bed: BrushTestbed | ContactTestbed, params=COMPACT) -> None
     assert missed == []
 
 
-@pytest.mark.slow
+# Taps are below; `tests/physics` has springs, and contact wheels in MJX and C MuJoCo.
+ELSEWHERE = driver.taps, chassis.suspension, engines.contact_engines
+COSTLY = turns.turning, chassis.slope_hold, engines.brush_engines
+COSTLY += engines.mirror, engines.convergence  # they compile float64
+
+
+def case(tyres: str, manoeuvre):
+    costly = manoeuvre in COSTLY or manoeuvre.__module__ == driver.__name__
+    name = f"{tyres}-{manoeuvre.__name__}"
+    marks = [pytest.mark.slow] if costly else []
+    return pytest.param(tyres, manoeuvre, id=name, marks=marks)
+
+
 @pytest.mark.parametrize(
-    "manoeuvre",
+    ("tyres", "manoeuvre"),
     [
-        turns.turning,
-        turns.locked_axle,
-        chassis.stops,
-        chassis.load_transfer,
-        chassis.slope_hold,
-        chassis.slip_threshold,
-        chassis.scrub_torque,
-        engines.brush_engines,
-        driver.harder_is_slower,
-        driver.hold_on_ice,
-        driver.creep,
-        driver.coast_after_release,
-        driver.stop_from_a_walk,
-        driver.speed_control,
-        driver.reversing,
-        driver.delays,
-        driver.automatic,
-        driver.odometry,
-        driver.wheel_stop,
-        driver.ramp,
+        case(tyres, manoeuvre)
+        for tyres, suite in physics_report.SUITES.items()
+        for manoeuvre in suite
+        if manoeuvre not in ELSEWHERE
     ],
-    ids=lambda manoeuvre: manoeuvre.__name__,
 )
-def test_the_compact_passes(manoeuvre, bed: BrushTestbed):
-    check(manoeuvre, bed)
+def test_the_compact_passes(tyres: physics_report.Tyres, manoeuvre):
+    check(manoeuvre, physics_report.TESTBEDS[tyres]())
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -202,33 +199,14 @@ def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
     check(turns.lateral_limit, bed, car)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "manoeuvre",
-    [
-        turns.turning,
-        chassis.slip_threshold,
-        chassis.scrub_torque,
-        chassis.energy_balance,
-        turns.rolling_turns,
-        turns.lateral_limit,
-        engines.convergence,
-    ],
-    ids=lambda manoeuvre: manoeuvre.__name__,
-)
-def test_the_compact_passes_on_contact_wheels(manoeuvre):
-    check(manoeuvre, ContactTestbed())
-
-
 def test_a_car_with_other_tyres_than_expected_misses(bed: BrushTestbed):
     slippery = dataclasses.replace(COMPACT.tyre, friction=0.8)
     car = dataclasses.replace(COMPACT, tyre=slippery)
     run = Run(car, 2.0, speed=5.0, brake=20 * car.mass * 9.81)
     path, _ = chassis.braked_motion(*bed.drive([run]))
-    expected = 25 / (2 * 0.9 * 9.81)  # of COMPACT
-    row = Row(
-        "stop", "car", "brush", "", "m", path[-1], expected, relative(expected, 0.01)
-    )
+    study = Study(bed, "car", COMPACT)
+    study.row("stop, locked wheels, 5 m/s", path[-1], 25 / (2 * 0.9 * 9.81))
+    (row,) = study.rows
     assert not row.passes
     assert row.verdict.startswith("MISS: +1")  # 12.5 % longer
 
@@ -260,7 +238,7 @@ def test_verdicts():
 
 
 def test_csv_and_markdown_say_the_same(tmp_path):
-    write_csv(tmp_path / "report.csv", ROWS)
+    write_csv(tmp_path / "report.csv", [row.cells() for row in ROWS])
     with (tmp_path / "report.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
     lines = markdown(ROWS).splitlines()
@@ -270,21 +248,34 @@ def test_csv_and_markdown_say_the_same(tmp_path):
         assert [c.replace("\0", "|") for c in shown] == list(cells.values())
 
 
-def one_row(tolerance: float):
+def test_the_table_of_rows_declares_those_of_the_report_and_no_others():
+    report = Path(__file__).parents[2] / "docs" / "physics" / "report.csv"
+    used = []
+    with report.open(newline="") as file:
+        for row in csv.DictReader(file):
+            fact = declared(row["row"], row["tyres"])
+            assert (fact["formula"], fact["unit"]) == (row["formula"], row["unit"])
+            used.append(fact)
+    assert [fact for fact in facts() if fact not in used] == []
+    with pytest.raises(ValueError, match="no 'top speed' on brush"):
+        declared("top speed", "brush")
+
+
+def one_row(measured: float):
     def manoeuvre(study: Study) -> None:
-        study.row("wrong", "2 + 2", "m", 4.0, 5.0, tolerance)
+        study.row("mirror symmetry, 6 s", measured)
         study.curve("stops", "line", [0.0, 1.0], [1.0, 0.0])
 
     return manoeuvre
 
 
-@pytest.mark.parametrize(("tolerance", "code"), [(2.0, 0), (0.5, 1)])
-def test_a_missed_row_makes_exit_code_1(tolerance, code, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(physics_report, "SUITES", {"brush": (one_row(tolerance),)})
+@pytest.mark.parametrize(("measured", "code"), [(0.0, 0), (0.5, 1)])
+def test_a_missed_row_makes_exit_code_1(measured, code, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(physics_report, "SUITES", {"brush": (one_row(measured),)})
     flags = ["--presets", "compact", "--tyres", "brush"]
     assert physics_report.main([*flags, "--out", str(tmp_path)]) == code
     printed = capsys.readouterr().out
-    assert ("wrong: MISS" in printed) == bool(code)
+    assert ("mirror symmetry, 6 s: MISS" in printed) == bool(code)
     assert f"1 rows, {code} missed" in printed
     report = (tmp_path / "report.md").read_text()
     assert ("Outside their tolerance" in report) == bool(code)

@@ -1,0 +1,166 @@
+"""The scripts: bad input ends each of them alike, and what they count and compare."""
+
+import types
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import pytest
+from helpers.transitions import no_events
+
+import inhabited
+import physics_report
+import referee
+import soak
+from car_parks import by_agents
+from carpark_mj.evaluation.aggregation import wilson_interval
+from carpark_mj.types import Events
+from inhabited import FOUND, make_round
+from peers import Rates, Subject, comparison, take_turns
+
+
+@pytest.mark.parametrize(
+    ("script", "flags", "said"),
+    [
+        (physics_report, ["--preset", "tank"], "Unrecognized options: --preset"),
+        (physics_report, ["--presets", "tank"], "unknown vehicle 'tank'; choose from"),
+        (physics_report, ["--tyres", "square"], "square"),
+        (physics_report, ["--tyres"], "tyres must name at least one"),
+        (inhabited, ["--num-lots", "0"], "num_lots must be at least 1, not 0"),
+        (inhabited, ["--movers", "ghosts"], "'ghosts'"),
+        (inhabited, ["--environment", "moon"], "'moon'"),
+        (referee, ["--output", "folder"], "Unrecognized options: --output, folder"),
+        (referee, ["--out"], "--out"),
+        (soak, ["--cars", "3"], "Unrecognized options: --cars, 3"),
+        (soak, ["--num-cars", "0"], "num_cars must be at least 1, not 0"),
+        (soak, ["--sim.sim-dt", "0"], "sim_dt"),
+        (soak, ["--max-energy", "nan"], "max_energy must be at least 0, not nan"),
+        (soak, ["--first-case", "2147483648"], "first_case must fit 32 bits"),
+        (soak, ["--first-case", "2147483000"], "first_case is 2147483000, of"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(script, flags, said, capsys):
+    assert script.main(flags) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"{script.__name__}: ")
+    assert said in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("script", [physics_report, referee])
+def test_an_unwritable_folder_is_refused_before_anything_drives(
+    script, tmp_path, capsys, monkeypatch
+):
+    def drive(*_):
+        raise AssertionError("it drove")
+
+    monkeypatch.setattr(
+        physics_report, "SUITES", {"brush": (drive,), "contact": (drive,)}
+    )
+    monkeypatch.setattr(referee, "trials", drive)
+    (tmp_path / "file").write_text("no folder")
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert script.main(["--out", str(out)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(f"{script.__name__}: cannot use {tmp_path}")
+        assert error.count("\n") == 1
+    taken = tmp_path / "taken"
+    for name in ("report.md", "referee.md"):
+        (taken / name).mkdir(parents=True)
+    assert script.main(["--out", str(taken)]) == 2
+    assert "Is a directory" in capsys.readouterr().err
+
+
+# Inhabited lots: what is not finite is counted
+
+
+class Step(NamedTuple):
+    """What the round reads of a `TimeStep`."""
+
+    reward: jax.Array
+    events: Events
+
+
+class Failing:
+    """Two agents; in some lots a number is not finite in the seventh step alone."""
+
+    num_agents = 2
+    action_spec = types.SimpleNamespace(size=2)
+
+    def reset(self, key):
+        state = {"x": jnp.zeros(2), "step": jnp.int32(0), "key": key}
+        return state, jnp.zeros((2, 3))
+
+    def step(self, state, action):
+        step = state["step"] + 1
+        fails = jax.random.bernoulli(state["key"]) & (step == 7)
+        state = state | {"x": action[:, 0], "step": step}
+        events = no_events(2, parked=[True, False], diverged=[step == 3, False])
+        return state, Step(jnp.where(fails, jnp.inf, action[:, 1]), events)
+
+
+def test_lots_are_counted_once_and_events_every_time():
+    env, key, lots = Failing(), jax.random.key(0), 64
+    counts = dict(zip(FOUND, make_round(env, lots, 20)(key).tolist(), strict=True))
+    starts = jax.random.split(jax.random.split(key)[0], lots)
+    bad = int(jax.vmap(jax.random.bernoulli)(starts).sum())
+    assert 0 < bad < lots
+    none = dict.fromkeys(FOUND, 0)
+    assert counts == none | {"not finite": bad, "diverged": lots, "parked": 20 * lots}
+    counts = make_round(env, lots, 5)(key).tolist()
+    assert counts == [0, lots, 0, 0, 5 * lots]
+
+
+# Car parks: intervals hold for parts drawn at random
+
+PARTS, LOTS = 20, 30
+
+
+def episode(part, agents, parked):
+    ends = {"parked": parked, "crashed": not parked, "timed_out": False}
+    ends |= {"diverged": False, "crashed_at_start": False}
+    which = {"family": "san_jose", "lot": part, "agents_present": agents}
+    return which | {name: float(value) for name, value in ends.items()}
+
+
+def test_a_part_counts_once_however_many_lots_it_has():
+    rows = [
+        episode(part, agents, part < 15)  # all lots of a part end alike
+        for part in range(PARTS)
+        for agents in (1, 2)
+        for _ in range(LOTS)
+    ]
+    other = {**rows[0], "family": "dragon_lake"}
+    for group, found in by_agents([*rows, other], "san_jose").items():
+        assert found["episodes"] == PARTS * LOTS * (2 if group == "all" else 1)
+        low, high = wilson_interval(15, PARTS)
+        parked = found["parked"]
+        assert parked["rate"] == 0.75
+        assert (parked["low"], parked["high"]) == pytest.approx((low, high), abs=0.02)
+
+
+# Peers: taking turns, and the table
+
+
+def test_subjects_take_turns_after_they_have_compiled():
+    calls = []
+    names = ("a", "b")
+    found = [Subject(name, 3, lambda name=name: calls.append(name)) for name in names]
+    measured = take_turns(found, rounds=2, seconds=1e-4)
+    assert calls[:4] == ["a", "a", "b", "b"]
+    turns = [name for i, name in enumerate(calls) if i == 0 or calls[i - 1] != name]
+    assert turns == ["a", "b", "a", "b", "a", "b"]
+    assert [len(each.rates) for each in measured] == [2, 2]
+    assert all(rate > 0 for each in measured for rate in each.rates)
+
+
+def test_the_table_compares_the_best_and_gives_the_range_of_the_rounds():
+    core = Subject("core", 1024, lambda: None)
+    other = Subject("torch", 1024, lambda: None, beside="core")
+    lines = comparison(
+        [Rates(core, (100_000.0, 80_000.0)), Rates(other, (60_000.0, 90_000.0))]
+    ).splitlines()
+    assert lines[2:] == [
+        "| core | 1,024 | 100,000 |  |",
+        "| torch | 1,024 | 90,000 | 0.9 (0.6 … 1.12) |",
+    ]
