@@ -97,7 +97,7 @@ FAULTS = {
         "vehicle/drive.py",
         "count = _whole_steps(sim, delay) + 2",
         "count = _whole_steps(sim, delay) + 1",
-        "vehicle",
+        "physics/test_control_steps.py",
     ),
     "cars begin in what stands": Fault(
         "spawning/placing.py",
