@@ -145,6 +145,13 @@ def test_crossings_are_on_both_centre_lines(lot):
         np.testing.assert_allclose(aside, 0.0, atol=1e-4)
 
 
+def test_an_aisle_has_a_lane_each_way_on_the_right():
+    pose, size = build.two_lanes([1.0, 2.0, np.pi / 2], [10.0, 6.0])
+    there, back = [2.5, 2.0, np.pi / 2], [-0.5, 2.0, 1.5 * np.pi]
+    np.testing.assert_allclose(pose, [there, back], atol=1e-6)
+    np.testing.assert_allclose(size, [[10.0, 3.0]] * 2)
+
+
 def test_padding_is_no_lane():
     padded = with_lanes(
         build.lanes([(0.0, 0.0, EAST)] * 2, (4.0, 4.0)), mask=[True, False]
