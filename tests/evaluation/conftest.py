@@ -7,9 +7,6 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.config import EnvConfig, EpisodeConfig, MetricsConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import Evaluation, evaluate
-from carpark_mj.layouts import StreetConfig, mixture
-from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.policy.named import random_policy
 
 
 def onwards(observation, key):
@@ -40,22 +37,3 @@ def everything() -> Evaluation:
 def plain() -> Evaluation:
     """The same without measurements that cost time."""
     return evaluate_onwards(MetricsConfig())
-
-
-@pytest.fixture(scope="session")
-def mixture_env() -> ParkingEnv:
-    """A mixture of a square and, half as often, streets."""
-    street = StreetConfig(bays_per_side=(3, 4))
-    config = EnvConfig(
-        layout=mixture(["square_compact", street], [2, 1]),
-        num_agents=1,
-        num_parked_cars=1,
-        episode=EpisodeConfig(max_steps=5),
-    )
-    return ParkingEnv(config, SlidePhysics())
-
-
-@pytest.fixture(scope="session")
-def mixed(mixture_env: ParkingEnv) -> Evaluation:
-    """Six episodes in the mixture."""
-    return evaluate(mixture_env, random_policy(ActionSpec(2)), num_episodes=6, seed=3)

@@ -1,13 +1,17 @@
 """Evaluation: intervals, whole episodes, fixed quotas, the same result twice."""
 
 import collections
+import functools
+from typing import ClassVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.sliding import SlidePhysics
+from jax.tree_util import Partial
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, insert
+from carpark_mj.config import EnvConfig, EpisodeConfig, insert, setting
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import effective_episodes, wilson_interval
 from carpark_mj.evaluation.evaluator import Evaluator, allot, evaluate
@@ -18,24 +22,43 @@ from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.named import random_policy, zero_policy
 from carpark_mj.types import ENDINGS
 
+SPEC = ActionSpec(2)
+# Settings by which environments of one program differ.
+SCALED = {"reward.time": -0.5, "episode.hitbox_scale": 3.0}
+OWN = {path: setting(EnvConfig(), path) for path in SCALED}
+
+
+def act(moves, observation, key):
+    """The random policy or the one that stands, in one program."""
+    (drawn, _), (still, _) = (
+        policy(observation, key) for policy in (random_policy(SPEC), zero_policy(SPEC))
+    )
+    return jnp.where(moves, drawn, still), {}
+
+
+RANDOM, ZERO = (as_argument(Partial(act, np.array(moves))) for moves in (True, False))
+
 
 @pytest.fixture(scope="module")
-def env():
-    return ParkingEnv(
-        EnvConfig(
-            num_agents=2,
-            num_parked_cars=20,
-            physics="bicycle",
-            episode=EpisodeConfig(max_steps=30),
-        )
+def evaluator():
+    config = EnvConfig(
+        num_agents=2,
+        num_parked_cars=20,
+        physics="bicycle",
+        episode=EpisodeConfig(max_steps=30),
     )
+    return Evaluator(ParkingEnv(config))
 
 
 @pytest.fixture(scope="module")
-def result(env):
-    return evaluate(
-        env, random_policy(ActionSpec(2)), num_episodes=20, seed=3, num_lots=4
-    )
+def run(evaluator):
+    """Evaluates in the same four lots side by side."""
+    return functools.partial(evaluator.evaluate, num_lots=4, values=OWN)
+
+
+@pytest.fixture(scope="module")
+def result(run):
+    return run(RANDOM, num_episodes=20, seed=3)
 
 
 def test_every_agent_gives_the_same_number_of_whole_episodes(result):
@@ -44,36 +67,28 @@ def test_every_agent_gives_the_same_number_of_whole_episodes(result):
     assert len(counts) == 8
 
 
-def test_one_program_evaluates_environments_that_differ_in_numbers(env, result):
+def test_one_program_evaluates_environments_that_differ_in_numbers(
+    evaluator, run, result
+):
     """As environments of their own; cars three times as large crash more often."""
-    evaluator, policy = Evaluator(env), as_argument(random_policy(ActionSpec(2)))
-    own = env.config.reward.time, env.config.episode.hitbox_scale
-    paths = "reward.time", "episode.hitbox_scale"
-    values = [dict(zip(paths, v, strict=True)) for v in ((-0.5, 3.0), own)]
-    scaled, same = (evaluator.evaluate(policy, 20, 3, 4, values=v) for v in values)
+    scaled = run(RANDOM, num_episodes=20, seed=3, values=SCALED)
     assert evaluator._chunk._cache_size() == evaluator._reset._cache_size() == 1
-    other = evaluate(ParkingEnv(insert(env.config, values[0])), policy, 20, 3, 4)
-    for found, expected in ((scaled, other), (same, result)):
-        for row, want in zip(found.episodes, expected.episodes, strict=True):
-            numbers = {n: v for n, v in want.items() if isinstance(v, float)}
-            found_numbers = {name: row[name] for name in numbers}
-            assert found_numbers == pytest.approx(
-                numbers, rel=1e-5, abs=1e-5, nan_ok=True
-            )
-    sums = [
-        {
-            name: sum(row[name] for row in x.episodes)
-            for name in ("crashed", "return_time")
-        }
-        for x in (scaled, same)
-    ]
-    assert sums[0]["crashed"] > sums[1]["crashed"]
-    assert sums[0]["return_time"] > 0 > sums[1]["return_time"]
+    own = ParkingEnv(insert(evaluator.env.config, SCALED))
+    expected = evaluate(own, RANDOM, num_episodes=20, seed=3, num_lots=4)
+    for row, want in zip(scaled.episodes, expected.episodes, strict=True):
+        numbers = {n: v for n, v in want.items() if isinstance(v, float)}
+        found = {name: row[name] for name in numbers}
+        assert found == pytest.approx(numbers, rel=1e-5, abs=1e-5, nan_ok=True)
+    crashed, paid = (
+        [sum(row[name] for row in x.episodes) for x in (scaled, result)]
+        for name in ("crashed", "return_time")
+    )
+    assert crashed[0] > crashed[1]
+    assert paid[0] > 0 > paid[1]
 
 
-def test_a_span_counts_the_episodes_that_begin_within_it(env):
-    policy, horizon = random_policy(ActionSpec(2)), 8.0  # s, 40 steps
-    result = evaluate(env, policy, num_episodes=8, seed=3, num_lots=4, horizon=horizon)
+def test_a_span_counts_the_episodes_that_begin_within_it(run):
+    result = run(RANDOM, num_episodes=8, seed=3, horizon=8.0)  # s, 40 steps
     lengths: dict[tuple, list[float]] = {}
     for row in result.episodes:
         lengths.setdefault((row["lot"], row["agent"]), []).append(row["length"])
@@ -81,7 +96,7 @@ def test_a_span_counts_the_episodes_that_begin_within_it(env):
     for steps in lengths.values():
         assert sum(steps[:-1]) < 40 <= sum(steps)
     with pytest.raises(ValueError, match="horizon must be positive, not 0"):
-        evaluate(env, policy, num_episodes=8, seed=3, horizon=0.0)
+        run(RANDOM, num_episodes=8, seed=3, horizon=0.0)
 
 
 def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
@@ -109,21 +124,14 @@ def test_every_episode_has_exactly_one_outcome_and_a_length(result):
         assert (row["length"] == 30) or not row["timed_out"]
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not(env, result):
-    again = evaluate(
-        env, random_policy(ActionSpec(2)), num_episodes=20, seed=3, num_lots=4
-    )
+def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not(run, result):
+    again, other = (run(RANDOM, num_episodes=20, seed=seed) for seed in (3, 4))
     assert again.episodes == result.episodes
-    other = evaluate(
-        env, random_policy(ActionSpec(2)), num_episodes=20, seed=4, num_lots=4
-    )
     assert other.episodes != result.episodes
 
 
-def test_the_zero_policy_stands_until_time_is_up(env):
-    found = evaluate(
-        env, zero_policy(ActionSpec(2)), num_episodes=8, seed=0, num_lots=4
-    )
+def test_the_zero_policy_stands_until_time_is_up(run):
+    found = run(ZERO, num_episodes=8, seed=0)
     assert found.summary["timed_out"]["rate"] == 1.0
     assert max(row["path"] for row in found.episodes) < 0.01  # m in 6 s on the brake
 
@@ -142,19 +150,33 @@ def test_members_of_a_mixture_get_their_shares_of_the_lots(shares, lots, counts)
     assert np.bincount(allot(shares, lots), minlength=len(shares)).tolist() == counts
 
 
-@pytest.mark.parametrize("episodes", [1, 40])
-def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(episodes):
+class Watched(ParkingEnv):
+    """Records the splits from which programs draw its lots."""
+
+    asked: ClassVar[list[str]] = []
+
+    def reset(self, key, split="train", *lot, **options):
+        self.asked.append(split)
+        return super().reset(key, split, *lot, **options)
+
+
+@pytest.fixture(scope="module")
+def run_mixture():
+    """Evaluates in a mixture of a square and, half as often, streets."""
+    street = StreetConfig(bays_per_side=(3, 4))
     config = EnvConfig(
-        layout=mixture(["square", "square_compact", "street"], [47, 2, 1]),
-        num_agents=2,
-        min_agents=1,
+        layout=mixture(["square_compact", street], [2, 1]),
+        num_agents=1,
         num_parked_cars=1,
-        episode=EpisodeConfig(max_steps=1),
+        episode=EpisodeConfig(max_steps=5),
     )
-    env = ParkingEnv(config, SlidePhysics())
-    found = evaluate(env, random_policy(ActionSpec(2)), episodes, seed=0)
-    driven = {(row["family"], row["agents_present"]) for row in found.episodes}
-    assert len(driven) == 3 * 2
+    evaluator = Evaluator(Watched(config, SlidePhysics()))
+    return functools.partial(evaluator.evaluate, RANDOM, num_episodes=6, seed=3)
+
+
+@pytest.fixture(scope="module")
+def mixed(run_mixture):
+    return run_mixture()
 
 
 def test_families_are_summed_up_apart_and_add_up(mixed):
@@ -175,61 +197,59 @@ def test_families_are_summed_up_apart_and_add_up(mixed):
         assert mixed.summary[outcome]["count"] == total
 
 
-def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(
-    mixed, mixture_env, monkeypatch
-):
-    env, asked = mixture_env, []
-
-    def reset(key, split, *lot):
-        asked.append(split)
-        return ParkingEnv.reset(env, key, split, *lot)
-
-    monkeypatch.setattr(env, "reset", reset)
-    again = evaluate(env, random_policy(ActionSpec(2)), num_episodes=6, seed=3)
-    assert again.episodes == mixed.episodes
-    assert asked == ["test"]
+def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(mixed, run_mixture):
+    assert run_mixture().episodes == mixed.episodes
+    assert Watched.asked == ["test"]
 
 
 @pytest.fixture(scope="module")
-def crowds():
-    """A mixture with one to three agents, and its evaluation."""
-    street = StreetConfig(bays_per_side=(3, 4))
+def run_crowds():
+    """Evaluates in a mixture with rare members, with one or two agents."""
     config = EnvConfig(
-        layout=mixture(["square_compact", street]),
-        num_agents=3,
+        layout=mixture(["square", "square_compact", "street"], [47, 2, 1]),
+        num_agents=2,
         min_agents=1,
         num_parked_cars=1,
-        episode=EpisodeConfig(max_steps=5),
+        episode=EpisodeConfig(max_steps=1),
     )
-    env = ParkingEnv(config, SlidePhysics())
-    # 4 episodes of each of 2 agents a lot, on average, in 2 x 2 lots, rounded up to 6.
-    return evaluate(
-        env, random_policy(ActionSpec(2)), num_episodes=50, seed=0, num_lots=4
-    )
+    evaluator = Evaluator(ParkingEnv(config, SlidePhysics()))
+    return functools.partial(evaluator.evaluate, RANDOM, seed=0)
+
+
+@pytest.fixture(scope="module")
+def crowds(run_crowds):
+    # The rarest member needs 2 of 100 lots for both numbers, which makes 150 agents.
+    return run_crowds(num_episodes=700, num_lots=4)
+
+
+@pytest.mark.parametrize("episodes", [1, 40])
+def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(
+    episodes, run_crowds
+):
+    found = run_crowds(num_episodes=episodes)
+    driven = {(row["family"], row["agents_present"]) for row in found.episodes}
+    assert len(driven) == 3 * 2
 
 
 def test_every_number_of_agents_gets_the_same_number_of_lots(crowds):
     of_lot = {row["lot"]: row["agents_present"] for row in crowds.episodes}
     family = {row["lot"]: row["family"] for row in crowds.episodes}
-    assert of_lot == dict(enumerate([1, 2, 3] * 2))
-    assert family == dict(enumerate(["square_compact"] * 3 + ["street"] * 3))
+    assert of_lot == dict(enumerate([1, 2] * 50))
+    names = ["square"] * 94 + ["square_compact"] * 4 + ["street"] * 2
+    assert family == dict(enumerate(names))
     counts = collections.Counter((row["lot"], row["agent"]) for row in crowds.episodes)
     present = {(lot, agent) for lot, n in of_lot.items() for agent in range(int(n))}
-    assert counts == dict.fromkeys(present, 5)  # 50 episodes over 12 agents, rounded up
+    assert counts == dict.fromkeys(present, 5)  # 700 over 150 agents, rounded up
 
 
-def test_numbers_of_agents_are_summed_up_apart_and_add_up(crowds, plain):
+def test_numbers_of_agents_are_summed_up_apart_and_add_up(crowds, result):
     parts = crowds.agent_counts
-    assert [(n, part["episodes"]) for n, part in parts.items()] == [
-        (1, 10),
-        (2, 20),
-        (3, 30),
-    ]
+    assert [(n, part["episodes"]) for n, part in parts.items()] == [(1, 250), (2, 500)]
     for outcome in ENDINGS:
         total = sum(part[outcome]["count"] for part in parts.values())
         assert crowds.summary[outcome]["count"] == total
-    assert list(plain.agent_counts) == [3]
-    assert {row["agents_present"] for row in plain.episodes} == {3}
+    assert list(result.agent_counts) == [2]
+    assert {row["agents_present"] for row in result.episodes} == {2}
 
 
 def test_no_training_shares_its_key_with_an_evaluation():

@@ -25,6 +25,8 @@ from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.types import ENDINGS
 
+BICYCLES = EnvConfig(physics="bicycle")
+
 
 def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys):
     table, data = write_evaluation(tmp_path, everything, {})
@@ -98,8 +100,12 @@ def test_every_crash_stands_in_a_row_of_what_was_hit(capsys):
 
 
 def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
-    mixed, tmp_path, capsys
+    everything, tmp_path, capsys
 ):
+    members = ["square_compact", "street"]
+    rows = [r | {"family": members[r["lot"] == 2]} for r in everything.episodes]
+    parts = {n: summarize([r for r in rows if r["family"] == n]) for n in members}
+    mixed = dataclasses.replace(everything, episodes=rows, families=parts)
     files = write_evaluation(tmp_path, mixed, {})
     assert [path.name for path in files] == [
         "evaluation.csv",
@@ -109,13 +115,13 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
     with files[2].open() as file:
         rows = list(csv.DictReader(file))
     assert [row["family"] for row in rows] == ["square_compact", "street", "all"]
-    assert [int(row["episodes"]) for row in rows] == [4, 2, 6]
+    assert [int(row["episodes"]) for row in rows] == [60, 30, 90]
     for row in rows:
         rates = [float(row[f"{outcome}_rate"]) for outcome in ENDINGS]
         assert sum(rates) == pytest.approx(1.0)
         assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
     stored = json.loads(files[1].read_text())
-    assert stored["families"]["street"]["episodes"] == 2
+    assert stored["families"]["street"]["episodes"] == 30
     print_groups("family", mixed.families | {"all": mixed.summary})
     printed = capsys.readouterr().out
     for name in ("square_compact", "street", "all"):
@@ -123,10 +129,10 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
 
 
 def test_lots_with_several_numbers_of_agents_have_a_table_by_number(
-    plain, tmp_path, capsys
+    everything, tmp_path, capsys
 ):
-    parts = {n: plain.summary | {"episodes": 10 * n} for n in (1, 2)}
-    result = dataclasses.replace(plain, agent_counts=parts)
+    parts = {n: everything.summary | {"episodes": 10 * n} for n in (1, 2)}
+    result = dataclasses.replace(everything, agent_counts=parts)
     *_, table = write_evaluation(tmp_path, result, {})
     assert table.name == "agents_present.csv"
     with table.open() as file:
@@ -146,9 +152,9 @@ def test_a_single_lot_has_no_table_of_families(everything, tmp_path):
     assert {row["family"] for row in everything.episodes} == {"square"}
 
 
-def test_a_fleet_has_a_table_by_kind_of_car(plain, tmp_path):
-    parts = {name: plain.summary | {"episodes": 7} for name in ("city", "van")}
-    result = dataclasses.replace(plain, vehicles=parts)
+def test_a_fleet_has_a_table_by_kind_of_car(everything, tmp_path):
+    parts = {name: everything.summary | {"episodes": 7} for name in ("city", "van")}
+    result = dataclasses.replace(everything, vehicles=parts)
     *_, table = write_evaluation(tmp_path, result, {})
     assert table.name == "vehicles.csv"
     with table.open() as file:
@@ -158,21 +164,23 @@ def test_a_fleet_has_a_table_by_kind_of_car(plain, tmp_path):
 
 
 @pytest.mark.parametrize("flag", ["run", "policy"])
-def test_the_file_names_the_policy_however_it_was_given(flag, plain, tmp_path):
-    config, env = EvaluateConfig(**{flag: "runs/a"}), ParkingEnv(EnvConfig())
+def test_the_file_names_the_policy_however_it_was_given(flag, everything, tmp_path):
+    config, env = EvaluateConfig(**{flag: "runs/a"}), ParkingEnv(BICYCLES)
     policy = zero_policy(env.action_spec)
-    report(config, Task("runs/a", policy, env, tmp_path), plain)
+    report(config, Task("runs/a", policy, env, tmp_path), everything)
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["settings"]["policy"] == "runs/a"
     assert stored["settings"]["seed"] == 0
 
 
-def test_an_evaluation_is_written_before_it_is_printed(plain, tmp_path, monkeypatch):
-    env = ParkingEnv(EnvConfig())
+def test_an_evaluation_is_written_before_it_is_printed(
+    everything, tmp_path, monkeypatch
+):
+    env = ParkingEnv(BICYCLES)
     task = Task("zero", zero_policy(env.action_spec), env, tmp_path)
     monkeypatch.setattr(Console, "print", no_printing)
     with pytest.raises(BrokenPipeError):
-        report(EvaluateConfig(policy="zero"), task, plain)
+        report(EvaluateConfig(policy="zero"), task, everything)
     assert {"evaluation.csv", "evaluation.json"} <= {p.name for p in tmp_path.iterdir()}
 
 
@@ -201,10 +209,10 @@ def test_folders_of_long_flags_differ_and_can_be_made(tmp_path):
         (tmp_path / folder).mkdir(parents=True)
 
 
-def test_names_are_printed_as_they_are(plain, capsys):
+def test_names_are_printed_as_they_are(everything, capsys):
     name = "x[/red][b]"
-    print_table(plain.summary, name)
-    print_groups("family", {name: plain.summary, "all": plain.summary})
+    print_table(everything.summary, name)
+    print_groups("family", {name: everything.summary, "all": everything.summary})
     printed = capsys.readouterr().out
     assert f"{name}:" in printed
     assert f"│ {name} " in printed

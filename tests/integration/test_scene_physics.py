@@ -32,6 +32,23 @@ def scene() -> ScenePhysics:
     return ScenePhysics(SIM, LAYOUT, COMPACT, AGENTS, PARKED)
 
 
+def begun(pose, parked):
+    """One lot at rest."""
+    return _begun(scene(), pose, parked)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _begun(physics, pose, parked):
+    vehicle = jax.tree.map(lambda x: x[0], fleet(1))
+    return physics.set_parked_poses(physics.init(pose, vehicle), parked)
+
+
+@functools.cache
+def compiled_step():
+    """The control step of one lot."""
+    return jax.jit(scene().step)
+
+
 def fleet(num_lots):
     vehicle = make_vehicle(COMPACT)
     shape = (num_lots, AGENTS)
@@ -58,21 +75,23 @@ def driven():
     style = rng.uniform(-1, 1, (STEPS // 8, LOTS, AGENTS, 2)) * (1.0, 1.4)
     noise = rng.normal(0, 0.2, (STEPS, LOTS, AGENTS, 2))
     controls = np.clip(np.repeat(style, 8, axis=0) + noise, -1, 1).astype(np.float32)
-    results = []
-    for physics in (MjxPhysics(SIM), scene()):
-        state = jax.vmap(physics.set_parked_poses)(physics.init(pose, vehicle), parked)
 
-        def step(state, control, physics=physics):
-            if physics.config.contacts:
-                state = jax.vmap(physics.step)(state, control)
-            else:
-                state = physics.step(state, control)
+    @functools.partial(jax.jit, static_argnums=0)
+    def run(physics, pose, controls):
+        advance = jax.vmap(physics.step) if physics.config.contacts else physics.step
+
+        def step(state, control):
+            state = advance(state, control)
             return state, physics.read(state)
 
-        run = jax.jit(lambda s, c, step=step: jax.lax.scan(step, s, c)[1])
-        results.append(jax.device_get(run(state, controls)))
-    factored, judged = results
-    return factored, judged
+        state = physics.init(pose, vehicle)
+        state = jax.vmap(physics.set_parked_poses)(state, parked)
+        return jax.lax.scan(step, state, controls)[1]
+
+    factored, judged = (
+        run(each, pose, controls) for each in (MjxPhysics(SIM), scene())
+    )
+    return jax.device_get((factored, judged))
 
 
 def test_factored_cars_and_the_scene_agree_until_the_first_contact():
@@ -94,25 +113,29 @@ def test_factored_cars_and_the_scene_agree_until_the_first_contact():
     assert judged.touched.any()
 
 
-@pytest.mark.parametrize("agents", [1, 2])
-def test_a_lot_without_parked_cars_drives_like_the_factored_physics(agents):
-    empty = ScenePhysics(SIM, LAYOUT, COMPACT, agents, 0)
+def test_a_lot_without_parked_cars_drives_like_the_factored_physics():
     lots = 3
-    pose = starts(np.random.default_rng(2), lots)[:, :agents]
-    vehicle = jax.tree.map(lambda x: x[:, :agents], fleet(lots))
-    controls = jnp.broadcast_to(jnp.array([0.3, 0.8], jnp.float32), (lots, agents, 2))
-    nobody = jnp.zeros((lots, 0, 3))
-    state = jax.vmap(empty.set_parked_poses)(empty.init(pose, vehicle), nobody)
+    pose = starts(np.random.default_rng(2), lots)[:, :2]
+    vehicle = jax.tree.map(lambda x: x[:, :2], fleet(lots))
+    controls = np.broadcast_to(np.float32([0.3, 0.8]), (lots, 2, 2))
     factored = MjxPhysics(SIM)
-    alone = factored.init(pose, vehicle)
+    alone, step = factored.init(pose, vehicle), jax.jit(factored.step)
     for _ in range(3):
-        state = jax.vmap(empty.step)(state, controls)
-        alone = factored.step(alone, controls)
-    assert empty.parked_poses(state, nobody).shape == (lots, 0, 3)
-    # As in the lot with parked cars: float32 against a float64 engine.
-    moved = empty.read(state).pose_w
-    np.testing.assert_allclose(moved, factored.read(alone).pose_w, atol=1e-4)
-    assert np.linalg.norm((moved - pose)[..., :2], axis=-1).min() > 0.1
+        alone = step(alone, controls)
+    expected = factored.read(alone).pose_w
+    assert np.linalg.norm((expected - pose)[..., :2], axis=-1).min() > 0.1
+    for agents in (1, 2):
+        empty = ScenePhysics(SIM, LAYOUT, COMPACT, agents, 0)
+        first, cars = jax.tree.map(lambda x: x[:, :agents], (pose, vehicle))  # noqa: B023
+        nobody = jnp.zeros((lots, 0, 3))
+        state = jax.vmap(empty.set_parked_poses)(empty.init(first, cars), nobody)
+        step = jax.jit(jax.vmap(empty.step))
+        for _ in range(3):
+            state = step(state, controls[:, :agents])
+        assert empty.parked_poses(state, nobody).shape == (lots, 0, 3)
+        # As in the lot with parked cars: float32 against a float64 engine.
+        moved = empty.read(state).pose_w
+        np.testing.assert_allclose(moved, expected[:, :agents], atol=1e-4)
 
 
 @functools.cache
@@ -205,20 +228,16 @@ def test_box_tests_and_contacts_agree_on_ten_thousand_configurations():
 
 def crash(gap_speed=2.5):
     """Agent 0 drives into the side of agent 1, which stands; others are far."""
-    physics = scene()
     pose = np.array(
         [[-6, 0, 0], [2, 0, np.pi / 2]] + [[8, -9 + 4 * k, 0] for k in range(5)],
         np.float32,
     )
-    vehicle = jax.tree.map(lambda x: x[0], fleet(1))
-    state = physics.init(jnp.array(pose), vehicle)
-    state = physics.set_parked_poses(state, LAYOUT.bay_pose[:PARKED])
-    step = jax.jit(physics.step)
+    state = begun(pose, LAYOUT.bay_pose[:PARKED])
     controls = np.zeros((AGENTS, 2), np.float32)
     controls[0, 1] = 1.0
     states = [state]
     for _ in range(30):
-        states.append(step(states[-1], jnp.array(controls)))
+        states.append(compiled_step()(states[-1], controls.copy()))
         if bool(states[-1].touched[0, 0]):
             controls[0, 1] = 0.0
     return [jax.device_get(s) for s in states]
@@ -248,15 +267,12 @@ def test_a_crash_is_physical():
 
 def test_a_parked_car_that_is_hit_near_its_rear_axle_turns_as_on_four_wheels():
     """A hit of 3 m/s, and from its end on the slide of Coulomb's friction."""
-    physics = scene()
     reach = COMPACT.width / 2 + COMPACT.length / 2
     pose = np.array([[8, -9 + 3 * k, 0] for k in range(AGENTS)], np.float32)
     parked = np.array(LAYOUT.bay_pose[:PARKED])
     parked[0] = COMPACT.centre_offset, 0.0, 0.0  # its rear axle at the origin
     pose[0] = 0.0, -reach - 0.05, np.pi / 2
-    vehicle = jax.tree.map(lambda x: x[0], fleet(1))
-    state = physics.init(jnp.array(pose), vehicle)
-    state = physics.set_parked_poses(state, jnp.array(parked))
+    state = begun(pose, parked)
     rolling = state.cars.qvel.at[0, 1].set(3.0)
     for dof in MjxPhysics(SIM).index.spin_dof:
         rolling = rolling.at[0, dof].set(3.0 / COMPACT.wheel_radius)
@@ -264,9 +280,9 @@ def test_a_parked_car_that_is_hit_near_its_rear_axle_turns_as_on_four_wheels():
     actuators = roll_freely(state.cars.actuators, speed)
     cars = state.cars.replace(qvel=rolling, actuators=actuators)
     state = state.replace(cars=cars)
-    step = jax.jit(physics.step)
-    coast = jnp.zeros((AGENTS, 2))
-    brake = coast.at[0, 1].set(-1.0)
+    step = compiled_step()
+    coast, brake = np.zeros((2, AGENTS, 2), np.float32)
+    brake[0, 1] = -1.0
     state = step(state, coast)
     assert bool(state.touched[0, 1])
     while bool(state.touched[0, 1]):
@@ -293,22 +309,20 @@ def test_an_agent_that_finishes_stays_in_the_way_and_is_pushed():
     )
     env = ParkingEnv(config)
     state, _ = jax.jit(env.reset)(jax.random.key(3))
-    step = jax.jit(env.step)
+    act, step = np.float32([[0.0, 1.0], [0.3, 1.0]]), jax.jit(env.step)
     for _ in range(70):
-        state, timestep = step(state, jnp.array([[0.0, 1.0], [0.3, 1.0]]))
+        state, timestep = step(state, act)
     assert not state.active.any()  # straight on ends at a wall, where it then stops
     before = np.asarray(state.motion.pose_w)
     for _ in range(5):
-        state, timestep = step(state, jnp.array([[0.0, 1.0], [0.3, 1.0]]))
+        state, timestep = step(state, act)
     assert np.abs(np.asarray(state.motion.pose_w) - before).max() < 1e-2
     assert not timestep.events.done.any()
 
 
 def test_a_moved_parked_car_is_put_there_and_a_pushed_one_stays_pushed():
     physics, intended = scene(), LAYOUT.bay_pose[:PARKED]
-    vehicle = jax.tree.map(lambda x: x[0], fleet(1))
-    state = physics.init(starts(np.random.default_rng(0), 1)[0], vehicle)
-    state = physics.set_parked_poses(state, intended)
+    state = begun(starts(np.random.default_rng(0), 1)[0], intended)
     np.testing.assert_allclose(
         physics.parked_poses(state, intended), intended, atol=1e-5
     )
@@ -323,28 +337,23 @@ def test_a_moved_parked_car_is_put_there_and_a_pushed_one_stays_pushed():
 
 def test_a_non_finite_car_is_contained_and_flagged():
     physics = scene()
-    vehicle = jax.tree.map(lambda x: x[0], fleet(1))
-    state = physics.init(starts(np.random.default_rng(0), 1)[0], vehicle)
-    state = physics.set_parked_poses(state, LAYOUT.bay_pose[:PARKED])
+    state = begun(starts(np.random.default_rng(0), 1)[0], LAYOUT.bay_pose[:PARKED])
     cars = state.cars.replace(qvel=state.cars.qvel.at[3, 0].set(jnp.nan))
-    after = jax.jit(physics.step)(state.replace(cars=cars), jnp.zeros((AGENTS, 2)))
+    halt = np.zeros((AGENTS, 2), np.float32)
+    after = compiled_step()(state.replace(cars=cars), halt)
     read = physics.read(after)
     assert list(np.asarray(read.finite)) == [k != 3 for k in range(AGENTS)]
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(read))
 
 
 def test_a_lot_s_result_does_not_depend_on_its_neighbours_in_the_batch():
-    physics = scene()
     pose = starts(np.random.default_rng(2), 3)
     parked = jnp.broadcast_to(LAYOUT.bay_pose[:PARKED], (3, PARKED, 3))
-    controls = jnp.full((3, AGENTS, 2), 0.7)
-    batch = jax.vmap(physics.set_parked_poses)(physics.init(pose, fleet(3)), parked)
-    step = jax.jit(jax.vmap(physics.step))
+    controls = np.full((3, AGENTS, 2), 0.7, np.float32)
+    batch = jax.vmap(begun)(pose, parked)
+    step_all = jax.jit(jax.vmap(scene().step))
+    alone = begun(pose[1], parked[1])
     for _ in range(3):
-        batch = step(batch, controls)
-    alone = jax.vmap(physics.set_parked_poses)(
-        physics.init(pose[1:2], fleet(1)), parked[1:2]
-    )
-    for _ in range(3):
-        alone = step(alone, controls[1:2])
-    np.testing.assert_allclose(batch.cars.qpos[1], alone.cars.qpos[0], atol=1e-6)
+        batch = step_all(batch, controls)
+        alone = compiled_step()(alone, controls[1])
+    np.testing.assert_allclose(batch.cars.qpos[1], alone.cars.qpos, atol=1e-6)

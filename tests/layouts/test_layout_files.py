@@ -63,6 +63,7 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
     path = str(written(tmp_path, HAND))
     before = FromFileConfig(path)
     options: Options = {"layout": path, "agents": 1, "parked_cars": 0}
+    options |= {"physics": "bicycle"}
     mixed, env = (
         mixture([path, "square_compact"]),
         share(ParkingEnv, configure(options)),
@@ -197,7 +198,7 @@ def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):
     path = str(written(tmp_path, HAND))
     config = EnvConfig(layout=path, num_agents=1, num_parked_cars=0)
     env = ParkingEnv(config, SlidePhysics())
-    state, _ = env.reset(jax.random.key(0))
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
     x, y, yaw = np.asarray(state.motion.pose_w[0])
     assert abs(x + 5) <= 2.001
     assert abs(y) <= 0.501

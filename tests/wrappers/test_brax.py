@@ -71,14 +71,15 @@ def test_brax_passes_final_observations_on():
     config = dataclasses.replace(plain.config, episode=episode)
     env = ParkingEnv(config, plain.physics)
     wrapped = BraxParking(env)
-    keys = jax.random.split(jax.random.key(0), 2)
-    state = jax.jit(wrapped.reset)(keys)
+    keys = jax.random.split(jax.random.key(0), 4)
+    own = jax.eval_shape(wrapped.reset, keys)
+    state = brax()[1](keys)  # begins alike
     lots = state.pipeline_state
     lots = lots.replace(step=lots.step.at[1, 2].set(MAX_STEPS - 1))
     state = state.replace(pipeline_state=lots)
-    after = jax.jit(wrapped.step)(state, np.zeros((6, 2), np.float32))
-    assert jax.tree.structure(state) == jax.tree.structure(after)
-    _, timestep = jax.jit(jax.vmap(env.step))(lots, np.zeros((2, 3, 2), np.float32))
+    after = jax.jit(wrapped.step)(state, np.zeros((12, 2), np.float32))
+    assert jax.tree.structure(own) == jax.tree.structure(after)
+    _, timestep = jax.jit(jax.vmap(env.step))(lots, np.zeros((4, 3, 2), np.float32))
     final = after.info["final_observation"]
     np.testing.assert_allclose(final[5], timestep.final_observation[1, 2], atol=1e-5)
     assert not np.allclose(final[5], after.obs[5])  # that is of the next episode

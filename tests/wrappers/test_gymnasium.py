@@ -1,5 +1,6 @@
 """The Gymnasium environments: Gymnasium's own checks, and one as many."""
 
+import dataclasses
 import itertools
 import os
 import subprocess
@@ -36,7 +37,14 @@ from carpark_mj.wrappers.options import observation_space
 OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1]]
 PARK, GOAL, MANY = OURS
 SINGLE = [PARK, GOAL]
-SHORT = EnvConfig(physics="bicycle", episode=EpisodeConfig(max_steps=5))
+# As many tests as can share it, with its compiled programs.
+SHORT = EnvConfig(
+    layout="street",
+    num_parked_cars=6,
+    physics="bicycle",
+    episode=EpisodeConfig(max_steps=20),
+)
+COUNT = 4  # of environments side by side
 AHEAD = np.array([0.0, 1.0], np.float32)
 
 
@@ -60,27 +68,42 @@ def assert_close(one, other):
 @pytest.mark.parametrize("name", SINGLE)
 def test_gymnasium_finds_no_fault(name):
     # It would open a window as well; pictures are looked at below.
-    check_env(make(name), skip_render_check=True)  # a warning is an error here
+    env = make(name, config=SHORT)
+    check_env(env, skip_render_check=True)  # a warning is an error here
 
 
-@pytest.mark.parametrize(("name", "physics"), [(PARK, "mjx"), (GOAL, "bicycle")])
-def test_observations_keep_to_their_space(name, physics):
-    vector = gymnasium.make_vec(name, 32, physics=physics)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        (PARK, {"physics": "mjx"}),
+        (PARK, {"config": SHORT}),
+        (GOAL, {"config": SHORT}),
+        (PARK, {"layout": mixture(["square", "tpcap"]), "parked_cars": 0}),
+        pytest.param(
+            PARK,
+            {"config": "hope", "layout": "hope_extreme_parallel"},
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_observations_keep_to_their_space(name, options):
+    vector = gymnasium.make_vec(name, COUNT, **{"physics": "bicycle"} | options)
     observation, _ = vector.reset(seed=1)
     vector.action_space.seed(1)
-    for step in range(150):
+    for step in range(200):
         assert observation in vector.observation_space
         actions = vector.action_space.sample()
-        actions[::2] = (0.2, 1.0) if step < 40 else (0.0, -1.0)
+        actions[0] = (0.2, 1.0) if step < 40 else (0.0, -1.0)
+        actions[1] = (0.0, 1.0)
+        actions[2] = (0.0, -1.0)
         observation, *_ = vector.step(actions)
 
 
 @pytest.mark.parametrize("name", SINGLE)
 def test_each_of_many_has_the_episodes_of_one(name):
-    count = 3
-    vector = gymnasium.make_vec(name, count, config=SHORT)
+    vector = gymnasium.make_vec(name, COUNT, config=SHORT)
     assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-    singles = [make(name, config=SHORT) for _ in range(count)]
+    singles = [make(name, config=SHORT) for _ in range(COUNT)]
     seen, infos = vector.reset(seed=4)
     assert {*infos} == {"is_success", "crashed", "_is_success", "_crashed"}
     for index, env in enumerate(singles):
@@ -88,7 +111,7 @@ def test_each_of_many_has_the_episodes_of_one(name):
         assert info == {key: infos[key][index] for key in ("is_success", "crashed")}
         assert_close([leaf[index] for leaf in leaves(seen)], leaves(first))
     vector.action_space.seed(0)
-    for _ in range(12):  # two ends of time and more
+    for _ in range(42):  # two ends of time and more
         actions = vector.action_space.sample()
         seen, reward, terminated, truncated, infos = vector.step(actions)
         for index, env in enumerate(singles):
@@ -108,26 +131,45 @@ def test_each_of_many_has_the_episodes_of_one(name):
 
 
 def test_gymnasiums_wrappers_work_on_the_vector_environment():
-    vector = gymnasium.make_vec(PARK, 4, config=SHORT)
+    vector = gymnasium.make_vec(PARK, COUNT, config=SHORT)
     vector = gymnasium.wrappers.vector.RecordEpisodeStatistics(vector)
     vector.reset(seed=0)
-    for _ in range(5):
-        *_, infos = vector.step(np.zeros((4, 2), np.float32))
-    assert infos["episode"]["l"].tolist() == [5] * 4
+    for _ in range(20):
+        *_, infos = vector.step(np.zeros((COUNT, 2), np.float32))
+    assert infos["episode"]["l"].tolist() == [20] * COUNT
+
+
+GARAGE = EnvConfig(
+    layout="garage_row",
+    num_agents=4,
+    min_agents=4,
+    occupancy=(0.0, 0.5),
+    num_parked_cars=4,
+    physics="bicycle",
+    episode=EpisodeConfig(max_steps=5),
+)
 
 
 def test_agents_of_many_share_lots_and_begin_alone():
-    vector = gymnasium.make_vec(MANY, 6, agents=3, config=SHORT)
+    vector = gymnasium.make_vec(MANY, 8, config=GARAGE)
     observation, _ = vector.reset(seed=2)
     assert observation.shape == vector.observation_space.shape
     assert vector.num_lots == 2
     for _ in range(5):
-        seen, _, _, truncated, infos = vector.step(np.zeros((6, 2), np.float32))
+        seen, _, _, truncated, infos = vector.step(np.zeros((8, 2), np.float32))
     assert truncated.all()
     final = np.stack(infos["final_obs"])
     assert final.shape == seen.shape
     assert not np.isclose(final, seen).all(axis=1).any()
-    vector.step(np.zeros((6, 2), np.float32))
+    vector.step(np.zeros((8, 2), np.float32))
+
+
+def test_no_environment_of_many_is_an_absent_agent():
+    vector = gymnasium.make_vec(MANY, 8, config=GARAGE)
+    vector.reset(seed=0)
+    state = vector.unwrapped._batch.state
+    assert state.present is None or state.present.all()
+    assert (state.goal >= 0).all()
 
 
 def until_end(env):
@@ -137,12 +179,13 @@ def until_end(env):
 
 
 def test_max_episode_steps_is_the_time_limit():
-    options = {"max_episode_steps": 7, "config": SHORT, "physics": "bicycle"}
+    longer = dataclasses.replace(SHORT, episode=EpisodeConfig(max_steps=30))
+    options = {"max_episode_steps": 20, "config": longer, "physics": "bicycle"}
     env = gymnasium.make(PARK, **options)
-    assert until_end(env) == env.spec.max_episode_steps == 7  # and not 5
+    assert until_end(env) == env.spec.max_episode_steps == 20  # and not 30
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     vector = gymnasium.make_vec(PARK, 2, **options)
-    assert again.spec.max_episode_steps == vector.spec.max_episode_steps == 7
+    assert again.spec.max_episode_steps == vector.spec.max_episode_steps == 20
     # One environment, whose rewards may be shares of the time limit.
     lots = env.unwrapped._batch.env
     assert lots is again.unwrapped._batch.env is vector._batch.env
@@ -151,7 +194,7 @@ def test_max_episode_steps_is_the_time_limit():
 def test_without_max_episode_steps_it_is_that_of_the_config():
     for options in ({}, {"max_episode_steps": -1}):  # -1: no `TimeLimit`
         env = gymnasium.make(PARK, config=SHORT, **options)
-        assert env.spec.max_episode_steps == 5
+        assert env.spec.max_episode_steps == 20
         assert env.unwrapped._batch.env.config.episode == one_agent(SHORT).episode
 
 
@@ -196,42 +239,6 @@ def test_impossible_actions_are_refused(action, message):
         env.step(action)
 
 
-def test_no_environment_of_many_is_an_absent_agent():
-    config = EnvConfig(
-        layout="garage_row",
-        num_agents=4,
-        min_agents=4,
-        occupancy=(0.0, 0.5),
-        num_parked_cars=4,
-        physics="bicycle",
-    )
-    vector = gymnasium.make_vec(MANY, 8, config=config)
-    vector.reset(seed=0)
-    state = vector.unwrapped._batch.state
-    assert state.present is None or state.present.all()
-    assert (state.goal >= 0).all()
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        pytest.param(
-            {"config": "hope", "layout": "hope_extreme_parallel"},
-            marks=pytest.mark.slow,
-        ),
-        {"layout": mixture(["square", "tpcap"]), "parked_cars": 0},
-        {"layout": "square_compact"},
-    ],
-)
-def test_driving_straight_on_stays_in_the_observation_space(options):
-    vector = gymnasium.make_vec(PARK, 8, physics="bicycle", **options)
-    vector.reset(seed=0)
-    action = np.float32([[0.0, -1.0], [0.0, 1.0]] * 4)
-    for _ in range(200):
-        observation, *_ = vector.step(action)
-        assert observation in vector.observation_space
-
-
 def test_only_what_grows_beyond_the_lot_has_wider_bounds():
     def box(**change):
         return observation_space(EnvConfig(num_agents=1, **change))
@@ -249,7 +256,7 @@ def test_only_what_grows_beyond_the_lot_has_wider_bounds():
 
 
 def test_pictures_show_the_lot_and_what_has_moved():
-    env = make(render_mode="rgb_array", layout="street", physics="bicycle")
+    env = make(render_mode="rgb_array", config=SHORT)
     env.reset(seed=0)
     before = env.render()
     assert before.shape == (540, 960, 3)
@@ -277,8 +284,7 @@ def test_pictures_are_drawn_and_closed_in_any_thread():
 
 
 def test_the_first_picture_of_every_lot_is_as_the_next():
-    options = {"layout": "street", "parked_cars": 6, "physics": "bicycle"}
-    env = gymnasium.make(PARK, render_mode="rgb_array", **options)
+    env = gymnasium.make(PARK, render_mode="rgb_array", config=SHORT)
     env = AddRenderObservation(env)
     for seed in (0, 1):  # another street
         first, _ = env.reset(seed=seed)
@@ -305,16 +311,15 @@ def test_each_lot_has_a_picture_of_a_scene_built_once(
             super().__init__(*args)
 
     monkeypatch.setattr(batch, "Stage", Counted)
-    options = {"layout": "street", "parked_cars": 6, "physics": "bicycle"}
-    options |= {"render_mode": "rgb_array"}
-    vector = gymnasium.make_vec(PARK, 2, **options)
+    options = {"config": SHORT, "render_mode": "rgb_array"}
+    vector = gymnasium.make_vec(PARK, COUNT, **options)
     vector.reset(seed=0)
     pictures = vector.render()
     np.testing.assert_array_equal(vector.render(), pictures)
-    assert len(built) == 2
-    vector.reset(seed=[0, 5])
+    assert len(built) == COUNT
+    vector.reset(seed=[0, 5, 2, 3])
     others = vector.render()
-    assert len(built) == 3
+    assert len(built) == COUNT + 1
     vector.close()
     np.testing.assert_array_equal(others[0], pictures[0])
     env = make(**options)

@@ -1,6 +1,7 @@
 """Goals as poses: their reward on arrays, and what may be relabelled."""
 
 import dataclasses
+import functools
 import math
 
 import gymnasium
@@ -15,12 +16,15 @@ from carpark_mj.tasks.goal_pose import POSE, pose_norm
 from carpark_mj.wrappers.goal import GoalParking, goal_config
 
 GOAL = "carpark_mj/ParkGoal-v0"
-ONE = goal_config({})
+OPTIONS = {"physics": "bicycle", "parked_cars": 2}
+ONE = goal_config(OPTIONS)
 
 
-@pytest.fixture(scope="module")
-def goal():
-    return GoalParking(ONE)
+@functools.cache
+def compiled(config=ONE):
+    """An environment with its compiled functions."""
+    env = GoalParking(config)
+    return env, jax.jit(env.reset), jax.jit(env.step)
 
 
 def moved(env, state, pose):
@@ -40,8 +44,8 @@ def test_the_reward_is_the_weighted_norm_of_highway_env():
 
 
 def test_compute_reward_matches_steps_one_and_all():
-    env = gymnasium.make_vec(GOAL, 16)
-    single = gymnasium.make(GOAL).unwrapped
+    env = gymnasium.make_vec(GOAL, 16, **OPTIONS)
+    single = gymnasium.make(GOAL, **OPTIONS).unwrapped
     env.reset(seed=0)
     actions = np.tile(np.array([0.0, 1.0], np.float32), (16, 1))
     crashes = 0
@@ -72,7 +76,7 @@ def test_compute_reward_matches_steps_one_and_all():
 
 def test_a_single_step_pays_exactly_what_compute_reward_says():
     # As the checkers of Stable-Baselines3 and Gymnasium-Robotics ask.
-    env = gymnasium.make(GOAL, physics="bicycle", parked_cars=2).unwrapped
+    env = gymnasium.make(GOAL, **OPTIONS).unwrapped
     env.reset(seed=0)
     for _ in range(30):
         seen, reward, *_, info = env.step(np.array([0.3, 1.0], np.float32))
@@ -80,11 +84,20 @@ def test_a_single_step_pays_exactly_what_compute_reward_says():
         assert reward == env.compute_reward(*goals, info)
 
 
-def test_the_goal_is_seen_in_the_desired_goal_alone(goal):
-    state, vector = jax.jit(goal.reset)(jax.random.key(0))
+@pytest.mark.parametrize("everything", [False, True])
+def test_the_goal_is_seen_in_the_desired_goal_alone(everything):
+    config = ONE
+    if everything:  # that can be observed
+        observation = ContinuousObservation(
+            lines=True, route=True, global_information=True, own_car=True
+        )
+        config = dataclasses.replace(ONE, layout="lot", observation=observation)
+        observed = {field.name for field in make_fields(config)}
+        assert observed >= {"line_room", "route_next", "goal_claim"}
+    goal, reset, step = compiled(config)
+    state, vector = reset(jax.random.key(0))
     other = dataclasses.replace(state, goal=(state.goal + 7) % 36)
     act = jnp.zeros((1, 2))
-    step = jax.jit(goal.step)
     one, two = (goal.unpack(step(s, act)[1].observation) for s in (state, other))
     np.testing.assert_array_equal(one["observation"], two["observation"])
     np.testing.assert_array_equal(one["achieved_goal"], two["achieved_goal"])
@@ -92,21 +105,9 @@ def test_the_goal_is_seen_in_the_desired_goal_alone(goal):
     assert vector.shape == (1, goal.observation_size)
 
 
-def test_nothing_else_that_is_observed_tells_the_goal():
-    everything = ContinuousObservation(
-        lines=True, route=True, global_information=True, own_car=True
-    )
-    config = dataclasses.replace(
-        ONE, num_parked_cars=2, layout="lot", physics="bicycle", observation=everything
-    )
-    observed = {field.name for field in make_fields(config)}
-    assert observed >= {"line_room", "route_next", "goal_claim"}
-    test_the_goal_is_seen_in_the_desired_goal_alone(GoalParking(config))
-
-
-def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it(goal):
-    state, _ = jax.jit(goal.reset)(jax.random.key(0))
-    step = jax.jit(goal.step)
+def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it():
+    goal, reset, step = compiled()
+    state, _ = reset(jax.random.key(0))
     bay = np.asarray(state.layout.bay_pose[state.goal[0]])
     nose_in = bay + np.array([0.0, 0.0, math.pi])
     after, timestep = step(moved(goal, state, nose_in), jnp.zeros((1, 2)))
@@ -128,15 +129,13 @@ def test_a_car_nose_in_in_the_middle_of_its_goal_has_reached_it(goal):
 def test_the_weights_of_the_reward_may_be_others():
     extra = {"pose": 2.0, "pose.x": 0.5, "pose.heading": 0.1, "pose.power": 1.0}
     reward = dataclasses.replace(REWARDS["pose"], crash=3.0, extra=extra)
-    env = GoalParking(
-        dataclasses.replace(ONE, reward=reward, physics="bicycle", num_parked_cars=2)
-    )
+    env, _, step = compiled(dataclasses.replace(ONE, reward=reward))
     goals = np.zeros(6), np.array([2.0, 1.0, 9.0, 9.0, 0.5, -0.5])
     paid = -2.0 * (0.5 * 2.0 + 0.3 * 1.0 + 0.1 * 1.0)
     crashed = np.array([False, True])
     np.testing.assert_allclose(env.rewards(*goals, crashed), [paid, paid - 3.0])
-    state, _ = env.reset(jax.random.key(0))
-    _, timestep = jax.jit(env.step)(state, jnp.ones((1, 2)))
+    state, _ = compiled()[1](jax.random.key(0))
+    _, timestep = step(state, jnp.ones((1, 2)))
     parts = env.unpack(timestep.observation)
     paid = env.rewards(parts["achieved_goal"], parts["desired_goal"], np.zeros(1))
     np.testing.assert_allclose(timestep.reward, paid, rtol=1e-6)

@@ -78,6 +78,7 @@ QUICK = EnvConfig(
     physics="bicycle",
     episode=EpisodeConfig(max_steps=1),
 )
+# Every subset of them is another program.
 START = {"pose": (1.0, -2.0, 0.5), "speed": 1.5, "goal": 7}
 
 
@@ -124,17 +125,17 @@ def test_poses_as_goals_take_them_too():
     ("options", "message"),
     [
         ({"goals": 3}, r"unknown option 'goals' .* \('pose', 'speed', 'goal'\)"),
-        ({"goal": 36}, "bay, .* 0 to 35, not 36"),
+        (START | {"goal": 36}, "bay, .* 0 to 35, not 36"),
         ({"goal": -1}, "goal must be at least 0, not -1"),
         ({"goal": 1.0}, "goal must be a whole number, not 1.0"),
         ({"goal": True}, "goal must be a whole number, not True"),
         ({"speed": float("nan")}, "speed must be a finite number, not nan"),
         ({"speed": "fast"}, "speed must be a finite number, not 'fast'"),
-        ({"speed": 50.0}, "speed must lie in"),
+        (START | {"speed": 50.0}, "speed must lie in"),
         ({"pose": (0.0, 0.0)}, "pose must be three finite numbers"),
         ({"pose": (0.0, np.nan, 0.0)}, "pose must be three finite numbers"),
         ({"pose": "north"}, "pose must be three finite numbers"),
-        ({"pose": (16.4, 0.0, 0.0)}, "agent 0 of lot 0: it would touch"),
+        (START | {"pose": (16.4, 0.0, 0.0)}, "agent 0 of lot 0: it would touch"),
     ],
 )
 def test_what_cannot_be_is_refused_and_the_lot_is_as_before(park, options, message):
@@ -161,7 +162,7 @@ def test_a_vector_takes_one_for_all_or_one_for_each_and_only_now():
     with pytest.raises(ValueError, match="each of the 3 environments, not 2"):
         vector.reset(options=[{}, START])
     with pytest.raises(ValueError, match="agent 0 of lot 2: "):
-        vector.reset(options=[{}, {}, {"goal": 99}])
+        vector.reset(options=[{}, START, {"goal": 99}])
 
 
 def test_environments_that_share_a_lot_have_an_option_each():
@@ -170,20 +171,20 @@ def test_environments_that_share_a_lot_have_an_option_each():
     assert_starts([x[1] for x in begun(vector)], START["pose"], 1.5, 7)
     np.testing.assert_array_equal(begun(vector, 1)[2], [3, 4])
     with pytest.raises(ValueError, match="also another agent's goal"):
-        vector.reset(options={"goal": 3})
+        vector.reset(options=[{}, START, {"goal": 3}, {"goal": 3}])
 
 
 def test_stable_baselines_options_are_those_of_each_environment():
     pytest.importorskip("stable_baselines3")
     from carpark_mj.wrappers.sb3 import ParkVecEnv
 
-    env = ParkVecEnv(PARK, 2, config=QUICK)
-    env.set_options([{}, START])
+    env = ParkVecEnv(PARK, 3, config=QUICK)
+    env.set_options([{}, START, {}])
     env.reset()
     assert_starts(begun(env._env, 1), [START["pose"]], [1.5], [7])
     for options, error, message in (
         ({"bay": 3}, ValueError, "unknown option 'bay'"),
-        ([{}], ValueError, "each of the 2 environments, not 1"),
+        ([{}], ValueError, "each of the 3 environments, not 1"),
         (3, TypeError, "options must be of Mapping or None, not 3"),
     ):
         with pytest.raises(error, match=message):

@@ -128,7 +128,10 @@ def test_dynamic_goals_have_their_own_action_space():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         chosen = EnvConfig(
-            num_agents=2, num_parked_cars=2, goals=GoalConfig(dynamic=True)
+            num_agents=2,
+            num_parked_cars=2,
+            physics="bicycle",
+            goals=GoalConfig(dynamic=True),
         )
         env = carpark_mj.parallel_env(config=chosen)
         env.reset(seed=0)
