@@ -12,6 +12,7 @@ import pytest
 from helpers.mutating import damaged
 
 from carpark_mj import reading
+from carpark_mj.files import write_atomically, write_text
 from carpark_mj.reading import (
     TEXT,
     Archive,
@@ -205,3 +206,20 @@ def test_a_damaged_table_has_numbers_or_is_refused(tmp_path):
             lambda: [row.number("value") for row in read_csv(path, "step", "value")]
         )
         assert found is None or all(type(value) is float for value in found)
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+    with path.open() as reader:
+        write_text(path, "new")
+        assert reader.read() == "old"
+
+    def fail(temporary):
+        temporary.write_text("half")
+        raise OSError("no space")
+
+    with pytest.raises(OSError, match="no space"):
+        write_atomically(path, fail)
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]

@@ -296,7 +296,7 @@ def potential(x, y, stride):
     """V(b) of equation 3, for a step of a given length to the east."""
     far = np.hypot(x - stride, y)
     b = 0.5 * np.sqrt((np.hypot(x, y) + far) ** 2 - stride**2)
-    return model.STRENGTH * np.exp(-b / model.RANGE)
+    return 2.1 * np.exp(-b / 0.3)  # published: V0 in m²/s², sigma in m
 
 
 @pytest.mark.parametrize(("x", "y", "speed"), [(0.8, 0.3, 0.0), (-0.5, 0.9, 0.7)])

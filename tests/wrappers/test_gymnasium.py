@@ -111,8 +111,10 @@ def test_each_of_many_has_the_episodes_of_one(name):
         assert info == {key: infos[key][index] for key in ("is_success", "crashed")}
         assert_close([leaf[index] for leaf in leaves(seen)], leaves(first))
     vector.action_space.seed(0)
+    crashes = 0
     for _ in range(42):  # two ends of time and more
         actions = vector.action_space.sample()
+        actions[0] = (0.3, 1.0)  # into something
         seen, reward, terminated, truncated, infos = vector.step(actions)
         for index, env in enumerate(singles):
             after, *rest, info = env.step(actions[index])
@@ -124,10 +126,12 @@ def test_each_of_many_has_the_episodes_of_one(name):
                 assert told[key][index] == value
                 assert told[f"_{key}"][index]
             if done:
+                crashes += info["crashed"]
                 assert_close(infos["final_obs"][index], after)
                 after, _ = env.reset()
             assert_close([leaf[index] for leaf in leaves(seen)], leaves(after))
         assert ("final_obs" in infos) == bool((terminated | truncated).any())
+    assert crashes
 
 
 def test_gymnasiums_wrappers_work_on_the_vector_environment():
