@@ -73,13 +73,18 @@ def canned_data(learner, state, seed: int) -> Transition:
     def normal(*size):
         return jnp.asarray(rng.normal(size=(*shape, *size)), jnp.float32)
 
+    distribution = learner.networks.parametric_action_distribution
+
+    @jax.jit
+    def act(observation, noise):
+        apply = learner.networks.policy_network.apply
+        logits = apply(state.normalizer, state.policy, observation)
+        raw = distribution.sample_no_postprocessing(logits, jax.random.key(seed))
+        return logits, raw, distribution.log_prob(logits, raw) + 0.1 * noise
+
     # Close to what the first normalizer expects, so that ratios stay finite after it.
     observation = 0.2 + 1.1 * normal(learner.env.observation_size)
-    logits = learner.networks.policy_network.apply(
-        state.normalizer, state.policy, observation
-    )
-    distribution = learner.networks.parametric_action_distribution
-    raw = distribution.sample_no_postprocessing(logits, jax.random.key(seed))
+    logits, raw, log_prob = act(observation, normal())
     done = jnp.asarray(rng.random(shape) < 0.2, jnp.float32)
     return Transition(
         observation=observation,
@@ -89,7 +94,7 @@ def canned_data(learner, state, seed: int) -> Transition:
         next_observation=normal(learner.env.observation_size),
         extras={
             "policy_extras": {
-                "log_prob": distribution.log_prob(logits, raw) + 0.1 * normal(),
+                "log_prob": log_prob,
                 "raw_action": raw,
                 "distribution_params": logits,
             },
