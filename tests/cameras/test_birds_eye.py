@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import shapely
 from helpers.scenes import cars, lot, moved, moved_cars, moved_lot, polygons
-from helpers.states import parked_at, state_of
+from helpers.states import parked_at, parked_in, state_of
 
-from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.cameras import BirdsEye, Seen, channels, see_from_above
+from carpark_mj.layouts import layout_config, make_layout
 
 CONFIG = BirdsEye(pixels=60, span=20.0)
 POSE = (1.0, -2.0, 0.7)
@@ -83,12 +83,19 @@ def test_lines_are_as_wide_as_painted():
 
 @pytest.mark.parametrize("layout", ["lot", "angled", "dragon_lake"])
 def test_a_small_view_is_the_middle_of_a_large_one(layout):
-    env = ParkingEnv(EnvConfig(layout=layout, num_agents=2, num_parked_cars=12))
-    lots, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 8))
-    small, large = (
-        np.asarray(jax.jit(jax.vmap(lambda lot, c=c: see_from_above(c, lot)))(lots))
-        for c in (BirdsEye(24, 8.0), BirdsEye(240, 80.0))
-    )
+    family = layout_config(layout)
+
+    @jax.jit
+    @jax.vmap
+    def views(key):
+        there = make_layout(family, key)
+        askew = there.bay_pose[:2] + jnp.array([0.7, -0.4, 0.3])
+        parked = parked_in(there, np.arange(2, 14))
+        state = state_of(there, cars(askew), np.arange(2), parked_cars=parked)
+        sizes = (24, 8.0), (240, 80.0)
+        return [see_from_above(BirdsEye(*size), state) for size in sizes]
+
+    small, large = map(np.asarray, views(jax.random.split(jax.random.key(0), 8)))
     # Where a pixel's middle lies on an edge, rounding decides.
     same = small == large[..., 108:132, 108:132]
     assert same.mean() > 0.999

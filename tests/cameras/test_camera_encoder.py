@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.sliding import POSES, SlidePhysics
 
 import carpark_mj
 from carpark_mj import ParkingEnv
@@ -47,8 +48,10 @@ def env():
 def test_pictures_are_what_the_cameras_see():
     observation, _ = env().reset(seed=3)
     batch = env()._batch
-    state = jax.tree.map(lambda x: x[0], batch.state)
-    pictures = see(OBSERVATION.cameras, state, Heights.of(batch.env.fleet))
+    state = jax.tree.map(lambda x: x[0], jax.device_get(batch.state))
+    heights = Heights.of(batch.env.fleet)
+    pictures = jax.jit(see, static_argnums=(0, 2))(OBSERVATION.cameras, state, heights)
+    pictures = jax.device_get(pictures)
     depth = (observation["camera_depth"] / 255) ** 2 * OBSERVATION.cameras.reach
     # At most half a byte of the square root.
     near = np.sqrt(pictures.depth[0] * OBSERVATION.cameras.reach) / 255 + 1e-3
@@ -90,7 +93,7 @@ def torchrl():
 
     from carpark_mj.wrappers.torchrl import TorchRLParking
 
-    lots = TorchRLParking(2, seed=3, config=CONFIG)
+    lots = TorchRLParking(1, seed=3, config=CONFIG)
     check_env_specs(lots)
     lots.set_seed(3)
     tensors = lots.reset()
@@ -140,20 +143,28 @@ def test_a_goal_that_is_only_seen_is_in_no_number():
 def test_a_route_leads_to_the_goal_until_a_camera_sees_it():
     seeing = dataclasses.replace(environment("sees").observation, width=24, height=18)
     config = dataclasses.replace(environment("sees"), layout="lot", observation=seeing)
-    told = dataclasses.replace(seeing, goal="pose")
+    told = dataclasses.replace(POSES, route=True)
+    env, names = ParkingEnv(config, SlidePhysics()), ("route_next", "route_length")
+
+    @jax.jit
+    @jax.vmap
+    def look(key):
+        state, _ = env.reset(key)
+        offset = state.layout.bay_pose[state.goal] - observed(state).pose_w
+        seen, all_told = (x.values(config, state) for x in (seeing, told))
+        return (
+            offset[..., :2],
+            {name: seen[name] for name in (*names, "camera_seen")},
+            {name: all_told[name] for name in names},
+        )
+
     keys = jax.random.split(jax.random.key(0), 32)
-    state, _ = jax.jit(jax.vmap(ParkingEnv(config).reset))(keys)
-    seen, all_told = (
-        jax.device_get(jax.jit(jax.vmap(functools.partial(x.values, config)))(state))
-        for x in (seeing, told)
-    )
-    goal = jax.vmap(lambda layout, bay: layout.bay_pose[bay])(state.layout, state.goal)
+    offset, seen, all_told = jax.device_get(look(keys))
     # On the last stretch the route's next point is as far off as the goal.
-    offset = np.asarray(goal - jax.vmap(observed)(state).pose_w)[..., :2]
     reach = np.linalg.norm(all_told["route_next"], axis=-1) * FAR
     last = np.abs(reach - np.linalg.norm(offset, axis=-1)) < 1e-3
     in_view = (seen["camera_seen"] == Seen.OWN_BAY).any(axis=-1)
-    for name in ("route_next", "route_length"):
+    for name in names:
         silent = (seen[name] == 0.0).all(axis=-1)
         np.testing.assert_array_equal(silent, last & in_view)
         np.testing.assert_array_equal(seen[name][~silent], all_told[name][~silent])

@@ -187,7 +187,7 @@ def faulty(**settings):
     rig = RIGS["surround"]
     faults = draw_faults(config, rig, 1, jax.random.key(0))
     state = state_of(wall(3.0), cars([(0.0, 0.0, 0.0)]), 0)
-    return faults, jax.jit(see, static_argnums=(0, 2))(rig, state, HEIGHTS, faults)
+    return faults, see_jit(rig, state, HEIGHTS, faults)
 
 
 def test_faults_of_no_size_change_nothing():

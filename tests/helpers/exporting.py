@@ -1,6 +1,8 @@
 """Policies with random weights, to be exported as ONNX models."""
 
+import functools
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -20,17 +22,22 @@ from carpark_mj.policy.networks import (
 from carpark_mj.policy.onnx_export import random_observations
 
 
+@functools.cache
 def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPolicy:
     """A policy with random weights, whose statistics are those of random numbers."""
-    size, keys = observation_size(env), jax.random.split(jax.random.key(seed), 3)
     config = NetworkConfig((16,), (16,), encoder)
     fields = make_fields(env)
     networks = make_networks(config, fields, action_spec(env))
     inputs = network_inputs(config, fields)
-    seen = 0.3 + 0.5 * jax.random.normal(keys[1], (100, size))
-    normalizer = update_normalizer(inputs, init_normalizer(inputs), seen)
-    weights = networks.policy_network.init(keys[2])
-    policy = make_policy(networks, normalizer, weights, deterministic=True)
+
+    @jax.jit
+    def draw(key: jax.Array) -> Any:
+        keys = jax.random.split(key)
+        seen = 0.3 + 0.5 * jax.random.normal(keys[0], (100, observation_size(env)))
+        normalizer = update_normalizer(inputs, init_normalizer(inputs), seen)
+        return normalizer, networks.policy_network.init(keys[1])
+
+    policy = make_policy(networks, *draw(jax.random.key(seed)), deterministic=True)
     return LoadedPolicy(env, policy, 0, Path("none"))
 
 

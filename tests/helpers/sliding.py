@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.config import PHYSICS, EnvConfig, EpisodeConfig
+from carpark_mj.config import PHYSICS, EnvConfig, EpisodeConfig, RayConfig, RingConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import ContinuousObservation
 from carpark_mj.physics.base import FactoredPhysics
 from carpark_mj.types import Motion, State
 from carpark_mj.vehicle import Vehicle
@@ -17,6 +18,8 @@ from carpark_mj.vehicle import Vehicle
 MAX_STEPS = 10
 # Agents 0, 1 and 2 stand here by default, 5 m apart, away from bays and walls.
 APART = np.array([[-5.0, 0.0, 0.0], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+# Poses alone: rings and rays take long to compile.
+POSES = ContinuousObservation(rings=RingConfig(), rays=RayConfig())
 HALT = np.zeros((3, 2), np.float32)
 
 

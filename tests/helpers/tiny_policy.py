@@ -1,8 +1,13 @@
 """An untrained policy, small enough to save in a moment, and its card."""
 
+from types import SimpleNamespace
+
+import jax
+
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.learner import Learner
 
 TINY = PPOConfig(
     name="secret",
@@ -13,6 +18,19 @@ TINY = PPOConfig(
     networks=NetworkConfig((16,), (16,)),
     env=EnvConfig(physics="bicycle", num_parked_cars=4),
 )
+
+
+def parked_learner(config: PPOConfig) -> Learner:
+    """A learner for initial states only; its lots are a random number each."""
+    learner = Learner(config)
+
+    def reset(keys, *_):
+        return jax.vmap(jax.random.uniform)(keys)
+
+    learner.env = SimpleNamespace(reset=reset)
+    return learner
+
+
 CARD = """## tiny
 
 | | |

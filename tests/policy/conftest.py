@@ -3,10 +3,9 @@
 import shutil
 
 import pytest
-from helpers.tiny_policy import CARD, TINY
+from helpers.tiny_policy import CARD, TINY, parked_learner
 
 from carpark_mj.policy import loading, runs
-from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.train import save
 
 
@@ -14,8 +13,7 @@ from carpark_mj.training.ppo.train import save
 def run(tmp_path_factory):
     """A run folder with a checkpoint of an untrained policy."""
     folder = tmp_path_factory.mktemp("tiny_run")
-    learner = Learner(TINY)
-    save(folder, TINY, learner.init())
+    save(folder, TINY, parked_learner(TINY).init())
     return folder
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from helpers.tiny_policy import TINY
+from helpers.sliding import SlidePhysics
+from helpers.tiny_policy import TINY, parked_learner
 
 import carpark_mj
 from carpark_mj.cli import evaluate
@@ -18,28 +19,30 @@ from carpark_mj.observations import observation_size
 from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
+from carpark_mj.policy.onnx_export import policy_actions
 from carpark_mj.policy.runs import find_policy, pretrained_names
-from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.train import save
 
 MAX_SIZE = 1e6  # bytes
 
 
 def act(loaded, count=50):
-    size = observation_size(loaded.env)
-    seen = jax.random.normal(jax.random.key(3), (count, size))
-    return np.asarray(loaded.policy(seen, jax.random.key(0))[0])
+    size = (count, observation_size(loaded.env))
+    seen = np.random.default_rng(3).normal(size=size).astype(np.float32)
+    return policy_actions(loaded, seen)
 
 
 def drive(env: ParkingEnv, policy) -> np.ndarray:
     """What agents observe after a step of a policy from a reset."""
+    env = ParkingEnv(env.config, SlidePhysics())
 
+    @jax.jit
     def step(key):
         state, observation = env.reset(key)
         action, _ = policy(observation, key)
         return env.step(state, action)[1].observation
 
-    return np.asarray(jax.jit(step)(jax.random.key(0)))
+    return np.asarray(step(jax.random.key(0)))
 
 
 def test_a_policy_alone_acts_like_its_run(run, shipped):
@@ -168,7 +171,7 @@ def test_a_set_encoder_drives_with_any_number_of_cars(shipped, agents, parked):
 def test_a_flat_network_drives_with_as_many_cars_only(tmp_path):
     flat = dataclasses.replace(TINY.networks, encoder="flat")
     config = dataclasses.replace(TINY, networks=flat)
-    save(tmp_path / "flat", config, Learner(config).init())
+    save(tmp_path / "flat", config, parked_learner(config).init())
     driver = find_driver(str(tmp_path / "flat"))
     env = ParkingEnv(adapt(driver.env, layout="square_compact"))
     assert np.isfinite(drive(env, driver.policy(env))).all()

@@ -14,10 +14,11 @@ from brax.training import pmap as brax_pmap
 from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.types import Transition
+from helpers.sliding import POSES
 from jax.flatten_util import ravel_pytree
 from jax.sharding import PartitionSpec
 
-from carpark_mj.config import EnvConfig, SimConfig
+from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import OWN
 from carpark_mj.observations.fields import Field
@@ -41,7 +42,7 @@ TINY = dataclasses.replace(
     entropy_cost_end=0.0,
     learning_rate_end=PRESETS["cpu"].learning_rate,
     networks=NetworkConfig((16, 16), (16,), encoder="flat"),
-    env=EnvConfig(num_agents=2, sim=SimConfig(sim_dt=0.02)),
+    env=EnvConfig(physics="bicycle", observation=POSES, num_agents=2),
 )
 AGENTS = TINY.num_lots * TINY.env.num_agents
 
@@ -72,13 +73,18 @@ def canned_data(learner, state, seed: int) -> Transition:
     def normal(*size):
         return jnp.asarray(rng.normal(size=(*shape, *size)), jnp.float32)
 
+    distribution = learner.networks.parametric_action_distribution
+
+    @jax.jit
+    def act(observation, noise):
+        apply = learner.networks.policy_network.apply
+        logits = apply(state.normalizer, state.policy, observation)
+        raw = distribution.sample_no_postprocessing(logits, jax.random.key(seed))
+        return logits, raw, distribution.log_prob(logits, raw) + 0.1 * noise
+
     # Close to what the first normalizer expects, so that ratios stay finite after it.
     observation = 0.2 + 1.1 * normal(learner.env.observation_size)
-    logits = learner.networks.policy_network.apply(
-        state.normalizer, state.policy, observation
-    )
-    distribution = learner.networks.parametric_action_distribution
-    raw = distribution.sample_no_postprocessing(logits, jax.random.key(seed))
+    logits, raw, log_prob = act(observation, normal())
     done = jnp.asarray(rng.random(shape) < 0.2, jnp.float32)
     return Transition(
         observation=observation,
@@ -88,7 +94,7 @@ def canned_data(learner, state, seed: int) -> Transition:
         next_observation=normal(learner.env.observation_size),
         extras={
             "policy_extras": {
-                "log_prob": distribution.log_prob(logits, raw) + 0.1 * normal(),
+                "log_prob": log_prob,
                 "raw_action": raw,
                 "distribution_params": logits,
             },
@@ -197,16 +203,25 @@ def brax_update(learner, state, data, monkeypatch):
     return params
 
 
-@pytest.mark.filterwarnings("ignore")  # Brax's trainer uses deprecated JAX names
-def test_an_update_equals_brax_s_own_on_the_same_data(learner, state, monkeypatch):
-    data = canned_data(learner, state, seed=0)
+@pytest.fixture(scope="module")
+def learned(learner):
+    """What `learn` makes of a state and a rollout, compiled."""
 
+    @on_one_device
     def update(state, rollout):
         key = jax.random.key(5)
         networks, inputs = learner.networks, learner.inputs
         return learn(TINY, networks, inputs, learner.optimizer, state, rollout, key)[0]
 
-    ours = on_one_device(update)(jax.device_get(state), as_rollout(data))
+    return update
+
+
+@pytest.mark.filterwarnings("ignore")  # Brax's trainer uses deprecated JAX names
+def test_an_update_equals_brax_s_own_on_the_same_data(
+    learner, learned, state, monkeypatch
+):
+    data = canned_data(learner, state, seed=0)
+    ours = learned(jax.device_get(state), as_rollout(data))
     theirs = brax_update(learner, state, data, monkeypatch)
     for a, b in zip(*map(jax.tree.leaves, (ours[0][OWN], theirs[0])), strict=True):
         # Sums of numbers of about 1, in another order.
@@ -274,7 +289,7 @@ def test_the_loss_of_a_minibatch_equals_brax_s(learner, state):
     assert min(np.abs(x).max() for x in jax.tree.leaves(mine[0])) > 1e-4
 
 
-def test_what_was_done_in_a_truncated_step_changes_nothing(learner, state):
+def test_what_was_done_in_a_truncated_step_changes_nothing(learner, learned, state):
     rollout = as_rollout(canned_data(learner, state, seed=3))
     cut = jnp.asarray(np.random.default_rng(4).random(rollout.reward.shape) < 0.2)
     rollout = dataclasses.replace(
@@ -286,16 +301,9 @@ def test_what_was_done_in_a_truncated_step_changes_nothing(learner, state):
         log_prob=jnp.where(cut, -3.0, rollout.log_prob),
         reward=jnp.where(cut, 7.0, rollout.reward),
     )
-
-    @on_one_device
-    def update(state, rollout):
-        key = jax.random.key(5)
-        networks, inputs = learner.networks, learner.inputs
-        return learn(TINY, networks, inputs, learner.optimizer, state, rollout, key)[0]
-
     start = jax.device_get(state)
     ours, same, more = (
-        update(start, x)
+        learned(start, x)
         for x in (
             rollout,
             other,
@@ -398,7 +406,7 @@ ENCODED = PPOConfig(
     unroll_length=4,
     num_minibatches=1,
     networks=NetworkConfig((16,), (16,), own_size=8, entity_size=16),
-    env=EnvConfig(num_agents=2),
+    env=EnvConfig(physics="bicycle", observation=POSES, num_agents=2),
 )
 
 

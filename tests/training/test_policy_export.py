@@ -9,6 +9,7 @@ import onnxruntime
 import pytest
 from helpers.disks import no_printing
 from helpers.programs import exit_code
+from helpers.tiny_policy import parked_learner
 from rich.console import Console
 
 from carpark_mj.cli import export as command
@@ -18,14 +19,13 @@ from carpark_mj.policy import loading, runs
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.onnx_export import split_observation
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.train import save
 
 TINY = PPOConfig(
     num_lots=2,
     num_minibatches=2,
     networks=NetworkConfig((16,), (16,)),
-    env=EnvConfig(physics="bicycle", num_parked_cars=4),
+    env=EnvConfig(physics="bicycle", num_agents=3, min_agents=1, num_parked_cars=4),
 )
 
 
@@ -33,14 +33,36 @@ TINY = PPOConfig(
 def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("export") / "tiny"
     folder.mkdir()
-    save(folder, TINY, Learner(TINY).init())
+    save(folder, TINY, parked_learner(TINY).init())
     return folder
 
 
+@pytest.fixture(scope="module")
+def known():
+    """Roll-outs of the policy and sensitivities of its actions, by their settings."""
+    return {}
+
+
 @pytest.fixture
-def quick(monkeypatch):
-    """Fewer observations are compared."""
+def quick(monkeypatch, known):
+    """Fewer observations are compared, and each roll-out is driven once."""
     monkeypatch.setattr(command, "CHECKED", 200)
+    drive, disturb = command.rollout, command.sensitivity
+
+    def rollout(loaded, count, seed, rows=None):
+        key = "rollout", loaded.env, count, seed, rows
+        if key not in known:
+            known[key] = drive(loaded, count, seed, rows)
+        return known[key]
+
+    def sensitivity(loaded, rows, seen, seed):
+        key = "sensitivity", loaded.env, rows, len(seen["observation"]), seed
+        if key not in known:
+            known[key] = disturb(loaded, rows, seen, seed)
+        return known[key]
+
+    monkeypatch.setattr(command, "rollout", rollout)
+    monkeypatch.setattr(command, "sensitivity", sensitivity)
 
 
 def told(capsys) -> str:
@@ -61,7 +83,7 @@ def test_a_run_becomes_a_model_that_is_checked(trained, capsys, monkeypatch, qui
     path = trained / "policy.onnx"
     assert f"wrote {path}" in out
     loaded = loading.load_policy(trained)
-    seen = command.rollout(loaded, 50, seed=3)["observation"]
+    seen = command.rollout(loaded, command.CHECKED, 0)["observation"]
     session = onnxruntime.InferenceSession(path)
     [action] = session.run(None, split_observation(loaded.env, seen))
     expected, _ = loaded.policy(seen, jax.random.key(0))
@@ -113,12 +135,14 @@ def test_a_model_with_the_observation_inside_is_checked_too(
     assert exit_code("export", flags) == 0
     assert "200 observations of a roll-out: " in capsys.readouterr().out
     assert out.exists()
-    make = command.make_car_model
+    make, made = command.make_car_model, []
 
     def wrong(loaded, rows):
         policy = loaded.policy
         other = lambda seen, key: (policy(seen, key)[0] + 2e-3, {})  # noqa: E731
-        return make(dataclasses.replace(loaded, policy=other), rows)
+        if not made:
+            made.append(make(dataclasses.replace(loaded, policy=other), rows))
+        return made[0]
 
     monkeypatch.setattr(command, "make_car_model", wrong)
     out.unlink()
@@ -132,15 +156,13 @@ def test_a_model_with_the_observation_inside_is_checked_too(
         assert exit_code("export", flags) == code
 
 
-def test_observations_of_a_rollout_are_those_of_agents_that_drive(trained):
-    loaded = loading.load_policy(trained)
-    env = dataclasses.replace(loaded.env, num_agents=3, min_agents=1)
-    loaded = loading.load_policy(trained, env=env)
-    seen = command.rollout(loaded, 999, seed=0)["observation"]
-    assert seen.shape == (999, observation_size(env))
+def test_observations_of_a_rollout_are_those_of_agents_that_drive(trained, quick):
+    loaded, count = loading.load_policy(trained), command.CHECKED
+    seen = command.rollout(loaded, count, 0)["observation"]
+    assert seen.shape == (count, observation_size(TINY.env))
     assert np.isfinite(seen).all()
     assert seen.any(axis=-1).all()  # agents that are absent do not count
-    assert len(np.unique(seen, axis=0)) == 999
+    assert len(np.unique(seen, axis=0)) == count
     assert np.ptp(seen[:, 0]) > 0.01  # speeds: they start at rest
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.sliding import SlidePhysics
+from helpers.sliding import POSES, SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
@@ -30,6 +30,8 @@ CONFIG = PPOConfig(
     networks=NetworkConfig((8,), (8,)),
     env=EnvConfig(
         layout=STREET,
+        physics="bicycle",
+        observation=POSES,
         num_agents=AGENTS,
         num_parked_cars=1,
         episode=EpisodeConfig(max_steps=50),
@@ -37,49 +39,57 @@ CONFIG = PPOConfig(
 )
 
 
+class Watched(Learner):
+    """A learner whose updates also return an unroll and the lots around it."""
+
+    def _collect(self, state, key):
+        env_state, rollout, totals = super()._collect(state, key)
+        self.seen = {"unroll": (rollout, totals), "before": env_state}
+        return env_state, rollout, totals
+
+    def _renew(self, env_state, update, rates, key):
+        renewed = super()._renew(env_state, update, rates, key)
+        fresh = self.env.reset(*self.families.draw(rates, key, 2))
+        self.seen |= {"after": renewed, "fresh": fresh}
+        return renewed
+
+    def update(self, state):
+        new, metrics = super().update(state)
+        return new, metrics | self.seen
+
+
 @pytest.fixture(scope="module")
 def history(tmp_path_factory):
-    """A learner, its compiled update, and its states before and after four of them.
+    """A compiled update, and the states before and after four of them.
 
-    Also what loads the state before the first update, or after it, from a checkpoint.
+    Also what loads the state before the first update, or after it, from a checkpoint,
+    and what the second update returned beside its state.
     """
-    learner = Learner(CONFIG)
+    learner = Watched(CONFIG)
     learner.env = BraxParking(ParkingEnv(CONFIG.env, SlidePhysics()))
     update = learner.compile()
     state = learner.init()
-    folder, seen = tmp_path_factory.mktemp("run"), [host(state)]
+    folder, seen, found = tmp_path_factory.mktemp("run"), [host(state)], []
     for number in range(4):
         if number < 2:
             checkpoints.save(folder / f"{number}.npz", vars(state), {})
-        state, _ = update(state)
+        state, metrics = update(state)
         seen.append(host(state))
+        found.append(metrics)
     assert update._cache_size() == 1  # neither weak types nor layout recompiled it
 
     def load(number):
-        template = vars(jax.eval_shape(learner.build))
+        template = vars(learner.shapes())
         tree = checkpoints.load(folder / f"{number}.npz", template)
         return learner.place(TrainingState(**tree))
 
-    return learner, update, load, seen
+    return update, load, seen, host(found[1])
 
 
 @pytest.fixture(scope="module")
 def renewal(history):
     """An unroll, the lots after it, after renewal, and the two fresh ones in them."""
-    learner, _, load, _ = history
-
-    def run(state, key):
-        env_state, rollout, totals = learner._collect(state, key)
-        renewed = learner._renew(env_state, jnp.int32(1), state.family_rates, key)
-        return (
-            (rollout, totals),
-            env_state,
-            renewed,
-            learner.env.reset(jax.random.split(key)),
-        )
-
-    found = jax.jit(run)(load(0), jax.random.key(1))
-    return tuple(map(host, found))
+    return [history[-1][name] for name in ("unroll", "before", "after", "fresh")]
 
 
 def host(state):
@@ -111,7 +121,7 @@ def test_lots_take_turns_and_none_lasts_longer_than_its_life(num_lots, life):
 
 
 def test_an_update_draws_the_lots_that_are_due_and_keeps_the_others(history):
-    _, _, _, seen = history
+    _, _, seen, _ = history
     for number, (before, after) in enumerate(itertools.pairwise(seen)):
         due = due_lots(number, LOTS, CONFIG.lot_life).tolist()
         changed = np.any(layouts(before).extent != layouts(after).extent, axis=-1)
@@ -150,7 +160,7 @@ def test_the_episodes_cut_off_are_bootstrapped_in_the_lot_they_were_in(renewal):
 
 
 def test_a_resumed_training_draws_the_same_lots(history):
-    _, update, load, seen = history
+    update, load, seen, _ = history
     again, _ = update(load(1))
     for mine, other in zip(*map(jax.tree.leaves, (host(again), seen[2])), strict=True):
         np.testing.assert_array_equal(mine, other)

@@ -2,6 +2,7 @@
 
 import jax
 import pytest
+from helpers.sliding import POSES
 
 from carpark_mj.cli import evaluate as evaluate_command
 from carpark_mj.config import EnvConfig
@@ -16,7 +17,9 @@ TINY = PPOConfig(
     unroll_length=4,
     num_minibatches=2,
     networks=NetworkConfig((8,), (8,)),
-    env=EnvConfig(physics="bicycle", num_agents=2, num_parked_cars=2),
+    env=EnvConfig(
+        physics="bicycle", observation=POSES, num_agents=2, num_parked_cars=2
+    ),
 )
 
 

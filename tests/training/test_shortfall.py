@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.sliding import SlidePhysics
+from helpers.sliding import POSES, SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
@@ -42,6 +42,8 @@ CONFIG = PPOConfig(
     curriculum=CurriculumConfig(target_rate=0.9),
     env=EnvConfig(
         layout=STREETS,
+        physics="bicycle",
+        observation=POSES,
         num_agents=2,
         num_parked_cars=1,
         episode=EpisodeConfig(max_steps=2),  # every episode ends within an unroll
@@ -183,14 +185,16 @@ def test_the_member_kept_for_every_agent_is_that_of_its_lot():
 def test_the_family_that_falls_short_gets_more_lots():
     """The other one has reached the target: of its lots only half of its share."""
     families = make_families(0.9, STREETS, range(2, 3))
-    env = BraxParking(ParkingEnv(CONFIG.env, SlidePhysics()))
+    env = ParkingEnv(CONFIG.env, SlidePhysics())
+
+    @jax.jit
+    def draw(rates):
+        keys, member, _ = families.draw(rates, jax.random.key(3), 400)
+        lots = jax.vmap(lambda key, member: env.draw_layout(key, "train", member))
+        return lots(keys, member).bay_mask
 
     def share(rates):
-        keys, member, _ = families.draw(jnp.array(rates), jax.random.key(3), 400)
-        lots = jax.jit(jax.vmap(env.env.draw_layout, (0, None, 0)), static_argnums=1)
-        return (
-            np.asarray(lots(keys, "train", member).bay_mask).sum(axis=1) == 10
-        ).mean()
+        return (np.asarray(draw(jnp.array(rates))).sum(axis=1) == 10).mean()
 
     # Deviation 2.2 %: four and a half of them.
     assert share([0.95, 0.1]) == pytest.approx(0.75, abs=0.1)

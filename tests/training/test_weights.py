@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.envs.base import State as BraxState
-from helpers.sliding import SlidePhysics
+from helpers.sliding import POSES, SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
@@ -33,7 +33,7 @@ TINY = dataclasses.replace(
     num_minibatches=2,
     num_epochs=1,
     networks=NetworkConfig((16,), (16,)),
-    env=EnvConfig(num_agents=4, min_agents=1),
+    env=EnvConfig(physics="bicycle", observation=POSES, num_agents=4, min_agents=1),
 )
 AGENTS = 6
 
@@ -52,20 +52,29 @@ def made_up(learner, normalizer, policy) -> Minibatch:
     def normal(*size):
         return jnp.asarray(rng.normal(size=(*rows, *size)), jnp.float32)
 
-    networks, observation = learner.networks, normal(learner.env.observation_size)
-    logits = networks.policy_network.apply(normalizer, policy, observation)
-    distribution = networks.parametric_action_distribution
-    raw = distribution.sample_no_postprocessing(logits, jax.random.key(0))
-    log_prob = distribution.log_prob(logits, raw) + 0.1 * normal()
+    distribution = learner.networks.parametric_action_distribution
+
+    @jax.jit
+    def act(observation, noise):
+        apply = learner.networks.policy_network.apply
+        logits = apply(normalizer, policy, observation)
+        raw = distribution.sample_no_postprocessing(logits, jax.random.key(0))
+        return raw, distribution.log_prob(logits, raw) + 0.1 * noise
+
+    observation = normal(learner.env.observation_size)
+    raw, log_prob = act(observation, normal())
     return Minibatch(observation, raw, log_prob, normal(), normal(), jnp.ones(rows))
 
 
 def test_nothing_is_learned_from_steps_without_weight(learner):
-    normalizer, networks = init_normalizer(learner.inputs), learner.networks
-    policy, value = (
-        jax.jit(network.init)(jax.random.key(0))
-        for network in (networks.policy_network, networks.value_network)
-    )
+    networks = learner.networks
+
+    @jax.jit
+    def init(key):
+        each = networks.policy_network, networks.value_network
+        return init_normalizer(learner.inputs), *(network.init(key) for network in each)
+
+    normalizer, policy, value = init(jax.random.key(0))
     params, batch = network_params(policy, value), made_up(learner, normalizer, policy)
     weights = Weights(entropy_cost=jnp.float32(0.0), clip=jnp.float32(0.2))
     present = np.array([True, False, True, True, False, True])
