@@ -89,9 +89,8 @@ def test_a_run_leaves_everything_it_promises(finished):
     described = json.loads((folder / "config.json").read_text())
     assert described["config"]["num_lots"] == 4
     assert described["versions"]["mujoco"]
-    # Every setting is printed, nested ones with their path.
-    for line in ("num_lots = 4", "env.sim.sim_dt = 0.02", "env.reward.park = 4.0"):
-        assert line in done.stdout
+    assert described["config"]["env"]["sim"]["sim_dt"] == 0.02
+    assert str(folder) in done.stdout
 
 
 def test_there_is_one_row_per_update_and_rates_are_rates(finished):
