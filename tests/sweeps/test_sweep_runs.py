@@ -19,16 +19,11 @@ from submitit.core.submission import process_job
 from submitit.helpers import DelayedSubmission
 from submitit.slurm.test_slurm import mocked_slurm
 
-from carpark_mj import sweeps
-from carpark_mj.sweeps import (
+from carpark_mj.sweeps import Work, jobs, locked, open_sweep, read_outcome, run_sweep
+from carpark_mj.sweeps.jobs import (
     SlurmConfig,
     Where,
-    Work,
-    locked,
     make_executor,
-    open_sweep,
-    read_outcome,
-    run_sweep,
     submit_array,
     visible_gpus,
 )
@@ -126,7 +121,8 @@ SWEEP = """
 import sys
 from pathlib import Path
 from helpers.sweeping import plan_runs, train_slowly
-from carpark_mj.sweeps import Where, run_sweep
+from carpark_mj.sweeps import run_sweep
+from carpark_mj.sweeps.jobs import Where
 plan, runs = plan_runs("num_agents=1..3")
 where = Where(cluster="debug", side_by_side=1)
 run_sweep(Path(sys.argv[1]), plan, runs, where, train_slowly)
@@ -214,7 +210,7 @@ def test_a_submission_to_slurm_asks_for_what_it_was_told_and_runs(tmp_path):
 def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypatch):
     with mocked_slurm():
         ids = [job.job_id for _, job in slurm_jobs(tmp_path)]
-        monkeypatch.setattr(sweeps, "queued_jobs", lambda: {ids[0], "999"})
+        monkeypatch.setattr(jobs, "queued_jobs", lambda: {ids[0], "999"})
         again = slurm_jobs(tmp_path, repeats=3)
     assert again[0][1].job_id == ids[0]
     assert [len(work.runs) for work, _ in again] == [1, 1, 1]
@@ -257,8 +253,8 @@ def test_a_job_sees_the_gpus_it_was_given(tmp_path, monkeypatch):
 def test_a_job_that_leaves_the_queue_without_a_result_has_failed(tmp_path, monkeypatch):
     plan, runs = plan_runs("num_agents=1,2")
     answers = iter([{"12_0", "12_1"}, {"12_0", "12_1"}, {"12_1"}, set()])
-    monkeypatch.setattr(sweeps, "queued_jobs", lambda: next(answers))
-    monkeypatch.setitem(sweeps.POLL_SECONDS, "slurm", 0.0)
+    monkeypatch.setattr(jobs, "queued_jobs", lambda: next(answers))
+    monkeypatch.setitem(jobs.POLL_SECONDS, "slurm", 0.0)
     with mocked_slurm():
         counts = run_sweep(
             tmp_path, plan, runs, Where(cluster="slurm", side_by_side=1), train
