@@ -32,11 +32,15 @@ def _temporary(path: Path, folder: Path | None = None) -> Generator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def is_temporary(path: Path) -> bool:
+    """Whether it has the name of a temporary file of `write_atomically`."""
+    return bool(re.fullmatch(rf"\..+\.[0-9a-f]{{{_RANDOM}}}(\.\w+)?", path.name))
+
+
 def remove_temporary(folder: Path) -> None:
     """Removes the temporary files that killed processes have left in a folder."""
-    for path in folder.glob(".*"):
-        if re.fullmatch(rf"\..+\.[0-9a-f]{{{_RANDOM}}}(\.\w+)?", path.name):
-            path.unlink(missing_ok=True)
+    for path in filter(is_temporary, folder.glob(".*")):
+        path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -303,13 +303,13 @@ def _groups(mover: Mover, state: Any) -> tuple[Group, ...]:
 def _require_same(mover: Mover, what: str, before: Any, after: Any) -> None:
     """Refuses arrays of other shapes or types, which the carry of a loop excludes."""
     old, new = (
-        (jax.tree.structure(tree), [f"{x.dtype}{list(x.shape)}" for x in leaves])
-        for tree, leaves in ((tree, jax.tree.leaves(tree)) for tree in (before, after))
+        jax.tree.map(lambda x: f"{x.dtype}{list(x.shape)}", tree)
+        for tree in (before, after)
     )
-    if old != new:
+    if jax.tree.structure(old) != jax.tree.structure(new) or old != new:
         raise ValueError(
-            f"the {what} of the mover {mover.mover!r} must keep shapes and types "
-            f"{old[1]}, not become {new[1]}"
+            f"the {what} of the mover {mover.mover!r} must keep structure, shapes and "
+            f"types {old}, not become {new}"
         )
 
 

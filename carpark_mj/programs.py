@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, get_type_hints
 
+from carpark_mj.cli.clock import CLOCK
 from carpark_mj.cli.process import (
     configure_jax,
     dispatch_synchronously,
@@ -149,7 +150,9 @@ def call(name: str, arguments: Sequence[str]) -> object:
         description = command_help(description)
     words = getattr(sys.modules[function.__module__], "complete", list)(words)
     prog = f"carpark_mj {name}"
-    return function(read_flags(settings, words, description=description, prog=prog))
+    config = read_flags(settings, words, description=description, prog=prog)
+    CLOCK.set("working")
+    return function(config)
 
 
 def table(summaries: Mapping[str, str]) -> str:
@@ -217,17 +220,18 @@ def _train(arguments: Sequence[str]) -> int:
             PRESETS[hardware], PRESETS, arguments, TRAIN_HELP, RUN_SETTINGS, summaries()
         )
 
+    is_first = jax.process_index() == 0  # others have no files of the runs
     ended = train_runs(read_runs(arguments, read))
     stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
     if stopped:
         print(f"stopped; continue with: carpark_mj train --resume {' '.join(stopped)}")
     for folder, outcome in ended:
         if outcome == "done":
-            made = len(read_metrics(folder))
-            few = (
-                f"only {made} updates, too few to learn: more --minutes or --num-steps"
+            made = len(read_metrics(folder)) if is_first else FEW_UPDATES
+            few = "updates, too few to learn: more --minutes or --num-steps"
+            print(
+                f"{'done' if made >= FEW_UPDATES else f'only {made} {few}'}: {folder}"
             )
-            print(f"{'done' if made >= FEW_UPDATES else few}: {folder}")
         if outcome == "diverged":
             print(
                 f"ppo: {MAX_SKIPPED} updates in a row were non-finite; the "

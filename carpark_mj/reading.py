@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-MOST_BYTES = 2**30  # of an array that is inflated
+MOST_BYTES = 2**30  # of an array that is inflated; or 100 times the file's
 TEXT = "text"  # the dtype of strings of any length
 
 
@@ -53,9 +53,10 @@ def parse_object(text: str, what: str, **kinds: type) -> dict[str, Any]:
     except RecursionError:
         raise ValueError(f"{what} is nested too deeply") from None
     except ValueError as error:
-        raise ValueError(f"{what} is damaged: {error}") from None
+        raise ValueError(f"{what} is not JSON: {error}") from None
     if not isinstance(found, dict):
-        raise ValueError(f"{what} is not a JSON object")
+        kind = type(found).__name__
+        raise ValueError(f"{what} is not a JSON object, but of type {kind}")
     require_entries(found, what, **kinds)
     return found
 
@@ -170,11 +171,15 @@ class Archive:
             self._arrays: Any = np.load(io.BytesIO(data), allow_pickle=False)
             self.names: list[str] = self._arrays.files
             members = self._arrays.zip.infolist()
-            if any(member.file_size > MOST_BYTES for member in members):
-                raise ValueError("too large")
-            wrong = self._arrays.zip.testzip()
+            size = max((member.file_size for member in members), default=0)
+            most = max(MOST_BYTES, 100 * len(data))
+            wrong = self._arrays.zip.testzip() if size <= most else None
         except Exception:  # many kinds of errors, about the format of the file
             raise ValueError(f"{path} is truncated, or another kind of file") from None
+        if size > most:
+            raise ValueError(
+                f"{path} inflates to an array of {size} bytes: at most {most} are read"
+            )
         if wrong is not None:
             raise ValueError(f"{path} is damaged at {wrong.removesuffix('.npy')}")
 

@@ -1,5 +1,6 @@
 """A running clock on the terminal, so that nobody waits for a command in silence."""
 
+import contextlib
 import os
 import threading
 import time
@@ -8,7 +9,8 @@ SILENCE = 0.5  # s without output before the clock shows
 PERIOD = 0.25  # s between its moves
 # What commands do.
 LOADING = "loading JAX and MuJoCo, usually 2 to 10 s"
-COMPILING = "compiling, usually 10 to 60 s, fewer once it is kept"
+COMPILING = "compiling, usually 10 to 60 s, fewer once it is kept, then driving"
+TRAINING = "compiling, usually 1 to 3 min, less once it is kept"
 CLEAR = b"\r\x1b[K"
 
 
@@ -16,12 +18,16 @@ class Clock:
     """Says on a terminal's stderr what a command does, and for how long.
 
     The line is drawn in a thread while nothing else is printed, and gives way to what
-    is printed. There is none where stderr is no terminal.
+    is printed. There is none where stderr is no terminal, or that of another job.
+
+    Attributes:
+        runs: whether the thread runs.
     """
 
     def __init__(self) -> None:
         """Shows nothing yet."""
-        self._lock = threading.Lock()
+        self.runs = False
+        self._lock = threading.RLock()  # signal handlers print too
         self._what = ""
         self._drawn = False
         self._since = time.monotonic()
@@ -29,7 +35,8 @@ class Clock:
     def start(self, what: str) -> None:
         """Starts to run beside a command that begins with `what`."""
         self.set(what)
-        if os.isatty(2) and os.environ.get("TERM") != "dumb":
+        self.runs = os.isatty(2) and os.environ.get("TERM") != "dumb"
+        if self.runs:
             threading.Thread(target=self._run, daemon=True).start()
 
     def set(self, what: str) -> None:
@@ -54,16 +61,26 @@ class Clock:
             time.sleep(PERIOD)
             with self._lock:
                 seconds = time.monotonic() - self._since
-                if self._what and seconds > SILENCE:
+                if self._what and seconds > SILENCE and _in_front():
                     line = f"{self._what} ... {seconds:.0f} s"
-                    width = os.get_terminal_size(2).columns or 80
-                    os.write(2, f"\r{line[: width - 1]}".encode())
-                    self._drawn = True
+                    with contextlib.suppress(OSError):  # the terminal may be gone
+                        width = os.get_terminal_size(2).columns or 80
+                        os.write(2, f"\r{line[: width - 1]}".encode())
+                        self._drawn = True
 
     def _clear(self) -> None:
         if self._drawn:
-            os.write(2, CLEAR)
             self._drawn = False
+            with contextlib.suppress(OSError):
+                os.write(2, CLEAR)
+
+
+def _in_front() -> bool:
+    """Whether the terminal is not another job's: this one may run in the background."""
+    try:
+        return os.tcgetpgrp(2) == os.getpgrp()
+    except OSError:  # nobody's: it controls no jobs
+        return True
 
 
 CLOCK = Clock()
@@ -72,7 +89,7 @@ CLOCK = Clock()
 def doing(what: str) -> None:
     """Says what the command does from now on: a clock on a terminal, else a line."""
     CLOCK.set(what)
-    if not (os.isatty(1) and os.isatty(2)):
+    if not (CLOCK.runs and os.isatty(1)):
         print(f"{what} ...", flush=True)
         CLOCK.set(what)
 

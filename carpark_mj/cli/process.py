@@ -54,9 +54,9 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
     """
     interrupts, stdout = Interrupts(program), _keep_printing("stdout", 1)
     _keep_printing("stderr", 2)
-    # XLA warns of compilations above two minutes, which the clock shows.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     CLOCK.start(LOADING)
+    if CLOCK.runs:  # XLA warns of compilations above two minutes, which it shows
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
     def command() -> object:
         check_gl()

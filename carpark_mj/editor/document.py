@@ -7,8 +7,6 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
 from carpark_mj.files import write_atomically
 from carpark_mj.layouts.checks import ANY_CAR, list_faults
 from carpark_mj.layouts.files import (
@@ -19,7 +17,6 @@ from carpark_mj.layouts.files import (
     read_unchecked,
 )
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.types import Layout
 from carpark_mj.reading import read_bytes, read_object
 
 KINDS = {
@@ -29,15 +26,6 @@ KINDS = {
     ".webp": "image/webp",
 }
 EXTENT = (20.0, 15.0)  # m, half widths of a new lot
-LEAST_ROWS = 64  # of each kind in a checked layout; more are powers of two
-# Rows that are added and masked.
-_FILLERS: dict[str, dict[str, Any]] = {
-    "bays": {"pose": [0, 0, 0], "size": [1, 1], "end": "nose_first"},
-    "walls": {"pose": [0, 0, 0], "size": [1, 1]},
-    "discs": {"centre": [0, 0], "radius": 1},
-    "lanes": {"pose": [0, 0, 0], "size": [1, 1]},
-    "spawns": {"pose": [0, 0, 0], "size": [1, 1]},
-}
 
 
 class Picture(NamedTuple):
@@ -130,7 +118,7 @@ def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
         design car only; and `unreadable` if the lot cannot be read again.
     """
     try:
-        layout = _padded(document)
+        layout = parse_layout(document)
     except (ValueError, RecursionError) as error:
         rows = re.findall(r"\b(\w+)\[(\d+)\]", str(error))[:1]
         places = [[f"{kind}/{row}"] for kind, row in rows]
@@ -150,24 +138,6 @@ def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
             if rows:
                 found.append({"text": message, "places": rows, "grave": grave})
     return found
-
-
-def _padded(document: dict[str, Any]) -> Layout:
-    """The layout of a document with masked rows, so that few shapes are compiled."""
-    numbers: dict[str, int] = {}
-    padded = dict(document)
-    for name, filler in _FILLERS.items():
-        rows = document.get(name)
-        if isinstance(rows, list):  # else the parser refuses it
-            numbers[name] = len(rows)
-            most = max(LEAST_ROWS, 1 << (len(rows) - 1).bit_length())
-            padded[name] = [*rows, *[filler] * (most - len(rows))]
-    layout = parse_layout(padded)
-    masks = {
-        f"{name[:-1]}_mask": jnp.arange(len(padded[name])) < number
-        for name, number in numbers.items()
-    }
-    return layout.replace(**masks)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _read(path: Path) -> dict[str, Any]:

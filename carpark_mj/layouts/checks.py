@@ -148,13 +148,13 @@ _find_faults = jax.jit(find_faults)
 
 
 def _padded(layout: Layout) -> Layout:
-    """The layout with 8, 16, 32... rows of a kind: few shapes, so few programs."""
+    """The layout with 64, 128, 256... rows of a kind: few shapes, so few programs."""
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(layout):
         array = getattr(layout, field.name)
         if field.name.split("_")[0] in ROWS and array is not None:
             count = len(array)
-            extra = max(8, 1 << (count - 1).bit_length()) - count
+            extra = max(64, 1 << (count - 1).bit_length()) - count
             ends = [(0, extra)] + [(0, 0)] * (array.ndim - 1)
             changes[field.name] = np.pad(array, ends)
     return dataclasses.replace(layout, **changes)

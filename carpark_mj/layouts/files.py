@@ -78,8 +78,6 @@ def read_unchecked(path: Path) -> Layout:
         return parse_layout(parse_object(read_text(path), "the layout"))
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    except RecursionError:
-        raise ValueError(f"{path}: brackets are nested too deeply") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

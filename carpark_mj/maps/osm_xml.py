@@ -252,10 +252,11 @@ def _add_lanelet2(plan: Plan, osm: OsmXml) -> None:
 
 
 def _add(plan: Plan, name: str, tags: Tags, shape: Any) -> None:
+    word = tags.get("subtype") or tags.get("type", "")
     if tag := _tag(tags):
-        add_tagged(plan, name, shape, {"tag": tag, "level": tags.get("level")})
+        add_tagged(plan, name, shape, {"tag": tag, "level": tags.get("level")}, word)
     else:
-        plan.report.unknown[tags.get("subtype") or tags.get("type", "")] += 1
+        plan.report.unknown[word] += 1
 
 
 def _shape(way: Way) -> Any:

@@ -133,7 +133,9 @@ def _lanes(name: str, tags: Mapping[str, Any], line: Any, level: str) -> list[Fe
     return lane_features(name, line, width, one_way, level)
 
 
-def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> None:
+def add_tagged(
+    plan: Plan, name: str, shape: Any, tags: Mapping[str, Any], word: str = ""
+) -> None:
     """Adds a shape by its `tag`, or by the tags of OpenStreetMap if it has none.
 
     Args:
@@ -141,6 +143,7 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
         name: of the shape.
         shape: of shapely [m].
         tags: `tag`, one of `features.Tag`; of lanes `width` [m] and `one_way` too.
+        word: the map's own for it, which the report uses.
     """
     tag = tags.get("tag")
     if tag is None:
@@ -162,7 +165,7 @@ def add_tagged(plan: Plan, name: str, shape: Any, tags: Mapping[str, Any]) -> No
         elif tag == "bay":
             plan.report.lost[name] = _no_area(shape)
         else:
-            plan.report.unknown[f"{tag} that is no area"] += 1
+            plan.report.unknown[f"{word or tag} that is no area"] += 1
 
 
 def _no_area(shape: Any) -> str:

@@ -81,7 +81,7 @@ def parked_cars_needed(occupancy: Range, lot: LayoutConfig) -> int:
 def check_cars(
     config: EnvConfig, fleet: Fleet, lot: LayoutConfig, layout: Layout | None
 ) -> None:
-    """Refuses cars that cannot enter a bay from the aisle, or fit into one.
+    """Refuses cars that cannot start, enter a bay from the aisle, or fit into one.
 
     A single kind of car must fit into all bays of a fixed lot, each car of a fleet into
     at least one. Cars that do not steer need no room to turn into a bay. Of a random
@@ -138,19 +138,27 @@ def _require_start(
     """Refuses a car that touches an obstacle at every possible start."""
     if is_made_for(lot, car):
         return
-    # Along, across and in heading, out to the bounds of every region.
+    size = jnp.array(_size(car), jnp.float32)
+    for region in np.flatnonzero(layout.spawn_mask):
+        if not _touches_everywhere(layout, region, size):
+            return
+    raise ValueError(
+        f"the {name}, {car.length:.2f} m x {car.width:.2f} m, finds no start in "
+        "the lot: it touches a wall or disc wherever it could spawn"
+    )
+
+
+@jax.jit
+def _touches_everywhere(layout: Layout, region: int, size: jax.Array) -> jax.Array:
+    """Whether a car of a size (2,) touches something all over a spawn region."""
+    # Along, across and in heading, out to the bounds.
     shares = jnp.linspace(-1.0, 1.0, 9)
     shares = jnp.stack(jnp.meshgrid(shares, shares, shares), axis=-1).reshape(-1, 3)
-    bounds = jnp.column_stack([layout.spawn_size / 2, layout.spawn_spread])
-    starts = to_world(layout.spawn_pose[:, None], shares * bounds[:, None])
-    starts = starts[layout.spawn_mask].reshape(-1, 3)
+    bounds = jnp.append(layout.spawn_size[region] / 2, layout.spawn_spread[region])
+    starts = to_world(layout.spawn_pose[region], shares * bounds)
     walls = Boxes(layout.wall_pose, layout.wall_size, mask=layout.wall_mask)
     discs = Discs(layout.disc_centre, layout.disc_radius, mask=layout.disc_mask)
-    if touches(starts, jnp.array(_size(car)), (walls, discs)).all():
-        raise ValueError(
-            f"the {name}, {car.length:.2f} m x {car.width:.2f} m, finds no start in "
-            "the lot: it touches a wall or disc wherever it could spawn"
-        )
+    return touches(starts, size, (walls, discs)).all()
 
 
 def is_made_for(lot: LayoutConfig, car: VehicleParameters) -> bool:

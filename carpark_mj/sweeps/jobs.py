@@ -181,7 +181,10 @@ def submit_array(
     """Submits to a cluster what does not stand in its queue from an earlier time."""
     record = executor.folder / "jobs.json"
     known: dict[str, str] = read_object(record) if record.exists() else {}
-    queued = (queued_jobs() if known else None) or set[str]()
+    queued = queued_jobs() if known else set[str]()
+    while queued is None:  # a job that may be queued is not submitted again
+        time.sleep(POLL_SECONDS["slurm"])
+        queued = queued_jobs()
     jobs: list[tuple[Work, submitit.Job[None]]] = []
     new: list[Work] = []
     for work in works:
@@ -209,10 +212,13 @@ def submit_array(
 
 
 def queued_jobs() -> set[str] | None:
-    """Numbers of the jobs in Slurm's queue; None if it does not answer."""
+    """Numbers of the jobs in Slurm's queue; None if it does not answer now.
+
+    Raises `OSError` if there is no `squeue`.
+    """
     command = ["squeue", "--noheader", "--array", "--format", "%i"]
     try:
         asked = subprocess.run(command, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
+    except subprocess.CalledProcessError:
         return None
     return {*asked.stdout.split()}

@@ -29,6 +29,7 @@ from tensorboardX.proto.summary_pb2 import (
     Summary,  # pyright: ignore[reportAttributeAccessIssue]
 )
 
+from carpark_mj.cli.clock import TRAINING
 from carpark_mj.files import naming, write_atomically, write_csv
 from carpark_mj.reading import CsvRow, read_csv
 from carpark_mj.training.run_folder import RunConfig
@@ -84,7 +85,7 @@ class Loop:
 
         Without a terminal it prints a line from time to time.
         """
-        self._task = self._bar.add_task("", total=total)
+        self._task = self._bar.add_task(TRAINING, total=total)  # until `show`
         self._bar.update(self._task, completed=done)
         signals = (signal.SIGINT, signal.SIGTERM)
         before = {number: signal.signal(number, self._stop) for number in signals}

@@ -19,7 +19,7 @@ from carpark_mj.cli.process import USER_ERRORS
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive
 from carpark_mj.evaluation.keys import require_seed
-from carpark_mj.files import remove_temporary, write_json
+from carpark_mj.files import is_temporary, remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError, refused_as
 from carpark_mj.reading import read_object
@@ -117,7 +117,9 @@ def _new_folder(config: RunConfig) -> Path:
             number += 1
             folder = parent / f"{name}-{number}"
         # A run was killed before it wrote its settings, or its lock is held.
-        elif folder.is_dir() and all(x.name[0] == "." for x in folder.iterdir()):
+        elif folder.is_dir() and all(
+            path.name == LOCK or is_temporary(path) for path in folder.iterdir()
+        ):
             return folder
         else:
             raise ValueError(

@@ -333,7 +333,7 @@ def reversing(study: Study) -> None:
     length = np.abs(np.diff(exact, axis=0)).sum(0)
     error = 100 * np.abs(coarse - exact).max(0) / length
     what = "time-step error, 10 against 1 ms, random reversing"
-    for surface, errors in zip(REVERSING, np.split(error, 2), strict=True):
+    for surface, errors in zip(REVERSING, np.split(error, len(REVERSING)), strict=True):
         for share in (0.5, 0.9, 1.0):
             name = f"{what}, {surface}, quantile {share:g}"
             study.row(name, float(np.quantile(errors, share)))

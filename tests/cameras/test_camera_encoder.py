@@ -93,7 +93,7 @@ def torchrl():
 
     from carpark_mj.wrappers.torchrl import TorchRLParking
 
-    lots = TorchRLParking(1, seed=3, config=CONFIG)
+    lots = TorchRLParking(2, seed=3, config=CONFIG)
     check_env_specs(lots)
     lots.set_seed(3)
     tensors = lots.reset()

@@ -5,17 +5,23 @@ import pty
 import subprocess
 import sys
 
+from carpark_mj.cli.clock import Clock, doing
+
 PROGRAM = """
-import sys, time
+import os, sys, time
 from carpark_mj.cli.clock import doing, wait_for_user
 from carpark_mj.cli.process import enter
 
 def main():
     time.sleep(1.5)
     print("first")
+    time.sleep(0.2)
+    print("soon")
+    time.sleep(0.9)
     doing("thinking")
     time.sleep(1.5)
     wait_for_user()
+    os.write(1, b"|")  # unseen by the clock
     time.sleep(1.0)
     print("last")
 
@@ -60,12 +66,38 @@ def on_screen(text):
 def test_a_silent_command_shows_a_clock():
     text = shown(terminal=True)
     before, _, after = text.partition("first")
+    between, _, after = after.partition("soon")
+    assert between.strip() == ""  # no clock in a short silence
+    pause, _, after = after.partition("thinking")
+    assert "working ... 1 s" in pause
+    assert "2 s" not in pause  # counted from what was printed
     assert "loading" in before
     assert "1 s" in before
-    assert "thinking" in after
-    assert "working" not in after
-    assert on_screen(text) == ["first", "last", ""]
+    waiting, _, after = after.partition("|")
+    assert "1 s" in waiting
+    assert after.strip() == "last"  # no clock while the user works
+    assert on_screen(text) == ["first", "soon", "|last", ""]
 
 
 def test_a_pipe_gets_lines_alone():
-    assert shown(terminal=False).splitlines() == ["first", "thinking ...", "last"]
+    lines = ["first", "soon", "thinking ...", "|last"]
+    assert sorted(shown(terminal=False).splitlines()) == sorted(lines)
+
+
+def test_work_goes_on_without_the_terminal(monkeypatch):
+    clock = Clock()
+    clock.set("working")
+    clock._drawn = True
+
+    def hang_up(descriptor, data):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "write", hang_up)
+    clock.printed()
+    clock.stop()
+
+
+def test_without_a_clock_what_is_done_is_printed(monkeypatch, capsys):
+    monkeypatch.setattr(os, "isatty", lambda descriptor: True)
+    doing("thinking")
+    assert capsys.readouterr().out == "thinking ...\n"

@@ -22,7 +22,7 @@ from carpark_mj.config import (
     SpawnConfig,
     insert,
 )
-from carpark_mj.config.checks import Bounds, CheckedConfig
+from carpark_mj.config.checks import Bounds, CheckedConfig, require_type
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig, layout_config
 from carpark_mj.layouts.base import FAMILIES
@@ -58,6 +58,8 @@ IMPOSSIBLE = [
     (EpisodeConfig, {"kerb_speed": -1.0}),
     (EpisodeConfig, {"wheel_stops": 0.9}),
     (SimConfig, {"ramp": (2.0, 1.0, 0.1)}),
+    (SimConfig, {"ramp": (1.0, 2.0)}),
+    (EnvConfig, {"occupancy": (0.1, 0.2, 0.3)}),
     (SimConfig, {"ramp": (0.0, 1.0, 0.5), "grade_x": 0.6}),
     (SimConfig, {"ramp": (0.0, 1.0, math.nan)}),
     (SimConfig, {"creep": -0.4}),
@@ -362,6 +364,19 @@ def test_no_field_takes_a_value_of_another_type(cls):
                 continue  # unknown terms
             with pytest.raises(ValueError, match=rf"\b{field.name}\b.* not "):
                 cls(**{field.name: junk})
+
+
+def test_tuples_have_their_length_and_truth_is_no_number():
+    for value, kind in (
+        ((0.1, 0.2, 0.3), tuple[float, float]),
+        ((0.1,), tuple[float, float]),
+        (True, float),
+        (True, int),
+        (1, bool),
+    ):
+        with pytest.raises(ValueError, match="x must be"):
+            require_type("x", value, kind)
+    require_type("x", (0.1, 0.2), tuple[float, float])
 
 
 def test_numbers_may_be_numpys():

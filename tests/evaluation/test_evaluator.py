@@ -245,6 +245,7 @@ def test_every_number_of_agents_gets_the_same_number_of_lots(crowds):
 def test_numbers_of_agents_are_summed_up_apart_and_add_up(crowds, result):
     parts = crowds.agent_counts
     assert [(n, part["episodes"]) for n, part in parts.items()] == [(1, 250), (2, 500)]
+    assert crowds.summary["crashed"]["count"] > 0
     for outcome in ENDINGS:
         total = sum(part[outcome]["count"] for part in parts.values())
         assert crowds.summary[outcome]["count"] == total

@@ -173,8 +173,8 @@ def boxes_of(size, mask=None):
         ({"obstacles": lambda state: []}, "at least one group"),
         ({"obstacles": boxes_of(2)}, r"size is of shape \(2,\), not \(2, 2\)"),
         ({"obstacles": boxes_of((2, 2), jnp.ones((2, 1)))}, "mask is of shape"),
-        ({"state": jnp.zeros(3, jnp.int32)}, "must keep shapes and types"),
-        ({"state": 1.5}, "must keep shapes and types"),
+        ({"state": jnp.zeros(3, jnp.int32)}, "must keep structure, shapes and types"),
+        ({"state": 1.5}, "must keep structure, shapes and types"),
     ],
 )
 def test_obstacles_and_state_keep_their_shapes(faults, message):

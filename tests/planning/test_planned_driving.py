@@ -168,6 +168,8 @@ def test_a_path_too_long_for_the_episode_is_driven_faster(monkeypatch):
         late.act(begins._replace(begins=step == 0))
     assert len(late.searches) > 1
     assert late._path.cruise > CRUISE
+    late.act(begins)  # the next episode, with all its time
+    assert late._path.cruise == CRUISE
 
 
 def test_the_planner_drives_one_lot_as_it_drives_a_batch():

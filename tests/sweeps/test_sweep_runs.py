@@ -210,7 +210,9 @@ def test_a_submission_to_slurm_asks_for_what_it_was_told_and_runs(tmp_path):
 def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypatch):
     with mocked_slurm():
         ids = [job.job_id for _, job in slurm_jobs(tmp_path)]
-        monkeypatch.setattr(jobs, "queued_jobs", lambda: {ids[0], "999"})
+        answers = iter([None, {ids[0], "999"}])  # at first Slurm is too busy
+        monkeypatch.setattr(jobs, "queued_jobs", lambda: next(answers))
+        monkeypatch.setitem(jobs.POLL_SECONDS, "slurm", 0.0)
         again = slurm_jobs(tmp_path, repeats=3)
     assert again[0][1].job_id == ids[0]
     assert [len(work.runs) for work, _ in again] == [1, 1, 1]

@@ -49,7 +49,7 @@ class Watched(Learner):
 
     def _renew(self, env_state, update, rates, key):
         renewed = super()._renew(env_state, update, rates, key)
-        fresh = self.env.reset(*self.families.draw(rates, key, 2))
+        fresh = self.env.reset(jax.random.split(key))
         self.seen |= {"after": renewed, "fresh": fresh}
         return renewed
 

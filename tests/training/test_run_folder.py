@@ -17,6 +17,7 @@ from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS, summaries
 from carpark_mj.training.run_folder import (
     LOCK,
+    RunConfig,
     describe,
     open_run,
     read_config,
@@ -60,6 +61,16 @@ def test_a_folder_is_held_by_one_process_at_a_time(tmp_path):
             pass
     with open_run(resumed) as again:  # given back
         assert again == folder
+
+
+def test_a_folder_of_somebody_else_is_refused(tmp_path):
+    (tmp_path / "project" / ".git").mkdir(parents=True)
+    with (
+        pytest.raises(ValueError, match="exists: choose another --name"),
+        open_run(RunConfig(name="project", runs_dir=str(tmp_path))),
+    ):
+        pass
+    assert (tmp_path / "project" / ".git").is_dir()
 
 
 def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):

@@ -212,7 +212,7 @@ def test_contradictions_are_refused_with_file_value_and_what_is_allowed(
         ("car.yaml", "- [" * 3000, "not YAML"),
         ("car.yaml", "when: 2026-99-99", "not YAML|unknown"),
         ("car.yaml", "a: &a [*a]", "unknown"),
-        ("car.json", "{", "is damaged"),
+        ("car.json", "{", "is not JSON"),
         ("car.toml", "", r"must end in one of \.json, \.yaml, \.yml, not"),
     ],
 )

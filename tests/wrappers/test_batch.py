@@ -73,13 +73,14 @@ def test_without_a_seed_lots_go_on_and_do_not_repeat():
     assert not np.array_equal(batch().reset_numpy(), batch().reset_numpy())
 
 
-def test_lots_restart_when_all_agents_have_finished():
-    lots, waiting = batch(), batch(restart=False)
+@pytest.mark.parametrize("num_lots", [4, LOTS])
+def test_lots_restart_when_all_agents_have_finished(num_lots):
+    lots, waiting = batch(num_lots), batch(num_lots, restart=False)
     first = lots.reset_numpy(0)
     np.testing.assert_array_equal(waiting.reset_numpy(0), first)
     for _ in range(MAX_STEPS):
         assert lots.state.step.min() < MAX_STEPS
-        step, alone = (each.step_numpy(halt()) for each in (lots, waiting))
+        step, alone = (each.step_numpy(halt(num_lots)) for each in (lots, waiting))
     assert step.truncated.all()
     np.testing.assert_array_equal(step.final_observation, alone.observation)
     assert not np.isclose(step.observation, first).all(axis=(1, 2)).any()
@@ -182,9 +183,9 @@ def pickled(env):
     return pickle.loads(pickle.dumps(env))
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, pickled])
-def test_a_copy_goes_on_like_the_environment(copied):
-    env = gymnasium.make(GOAL, config=QUICK, render_mode="rgb_array")
+@pytest.mark.parametrize(("copied", "name"), [(copy.deepcopy, GOAL), (pickled, PARK)])
+def test_a_copy_goes_on_like_the_environment(copied, name):
+    env = gymnasium.make(name, config=QUICK, render_mode="rgb_array")
     assert copied(env).reset(seed=1)[0] is not None  # before the first reset
     env.reset(seed=0)
     picture = env.render()

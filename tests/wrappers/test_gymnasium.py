@@ -65,10 +65,13 @@ def assert_close(one, other):
         np.testing.assert_allclose(a, b, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", SINGLE)
-def test_gymnasium_finds_no_fault(name):
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [*((name, {"config": SHORT}) for name in SINGLE), (PARK, {})],
+)
+def test_gymnasium_finds_no_fault(name, options):
     # It would open a window as well; pictures are looked at below.
-    env = make(name, config=SHORT)
+    env = make(name, **options)
     check_env(env, skip_render_check=True)  # a warning is an error here
 
 
@@ -87,7 +90,7 @@ def test_gymnasium_finds_no_fault(name):
     ],
 )
 def test_observations_keep_to_their_space(name, options):
-    vector = gymnasium.make_vec(name, COUNT, **{"physics": "bicycle"} | options)
+    vector = gymnasium.make_vec(name, 16, **{"physics": "bicycle"} | options)
     observation, _ = vector.reset(seed=1)
     vector.action_space.seed(1)
     for step in range(200):

@@ -172,6 +172,8 @@ def test_environments_that_share_a_lot_have_an_option_each():
     np.testing.assert_array_equal(begun(vector, 1)[2], [3, 4])
     with pytest.raises(ValueError, match="also another agent's goal"):
         vector.reset(options=[{}, START, {"goal": 3}, {"goal": 3}])
+    with pytest.raises(ValueError, match="agent"):  # one for all, who share lots
+        vector.reset(options=START)
 
 
 def test_stable_baselines_options_are_those_of_each_environment():

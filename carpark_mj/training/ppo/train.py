@@ -11,7 +11,7 @@ from typing import Literal
 import jax
 import numpy as np
 
-from carpark_mj.cli.clock import doing
+from carpark_mj.cli.clock import TRAINING, doing
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training import hosts
@@ -132,7 +132,7 @@ def train(
     first = done = int(np.ravel(state.update)[0])
     used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
     print(announcement(config, done, used))
-    doing("compiling, usually 1 to 3 min, less once it is kept")
+    doing(TRAINING)
     skipped, in_a_row = np.ravel(state.skipped), np.zeros(count)
     diverged = np.zeros(count, bool)
     begun, at_begin = 0.0, count_steps(state)  # at the end of the first update
