@@ -21,7 +21,6 @@ from carpark_mj.config.checks import (
     Positive,
     Range,
 )
-from carpark_mj.extensions import Registry
 from carpark_mj.geometry.se2 import norm
 
 Projection = Literal["pinhole", "fisheye"]
@@ -217,10 +216,12 @@ WINDSCREEN = Camera(
     (0.20, 0.0, 0.88), **_turned(0.0, 8.0), lens=Lens(fov=math.radians(100.0))
 )
 
-RIGS: Registry[Rig] = Registry("camera rig")
-RIGS.register("surround", Rig((FRONT, REAR, LEFT, RIGHT)))
-RIGS.register("rear", Rig((REAR,)))
-RIGS.register("windscreen", Rig((WINDSCREEN,)))
+RigName = Literal["surround", "rear", "windscreen"]
+RIGS: dict[str, Rig] = {
+    "surround": Rig((FRONT, REAR, LEFT, RIGHT)),
+    "rear": Rig((REAR,)),
+    "windscreen": Rig((WINDSCREEN,)),
+}
 
 
 @dataclasses.dataclass(frozen=True)

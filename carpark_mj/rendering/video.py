@@ -135,9 +135,10 @@ def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
     width and height of a frame [pixels]. None if there is no rig of that name.
     """
     name, colon, index = camera.partition(":")
-    if name not in RIGS:
+    rig = RIGS.get(name)
+    if rig is None:
         return None
-    cameras = RIGS[name].cameras
+    cameras = rig.cameras
     if colon:
         if not (index.isdecimal() and int(index) < len(cameras)):
             raise ValueError(
@@ -148,7 +149,7 @@ def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
     rows, columns = _grid(len(cameras))
     width, height = size[0] // columns, size[1] // rows
     return dataclasses.replace(
-        RIGS[name], cameras=cameras, width=width, height=height, shaded=True
+        rig, cameras=cameras, width=width, height=height, shaded=True
     )
 
 
