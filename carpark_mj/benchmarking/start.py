@@ -1,0 +1,170 @@
+"""`carpark_mj benchmark --what start`: how long a person waits for the first step."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from carpark_mj.files import write_csv
+
+WORKER = "import sys; from carpark_mj.benchmarking.start import work; work(sys.argv[1])"
+# Seconds that a process reports, in the order in which it spends them.
+PHASES = ("import_s", "construct_s", "reset_s", "step_s", "total_s")
+
+
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """Seconds until the first step of an environment in one process.
+
+    Tracing, compiling and running count. The second process finds the compiled programs
+    that the first has kept.
+    """
+
+    environment: str  # a registered name, or `default`
+    lots: int
+    process: str  # `first` or `second`
+    device: str
+    import_s: float  # from the start of the process to the end of the import
+    construct_s: float
+    reset_s: float  # until the first states are there
+    step_s: float  # until the states after a step are there
+    total_s: float
+    reset_equations: int  # of the traced programs, loops counted once
+    step_equations: int
+
+
+def measure_starts(
+    environments: Sequence[str], batches: Sequence[int], repeats: int, out: str = ""
+) -> list[Start]:
+    """Measures first and second processes; prints progress on stderr.
+
+    All are written to the CSV file `out`, if given, after each.
+
+    Raises:
+        ValueError: a process failed, with its last words.
+    """
+    found: list[Start] = []
+    if out:  # refuses an impossible path before anything is measured
+        write_csv(Path(out), [])
+    for _ in range(repeats):
+        for name in environments:
+            for lots in batches:
+                with tempfile.TemporaryDirectory() as kept:
+                    for process in ("first", "second"):
+                        found.append(_run(name, lots, process, kept))
+                        print(_line(found[-1]), file=sys.stderr)
+                if out:
+                    write_csv(Path(out), [dataclasses.asdict(x) for x in found])
+    return found
+
+
+def rows(found: Sequence[Start]) -> list[dict[str, Any]]:
+    """The rows of the table: medians over the rounds."""
+    by_case: dict[tuple[str, int], list[Start]] = {}
+    for one in found:
+        by_case.setdefault((one.environment, one.lots), []).append(one)
+    table: list[dict[str, Any]] = []
+    for (name, lots), cases in by_case.items():
+        row: dict[str, Any] = {"environment": name, "lots": f"{lots:,}"}
+        row |= {
+            f"{part} equations": f"{getattr(cases[0], f'{part}_equations'):,}"
+            for part in ("reset", "step")
+        }
+        for process in ("first", "second"):
+            these = [one for one in cases if one.process == process]
+            seconds = {k: median(getattr(one, k) for one in these) for k in PHASES}
+            row |= {
+                f"{process}: {name.removesuffix('_s')} [s]": f"{x:.1f}"
+                for name, x in seconds.items()
+            }
+        table.append(row)
+    return table
+
+
+def _line(one: Start) -> str:
+    return (
+        f"{one.environment}, {one.lots:,} lots, {one.process} process: "
+        f"{one.total_s:.1f} s"
+    )
+
+
+def _run(name: str, lots: int, process: str, kept: str) -> Start:
+    """Measures one process that keeps its programs in a folder."""
+    request = {"name": name, "lots": lots, "started": time.time()}
+    done = subprocess.run(
+        [sys.executable, "-c", WORKER, json.dumps(request)],
+        env={**os.environ, "JAX_COMPILATION_CACHE_DIR": kept},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise ValueError(f"could not measure {name} with {lots} lots: {last}")
+    return Start(process=process, **json.loads(done.stdout.splitlines()[-1]))
+
+
+def work(argument: str) -> None:
+    """Measures what a JSON object asks for, and prints another."""
+    request = json.loads(argument)
+    name, lots, last = request["name"], request["lots"], request["started"]
+    seconds: dict[str, float] = {}
+
+    def lap(phase: str) -> None:
+        nonlocal last
+        now = time.time()
+        seconds[phase], last = now - last, now
+
+    import jax
+    import jax.numpy as jnp
+
+    from carpark_mj.config import EnvConfig
+    from carpark_mj.env import ParkingEnv
+    from carpark_mj.registry import environment
+
+    lap("import_s")
+    env = ParkingEnv(EnvConfig() if name == "default" else environment(name))
+    lap("construct_s")
+    keys = jax.random.split(jax.random.key(0), lots)
+    reset = jax.jit(jax.vmap(env.reset))
+    state, _ = jax.block_until_ready(reset(keys))
+    lap("reset_s")
+    action = jnp.zeros((lots, env.num_agents, env.action_spec.size))
+    step = jax.jit(jax.vmap(env.step))
+    jax.block_until_ready(step(state, action))
+    lap("step_s")
+    result = {
+        "environment": name,
+        "lots": lots,
+        "device": jax.devices()[0].device_kind,
+        **seconds,
+        "total_s": time.time() - request["started"],
+        "reset_equations": count_equations(jax.make_jaxpr(env.reset)(keys[0]).jaxpr),
+        "step_equations": count_equations(
+            jax.make_jaxpr(env.step)(*jax.tree.map(lambda x: x[0], (state, action))).jaxpr
+        ),
+    }
+    print(json.dumps(result))
+
+
+def count_equations(jaxpr: Any) -> int:
+    """Equations of a traced program, those of its loops and branches included."""
+    count = 0
+    for equation in jaxpr.eqns:
+        inner = [
+            getattr(part, "jaxpr", part)
+            for value in equation.params.values()
+            for part in (value if isinstance(value, tuple | list) else (value,))
+        ]
+        inner = [part for part in inner if hasattr(part, "eqns")]
+        # A call counts as what it calls.
+        count += sum(map(count_equations, inner))
+        count += not inner or equation.primitive.name in ("while", "scan", "cond")
+    return count
