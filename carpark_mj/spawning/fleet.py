@@ -71,12 +71,14 @@ class Fleet:
         self.parked_cars = tuple(map(preset, names.parked_cars)) or (vehicle,)
         self.mixed = bool(names.agents)
         kinds = [make_vehicle(params) for params in self.agents]
-        self._kinds: Vehicle = jax.tree.map(lambda *x: jnp.stack(x), *kinds)
+        self._kinds: Vehicle = jax.device_put(
+            jax.tree.map(lambda *x: np.stack(x), *kinds)  # JAX would compile programs
+        )
         self._size = make_vehicle(vehicle).size
         weights = names.agent_weights or (1.0,) * len(self.agents)
-        self._weights = jnp.array(weights, jnp.float32)
+        self._weights = jax.device_put(np.array(weights, np.float32))
         weights = names.parked_weights or (1.0,) * len(self.parked_cars)
-        self._parked_weights = jnp.array(weights, jnp.float32)
+        self._parked_weights = jax.device_put(np.array(weights, np.float32))
 
     def start(
         self,

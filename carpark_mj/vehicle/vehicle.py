@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax.typing import ArrayLike
 
@@ -156,15 +157,21 @@ def make_vehicle(params: VehicleParameters) -> Vehicle:
 
 def _make_tyres(params: VehicleParameters) -> Tyres:
     tyre = params.tyre
-    load = _array(list(params.static_loads))
+    load = np.array(params.static_loads, jnp.result_type(float))
     # Scrub torque of a uniformly loaded disc: M = 2/3 mu Fz R_patch (Sharp & Granger).
     torque_limit = tyre.friction * (2 / 3) * tyre.patch_radius * load
     slip = tyre.slip_stiffness * load
+
+    def over(length: float) -> np.ndarray:  # XLA divides by a number like this
+        return load.dtype.type(1.0) / load.dtype.type(length)
+
     return Tyres(
-        static_load=load,
-        longitudinal_stiffness=slip / tyre.longitudinal_relaxation,
-        lateral_stiffness=tyre.cornering_stiffness * load / tyre.lateral_relaxation,
-        torsion_stiffness=torque_limit / tyre.torsion_yield,
+        static_load=_array(load),
+        longitudinal_stiffness=_array(slip * over(tyre.longitudinal_relaxation)),
+        lateral_stiffness=_array(
+            tyre.cornering_stiffness * load * over(tyre.lateral_relaxation)
+        ),
+        torsion_stiffness=_array(torque_limit * over(tyre.torsion_yield)),
         **_same(Tyres, tyre),
     )
 
@@ -177,8 +184,11 @@ def _same(arrays: type, params: VehicleParameters | TyreParameters) -> dict[str,
 
 
 def _array(value: ArrayLike | list[float]) -> jax.Array:
-    """A strongly typed array of JAX's default float (float64 only under x64)."""
-    return jnp.array(value, dtype=jnp.result_type(float))
+    """A strongly typed array of JAX's default float (float64 only under x64).
+
+    NumPy converts it, as JAX would compile a program.
+    """
+    return jax.device_put(np.array(value, jnp.result_type(float)))
 
 
 @struct.dataclass
