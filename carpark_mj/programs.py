@@ -10,9 +10,9 @@ from carpark_mj.cli.process import (
     configure_jax,
     dispatch_synchronously,
     enable_output_fusion,
-    keep_compiled_programs,
 )
 from carpark_mj.extensions import Entry, Registry
+from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
@@ -64,7 +64,8 @@ COMMANDS = {
         drives=True,
     ),
     "layouts": Command(
-        "carpark_mj.cli.layouts:main", "draw, plot, check and save layouts"
+        "carpark_mj.cli.layouts:main", "draw, plot, check and save layouts",
+        (keep_compiled_programs,),
     ),
     "layouts edit": Command("carpark_mj.cli.layouts:edit", "draw a lot in the browser"),
     "layouts import": Command(
@@ -77,7 +78,7 @@ COMMANDS = {
     "identify": Command(
         "carpark_mj.cli.vehicles:fit",
         "find a car's parameters in the log of a drive",
-        (enable_output_fusion,),
+        (enable_output_fusion, keep_compiled_programs),
     ),
     "oracle": Command(
         "carpark_mj.cli.oracle:main",

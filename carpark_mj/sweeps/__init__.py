@@ -33,11 +33,11 @@ from carpark_mj.analysis import read_run
 from carpark_mj.cli.process import (
     configure_jax,
     enable_output_fusion,
-    keep_compiled_programs,
     one_line,
 )
 from carpark_mj.config.checks import Count
 from carpark_mj.files import write_csv, write_json
+from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.reading import read_csv, read_object

@@ -17,7 +17,7 @@ and `video.mp4`. Ctrl-C saves a checkpoint and stops; a second one stops at once
 import sys
 from collections.abc import Sequence
 
-from carpark_mj.cli.process import keep_compiled_programs
+from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.rendering.gl import choose_gl
 
 

@@ -14,7 +14,8 @@ on all kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at
 
 from collections.abc import Sequence
 
-from carpark_mj.cli.process import enable_output_fusion, keep_compiled_programs
+from carpark_mj.cli.process import enable_output_fusion
+from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.rendering.gl import choose_gl
 
 

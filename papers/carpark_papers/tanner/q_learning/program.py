@@ -13,7 +13,8 @@ Ctrl-C saves a checkpoint and stops.
 
 from collections.abc import Sequence
 
-from carpark_mj.cli.process import enable_output_fusion, keep_compiled_programs
+from carpark_mj.cli.process import enable_output_fusion
+from carpark_mj.kept_programs import keep_compiled_programs
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
