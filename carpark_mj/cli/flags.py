@@ -23,16 +23,9 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from carpark_mj.config import (
-    ENCODERS,
-    REWARD_TERMS,
-    ExtraTerms,
-    ObservationConfig,
-    insert,
-    setting,
-    term_settings,
-)
+from carpark_mj import config as parts  # imported where they are used
 from carpark_mj.config.checks import Range
+from carpark_mj.pretrained import describe_names
 
 Config = TypeVar("Config")
 
@@ -54,19 +47,22 @@ def _range(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Range] | None:
 
 def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
     """A flag for every setting of every registered reward term, as in `extra.haste`."""
-    if info.type is not ExtraTerms:
+    if not (isinstance(info.type, type) and issubclass(info.type, Mapping)):
         return None
-    given = info.default if isinstance(info.default, ExtraTerms) else ExtraTerms()
+    kind = parts.ExtraTerms
+    if info.type is not kind:
+        return None
+    given = info.default if isinstance(info.default, kind) else kind()
 
-    def build(**values: float | None) -> ExtraTerms:
+    def build(**values: float | None) -> Mapping[str, float]:
         ordered = {**given, **values}.items()  # terms of the default first
-        return ExtraTerms({key: value for key, value in ordered if value is not None})
+        return kind({key: value for key, value in ordered if value is not None})
 
     number: Any = float | None  # None = not given
     fields = [
-        StructFieldSpec(key, number, given.get(key), REWARD_TERMS[name].meaning)
-        for name in REWARD_TERMS
-        for key in term_settings(name)
+        StructFieldSpec(key, number, given.get(key), parts.REWARD_TERMS[name].meaning)
+        for name in parts.REWARD_TERMS
+        for key in parts.term_settings(name)
     ]
     return StructConstructorSpec(build, tuple(fields))
 
@@ -144,7 +140,7 @@ def as_flags(settings: Mapping[str, str], config: Any) -> list[str]:
         *groups, last = field.replace("_", "-").split(".")
         parts, now = value.split(), None
         with contextlib.suppress(ValueError):  # tyro says what is unknown
-            now = setting(config, field)
+            now = parts.setting(config, field)
         if isinstance(now, bool):
             if value.lower() not in ("true", "false"):
                 raise ValueError(f"{field} must be true or false, not {value!r}")
@@ -166,14 +162,14 @@ def _with_encoders(
             continue
         config = cls() if default is None else default
         try:
-            now = setting(config, path)
+            now = parts.setting(config, path)
         except ValueError:
             continue  # no such flag, which tyro says
-        if isinstance(now, ObservationConfig):
-            encoder = ENCODERS[value if equals else after]
+        if isinstance(now, parts.ObservationConfig):
+            encoder = parts.ENCODERS[value if equals else after]
             if type(now) is not encoder:
                 # Checked with the other flags, some of which may belong to it.
-                default = insert(config, {path: encoder()})
+                default = parts.insert(config, {path: encoder()})
     return default
 
 
@@ -229,6 +225,11 @@ def _print_short_help(
 def help_of(cls: type) -> str:
     """The docstring of a config class, without its attributes."""
     return (inspect.getdoc(cls) or "").partition("\n\nAttributes:")[0]
+
+
+def command_help(text: str) -> str:
+    """The head of a command's help, with the names of the pretrained policies."""
+    return f"{text}\n\nPretrained policies: {describe_names()}."
 
 
 def _by_line(text: str | None) -> str | None:
