@@ -29,14 +29,13 @@ class Command(Entry):
 
     Attributes:
         settings: `module:name` of the config class; empty = the words themselves.
-        setup: called before the function is imported, and JAX computes.
-        draws: OpenGL is chosen first: the checks of the settings may import MuJoCo.
+        setup: called before the function is imported, which may load MuJoCo, and
+            before JAX computes.
         drives: its help names the pretrained policies.
     """
 
     settings: str = ""
     setup: tuple[Callable[[], object], ...] = ()
-    draws: bool = False
     drives: bool = False
 
 
@@ -45,8 +44,7 @@ COMMANDS = {
         "carpark_mj.programs:train",
         "train a policy with PPO",
         "",
-        (configure_jax, keep_compiled_programs),
-        draws=True,
+        (choose_gl, configure_jax, keep_compiled_programs),
     ),
     "evaluate": Command(
         "carpark_mj.cli.evaluate:main",
@@ -59,8 +57,7 @@ COMMANDS = {
         "carpark_mj.cli.render:main",
         "render episodes to a video or a still",
         f"{DRIVING}:RenderConfig",
-        ACTING,
-        draws=True,
+        (choose_gl, *ACTING),
         drives=True,
     ),
     "scene": Command(
@@ -114,8 +111,7 @@ COMMANDS = {
         "carpark_mj.suite.evaluation:main",
         "compare policies on the held-out hard cases",
         f"{DRIVING}:SuiteConfig",
-        ACTING,
-        draws=True,
+        (choose_gl, *ACTING),
         drives=True,
     ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
@@ -130,7 +126,6 @@ COMMANDS = {
         "carpark_mj.sweeps:main",
         "train every combination of some settings",
         f"{TABLES}:SweepConfig",
-        draws=True,
     ),
     "analysis": Command(
         "carpark_mj.cli.analysis:main",
@@ -170,15 +165,15 @@ def call(name: str, arguments: Sequence[str], set_up: bool = False) -> object:
     if words and f"{name} {words[0]}" in COMMANDS:
         return call(f"{name} {words[0]}", words[1:], set_up)
     command = COMMANDS[name]
-    if set_up and command.draws:
-        choose_gl()
     given: Any = words
     if command.settings:
         given = _read(name, command, words)
-        CLOCK.set("working")
     for prepare in command.setup if set_up else ():
         prepare()
-    return command.load()(given)
+    function = command.load()
+    if command.settings:
+        CLOCK.set("working")
+    return function(given)
 
 
 def _read(name: str, command: Command, words: Sequence[str]) -> Any:
@@ -245,10 +240,8 @@ def train(arguments: Sequence[str]) -> int:
 def _train(arguments: Sequence[str]) -> int:
     import jax
 
-    from carpark_mj.training.loop import read_metrics
     from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
     from carpark_mj.training.ppo.parts import PRESETS, summaries
-    from carpark_mj.training.ppo.train import FEW_UPDATES, MAX_SKIPPED, train_runs
     from carpark_mj.training.run_folder import read_runs, read_settings
 
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
@@ -258,8 +251,13 @@ def _train(arguments: Sequence[str]) -> int:
             PRESETS[hardware], PRESETS, arguments, TRAIN_HELP, RUN_SETTINGS, summaries()
         )
 
+    configs = read_runs(arguments, read)
+    # After the help and the refusals, which do without.
+    from carpark_mj.training.loop import read_metrics
+    from carpark_mj.training.ppo.train import FEW_UPDATES, MAX_SKIPPED, train_runs
+
     is_first = jax.process_index() == 0  # others have no files of the runs
-    ended = train_runs(read_runs(arguments, read))
+    ended = train_runs(configs)
     stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
     if stopped:
         print(f"stopped; continue with: carpark_mj train --resume {' '.join(stopped)}")

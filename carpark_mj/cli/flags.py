@@ -23,7 +23,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from carpark_mj import config as parts  # imported where they are used
+from carpark_mj import config as known  # its names load what they are of
 from carpark_mj.config.checks import Range
 from carpark_mj.pretrained import describe_names
 
@@ -49,7 +49,7 @@ def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
     """A flag for every setting of every registered reward term, as in `extra.haste`."""
     if not (isinstance(info.type, type) and issubclass(info.type, Mapping)):
         return None
-    kind = parts.ExtraTerms
+    kind = known.ExtraTerms
     if info.type is not kind:
         return None
     given = info.default if isinstance(info.default, kind) else kind()
@@ -60,9 +60,9 @@ def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
 
     number: Any = float | None  # None = not given
     fields = [
-        StructFieldSpec(key, number, given.get(key), parts.REWARD_TERMS[name].meaning)
-        for name in parts.REWARD_TERMS
-        for key in parts.term_settings(name)
+        StructFieldSpec(key, number, given.get(key), known.REWARD_TERMS[name].meaning)
+        for name in known.REWARD_TERMS
+        for key in known.term_settings(name)
     ]
     return StructConstructorSpec(build, tuple(fields))
 
@@ -140,7 +140,7 @@ def as_flags(settings: Mapping[str, str], config: Any) -> list[str]:
         *groups, last = field.replace("_", "-").split(".")
         parts, now = value.split(), None
         with contextlib.suppress(ValueError):  # tyro says what is unknown
-            now = parts.setting(config, field)
+            now = known.setting(config, field)
         if isinstance(now, bool):
             if value.lower() not in ("true", "false"):
                 raise ValueError(f"{field} must be true or false, not {value!r}")
@@ -162,14 +162,14 @@ def _with_encoders(
             continue
         config = cls() if default is None else default
         try:
-            now = parts.setting(config, path)
+            now = known.setting(config, path)
         except ValueError:
             continue  # no such flag, which tyro says
-        if isinstance(now, parts.ObservationConfig):
-            encoder = parts.ENCODERS[value if equals else after]
+        if isinstance(now, known.ObservationConfig):
+            encoder = known.ENCODERS[value if equals else after]
             if type(now) is not encoder:
                 # Checked with the other flags, some of which may belong to it.
-                default = parts.insert(config, {path: encoder()})
+                default = known.insert(config, {path: encoder()})
     return default
 
 

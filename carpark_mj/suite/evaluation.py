@@ -56,6 +56,8 @@ from carpark_mj.suite.levels import (
     find_level,
     init_progress,
     pick_cases,
+    require_aisle,
+    require_alike,
     require_filmed,
     reset_with_moving_car,
 )
@@ -255,11 +257,39 @@ def _choose_action(
     return action[..., :1, :]
 
 
+def require_levels(config: SuiteConfig) -> None:
+    """Refuses levels and cases that there are not, or of which more is asked."""
+    require_alike(config.levels)
+    for level in config.levels:
+        _require_cases(config, level)
+        if config.videos:
+            require_filmed(level)
+        if config.moving_car:
+            require_aisle(level)
+
+
+def _require_cases(config: SuiteConfig, level: str) -> None:
+    numbers = find_level(level).numbers
+    known, first = len(numbers), config.first_case
+    if not 0 <= first < known:
+        raise ValueError(
+            f"first_case must be 0 to {known - 1}, not {first}: level "
+            f"{level} has the cases {numbers[0]} to {numbers[-1]}"
+        )
+    left = known - first
+    if config.cases is not None and not 1 <= config.cases <= left:
+        raise ValueError(
+            f"cases must be 1 to {left} from case {first} on, not "
+            f"{config.cases}: level {level} has {known}"
+        )
+
+
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
     """Drives, writes the files and prints the table; returns the table's rows.
 
     With `check` it prints the leaderboard's rows, and returns none.
     """
+    require_levels(config)
     if config.check:
         print(leaderboard(check_submission(Path(config.check))))
         return []

@@ -51,7 +51,7 @@ from carpark_mj.sweeps.plan import (
 )
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.run_folder import read_config
+from carpark_mj.training.run_folder import RunConfig, read_config
 
 Status = Literal["done", "stopped", "failed", "waiting"]
 
@@ -292,7 +292,16 @@ def run_sweep(
 
 
 def make_plan(config: SweepConfig) -> Plan:
-    """The runs to train."""
+    """The runs to train.
+
+    Raises:
+        ValueError: impossible settings.
+    """
+    # The rules of a run's name and seeds.
+    RunConfig(name=config.name, seed=config.seed)
+    RunConfig(seed=config.seed + config.repeats - 1)
+    if config.base not in PRESETS:
+        raise ValueError(f"unknown base {config.base!r}; choose from {[*PRESETS]}")
     base = PRESETS[config.base]
     axes = tuple(read_axis(text, base) for text in config.set)
     return Plan(config.base, axes, config.repeats, config.seed)

@@ -1,7 +1,6 @@
 """Settings of the commands in which a policy drives."""
 
 import dataclasses
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -307,20 +306,6 @@ class SuiteConfig:
         config.find_rules(self.rule)
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
-        from carpark_mj.suite.levels import (
-            find_level,
-            require_aisle,
-            require_alike,
-            require_filmed,
-        )
-
-        require_alike(self.levels)
-        for level in self.levels:
-            self._check_cases(level, find_level(level).numbers)
-            if self.videos:
-                require_filmed(level)
-            if self.moving_car:
-                require_aisle(level)
         if not 0 <= self.videos <= WORST:
             raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
         for name in ("policies", "levels", "seeds", "combine"):
@@ -331,20 +316,6 @@ class SuiteConfig:
                 raise ValueError(f"{name} must not be empty")
         for seed in self.seeds:
             require_seed(seed)
-
-    def _check_cases(self, level: str, numbers: Sequence[int]) -> None:
-        known = len(numbers)
-        if not 0 <= self.first_case < known:
-            raise ValueError(
-                f"first_case must be 0 to {known - 1}, not {self.first_case}: level "
-                f"{level} has the cases {numbers[0]} to {numbers[-1]}"
-            )
-        left = known - self.first_case
-        if self.cases is not None and not 1 <= self.cases <= left:
-            raise ValueError(
-                f"cases must be 1 to {left} from case {self.first_case} on, not "
-                f"{self.cases}: level {level} has {known}"
-            )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -232,15 +232,3 @@ class SweepConfig(Where):
     seed: int = 0
     name: str = ""
     runs_dir: str = "runs"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        # Not before: these settings are of JAX, which the help does without.
-        from carpark_mj.training.ppo.parts import PRESETS
-        from carpark_mj.training.run_folder import RunConfig
-
-        # The rules of a run's name and seeds.
-        RunConfig(name=self.name, seed=self.seed)
-        RunConfig(seed=self.seed + self.repeats - 1)
-        if self.base not in PRESETS:
-            raise ValueError(f"unknown base {self.base!r}; choose from {[*PRESETS]}")
