@@ -211,6 +211,7 @@ def study(arguments: Sequence[str]) -> object:
         print(f"usage: carpark_mj study NAME ...\n\n{listed}")
         return 0
     program = STUDY_PROGRAMS[arguments[0]]
+    keep_compiled_programs()
     sys.argv = [f"carpark_mj study {arguments[0]}", *arguments[1:]]
     return program(list(arguments[1:]))
 
