@@ -1,6 +1,7 @@
 """The commands of `carpark_mj`, and the programs of papers and extensions."""
 
 import dataclasses
+import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -31,11 +32,13 @@ class Command(Entry):
         settings: `module:name` of the config class; empty = the words themselves.
         setup: called before the function is imported, which may load MuJoCo, and
             before JAX computes.
+        needs: packages of extras without which it is refused at once.
         drives: its help names the pretrained policies.
     """
 
     settings: str = ""
     setup: tuple[Callable[[], object], ...] = ()
+    needs: tuple[str, ...] = ()
     drives: bool = False
 
 
@@ -45,6 +48,7 @@ COMMANDS = {
         "train a policy with PPO",
         "",
         (choose_gl, configure_jax, keep_compiled_programs),
+        needs=("tyro", "tensorboardX"),
     ),
     "evaluate": Command(
         "carpark_mj.cli.evaluate:main",
@@ -89,6 +93,7 @@ COMMANDS = {
         "carpark_mj.cli.layouts:import_layout",
         "make a layout of a map",
         f"{LOTS}:ImportConfig",
+        needs=("shapely",),
     ),
     "vehicles": Command(
         "carpark_mj.cli.vehicles:show",
@@ -112,6 +117,7 @@ COMMANDS = {
         "compare policies on the held-out hard cases",
         f"{DRIVING}:SuiteConfig",
         (choose_gl, *ACTING),
+        needs=("matplotlib",),
         drives=True,
     ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
@@ -126,6 +132,7 @@ COMMANDS = {
         "carpark_mj.sweeps:main",
         "train every combination of some settings",
         f"{TABLES}:SweepConfig",
+        needs=("submitit",),
     ),
     "analysis": Command(
         "carpark_mj.cli.analysis:main",
@@ -168,6 +175,9 @@ def call(name: str, arguments: Sequence[str], set_up: bool = False) -> object:
     given: Any = words
     if command.settings:
         given = _read(name, command, words)
+    for package in command.needs:
+        if importlib.util.find_spec(package) is None:
+            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
     for prepare in command.setup if set_up else ():
         prepare()
     function = command.load()

@@ -28,6 +28,7 @@ from carpark_mj.config import (
     RandomizationConfig,
     SensorConfig,
     SpawnConfig,
+    find_rules,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row
@@ -257,18 +258,19 @@ def _choose_action(
     return action[..., :1, :]
 
 
-def require_levels(config: SuiteConfig) -> None:
-    """Refuses levels and cases that there are not, or of which more is asked."""
+def require_cases(config: SuiteConfig) -> None:
+    """Refuses rules, levels and cases that there are not, or of which more is asked."""
+    find_rules(config.rule)
     require_alike(config.levels)
     for level in config.levels:
-        _require_cases(config, level)
+        _require_numbers(config, level)
         if config.videos:
             require_filmed(level)
         if config.moving_car:
             require_aisle(level)
 
 
-def _require_cases(config: SuiteConfig, level: str) -> None:
+def _require_numbers(config: SuiteConfig, level: str) -> None:
     numbers = find_level(level).numbers
     known, first = len(numbers), config.first_case
     if not 0 <= first < known:
@@ -289,7 +291,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
 
     With `check` it prints the leaderboard's rows, and returns none.
     """
-    require_levels(config)
+    require_cases(config)
     if config.check:
         print(leaderboard(check_submission(Path(config.check))))
         return []

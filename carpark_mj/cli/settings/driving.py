@@ -303,7 +303,6 @@ class SuiteConfig:
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
-        config.find_rules(self.rule)
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
         if not 0 <= self.videos <= WORST:
