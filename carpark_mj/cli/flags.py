@@ -47,10 +47,11 @@ def _range(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Range] | None:
 
 def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
     """A flag for every setting of every registered reward term, as in `extra.haste`."""
-    if not (isinstance(info.type, type) and issubclass(info.type, Mapping)):
+    read: Any = info.type
+    if not (inspect.isclass(read) and issubclass(read, Mapping)):
         return None
     kind = known.ExtraTerms
-    if info.type is not kind:
+    if read is not kind:
         return None
     given = info.default if isinstance(info.default, kind) else kind()
 

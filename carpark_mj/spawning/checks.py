@@ -118,15 +118,16 @@ def check_cars(
                 "a lot"
             )
     else:  # drawn without regard to its size
-        used = [*bays()] if layout is not None else bays()
+        used = None if layout is None else _bays(layout)
         if layout is not None and (config.varies or not config.num_parked_cars):
-            used = [np.asarray(layout.bay_size)[np.asarray(layout.goal_mask)]]
+            used = np.asarray(layout.bay_size)[np.asarray(layout.goal_mask)]
         [(name, car)] = agents
-        count = _count_bays("agents", name, _size(car), 0.0, used)
-        if layout is not None and count < len(used[0]):
+        lots = bays() if used is None else [used]
+        count = _count_bays("agents", name, _size(car), 0.0, lots)
+        if used is not None and count < len(used):
             raise ValueError(
                 f"the {name}, {car.length:.2f} m x {car.width:.2f} m, fits in only "
-                f"{count} of the lot's {len(used[0])} bays; fleet.agents and "
+                f"{count} of the lot's {len(used)} bays; fleet.agents and "
                 "fleet.parked_cars take presets and use only bays that these fit in"
             )
     if config.num_parked_cars and config.varies:
