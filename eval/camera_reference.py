@@ -144,7 +144,7 @@ class Renderer:
         shown = (0, 1, LOOK_GROUP if meshes else BLOCK_GROUP)
         self._options.geomgroup[:] = [k in shown for k in range(6)]
         self._owner = _owners(self._stage.model)
-        self._kinds = _kinds(self._stage.model, self._layout, state)
+        self._kinds = _kinds(self._stage.model, state)
 
     def close(self) -> None:
         """Frees the GL context."""
@@ -181,7 +181,7 @@ class Renderer:
                 with np.errstate(divide="ignore"):
                     depth[here] = 1.0 / (near * mine[:, 0])
         depth = np.where(geom < 0, np.inf, depth)
-        return depth, self._what(eye, rays, depth, geom, agent), edge
+        return depth, self._what(eye, rays, geom, agent), edge
 
     def _face(self, eye: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depths [1/m] and geoms (rows, columns) of one face."""
@@ -203,7 +203,6 @@ class Renderer:
         self,
         eye: np.ndarray,
         rays: np.ndarray,
-        depth: np.ndarray,
         geom: np.ndarray,
         agent: int,
     ) -> np.ndarray:
@@ -251,7 +250,7 @@ def _show_solids(model: mujoco.MjModel) -> None:
             model.geom_group[k] = 0 if model.geom(k).name else HULL_GROUP
 
 
-def _kinds(model: mujoco.MjModel, layout: Layout, state: State) -> np.ndarray:
+def _kinds(model: mujoco.MjModel, state: State) -> np.ndarray:
     """`Seen` (geoms,) by the names of MuJoCo's geoms and bodies."""
     movers = [group.kind for group in state.movers.groups for _ in range(group.count)]
     kinds = np.full(model.ngeom, int(Seen.FLOOR))

@@ -215,13 +215,13 @@ GAP = 4  # pixels between pictures
 ENLARGED = 3
 
 
-def mosaic(layouts: Sequence[str], seed: int = 0) -> np.ndarray:
+def mosaic(layouts: Sequence[str]) -> np.ndarray:
     """The cameras of one car in lots of some layouts, (rows, columns, 3) uint8."""
     sheets = []
     palette = (255 * np.array([COLOURS[kind] for kind in Seen])).astype(np.uint8)
     for layout in layouts:
         env = environment(layout)
-        state = jax.jit(lambda key: env.reset(key)[0])(jax.random.key(seed))  # noqa: B023
+        state = jax.jit(lambda key: env.reset(key)[0])(jax.random.key(0))  # noqa: B023
         rig = dataclasses.replace(RIGS["surround"], shaded=True)
         heights = Heights.of(env.fleet)
         pictures = jax.jit(see, static_argnums=(0, 2))(rig, state, heights)
@@ -235,9 +235,9 @@ def mosaic(layouts: Sequence[str], seed: int = 0) -> np.ndarray:
     return np.concatenate(sheets[:-1])
 
 
-def write_mosaic(path: Path, layouts: Sequence[str], seed: int = 0) -> None:
+def write_mosaic(path: Path, layouts: Sequence[str]) -> None:
     """Writes `mosaic` as a PNG, enlarged."""
-    image = Image.fromarray(mosaic(layouts, seed))
+    image = Image.fromarray(mosaic(layouts))
     size = (image.width * ENLARGED, image.height * ENLARGED)
     image = image.resize(size, Image.Resampling.NEAREST)
     write_atomically(path, lambda temporary: image.save(temporary, format="PNG"))

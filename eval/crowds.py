@@ -77,7 +77,7 @@ def move(
     offset = functools.partial(apart, length=length)
     end, after = bodies.advance_people(xy, velocity, aim, offset, [borders], dt)
     rooms = [room_among(offset(xy), aim.radius), room_to(xy, aim.radius, borders)]
-    moved = go_round(rooms, end - xy)
+    moved = go_round(rooms, end - xy, bodies.DODGE * dt**2)
     return xy + moved, after + (xy + moved - end) / dt
 
 

@@ -52,7 +52,7 @@ from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.policy import checkpoints
-from carpark_mj.policy.outside import markdown_inputs
+from carpark_mj.policy.outside import INPUTS
 from carpark_mj.policy.runs import find_policy
 from carpark_mj.pretrained import FOLDER, pretrained_names
 from carpark_mj.programs import COMMANDS as PROGRAMS
@@ -131,6 +131,17 @@ def commands(page):
 
 OWN = [page for page in PAGES if page not in PAPERS]
 COMMAND_LINES = sorted({c for page in OWN for c in commands(page.read_text())})
+
+
+def markdown_inputs() -> str:
+    """The inputs of a car's model as a table."""
+    rows = ["| input | shape | unit | |", "|---|---|---|---|"]
+    for entry in INPUTS:
+        shape = ", ".join(map(str, entry.dims))
+        shape = f"({shape},)" if len(entry.dims) == 1 else f"({shape})"
+        unit = entry.unit or entry.dtype
+        rows.append(f"| `{entry.name}` | {shape} | {unit} | {entry.meaning} |")
+    return "\n".join(rows)
 
 
 @pytest.mark.parametrize(

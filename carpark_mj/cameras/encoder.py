@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.cameras.blocks import Heights
-from carpark_mj.cameras.rig import RIGS, Rig, Seen
+from carpark_mj.cameras.rig import RIGS, Rig, RigName, Seen
 from carpark_mj.cameras.see import see
 from carpark_mj.config import ENCODERS, EnvConfig
 from carpark_mj.observations import (
@@ -44,7 +44,7 @@ class CameraObservation(ContinuousObservation):
             its last stretch while a camera sees the bay.
     """
 
-    rig: str = "surround"
+    rig: RigName = "surround"
     width: int = 64
     height: int = 48
     reach: float = 50.0
@@ -54,7 +54,7 @@ class CameraObservation(ContinuousObservation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = self.cameras  # refuses unknown rigs and pictures without pixels
+        _ = self.cameras  # refuses pictures without pixels
         if not self.channels or len({*self.channels}) < len(self.channels):
             raise ValueError(
                 f"channels must be one or both of depth and seen, not {self.channels}"

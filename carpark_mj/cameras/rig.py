@@ -21,7 +21,6 @@ from carpark_mj.config.checks import (
     Positive,
     Range,
 )
-from carpark_mj.extensions import Registry
 from carpark_mj.geometry.se2 import norm
 
 Projection = Literal["pinhole", "fisheye"]
@@ -217,10 +216,12 @@ WINDSCREEN = Camera(
     (0.20, 0.0, 0.88), **_turned(0.0, 8.0), lens=Lens(fov=math.radians(100.0))
 )
 
-RIGS: Registry[Rig] = Registry("camera rig")
-RIGS.register("surround", Rig((FRONT, REAR, LEFT, RIGHT)))
-RIGS.register("rear", Rig((REAR,)))
-RIGS.register("windscreen", Rig((WINDSCREEN,)))
+RigName = Literal["surround", "rear", "windscreen"]
+RIGS: dict[str, Rig] = {
+    "surround": Rig((FRONT, REAR, LEFT, RIGHT)),
+    "rear": Rig((REAR,)),
+    "windscreen": Rig((WINDSCREEN,)),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -307,9 +308,10 @@ def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
     width and height of a frame [pixels]. None if there is no rig of that name.
     """
     name, colon, index = camera.partition(":")
-    if name not in RIGS:
+    rig = RIGS.get(name)
+    if rig is None:
         return None
-    cameras = RIGS[name].cameras
+    cameras = rig.cameras
     if colon:
         if not (index.isdecimal() and int(index) < len(cameras)):
             raise ValueError(
@@ -320,7 +322,7 @@ def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
     rows, columns = picture_grid(len(cameras))
     width, height = size[0] // columns, size[1] // rows
     return dataclasses.replace(
-        RIGS[name], cameras=cameras, width=width, height=height, shaded=True
+        rig, cameras=cameras, width=width, height=height, shaded=True
     )
 
 

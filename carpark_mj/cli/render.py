@@ -123,7 +123,7 @@ def _gallery(config: RenderConfig) -> Path:
     cells = [
         cell
         for family in track(FAMILIES, "rendering", transient=True)
-        for cell in draw_lots(family, size, "overview", config.seed)
+        for cell in draw_lots(family, size, config.seed)
     ]
     _write_png(out, contact_sheet(cells))
     print(f"wrote {out}: {len(cells)} lots")

@@ -29,11 +29,8 @@ _NAMES = {
     "config.checks": ("data",),
     "config.env": ("EnvConfig", "insert", "is_data", "setting"),
     "geometry.obstacles": ("ObstacleKind",),
-    "layouts.base": (
-        *("LAYOUTS", "LayoutChoice", "LayoutConfig", "register_layout"),
-        "require_layout",
-    ),
-    "mdp.goals": ("GivingWayConfig", "GoalConfig", "Scheme"),
+    "layouts.base": ("LAYOUTS", "LayoutChoice", "LayoutConfig", "register_layout"),
+    "mdp.goals": ("GivingWayConfig", "GoalConfig"),
     "mdp.metrics": ("METRICS", "Metric", "MetricsConfig", "register_metric"),
     "mdp.rewards": (
         *("REWARDS", "REWARD_TERMS", "ExtraTerms", "GoalRewards", "RewardConfig"),
@@ -49,11 +46,10 @@ _NAMES = {
     "obstacles": ("MOVERS", "Mover"),
     "physics.config": (
         *("CONTACT_SIM_DT", "PHYSICS", "PhysicsChoice", "PhysicsConfig", "SimConfig"),
-        *("Surface", "TyresName", "physics_config"),
+        "Surface",
     ),
     "spawning.config": (
-        *("FleetConfig", "JitterConfig", "RandomizationConfig", "RelocationRule"),
-        "SpawnConfig",
+        *("FleetConfig", "JitterConfig", "RandomizationConfig", "SpawnConfig"),
     ),
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}

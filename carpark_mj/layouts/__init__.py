@@ -11,7 +11,6 @@ from carpark_mj.layouts.registry import (
     mixture,
 )
 from carpark_mj.layouts.schematics import (
-    SQUARE,
     SQUARE_COMPACT,
     SquareConfig,
     StreetConfig,
@@ -33,7 +32,6 @@ from carpark_mj.layouts.types import (
 
 __all__ = [
     "ROWS",
-    "SQUARE",
     "SQUARE_COMPACT",
     "AngledConfig",
     "BayEnd",

@@ -31,21 +31,6 @@ def lane_distance(layout: Layout, pose_w: jax.Array) -> jax.Array:
     return jnp.where(layout.lane_mask, distance, jnp.inf)
 
 
-def nearest_lane(layout: Layout, pose_w: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The lane of each car: the lane that holds its centre, or else the nearest.
-
-    Where lanes overlap (at crossings), it is the lane closest to the car's heading.
-
-    Returns:
-        (num_agents,) int index and (num_agents,) bool, whether the lot has a lane.
-    """
-    distance = lane_distance(layout, pose_w)
-    nearest = distance <= jnp.min(distance, axis=1, keepdims=True)
-    alike = jnp.cos(pose_w[:, None, 2] - layout.lane_pose[:, 2])
-    index = jnp.argmax(jnp.where(nearest, alike, -jnp.inf), axis=1)
-    return index, jnp.broadcast_to(layout.lane_mask.any(), index.shape)
-
-
 @struct.dataclass
 class Routes:
     """Routes from every lane of a lot to every bay."""

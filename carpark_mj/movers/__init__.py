@@ -3,7 +3,7 @@
 from carpark_mj.movers.drivers import Drivers
 from carpark_mj.movers.pedestrians import Pedestrians
 from carpark_mj.movers.replay import Replay
-from carpark_mj.movers.things import Barrier, Cart, Door, RailCar
+from carpark_mj.movers.things import Barrier, Cart, Door
 
 __all__ = [
     "Barrier",
@@ -11,6 +11,5 @@ __all__ = [
     "Door",
     "Drivers",
     "Pedestrians",
-    "RailCar",
     "Replay",
 ]

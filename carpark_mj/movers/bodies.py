@@ -25,6 +25,7 @@ SPARE = 1e-3  # m that is left between bodies
 TINY = 1e-8  # m², keeps quotients finite where people coincide
 ROUNDING = 1e-6  # m or m/s, of moves along a body that is touched
 STRAIGHT = 0.1  # share of a move aside, below which whoever is stopped goes right
+DODGE = 2.0  # m/s² [est], by which whoever is stopped turns aside
 # Of the social force model.
 RELAXATION = 0.5  # s, tau
 STRENGTH = 2.1  # m²/s², V0 of people
@@ -139,19 +140,21 @@ def room_to(xy: jax.Array, radius: jax.Array, boxes: jax.Array) -> Room:
     return Room(cos * x - sin * y, sin * x + cos * y, free)
 
 
-def go_round(rooms: Sequence[Room], move: jax.Array) -> jax.Array:
-    """Moves (n, 2) [m] that end within the room, from those that people wish for.
+def go_round(rooms: Sequence[Room], move: jax.Array, aside: float) -> jax.Array:
+    """Moves (n, 2) that end within the room, from those that people wish for.
 
-    Whoever is stopped goes aside instead, as far as there is room.
+    Whoever is stopped turns aside as far as there is room, by at most `aside`. That is
+    `DODGE` over the time of the move, or walking would depend on how time is divided.
     """
     beyond, x, y = functools.reduce(_further, (_nearest(room, move) for room in rooms))
     x, y = jnp.where(beyond > 0.0, x, 0.0), jnp.where(beyond > 0.0, y, 0.0)
     cut = move - jnp.maximum(beyond, 0.0)[:, None] * columns(x, y)
     # Aside they go by what they lose ahead; to the right if they go straight on.
-    aside = columns(y, -x)
+    right = columns(y, -x)
     lost = jnp.sqrt(jnp.maximum(norm(move) ** 2 - norm(cut) ** 2, 0.0))
-    left = (cut * aside).sum(axis=1) < -STRAIGHT * norm(move)
-    cut = cut + jnp.where(left, -lost, lost)[:, None] * aside
+    lost = jnp.minimum(lost, aside)
+    left = (cut * right).sum(axis=1) < -STRAIGHT * norm(move)
+    cut = cut + jnp.where(left, -lost, lost)[:, None] * right
     shares = [_share(room, cut) for room in rooms]
     return cut * functools.reduce(jnp.minimum, shares)[:, None]
 
@@ -241,7 +244,7 @@ def advance_people(
         velocity = limit(velocity, aim.speed)
         room = room_among(offset, aim.radius)
         room = room._replace(free=room.free / CLOSING)
-        velocity = go_round([room], velocity)
+        velocity = go_round([room], velocity, DODGE * share)
         return xy + share * velocity, velocity
 
     return jax.lax.fori_loop(0, steps, step, (xy, velocity))

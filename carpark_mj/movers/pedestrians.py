@@ -19,6 +19,7 @@ from carpark_mj.geometry.obstacles import Discs, Group, ObstacleKind
 from carpark_mj.layouts.types import Layout
 from carpark_mj.movers.bodies import (
     AWAY,
+    DODGE,
     Aim,
     Pair,
     advance_people,
@@ -99,7 +100,7 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     everything = jnp.concatenate([_parked(lot), people.places.walls, things], axis=1)
     others = room_among(apart(people.xy), people.radius)
     near = [room_to(people.xy, people.radius, boxes) for boxes in borders[:2]]
-    move = go_round([others, *near], wish)
+    move = go_round([others, *near], wish, DODGE * dt**2)
     kept = keep_off(people.xy, move, waypoint, people.radius, enter, stop)
     # Nobody is pushed out of the lot.
     stays = (jnp.abs(people.xy + kept) < lot.layout.extent).all(axis=-1)

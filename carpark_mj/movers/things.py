@@ -1,4 +1,4 @@
-"""Things that move: a barrier, a cart, a door, and a car on a rail."""
+"""Things that move: a barrier, a cart and a door."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -32,26 +32,14 @@ SWING = 1.5  # s, from closed to open
 OPEN = 5.0  # s that it stays open
 BESIDE = 2.0  # m beside the car that must be free of other parked cars
 
-RAIL_CAR = (4.3, 1.8)  # m
-GAP = 0.5  # m that it keeps from where a car cannot stop, and from other movers
-SHORTEST = 10.0  # m, of its lane
-TRIES = 8  # places that are tried when a lot begins
 
-
-def draw_lane(
-    key: jax.Array, layout: Layout, least: float
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """A random lane of at least a length [m].
-
-    Returns:
-        Pose (3,), size (2,), and () bool, whether the lot has such a lane.
-    """
+def draw_lane(key: jax.Array, layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A random lane: pose (3,), size (2,), and () bool, whether the lot has one."""
     if not layout.lane_mask.shape[0]:
         return jnp.zeros(3), jnp.ones(2), jnp.bool_(False)
-    good = layout.lane_mask & (layout.lane_size[:, 0] >= least)
-    order = jax.random.uniform(key, good.shape)
-    lane = jnp.argmax(jnp.where(good, order, -1.0))
-    return layout.lane_pose[lane], layout.lane_size[lane], good[lane]
+    order = jax.random.uniform(key, layout.lane_mask.shape)
+    lane = jnp.argmax(jnp.where(layout.lane_mask, order, -1.0))
+    return layout.lane_pose[lane], layout.lane_size[lane], layout.lane_mask[lane]
 
 
 class BarrierState(NamedTuple):
@@ -83,7 +71,7 @@ class Barrier(Mover):
         self, key: jax.Array, layout: Layout, others: Sequence[Group] = ()
     ) -> BarrierState:
         """It is closed, or open where somebody stands beneath."""
-        pose, size, there = draw_lane(key, layout, 0.0)
+        pose, size, there = draw_lane(key, layout)
         closed = BarrierState(pose, size, jnp.float32(0.0), there)
         # The ends of the beam may reach into walls and parked cars.
         movers = [x for x in others if x.kind not in STANDING]
@@ -275,70 +263,6 @@ def _door_pose(
     return to_world(pose, jnp.append(middle, jnp.arctan2(back[1], back[0])))
 
 
-class RailState(NamedTuple):
-    """A car on a rail."""
-
-    middle: jax.Array  # (3,) pose of the rail's middle
-    half: jax.Array  # () half the way of its centre [m]
-    way: jax.Array  # () from the middle [m]
-    speed: jax.Array  # () in the direction of the rail [m/s]
-    heads: jax.Array  # () 1 or -1, where it drives when the way is free
-    there: jax.Array  # () bool, whether the lot has a lane for it
-
-
-@dataclasses.dataclass(frozen=True)
-class RailCar(Mover):
-    """A car that drives to and fro along the middle of a lane, as on a rail.
-
-    It stops before others, so nobody is hit who could not have stopped. Lots without a
-    lane of 10 m have none.
-
-    Attributes:
-        speed: [m/s].
-        mover: fixed.
-    """
-
-    speed: Positive = 1.5
-    mover: str = "rail_car"
-
-    def init(
-        self, key: jax.Array, layout: Layout, others: Sequence[Group] = ()
-    ) -> RailState:
-        """It stands somewhere on the rail; without room for it there is none."""
-        lane_key, way_key = jax.random.split(key)
-        pose, size, there = draw_lane(lane_key, layout, SHORTEST)
-        half = jnp.maximum(size[0] / 2 - RAIL_CAR[0] / 2 - GAP, 0.0)
-        way = half * jax.random.uniform(way_key, (TRIES,), minval=-1.0)
-        tried = jnp.broadcast_to(pose, (TRIES, 3))
-        free = ~touches(move_forward(tried, way), jnp.array(RAIL_CAR), others)
-        way, there = way[jnp.argmax(free)], there & free.any()
-        zero = jnp.float32(0.0)
-        return RailState(pose, half, way, zero, jnp.float32(1.0), there)
-
-    begin = init
-
-    def step(
-        self, key: jax.Array, state: RailState, lot: State, dt: float
-    ) -> RailState:
-        """It drives on if the way is free, and turns round at the ends."""
-        del key
-        way = state.way + state.heads * self.speed * dt
-        way = jnp.clip(way, -state.half, state.half)
-        size = jnp.array(RAIL_CAR) + jnp.array([2 * GAP, 0.0])
-        waits = would_hit(lot, move_forward(state.middle, way), size, dt)
-        way = jnp.where(waits, state.way, way)
-        turns = jnp.abs(way) >= state.half
-        heads = jnp.where(turns, -jnp.sign(way), state.heads)
-        speed = (way - state.way) / dt
-        return state._replace(way=way, speed=speed, heads=heads)
-
-    def obstacles(self, state: RailState) -> list[Boxes]:
-        """The car."""
-        pose = move_forward(state.middle, state.way)
-        box = _moving_box(pose, state.speed, RAIL_CAR)
-        return [dataclasses.replace(box, mask=state.there[None])]
-
-
 def _moving_box(pose: jax.Array, speed: jax.Array, size: tuple[float, float]) -> Boxes:
     """A box (3,) that moves along its heading at a speed () [m/s]."""
     yaw = pose[2]
@@ -349,4 +273,3 @@ def _moving_box(pose: jax.Array, speed: jax.Array, size: tuple[float, float]) ->
 MOVERS.register("barrier", Barrier())
 MOVERS.register("cart", Cart())
 MOVERS.register("door", Door())
-MOVERS.register("rail_car", RailCar())

@@ -61,10 +61,8 @@ class ContinuousObservation(ObservationConfig):
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.
         ultrasound: sensors in the bumpers and sides.
-        lane: observe the lane the car is in, or the nearest.
         route: observe the route along the lanes to the goal; fixed goals only.
         tracked_movers: how many of the nearest movers, people among them, are observed.
-        in_sight: observe only movers that no car or wall hides.
         encoding: name of the encoder; as a flag it chooses another.
     """
 
@@ -79,16 +77,9 @@ class ContinuousObservation(ObservationConfig):
     )
     rays: RayConfig = dataclasses.field(default_factory=lambda: RayConfig(24))
     ultrasound: UltrasoundConfig = dataclasses.field(default_factory=UltrasoundConfig)
-    lane: bool = False
     route: bool = False
     tracked_movers: Natural = 0
-    in_sight: bool = False
     encoding: str = "continuous"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.in_sight and not self.tracked_movers:
-            raise ValueError("in_sight needs tracked_movers, at least 1, not 0")
 
     def parts(self, env: EnvConfig) -> list[Part]:
         """All that is observed, in order. An extension adds to it.
@@ -116,15 +107,13 @@ class ContinuousObservation(ObservationConfig):
         if parked_cars:
             parts.append(parked_cars_part(parked_cars))
         if self.tracked_movers:
-            parts.append(movers_part(self.tracked_movers, self.in_sight))
+            parts.append(movers_part(self.tracked_movers))
         if self.rings.diameters:
             parts.append(rings_part(self.rings))
         if self.rays.count:
             parts.append(rays_part(self.rays))
         if self.ultrasound.on:
             parts.append(ultrasound_part(self.ultrasound))
-        if self.lane:
-            parts.append(ego.LANE)
         return parts
 
     def fields(self, env: EnvConfig) -> list[Field]:

@@ -1,4 +1,4 @@
-"""What an agent observes of itself, its goal, the bays it tracks, and its lane.
+"""What an agent observes of itself, its goal, and the bays it tracks.
 
 Lists of bays hold `NO_BAY` where there is none.
 """
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import box_room, norm, rotate, to_local
-from carpark_mj.layouts.routes import RouteLeft, nearest_lane, route_to
+from carpark_mj.layouts.routes import RouteLeft, route_to
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import (
     CLOSE,
@@ -186,34 +186,6 @@ CAR = Part(
     ),
     _car,
 )
-
-
-_LANE_FIELDS = (
-    Field("lane_present", 1, 0.0, 1.0, "1 if the lot has lanes; else all 0"),
-    Field("lane_heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
-    Field("lane_one_way", 1, 0.0, 1.0, "1 if only that direction is allowed"),
-)
-
-
-def _lane(sight: ObservationInput) -> dict[str, jax.Array]:
-    """Of the lane nearest to every agent; zeros without lanes."""
-    layout, own_pose = sight.layout, sight.motion.pose_w
-    if not layout.has_lanes:
-        count = own_pose.shape[0]
-        return {field.name: jnp.zeros((count, field.size)) for field in _LANE_FIELDS}
-    index, present = nearest_lane(layout, own_pose)
-    yaw = layout.lane_pose[index, 2] - own_pose[:, 2]
-    values = {
-        "lane_present": present[:, None],
-        "lane_heading": unit_vector(yaw),
-        "lane_one_way": layout.lane_one_way[index, None],
-    }
-    return {
-        name: jnp.where(present[:, None], value, 0.0) for name, value in values.items()
-    }
-
-
-LANE = Part(_LANE_FIELDS, _lane)
 
 
 _BAY_FIELDS = (

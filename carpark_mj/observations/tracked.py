@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.checks import CheckedConfig
-from carpark_mj.geometry import nearest, norm, ray_box_distance, rotate, to_local
+from carpark_mj.geometry import nearest, norm, rotate, to_local
 from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.observations.ego import goal_code
 from carpark_mj.observations.fields import (
@@ -193,19 +193,13 @@ _MOVER_FIELDS = (
 
 
 @functools.cache
-def movers_part(count: int, in_sight: bool) -> Part:
-    """The nearest `count` movers.
-
-    With `in_sight` only those are observed whose centre can be seen from the own one,
-    past other agents, parked cars and walls.
-    """
+def movers_part(count: int) -> Part:
+    """The nearest `count` movers."""
 
     def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         own, groups = sight.motion, sight.state.movers.groups
         pose, size, velocity, there, person, round_ = _table(groups)
         mask = jnp.broadcast_to(there, (own.xy.shape[0], *there.shape))
-        if in_sight:
-            mask = mask & ~_hidden(sight, pose[:, :2])
         index, present = nearest(own.xy, pose[:, :2], mask, count)
         # Whoever stands without a heading is told as heading as the observer does.
         still = (norm(velocity) < STANDS) & round_
@@ -242,21 +236,3 @@ def _table(groups: tuple[Group, ...]) -> tuple[jax.Array, ...]:
         nobody = jnp.zeros((1, 3)), jnp.zeros((1, 2)), jnp.zeros((1, 2))
         return *nobody, jnp.zeros(1, bool), jnp.zeros(1), jnp.zeros(1, bool)
     return tuple(jnp.concatenate(column) for column in zip(*rows, strict=True))
-
-
-def _hidden(sight: ObservationInput, xy: jax.Array) -> jax.Array:
-    """(num_observers, n) bool, whether a box lies before points (n, 2)."""
-    own = sight.motion.xy
-    way = xy - own[:, None]
-    length = norm(way)
-    ahead = way / jnp.maximum(length, 1e-6)[..., None]
-    movers = {id(group) for group in sight.state.movers.groups}
-    hidden = jnp.zeros(length.shape, bool)
-    for group in sight.obstacles:
-        if isinstance(group, Boxes) and id(group) not in movers and group.count:
-            found = ray_box_distance(
-                own[:, None, None], ahead[:, :, None], group.pose_w, group.size
-            )
-            counts = group.counts(own.shape[0])[:, None]
-            hidden = hidden | ((found < length[..., None]) & counts).any(axis=-1)
-    return hidden

@@ -121,17 +121,6 @@ def rows_of(state: State) -> Rows:
     )
 
 
-def markdown_inputs() -> str:
-    """`INPUTS` as a markdown table."""
-    rows = ["| input | shape | unit | |", "|---|---|---|---|"]
-    for entry in INPUTS:
-        shape = ", ".join(map(str, entry.dims))
-        shape = f"({shape},)" if len(entry.dims) == 1 else f"({shape})"
-        unit = entry.unit or entry.dtype
-        rows.append(f"| `{entry.name}` | {shape} | {unit} | {entry.meaning} |")
-    return "\n".join(rows)
-
-
 class _Car(NamedTuple):
     """What observations read of `Vehicle` (cars,)."""
 

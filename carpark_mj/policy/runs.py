@@ -31,7 +31,7 @@ from carpark_mj.policy.checkpoints import CheckpointError
 
 KEPT_CHECKPOINTS = 2
 # Goes up whenever a field of a config is renamed, removed or means something else.
-CONFIG_VERSION = 4
+CONFIG_VERSION = 5
 # Parts by name, which their settings have in this entry.
 _NAMED: dict[str, Mapping[str, Any]] = {
     "mover": MOVERS,

@@ -39,7 +39,7 @@ def cell_size(width: int) -> tuple[int, int]:
 
 
 def draw_lots(
-    family: str, size: tuple[int, int], camera: str, seed: int
+    family: str, size: tuple[int, int], seed: int
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Draws a family's training lots as episodes start in them, half of the bays full.
 
@@ -67,7 +67,7 @@ def draw_lots(
             active=np.zeros(NUM_AGENTS, bool),  # no lines to the goals
         )
         stage = Stage(state.layout, env.vehicle, NUM_AGENTS, len(parked_pose))
-        renderer = LotRenderer(stage, camera, size)
+        renderer = LotRenderer(stage, "overview", size)
         try:
             renderer.place(seen)
             yield f"{family}, seed {number}", renderer.draw(seen, renderer.cameras[0])

@@ -93,32 +93,18 @@ class FleetConfig(CheckedConfig):
     Each is a preset's name or a vehicle file, as `EnvConfig.vehicle` is.
 
     Attributes:
-        agents: presets of the agents, drawn at every spawn.
-        agent_weights: relative frequencies of `agents`; empty = equally often.
-        parked_cars: presets of the parked cars, drawn when the lot is reset.
-        parked_weights: relative frequencies of `parked_cars`; empty = equally often.
+        agents: presets of the agents, drawn at every spawn, each equally often.
+        parked_cars: the same of the parked cars, drawn when the lot is reset.
     """
 
     agents: tuple[str, ...] = ()
-    agent_weights: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()
     parked_cars: tuple[str, ...] = ()
-    parked_weights: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for names in ("agents", "parked_cars"):
             cars = tuple(map(with_parameters, getattr(self, names)))
             object.__setattr__(self, names, cars)
-        for names, weights in (
-            ("agents", "agent_weights"),
-            ("parked_cars", "parked_weights"),
-        ):
-            count, given = len(getattr(self, names)), getattr(self, weights)
-            if given and len(given) != count:
-                raise ValueError(
-                    f"{weights} must be one for each of the {count} presets in "
-                    f"{names}, not {given}"
-                )
 
     @functools.cached_property
     def is_on(self) -> bool:

@@ -75,10 +75,6 @@ class Fleet:
             jax.tree.map(lambda *x: np.stack(x), *kinds)  # JAX would compile programs
         )
         self._size = make_vehicle(vehicle).size
-        weights = names.agent_weights or (1.0,) * len(self.agents)
-        self._weights = jax.device_put(np.array(weights, np.float32))
-        weights = names.parked_weights or (1.0,) * len(self.parked_cars)
-        self._parked_weights = jax.device_put(np.array(weights, np.float32))
 
     def start(
         self,
@@ -141,7 +137,6 @@ class Fleet:
             goal_bays = goal_bays & usable[:, None]
         agents = Wanted(
             fits=goal_bays,
-            weights=self._weights,
             cars=jnp.ones(n, bool) if present is None else present,
             anywhere=True,
         )
@@ -154,7 +149,6 @@ class Fleet:
         sizes = sizes * _uniform(config.jitter.scale, scale_key, (m, 1, 1))
         parked = Wanted(
             fits=fits(layout.bay_size, sizes),
-            weights=self._parked_weights,
             cars=jnp.arange(m) < self._num_parked_cars(layout, count_key),
             anywhere=False,
         )
@@ -173,7 +167,7 @@ class Fleet:
         return Start(goal, _in_bays(layout, cars), self.of_kind(kind), kind)
 
     def draw_kinds(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Kinds (num_agents,) int32 of cars drawn by weight, and the next key.
+        """Kinds (num_agents,) int32 of drawn cars, and the next key.
 
         Without a fleet of agents they are all of the one kind and nothing is drawn.
         """
@@ -181,8 +175,9 @@ class Fleet:
         if not self.mixed:
             return jnp.zeros(shape, jnp.int32), key
         key, kind_key = jax.random.split(key)
-        logits = jnp.log(self._weights)
-        kind = jax.random.categorical(kind_key, logits, shape=shape)
+        kind = jax.random.categorical(
+            kind_key, jnp.zeros(len(self.agents)), shape=shape
+        )
         return kind.astype(jnp.int32), key
 
     def of_kind(self, kind: jax.Array) -> Vehicle:
@@ -241,13 +236,11 @@ class Wanted(NamedTuple):
 
     Attributes:
         fits: (cars, kinds, bays) bool.
-        weights: (kinds,) > 0, how often each kind is drawn, in proportion.
         cars: (cars,) bool, the cars that need one.
         anywhere: whether a car that fits nowhere still gets a free bay.
     """
 
     fits: jax.Array
-    weights: jax.Array
     cars: jax.Array
     anywhere: bool
 
@@ -257,7 +250,7 @@ def draw_bays(
 ) -> tuple[jax.Array, jax.Array]:
     """Draws kinds of cars and distinct bays for them, one car after the other.
 
-    A kind is drawn by weight among those that fit into a bay of `free` (bays,) left,
+    A kind is drawn among those that fit into a bay of `free` (bays,) left,
     and then one of these bays. `key` is consumed.
 
     Returns:
@@ -269,8 +262,7 @@ def draw_bays(
         fits, wants, key = car
         kind_key, bay_key = jax.random.split(key)
         possible = (fits & free).any(axis=1)
-        logits = jnp.log(wanted.weights)
-        logits = jnp.where(possible | ~possible.any(), logits, -jnp.inf)
+        logits = jnp.where(possible | ~possible.any(), 0.0, -jnp.inf)
         kind = jax.random.categorical(kind_key, logits)
         good = free & fits[kind]
         if wanted.anywhere:

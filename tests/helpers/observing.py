@@ -15,7 +15,7 @@ CONFIGS = [
     ContinuousObservation(0, 0, rings=RingConfig()),
     ContinuousObservation(5, 1, rings=RingConfig((4.5,), cap=3)),
     ContinuousObservation(0, 4, rings=RingConfig((3.0, 7.25))),
-    ContinuousObservation(rays=RayConfig(5), lane=True, own_car=True, lines=True),
+    ContinuousObservation(rays=RayConfig(5), own_car=True, lines=True),
 ]
 
 observe_jit = jax.jit(observe, static_argnums=0)

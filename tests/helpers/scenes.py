@@ -179,14 +179,12 @@ def mjx_start(seed: int = 0) -> tuple[State, jax.Array]:
 
 
 @functools.cache
-def mjx_rollout(
-    num_steps: int = 300,
-) -> tuple[State, jax.Array, list[State], list[TimeStep]]:
+def mjx_rollout() -> tuple[State, jax.Array, list[State], list[TimeStep]]:
     """Random driving: start, first observation, then states and time steps (numpy)."""
     state, observation = start = mjx_start()
     rng = np.random.default_rng(0)
     states, timesteps = [], []
-    for k in range(num_steps):
+    for k in range(300):
         # A driving style per agent for a while, so that the cars get somewhere.
         if k % 20 == 0:
             style = rng.uniform(-1, 1, (LOTS, 3, 2)) * (1.0, 1.5)

@@ -12,10 +12,10 @@ from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.run_folder import describe
 
 
-def plan_runs(*texts, repeats=1, base="square"):
+def plan_runs(*texts, repeats=1):
     """A plan and its runs."""
-    axes = tuple(read_axis(text, PRESETS[base]) for text in texts)
-    plan = Plan(base, axes, repeats)
+    axes = tuple(read_axis(text, PRESETS["square"]) for text in texts)
+    plan = Plan("square", axes, repeats)
     return plan, checked_runs(plan)
 
 

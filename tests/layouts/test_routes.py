@@ -1,4 +1,4 @@
-"""Ways along the lanes: against a search on a grid, and downhill; the lane of a car."""
+"""Ways along the lanes: against a search on a grid, and downhill."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from carpark_mj.layouts import build, layout_config, make_layout
-from carpark_mj.layouts.routes import lane_distance, make_routes, nearest_lane, route_to
+from carpark_mj.layouts.routes import lane_distance, make_routes, route_to
 
 STEP = 0.25  # m
 COMPASS = np.stack(
@@ -27,7 +27,7 @@ def lot(request):
     return layout, jax.jit(make_routes)(layout)
 
 
-way, nearest = jax.jit(route_to), jax.jit(nearest_lane)
+way, lane_gaps = jax.jit(route_to), jax.jit(lane_distance)
 
 
 def _points_in_lanes(layout, count):
@@ -156,24 +156,16 @@ def test_padding_is_no_lane():
     padded = with_lanes(
         build.lanes([(0.0, 0.0, EAST)] * 2, (4.0, 4.0)), mask=[True, False]
     )
-    index, present = nearest(padded, jnp.array([(0.0, 0.0, 1.0)]))
-    assert (int(index[0]), bool(present[0])) == (0, True)
-    none = padded.replace(lane_mask=jnp.zeros(2, bool))
-    assert not nearest(none, jnp.array([(0.0, 0.0, 1.0)]))[1].any()
+    [gaps] = lane_gaps(padded, jnp.array([(0.0, 0.0, 1.0)]))
+    assert gaps.tolist() == [0.0, np.inf]
 
 
-def test_the_nearest_lane_is_shapely_s_and_on_a_crossing_the_one_along_the_car():
+def test_distances_to_lanes_are_shapely_s():
     rng = np.random.default_rng(0)
     pose = np.float32(rng.uniform((-30, -20, -3.1), (30, 20, 3.1), (2000, 3)))
-    index, present = nearest(PLAN, jnp.asarray(pose))
-    assert present.all()
     gap = shapely.distance(
         polygons(PLAN.lane_pose, PLAN.lane_size), shapely.points(pose[:, None, :2])
     )
-    chosen = gap[np.arange(2000), np.asarray(index)]
-    np.testing.assert_allclose(chosen, gap.min(axis=1), atol=1e-5)  # float32 at 30 m
-    several = (gap == 0.0).sum(axis=1) > 1
-    assert several.sum() > 5
-    alike = np.cos(pose[:, None, 2] - np.asarray(PLAN.lane_pose)[:, 2])
-    alike = np.where(gap == 0.0, alike, -np.inf)
-    np.testing.assert_array_equal(index[several], alike.argmax(axis=1)[several])
+    assert ((gap == 0.0).sum(axis=1) > 1).sum() > 5  # on crossings
+    found = lane_gaps(PLAN, jnp.asarray(pose))
+    np.testing.assert_allclose(found, gap, atol=1e-5)  # float32 at 30 m

@@ -350,8 +350,8 @@ def test_crowds_walk_as_fast_as_published_at_any_period(density, monkeypatch):
     monkeypatch.setattr(crowds, "ONE_WAY_TIME", 12.0)
     walk = jax.jit(crowds.one_way, static_argnums=(1, 2, 3))
     slow, fast = (walk(jax.random.key(0), density, 0.2, dt) for dt in (0.2, 0.04))
-    assert float(slow) == pytest.approx(WEIDMANN[density], rel=0.25)
-    assert float(fast) == pytest.approx(float(slow), rel=0.25)
+    assert float(slow) == pytest.approx(WEIDMANN[density], rel=0.2)
+    assert float(fast) == pytest.approx(float(slow), rel=0.1)
 
 
 def test_person_who_touches_a_body_slides_along_it():
@@ -359,6 +359,6 @@ def test_person_who_touches_a_body_slides_along_it():
     ahead = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
     right = jnp.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
     room = Room(ahead[:, :1], ahead[:, 1:], jnp.zeros((200, 1)))
-    move = jax.jit(go_round)([room], 0.12 * ahead + 0.16 * right)
-    assert (move * right).sum(axis=1).min() > 0.16
+    move = jax.jit(go_round)([room], 0.12 * ahead + 0.16 * right, 0.03)
     np.testing.assert_allclose((move * ahead).sum(axis=1), 0.0, atol=1e-6)
+    np.testing.assert_allclose((move * right).sum(axis=1), 0.19, atol=1e-6)

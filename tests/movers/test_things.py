@@ -14,7 +14,7 @@ from helpers.states import parked_at, parked_in, state_of
 
 from carpark_mj.geometry.obstacles import Boxes, Movers, ObstacleKind
 from carpark_mj.layouts import layout_config, make_layout
-from carpark_mj.movers import Barrier, Cart, Door, RailCar, Replay
+from carpark_mj.movers import Barrier, Cart, Door, Replay
 from carpark_mj.movers.things import DOOR, ROLLING, WIDEST
 from carpark_mj.obstacles import (
     begin_movers,
@@ -74,16 +74,6 @@ def test_a_cart_is_pushed_and_rolls_until_it_stands():
     assert not shapely.contains_xy(bays[:, None], *boxes.pose_w[:, 0, :2].T).any()
 
 
-def test_a_car_on_a_rail_drives_to_and_fro_and_stops_for_others():
-    boxes, state = watch(RailCar(), AWAY)
-    assert {*np.sign(state.speed)} >= {-1.0, 1.0}
-    assert np.abs(state.way).max() <= float(state.half[0]) + 1e-4
-    assert boxes.mask.all()
-    stands = tuple(np.asarray(state.middle[0]))
-    boxes, state = watch(RailCar(), stands)  # a car in the middle of the rail
-    assert gaps(boxes, np.array(stands))[state.speed != 0].min() > 0.5
-
-
 def test_a_barrier_opens_for_who_comes_near_and_closes_behind():
     boxes, _ = watch(Barrier(), AWAY)
     width = boxes.size[0, 0, 1]
@@ -128,7 +118,7 @@ def test_door_opens_only_where_there_is_room(monkeypatch):
     assert not shapely.intersects(door[:, None], walls).any()
 
 
-@pytest.mark.parametrize("mover", [Cart(pause=1.0), RailCar(), Door(pause=1.0)])
+@pytest.mark.parametrize("mover", [Cart(pause=1.0), Door(pause=1.0)])
 def test_nothing_moves_to_where_a_car_cannot_stop(mover):
     boxes, _ = watch(mover, AWAY)
     mask = np.ones(STEPS, bool) if boxes.mask is None else boxes.mask[:, 0]
@@ -144,7 +134,7 @@ def test_nothing_moves_to_where_a_car_cannot_stop(mover):
 KINDS = make_movers(
     (
         "pedestrians:number=20,children=0.3",
-        *("cart:pause=2", "rail_car", "barrier", "door:pause=2", "drivers:number=3"),
+        *("cart:pause=2", "barrier", "door:pause=2", "drivers:number=3"),
     )
 )
 
@@ -184,12 +174,10 @@ def test_nothing_begins_or_moves_into_anything_else():
     assert np.median(walked) > 5.0  # m, for all that, in 40 s
 
 
-def test_lots_without_lanes_have_no_barrier_and_no_car_on_a_rail():
-    square = make_layout("square")
-    movers: tuple[Any, ...] = (Barrier(), RailCar())
-    for mover in movers:
-        [boxes] = mover.obstacles(mover.init(jax.random.key(0), square))
-        assert not boxes.mask.any()
+def test_lots_without_lanes_have_no_barrier():
+    mover = Barrier()
+    [boxes] = mover.obstacles(mover.init(jax.random.key(0), make_layout("square")))
+    assert not boxes.mask.any()
     assert dataclasses.asdict(Cart())["mover"] == "cart"
 
 

@@ -112,7 +112,6 @@ def test_entities_of_a_group_have_the_same_fields(config, num_tracked_bays):
         ({"rays": RayConfig(31)}, 7),
         ({"rays": RayConfig(24, reach=3.0)}, 0),
         ({"rays": RayConfig(24, near=1.0)}, 24),
-        ({"lane": True}, 4),  # present, 2 of its heading, one-way
         ({"own_car": True}, 5),  # 2 of its size, wheelbase, axle, turning radius
         ({"lines": True}, 4),  # a number for each side
         ({"global_information": True}, 3),  # nearest agent, 2 of the claim

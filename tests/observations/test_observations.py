@@ -18,7 +18,7 @@ from helpers.scenes import (
     moved_cars,
     moved_lot,
 )
-from helpers.states import config_of, hand_cars, parked_at, parked_in, state_of
+from helpers.states import config_of, hand_cars, parked_in, state_of
 
 from carpark_mj.config import EnvConfig, RayConfig, RingConfig
 from carpark_mj.geometry import rotate
@@ -332,18 +332,15 @@ CART = Boxes(
 )
 
 
-def see(
-    count, in_sight=False, walls=(), parked=(), movers=(PEOPLE, CART), facing=FACING
-):
+def see(count, movers=(PEOPLE, CART), facing=FACING):
     """Rows (count, k) of fields by name, and the fields' names, of one car."""
     state = state_of(
-        lot([(30.0, 0.0, 0.0)], walls),
+        lot([(30.0, 0.0, 0.0)]),
         cars(facing),
         0,
-        parked_cars=parked_at(parked),
         movers=Movers((), tuple((group,) for group in movers)),
     )
-    part = movers_part(count, in_sight)
+    part = movers_part(count)
     values = part.fill(ObservationInput.of(state))
     assert [*values]
     assert {*values} == {field.name for field in part.fields}
@@ -395,14 +392,6 @@ def test_a_turned_lot_looks_the_same_also_with_those_who_stand(angle):
     for row, other in zip(see(4), turned, strict=True):
         for name, value in row.items():
             np.testing.assert_allclose(other[name], value, atol=1e-5, err_msg=name)
-
-
-def test_in_sight_hides_what_is_behind_cars_and_walls():
-    hiding: Any = {"walls": [(0.0, 4.0, 0.0)], "parked": [(5.0, 0.0, 1.0)]}
-    assert places(see(4, **hiding)) == [(0, 3), (6, 0), (0, -8), (0, 9)]
-    assert places(see(4, True, **hiding)) == [(0, 3), (0, 9)]
-    assert places(see(1, in_sight=True, walls=[(-1.5, 0.0, 0.0)])) == [(6, 0)]
-    assert places(see(4, True)) == places(see(4))
 
 
 def test_they_are_a_group_of_the_set_encoder_and_none_by_default():

@@ -193,7 +193,6 @@ EVERYTHING = ContinuousObservation(
     lines=True,
     own_car=True,
     rays=RayConfig(8, near=4.0),
-    lane=True,
 )
 FIXED = EnvConfig(
     observation=dataclasses.replace(EVERYTHING, route=True, global_information=True),
@@ -227,7 +226,6 @@ CONSUMERS = {
     "goal": ("goal_position", "goal_near", "goal_heading", "goal_distance", "in_bay"),
     "lines": ("line_room",),
     "route": ("route_next", "route_length"),
-    "lane": ("lane_heading",),
     "who is near the goal": ("goal_nearest_agent", "goal_claim"),
     "tracked agents": ("agent_0_position", "agent_0_heading", "agent_0_speed"),
     "what they share": ("agent_0_goal", "agent_0_steering"),

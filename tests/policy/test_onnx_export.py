@@ -51,7 +51,6 @@ WIDE = ContinuousObservation(
     global_information=True,
     own_car=True,
     rays=RayConfig(count=5),
-    lane=True,
     tracked_movers=2,
 )
 ENVS = {

@@ -50,7 +50,7 @@ def test_cells_stand_in_rows_with_their_pictures_whole():
 
 def test_two_lots_of_a_family_differ_and_show_cars(monkeypatch):
     monkeypatch.setattr(gallery, "NUM_AGENTS", 1)
-    lots = list(draw_lots("garage_row", (96, 64), "overview", seed=0))
+    lots = list(draw_lots("garage_row", (96, 64), seed=0))
     assert [caption for caption, _ in lots] == [
         f"garage_row, seed {k}" for k in range(LOTS)
     ]
