@@ -16,6 +16,7 @@ from jax.core import Tracer
 
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_choice, require_kind
+from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.layouts import Layout, layout_config, make_layout, member_shares
 from carpark_mj.layouts.registry import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, goals, metrics, rewards, terminations
@@ -80,7 +81,9 @@ class ParkingEnv:
         physics: Physics | None = None,
         vehicle: VehicleParameters | None = None,
     ) -> None:
-        """Builds the constants.
+        """Builds the constants; compiled programs are kept from now on.
+
+        See `carpark_mj.kept_programs`.
 
         Args:
             config: the environment; defaults to `EnvConfig()`.
@@ -95,6 +98,7 @@ class ParkingEnv:
             TypeError: the config, the back end or the car has another type.
         """
         require_float32()
+        keep_compiled_programs()
         if not isinstance(config, EnvConfig | None):  # pyright: ignore
             raise TypeError(
                 f"config must be an EnvConfig, not {config!r}; "

@@ -1,35 +1,44 @@
 """The commands of `carpark_mj`, and the programs of papers and extensions."""
 
 import dataclasses
+import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, get_type_hints
+from typing import Any
 
 from carpark_mj.cli.clock import CLOCK
 from carpark_mj.cli.process import (
     configure_jax,
     dispatch_synchronously,
     enable_output_fusion,
-    keep_compiled_programs,
 )
 from carpark_mj.extensions import Entry, Registry
+from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
+DRIVING, TABLES = (f"carpark_mj.cli.settings.{part}" for part in ("driving", "tables"))
+SCENES, LOTS = (f"carpark_mj.cli.settings.{part}" for part in ("scenes", "lots"))
 
 
 @dataclasses.dataclass(frozen=True)
 class Command(Entry):
     """A command: a function of its settings, or of the words of the command line.
 
-    Its settings are a config class, whose docstring is the help.
+    Its settings are a config class, whose docstring is the help. The settings are read
+    before the function is imported, without JAX.
 
     Attributes:
-        setup: called before the import, which may load MuJoCo, and before JAX computes.
+        settings: `module:name` of the config class; empty = the words themselves.
+        setup: called before the function is imported, which may load MuJoCo, and
+            before JAX computes.
+        needs: packages of extras without which it is refused at once.
         drives: its help names the pretrained policies.
     """
 
+    settings: str = ""
     setup: tuple[Callable[[], object], ...] = ()
+    needs: tuple[str, ...] = ()
     drives: bool = False
 
 
@@ -37,75 +46,103 @@ COMMANDS = {
     "train": Command(
         "carpark_mj.programs:train",
         "train a policy with PPO",
+        "",
         (choose_gl, configure_jax, keep_compiled_programs),
+        needs=("tyro", "tensorboardX"),
     ),
     "evaluate": Command(
         "carpark_mj.cli.evaluate:main",
         "evaluate a policy on held-out seeds",
+        f"{DRIVING}:EvaluateConfig",
         ACTING,
         drives=True,
     ),
     "render": Command(
         "carpark_mj.cli.render:main",
         "render episodes to a video or a still",
+        f"{DRIVING}:RenderConfig",
         (choose_gl, *ACTING),
         drives=True,
     ),
     "scene": Command(
         "carpark_mj.cli.scene:main",
         "write a car park as MJCF, or show it",
+        f"{SCENES}:SceneConfig",
         (keep_compiled_programs,),
         drives=True,
     ),
     "play": Command(
         "carpark_mj.cli.play:main",
         "drive a car yourself",
+        f"{SCENES}:PlayConfig",
         (keep_compiled_programs,),
         drives=True,
     ),
     "layouts": Command(
-        "carpark_mj.cli.layouts:main", "draw, plot, check and save layouts"
+        "carpark_mj.cli.layouts:main",
+        "draw, plot, check and save layouts",
+        f"{LOTS}:LayoutsConfig",
+        (keep_compiled_programs,),
     ),
-    "layouts edit": Command("carpark_mj.cli.layouts:edit", "draw a lot in the browser"),
+    "layouts edit": Command(
+        "carpark_mj.cli.layouts:edit",
+        "draw a lot in the browser",
+        f"{LOTS}:EditConfig",
+    ),
     "layouts import": Command(
-        "carpark_mj.cli.layouts:import_layout", "make a layout of a map"
+        "carpark_mj.cli.layouts:import_layout",
+        "make a layout of a map",
+        f"{LOTS}:ImportConfig",
+        needs=("shapely",),
     ),
     "vehicles": Command(
         "carpark_mj.cli.vehicles:show",
         "show a vehicle and its estimated parameters",
+        f"{TABLES}:VehiclesConfig",
     ),
     "identify": Command(
         "carpark_mj.cli.vehicles:fit",
         "find a car's parameters in the log of a drive",
-        (enable_output_fusion,),
+        f"{TABLES}:IdentifyConfig",
+        (enable_output_fusion, keep_compiled_programs),
     ),
     "oracle": Command(
         "carpark_mj.cli.oracle:main",
         "say which agents of held-out lots can park",
+        f"{DRIVING}:OracleConfig",
         (enable_output_fusion, keep_compiled_programs),
     ),
     "suite": Command(
         "carpark_mj.suite.evaluation:main",
         "compare policies on the held-out hard cases",
+        f"{DRIVING}:SuiteConfig",
         (choose_gl, *ACTING),
+        needs=("matplotlib",),
         drives=True,
     ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
     "export": Command(
         "carpark_mj.cli.export:main",
         "export a policy as an ONNX model",
+        f"{DRIVING}:ExportConfig",
         (keep_compiled_programs,),
         drives=True,
     ),
     "sweep": Command(
-        "carpark_mj.sweeps:main", "train every combination of some settings"
+        "carpark_mj.sweeps:main",
+        "train every combination of some settings",
+        f"{TABLES}:SweepConfig",
+        needs=("submitit",),
     ),
     "analysis": Command(
-        "carpark_mj.cli.analysis:main", "compare runs: tables, plots, a page"
+        "carpark_mj.cli.analysis:main",
+        "compare runs: tables, plots, a page",
+        f"{TABLES}:AnalysisConfig",
     ),
     "benchmark": Command(
         "carpark_mj.benchmarking:main",
         "measure speed, compilation and memory",
+        f"{TABLES}:BenchmarkConfig",
         (enable_output_fusion,),
     ),
     "study": Command(
@@ -126,33 +163,39 @@ def run(name: str, arguments: Sequence[str] | None = None) -> object:
     Returns:
         The exit code if it is an int; other values mean 0.
     """
-    for prepare in COMMANDS[name].setup:
-        prepare()
-    return call(name, sys.argv[1:] if arguments is None else arguments)
+    return call(name, sys.argv[1:] if arguments is None else arguments, set_up=True)
 
 
-def call(name: str, arguments: Sequence[str]) -> object:
-    """Runs a command in a process that is set up, see `run`."""
+def call(name: str, arguments: Sequence[str], set_up: bool = False) -> object:
+    """Runs a command in a process that is set up, unless it is asked to do that."""
     words = list(arguments)
     if words and f"{name} {words[0]}" in COMMANDS:
-        return call(f"{name} {words[0]}", words[1:])
+        return call(f"{name} {words[0]}", words[1:], set_up)
     command = COMMANDS[name]
+    given: Any = words
+    if command.settings:
+        given = _read(name, command, words)
+    for package in command.needs:
+        if importlib.util.find_spec(package) is None:
+            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+    for prepare in command.setup if set_up else ():
+        prepare()
     function = command.load()
-    (settings,) = [x for k, x in get_type_hints(function).items() if k != "return"]
-    if not isinstance(settings, type):  # the words themselves
-        return function(words)
-    from carpark_mj.cli.flags import help_of, read_flags
+    if command.settings:
+        CLOCK.set("working")
+    return function(given)
 
-    description = help_of(settings)
+
+def _read(name: str, command: Command, words: Sequence[str]) -> Any:
+    """The settings of a command."""
+    from carpark_mj.cli.flags import command_help, help_of, read_flags
+
+    settings = Entry(command.settings).load()
+    text = help_of(settings)
     if command.drives:
-        from carpark_mj.cli.driver import command_help
-
-        description = command_help(description)
-    words = getattr(sys.modules[function.__module__], "complete", list)(words)
-    prog = f"carpark_mj {name}"
-    config = read_flags(settings, words, description=description, prog=prog)
-    CLOCK.set("working")
-    return function(config)
+        text = command_help(text)
+    words = getattr(sys.modules[settings.__module__], "complete", list)(words)
+    return read_flags(settings, words, description=text, prog=f"carpark_mj {name}")
 
 
 def table(summaries: Mapping[str, str]) -> str:
@@ -178,6 +221,7 @@ def study(arguments: Sequence[str]) -> object:
         print(f"usage: carpark_mj study NAME ...\n\n{listed}")
         return 0
     program = STUDY_PROGRAMS[arguments[0]]
+    keep_compiled_programs()
     sys.argv = [f"carpark_mj study {arguments[0]}", *arguments[1:]]
     return program(list(arguments[1:]))
 
@@ -207,10 +251,8 @@ def train(arguments: Sequence[str]) -> int:
 def _train(arguments: Sequence[str]) -> int:
     import jax
 
-    from carpark_mj.training.loop import read_metrics
     from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
     from carpark_mj.training.ppo.parts import PRESETS, summaries
-    from carpark_mj.training.ppo.train import FEW_UPDATES, MAX_SKIPPED, train_runs
     from carpark_mj.training.run_folder import read_runs, read_settings
 
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
@@ -220,8 +262,13 @@ def _train(arguments: Sequence[str]) -> int:
             PRESETS[hardware], PRESETS, arguments, TRAIN_HELP, RUN_SETTINGS, summaries()
         )
 
+    configs = read_runs(arguments, read)
+    # After the help and the refusals, which do without.
+    from carpark_mj.training.loop import read_metrics
+    from carpark_mj.training.ppo.train import FEW_UPDATES, MAX_SKIPPED, train_runs
+
     is_first = jax.process_index() == 0  # others have no files of the runs
-    ended = train_runs(read_runs(arguments, read))
+    ended = train_runs(configs)
     stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
     if stopped:
         print(f"stopped; continue with: carpark_mj train --resume {' '.join(stopped)}")

@@ -23,7 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
-from carpark_mj.evaluation.keys import require_seed
+from carpark_mj.config.checks import require_seed
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.identification.fit import identify
 from carpark_mj.identification.log import POSE, RATES, DriveLog

@@ -22,9 +22,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import CheckedConfig, Count, Natural
+from carpark_mj.config.checks import CheckedConfig, Count, Natural, require_seed
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.geometry import norm, to_local
 from carpark_mj.geometry.obstacles import Boxes, Discs, Group, ObstacleKind
 from carpark_mj.obstacles import lot_obstacles

@@ -37,7 +37,7 @@ from carpark_mj.cli.layouts import EditConfig, ImportConfig, LayoutsConfig
 from carpark_mj.cli.oracle import OracleConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
-from carpark_mj.cli.scene import SceneConfig, complete
+from carpark_mj.cli.settings.scenes import SceneConfig, complete
 from carpark_mj.cli.vehicles import IdentifyConfig, VehiclesConfig
 from carpark_mj.config import (
     LAYOUTS,
@@ -53,7 +53,8 @@ from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.outside import INPUTS
-from carpark_mj.policy.runs import FOLDER, find_policy, pretrained_names
+from carpark_mj.policy.runs import find_policy
+from carpark_mj.pretrained import FOLDER, pretrained_names
 from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS

@@ -16,7 +16,15 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 # The floors of the house, from the ground: a room imports those below it only.
 FLOORS = (
     ("extensions",),
-    ("precision", "pytrees", "config", "files", "reading"),
+    (
+        "kept_programs",
+        "pretrained",
+        "precision",
+        "pytrees",
+        "config",
+        "files",
+        "reading",
+    ),
     ("geometry",),
     ("layouts",),
     ("types", "vehicle"),

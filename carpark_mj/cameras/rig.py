@@ -299,3 +299,34 @@ def is_dirty(rig: Rig, spots: jax.Array) -> jax.Array:
         jnp.broadcast_arrays(row - place[..., 0], column - place[..., 1]), axis=-1
     )
     return jnp.any(norm(off) < place[..., 2], axis=-3)
+
+
+def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
+    """The cameras that a flag names, with the resolution of their part of a frame.
+
+    The flag is a rig by name, or one of its cameras, as `surround:0`; `size` is the
+    width and height of a frame [pixels]. None if there is no rig of that name.
+    """
+    name, colon, index = camera.partition(":")
+    rig = RIGS.get(name)
+    if rig is None:
+        return None
+    cameras = rig.cameras
+    if colon:
+        if not (index.isdecimal() and int(index) < len(cameras)):
+            raise ValueError(
+                f"unknown camera {camera!r}; choose {name} or {name}:K with K from 0 "
+                f"to {len(cameras) - 1}"
+            )
+        cameras = (cameras[int(index)],)
+    rows, columns = picture_grid(len(cameras))
+    width, height = size[0] // columns, size[1] // rows
+    return dataclasses.replace(
+        rig, cameras=cameras, width=width, height=height, shaded=True
+    )
+
+
+def picture_grid(count: int) -> tuple[int, int]:
+    """Rows and columns for a number of pictures."""
+    columns = math.ceil(math.sqrt(count))
+    return -(-count // columns), columns

@@ -1,11 +1,7 @@
 """`carpark_mj analysis`: several runs as tables, plots and a page."""
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from carpark_mj.analysis import (
     Point,
@@ -21,46 +17,17 @@ from carpark_mj.analysis import (
     swept_settings,
     videos,
 )
+from carpark_mj.cli.settings.tables import AnalysisConfig
 from carpark_mj.evaluation.tables import picture, print_rows, table, write_page
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.policy.checkpoints import CheckpointError
 
 MAX_ROWS = 50  # of a table on the terminal; the files have all
-METRICS = ("parked", "crashed", "timed_out", "length")
 CURVES = ("episode/parked", "episode/crashed")
 METHOD = (
     "Interquartile means (iqm) with 95 % intervals from a bootstrap of runs within "
     "each point; of three runs or fewer the iqm is the mean."
 )
-
-
-@dataclasses.dataclass(frozen=True)
-class AnalysisConfig:
-    """Compares runs: tables with intervals, plots against a setting, curves, one page.
-
-    carpark_mj analysis runs/cpu-0 runs/cpu-1 runs/cpu-2
-    carpark_mj analysis runs/cpu-num_agents
-    carpark_mj analysis runs/cpu-num_agents --metrics parked length --by env.num_agents
-
-    Attributes:
-        runs: run folders and folders of sweeps.
-        by: settings that group runs, by full name (`env.num_agents`); the first is the
-            horizontal axis. Default: the settings that the sweeps vary.
-        metrics: metrics of the evaluations, see docs/metrics.md.
-        out: folder to write to; default: the sweep's if one is given, else
-            `runs/analysis`.
-    """
-
-    runs: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN...")
-    ] = ()
-    by: tuple[str, ...] = ()
-    metrics: tuple[str, ...] = METRICS
-    out: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.metrics:
-            raise ValueError("metrics must name at least one")
 
 
 def main(config: AnalysisConfig) -> Path:

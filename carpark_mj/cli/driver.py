@@ -3,22 +3,19 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
+from carpark_mj import pretrained
 from carpark_mj.cli.flags import as_flags, read_flags
+from carpark_mj.cli.settings.driving import LotSettings
 from carpark_mj.config import (
     EnvConfig,
     FleetConfig,
     RandomizationConfig,
     SensorConfig,
 )
-from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.keys import require_seed
 from carpark_mj.layouts import layout_config
-from carpark_mj.policy import runs
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import load_policy
@@ -26,64 +23,6 @@ from carpark_mj.policy.named import POLICIES
 from carpark_mj.policy.networks import Policy
 from carpark_mj.registry import environment
 from carpark_mj.spawning.checks import parked_cars_needed
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class LotSettings(CheckedConfig):
-    """Overrides of an environment that several commands have.
-
-    Attributes:
-        layout: the lot, a name or a layout file, or a comma-separated list of them;
-            default: that of the run.
-        num_agents: number of agents; default: that of the run.
-        num_parked_cars: number of parked cars; default: that of the run.
-        vehicle: preset or file of all cars; default: that of the run, or its fleet.
-        seed: seed of the held-out lots; training never uses these keys.
-    """
-
-    layout: str | None = None
-    num_agents: int | None = None
-    num_parked_cars: int | None = None
-    vehicle: str | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_seed(self.seed)
-
-    def adapted(self, env: EnvConfig, **changes: Any) -> EnvConfig:
-        """The environment with its settings among these and others, see `adapt`."""
-        names = {field.name for field in dataclasses.fields(EnvConfig)}
-        shared = names & {field.name for field in dataclasses.fields(self)}
-        own = {name: getattr(self, name) for name in shared}
-        return adapt(env, **own, **changes)
-
-
-@dataclasses.dataclass(frozen=True)
-class DriveSettings(LotSettings):
-    """A policy, and overrides of its environment.
-
-    Attributes:
-        run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
-            `planner`.
-        environment: name of an environment, see `carpark_mj.registry`; default: that of
-            the run. A run's policy observes in it what it was trained to.
-        movers: what else moves, with settings: `pedestrians:number=20`; default: as in
-            the run.
-        physics: back end; default: that of the run. In `scene`, crashes are contacts in
-            one MuJoCo world.
-    """
-
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
-    _: dataclasses.KW_ONLY
-    environment: str = ""
-    movers: tuple[str, ...] | None = None
-    physics: str | None = None
-
-
-def command_help(text: str) -> str:
-    """The head of a command's help, with the names of the pretrained policies."""
-    return f"{text}\n\nPretrained policies: {runs.describe_names()}."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,7 +86,7 @@ def output_folder(checkpoint: Path) -> Path:
     It is the folder of its run or file; `runs/NAME` for a pretrained policy.
     """
     folder = checkpoint.parent
-    if folder.resolve() == runs.FOLDER:
+    if folder.resolve() == pretrained.FOLDER:
         return Path("runs") / checkpoint.stem
     return folder.parent if folder.name == "checkpoints" else folder
 
@@ -167,6 +106,14 @@ def with_settings(env: EnvConfig, settings: Sequence[str]) -> EnvConfig:
             )
         values[name] = value
     return read_flags(EnvConfig, as_flags(values, env), env) if values else env
+
+
+def adapted(settings: LotSettings, env: EnvConfig, **changes: Any) -> EnvConfig:
+    """The environment with those of a command's settings that it has, see `adapt`."""
+    names = {field.name for field in dataclasses.fields(EnvConfig)}
+    shared = names & {field.name for field in dataclasses.fields(settings)}
+    own = {name: getattr(settings, name) for name in shared}
+    return adapt(env, **own, **changes)
 
 
 def adapt(

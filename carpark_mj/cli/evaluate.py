@@ -4,13 +4,11 @@ import dataclasses
 import hashlib
 import urllib.parse
 from pathlib import Path
-from typing import Annotated
 
 from carpark_mj.cli.clock import COMPILING, doing
-from carpark_mj.cli.driver import DriveSettings, find_driver, with_settings
-from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
-from carpark_mj.config import MetricsConfig, find_rules
-from carpark_mj.config.checks import Bounds, Count
+from carpark_mj.cli.driver import adapted, find_driver, with_settings
+from carpark_mj.cli.settings.driving import EvaluateConfig
+from carpark_mj.config import MetricsConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import Evaluation, evaluate
 from carpark_mj.evaluation.report import print_report, write_evaluation
@@ -22,59 +20,6 @@ UNNAMED = ("run", "policy", "out")
 # Settings of another task or other episodes, whatever the environment.
 TASK = ("environment", "stochastic", "seed", "horizon", "num_lots", "episodes")
 MAX_NAME = 150  # characters of a folder's name; file systems allow 255
-
-
-@dataclasses.dataclass(frozen=True)
-class EvaluateConfig(DriveSettings):
-    """Evaluates a policy on held-out seeds.
-
-    Writes `evaluation.csv` and `evaluation.json`, and `families.csv` of a mixture, and
-    prints the table. docs/metrics.md defines every number.
-
-    carpark_mj evaluate runs/cpu-0
-    carpark_mj evaluate runs/cpu-mixture-0
-    carpark_mj evaluate --policy random --episodes 500
-    carpark_mj evaluate --policy zero --environment square
-
-    Attributes:
-        policy: the same as RUN.
-        episodes: number of episodes, rounded up to the same number per agent.
-        horizon: simulated time [s]; all episodes that begin within it count, instead of
-            the same number per agent, so that short episodes weigh more. `episodes`
-            then sets the number of lots.
-        num_lots: lots simulated side by side, each with its own share of the episodes.
-        rule: parked rule of the evaluation: tanner, strict, precise, metadrive, or a
-            registered one; default: that of the run.
-        hitbox_scale: factor on the cars' lengths and widths in collision tests;
-            default: that of the run's environment.
-        min_agents: least number of agents; lots have from here to `num_agents` agents,
-            each number equally often. Default: that of the run, or `num_agents` if that
-            is given.
-        set: any other settings of the environment, as in
-            `sim.steering_delay=0.24 sensors.delay_max=2`.
-        nominal: switch off noise and delay of sensors and randomization of the cars.
-        stochastic: sample actions instead of taking the distribution's mode.
-        out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
-            for a baseline or a pretrained policy. Flags for another task or other
-            episodes, and checkpoint files of a run, get a subfolder of `evaluations/`.
-    """
-
-    policy: str = ""
-    episodes: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 1024
-    horizon: Annotated[float | None, Bounds(gt=0.0, le=MAX_SECONDS, unit="s")] = None
-    num_lots: Count = 128
-    rule: str | None = None
-    hitbox_scale: float | None = None
-    min_agents: int | None = None
-    set: tuple[str, ...] = ()
-    nominal: bool = False
-    stochastic: bool = False
-    out: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.rule is not None:
-            find_rules(self.rule)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +58,8 @@ def prepare(config: EvaluateConfig) -> Task:
         )
     name = config.run or config.policy
     driver = find_driver(name, config.environment, not config.stochastic)
-    changed = config.adapted(
+    changed = adapted(
+        config,
         with_settings(driver.env, config.set),
         rule=config.rule,
         hitbox_scale=config.hitbox_scale,

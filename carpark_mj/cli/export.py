@@ -5,22 +5,21 @@ import functools
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import output_folder
+from carpark_mj.cli.settings.driving import COUNTS, ExportConfig
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.keys import evaluation_key, require_seed
-from carpark_mj.files import require_suffix, require_writable, write_atomically
+from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
 from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
@@ -50,56 +49,6 @@ TOLERANCE = 1e-5
 ROUNDING = 2.0
 CHECKED = 10_000  # observations of each kind that are compared
 LOTS = 16  # of the roll-out
-COUNTS = ("others", "parked", "walls", "discs", "lanes")
-
-
-@dataclasses.dataclass(frozen=True)
-class ExportConfig:
-    """Exports a policy as an ONNX model, or as a checkpoint without training state.
-
-    carpark_mj export runs/cpu-0                      # runs/cpu-0/policy.onnx
-    carpark_mj export runs/cpu-0 --from-state         # runs/cpu-0/car.onnx, for a car
-    carpark_mj export runs/cpu-0 --out policy.npz     # as the pretrained policies are
-
-    An ONNX model has an input for every observation field, with the normalisation
-    inside. With --from-state the observation is inside too; inputs are poses of the
-    car, the others and the walls. A model is written only if onnxruntime computes the
-    policy's actions with it.
-
-    Attributes:
-        run: pretrained policy, run folder or checkpoint file.
-        out: file to write: .onnx, or .npz for a checkpoint of the policy alone;
-            default `policy.onnx` (`car.onnx` with --from-state) in the run folder, or
-            in `runs/NAME` of a pretrained policy.
-        seed: seed of the observations that the model is checked on.
-        from_state: the inputs are poses of the car and its surroundings, and the model
-            computes the observation.
-        others: number of rows for other driving cars; default and least: as many as the
-            environment has.
-        parked: number of rows for parked cars, likewise.
-        walls: number of rows for walls and other boxes, likewise.
-        discs: number of rows for pillars and other discs, likewise.
-        lanes: number of rows for lanes, likewise.
-    """
-
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    out: str = ""
-    seed: int = 0
-    from_state: bool = False
-    others: int | None = None
-    parked: int | None = None
-    walls: int | None = None
-    discs: int | None = None
-    lanes: int | None = None
-
-    def __post_init__(self) -> None:
-        require_suffix("out", self.out, ".onnx", ".npz")
-        if self.out.endswith(".npz"):
-            reason = "on a checkpoint"
-            require_unset(self, reason, "seed", "from_state")
-        if not self.from_state:
-            require_unset(self, "without --from-state", *COUNTS)
-        require_seed(self.seed)
 
 
 class Model(NamedTuple):

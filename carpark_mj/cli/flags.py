@@ -23,16 +23,9 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from carpark_mj.config import (
-    ENCODERS,
-    REWARD_TERMS,
-    ExtraTerms,
-    ObservationConfig,
-    insert,
-    setting,
-    term_settings,
-)
+from carpark_mj import config as known  # its names load what they are of
 from carpark_mj.config.checks import Range
+from carpark_mj.pretrained import describe_names
 
 Config = TypeVar("Config")
 
@@ -54,19 +47,23 @@ def _range(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Range] | None:
 
 def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
     """A flag for every setting of every registered reward term, as in `extra.haste`."""
-    if info.type is not ExtraTerms:
+    read: Any = info.type
+    if not (inspect.isclass(read) and issubclass(read, Mapping)):
         return None
-    given = info.default if isinstance(info.default, ExtraTerms) else ExtraTerms()
+    kind = known.ExtraTerms
+    if read is not kind:
+        return None
+    given = info.default if isinstance(info.default, kind) else kind()
 
-    def build(**values: float | None) -> ExtraTerms:
+    def build(**values: float | None) -> Mapping[str, float]:
         ordered = {**given, **values}.items()  # terms of the default first
-        return ExtraTerms({key: value for key, value in ordered if value is not None})
+        return kind({key: value for key, value in ordered if value is not None})
 
     number: Any = float | None  # None = not given
     fields = [
-        StructFieldSpec(key, number, given.get(key), REWARD_TERMS[name].meaning)
-        for name in REWARD_TERMS
-        for key in term_settings(name)
+        StructFieldSpec(key, number, given.get(key), known.REWARD_TERMS[name].meaning)
+        for name in known.REWARD_TERMS
+        for key in known.term_settings(name)
     ]
     return StructConstructorSpec(build, tuple(fields))
 
@@ -144,7 +141,7 @@ def as_flags(settings: Mapping[str, str], config: Any) -> list[str]:
         *groups, last = field.replace("_", "-").split(".")
         parts, now = value.split(), None
         with contextlib.suppress(ValueError):  # tyro says what is unknown
-            now = setting(config, field)
+            now = known.setting(config, field)
         if isinstance(now, bool):
             if value.lower() not in ("true", "false"):
                 raise ValueError(f"{field} must be true or false, not {value!r}")
@@ -166,14 +163,14 @@ def _with_encoders(
             continue
         config = cls() if default is None else default
         try:
-            now = setting(config, path)
+            now = known.setting(config, path)
         except ValueError:
             continue  # no such flag, which tyro says
-        if isinstance(now, ObservationConfig):
-            encoder = ENCODERS[value if equals else after]
+        if isinstance(now, known.ObservationConfig):
+            encoder = known.ENCODERS[value if equals else after]
             if type(now) is not encoder:
                 # Checked with the other flags, some of which may belong to it.
-                default = insert(config, {path: encoder()})
+                default = known.insert(config, {path: encoder()})
     return default
 
 
@@ -229,6 +226,11 @@ def _print_short_help(
 def help_of(cls: type) -> str:
     """The docstring of a config class, without its attributes."""
     return (inspect.getdoc(cls) or "").partition("\n\nAttributes:")[0]
+
+
+def command_help(text: str) -> str:
+    """The head of a command's help, with the names of the pretrained policies."""
+    return f"{text}\n\nPretrained policies: {describe_names()}."
 
 
 def _by_line(text: str | None) -> str | None:

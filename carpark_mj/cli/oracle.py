@@ -1,17 +1,15 @@
 """`carpark_mj oracle`: which agents of held-out lots can park within an episode."""
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import numpy as np
 
 from carpark_mj.cli.clock import COMPILING, doing
-from carpark_mj.cli.driver import LotSettings
-from carpark_mj.cli.process import MAX_EPISODES
-from carpark_mj.config.checks import Bounds
+from carpark_mj.cli.driver import adapted
+from carpark_mj.cli.settings.driving import OracleConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.evaluator import allot
@@ -26,30 +24,9 @@ from carpark_mj.registry import environment
 OUTCOMES = ("in time", "late", "none found", "impossible")
 
 
-@dataclasses.dataclass(frozen=True)
-class OracleConfig(LotSettings):
-    """Says which agents of held-out lots can park within an episode.
-
-    A planner that sees and moves all cars answers for each lot at its start; what it
-    does not solve may still be possible, unless it is counted as impossible.
-
-    carpark_mj oracle --layout street --num-agents 8 --lots 30
-    carpark_mj oracle --layout dead_end,garage_row --num-agents 4 --out runs/oracle
-
-    Attributes:
-        environment: name of an environment, see `carpark_mj.registry`.
-        lots: number of lots.
-        out: folder for `oracle.csv`, a row per agent.
-    """
-
-    environment: str = "anywhere"
-    lots: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 16
-    out: str = ""
-
-
 def main(config: OracleConfig) -> list[dict[str, Any]]:
     """Plans the lots, prints a table and writes the file; returns its rows."""
-    task = config.adapted(environment(config.environment))
+    task = adapted(config, environment(config.environment))
     env = ParkingEnv(task)
     require_plannable(env)
     if task.movers:

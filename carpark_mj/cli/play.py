@@ -6,20 +6,20 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from carpark_mj.config.checks import require_unset
+from carpark_mj.cli.settings.scenes import PlayConfig
 from carpark_mj.rendering.gl import Window, choose_gl, has_display
 
 if not has_display():
     choose_gl()  # before MuJoCo is imported; windows have an OpenGL of their own
 
 from carpark_mj.cli.clock import COMPILING, doing, wait_for_user
-from carpark_mj.cli.driver import find_driver
+from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.process import one_line, patient_interrupts
-from carpark_mj.cli.scene import ShownLot, default_env, serve
+from carpark_mj.cli.scene import default_env, serve
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
@@ -37,74 +37,16 @@ from carpark_mj.play.driving import (
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.local_pages import PORT, Port
-from carpark_mj.rendering.renderer import camera_names
 from carpark_mj.rendering.web import make_live_viewer, require_web
 
-LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")
 COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
-
-
-@dataclasses.dataclass(frozen=True)
-class PlayConfig(ShownLot):
-    """Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
-
-    carpark_mj play --layout street
-    carpark_mj play --policy square --view window --camera chase:0
-    carpark_mj play --replay runs/play/drive-0.npz --video drive.mp4
-
-    Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the
-    next one, Q ends. Gamepad: left stick, right trigger ahead, left trigger back.
-    Without a display a page is served instead, with a steering wheel and a pedal.
-
-    Attributes:
-        policy: pretrained policy, run folder or checkpoint file that drives the other
-            cars; without a policy they stand.
-        num_agents: number of cars, yours included; default 1, or as in the policy's
-            training.
-        seed: seed of the lot; the next lot has the next seed.
-        view: `window`, or `web` for a page on this machine; default: a window if there
-            is a display.
-        camera: camera of the window or the video: `topdown`, `overview`, `chase:0`,
-            `driver:0` or `split`.
-        out: folder in which every drive is saved as drive-K.npz.
-        replay: a saved drive to look at instead.
-        video: `.mp4` or `.gif` to write the replay to.
-        port: port of the page.
-    """
-
-    view: Literal["", "window", "web"] = ""
-    camera: str = "split"
-    out: str = "runs/play"
-    replay: str = ""
-    video: str = ""
-    port: Port = PORT
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.video and not self.replay:
-            raise ValueError("video needs a drive to show: give --replay FILE.npz")
-        if self.replay:
-            require_unset(self, "with --replay", *LOT)
-        if self.video:
-            require_unset(self, "with --video", "view", "port")
-        elif self.shown_in == "web":
-            require_unset(self, "in the browser, which has its own", "camera")
-        else:
-            require_unset(self, "in a window", "port")
-        camera_names(self.camera)
-
-    @property
-    def shown_in(self) -> str:
-        """`window` or `web`."""
-        return self.view or ("window" if has_display() else "web")
 
 
 def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
     """The environment to drive in, and the policy of the other cars."""
     if config.policy:
         driver = find_driver(config.policy)
-        env = ParkingEnv(config.adapted(driver.env))
+        env = ParkingEnv(adapted(config, driver.env))
         policy = driver.policy(env)
         if isinstance(policy, StatePolicy):
             raise ValueError(
@@ -113,7 +55,7 @@ def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
         return env, policy
     if config.num_agents is None:
         config = dataclasses.replace(config, num_agents=1)
-    env = ParkingEnv(config.adapted(default_env(config)))
+    env = ParkingEnv(adapted(config, default_env(config)))
     return env, zero_policy(env.action_spec)
 
 

@@ -14,7 +14,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator
-from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, cast
 
@@ -308,13 +307,3 @@ def configure_jax() -> None:
         dispatch_synchronously()
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
         jax.config.update("jax_num_cpu_devices", cores or 1)
-
-
-def keep_compiled_programs() -> None:
-    """Turns JAX's persistent compilation cache on, in the user's cache folder."""
-    import jax
-
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        cache = Path.home() / ".cache" / "carpark_mj" / "jax"
-        jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)

@@ -6,19 +6,15 @@ import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 from PIL import Image
 from rich.progress import track
 
-from carpark_mj.cameras import RIGS, Rig
-from carpark_mj.cameras.see import Channel
 from carpark_mj.cli.clock import COMPILING, doing
-from carpark_mj.cli.driver import DriveSettings, find_driver
-from carpark_mj.cli.process import MAX_SECONDS
+from carpark_mj.cli.driver import adapted, find_driver
+from carpark_mj.cli.settings.driving import RenderConfig
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import Bounds, Positive, require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.observations.fields import Tracked
@@ -34,106 +30,13 @@ from carpark_mj.rendering.renderer import (
     LotRenderer,
     RenderingError,
     Show,
-    camera_names,
 )
 from carpark_mj.rendering.video import (
     CarCameras,
-    car_cameras,
     draw_frame,
     frame_indices,
     write_video,
 )
-from carpark_mj.scene.build import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
-
-
-@dataclasses.dataclass(frozen=True)
-class RenderConfig(DriveSettings):
-    """Renders a policy's evaluation episodes off-screen to an mp4, a GIF or a still.
-
-    carpark_mj render runs/cpu-0
-    carpark_mj render runs/cpu-0 --camera split:1 --show tracked,rings
-    carpark_mj render runs/cpu-0 --physics scene --respawn false
-    carpark_mj render runs/cpu-0 --camera chase:0 --seconds 30
-    carpark_mj render runs/cpu-0 --camera driver:0 --layout lot --seed 3
-    carpark_mj render runs/cpu-0 --frame 12 --out frame.png
-    carpark_mj render --gallery --out gallery.png
-
-    Attributes:
-        out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
-            `frame.png` in the run folder, `gallery.png` here for the gallery.
-        camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
-            wheel, or `split:K`: topdown and chase:K side by side. Or what the first
-            agent's cameras see: a rig, as `surround`, or one of its cameras, as
-            `surround:0`.
-        channel: what a rig's pictures show: `colour`, `depth` or `seen`.
-        show: comma-separated extras: `tracked` links every agent to the cars and bays
-            it tracks, `rings` draws the circles in which it counts walls; of agent K
-            alone with `chase:K`, `driver:K` and `split:K`.
-        seconds: length of the video [s].
-        fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
-        frame: write a still at this time [s] instead of a video.
-        gallery: write a contact sheet instead, `width` wide: two lots of the square and
-            of six families, from `overview`, with seeds from `seed` on. It needs no
-            run.
-        width: width of a frame [pixels], even.
-        height: height of a frame [pixels], even.
-        respawn: whether finished agents respawn; `false` = one episode per agent.
-    """
-
-    out: str = ""
-    camera: str = "topdown"
-    channel: Channel = "colour"
-    show: str = ""
-    seconds: Annotated[float, Bounds(gt=0.0, le=MAX_SECONDS)] = 20.0
-    fps: Positive = 10.0
-    frame: Annotated[float | None, Bounds(ge=0.0, le=MAX_SECONDS, unit="s")] = None
-    gallery: bool = False
-    width: Annotated[int, Bounds(ge=2, le=OFFSCREEN_WIDTH)] = 1280
-    height: Annotated[int, Bounds(ge=2, le=OFFSCREEN_HEIGHT)] = 720
-    respawn: Literal["true", "false"] = "true"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if bool(self.run) == self.gallery:
-            raise ValueError(
-                "give a pretrained policy, a run folder, zero, random or planner, "
-                "or --gallery" + (", not both" if self.run else "")
-            )
-        if self.gallery:
-            shown = ("run", "out", "gallery", "width", "seed")
-            others = [f.name for f in dataclasses.fields(self) if f.name not in shown]
-            require_unset(self, "with --gallery", *others)
-        if self.frame is not None:
-            require_unset(self, "with --frame", "seconds", "fps")
-        idle = "show" if self.rig() else "channel"
-        require_unset(self, f"with --camera {self.camera}", idle)
-        unknown = set(self.extras) - {"tracked", "rings"}
-        if unknown:
-            raise ValueError(
-                f"show takes tracked and rings, with a comma between, not "
-                f"{', '.join(sorted(unknown))!r}"
-            )
-        for name in ("width", "height"):
-            if (value := getattr(self, name)) % 2:
-                raise ValueError(f"{name} must be even, not {value}")
-
-    def rig(self, num_agents: int | None = None) -> Rig | None:
-        """The cameras of a car that `camera` names; None if it is one of the lot's."""
-        rig = car_cameras(self.camera, (self.width, self.height))
-        if rig is None:
-            try:
-                camera_names(self.camera, num_agents)
-            except ValueError as error:
-                rigs = ", ".join(sorted(RIGS))
-                raise ValueError(
-                    f"{error}, or what cars see: {rigs}, or one camera, as surround:0"
-                ) from None
-        return rig
-
-    @property
-    def extras(self) -> list[str]:
-        """The names in `show`."""
-        return [name.strip() for name in self.show.split(",") if name.strip()]
 
 
 def main(config: RenderConfig) -> Path:
@@ -141,7 +44,7 @@ def main(config: RenderConfig) -> Path:
     if config.gallery:
         return _gallery(config)
     driver = find_driver(config.run, config.environment)
-    env_config = config.adapted(driver.env)
+    env_config = adapted(config, driver.env)
     episode = dataclasses.replace(env_config.episode, respawn=config.respawn == "true")
     env_config = dataclasses.replace(env_config, episode=episode)
     rig = config.rig(env_config.num_agents)  # refuse before the work

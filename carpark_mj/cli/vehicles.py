@@ -4,15 +4,13 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
-import tyro
 from rich.console import Console
 from rich.table import Column, Table
 
-from carpark_mj.config.checks import CheckedConfig, Finite
+from carpark_mj.cli.settings.tables import IdentifyConfig, VehiclesConfig
 from carpark_mj.config.vehicles import is_name
-from carpark_mj.files import require_suffix, require_writable, write_text
+from carpark_mj.files import require_writable, write_text
 from carpark_mj.identification.fit import (
     PARAMETERS,
     Identification,
@@ -24,28 +22,6 @@ from carpark_mj.identification.log import DriveLog, read_log
 from carpark_mj.vehicle import VEHICLES, preset
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.sheet import Sheet, parameters_text, read_sheet
-
-
-@dataclasses.dataclass(frozen=True)
-class VehiclesConfig:
-    """Shows cars: presets, and data sheets with their estimates.
-
-    carpark_mj vehicles
-    carpark_mj vehicles my_car.yaml
-    carpark_mj vehicles my_car.yaml --save all_of_it.json
-
-    Attributes:
-        vehicle: a vehicle file or a preset; without one the presets are listed.
-        save: file to write all parameters of the vehicle to.
-    """
-
-    vehicle: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VEHICLE")] = ""
-    save: str = ""
-
-    def __post_init__(self) -> None:
-        require_suffix("save", self.save, ".json")
-        if self.save and not self.vehicle:
-            raise ValueError("--save writes one vehicle: name it")
 
 
 def show(config: VehiclesConfig) -> None:
@@ -76,31 +52,6 @@ def _lines(params: VehicleParameters, estimated: Sequence[str]) -> list[str]:
         f"{name:28} {value:<10.4g}{'estimated' * (name in estimated)}".rstrip()
         for name, value in values.items()
     ]
-
-
-@dataclasses.dataclass(frozen=True)
-class IdentifyConfig(CheckedConfig):
-    """Identifies a car from the log of a test drive.
-
-    carpark_mj identify log.csv --vehicle compact
-    carpark_mj identify log.csv --vehicle data_sheet.yaml --out my_car.yaml
-
-    Attributes:
-        log: table of the drive, see docs/identify.md.
-        vehicle: preset or file of a car like this one.
-        out: vehicle file to write.
-        ahead: distance from the rear axle to the point whose x and y are logged,
-            forwards positive [m].
-    """
-
-    log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG.csv")]
-    vehicle: str
-    out: str = ""
-    ahead: Finite = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_suffix("out", self.out, ".yaml", ".yml")
 
 
 def fit(config: IdentifyConfig) -> None:

@@ -26,6 +26,8 @@ RANGES = Range, IntRange
 # JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
 LARGEST_WHOLE = 2**31 - 1
 LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
+MAX_SEED = 2**32 - 1  # what a key takes; others would be taken modulo 2**32
+FARTHEST = 1e4  # m; float32 resolves a millimetre there
 
 
 class Bounds(NamedTuple):
@@ -105,6 +107,14 @@ def require_count(name: str, value: Any, minimum: int) -> None:
     if type(value) is bool or not isinstance(value, numbers.Integral):
         raise ValueError(f"{name} must be a whole number, not {value!r}")
     require_number(name, value, Bounds(ge=minimum))
+
+
+def require_seed(seed: int) -> None:
+    """Refuses a seed that is negative, too large, or not a whole number."""
+    if type(seed) is bool or not isinstance(seed, numbers.Integral):
+        raise ValueError(f"seed must be a whole number, not {seed!r}")
+    if not 0 <= seed <= MAX_SEED:
+        raise ValueError(f"seed must lie in [0, {MAX_SEED}], not {seed}")
 
 
 def require_kind(name: str, value: object, kind: Any) -> None:

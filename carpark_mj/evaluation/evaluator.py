@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config.checks import is_finite, require_count
+from carpark_mj.config.checks import is_finite, require_count, require_seed
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row, summarize
-from carpark_mj.evaluation.keys import evaluation_key, require_seed
+from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import member_shares
 from carpark_mj.policy.acting import AnyPolicy, Carry, Step, acts, as_argument, roll_out
 from carpark_mj.types import State

@@ -30,6 +30,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from carpark_mj.config.checks import FARTHEST
 from carpark_mj.extensions import unknown_name
 from carpark_mj.layouts import build
 from carpark_mj.layouts.base import FAMILIES, LAYOUT_FORMATS, layout_format
@@ -51,7 +52,6 @@ _SCHEMA: dict[str, dict[str, Any]] = {
 _DEFAULTS: dict[str, Any] = {"one_way": True, "spread": build.LANE_SPREAD}
 _POSITIVE = ("size", "radius", "extent")
 _HALF_TURN = float(np.float32(math.pi))  # as a layout has it
-FARTHEST = 1e4  # m; float32 resolves a millimetre there
 _NEEDED = ("format", "bays", "spawns", "extent")
 
 

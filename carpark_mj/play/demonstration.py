@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.evaluation.keys import require_seed
+from carpark_mj.config.checks import require_seed
 from carpark_mj.files import write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import observation_size

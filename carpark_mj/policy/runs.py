@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from carpark_mj import pretrained
 from carpark_mj.config import (
     ENCODERS,
     PHYSICS,
@@ -40,7 +41,6 @@ _NAMED: dict[str, Mapping[str, Any]] = {
 }
 # By `algorithm` in the header of checkpoints without networks, see `loading.Algorithm`.
 ALGORITHMS: Registry[Any] = Registry("algorithm")
-FOLDER = Path(__file__).resolve().parent / "pretrained"
 
 
 def from_dict(cls: Any, data: Any) -> Any:
@@ -98,7 +98,7 @@ def latest_checkpoint(run: Path) -> Path:
     if not run.is_dir():
         raise CheckpointError(
             f"no run folder or checkpoint at {run}, and no pretrained policy of that "
-            f"name (there are: {describe_names()})"
+            f"name (there are: {pretrained.describe_names()})"
         )
     files = checkpoint_files(run)
     if not files:
@@ -131,16 +131,6 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
     return path
 
 
-def pretrained_names() -> list[str]:
-    """Names of the policies in the package, sorted."""
-    return sorted(path.stem for path in FOLDER.glob("*.npz"))
-
-
-def describe_names() -> str:
-    """The names in a sentence's form: `a, b, c`, or `none`."""
-    return ", ".join(pretrained_names()) or "none"
-
-
 def find_policy(run: str | Path) -> Path:
     """The file of a pretrained policy, or the path of a run.
 
@@ -151,11 +141,11 @@ def find_policy(run: str | Path) -> Path:
         The path, which may not exist.
     """
     require_kind("run", run, str | Path)
-    if isinstance(run, Path) or run not in pretrained_names():
+    if isinstance(run, Path) or run not in pretrained.pretrained_names():
         return Path(run)
     if Path(run).exists():
         raise CheckpointError(
             f"{run} is a pretrained policy and a path in this folder: write ./{run} "
             "for the path, or rename it"
         )
-    return FOLDER / f"{run}.npz"
+    return pretrained.FOLDER / f"{run}.npz"

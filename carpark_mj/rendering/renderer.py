@@ -14,7 +14,7 @@ from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.gl import why_nothing_is_drawn
 from carpark_mj.rendering.recording import Snapshot, tracked_points
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.scene.cameras import LOT_CAMERAS
+from carpark_mj.scene.camera_flags import LOT_CAMERAS, camera_names, followed_agents
 from carpark_mj.scene.looks import agent_colour
 from carpark_mj.scene.parts import HULL_GROUP, cabin_geoms
 
@@ -249,33 +249,3 @@ class LotRenderer:
     def close(self) -> None:
         """Frees the GL context."""
         self._renderer.close()
-
-
-def camera_names(camera: str, num_agents: int | None = None) -> tuple[str, ...]:
-    """Names of the scene's cameras for a camera flag, left to right.
-
-    `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its wheel, `split`
-    (topdown and chase:0) or `split:K`. `num_agents` is None if it is not known yet.
-
-    Raises:
-        ValueError: no such camera; the message lists them.
-    """
-    kind, colon, agent = str(camera).partition(":")
-    known = agent.isdecimal() and (num_agents is None or int(agent) < num_agents)
-    if camera in LOT_CAMERAS:
-        return (camera,)
-    if kind in ("chase", "driver") and known:
-        return (f"agent{int(agent)}/{kind}",)
-    if kind == "split" and (known or not colon):
-        return ("topdown", f"agent{int(agent or 0)}/chase")
-    last = "" if num_agents is None else f" to {num_agents - 1}"
-    raise ValueError(
-        f"unknown camera {camera!r}; choose topdown, overview, chase:K, driver:K, "
-        f"split or split:K with K from 0{last}"
-    )
-
-
-def followed_agents(cameras: tuple[str, ...]) -> tuple[int, ...]:
-    """The agents on whose cars some of the cameras are; none for the whole lot."""
-    owners = [camera.partition("/")[0] for camera in cameras if "/" in camera]
-    return tuple(int(owner.removeprefix("agent")) for owner in owners)

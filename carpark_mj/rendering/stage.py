@@ -9,7 +9,8 @@ import numpy as np
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene.build import build_scene
-from carpark_mj.scene.cameras import LOT_CAMERAS, frame_lot
+from carpark_mj.scene.camera_flags import LOT_CAMERAS
+from carpark_mj.scene.cameras import frame_lot
 from carpark_mj.scene.movers import Walkers
 from carpark_mj.scene.parts import HIDDEN, car_prefix
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS

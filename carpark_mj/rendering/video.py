@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import math
 import re
 import subprocess
 import warnings
@@ -14,7 +13,8 @@ from typing import Any, cast
 import jax
 import numpy as np
 
-from carpark_mj.cameras import RIGS, Heights, Rig, paint, see
+from carpark_mj.cameras import Heights, Rig, paint, see
+from carpark_mj.cameras.rig import picture_grid
 from carpark_mj.cameras.see import Channel
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import write_atomically
@@ -128,31 +128,6 @@ def draw_status(frame: np.ndarray, seen: Snapshot) -> np.ndarray:
     return np.asarray(image)
 
 
-def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
-    """The cameras that a flag names, with the resolution of their part of a frame.
-
-    The flag is a rig by name, or one of its cameras, as `surround:0`; `size` is the
-    width and height of a frame [pixels]. None if there is no rig of that name.
-    """
-    name, colon, index = camera.partition(":")
-    rig = RIGS.get(name)
-    if rig is None:
-        return None
-    cameras = rig.cameras
-    if colon:
-        if not (index.isdecimal() and int(index) < len(cameras)):
-            raise ValueError(
-                f"unknown camera {camera!r}; choose {name} or {name}:K with K from 0 "
-                f"to {len(cameras) - 1}"
-            )
-        cameras = (cameras[int(index)],)
-    rows, columns = _grid(len(cameras))
-    width, height = size[0] // columns, size[1] // rows
-    return dataclasses.replace(
-        rig, cameras=cameras, width=width, height=height, shaded=True
-    )
-
-
 class CarCameras:
     """Draws instants of a recording as the cameras of the first agent see them."""
 
@@ -180,19 +155,13 @@ class CarCameras:
         pictures = np.asarray(
             self._draw(_camera_state(self._recording, self._sizes, index))
         )
-        _, columns = _grid(len(pictures))
+        _, columns = picture_grid(len(pictures))
         height, width = pictures.shape[1:3]
         frame = np.zeros((*self._size[::-1], 3), np.uint8)
         for k, picture in enumerate(pictures):
             y, x = k // columns * height, k % columns * width
             frame[y : y + height, x : x + width] = picture
         return frame
-
-
-def _grid(count: int) -> tuple[int, int]:
-    """Rows and columns for a number of pictures."""
-    columns = math.ceil(math.sqrt(count))
-    return -(-count // columns), columns
 
 
 def _camera_state(recording: Recording, sizes: np.ndarray, index: int) -> State:

@@ -13,12 +13,11 @@ import numpy as np
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import cameras, looks, markings, parts
+from carpark_mj.scene.camera_flags import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 from carpark_mj.scene.movers import add_movers
 from carpark_mj.vehicle import contact_wheels as contact
 from carpark_mj.vehicle.mjcf import add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-
-OFFSCREEN_WIDTH, OFFSCREEN_HEIGHT = 1920, 1080  # largest frame the renderer may ask for
 
 
 def build_scene(

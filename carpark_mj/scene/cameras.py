@@ -12,7 +12,6 @@ from carpark_mj.vehicle.parameters import VehicleParameters
 Point = tuple[float, float, float]
 
 LEAST_ASPECT = 4 / 3  # width over height of the narrowest frame that shows the lot
-LOT_CAMERAS = ("topdown", "overview")
 _FOVY = {"topdown": 30.0, "overview": 38.0}  # deg
 _ELEVATION = {"topdown": math.pi / 2, "overview": math.radians(45)}  # rad
 # What must be in the frame: walls stand on the edge of the lot.

@@ -1,7 +1,8 @@
 """Refuses cars that cannot drive or park in a lot, and too many cars."""
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ from carpark_mj.layouts.types import BayKind
 from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.vehicle import VehicleParameters
 
-SAMPLED_LOTS = 4  # in which a random lot's bays are measured against the fleet
+SAMPLED_LOTS = 4  # of each random family, whose bays are measured against the fleet
 
 
 def check_numbers(config: EnvConfig, lot: LayoutConfig) -> None:
@@ -68,7 +69,8 @@ def has_exits(lot: LayoutConfig) -> bool:
         if part.is_random:  # random lots have none
             return False
         layout = make_layout(part)
-        if not (layout.bay_mask & (layout.bay_kind == BayKind.EXIT)).any():
+        kinds = np.asarray(layout.bay_kind)[np.asarray(layout.bay_mask)]
+        if not (kinds == BayKind.EXIT).any():
             return False
     return True
 
@@ -84,8 +86,8 @@ def check_cars(
     """Refuses cars that cannot start, enter a bay from the aisle, or fit into one.
 
     A single kind of car must fit into all bays of a fixed lot, each car of a fleet into
-    at least one. Cars that do not steer need no room to turn into a bay. Of a random
-    lot, `layout` None, a few are drawn.
+    at least one. Cars that do not steer need no room to turn into a bay. Of random
+    lots, `layout` None, some are drawn until each car has a bay.
 
     Raises:
         ValueError: naming the car and what is allowed.
@@ -99,13 +101,14 @@ def check_cars(
     one_size = not config.fleet.is_on and config.jitter.scale == (1.0, 1.0)
     if one_size and layout is None and is_made_for(lot, fleet.agents[0]):
         return
-    keys = jax.random.split(jax.random.key(0), SAMPLED_LOTS)
-    lots = [make_layout(lot, key) for key in keys] if layout is None else [layout]
-    bays = [np.asarray(x.bay_size)[np.asarray(x.bay_mask)] for x in lots]
+
+    def bays() -> Iterable[np.ndarray]:
+        return _drawn_bays(lot) if layout is None else [_bays(layout)]
+
     if fleet.mixed:
         slack, goals = config.episode.slack, _num_goals(config)
         most = max(
-            _count_bays("fleet.agents", name, _size(car), slack, bays)
+            _count_bays("fleet.agents", name, _size(car), slack, bays())
             for name, car in agents
         )
         if layout is not None and most < goals:
@@ -115,21 +118,49 @@ def check_cars(
                 "a lot"
             )
     else:  # drawn without regard to its size
-        used = bays
+        used = None if layout is None else _bays(layout)
         if layout is not None and (config.varies or not config.num_parked_cars):
-            used = [np.asarray(layout.bay_size)[np.asarray(layout.goal_mask)]]
+            used = np.asarray(layout.bay_size)[np.asarray(layout.goal_mask)]
         [(name, car)] = agents
-        count = _count_bays("agents", name, _size(car), 0.0, used)
-        if layout is not None and count < len(used[0]):
+        lots = bays() if used is None else [used]
+        count = _count_bays("agents", name, _size(car), 0.0, lots)
+        if used is not None and count < len(used):
             raise ValueError(
                 f"the {name}, {car.length:.2f} m x {car.width:.2f} m, fits in only "
-                f"{count} of the lot's {len(used[0])} bays; fleet.agents and "
+                f"{count} of the lot's {len(used)} bays; fleet.agents and "
                 "fleet.parked_cars take presets and use only bays that these fit in"
             )
     if config.num_parked_cars and config.varies:
         scale = config.jitter.scale[1]
         for name, car in zip(fleet.parked_names, fleet.parked_cars, strict=True):
-            _count_bays("parked cars", name, scale * _size(car), 0.0, bays)
+            _count_bays("parked cars", name, scale * _size(car), 0.0, bays())
+
+
+def _bays(layout: Layout) -> np.ndarray:
+    """Length and width (bays, 2) of the bays that there are."""
+    return np.asarray(layout.bay_size)[np.asarray(layout.bay_mask)]
+
+
+def _drawn_bays(lot: LayoutConfig) -> Iterator[np.ndarray]:
+    """The bays of lots of all members, one lot after the other."""
+    for number in range(SAMPLED_LOTS):
+        for part in lot.parts:
+            yield _draw_bays(part, number)
+
+
+@functools.lru_cache(maxsize=256)
+def _draw_bays(part: LayoutConfig, number: int) -> np.ndarray:
+    if not part.is_random:
+        return _bays(make_layout(part))
+    size, mask = _bays_only(part, jax.random.fold_in(jax.random.key(0), number))
+    return np.asarray(size)[np.asarray(mask)]
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _bays_only(part: LayoutConfig, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Sizes and mask of a lot's bays, by a far smaller program than a whole lot."""
+    layout = part.generate(key)
+    return layout.bay_size, layout.bay_mask
 
 
 def _require_start(
@@ -205,12 +236,18 @@ def _require_entry(name: str, car: VehicleParameters, entries: Sequence[Entry]) 
 
 
 def _count_bays(
-    kind: str, name: str, size: np.ndarray, slack: float, lots: Sequence[np.ndarray]
+    kind: str, name: str, size: np.ndarray, slack: float, lots: Iterable[np.ndarray]
 ) -> int:
-    """Number of bays of the roomiest lot that a car fits into; refuses 0."""
-    count = max(int((size + slack <= bays).all(axis=1).sum()) for bays in lots)
-    if not count:
-        longest, widest = np.concatenate(lots).max(axis=0)
+    """Number of bays that a car fits into in the first lot with any; refuses none."""
+    seen: list[np.ndarray] = []
+    count = 0
+    for bays in lots:
+        seen.append(bays)
+        count = int((size + slack <= bays).all(axis=1).sum())
+        if count:
+            break
+    else:
+        longest, widest = np.concatenate(seen).max(axis=0)
         spare = f"with {slack:g} m to spare " if slack else ""
         raise ValueError(
             f"{kind}: the {name}, {size[0]:.2f} m x {size[1]:.2f} m, fits {spare}in no "

@@ -71,7 +71,9 @@ class Fleet:
         self.parked_cars = tuple(map(preset, names.parked_cars)) or (vehicle,)
         self.mixed = bool(names.agents)
         kinds = [make_vehicle(params) for params in self.agents]
-        self._kinds: Vehicle = jax.tree.map(lambda *x: jnp.stack(x), *kinds)
+        self._kinds: Vehicle = jax.device_put(
+            jax.tree.map(lambda *x: np.stack(x), *kinds)  # JAX would compile programs
+        )
         self._size = make_vehicle(vehicle).size
 
     def start(

@@ -9,16 +9,16 @@ import functools
 import itertools
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from carpark_mj.benchmarking import best_time
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
+from carpark_mj.cli.settings.driving import WORST, SuiteConfig
 from carpark_mj.config import (
     EnvConfig,
     EpisodeConfig,
@@ -30,11 +30,10 @@ from carpark_mj.config import (
     SpawnConfig,
     find_rules,
 )
-from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row
 from carpark_mj.evaluation.evaluator import ended_episodes
-from carpark_mj.evaluation.keys import evaluation_key, require_seed
+from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.people import CLOSE_TIME
@@ -51,7 +50,6 @@ from carpark_mj.policy.acting import (
 )
 from carpark_mj.suite.hope import HopeConfig
 from carpark_mj.suite.levels import (
-    HOPE_LEVELS,
     TPCAP_LEVEL,
     Cases,
     CaseStart,
@@ -67,7 +65,6 @@ from carpark_mj.suite.levels import (
 from carpark_mj.suite.report import (
     PLANNER,
     VEHICLE,
-    WORST,
     Drawn,
     made_with,
     require_gl,
@@ -88,7 +85,6 @@ from carpark_mj.types import State
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
 TIMED = 20  # calls of a policy whose shortest counts
-DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
 DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
 
 
@@ -262,100 +258,32 @@ def _choose_action(
     return action[..., :1, :]
 
 
-@dataclasses.dataclass(frozen=True)
-class SuiteConfig:
-    """The suite of hard cases: one car parks in every case of some levels.
+def require_cases(config: SuiteConfig) -> None:
+    """Refuses rules, levels and cases that there are not, or of which more is asked."""
+    find_rules(config.rule)
+    require_alike(config.levels)
+    for level in config.levels:
+        _require_numbers(config, level)
+        if config.videos:
+            require_filmed(level)
+        if config.moving_car:
+            require_aisle(level)
 
-    carpark_mj suite planner anywhere
-    carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3
-    carpark_mj suite planner --levels tpcap --seeds 0 1 2
-    carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
-    carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
 
-    The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
-    and the numbers.
-
-    Attributes:
-        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
-            or `random`.
-        levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
-            TPCAP's 20 published cases; `busy`, where people, a cart or a car get in
-            the way; or registered ones.
-        cases: number of cases of each level; None = all from `first_case` on.
-        first_case: first case of each level, from 0.
-        rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
-            registered rule.
-        moving_car: another car drives through the aisle of every case.
-        seeds: of the planner's searches and of stochastic policies; each seed drives
-            all cases.
-        videos: number of worst cases to film for every policy and level, at most 10;
-            needs off-screen OpenGL.
-        combine: folders of this command; drives no case and combines their episodes in
-            one table.
-        check: a `suite.json`; drives no case and checks the file as an entry of the
-            leaderboard.
-        out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
-            `suite.html`, `videos/` and, of the planner, `paths.png`.
-    """
-
-    policies: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
-    ] = ()
-    levels: tuple[str, ...] = HOPE_LEVELS
-    cases: int | None = None
-    first_case: int = 0
-    rule: str = "strict"
-    moving_car: bool = False
-    seeds: tuple[int, ...] = (0,)
-    videos: int = 0
-    combine: tuple[str, ...] = ()
-    check: str = ""
-    out: str = "runs/suite"
-
-    def __post_init__(self) -> None:
-        if self.check:
-            other = "with --check, which drives nothing"
-            require_unset(self, other, "policies", "combine", "videos", *DRIVING)
-        elif bool(self.policies) == bool(self.combine):
-            raise ValueError(
-                "name at least one policy, for example planner, or folders to combine"
-                f"{', not both' if self.policies else ''}"
-            )
-        find_rules(self.rule)
-        if self.combine:
-            require_unset(self, "with --combine, which drives nothing", *DRIVING)
-        require_alike(self.levels)
-        for level in self.levels:
-            self._check_cases(level)
-            if self.videos:
-                require_filmed(level)
-            if self.moving_car:
-                require_aisle(level)
-        if not 0 <= self.videos <= WORST:
-            raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
-        for name in ("policies", "levels", "seeds", "combine"):
-            value = getattr(self, name)
-            if len(set(value)) < len(value):
-                raise ValueError(f"{name} must differ from each other, not {value}")
-            if not value and name in ("levels", "seeds"):
-                raise ValueError(f"{name} must not be empty")
-        for seed in self.seeds:
-            require_seed(seed)
-
-    def _check_cases(self, level: str) -> None:
-        numbers = find_level(level).numbers
-        known = len(numbers)
-        if not 0 <= self.first_case < known:
-            raise ValueError(
-                f"first_case must be 0 to {known - 1}, not {self.first_case}: level "
-                f"{level} has the cases {numbers[0]} to {numbers[-1]}"
-            )
-        left = known - self.first_case
-        if self.cases is not None and not 1 <= self.cases <= left:
-            raise ValueError(
-                f"cases must be 1 to {left} from case {self.first_case} on, not "
-                f"{self.cases}: level {level} has {known}"
-            )
+def _require_numbers(config: SuiteConfig, level: str) -> None:
+    numbers = find_level(level).numbers
+    known, first = len(numbers), config.first_case
+    if not 0 <= first < known:
+        raise ValueError(
+            f"first_case must be 0 to {known - 1}, not {first}: level "
+            f"{level} has the cases {numbers[0]} to {numbers[-1]}"
+        )
+    left = known - first
+    if config.cases is not None and not 1 <= config.cases <= left:
+        raise ValueError(
+            f"cases must be 1 to {left} from case {first} on, not "
+            f"{config.cases}: level {level} has {known}"
+        )
 
 
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
@@ -363,6 +291,7 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
 
     With `check` it prints the leaderboard's rows, and returns none.
     """
+    require_cases(config)
     if config.check:
         print(leaderboard(check_submission(Path(config.check))))
         return []

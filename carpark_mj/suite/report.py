@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from carpark_mj.cli.settings.driving import WORST
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
 from carpark_mj.evaluation.tables import (
@@ -53,7 +54,6 @@ from carpark_mj.types import ENDINGS, OUTCOMES
 from carpark_mj.vehicle import VehicleParameters, preset
 
 VEHICLE, PLANNER = "tpcap", "planner"
-WORST = 10  # cases shown of a policy and level
 # Columns on the screen; files have all.
 PRINTED = (
     *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),

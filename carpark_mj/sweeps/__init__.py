@@ -18,14 +18,13 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before anything imports MuJoCo; jobs import this module first
 
 import jax
-import tyro
 from rich.console import Console
 from submitit.helpers import DelayedSubmission
 
@@ -33,15 +32,15 @@ from carpark_mj.analysis import read_run
 from carpark_mj.cli.process import (
     configure_jax,
     enable_output_fusion,
-    keep_compiled_programs,
     one_line,
 )
-from carpark_mj.config.checks import Count
+from carpark_mj.cli.settings.tables import SweepConfig, Where
 from carpark_mj.files import write_csv, write_json
+from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.reading import read_csv, read_object
-from carpark_mj.sweeps.jobs import Where, make_executor, run_works
+from carpark_mj.sweeps.jobs import make_executor, run_works
 from carpark_mj.sweeps.plan import (
     Plan,
     Run,
@@ -292,55 +291,26 @@ def run_sweep(
     return counts
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class SweepConfig(Where):
-    """Trains every combination of some settings, with several seeds each.
+def make_plan(config: SweepConfig) -> Plan:
+    """The runs to train.
 
-    carpark_mj sweep --base cpu --set num_agents=1..4 clip=0.1,0.2 --repeats 3
-    carpark_mj sweep --base gpu --set discount=0.99,0.995 --cluster slurm
-    carpark_mj analysis runs/cpu-num_agents-clip    # tables, plots, a page
-
-    The same command continues a stopped sweep: finished runs are not repeated, others
-    continue from their checkpoints. `sweep.csv` in its folder has a row per run.
-
-    Attributes:
-        base: preset of `carpark_mj train` for all runs.
-        set: `FIELD=VALUES` each: a setting by its dotted name or any unambiguous
-            suffix, and its values, separated by commas, or by semicolons if they
-            contain commas; `1..7` is a range. Every combination is trained.
-        repeats: runs of every combination, with different seeds.
-        seed: first seed.
-        name: folder under `runs_dir`; empty = the base and the swept settings.
-        runs_dir: folder of all sweeps.
+    Raises:
+        ValueError: impossible settings.
     """
+    # The rules of a run's name and seeds.
+    RunConfig(name=config.name, seed=config.seed)
+    RunConfig(seed=config.seed + config.repeats - 1)
+    if config.base not in PRESETS:
+        raise ValueError(f"unknown base {config.base!r}; choose from {[*PRESETS]}")
+    base = PRESETS[config.base]
+    axes = tuple(read_axis(text, base) for text in config.set)
+    return Plan(config.base, axes, config.repeats, config.seed)
 
-    base: Annotated[str, tyro.conf.arg(metavar="PRESET")]
-    set: tuple[str, ...] = ()
-    repeats: Count = 1
-    seed: int = 0
-    name: str = ""
-    runs_dir: str = "runs"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        # The rules of a run's name and seeds.
-        RunConfig(name=self.name, seed=self.seed)
-        RunConfig(seed=self.seed + self.repeats - 1)
-        if self.base not in PRESETS:
-            raise ValueError(f"unknown base {self.base!r}; choose from {[*PRESETS]}")
-
-    @property
-    def plan(self) -> Plan:
-        """The runs to train."""
-        base = PRESETS[self.base]
-        axes = tuple(read_axis(text, base) for text in self.set)
-        return Plan(self.base, axes, self.repeats, self.seed)
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the sweep."""
-        swept = [x.fields[0].rpartition(".")[2] for x in self.plan.axes if x.is_swept]
-        return Path(self.runs_dir) / (self.name or "-".join((self.base, *swept)))
+def sweep_folder(config: SweepConfig, plan: Plan) -> Path:
+    """Folder of the sweep."""
+    swept = [x.fields[0].rpartition(".")[2] for x in plan.axes if x.is_swept]
+    return Path(config.runs_dir) / (config.name or "-".join((config.base, *swept)))
 
 
 def prepare(cluster: str) -> None:
@@ -356,6 +326,6 @@ def prepare(cluster: str) -> None:
 def main(config: SweepConfig) -> int:
     """Runs the sweep; returns the exit code, 1 if runs have failed."""
     prepare(config.cluster)
-    plan = config.plan
-    counts = run_sweep(config.folder, plan, checked_runs(plan), config)
+    plan = make_plan(config)
+    counts = run_sweep(sweep_folder(config, plan), plan, checked_runs(plan), config)
     return 1 if counts["failed"] else 0

@@ -7,12 +7,12 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import submitit
 from submitit.core.utils import FailedJobError
 
-from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
+from carpark_mj.cli.settings.tables import Where
 from carpark_mj.files import write_json
 from carpark_mj.reading import read_object
 
@@ -22,58 +22,6 @@ if TYPE_CHECKING:
 
 POLL_SECONDS = {"local": 0.5, "debug": 0.0, "slurm": 10.0}
 ENDLESS = 10 * 365 * 24 * 60  # of a local job, which submitit would end [min]
-
-Cluster = Literal["local", "debug", "slurm"]
-
-
-@dataclasses.dataclass(frozen=True)
-class SlurmConfig(CheckedConfig):
-    """What is asked of Slurm for every run.
-
-    Attributes:
-        partition: where; empty = the cluster's default, as with the next three.
-        account: that pays.
-        qos: quality of service.
-        constraint: features that nodes must have.
-        time: after which a job is queued again, to go on from its checkpoint [min].
-        requeues: how often it may be.
-        gpus_per_node: number of GPUs.
-        cpus_per_task: number of CPU cores.
-        mem_gb: memory [GB]; 0 = the default.
-    """
-
-    partition: str = ""
-    account: str = ""
-    qos: str = ""
-    constraint: str = ""
-    time: Count = 240
-    requeues: Natural = 10
-    gpus_per_node: Natural = 1
-    cpus_per_task: Count = 4
-    mem_gb: NonNegative = 0.0
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Where(CheckedConfig):
-    """Where and how a sweep runs.
-
-    Attributes:
-        cluster: `local`: processes of this machine; `slurm`: jobs of a Slurm cluster;
-            `debug`: this process.
-        jobs: largest number of jobs at a time; on one machine each has its own GPU, if
-            there are several. 0 = one on this machine, all on a cluster.
-        side_by_side: largest number of runs that a job trains in one program, if they
-            differ only in seeds and in numbers such as `discount` and
-            `env.reward.park`; runs with `minutes` train alone.
-        slurm: resources to request from Slurm.
-        stochastic: evaluate sampled actions instead of the deterministic policy.
-    """
-
-    cluster: Cluster = "local"
-    jobs: Natural = 0
-    side_by_side: Count = 8
-    slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
-    stochastic: bool = False
 
 
 def make_executor(where: Where, folder: Path) -> submitit.AutoExecutor:

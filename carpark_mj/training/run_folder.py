@@ -17,8 +17,7 @@ from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.process import USER_ERRORS
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive
-from carpark_mj.evaluation.keys import require_seed
+from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive, require_seed
 from carpark_mj.files import is_temporary, remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError, refused_as

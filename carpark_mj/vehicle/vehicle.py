@@ -1,10 +1,12 @@
 """Parameters of cars as JAX arrays, of their wheels, and under other conditions."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax.typing import ArrayLike
 
@@ -138,9 +140,12 @@ class Vehicle:
 
 
 def make_vehicle(params: VehicleParameters) -> Vehicle:
-    """Turns a parameter set into the arrays of one car (no batch dimension)."""
+    """Turns a parameter set into the arrays of one car (no batch dimension).
+
+    NumPy computes them, as JAX would compile programs.
+    """
     model = car_model(params, sim_dt=0.01, gravity=(0.0, 0.0, -GRAVITY))
-    return Vehicle(
+    vehicle = Vehicle(
         size=_array([params.length, params.width]),
         hub=_array(hub_positions(params)[:, :2]),
         rated_mass=_array(params.mass),
@@ -152,19 +157,22 @@ def make_vehicle(params: VehicleParameters) -> Vehicle:
         **_same(Vehicle, params),
         **{name: _array(getattr(model, name)) for name in BODIES},
     )
+    return jax.device_put(vehicle)
 
 
 def _make_tyres(params: VehicleParameters) -> Tyres:
     tyre = params.tyre
-    load = _array(list(params.static_loads))
+    load = _array(params.static_loads)
     # Scrub torque of a uniformly loaded disc: M = 2/3 mu Fz R_patch (Sharp & Granger).
     torque_limit = tyre.friction * (2 / 3) * tyre.patch_radius * load
     slip = tyre.slip_stiffness * load
+    lateral = tyre.cornering_stiffness * load
+    # XLA divides by a number like this.
     return Tyres(
         static_load=load,
-        longitudinal_stiffness=slip / tyre.longitudinal_relaxation,
-        lateral_stiffness=tyre.cornering_stiffness * load / tyre.lateral_relaxation,
-        torsion_stiffness=torque_limit / tyre.torsion_yield,
+        longitudinal_stiffness=slip * (1 / _array(tyre.longitudinal_relaxation)),
+        lateral_stiffness=lateral * (1 / _array(tyre.lateral_relaxation)),
+        torsion_stiffness=torque_limit * (1 / _array(tyre.torsion_yield)),
         **_same(Tyres, tyre),
     )
 
@@ -176,9 +184,9 @@ def _same(arrays: type, params: VehicleParameters | TyreParameters) -> dict[str,
     return {k: _array(v) for k, v in values.items() if v is not None}
 
 
-def _array(value: ArrayLike | list[float]) -> jax.Array:
-    """A strongly typed array of JAX's default float (float64 only under x64)."""
-    return jnp.array(value, dtype=jnp.result_type(float))
+def _array(value: ArrayLike | Sequence[float]) -> Any:
+    """Of JAX's default float (float64 only under x64)."""
+    return np.array(value, jnp.result_type(float))
 
 
 @struct.dataclass

@@ -24,8 +24,9 @@ from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.rendering.gl import missing_display
 from carpark_mj.rendering.recording import Snapshot, aimed_at
-from carpark_mj.rendering.renderer import LotRenderer, RenderingError, camera_names
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
+from carpark_mj.scene.camera_flags import camera_names
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
@@ -313,7 +314,7 @@ class Screen:
 
         Args:
             env: a `ParkingEnv`, or what a subclass draws.
-            camera: see `carpark_mj.rendering.renderer.camera_names`.
+            camera: see `carpark_mj.scene.camera_flags.camera_names`.
             num_cars: number of cars that cameras can follow; None = the agents.
         """
         camera_names(camera, env.num_agents if num_cars is None else num_cars)

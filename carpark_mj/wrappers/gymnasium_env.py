@@ -99,7 +99,7 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
 
         Args:
             render_mode: None, `human` or `rgb_array`.
-            camera: of pictures, see `carpark_mj.rendering.renderer.camera_names`.
+            camera: of pictures, see `carpark_mj.scene.camera_flags.camera_names`.
             **options: see `Options`; there is always one agent.
 
         Raises:

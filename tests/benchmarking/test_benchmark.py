@@ -12,7 +12,7 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_mj import benchmarking
-from carpark_mj.benchmarking import BenchmarkConfig, Job, Measurement
+from carpark_mj.benchmarking import BenchmarkConfig, Job, Measurement, jobs_of
 from carpark_mj.training.ppo import learner
 from carpark_mj.training.ppo.parts import PRESETS
 
@@ -68,7 +68,7 @@ def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(monkeypatch, tmp_
 
 def test_each_round_measures_every_variant_in_every_batch():
     config = BenchmarkConfig(batches=(4, 8), layouts=("square", "mixture"))
-    asked = [(job.what, job.variant, job.lots) for job in config.jobs()]
+    asked = [(job.what, job.variant, job.lots) for job in jobs_of(config)]
     variants = [
         ("env", "square"),
         ("env", "mixture"),
@@ -82,13 +82,13 @@ def test_each_round_measures_every_variant_in_every_batch():
 
 def test_only_env_has_several_numbers_of_agents():
     config = BenchmarkConfig(cars=("brush",), num_agents=(1, 4))
-    asked = [(job.what, job.num_agents) for job in config.jobs()]
+    asked = [(job.what, job.num_agents) for job in jobs_of(config)]
     assert asked == [("env", 1), ("env", 4), ("ppo", 1), ("physics", 1)]
 
 
 def test_only_ppo_has_several_runs_side_by_side():
     config = BenchmarkConfig(cars=("brush",), runs=(1, 4))
-    asked = [(job.what, job.runs) for job in config.jobs()]
+    asked = [(job.what, job.runs) for job in jobs_of(config)]
     assert asked == [("env", 1), ("ppo", 1), ("ppo", 4), ("physics", 1)]
 
 

@@ -85,13 +85,13 @@ def test_without_its_packages_every_command_says_what_to_install():
     assert said == "".join(expected)
 
 
-# A `sitecustomize.py`: Ctrl-C where a process imports JAX.
+# A `sitecustomize.py`: Ctrl-C where a process imports JAX, or what reads its flags.
 INTERRUPT = """
 import signal, sys
 
 class Interrupt:
     def find_spec(self, name, *_):
-        if name == "jax":
+        if name in ("jax", "tyro"):
             signal.raise_signal(signal.SIGINT)
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # shells may ignore it

@@ -15,8 +15,8 @@ from carpark_mj.physics.mjx_step import ContactPhysics
 from carpark_mj.rendering.gl import choose_gl
 
 ROOT = Path(__file__).parents[2]
-# Runs a script's help. Says what it has set when MuJoCo is first imported and after it,
-# and whether a program compiled then is fused.
+# Runs a script that finds no policy. Says what it has set when MuJoCo is first imported
+# and after it, and whether a program compiled then is fused.
 PROGRAM = """
 import contextlib, json, os, runpy, sys
 
@@ -28,7 +28,7 @@ class Watch:
 
 sys.meta_path.insert(0, Watch())
 script = sys.argv[1]
-sys.argv, sys.path[0] = [script, "--help"], os.path.dirname(script)
+sys.argv, sys.path[0] = [script, "./nobody"], os.path.dirname(script)
 with contextlib.suppress(SystemExit), contextlib.redirect_stdout(sys.stderr):
     runpy.run_path(script, run_name="__main__")
 import jax, jax.numpy as jnp

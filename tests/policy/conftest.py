@@ -5,7 +5,8 @@ import shutil
 import pytest
 from helpers.tiny_policy import CARD, TINY, parked_learner
 
-from carpark_mj.policy import loading, runs
+from carpark_mj import pretrained
+from carpark_mj.policy import loading
 from carpark_mj.training.ppo.train import save
 
 
@@ -21,10 +22,10 @@ def run(tmp_path_factory):
 def shipped(run, tmp_path, monkeypatch):
     """The policy of the run as `tiny`, beside the others; the folder of them all."""
     folder = tmp_path / "package"
-    shutil.copytree(runs.FOLDER, folder)
+    shutil.copytree(pretrained.FOLDER, folder)
     loading.save_policy(run, folder / "tiny.npz")
     (folder / "tiny.md").write_text(CARD)
-    monkeypatch.setattr(runs, "FOLDER", folder)
+    monkeypatch.setattr(pretrained, "FOLDER", folder)
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     return folder

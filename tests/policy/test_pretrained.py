@@ -11,8 +11,10 @@ from helpers.sliding import SlidePhysics
 from helpers.tiny_policy import TINY, parked_learner
 
 import carpark_mj
+from carpark_mj import pretrained
 from carpark_mj.cli import evaluate
-from carpark_mj.cli.driver import adapt, command_help, find_driver
+from carpark_mj.cli.driver import adapt, find_driver
+from carpark_mj.cli.flags import command_help
 from carpark_mj.config import GoalConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import observation_size
@@ -20,7 +22,8 @@ from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
 from carpark_mj.policy.onnx_export import policy_actions
-from carpark_mj.policy.runs import find_policy, pretrained_names
+from carpark_mj.policy.runs import find_policy
+from carpark_mj.pretrained import pretrained_names
 from carpark_mj.training.ppo.train import save
 
 MAX_SIZE = 1e6  # bytes
@@ -264,7 +267,9 @@ def test_every_policy_has_a_card_with_its_figures(shipped):
 
 
 def test_the_page_of_the_policies_shows_all_cards():
-    cards = [(runs.FOLDER / f"{name}.md").read_text() for name in pretrained_names()]
+    cards = [
+        (pretrained.FOLDER / f"{name}.md").read_text() for name in pretrained_names()
+    ]
     page = (DOCS / "policies.md").read_text()
     shown = page.split("<!-- cards -->\n")[1].split("\n<!-- end of cards -->")[0]
     expected = "\n".join(cards).rstrip()

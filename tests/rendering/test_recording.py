@@ -10,6 +10,7 @@ from helpers.sliding import SlidePhysics
 from jax.experimental.compilation_cache import compilation_cache
 
 from carpark_mj.cameras import Heights, paint, see
+from carpark_mj.cameras.rig import car_cameras
 from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
@@ -36,7 +37,7 @@ from carpark_mj.rendering.recording import (
     snapshot,
     tracked_points,
 )
-from carpark_mj.rendering.video import CarCameras, car_cameras
+from carpark_mj.rendering.video import CarCameras
 from carpark_mj.rendering.web import LiveLot
 from carpark_mj.types import NO_BAY
 

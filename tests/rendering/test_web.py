@@ -14,7 +14,7 @@ import urllib.request
 import numpy as np
 import pytest
 
-from carpark_mj.cli.scene import SceneConfig, complete
+from carpark_mj.cli.settings.scenes import SceneConfig, complete
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web

@@ -19,10 +19,9 @@ from submitit.core.submission import process_job
 from submitit.helpers import DelayedSubmission
 from submitit.slurm.test_slurm import mocked_slurm
 
+from carpark_mj.cli.settings.tables import SlurmConfig, Where
 from carpark_mj.sweeps import Work, jobs, locked, open_sweep, read_outcome, run_sweep
 from carpark_mj.sweeps.jobs import (
-    SlurmConfig,
-    Where,
     make_executor,
     submit_array,
     visible_gpus,
@@ -122,7 +121,7 @@ import sys
 from pathlib import Path
 from helpers.sweeping import plan_runs, train_slowly
 from carpark_mj.sweeps import run_sweep
-from carpark_mj.sweeps.jobs import Where
+from carpark_mj.cli.settings.tables import Where
 plan, runs = plan_runs("num_agents=1..3")
 where = Where(cluster="debug", side_by_side=1)
 run_sweep(Path(sys.argv[1]), plan, runs, where, train_slowly)

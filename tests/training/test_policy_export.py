@@ -12,10 +12,11 @@ from helpers.programs import exit_code
 from helpers.tiny_policy import parked_learner
 from rich.console import Console
 
+from carpark_mj import pretrained
 from carpark_mj.cli import export as command
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import observation_size
-from carpark_mj.policy import loading, runs
+from carpark_mj.policy import loading
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.onnx_export import split_observation
 from carpark_mj.training.ppo.config import PPOConfig
@@ -102,7 +103,7 @@ def test_a_model_is_written_before_it_is_described(
 def test_a_pretrained_policy_is_exported_into_runs(
     trained, tmp_path, monkeypatch, quick
 ):
-    monkeypatch.setattr(runs, "FOLDER", tmp_path)
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     assert exit_code("export", [str(trained), "--out", str(tmp_path / "tiny.npz")]) == 0
     monkeypatch.chdir(tmp_path)
     assert exit_code("export", ["tiny"]) == 0

@@ -35,7 +35,8 @@ from carpark_mj.policy.loading import (
     require_actions,
 )
 from carpark_mj.policy.networks import NetworkConfig
-from carpark_mj.policy.runs import describe_names, find_policy
+from carpark_mj.policy.runs import find_policy
+from carpark_mj.pretrained import describe_names
 from carpark_mj.training.ppo.collect import Teacher, TrainingState
 from carpark_mj.training.ppo.config import PPOConfig
 

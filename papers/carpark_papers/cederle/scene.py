@@ -10,10 +10,11 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from carpark_mj.cli.driver import command_help
+from carpark_mj.cli.flags import command_help
 from carpark_mj.cli.process import run_command
-from carpark_mj.cli.scene import SceneOutput, complete, require_view, show_scene
-from carpark_mj.evaluation.keys import require_seed
+from carpark_mj.cli.scene import require_view, show_scene
+from carpark_mj.cli.settings.scenes import SceneOutput, complete
+from carpark_mj.config.checks import require_seed
 from carpark_mj.scene.build import scene_xml
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv

@@ -17,7 +17,6 @@ and `video.mp4`. Ctrl-C saves a checkpoint and stops; a second one stops at once
 import sys
 from collections.abc import Sequence
 
-from carpark_mj.cli.process import keep_compiled_programs
 from carpark_mj.rendering.gl import choose_gl
 
 
@@ -25,7 +24,6 @@ def run(arguments: Sequence[str] | None = None) -> None:
     """Trains."""
     choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
     # Without `enable_output_fusion`: XLA of jaxlib 0.10.2 aborts on Q-learning.
-    keep_compiled_programs()
     from carpark_papers.cederle.training.families import (
         read_junction_settings,
         train_run,

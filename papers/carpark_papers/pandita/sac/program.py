@@ -14,7 +14,7 @@ on all kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at
 
 from collections.abc import Sequence
 
-from carpark_mj.cli.process import enable_output_fusion, keep_compiled_programs
+from carpark_mj.cli.process import enable_output_fusion
 from carpark_mj.rendering.gl import choose_gl
 
 
@@ -22,7 +22,6 @@ def run(arguments: Sequence[str] | None = None) -> None:
     """Trains."""
     choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
     enable_output_fusion()
-    keep_compiled_programs()
     from carpark_mj.training.run_folder import read_settings
     from carpark_papers.pandita.sac.config import (
         RUN_SETTINGS,

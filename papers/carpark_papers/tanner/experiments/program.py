@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.analysis import group, run_folders
+from carpark_mj.cli.settings.tables import Cluster, SlurmConfig, Where
 from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.sweeps import read_outcome
-from carpark_mj.sweeps.jobs import Cluster, SlurmConfig, Where
 from carpark_mj.sweeps.plan import Plan, Run, groups, settings_of
 from carpark_papers.tanner.experiments.figures import (
     ELSEWHERE,

@@ -13,13 +13,12 @@ Ctrl-C saves a checkpoint and stops.
 
 from collections.abc import Sequence
 
-from carpark_mj.cli.process import enable_output_fusion, keep_compiled_programs
+from carpark_mj.cli.process import enable_output_fusion
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
     """Trains."""
     enable_output_fusion()
-    keep_compiled_programs()
     from carpark_mj.training.run_folder import open_run, read_settings
     from carpark_papers.tanner.q_learning.config import (
         Q_PRESETS,

@@ -1,0 +1,1 @@
+"""Settings of the commands, which import neither JAX nor MuJoCo: help is quick."""

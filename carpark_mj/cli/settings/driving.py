@@ -1,0 +1,366 @@
+"""Settings of the commands in which a policy drives."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from carpark_mj import config
+from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
+from carpark_mj.config.checks import (
+    Bounds,
+    CheckedConfig,
+    Count,
+    Positive,
+    require_seed,
+    require_unset,
+)
+from carpark_mj.files import require_suffix
+from carpark_mj.scene.camera_flags import (
+    OFFSCREEN_HEIGHT,
+    OFFSCREEN_WIDTH,
+    camera_names,
+)
+
+if TYPE_CHECKING:
+    from carpark_mj.cameras import Rig
+
+WORST = 10  # cases of a policy and level that can be filmed
+
+COUNTS = ("others", "parked", "walls", "discs", "lanes")
+DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LotSettings(CheckedConfig):
+    """Overrides of an environment that several commands have.
+
+    Attributes:
+        layout: the lot, a name or a layout file, or a comma-separated list of them;
+            default: that of the run.
+        num_agents: number of agents; default: that of the run.
+        num_parked_cars: number of parked cars; default: that of the run.
+        vehicle: preset or file of all cars; default: that of the run, or its fleet.
+        seed: seed of the held-out lots; training never uses these keys.
+    """
+
+    layout: str | None = None
+    num_agents: int | None = None
+    num_parked_cars: int | None = None
+    vehicle: str | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_seed(self.seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class DriveSettings(LotSettings):
+    """A policy, and overrides of its environment.
+
+    Attributes:
+        run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
+            `planner`.
+        environment: name of an environment, see `carpark_mj.registry`; default: that of
+            the run. A run's policy observes in it what it was trained to.
+        movers: what else moves, with settings: `pedestrians:number=20`; default: as in
+            the run.
+        physics: back end; default: that of the run. In `scene`, crashes are contacts in
+            one MuJoCo world.
+    """
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
+    _: dataclasses.KW_ONLY
+    environment: str = ""
+    movers: tuple[str, ...] | None = None
+    physics: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class EvaluateConfig(DriveSettings):
+    """Evaluates a policy on held-out seeds.
+
+    Writes `evaluation.csv` and `evaluation.json`, and `families.csv` of a mixture, and
+    prints the table. docs/metrics.md defines every number.
+
+    carpark_mj evaluate runs/cpu-0
+    carpark_mj evaluate runs/cpu-mixture-0
+    carpark_mj evaluate --policy random --episodes 500
+    carpark_mj evaluate --policy zero --environment square
+
+    Attributes:
+        policy: the same as RUN.
+        episodes: number of episodes, rounded up to the same number per agent.
+        horizon: simulated time [s]; all episodes that begin within it count, instead of
+            the same number per agent, so that short episodes weigh more. `episodes`
+            then sets the number of lots.
+        num_lots: lots simulated side by side, each with its own share of the episodes.
+        rule: parked rule of the evaluation: tanner, strict, precise, metadrive, or a
+            registered one; default: that of the run.
+        hitbox_scale: factor on the cars' lengths and widths in collision tests;
+            default: that of the run's environment.
+        min_agents: least number of agents; lots have from here to `num_agents` agents,
+            each number equally often. Default: that of the run, or `num_agents` if that
+            is given.
+        set: any other settings of the environment, as in
+            `sim.steering_delay=0.24 sensors.delay_max=2`.
+        nominal: switch off noise and delay of sensors and randomization of the cars.
+        stochastic: sample actions instead of taking the distribution's mode.
+        out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
+            for a baseline or a pretrained policy. Flags for another task or other
+            episodes, and checkpoint files of a run, get a subfolder of `evaluations/`.
+    """
+
+    policy: str = ""
+    episodes: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 1024
+    horizon: Annotated[float | None, Bounds(gt=0.0, le=MAX_SECONDS, unit="s")] = None
+    num_lots: Count = 128
+    rule: str | None = None
+    hitbox_scale: float | None = None
+    min_agents: int | None = None
+    set: tuple[str, ...] = ()
+    nominal: bool = False
+    stochastic: bool = False
+    out: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rule is not None:
+            config.find_rules(self.rule)
+
+
+@dataclasses.dataclass(frozen=True)
+class RenderConfig(DriveSettings):
+    """Renders a policy's evaluation episodes off-screen to an mp4, a GIF or a still.
+
+    carpark_mj render runs/cpu-0
+    carpark_mj render runs/cpu-0 --camera split:1 --show tracked,rings
+    carpark_mj render runs/cpu-0 --physics scene --respawn false
+    carpark_mj render runs/cpu-0 --camera chase:0 --seconds 30
+    carpark_mj render runs/cpu-0 --camera driver:0 --layout lot --seed 3
+    carpark_mj render runs/cpu-0 --frame 12 --out frame.png
+    carpark_mj render --gallery --out gallery.png
+
+    Attributes:
+        out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
+            `frame.png` in the run folder, `gallery.png` here for the gallery.
+        camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
+            wheel, or `split:K`: topdown and chase:K side by side. Or what the first
+            agent's cameras see: a rig, as `surround`, or one of its cameras, as
+            `surround:0`.
+        channel: what a rig's pictures show: `colour`, `depth` or `seen`.
+        show: comma-separated extras: `tracked` links every agent to the cars and bays
+            it tracks, `rings` draws the circles in which it counts walls; of agent K
+            alone with `chase:K`, `driver:K` and `split:K`.
+        seconds: length of the video [s].
+        fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
+        frame: write a still at this time [s] instead of a video.
+        gallery: write a contact sheet instead, `width` wide: two lots of the square and
+            of six families, from `overview`, with seeds from `seed` on. It needs no
+            run.
+        width: width of a frame [pixels], even.
+        height: height of a frame [pixels], even.
+        respawn: whether finished agents respawn; `false` = one episode per agent.
+    """
+
+    out: str = ""
+    camera: str = "topdown"
+    channel: Literal["colour", "depth", "seen"] = "colour"
+    show: str = ""
+    seconds: Annotated[float, Bounds(gt=0.0, le=MAX_SECONDS)] = 20.0
+    fps: Positive = 10.0
+    frame: Annotated[float | None, Bounds(ge=0.0, le=MAX_SECONDS, unit="s")] = None
+    gallery: bool = False
+    width: Annotated[int, Bounds(ge=2, le=OFFSCREEN_WIDTH)] = 1280
+    height: Annotated[int, Bounds(ge=2, le=OFFSCREEN_HEIGHT)] = 720
+    respawn: Literal["true", "false"] = "true"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if bool(self.run) == self.gallery:
+            raise ValueError(
+                "give a pretrained policy, a run folder, zero, random or planner, "
+                "or --gallery" + (", not both" if self.run else "")
+            )
+        if self.gallery:
+            shown = ("run", "out", "gallery", "width", "seed")
+            others = [f.name for f in dataclasses.fields(self) if f.name not in shown]
+            require_unset(self, "with --gallery", *others)
+        if self.frame is not None:
+            require_unset(self, "with --frame", "seconds", "fps")
+        unknown = set(self.extras) - {"tracked", "rings"}
+        if unknown:
+            raise ValueError(
+                f"show takes tracked and rings, with a comma between, not "
+                f"{', '.join(sorted(unknown))!r}"
+            )
+        for name in ("width", "height"):
+            if (value := getattr(self, name)) % 2:
+                raise ValueError(f"{name} must be even, not {value}")
+        idle = "show" if self.rig() else "channel"
+        require_unset(self, f"with --camera {self.camera}", idle)
+
+    def rig(self, num_agents: int | None = None) -> "Rig | None":
+        """The cameras of a car that `camera` names; None if it is one of the lot's."""
+        try:
+            camera_names(self.camera, num_agents)
+        except ValueError as error:
+            from carpark_mj.cameras.rig import RIGS, car_cameras
+
+            rig = car_cameras(self.camera, (self.width, self.height))
+            if rig is None:
+                rigs = ", ".join(sorted(RIGS))
+                raise ValueError(
+                    f"{error}, or what cars see: {rigs}, or one camera, as surround:0"
+                ) from None
+            return rig
+        return None
+
+    @property
+    def extras(self) -> list[str]:
+        """The names in `show`."""
+        return [name.strip() for name in self.show.split(",") if name.strip()]
+
+
+@dataclasses.dataclass(frozen=True)
+class OracleConfig(LotSettings):
+    """Says which agents of held-out lots can park within an episode.
+
+    A planner that sees and moves all cars answers for each lot at its start; what it
+    does not solve may still be possible, unless it is counted as impossible.
+
+    carpark_mj oracle --layout street --num-agents 8 --lots 30
+    carpark_mj oracle --layout dead_end,garage_row --num-agents 4 --out runs/oracle
+
+    Attributes:
+        environment: name of an environment, see `carpark_mj.registry`.
+        lots: number of lots.
+        out: folder for `oracle.csv`, a row per agent.
+    """
+
+    environment: str = "anywhere"
+    lots: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 16
+    out: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class SuiteConfig:
+    """The suite of hard cases: one car parks in every case of some levels.
+
+    carpark_mj suite planner anywhere
+    carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3
+    carpark_mj suite planner --levels tpcap --seeds 0 1 2
+    carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
+    carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
+
+    The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
+    and the numbers.
+
+    Attributes:
+        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
+            or `random`.
+        levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
+            TPCAP's 20 published cases; `busy`, where people, a cart or a car get in
+            the way; or registered ones.
+        cases: number of cases of each level; None = all from `first_case` on.
+        first_case: first case of each level, from 0.
+        rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
+            registered rule.
+        moving_car: another car drives through the aisle of every case.
+        seeds: of the planner's searches and of stochastic policies; each seed drives
+            all cases.
+        videos: number of worst cases to film for every policy and level, at most 10;
+            needs off-screen OpenGL.
+        combine: folders of this command; drives no case and combines their episodes in
+            one table.
+        check: a `suite.json`; drives no case and checks the file as an entry of the
+            leaderboard.
+        out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
+            `suite.html`, `videos/` and, of the planner, `paths.png`.
+    """
+
+    policies: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
+    ] = ()
+    levels: tuple[str, ...] = ("normal", "complex", "extreme")
+    cases: int | None = None
+    first_case: int = 0
+    rule: str = "strict"
+    moving_car: bool = False
+    seeds: tuple[int, ...] = (0,)
+    videos: int = 0
+    combine: tuple[str, ...] = ()
+    check: str = ""
+    out: str = "runs/suite"
+
+    def __post_init__(self) -> None:
+        if self.check:
+            other = "with --check, which drives nothing"
+            require_unset(self, other, "policies", "combine", "videos", *DRIVING)
+        elif bool(self.policies) == bool(self.combine):
+            raise ValueError(
+                "name at least one policy, for example planner, or folders to combine"
+                f"{', not both' if self.policies else ''}"
+            )
+        if self.combine:
+            require_unset(self, "with --combine, which drives nothing", *DRIVING)
+        if not 0 <= self.videos <= WORST:
+            raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
+        for name in ("policies", "levels", "seeds", "combine"):
+            value = getattr(self, name)
+            if len(set(value)) < len(value):
+                raise ValueError(f"{name} must differ from each other, not {value}")
+            if not value and name in ("levels", "seeds"):
+                raise ValueError(f"{name} must not be empty")
+        for seed in self.seeds:
+            require_seed(seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class ExportConfig:
+    """Exports a policy as an ONNX model, or as a checkpoint without training state.
+
+    carpark_mj export runs/cpu-0                      # runs/cpu-0/policy.onnx
+    carpark_mj export runs/cpu-0 --from-state         # runs/cpu-0/car.onnx, for a car
+    carpark_mj export runs/cpu-0 --out policy.npz     # as the pretrained policies are
+
+    An ONNX model has an input for every observation field, with the normalisation
+    inside. With --from-state the observation is inside too; inputs are poses of the
+    car, the others and the walls. A model is written only if onnxruntime computes the
+    policy's actions with it.
+
+    Attributes:
+        run: pretrained policy, run folder or checkpoint file.
+        out: file to write: .onnx, or .npz for a checkpoint of the policy alone;
+            default `policy.onnx` (`car.onnx` with --from-state) in the run folder, or
+            in `runs/NAME` of a pretrained policy.
+        seed: seed of the observations that the model is checked on.
+        from_state: the inputs are poses of the car and its surroundings, and the model
+            computes the observation.
+        others: number of rows for other driving cars; default and least: as many as the
+            environment has.
+        parked: number of rows for parked cars, likewise.
+        walls: number of rows for walls and other boxes, likewise.
+        discs: number of rows for pillars and other discs, likewise.
+        lanes: number of rows for lanes, likewise.
+    """
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    out: str = ""
+    seed: int = 0
+    from_state: bool = False
+    others: int | None = None
+    parked: int | None = None
+    walls: int | None = None
+    discs: int | None = None
+    lanes: int | None = None
+
+    def __post_init__(self) -> None:
+        require_suffix("out", self.out, ".onnx", ".npz")
+        if self.out.endswith(".npz"):
+            reason = "on a checkpoint"
+            require_unset(self, reason, "seed", "from_state")
+        if not self.from_state:
+            require_unset(self, "without --from-state", *COUNTS)
+        require_seed(self.seed)

@@ -1,0 +1,234 @@
+"""Settings of the commands about vehicles, runs and speed."""
+
+import dataclasses
+from typing import Annotated, Literal, get_args
+
+import tyro
+
+from carpark_mj.config.checks import (
+    Bounds,
+    CheckedConfig,
+    Count,
+    Finite,
+    Natural,
+    NonNegative,
+)
+from carpark_mj.files import require_suffix
+
+METRICS = ("parked", "crashed", "timed_out", "length")
+What = Literal["env", "ppo", "physics"]
+Clock = Literal["wall", "cpu"]
+Cars = Literal["brush", "mjx.step", "contact"]
+Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
+Cluster = Literal["local", "debug", "slurm"]
+
+
+@dataclasses.dataclass(frozen=True)
+class VehiclesConfig:
+    """Shows cars: presets, and data sheets with their estimates.
+
+    carpark_mj vehicles
+    carpark_mj vehicles my_car.yaml
+    carpark_mj vehicles my_car.yaml --save all_of_it.json
+
+    Attributes:
+        vehicle: a vehicle file or a preset; without one the presets are listed.
+        save: file to write all parameters of the vehicle to.
+    """
+
+    vehicle: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VEHICLE")] = ""
+    save: str = ""
+
+    def __post_init__(self) -> None:
+        require_suffix("save", self.save, ".json")
+        if self.save and not self.vehicle:
+            raise ValueError("--save writes one vehicle: name it")
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentifyConfig(CheckedConfig):
+    """Identifies a car from the log of a test drive.
+
+    carpark_mj identify log.csv --vehicle compact
+    carpark_mj identify log.csv --vehicle data_sheet.yaml --out my_car.yaml
+
+    Attributes:
+        log: table of the drive, see docs/identify.md.
+        vehicle: preset or file of a car like this one.
+        out: vehicle file to write.
+        ahead: distance from the rear axle to the point whose x and y are logged,
+            forwards positive [m].
+    """
+
+    log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG.csv")]
+    vehicle: str
+    out: str = ""
+    ahead: Finite = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_suffix("out", self.out, ".yaml", ".yml")
+
+
+@dataclasses.dataclass(frozen=True)
+class AnalysisConfig:
+    """Compares runs: tables with intervals, plots against a setting, curves, one page.
+
+    carpark_mj analysis runs/cpu-0 runs/cpu-1 runs/cpu-2
+    carpark_mj analysis runs/cpu-num_agents
+    carpark_mj analysis runs/cpu-num_agents --metrics parked length --by env.num_agents
+
+    Attributes:
+        runs: run folders and folders of sweeps.
+        by: settings that group runs, by full name (`env.num_agents`); the first is the
+            horizontal axis. Default: the settings that the sweeps vary.
+        metrics: metrics of the evaluations, see docs/metrics.md.
+        out: folder to write to; default: the sweep's if one is given, else
+            `runs/analysis`.
+    """
+
+    runs: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN...")
+    ] = ()
+    by: tuple[str, ...] = ()
+    metrics: tuple[str, ...] = METRICS
+    out: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.metrics:
+            raise ValueError("metrics must name at least one")
+
+
+@dataclasses.dataclass(frozen=True)
+class BenchmarkConfig(CheckedConfig):
+    """Measures performance: steps, training, physics, compilation and memory.
+
+    carpark_mj benchmark
+    carpark_mj benchmark --what env --batches 512 4096
+    carpark_mj benchmark --what env --layouts lot --num-agents 1 4 16
+    carpark_mj benchmark --what ppo --preset square --runs 1 4 16
+
+    `env` counts agent steps of the whole environment under random actions, `ppo` those
+    of training end to end, `physics` substeps of cars alone: on brush tyres, on the
+    same by `mjx.step`, and on contact tyres, each at the longest substep at which it
+    passes the physics report. Every measurement runs in its own process, without kept
+    compiled programs. Compare only figures of one run.
+
+    Attributes:
+        what: what to measure.
+        batches: numbers of lots simulated in parallel; for `physics`, of cars.
+        layouts: names of the layouts of `env`.
+        cars: cars of `physics`, by tyres or stepper.
+        num_agents: numbers of agents in each lot of `env`.
+        num_parked_cars: number of parked cars in each lot of `env`.
+        preset: preset of `ppo`, with the batch as its number of lots; `auto` chooses by
+            whether there is a GPU.
+        runs: numbers of runs side by side of `ppo`, each with a batch of its own.
+        steps: control steps of 0.2 s per timing of `env` and `physics`; `ppo` times
+            updates.
+        timings: timings in each process; the best is reported.
+        clock: `wall`, or `cpu`: CPU seconds of all threads of the process, for busy
+            machines.
+        repeats: number of rounds; each measures everything once.
+        out: CSV file of all measurements, written after each; empty = none.
+    """
+
+    what: tuple[What, ...] = get_args(What)
+    batches: Counts = (128,)
+    layouts: tuple[str, ...] = ("square",)
+    cars: tuple[Cars, ...] = get_args(Cars)
+    num_agents: Counts = (2,)
+    num_parked_cars: Natural = 16
+    preset: str = "auto"
+    runs: Counts = (1,)
+    steps: Count = 20
+    timings: Count = 10
+    clock: Clock = "wall"
+    repeats: Count = 3
+    out: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("what", "batches", "layouts", "cars", "num_agents", "runs"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must name at least one")
+
+
+@dataclasses.dataclass(frozen=True)
+class SlurmConfig(CheckedConfig):
+    """What is asked of Slurm for every run.
+
+    Attributes:
+        partition: where; empty = the cluster's default, as with the next three.
+        account: that pays.
+        qos: quality of service.
+        constraint: features that nodes must have.
+        time: after which a job is queued again, to go on from its checkpoint [min].
+        requeues: how often it may be.
+        gpus_per_node: number of GPUs.
+        cpus_per_task: number of CPU cores.
+        mem_gb: memory [GB]; 0 = the default.
+    """
+
+    partition: str = ""
+    account: str = ""
+    qos: str = ""
+    constraint: str = ""
+    time: Count = 240
+    requeues: Natural = 10
+    gpus_per_node: Natural = 1
+    cpus_per_task: Count = 4
+    mem_gb: NonNegative = 0.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Where(CheckedConfig):
+    """Where and how a sweep runs.
+
+    Attributes:
+        cluster: `local`: processes of this machine; `slurm`: jobs of a Slurm cluster;
+            `debug`: this process.
+        jobs: largest number of jobs at a time; on one machine each has its own GPU, if
+            there are several. 0 = one on this machine, all on a cluster.
+        side_by_side: largest number of runs that a job trains in one program, if they
+            differ only in seeds and in numbers such as `discount` and
+            `env.reward.park`; runs with `minutes` train alone.
+        slurm: resources to request from Slurm.
+        stochastic: evaluate sampled actions instead of the deterministic policy.
+    """
+
+    cluster: Cluster = "local"
+    jobs: Natural = 0
+    side_by_side: Count = 8
+    slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
+    stochastic: bool = False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SweepConfig(Where):
+    """Trains every combination of some settings, with several seeds each.
+
+    carpark_mj sweep --base cpu --set num_agents=1..4 clip=0.1,0.2 --repeats 3
+    carpark_mj sweep --base gpu --set discount=0.99,0.995 --cluster slurm
+    carpark_mj analysis runs/cpu-num_agents-clip    # tables, plots, a page
+
+    The same command continues a stopped sweep: finished runs are not repeated, others
+    continue from their checkpoints. `sweep.csv` in its folder has a row per run.
+
+    Attributes:
+        base: preset of `carpark_mj train` for all runs.
+        set: `FIELD=VALUES` each: a setting by its dotted name or any unambiguous
+            suffix, and its values, separated by commas, or by semicolons if they
+            contain commas; `1..7` is a range. Every combination is trained.
+        repeats: runs of every combination, with different seeds.
+        seed: first seed.
+        name: folder under `runs_dir`; empty = the base and the swept settings.
+        runs_dir: folder of all sweeps.
+    """
+
+    base: Annotated[str, tyro.conf.arg(metavar="PRESET")]
+    set: tuple[str, ...] = ()
+    repeats: Count = 1
+    seed: int = 0
+    name: str = ""
+    runs_dir: str = "runs"

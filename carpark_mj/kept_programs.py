@@ -1,0 +1,44 @@
+"""Compiled programs are kept between processes, in the user's cache folder."""
+
+import os
+from pathlib import Path
+
+# What takes longer to compile is kept [s]; JAX's own value leaves small programs out.
+LEAST_TIME = 0.1
+_TIME = "jax_persistent_cache_min_compile_time_secs"
+
+
+def keep_compiled_programs() -> None:
+    """Turns JAX's persistent compilation cache on, unless the user has decided.
+
+    Every `ParkingEnv` calls it. A folder that `JAX_COMPILATION_CACHE_DIR` or
+    `jax.config` names stays as it is, `JAX_ENABLE_COMPILATION_CACHE=false` keeps no
+    programs, and nothing happens where the folder cannot be written. Several processes
+    may use the folder, and it may be deleted at any time.
+    """
+    import jax
+
+    named = "JAX_COMPILATION_CACHE_DIR" in os.environ
+    if named or jax.config.values["jax_compilation_cache_dir"]:
+        return
+    try:
+        folder = cache_folder()
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # no home
+        return
+    if os.access(folder, os.W_OK | os.X_OK):
+        if _TIME.upper() not in os.environ and jax.config.values[_TIME] == 1.0:
+            jax.config.update(_TIME, LEAST_TIME)
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+
+
+def cache_folder() -> Path:
+    """Where programs are kept by default: `~/.cache/carpark_mj/jax`.
+
+    Raises:
+        RuntimeError: the user has no home.
+    """
+    caches = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if not caches.is_absolute():  # or not set
+        caches = Path.home() / ".cache"
+    return caches / "carpark_mj" / "jax"

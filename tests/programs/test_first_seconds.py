@@ -1,0 +1,170 @@
+"""What a person waits for first: imports, the constructor, programs kept on disk."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+
+from carpark_mj.kept_programs import cache_folder, keep_compiled_programs
+
+ROOT = Path(__file__).parents[2]
+OPTIONS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
+
+HELP = """
+import contextlib, importlib.util, io, json, sys
+from carpark_mj.programs import COMMANDS, run
+
+needed = [x for command in COMMANDS.values() for x in command.needs if x != "tyro"]
+find = importlib.util.find_spec
+importlib.util.find_spec = lambda name: None if name in needed else find(name)
+seen, words = {}, {"layouts import": ["a.osm", "--out", "b.json"]}
+words |= {"suite": ["zero", "--cases", "1"], "sweep": ["--base", "cpu"]}
+missing = []
+for name, command in COMMANDS.items():
+    if command.needs:
+        try:
+            run(name, words.get(name, []))
+        except ModuleNotFoundError as error:
+            missing.append(error.name)
+for name, command in COMMANDS.items():
+    if not command.settings:
+        continue
+    text = io.StringIO()
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(text):
+        run(name, ["--help"])
+    try:
+        run(name, ["--no-such-flag", "1"])
+        said = ""
+    except ValueError as error:
+        said = str(error)
+    seen[name] = [f"usage: carpark_mj {name}" in text.getvalue(), said]
+loaded = [x for x in ("jax", "mujoco", "brax", "flax") if x in sys.modules]
+print(json.dumps([seen, missing == needed, loaded]))
+"""
+
+BUILT = """
+import json
+import jax
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.registry import environment
+
+programs = []
+def count(event, seconds, **_):
+    programs.append(event.endswith("backend_compile_duration"))
+jax.monitoring.register_event_duration_secs_listener(count)
+counts = {"default": EnvConfig()}
+counts |= {n: environment(n) for n in ("anywhere", "considerate", "sees", "hope")}
+for name, config in counts.items():
+    programs.clear()
+    ParkingEnv(config)
+    counts[name] = sum(programs)
+print(json.dumps(counts))
+"""
+
+DRIVEN = """
+import json
+import jax, jax.numpy as jnp
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+
+events = []
+jax.monitoring.register_event_listener(lambda event, **_: events.append(event))
+env = ParkingEnv(EnvConfig(physics="bicycle", num_agents=1, num_parked_cars=1))
+state, _ = jax.jit(env.reset)(jax.random.key(0))
+state, step = jax.jit(env.step)(state, jnp.zeros((1, 2)))
+jax.block_until_ready(step.reward)
+names = "cache_hits", "cache_misses"
+print(json.dumps([sum(e.endswith(name) for e in events) for name in names]))
+"""
+
+
+def printed(program: str, **variables: str):
+    """What a program prints in a process of its own, without kept programs."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("JAX_COMPIL")}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=kept | {"PYTHONPATH": str(ROOT)} | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_help_and_refusals_do_not_import_jax():
+    seen, refused, loaded = printed(HELP)
+    assert refused
+    assert not loaded
+    assert {"evaluate", "scene", "layouts import", "sweep"} <= {*seen}
+    for name, (helped, said) in seen.items():
+        assert helped, name
+        assert said, name
+
+
+def test_environments_are_built_without_compiling_lots(tmp_path):
+    counts = printed(BUILT, XDG_CACHE_HOME=str(tmp_path))
+    # The two fixed lots, and the key that they do not use.
+    assert sum(counts.values()) <= 4, counts
+    assert counts["considerate"] == counts["sees"] == counts["hope"] == 0
+
+
+def test_a_second_process_finds_the_programs_of_the_first(tmp_path):
+    hits, misses = printed(DRIVEN, XDG_CACHE_HOME=str(tmp_path))
+    assert (hits, misses > 1) == (0, True)
+    assert [*(tmp_path / "carpark_mj" / "jax").iterdir()]
+    again, _ = printed(DRIVEN, XDG_CACHE_HOME=str(tmp_path))
+    assert again >= 2  # reset and step
+
+
+@pytest.fixture
+def undecided(monkeypatch):
+    """A process whose user has decided nothing about kept programs."""
+    before = {name: jax.config.values[name] for name in OPTIONS}
+    for name in OPTIONS:
+        monkeypatch.delenv(name.upper(), raising=False)
+    jax.config.update(OPTIONS[0], None)
+    jax.config.update(OPTIONS[1], 1.0)
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def options():
+    return [jax.config.values[name] for name in OPTIONS]
+
+
+def test_programs_are_kept_in_the_folder_of_caches(undecided, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    keep_compiled_programs()
+    assert options() == [str(tmp_path / "caches" / "carpark_mj" / "jax"), 0.1]
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # to be ignored
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / ".cache" / "carpark_mj" / "jax"
+
+
+def test_what_the_user_has_decided_stays(undecided, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    jax.config.update(OPTIONS[0], str(tmp_path / "own"))
+    keep_compiled_programs()
+    assert options() == [str(tmp_path / "own"), 1.0]
+    jax.config.update(OPTIONS[0], None)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")  # none
+    keep_compiled_programs()
+    assert options() == [None, 1.0]
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv(OPTIONS[1].upper(), "1.0")
+    keep_compiled_programs()
+    assert options() == [str(tmp_path / "carpark_mj" / "jax"), 1.0]
+
+
+def test_without_a_folder_to_write_nothing_is_kept(undecided, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    keep_compiled_programs()
+    assert options() == [None, 1.0]
