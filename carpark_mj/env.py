@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
+from carpark_mj.compilation import keep_compiled_programs, skip_slow_kernels
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_choice, require_kind
-from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.layouts import Layout, layout_config, make_layout, member_shares
 from carpark_mj.layouts.registry import Split, lot_key, lot_number
 from carpark_mj.mdp import actions, goals, metrics, rewards, terminations
@@ -49,6 +49,8 @@ from carpark_mj.spawning.reset_options import (
 from carpark_mj.spawning.spawner import Spawner, StepKeys
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
+
+skip_slow_kernels()
 
 
 class ParkingEnv:
@@ -83,7 +85,7 @@ class ParkingEnv:
     ) -> None:
         """Builds the constants; compiled programs are kept from now on.
 
-        See `carpark_mj.kept_programs`.
+        See `carpark_mj.compilation`.
 
         Args:
             config: the environment; defaults to `EnvConfig()`.

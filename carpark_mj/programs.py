@@ -12,8 +12,8 @@ from carpark_mj.cli.process import (
     dispatch_synchronously,
     enable_output_fusion,
 )
+from carpark_mj.compilation import keep_compiled_programs
 from carpark_mj.extensions import Entry, Registry
-from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)

@@ -17,7 +17,7 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 FLOORS = (
     ("extensions",),
     (
-        "kept_programs",
+        "compilation",
         "pretrained",
         "precision",
         "pytrees",

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from carpark_mj.benchmarking import start
 from carpark_mj.cli.process import configure_jax, enable_output_fusion
 from carpark_mj.cli.settings.tables import BenchmarkConfig, Clock, What
 from carpark_mj.config import CONTACT_SIM_DT, EnvConfig, SimConfig
@@ -104,11 +105,16 @@ def jobs_of(config: BenchmarkConfig) -> list[Job]:
 def main(config: BenchmarkConfig) -> int:
     """Measures and prints the table; returns 1 if a process failed."""
     try:
-        rounds = measure(jobs_of(config), config.repeats, config.out)
+        if config.what == ("start",):
+            names, lots = config.environments, config.batches
+            found = start.measure_starts(names, lots, config.repeats, config.out)
+            table = tables.markdown(start.rows(found))
+        else:
+            table = markdown(measure(jobs_of(config), config.repeats, config.out))
     except WorkerError as error:
         print(f"benchmark: {error}", file=sys.stderr)
         return 1
-    print(markdown(rounds))
+    print(table)
     return 0
 
 

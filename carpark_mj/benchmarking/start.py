@@ -12,7 +12,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from carpark_mj.config import EnvConfig
 from carpark_mj.files import write_csv
+from carpark_mj.registry import environment
 
 WORKER = "import sys; from carpark_mj.benchmarking.start import work; work(sys.argv[1])"
 # Seconds that a process reports, in the order in which it spends them.
@@ -48,9 +50,11 @@ def measure_starts(
     All are written to the CSV file `out`, if given, after each.
 
     Raises:
-        ValueError: a process failed, with its last words.
+        ValueError: there is no such environment, or a process failed.
     """
     found: list[Start] = []
+    for name in environments:
+        _config(name)
     if out:  # refuses an impossible path before anything is measured
         write_csv(Path(out), [])
     for _ in range(repeats):
@@ -125,12 +129,10 @@ def work(argument: str) -> None:
     import jax
     import jax.numpy as jnp
 
-    from carpark_mj.config import EnvConfig
     from carpark_mj.env import ParkingEnv
-    from carpark_mj.registry import environment
 
     lap("import_s")
-    env = ParkingEnv(EnvConfig() if name == "default" else environment(name))
+    env = ParkingEnv(_config(name))
     lap("construct_s")
     keys = jax.random.split(jax.random.key(0), lots)
     reset = jax.jit(jax.vmap(env.reset))
@@ -148,10 +150,16 @@ def work(argument: str) -> None:
         "total_s": time.time() - request["started"],
         "reset_equations": count_equations(jax.make_jaxpr(env.reset)(keys[0]).jaxpr),
         "step_equations": count_equations(
-            jax.make_jaxpr(env.step)(*jax.tree.map(lambda x: x[0], (state, action))).jaxpr
+            jax.make_jaxpr(env.step)(
+                *jax.tree.map(lambda x: x[0], (state, action))
+            ).jaxpr
         ),
     }
     print(json.dumps(result))
+
+
+def _config(name: str) -> EnvConfig:
+    return EnvConfig() if name == "default" else environment(name)
 
 
 def count_equations(jaxpr: Any) -> int:

@@ -35,8 +35,8 @@ from carpark_mj.cli.process import (
     one_line,
 )
 from carpark_mj.cli.settings.tables import SweepConfig, Where
+from carpark_mj.compilation import keep_compiled_programs
 from carpark_mj.files import write_csv, write_json
-from carpark_mj.kept_programs import keep_compiled_programs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.reading import read_csv, read_object

@@ -9,7 +9,8 @@ from pathlib import Path
 import jax
 import pytest
 
-from carpark_mj.kept_programs import cache_folder, keep_compiled_programs
+from carpark_mj import compilation
+from carpark_mj.compilation import cache_folder, keep_compiled_programs
 
 ROOT = Path(__file__).parents[2]
 OPTIONS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
@@ -168,3 +169,32 @@ def test_without_a_folder_to_write_nothing_is_kept(undecided, tmp_path, monkeypa
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     keep_compiled_programs()
     assert options() == [None, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("gpu", "before", "after"),
+    [
+        (False, None, None),
+        (True, None, "--{}=false"),
+        (True, "--xla_other=1", "--xla_other=1 --{}=false"),
+        (True, "--{}=true", "--{}=true"),  # the user has decided
+    ],
+)
+def test_slow_kernels_are_skipped_where_jax_has_a_gpu(gpu, before, after, monkeypatch):
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    before, after = (
+        x and x.format(compilation.FUSION_AUTOTUNER) for x in (before, after)
+    )
+    if before is not None:
+        monkeypatch.setenv("XLA_FLAGS", before)
+    plugin = compilation.GPU_PLUGINS[0]
+    installed = "json" if gpu else plugin  # a module that is there, or one that is not
+    monkeypatch.setattr(compilation, "GPU_PLUGINS", (installed,))
+    compilation.skip_slow_kernels()
+    assert os.environ.get("XLA_FLAGS") == after
+
+
+def test_xla_knows_the_flag():
+    flags = f"--{compilation.FUSION_AUTOTUNER}=false"  # or XLA ends the process
+    count = "import jax; print(jax.device_count())"
+    assert printed(count, XLA_FLAGS=flags, JAX_PLATFORMS="cpu") >= 1

@@ -16,7 +16,7 @@ from carpark_mj.config.checks import (
 from carpark_mj.files import require_suffix
 
 METRICS = ("parked", "crashed", "timed_out", "length")
-What = Literal["env", "ppo", "physics"]
+What = Literal["env", "ppo", "physics", "start"]
 Clock = Literal["wall", "cpu"]
 Cars = Literal["brush", "mjx.step", "contact"]
 Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
@@ -107,6 +107,7 @@ class BenchmarkConfig(CheckedConfig):
     carpark_mj benchmark --what env --batches 512 4096
     carpark_mj benchmark --what env --layouts lot --num-agents 1 4 16
     carpark_mj benchmark --what ppo --preset square --runs 1 4 16
+    carpark_mj benchmark --what start --batches 1
 
     `env` counts agent steps of the whole environment under random actions, `ppo` those
     of training end to end, `physics` substeps of cars alone: on brush tyres, on the
@@ -114,9 +115,13 @@ class BenchmarkConfig(CheckedConfig):
     passes the physics report. Every measurement runs in its own process, without kept
     compiled programs. Compare only figures of one run.
 
+    `start` is the time until the first step of `environments`, compiling included, in a
+    first process and in a second one, which finds the compiled programs of the first.
+
     Attributes:
-        what: what to measure.
+        what: what to measure; `start` alone.
         batches: numbers of lots simulated in parallel; for `physics`, of cars.
+        environments: registered names for `start`; `default` = `EnvConfig()`.
         layouts: names of the layouts of `env`.
         cars: cars of `physics`, by tyres or stepper.
         num_agents: numbers of agents in each lot of `env`.
@@ -133,8 +138,15 @@ class BenchmarkConfig(CheckedConfig):
         out: CSV file of all measurements, written after each; empty = none.
     """
 
-    what: tuple[What, ...] = get_args(What)
+    what: tuple[What, ...] = ("env", "ppo", "physics")
     batches: Counts = (128,)
+    environments: tuple[str, ...] = (
+        "default",
+        "hope",
+        "anywhere",
+        "sees",
+        "considerate",
+    )
     layouts: tuple[str, ...] = ("square",)
     cars: tuple[Cars, ...] = get_args(Cars)
     num_agents: Counts = (2,)
@@ -152,6 +164,8 @@ class BenchmarkConfig(CheckedConfig):
         for name in ("what", "batches", "layouts", "cars", "num_agents", "runs"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must name at least one")
+        if "start" in self.what and len(self.what) > 1:
+            raise ValueError("what must be start alone: its table has other columns")
 
 
 @dataclasses.dataclass(frozen=True)

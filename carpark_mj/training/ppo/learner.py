@@ -16,6 +16,7 @@ import optax
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from carpark_mj.compilation import FUSION_AUTOTUNER
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import training_key
 from carpark_mj.mdp.rewards import term_weights
@@ -51,9 +52,7 @@ from carpark_mj.wrappers.brax import BraxParking
 
 # Terms of the reward that `crash_scale` of a curriculum is a factor on.
 SCALED = ("crash", "person")
-# On a GPU XLA would try every fusion with a reduction as a Triton kernel, too, and that
-# of the rays of 8,192 lots compiles for minutes.
-COMPILER_OPTIONS = {"xla_gpu_experimental_enable_fusion_autotuner": False}
+COMPILER_OPTIONS = {FUSION_AUTOTUNER: False}  # also where JAX has begun before
 
 
 def num_devices(config: PPOConfig) -> int:

@@ -1,11 +1,32 @@
-"""Compiled programs are kept between processes, in the user's cache folder."""
+"""How JAX compiles: kept programs, and no kernels that take XLA minutes."""
 
+import importlib.util
 import os
 from pathlib import Path
+
+# On a GPU XLA tries fusions with reductions as Triton kernels, too. One kernel of the
+# reset of 4,096 lots then compiles for two minutes, and is slower than XLA's own.
+FUSION_AUTOTUNER = "xla_gpu_experimental_enable_fusion_autotuner"
+GPU_PLUGINS = ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm7_plugin")
 
 # What takes longer to compile is kept [s]; JAX's own value leaves small programs out.
 LEAST_TIME = 0.1
 _TIME = "jax_persistent_cache_min_compile_time_secs"
+
+
+def skip_slow_kernels() -> None:
+    """Makes XLA on a GPU not try fusions as Triton kernels, unless the user decides.
+
+    Importing `carpark_mj.env` calls it, before JAX's first computation, when XLA reads
+    `XLA_FLAGS`. Later it has no effect.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if FUSION_AUTOTUNER not in flags and any(map(_is_installed, GPU_PLUGINS)):
+        os.environ["XLA_FLAGS"] = f"{flags} --{FUSION_AUTOTUNER}=false".strip()
+
+
+def _is_installed(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
 
 
 def keep_compiled_programs() -> None:
