@@ -1,7 +1,7 @@
 """The suite of hard cases, `carpark_mj suite`: one car parks in every case of levels.
 
-All policies drive the same car, `tpcap`, on the same physics, without noise; an episode
-ends after 100 s.
+All policies drive the same car, `tpcap` by default, on the same physics, without noise;
+an episode ends after 100 s.
 """
 
 import dataclasses
@@ -51,8 +51,8 @@ from carpark_mj.policy.acting import (
 )
 from carpark_mj.suite.hope import HopeConfig
 from carpark_mj.suite.levels import (
+    EXTRA_LEVELS,
     HOPE_LEVELS,
-    TPCAP_LEVEL,
     Cases,
     CaseStart,
     drive_moving_car,
@@ -66,7 +66,6 @@ from carpark_mj.suite.levels import (
 )
 from carpark_mj.suite.report import (
     PLANNER,
-    VEHICLE,
     WORST,
     Drawn,
     made_with,
@@ -75,7 +74,9 @@ from carpark_mj.suite.report import (
     write_report,
 )
 from carpark_mj.suite.results import (
+    CAR,
     MOVING_CAR,
+    VEHICLE,
     Drives,
     Key,
     check_submission,
@@ -84,21 +85,28 @@ from carpark_mj.suite.results import (
     read_runs,
 )
 from carpark_mj.types import State
+from carpark_mj.vehicle import preset
 
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
 TIMED = 20  # calls of a policy whose shortest counts
-DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
-DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
+DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "moving_car", "seeds")
+DRAWN = 4  # cases of a generated level in the picture of paths; all of published ones
 
 
-def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvConfig:
+def suite_env(
+    env: EnvConfig,
+    rule: str,
+    with_moving_car: bool = False,
+    vehicle: str = VEHICLE,
+) -> EnvConfig:
     """The environment of a policy with the suite's lots, car and rules.
 
     Args:
         env: of its training.
         rule: when the car counts as parked.
         with_moving_car: add a second agent, the moving car.
+        vehicle: preset or file of the car.
     """
     if not env.physics_config.steers:
         raise ValueError(
@@ -117,7 +125,7 @@ def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvCo
     return dataclasses.replace(
         env,
         layout=HopeConfig("extreme", "parallel"),
-        vehicle=VEHICLE,
+        vehicle=vehicle,
         num_parked_cars=0,
         **agents,
         fleet=FleetConfig(),
@@ -271,6 +279,7 @@ class SuiteConfig:
     carpark_mj suite planner --levels tpcap --seeds 0 1 2
     carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
     carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
+    carpark_mj suite planner hope --levels parkbench:rear_in --rule precise
 
     The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
     and the numbers.
@@ -279,12 +288,15 @@ class SuiteConfig:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
             or `random`.
         levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
-            TPCAP's 20 published cases; `busy`, where people, a cart or a car get in
-            the way; or registered ones.
+            TPCAP's 20 published cases; `parkbench:FOLDER`, the half of ParkBench's
+            files that is for work, and `parkbench:FOLDER:held_out`, the other, to be
+            looked at once; `busy`, where people, a cart or a car get in the way; or
+            registered ones.
         cases: number of cases of each level; None = all from `first_case` on.
         first_case: first case of each level, from 0.
         rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
             registered rule.
+        vehicle: preset or file of the car.
         moving_car: another car drives through the aisle of every case.
         seeds: of the planner's searches and of stochastic policies; each seed drives
             all cases.
@@ -305,6 +317,7 @@ class SuiteConfig:
     cases: int | None = None
     first_case: int = 0
     rule: str = "strict"
+    vehicle: str = VEHICLE
     moving_car: bool = False
     seeds: tuple[int, ...] = (0,)
     videos: int = 0
@@ -322,6 +335,9 @@ class SuiteConfig:
                 f"{', not both' if self.policies else ''}"
             )
         find_rules(self.rule)
+        preset(self.vehicle)
+        if self.moving_car and self.vehicle != VEHICLE:
+            raise ValueError(f"a moving car needs the vehicle {VEHICLE}, as it is one")
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
         require_alike(self.levels)
@@ -392,7 +408,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
     # All are refused before one of them drives.
     for name in config.policies:
         driver = find_driver(name)
-        base = suite_env(driver.env, config.rule, config.moving_car)
+        base = suite_env(driver.env, config.rule, config.moving_car, config.vehicle)
         for level in config.levels:
             env_config = envs[name, level] = find_level(level).env(base)
             if env_config not in evaluators:
@@ -436,6 +452,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
         which = {"policy": name, "seed": seed, "rule": config.rule}
         which |= {"held_out": find_level(part.level).fingerprint}
         which |= {MOVING_CAR: 1} if config.moving_car else {}
+        which |= {CAR: config.vehicle} if config.vehicle != VEHICLE else {}
         own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
         rows = [which | row | own for row in rows]
         episodes += rows
@@ -457,12 +474,13 @@ def _plan(planner: Planner, lot: int) -> Row:
 def _drawn(planner: Planner, cases: Cases) -> Drawn:
     """Titles, layouts and paths of the cases in the picture."""
     found: Drawn = []
-    count = None if cases.level == TPCAP_LEVEL else DRAWN
+    generated = cases.level in (*HOPE_LEVELS, *EXTRA_LEVELS)
+    count, name = DRAWN if generated else None, cases.level.partition(":")[0]
     for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path
         result = "no path"
         if path:
             result = f"{path.length:.1f} m, {path.shifts} gear changes"
         layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)
-        found.append((f"{cases.level} {number}: {result}", layout, path))
+        found.append((f"{name} {number}: {result}", layout, path))
     return found
