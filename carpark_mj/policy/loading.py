@@ -1,7 +1,6 @@
 """Loads policies from checkpoints of runs and of policies alone."""
 
 import dataclasses
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -211,19 +210,27 @@ def _kinds(fields: Iterable[Field]) -> list[str]:
 
 def _difference(before: Sequence[Field], now: Sequence[Field]) -> str:
     """What differs between the fields of a training and of an environment."""
-    trained, here = map(_counts, (before, now))
-    names = [name for name in trained | here if trained.get(name) != here.get(name)]
+    shared = {*_kinds(before)} & {*_kinds(now)}
+    trained, here = (
+        _counts(fields)
+        | {x.name: x.size for x in fields if not x.index and x.group in shared}
+        for fields in (before, now)
+    )
     found = [
         f"{name} {trained.get(name, 'none')}, here {here.get(name, 'none')}"
-        for name in names
+        for name in trained | here
+        if trained.get(name) != here.get(name)
     ]
     return "; ".join(found) or "fields of other meanings or in another order"
 
 
 def _counts(fields: Sequence[Field]) -> dict[str, int]:
-    """Numbers of entities by kind, and of other fields how many numbers they have."""
-    kinds = Counter(field.group for field in fields if field.group and field.is_mask)
-    return kinds | {field.name: field.size for field in fields if not field.group}
+    """Numbers of entities by kind."""
+    kinds = dict.fromkeys(field.group for field in fields if field.group)
+    return {
+        kind: len({field.index for field in fields if field.group == kind})
+        for kind in kinds
+    }
 
 
 def _drives_in(env: EnvConfig, fields: Sequence[Field], policy: Policy) -> Policy:
@@ -235,12 +242,12 @@ def _drives_in(env: EnvConfig, fields: Sequence[Field], policy: Policy) -> Polic
     size, names = sum(field.size for field in seen), [field.name for field in seen]
     ends = np.cumsum([field.size for field in seen])
     slots = dict(zip(names, zip([0, *ends], ends, strict=False), strict=True))
-    kinds = ", ".join(f"{count} {name}" for name, count in _counts(seen).items())
+    kinds = "".join(f", {count} of {kind}" for kind, count in _counts(seen).items())
 
     def act(policy: Policy, observation: jax.Array, key: jax.Array) -> Any:
         if observation.shape[-1] != size:
             raise ValueError(
-                f"the policy reads {size} numbers ({kinds}), not an observation of "
+                f"the policy reads {size} numbers{kinds}, not an observation of "
                 f"{observation.shape[-1]}: load it with `env`, the environment's config"
             )
         if [field.name for field in fields] != names:

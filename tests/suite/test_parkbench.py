@@ -1,5 +1,6 @@
 """ParkBench's format: lots are what the files say, of which half is held out."""
 
+import dataclasses
 import json
 import math
 
@@ -9,12 +10,16 @@ import pytest
 from helpers.scenes import polygons
 
 from carpark_mj.cli.layouts import ImportConfig, import_layout
+from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayEnd
-from carpark_mj.suite.evaluation import SuiteConfig
+from carpark_mj.policy.named import zero_policy
+from carpark_mj.registry import ANYWHERE
+from carpark_mj.suite.evaluation import CaseEvaluator, SuiteConfig, suite_env
 from carpark_mj.suite.levels import find_level, is_level, pick_cases, require_alike
 from carpark_mj.suite.parkbench import MARGIN, PARKBENCH_CAR, read_parkbench
 from carpark_mj.suite.tpcap import EDGE
+from carpark_mj.suite.tpcap import START as START_SIDE
 
 START, GOAL = (4.0, 3.0, 0.2), (-3.0, 1.0, 1.5)  # of the rear axle
 
@@ -158,3 +163,21 @@ def test_faulty_cases_are_refused_with_their_file(tmp_path, change, message):
     path.write_text(json.dumps(data))
     with pytest.raises(ValueError, match=f"1.json: .*{message}"):
         read_parkbench(path)
+
+
+def test_a_car_of_a_data_sheet_begins_at_the_recorded_pose(tmp_path):
+    write(tmp_path / "1.json")
+    sheet = tmp_path / "car.yaml"
+    sheet.write_text("length: 4.95 m\nwidth: 2.0 m\nwheelbase: 2.95 m\n")
+    level = f"parkbench:{tmp_path}"
+    config = find_level(level).env(suite_env(ANYWHERE, "precise", vehicle=str(sheet)))
+    short = dataclasses.replace(config.episode, max_steps=2)
+    env = ParkingEnv(dataclasses.replace(config, episode=short))
+    cases = pick_cases(level, 1)
+    rows, drives = CaseEvaluator(env).drive(zero_policy(env.action_spec), cases, seed=0)
+    assert [row["timed_out"] for row in rows] == [1.0]
+    np.testing.assert_allclose(
+        drives.pose_w[0, 1, 0, -1], cases.layouts.spawn_pose[0, 0], atol=START_SIDE
+    )
+    with pytest.raises(ValueError, match="needs the vehicle tpcap"):
+        SuiteConfig(("zero",), vehicle=str(sheet), moving_car=True)
