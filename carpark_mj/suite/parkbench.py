@@ -159,12 +159,16 @@ class OpenGround(FixedLayoutConfig):
 
     family: str = NAME
 
-    @functools.cached_property
+    @property
     def layout(self) -> Layout:
         """A start 20 m behind the goal."""
-        start, goal = np.zeros(3), np.array([REACH, 0.0, 0.0])
-        with jax.ensure_compile_time_eval():
-            return jax.device_get(_lot(start, goal, []))
+        return _open_ground()
+
+
+@functools.cache
+def _open_ground() -> Layout:
+    with jax.ensure_compile_time_eval():  # also while a program is traced
+        return jax.device_get(_lot(np.zeros(3), np.array([REACH, 0.0, 0.0]), []))
 
 
 def parkbench_env(env: EnvConfig) -> EnvConfig:

@@ -218,7 +218,7 @@ def case_layout(
     kept = np.asarray(solid["wall_mask"]).copy()
     if clears_goal:
         kept &= ~meets[-1]  # at the goal, without a margin
-    blocked = (meets & kept).any(axis=-1)
+    blocked: np.ndarray = np.any(meets & kept, axis=-1)
     for first, what, stands in ((0, "start", blocked[0]), (3, "goal", blocked[1])):
         _require(not stands, first, f"a car at the {what} would stand in an obstacle")
     free = sizes[1:][~blocked[2:]]
