@@ -37,6 +37,8 @@ from carpark_mj.maps.fit import (
 )
 from carpark_mj.maps.osm_xml import osm_features, read_xml
 from carpark_mj.maps.tagged import geojson_features
+from carpark_mj.reading import parse_object, read_text
+from carpark_mj.suite.parkbench import PARKBENCH_CAR, parkbench_layout
 
 FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
 APRON = 6.0  # m of free ground around the spots of a map that has no ground
@@ -67,7 +69,7 @@ def import_map(
     layers: Sequence[str] = (),
     unit: str = "",
 ) -> tuple[Layout, Report]:
-    """Reads a map: Lanelet2, OpenStreetMap, CommonRoad, GeoJSON, or DXF.
+    """Reads a map: Lanelet2, OpenStreetMap, CommonRoad, GeoJSON, DXF, or ParkBench.
 
     Args:
         path: of the map.
@@ -80,12 +82,31 @@ def import_map(
         ValueError: no such map, or no valid lot in it; the message names the file.
     """
     try:
+        if case := _parkbench_case(path):
+            return _import_case(case)
         plan = read_plan(path, crs=crs, layers=layers, unit=unit)
         return assemble(lay_out(on_level(plan, level)))
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _parkbench_case(path: Path) -> dict[str, Any] | None:
+    """The object of a ParkBench file; None of other files."""
+    if path.suffix.lower() != ".json":
+        return None
+    data = parse_object(read_text(path), "the map")
+    return data if "Frames" in data else None
+
+
+def _import_case(data: dict[str, Any]) -> tuple[Layout, Report]:
+    layout = parkbench_layout(data)
+    walls = f"{int(layout.wall_mask.sum())} pieces of outlines are walls"
+    notes = [f"a case of ParkBench (CC BY-NC 4.0): {walls}"]
+    if faults := describe_faults(layout, PARKBENCH_CAR.size):
+        notes.append(f"warning: {'; '.join(faults)}")
+    return layout, Report(spots=1, errors=[0.0], notes=notes)
 
 
 def read_plan(

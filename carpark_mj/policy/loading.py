@@ -1,16 +1,20 @@
 """Loads policies from checkpoints of runs and of policies alone."""
 
 import dataclasses
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import Partial
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_kind
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import make_fields, observation_size
-from carpark_mj.observations.fields import ORDERED
+from carpark_mj.observations import make_fields
+from carpark_mj.observations.fields import ORDERED, Field
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import (
     NetworkConfig,
@@ -70,7 +74,8 @@ def load_policy(
     Args:
         run: name of a pretrained policy, or a path; a `Path` is never a name.
         deterministic: take a distribution's mode instead of samples.
-        env: environment to drive in; None = the environment of its training.
+        env: environment to drive in; None = the environment of its training. A set
+            encoder takes any number of cars and other entities, none included.
 
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
@@ -87,9 +92,13 @@ def load_policy(
         algorithm: Algorithm = ALGORITHMS[header["algorithm"]]
         policy = algorithm.policy(parameters, header, env)
     else:
-        networks = make_networks(config, make_fields(env), action_spec(env))
+        fields, trained = make_fields(env), make_fields(own)
+        if _kinds(fields) != _kinds(trained):
+            fields = with_empty_sets(trained, fields)
+        networks = make_networks(config, fields, action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
         policy = make_policy(networks, normalizer, actor, deterministic)
+        policy = _drives_in(env, fields, policy)
     return LoadedPolicy(env, policy, header["env_steps"], path)
 
 
@@ -152,22 +161,107 @@ def _require_fit(
 ) -> None:
     """Refuses an environment with other observations or actions."""
     is_set = config is not None and config.encoder == "set"
-    before, now = (
-        [
-            field
-            for field in make_fields(each)
-            # A set encoder has no weights of their own for the others of a kind.
-            if not is_set or field.index == 0 or field.group in ORDERED
-        ]
-        for each in (own, env)
-    )
+    before, now = make_fields(own), make_fields(env)
+    if is_set:
+        # It has no weights of their own for the others of a kind.
+        before, now = (
+            tuple(x for x in fields if not x.index or x.group in ORDERED)
+            for fields in (
+                with_empty_sets(before, before),
+                with_empty_sets(before, now),
+            )
+        )
     if before != now:
         number = "" if is_set else "; only a set encoder takes other numbers of cars"
         raise ValueError(
-            f"{run} was trained on other observations ({observation_size(own)} "
-            f"numbers) than this environment's ({observation_size(env)}){number}"
+            f"{run} was trained on other observations than this environment's: "
+            f"{_difference(before, now)}{number}"
         )
     require_actions(run, own, env)
+
+
+def with_empty_sets(before: Sequence[Field], now: Sequence[Field]) -> list[Field]:
+    """The fields that a set encoder, trained on some, reads in an environment.
+
+    A kind of entities that the environment's fields lack has one slot, left empty.
+
+    Args:
+        before: fields of the training.
+        now: fields of the environment.
+
+    Returns:
+        The fields, kinds of entities one after the other in the order of the training.
+    """
+    kinds = _kinds((*before, *now))
+    slots = {field.group for field in before if field.is_mask} - {*ORDERED}
+    found = list[Field]()
+    for kind in kinds:
+        own = [field for field in now if field.group == kind]
+        if not own and kind in slots:
+            own = [field for field in before if field.group == kind and not field.index]
+        found += own
+    return found
+
+
+def _kinds(fields: Iterable[Field]) -> list[str]:
+    """Kinds of entities in order, "" for fields of none."""
+    return list(dict.fromkeys(field.group for field in fields))
+
+
+def _difference(before: Sequence[Field], now: Sequence[Field]) -> str:
+    """What differs between the fields of a training and of an environment."""
+    shared = {*_kinds(before)} & {*_kinds(now)}
+    trained, here = (
+        _counts(fields)
+        | {x.name: x.size for x in fields if not x.index and x.group in shared}
+        for fields in (before, now)
+    )
+    found = [
+        f"{name} {trained.get(name, 'none')}, here {here.get(name, 'none')}"
+        for name in trained | here
+        if trained.get(name) != here.get(name)
+    ]
+    return "; ".join(found) or "fields of other meanings or in another order"
+
+
+def _counts(fields: Sequence[Field]) -> dict[str, int]:
+    """Numbers of entities by kind."""
+    kinds = dict.fromkeys(field.group for field in fields if field.group)
+    return {
+        kind: len({field.index for field in fields if field.group == kind})
+        for kind in kinds
+    }
+
+
+def _drives_in(env: EnvConfig, fields: Sequence[Field], policy: Policy) -> Policy:
+    """A policy over `fields` for observations of an environment, which may lack some.
+
+    Observations of another size are refused.
+    """
+    seen = make_fields(env)
+    size, names = sum(field.size for field in seen), [field.name for field in seen]
+    ends = np.cumsum([field.size for field in seen])
+    slots = dict(zip(names, zip([0, *ends], ends, strict=False), strict=True))
+    kinds = "".join(f", {count} of {kind}" for kind, count in _counts(seen).items())
+
+    def act(policy: Policy, observation: jax.Array, key: jax.Array) -> Any:
+        if observation.shape[-1] != size:
+            raise ValueError(
+                f"the policy reads {size} numbers{kinds}, not an observation of "
+                f"{observation.shape[-1]}: load it with `env`, the environment's config"
+            )
+        if [field.name for field in fields] != names:
+            lead = observation.shape[:-1]
+            parts = [
+                observation[..., slice(*slots[field.name])]
+                if field.name in slots
+                else jnp.zeros((*lead, field.size), observation.dtype)
+                for field in fields
+            ]
+            observation = jnp.concatenate(parts, axis=-1)
+        return policy(observation, key)
+
+    return Partial(act, policy)
 
 
 def require_actions(run: str | Path, own: EnvConfig, env: EnvConfig) -> None:

@@ -1,8 +1,8 @@
-"""Hard cases on which policies are compared: HOPE, TPCAP, MetaDrive's lot, `busy`.
+"""Hard cases on which policies are compared, of HOPE, TPCAP, ParkBench and others.
 
 Importing the package registers their layouts, cars, movers, environments and levels.
 """
 
-from carpark_mj.suite import busy, hope, metadrive, tpcap
+from carpark_mj.suite import busy, hope, metadrive, parkbench, tpcap
 
-__all__ = ["busy", "hope", "metadrive", "tpcap"]
+__all__ = ["busy", "hope", "metadrive", "parkbench", "tpcap"]

@@ -1,7 +1,7 @@
 """The suite of hard cases, `carpark_mj suite`: one car parks in every case of levels.
 
-All policies drive the same car, `tpcap`, on the same physics, without noise; an episode
-ends after 100 s.
+All policies drive the same car, `tpcap` by default, on the same physics, without noise;
+an episode ends after 100 s.
 """
 
 import dataclasses
@@ -50,7 +50,8 @@ from carpark_mj.policy.acting import (
 )
 from carpark_mj.suite.hope import HopeConfig
 from carpark_mj.suite.levels import (
-    TPCAP_LEVEL,
+    EXTRA_LEVELS,
+    HOPE_LEVELS,
     Cases,
     CaseStart,
     drive_moving_car,
@@ -64,7 +65,6 @@ from carpark_mj.suite.levels import (
 )
 from carpark_mj.suite.report import (
     PLANNER,
-    VEHICLE,
     Drawn,
     made_with,
     require_gl,
@@ -72,7 +72,9 @@ from carpark_mj.suite.report import (
     write_report,
 )
 from carpark_mj.suite.results import (
+    CAR,
     MOVING_CAR,
+    VEHICLE,
     Drives,
     Key,
     check_submission,
@@ -81,20 +83,27 @@ from carpark_mj.suite.results import (
     read_runs,
 )
 from carpark_mj.types import State
+from carpark_mj.vehicle import preset
 
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
 TIMED = 20  # calls of a policy whose shortest counts
-DRAWN = 4  # cases of each of HOPE's levels in the picture of paths; all of TPCAP's
+DRAWN = 4  # cases of a generated level in the picture of paths; all of published ones
 
 
-def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvConfig:
+def suite_env(
+    env: EnvConfig,
+    rule: str,
+    with_moving_car: bool = False,
+    vehicle: str = VEHICLE,
+) -> EnvConfig:
     """The environment of a policy with the suite's lots, car and rules.
 
     Args:
         env: of its training.
         rule: when the car counts as parked.
         with_moving_car: add a second agent, the moving car.
+        vehicle: preset or file of the car.
     """
     if not env.physics_config.steers:
         raise ValueError(
@@ -113,7 +122,7 @@ def suite_env(env: EnvConfig, rule: str, with_moving_car: bool = False) -> EnvCo
     return dataclasses.replace(
         env,
         layout=HopeConfig("extreme", "parallel"),
-        vehicle=VEHICLE,
+        vehicle=vehicle,
         num_parked_cars=0,
         **agents,
         fleet=FleetConfig(),
@@ -261,6 +270,9 @@ def _choose_action(
 def require_cases(config: SuiteConfig) -> None:
     """Refuses rules, levels and cases that there are not, or of which more is asked."""
     find_rules(config.rule)
+    preset(config.vehicle)
+    if config.moving_car and config.vehicle != VEHICLE:
+        raise ValueError(f"a moving car needs the vehicle {VEHICLE}, as it is one")
     require_alike(config.levels)
     for level in config.levels:
         _require_numbers(config, level)
@@ -321,7 +333,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
     # All are refused before one of them drives.
     for name in config.policies:
         driver = find_driver(name)
-        base = suite_env(driver.env, config.rule, config.moving_car)
+        base = suite_env(driver.env, config.rule, config.moving_car, config.vehicle)
         for level in config.levels:
             env_config = envs[name, level] = find_level(level).env(base)
             if env_config not in evaluators:
@@ -365,6 +377,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
         which = {"policy": name, "seed": seed, "rule": config.rule}
         which |= {"held_out": find_level(part.level).fingerprint}
         which |= {MOVING_CAR: 1} if config.moving_car else {}
+        which |= {CAR: config.vehicle} if config.vehicle != VEHICLE else {}
         own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
         rows = [which | row | own for row in rows]
         episodes += rows
@@ -386,12 +399,13 @@ def _plan(planner: Planner, lot: int) -> Row:
 def _drawn(planner: Planner, cases: Cases) -> Drawn:
     """Titles, layouts and paths of the cases in the picture."""
     found: Drawn = []
-    count = None if cases.level == TPCAP_LEVEL else DRAWN
+    generated = cases.level in (*HOPE_LEVELS, *EXTRA_LEVELS)
+    count, name = DRAWN if generated else None, cases.level.partition(":")[0]
     for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path
         result = "no path"
         if path:
             result = f"{path.length:.1f} m, {path.shifts} gear changes"
         layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)
-        found.append((f"{cases.level} {number}: {result}", layout, path))
+        found.append((f"{name} {number}: {result}", layout, path))
     return found

@@ -80,7 +80,8 @@ class Cases(NamedTuple):
     Attributes:
         level: its name.
         number: (n,) which of the level's.
-        kind: (n,) str, `parallel`, `perpendicular`, or `published` of TPCAP's.
+        kind: (n,) str, `parallel`, `perpendicular`, `published` of TPCAP's, or
+            `recorded` of ParkBench's.
         layouts: (n, ...) of the same shapes in all of HOPE's levels.
         start: how they begin; None = at the spawn region's middle.
     """
@@ -118,6 +119,8 @@ class CaseLevel:
 
 # Levels of other packages, and `busy`: driven alone, for their columns may differ.
 EXTRA_LEVELS: Registry[CaseLevel] = Registry("level of the suite")
+# Levels of a user's files, `NAME:PATH`: readers of the path by name.
+FILE_LEVELS: Registry[Callable[[str], CaseLevel]] = Registry("level of files")
 VERSION = 1
 FILE = Path(__file__).with_name(f"held_out_{VERSION}.npz")
 SHA256 = "773f2791aba75242a8e3f765aaa6d1263017e218add2a1b30b8cffaf74989b91"
@@ -249,16 +252,26 @@ LEVELS[TPCAP_LEVEL] = CaseLevel(
 
 
 def is_level(name: str) -> bool:
-    """Whether there is a level of this name."""
-    return name in LEVELS or name in EXTRA_LEVELS
+    """Whether there is a level of this name, or files that are one."""
+    try:
+        find_level(name)
+    except ValueError:
+        return False
+    return True
 
 
 def find_level(level: str) -> CaseLevel:
-    """A level by name; `ValueError` if nobody has registered it."""
-    if not is_level(level):
-        known = ", ".join((*LEVELS, *EXTRA_LEVELS))
-        raise ValueError(f"level must be one of {known}, not {level!r}")
-    return LEVELS[level] if level in LEVELS else EXTRA_LEVELS[level]
+    """A level by name; `ValueError` if there is none, or its files are faulty."""
+    name, colon, path = level.partition(":")
+    if colon and name in FILE_LEVELS:
+        return FILE_LEVELS[name](path)
+    if level in LEVELS:
+        return LEVELS[level]
+    if level in EXTRA_LEVELS:
+        return EXTRA_LEVELS[level]
+    files = (f"{name}:PATH" for name in FILE_LEVELS)
+    known = ", ".join((*LEVELS, *EXTRA_LEVELS, *files))
+    raise ValueError(f"level must be one of {known}, not {level!r}")
 
 
 def require_aisle(level: str) -> None:
@@ -275,15 +288,17 @@ def require_alike(levels: Iterable[str]) -> None:
     found = in_order(levels)
     for level in found:
         find_level(level)
-        if level not in LEVELS and len(found) > 1:
+        if level in EXTRA_LEVELS and len(found) > 1:
             others = ", ".join(name for name in found if name != level)
             raise ValueError(f"level {level} must be driven alone, not with {others}")
 
 
 def require_filmed(level: str) -> None:
     """Refuses films of levels whose movers are not recorded."""
-    if level not in LEVELS:
-        raise ValueError(f"videos show levels {', '.join(LEVELS)} only, not {level}")
+    if level in EXTRA_LEVELS:
+        raise ValueError(
+            f"videos show levels {', '.join((*LEVELS, *FILE_LEVELS))} only, not {level}"
+        )
 
 
 def in_order(levels: Iterable[str]) -> list[str]:

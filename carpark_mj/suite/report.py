@@ -43,17 +43,19 @@ from carpark_mj.suite.levels import (
     pick_cases,
 )
 from carpark_mj.suite.results import (
+    VEHICLE,
     Drives,
     Key,
     has_moving_car,
     key_of,
+    vehicle_of,
     write_run,
     write_submission,
 )
 from carpark_mj.types import ENDINGS, OUTCOMES
 from carpark_mj.vehicle import VehicleParameters, preset
 
-VEHICLE, PLANNER = "tpcap", "planner"
+PLANNER = "planner"
 # Columns on the screen; files have all.
 PRINTED = (
     *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),
@@ -113,7 +115,7 @@ def write_report(
     pictures: list[Path] = []
     if drawn:
         pictures.append(folder / "paths.png")
-        plot_paths(pictures[0], drawn, preset(VEHICLE))
+        plot_paths(pictures[0], drawn, preset(vehicle_of(episodes[0])))
     # The planner first: others are compared with its paths.
     names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
     rows = [row for name in names for row in table_rows(name, episodes)]
@@ -152,9 +154,10 @@ def make_videos(
     for row in rows:
         key = key_of(row)
         policy = quote(key.policy, safe="")  # of runs the whole path
-        path = folder / FOLDER / f"{policy}-{key.level}-{key.seed}-{key.case}.mp4"
+        level = quote(key.level, safe="")
+        path = folder / FOLDER / f"{policy}-{level}-{key.seed}-{key.case}.mp4"
         path.parent.mkdir(exist_ok=True)
-        _write(path, recording_of(row, drives[key]))
+        _write(path, recording_of(row, drives[key]), vehicle_of(row))
         videos[key] = path
     return videos
 
@@ -184,8 +187,8 @@ def recording_of(row: Row, drive: Drives) -> Recording:
     )
 
 
-def _write(path: Path, recording: Recording) -> None:
-    stage = Stage(recording.layout, preset(VEHICLE), recording.speed.shape[1], 0)
+def _write(path: Path, recording: Recording, vehicle: str) -> None:
+    stage = Stage(recording.layout, preset(vehicle), recording.speed.shape[1], 0)
     with contextlib.closing(LotRenderer(stage, "topdown", SIZE)) as renderer:
         indices, rate = frame_indices(recording, FPS, FASTER, HOLD)
         pictures = (draw_frame(recording, renderer, index) for index in indices)
@@ -215,9 +218,10 @@ def header(episodes: Sequence[Row]) -> list[str]:
         parts.setdefault(title, []).append(counts)
     cases = "; ".join(f"{title}: {', '.join(found)}" for title, found in parts.items())
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
-    moving = has_moving_car(episodes)
+    moving, car = has_moving_car(episodes), vehicle_of(episodes[0])
     return [
-        f"Hard cases, {', '.join(rules)} rule{', one moving car' if moving else ''}",
+        f"Hard cases, {', '.join(rules)} rule{', one moving car' if moving else ''}"
+        f"{f', vehicle {car}' if car != VEHICLE else ''}",
         f"{cases}; seed{'s' * (len(seeds) > 1)} "
         f"{', '.join(map(str, seeds))}; on {'; '.join(sorted(made))}.",
         "Rates with Wilson's 95 % interval for the number of cases, however many seeds "

@@ -40,6 +40,7 @@ from carpark_mj.suite.levels import (
 from carpark_mj.types import ENDINGS
 
 MOVING_CAR = "moving_car"  # column of episodes in which one drives through the aisle
+CAR, VEHICLE = "vehicle", "tpcap"  # column of episodes with another car than this
 
 
 class Drives(NamedTuple):
@@ -87,6 +88,11 @@ def key_of(row: Row) -> Key:
 def has_moving_car(rows: Sequence[Row]) -> bool:
     """Whether a car moved through the aisle in these episodes, as in all or in none."""
     return any(row.get(MOVING_CAR) for row in rows)
+
+
+def vehicle_of(row: Row) -> str:
+    """The car that parks in a row's episode."""
+    return row.get(CAR, VEHICLE)
 
 
 def write_run(
@@ -151,6 +157,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
     require_alike({row["level"] for row in rows})
     _require_one("with and without a moving car", (r.get(MOVING_CAR, 0) for r in rows))
     _require_one("under different rules", (row["rule"] for row in rows))
+    _require_one("of different cars", map(vehicle_of, rows))
     for policy in {row["policy"] for row in rows}:
         own = [row for row in rows if row["policy"] == policy]
         columns = (tuple(sorted(row.keys() - {*_PLANNED})) for row in own)
@@ -183,7 +190,7 @@ def _read_cases(path: Path) -> list[Row]:
 def _parse(row: CsvRow) -> Row:
     parsed: Row = {}
     for name, text in row.cells.items():
-        if name in _TEXT:
+        if name in (*_TEXT, CAR):
             parsed[name] = text
         elif name in (*_WHOLE, MOVING_CAR):
             parsed[name] = row.whole(name)
@@ -255,6 +262,7 @@ class Result(CheckedConfig):
         time_to_park: mean [s].
         outcomes: of each seed, a letter for each case.
         rates: shares of episodes by `RATES`, if there are no outcomes.
+        vehicle: the car.
     """
 
     policy: str
@@ -269,6 +277,7 @@ class Result(CheckedConfig):
     time_to_park: NonNegative | None = None
     outcomes: tuple[str, ...] | None = None
     rates: dict[str, float] | None = None
+    vehicle: str = VEHICLE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -326,6 +335,8 @@ def write_submission(folder: Path, episodes: Sequence[Row]) -> Path:
     path = folder / SUITE_FILE
     results = [_entry(found[key]) for key in sorted(found)]
     rules = {"rule": episodes[0]["rule"], "moving_car": has_moving_car(episodes)}
+    if (vehicle := vehicle_of(episodes[0])) != VEHICLE:
+        rules[CAR] = vehicle
     write_json(path, {"format": FORMAT, **rules, "results": results})
     return path
 
@@ -355,7 +366,7 @@ def read_submission(path: Path) -> list[Result]:
     if found["format"] != FORMAT:
         raise ValueError(f"{what}: format must be {FORMAT!r}, not {found['format']!r}")
     find_rules(found["rule"])
-    which = {name: found[name] for name in ("rule", "moving_car")}
+    which = {name: found[name] for name in ("rule", "moving_car", CAR) if name in found}
     results = [
         _result(f"{what}, result {number}", entry, which)
         for number, entry in enumerate(found["results"], 1)
@@ -412,7 +423,8 @@ def leaderboard(results: Iterable[Result]) -> str:
         row = {
             "level": result.level,
             "policy": f"`{result.policy}`{' †' * (result.outcomes is None)}",
-            "rule": f"{result.rule}{', moving car' * result.moving_car}",
+            "rule": f"{result.rule}{', moving car' * result.moving_car}"
+            f"{f', {result.vehicle}' if result.vehicle != VEHICLE else ''}",
             "parked [%]": f"{100 * parked:.1f} {interval}",
             "crashed [%]": f"{100 * crashed:.1f}",
             "timed out [%]": f"{100 * timed_out:.1f}",

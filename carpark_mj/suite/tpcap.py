@@ -20,6 +20,7 @@ import dataclasses
 import functools
 import hashlib
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -32,7 +33,7 @@ from carpark_mj.layouts.base import LAYOUT_FORMATS
 from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
 from carpark_mj.layouts.files import FARTHEST
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.types import Layout
+from carpark_mj.layouts.types import BayEnd, Layout
 from carpark_mj.reading import read_text
 from carpark_mj.vehicle import PRESETS, register_vehicle
 from carpark_mj.vehicle.parameters import kerb_to_kerb
@@ -48,7 +49,7 @@ TPCAP_CAR = DesignCar(
     max_steering=0.75,
 )
 BAY_MARGIN = 0.2  # m on every side of the goal footprint, less where obstacles are near
-SHARES = (1.0, 0.75, 0.5, 0.25)  # of it: the first that is free; else none
+SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of it: the first that is free; else none
 EDGE = 0.02  # m, thickness of the walls along the edges of a polygon
 TOUCHING = 0.01  # m by which a car may stand in an obstacle, for rounded coordinates
 START = 0.02  # m, side of the spawn region
@@ -155,7 +156,34 @@ def _whole(numbers: list[float], place: int, what: str, least: int) -> int:
 
 
 def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> Layout:
-    car = TPCAP_CAR
+    return case_layout(TPCAP_CAR, start, goal, polygons, _boxes, BAY_MARGIN)
+
+
+def case_layout(
+    car: DesignCar,
+    start: np.ndarray,
+    goal: np.ndarray,
+    shapes: Sequence[np.ndarray],
+    boxes_of: Callable[[np.ndarray], list[tuple[np.ndarray, np.ndarray]]],
+    margin: float,
+    end: BayEnd = BayEnd.EITHER,
+    clears_goal: bool = False,
+) -> Layout:
+    """The lot of one case: walls, and a bay around the goal.
+
+    Args:
+        car: whose poses are given.
+        start: (3,) pose of its rear axle.
+        goal: (3,) the same when parked.
+        shapes: points (n, 2) of each obstacle.
+        boxes_of: pose (3,) and size (2,) of each wall that represents an obstacle.
+        margin: of the bay on every side of the car [m], less where walls are near.
+        end: of the car that goes into the bay first.
+        clears_goal: leave out walls that the parked car would touch.
+
+    Raises:
+        ValueError: a car would stand in an obstacle.
+    """
 
     def centred(pose: np.ndarray) -> np.ndarray:
         step = car.centre_offset * np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
@@ -164,10 +192,10 @@ def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> La
     start, goal = centred(start), centred(goal)
     reach = math.hypot(*car.size)
     around = [goal[:2] - reach, goal[:2] + reach, start[:2] - reach, start[:2] + reach]
-    points = np.concatenate([np.array(around), *polygons])
+    points = np.concatenate([np.array(around), *shapes])
     low, high = points.min(axis=0), points.max(axis=0)
     middle = np.append((low + high) / 2, 0.0)
-    boxes = [box for polygon in polygons for box in _boxes(polygon - middle[:2])]
+    boxes = [box for shape in shapes for box in boxes_of(shape - middle[:2])]
     pose = np.array([pose for pose, _ in boxes]).reshape(-1, 3)
     size = np.array([size for _, size in boxes]).reshape(-1, 2)
     start, goal = start - middle, goal - middle
@@ -178,34 +206,40 @@ def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> La
         np.pad(size, padding),
         mask=np.arange(len(boxes) + padding[0][1]) < len(boxes),
     )
-    margins = np.array([-TOUCHING, *(share * BAY_MARGIN for share in SHARES)])
+    margins = np.array([-TOUCHING, *(share * margin for share in SHARES)])
     sizes = np.array(car.size) + 2 * margins[:, None]
-    blocked = _is_blocked(
-        np.stack([start, goal, *[goal] * len(SHARES)]),
-        sizes[[0, *range(len(sizes))]],
-        solid,
+    meets = np.array(
+        _meets(
+            np.stack([start, goal, *[goal] * len(SHARES)]),
+            sizes[[0, *range(len(sizes))]],
+            solid,
+        )
     )
+    kept = np.asarray(solid["wall_mask"]).copy()
+    if clears_goal:
+        kept &= ~meets[-1]  # at the goal, without a margin
+    blocked: np.ndarray = np.any(meets & kept, axis=-1)
     for first, what, stands in ((0, "start", blocked[0]), (3, "goal", blocked[1])):
         _require(not stands, first, f"a car at the {what} would stand in an obstacle")
     free = sizes[1:][~blocked[2:]]
     bay_size = free[0] if len(free) else np.array(car.size)
     layout = assemble(
         (high - low) / 2,
-        bays(goal[None], bay_size),
+        bays(goal[None], bay_size, end=end),
         solid,
         spawns(start[None], (START, START), 0.0),
     )
-    kept = {name: np.asarray(rows)[: len(boxes)] for name, rows in solid.items()}
-    return dataclasses.replace(layout, **jax.tree.map(jnp.asarray, kept))
+    rows = {name: np.asarray(column)[kept] for name, column in solid.items()}
+    return dataclasses.replace(layout, **jax.tree.map(jnp.asarray, rows))
 
 
 @jax.jit
-def _is_blocked(pose: jax.Array, size: jax.Array, solid: Group) -> jax.Array:
-    """(n,) bool, whether boxes (n, 3), (n, 2) overlap a wall."""
+def _meets(pose: jax.Array, size: jax.Array, solid: Group) -> jax.Array:
+    """(n, walls) bool, whether boxes (n, 3), (n, 2) overlap a wall."""
     meets = boxes_overlap(
         pose[:, None], size[:, None], solid["wall_pose"], solid["wall_size"]
     )
-    return (meets & solid["wall_mask"]).any(axis=-1)
+    return meets & solid["wall_mask"]
 
 
 def _area(polygon: np.ndarray) -> float:
@@ -296,6 +330,11 @@ for number in NUMBERS:
 @functools.cache
 def load_tpcap() -> Layout:
     """All cases, (20, ...) and padded alike, as numpy arrays."""
+    return stack_layouts(list(map(_read, NUMBERS)))
+
+
+def stack_layouts(layouts: Sequence[Layout]) -> Layout:
+    """Layouts padded alike, (n, ...), as numpy arrays."""
 
     def stack(*parts: np.ndarray) -> np.ndarray:
         most = max(len(part) for part in parts)
@@ -303,7 +342,7 @@ def load_tpcap() -> Layout:
         more = [[(0, most - len(part)), *[(0, 0)] * (part.ndim - 1)] for part in parts]
         return np.stack(list(map(np.pad, parts, more)))
 
-    return jax.tree.map(stack, *map(_read, NUMBERS))
+    return jax.tree.map(stack, *layouts)
 
 
 @functools.cache

@@ -17,7 +17,7 @@ from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.cli.flags import command_help
 from carpark_mj.config import GoalConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.observations import observation_size
+from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
@@ -179,10 +179,45 @@ def test_a_flat_network_drives_with_as_many_cars_only(tmp_path):
     env = ParkingEnv(adapt(driver.env, layout="square_compact"))
     assert np.isfinite(drive(env, driver.policy(env))).all()
     alone = ParkingEnv(adapt(driver.env, num_parked_cars=1))
-    size, other = observation_size(TINY.env), observation_size(alone.config)
-    assert size != other
-    with pytest.raises(ValueError, match=rf"flat was .*\({size} n.*\({other}\); only"):
+    masks = [x for x in make_fields(TINY.env) if x.is_mask]
+    count = sum(field.group == "parked_car" for field in masks)
+    assert count > 1
+    with pytest.raises(ValueError, match=rf"flat was .*parked_car {count}, here 1"):
         driver.policy(alone)
+
+
+@pytest.mark.parametrize("name", ["anywhere", "square"])
+@pytest.mark.parametrize(
+    "counts",
+    [
+        {"tracked_agents": 0},
+        {"tracked_parked_cars": 0},
+        {"tracked_agents": 0, "tracked_parked_cars": 0},
+        {"tracked_agents": 3, "tracked_parked_cars": 1},
+    ],
+)
+def test_a_kind_that_is_not_observed_is_an_empty_set(name, counts):
+    own = loading.load_policy(name)
+    observation = dataclasses.replace(own.env.observation, **counts)
+    env = dataclasses.replace(own.env, observation=observation)
+    # All entities that `env` does not track are absent in the other observation.
+    here, values = make_fields(env), {}
+    for number, field in enumerate(here):
+        values[field.name] = np.full(field.size, 0.1 + 0.01 * (number % 7))
+        if field.is_mask:
+            values[field.name][:] = 1.0
+    vector, whole = (
+        np.concatenate(
+            [values.get(field.name, np.zeros(field.size)) for field in fields]
+        )[None].astype(np.float32)
+        for fields in (here, make_fields(own.env))
+    )
+    key = jax.random.key(0)
+    expected, _ = own.policy(whole, key)
+    found, _ = loading.load_policy(name, env=env).policy(vector, key)
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
+    with pytest.raises(ValueError, match=f"not an observation of {vector.shape[-1]}"):
+        own.policy(vector, key)
 
 
 def test_an_environment_with_other_observations_or_actions_is_refused(shipped):
@@ -199,8 +234,8 @@ def test_an_environment_with_other_observations_or_actions_is_refused(shipped):
         load(rays=dataclasses.replace(seen.rays, count=seen.rays.count + 8))
     with pytest.raises(ValueError, match="other observations"):  # as many numbers
         load(rings=dataclasses.replace(seen.rings, diameters=(5.0, 6.2, 9.0)))
-    with pytest.raises(ValueError, match="other observations"):
-        load(tracked_agents=0)
+    with pytest.raises(ValueError, match="mover none, here 1"):
+        load(tracked_movers=2)
     goals = dataclasses.replace(TINY.env, goals=GoalConfig(dynamic=True))
     with pytest.raises(ValueError, match="tiny was trained"):
         loading.load_policy("tiny", env=goals)

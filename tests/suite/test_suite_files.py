@@ -18,6 +18,7 @@ from carpark_mj.suite.results import (
     WORST_FILE,
     key_of,
     read_runs,
+    read_submission,
     write_run,
 )
 from carpark_mj.suite.tpcap import load_tpcap
@@ -91,6 +92,18 @@ def test_runs_with_a_moving_car_are_read_together(tmp_path):
     assert recording.layout.bay_mask.tolist() == [True, True]
 
 
+def test_runs_of_another_car_are_read_together(tmp_path):
+    rows = [episode(case, vehicle="compact") for case in (0, 3)]
+    folders = [
+        write(tmp_path / name, row) for name, row in zip("ab", rows, strict=True)
+    ]
+    assert read_runs(folders)[0] == rows
+    main(SuiteConfig(combine=tuple(map(str, folders)), out=str(tmp_path / "out")))
+    assert "vehicle compact" in (tmp_path / "out" / "suite.md").read_text()
+    [result] = read_submission(tmp_path / "out" / "suite.json")
+    assert result.vehicle == "compact"
+
+
 def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
     folders = [
         write(tmp_path / "a", episode(0), episode(1)),
@@ -123,6 +136,7 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
     [
         ([episode(0)], "repeats case 0 of extreme by x with seed 0"),
         ([episode(1, rule="precise")], "different rules"),
+        ([episode(1, vehicle="compact")], "of different cars"),
         ([episode(1, moving_car=1)], "with and without a moving car"),
         ([episode(1, made_with="cpu, jax 0")], r"x with different versions .*'jax 0'"),
         ([episode(1, held_out="0")], "other held-out cases, '0'"),
@@ -173,7 +187,7 @@ def test_runs_whose_folders_have_the_same_name_have_videos_of_their_own(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(
-        suite_videos, "_write", lambda path, _: path.write_text("video")
+        suite_videos, "_write", lambda path, *_: path.write_text("video")
     )
     names = ("runs/a/best", "runs/b/best", "runs/b-best")
     rows = [episode(0, policy=name, length=4.0) for name in names]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 WORST = 10  # cases of a policy and level that can be filmed
 
 COUNTS = ("others", "parked", "walls", "discs", "lanes")
-DRIVING = ("levels", "cases", "first_case", "rule", "moving_car", "seeds")
+DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "moving_car", "seeds")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -253,6 +253,7 @@ class SuiteConfig:
     carpark_mj suite planner --levels tpcap --seeds 0 1 2
     carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
     carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
+    carpark_mj suite planner hope --levels parkbench:rear_in --rule precise
 
     The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
     and the numbers.
@@ -261,12 +262,15 @@ class SuiteConfig:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
             or `random`.
         levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
-            TPCAP's 20 published cases; `busy`, where people, a cart or a car get in
-            the way; or registered ones.
+            TPCAP's 20 published cases; `parkbench:FOLDER`, the half of ParkBench's
+            files that is for work, and `parkbench:FOLDER:held_out`, the other, to be
+            looked at once; `busy`, where people, a cart or a car get in the way; or
+            registered ones.
         cases: number of cases of each level; None = all from `first_case` on.
         first_case: first case of each level, from 0.
         rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
             registered rule.
+        vehicle: preset or file of the car.
         moving_car: another car drives through the aisle of every case.
         seeds: of the planner's searches and of stochastic policies; each seed drives
             all cases.
@@ -287,6 +291,7 @@ class SuiteConfig:
     cases: int | None = None
     first_case: int = 0
     rule: str = "strict"
+    vehicle: str = "tpcap"
     moving_car: bool = False
     seeds: tuple[int, ...] = (0,)
     videos: int = 0

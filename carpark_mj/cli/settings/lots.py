@@ -136,7 +136,8 @@ class ImportConfig:
 
     Attributes:
         map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), CommonRoad
-            (`.xml`), GeoJSON (`.geojson`, `.json`), or a drawing (`.dxf`).
+            (`.xml`), GeoJSON (`.geojson`, `.json`), a drawing (`.dxf`), or a case of
+            ParkBench (`.json`).
         out: layout file to write.
         crop: x and y of two opposite corners [m] of the part to take, in the frame of
             the whole lot.

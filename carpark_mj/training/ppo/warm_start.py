@@ -127,17 +127,17 @@ def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
         for each in (config.env, env)
     )
     added = sorted({ours[number].name for number in ours.keys() - theirs.keys()})
+    lost = sorted({theirs[number].name for number in theirs.keys() - ours.keys()})
+    if lost:
+        raise ValueError(
+            f"{config.warm_start} was trained on other observations: {', '.join(lost)}"
+        )
     if not added:
         return []
     if config.networks.encoder != "set":
         raise ValueError(
             f"{config.warm_start} was trained without {', '.join(added)}; only a set "
             "encoder takes more observations"
-        )
-    lost = sorted({theirs[number].name for number in theirs.keys() - ours.keys()})
-    if lost:
-        raise ValueError(
-            f"{config.warm_start} was trained on other observations: {', '.join(lost)}"
         )
     return added
 
