@@ -185,6 +185,7 @@ class Fleet:
 
     def of_kind(self, kind: jax.Array) -> Vehicle:
         """Nominal parameters of cars of kinds (...) int32."""
+        kind = kind.astype(jnp.uint32)  # no index from the end to be thought of
         return jax.tree.map(lambda x: x[kind], self._kinds)
 
     def parked_vehicles(self, cars: ParkedCars) -> list[VehicleParameters]:

@@ -162,11 +162,16 @@ class _Boxes(NamedTuple):
 def _until(draw, key: jax.Array):
     """Draws `(valid, value)` from fresh keys until valid; returns the value."""
 
-    def again(carry):
-        key, own = jax.random.split(carry[0])
+    @jax.jit  # traced once, for its types and for the loop
+    def again(key: jax.Array):
+        key, own = jax.random.split(key)
         return key, *draw(own)
 
-    return jax.lax.while_loop(lambda carry: ~carry[1], again, again((key,)))[2]
+    first = jax.eval_shape(again, key)[2]
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first)
+    return jax.lax.while_loop(
+        lambda carry: ~carry[1], lambda carry: again(carry[0]), (key, False, nothing)
+    )[2]
 
 
 def _join(*parts: _Boxes) -> _Boxes:
