@@ -81,7 +81,7 @@ class Zones:
 
     def hold(self, here: jax.Array, reach: jax.Array) -> jax.Array:
         """Whether discs of radii (n, 1) at `local` places (n, cars, 2) meet."""
-        x, y = here[..., 0], here[..., 1]
+        x, y = jnp.unstack(here, axis=-1)
         along = (x < self.ahead + reach) & (x > -self.behind - reach)
         return along & (jnp.abs(y) < self.aside + reach)
 
@@ -91,7 +91,7 @@ class Zones:
 
     def turn(self, vector: jax.Array) -> jax.Array:
         """Vectors (n, 1 or cars, 2) in the frames of the cars."""
-        x, y = vector[..., 0], vector[..., 1]
+        x, y = jnp.unstack(vector, axis=-1)
         turned = self.cos * x + self.sin * y, self.cos * y - self.sin * x
         return jnp.stack(turned, axis=-1)
 
@@ -177,35 +177,36 @@ def keep_off(
     """
     reach, here = radius[:, None], enter.local(xy)
     was_in, too_near = enter.hold(here, reach), stop.hold(here, reach)
-    x, y = here[..., 0], here[..., 1]
+    x, y = jnp.unstack(here, axis=-1)
+    half_x, half_y = jnp.unstack(stop.half, axis=-1)
 
     def outward(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        half_x, half_y = stop.half[:, 0], stop.half[:, 1]
         return x - jnp.clip(x, -half_x, half_x), y - jnp.clip(y, -half_y, half_y)
 
     out_x, out_y = outward(x, y)
     square = out_x * out_x + out_y * out_y
     gap = jnp.sqrt(square)
-    strip = stop.half[:, 1] + reach
+    strip = half_y + reach
     beside = jnp.abs(y) >= strip
 
     def wrong(own: jax.Array) -> jax.Array:
         there = here + own
-        beyond_x, beyond_y = outward(there[..., 0], there[..., 1])
+        there_x, there_y = jnp.unstack(there, axis=-1)
+        beyond_x, beyond_y = outward(there_x, there_y)
         nearer = jnp.sqrt(beyond_x * beyond_x + beyond_y * beyond_y) < gap - STILL
         # Nor nearer to its way, where the car may come before they have passed.
-        closes_in = beside & (jnp.abs(there[..., 1]) < jnp.abs(y) - STILL)
+        closes_in = beside & (jnp.abs(there_y) < jnp.abs(y) - STILL)
         return (enter.hold(there, reach) & ~was_in) | (too_near & (nearer | closes_in))
 
     # Along the edge of the zone, or round the car, of each; then of the nearest in the
     # way: choosing among results is cheaper than among what they are made of.
     own = enter.turn(move[:, None])
     bad = wrong(own)
-    own_x, own_y = own[..., 0], own[..., 1]
+    own_x, own_y = jnp.unstack(own, axis=-1)
     is_end = (x >= enter.ahead + reach) | (x <= -enter.behind - reach)
     # Past a car that stands by the end, or side, that is the shorter way.
     length, there = norm(move)[:, None], enter.local(goal)
-    stands = enter.ahead + enter.behind - 2 * stop.half[:, 0] < STANDS
+    stands = enter.ahead + enter.behind - 2 * half_x < STANDS
     front = x + there[..., 0] > enter.ahead - enter.behind
     round_x = jnp.where(front, length, -length)
     round_y = jnp.where(y + there[..., 1] > 0.0, length, -length)

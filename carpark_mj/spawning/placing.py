@@ -174,7 +174,7 @@ class Surroundings:
     def _least(self, least: jax.Array, find: Callable[[Group], jax.Array]) -> jax.Array:
         """Numbers (n,), or those (n, m) of movers where these are less."""
         for same in by_shape(self.movers):
-            movers, counts = joined(same)
+            movers, counts = joined(same, 1)
             found = jnp.where(counts, find(movers), jnp.inf)
             least = jnp.minimum(least, found.min(axis=-1, initial=jnp.inf))
         return least
