@@ -395,13 +395,6 @@ def swept_half_size(size: jax.Array, spread: jax.Array) -> jax.Array:
     """
     # l cos + w sin is largest at atan(w / l) and monotonic up to there.
     half = 0.5 * size
-    length, width = half[..., 0], half[..., 1]
-    along = jnp.minimum(spread, jnp.arctan2(width, length))
-    across = jnp.minimum(spread, jnp.arctan2(length, width))
-    return jnp.stack(
-        [
-            length * jnp.cos(along) + width * jnp.sin(along),
-            width * jnp.cos(across) + length * jnp.sin(across),
-        ],
-        axis=-1,
-    )
+    other = half[..., ::-1]
+    turn = jnp.minimum(spread[..., None], jnp.arctan2(other, half))
+    return half * jnp.cos(turn) + other * jnp.sin(turn)

@@ -240,8 +240,11 @@ def assemble(extent: Any, *groups: Group) -> Layout:
         row, _, part = name.partition("_")
         if part == "pose":
             value = jnp.concatenate([value[:, :2], wrap_angle(value[:, 2:])], axis=-1)
-        keep = jnp.expand_dims(fields[f"{row}_mask"], range(1, value.ndim))
-        fields[name] = jnp.where(keep, value, jnp.zeros_like(value))
+        masks = columns[f"{row}_mask"]
+        if not all(isinstance(mask, np.ndarray) and mask.all() for mask in masks):
+            keep = jnp.expand_dims(fields[f"{row}_mask"], range(1, value.ndim))
+            value = jnp.where(keep, value, jnp.zeros((), value.dtype))
+        fields[name] = value
     return Layout(**fields, extent=jnp.asarray(extent, jnp.float32))
 
 

@@ -130,10 +130,17 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
 
     count = boxes.shape[1]
     shape = (n * count,)
-    other_half = jnp.broadcast_to(half, (n, count, 2)).reshape(-1, 2)
-    meets, gap = _meet(boxes, room, gear, boxes.reshape(-1, 3), other_half)
-    meets = meets.reshape(n, count, n, count)
+    rows = _others(traffic, lot)
+    there = [boxes.reshape(-1, 3)]
+    halves = [jnp.broadcast_to(half, (n, count, 2)).reshape(-1, 2)]
+    if rows is not None:
+        there, halves = [*there, rows.pose], [*halves, rows.half]
+    meets, gap = _meet(boxes, room, gear, *map(jnp.concatenate, (there, halves)))
     gap = gap + jnp.concatenate([jnp.zeros(1), start])[:, None]
+    (meets, meets_others), (gap, gap_others) = (
+        jnp.split(x, [n * count], axis=-1) for x in (meets, gap)
+    )
+    meets = meets.reshape(n, count, n, count)
     limit = _limits(traffic, meets, accel, dt)
     begins = jnp.concatenate([jnp.full(1, -1.0), start])
     counts = (begins < limit[..., None]) & ~jnp.eye(n, dtype=bool)[..., None]
@@ -142,12 +149,9 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
     velocity = jnp.repeat(traffic.velocity, count, axis=0).reshape(*shape, 2)
     # The own box is for the right of way only.
     found = _first(boxes, gear, meets[:, 1:], gap[:, 1:], velocity)
-    rows = _others(traffic, lot)
     if rows is not None:
-        meets, gap = _meet(boxes, room, gear, rows.pose, rows.half)
-        gap = gap + jnp.concatenate([jnp.zeros(1), start])[:, None]
-        meets = meets & rows.seen[:, None]
-        others = _first(boxes, gear, meets[:, 1:], gap[:, 1:], rows.velocity)
+        meets = (meets_others & rows.seen[:, None])[:, 1:]
+        others = _first(boxes, gear, meets, gap_others[:, 1:], rows.velocity)
         found = choose(others.gap < found.gap, others, found)
     return found
 

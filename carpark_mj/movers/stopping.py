@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.geometry import boxes_overlap, move_forward, norm, wrap_angle
+from carpark_mj.geometry import move_forward, norm, wrap_angle
 from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind, touches
 from carpark_mj.movers.bodies import AWAY, columns
 from carpark_mj.types import State
@@ -118,19 +118,22 @@ def stopping_distance(
     return faster * dt + faster * faster / (2.0 * decel)
 
 
-def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Zones:
+def stopping_zones(cars: Cars, dt: float, headway: jax.Array | float = 0.0) -> Zones:
     """What the cars of a lot sweep until they stand, or in a time if that is longer.
 
     `headway` is that time [s], broadcastable to (..., cars).
     """
-    cars = cars_of(lot, dt)
     half, speed, accel, decel = cars.size / 2, cars.speed, cars.accel, cars.decel
 
-    def way(speed: jax.Array, most: jax.Array) -> jax.Array:
-        speed = jnp.maximum(speed, 0.0)
-        stop = stopping_distance(speed, most, accel, decel, dt)
-        return half[:, 0] + jnp.maximum(stop, speed * headway) + MARGIN
-
+    # Forwards and backwards.
+    both = jnp.maximum(jnp.stack([speed, -speed]), 0.0)
+    most = jnp.stack([cars.max_speed, cars.max_reverse])
+    stop = stopping_distance(both, most, accel, decel, dt)
+    headway = jnp.asarray(headway)
+    both, stop = (
+        x.reshape(2, *[1] * max(headway.ndim - 1, 0), -1) for x in (both, stop)
+    )
+    way = half[:, 0] + jnp.maximum(stop, both * headway) + MARGIN
     # The heading turns with the speed until the car stands.
     turned = jnp.abs(cars.yaw_rate) * (dt + jnp.abs(speed) / (2.0 * decel))
     return Zones(
@@ -138,19 +141,18 @@ def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Z
         cos=jnp.cos(cars.pose[:, 2]),
         sin=jnp.sin(cars.pose[:, 2]),
         half=half,
-        ahead=way(speed, cars.max_speed),
-        behind=way(-speed, cars.max_reverse),
+        ahead=way[0],
+        behind=way[1],
         aside=half[:, 1] + turned * cars.size[:, 0] + MARGIN,
     )
 
 
 def would_hit(lot: State, pose: jax.Array, size: jax.Array, dt: float) -> jax.Array:
     """() bool, whether a box (3,), (2,) lies where a car cannot stop, or in a mover."""
-    zones = stopping_zones(lot, dt)
+    zones = stopping_zones(cars_of(lot, dt), dt)
     middle = move_forward(zones.pose, (zones.ahead - zones.behind) / 2)
     whole = jnp.stack([zones.ahead + zones.behind, 2.0 * zones.aside], axis=-1)
-    hits = boxes_overlap(pose, size, middle, whole).any()
-    return hits | touches(pose[None], size, lot.movers.groups)[0]
+    return touches(pose[None], size, (Boxes(middle, whole), *lot.movers.groups))[0]
 
 
 def keep_off(

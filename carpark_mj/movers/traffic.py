@@ -42,8 +42,8 @@ class Path:
 
     def along(self, xy: jax.Array) -> jax.Array:
         """Ways (...) to points (..., 2) along the first line [m]."""
-        ahead = jnp.stack([jnp.cos(self.yaw), jnp.sin(self.yaw)], axis=-1)
-        return jnp.sum((xy - self.origin) * ahead, axis=-1)
+        x, y = jnp.unstack(xy - self.origin, axis=-1)
+        return x * jnp.cos(self.yaw) + y * jnp.sin(self.yaw)
 
     def at(self, way: jax.Array) -> jax.Array:
         """Poses (..., k, 3) of the car's rear axle after ways (..., k) [m]."""

@@ -72,6 +72,7 @@ class Fleet:
         self.mixed = bool(names.agents)
         kinds = [make_vehicle(params) for params in self.agents]
         self._kinds: Vehicle = jax.tree.map(lambda *x: jnp.stack(x), *kinds)
+        self._only = kinds[0] if len(kinds) == 1 else None
         self._size = make_vehicle(vehicle).size
         weights = names.agent_weights or (1.0,) * len(self.agents)
         self._weights = jnp.array(weights, jnp.float32)
@@ -185,6 +186,10 @@ class Fleet:
 
     def of_kind(self, kind: jax.Array) -> Vehicle:
         """Nominal parameters of cars of kinds (...) int32."""
+        if self._only is not None:
+            return jax.tree.map(
+                lambda x: jnp.broadcast_to(x, (*kind.shape, *x.shape)), self._only
+            )
         kind = kind.astype(jnp.uint32)  # no index from the end to be thought of
         return jax.tree.map(lambda x: x[kind], self._kinds)
 
