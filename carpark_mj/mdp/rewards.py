@@ -29,7 +29,7 @@ from carpark_mj.mdp.progress import (
     is_nearer,
     mix_in_maneuver,
 )
-from carpark_mj.types import NO_BAY, Motion, Transition
+from carpark_mj.types import NO_BAY, Transition
 
 if TYPE_CHECKING:
     from carpark_mj.config import EnvConfig
