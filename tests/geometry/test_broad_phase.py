@@ -133,7 +133,8 @@ def test_touching_groups_is_touching_any_obstacle_that_is_there():
         for group in groups
     ]
     wanted = np.concatenate(each, axis=1).any(axis=1)
-    assert wanted.any() and not wanted.all()
+    assert wanted.any()
+    assert not wanted.all()
     np.testing.assert_array_equal(touches(pose, size, groups), wanted)
 
 
