@@ -114,7 +114,7 @@ def _all_hits(
     """Agents (num_agents,) bool that hit any of each group of a shape, by kind."""
     own, own_size = motion.trace_w[:, None], motion.size[:, None, None]
     traced = [group.traced for group in groups]
-    hits: list[jax.Array] = [jnp.zeros(0)] * len(groups)
+    hits: dict[int, jax.Array] = {}
     for instants in {there.pose_w.shape[1] for there in traced}:
         # What stands still is tested as it stands.
         rows = [k for k, x in enumerate(traced) if x.pose_w.shape[1] == instants]
@@ -124,7 +124,7 @@ def _all_hits(
         for k, part in zip(rows, jnp.split(hit, ends, axis=1), strict=True):
             counts = groups[k].counts(motion.size.shape[0])
             hits[k] = (part & counts).any(axis=1)
-    return [(group.kind, hit) for group, hit in zip(groups, hits, strict=True)]
+    return [(group.kind, hits[k]) for k, group in enumerate(groups)]
 
 
 def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Array]]:

@@ -129,10 +129,8 @@ def stopping_zones(cars: Cars, dt: float, headway: jax.Array | float = 0.0) -> Z
     both = jnp.maximum(jnp.stack([speed, -speed]), 0.0)
     most = jnp.stack([cars.max_speed, cars.max_reverse])
     stop = stopping_distance(both, most, accel, decel, dt)
-    headway = jnp.asarray(headway)
-    both, stop = (
-        x.reshape(2, *[1] * max(headway.ndim - 1, 0), -1) for x in (both, stop)
-    )
+    extra = range(1, jnp.ndim(headway))
+    both, stop = jnp.expand_dims(both, extra), jnp.expand_dims(stop, extra)
     way = half[:, 0] + jnp.maximum(stop, both * headway) + MARGIN
     # The heading turns with the speed until the car stands.
     turned = jnp.abs(cars.yaw_rate) * (dt + jnp.abs(speed) / (2.0 * decel))
