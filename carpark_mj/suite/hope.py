@@ -171,7 +171,9 @@ def _until(draw, key: jax.Array):
     first = jax.eval_shape(again, key)[2]
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first)
     return jax.lax.while_loop(
-        lambda carry: ~carry[1], lambda carry: again(carry[0]), (key, False, nothing)
+        lambda carry: ~carry[1],
+        lambda carry: again(carry[0]),
+        (key, jnp.zeros((), bool), nothing),
     )[2]
 
 
