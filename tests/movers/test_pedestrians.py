@@ -140,7 +140,7 @@ def test_nobody_steps_before_a_car_that_cannot_stop(side):
     lot = lot.replace(physics=physics.init(motion.pose_w, vehicle))
     radius, ahead = jnp.array([0.25]), size[0] / 2 + 0.4
     xy = jnp.array([[ahead, side * (size[1] / 2 + 0.35)]])
-    zones = jax.jit(stopping_zones, static_argnums=1)(lot, DT)
+    zones = jax.jit(stopping_zones, static_argnums=1)(cars_of(lot, DT), DT)
     assert bool(zones.hold(zones.local(xy), radius[:, None])[0, 0])
     for across, goes in ((-0.06, False), (0.0, True), (0.06, True)):
         move = jnp.array([[0.4, side * across]])
