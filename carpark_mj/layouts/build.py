@@ -112,13 +112,15 @@ def mirror(pose: jax.Array, flip_x: jax.Array, flip_y: jax.Array) -> jax.Array:
 def _rows(row: str, mask: Any, **values: Any) -> Group:
     """A group of one kind of row; its values broadcast against the places.
 
-    What is known stays with NumPy: it costs no operation of a program.
+    Masks that are known stay with NumPy, see `assemble`. Other constants do not: a
+    mixture under `jax.vmap` would select each of them for each of its members.
     """
     lead = np.shape(values["pose" if "pose" in values else "centre"])[:-1]
     group = {}
     for part, value in (values | {"mask": mask}).items():
         trailing, dtype = PARTS[part]
-        use: Any = jnp if isinstance(value, jax.Array) else np
+        known = part == "mask" and not isinstance(value, jax.Array)
+        use: Any = np if known else jnp
         value = use.broadcast_to(use.asarray(value, dtype), (*lead, *trailing))
         group[f"{row}_{part}"] = value.reshape(-1, *trailing)
     return group
@@ -231,18 +233,26 @@ def assemble(extent: Any, *groups: Group) -> Layout:
     ]
     for group in (*empty, *groups):
         if ends and "bay_mask" in group:
-            either = np.full(group["bay_mask"].shape, BayEnd.EITHER, np.int32)
+            either = jnp.full(group["bay_mask"].shape, BayEnd.EITHER, jnp.int32)
             group = {"bay_end": either} | group
         for name, rows in group.items():
             columns.setdefault(name, []).append(rows)
-    fields = {name: jnp.concatenate(rows) for name, rows in columns.items()}
-    for name, value in fields.items():
+    fields: dict[str, jax.Array] = {}
+    full: set[str] = set()  # kinds of rows of which none is masked
+    for name in [name for name in columns if name.endswith("_mask")]:
+        masks = columns.pop(name)
+        if all(isinstance(mask, np.ndarray) and mask.all() for mask in masks):
+            full.add(name)
+            fields[name] = jnp.ones(sum(map(len, masks)), bool)
+        else:
+            fields[name] = jnp.concatenate(masks)
+    for name, rows in columns.items():
         row, _, part = name.partition("_")
+        value = jnp.concatenate([x for x in rows if len(x)] or rows[:1])
         if part == "pose":
             value = jnp.concatenate([value[:, :2], wrap_angle(value[:, 2:])], axis=-1)
-        masks = columns[f"{row}_mask"]
-        if not all(isinstance(mask, np.ndarray) and mask.all() for mask in masks):
-            keep = jnp.expand_dims(fields[f"{row}_mask"], range(1, value.ndim))
+        if (mask := f"{row}_mask") not in full:
+            keep = jnp.expand_dims(fields[mask], range(1, value.ndim))
             value = jnp.where(keep, value, jnp.zeros((), value.dtype))
         fields[name] = value
     return Layout(**fields, extent=jnp.asarray(extent, jnp.float32))
