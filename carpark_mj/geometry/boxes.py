@@ -6,7 +6,7 @@ over leading dimensions and is exact (no sampling).
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,23 +26,54 @@ def box_corners(pose: jax.Array, size: jax.Array) -> jax.Array:
 
 
 class _Pair(NamedTuple):
-    """How boxes a and b lie to each other; (...) each."""
+    """How boxes a and b lie to each other; (...) each, of one shape.
+
+    By coordinates, which vectorises on a CPU; so does all that is made of them.
+    """
 
     b_in_a: tuple[jax.Array, jax.Array]  # x and y of b's centre in a's frame [m]
     a_in_b: tuple[jax.Array, jax.Array]  # x and y of a's centre in b's frame [m]
-    cos: jax.Array
+    half_a: tuple[jax.Array, jax.Array]  # half length and half width [m]
+    half_b: tuple[jax.Array, jax.Array]
+    cos: jax.Array  # of b's heading in a's frame
     sin: jax.Array
 
+    def overlap(self) -> jax.Array:
+        """Whether the interiors intersect, see `boxes_overlap`."""
+        # Half extents of each box along the other's axes follow from |cos| and |sin| of
+        # the heading difference; the four axes of two rectangles are all that can
+        # separate.
+        cos, sin = jnp.abs(self.cos), jnp.abs(self.sin)
 
-def _relate(pose_a: jax.Array, pose_b: jax.Array) -> _Pair:
-    """Poses (..., 3) as a pair: sines of every box, not of every pair."""
-    cos_a, sin_a = jnp.cos(pose_a[..., 2]), jnp.sin(pose_a[..., 2])
-    cos_b, sin_b = jnp.cos(pose_b[..., 2]), jnp.sin(pose_b[..., 2])
-    x = pose_b[..., 0] - pose_a[..., 0]
-    y = pose_b[..., 1] - pose_a[..., 1]
+        def meet(offset: Any, own: Any, other: Any) -> jax.Array:
+            """Whether shadows on the axes of `own` overlap."""
+            reach_x = own[0] + other[0] * cos + other[1] * sin
+            reach_y = own[1] + other[0] * sin + other[1] * cos
+            return (jnp.abs(offset[0]) < reach_x) & (jnp.abs(offset[1]) < reach_y)
+
+        return meet(self.b_in_a, self.half_a, self.half_b) & meet(
+            self.a_in_b, self.half_b, self.half_a
+        )
+
+
+def _relate(
+    pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
+) -> _Pair:
+    """Boxes (..., 3), (..., 2) as a pair: sines of every box, not of every pair."""
+
+    def columns(pose: jax.Array, size: jax.Array) -> list[jax.Array]:
+        x, y, yaw = jnp.unstack(pose, axis=-1)
+        return [x, y, jnp.cos(yaw), jnp.sin(yaw), *jnp.unstack(0.5 * size, axis=-1)]
+
+    both = jnp.broadcast_arrays(*columns(pose_a, size_a), *columns(pose_b, size_b))
+    x_a, y_a, cos_a, sin_a, *half_a = both[:6]
+    x_b, y_b, cos_b, sin_b, *half_b = both[6:]
+    x, y = x_b - x_a, y_b - y_a
     return _Pair(
         b_in_a=(cos_a * x + sin_a * y, cos_a * y - sin_a * x),
         a_in_b=(-cos_b * x - sin_b * y, sin_b * x - cos_b * y),
+        half_a=(half_a[0], half_a[1]),
+        half_b=(half_b[0], half_b[1]),
         cos=cos_a * cos_b + sin_a * sin_b,
         sin=cos_a * sin_b - sin_a * cos_b,
     )
@@ -57,19 +88,7 @@ def boxes_overlap(
     widths [m]; all broadcast. Boxes that only touch do not overlap. Any NaN gives
     False.
     """
-    # Half extents of each box along the other's axes follow from |cos| and |sin| of
-    # the heading difference; the four axes of two rectangles are all that can separate.
-    pair = _relate(pose_a, pose_b)
-    cos, sin = jnp.abs(pair.cos), jnp.abs(pair.sin)
-
-    def meet(offset: tuple[jax.Array, jax.Array], own: jax.Array, other: jax.Array):
-        """Whether shadows on the axes of `own` overlap; half sizes (..., 2)."""
-        reach_x = own[..., 0] + other[..., 0] * cos + other[..., 1] * sin
-        reach_y = own[..., 1] + other[..., 0] * sin + other[..., 1] * cos
-        return (jnp.abs(offset[0]) < reach_x) & (jnp.abs(offset[1]) < reach_y)
-
-    half_a, half_b = 0.5 * size_a, 0.5 * size_b
-    return meet(pair.b_in_a, half_a, half_b) & meet(pair.a_in_b, half_b, half_a)
+    return _relate(pose_a, size_a, pose_b, size_b).overlap()
 
 
 def box_inside(
@@ -109,10 +128,14 @@ def point_box_distance(point: jax.Array, pose: jax.Array, size: jax.Array) -> ja
 
     By coordinates, which vectorises on a CPU.
     """
-    cos, sin = jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])
-    x, y = point[..., 0] - pose[..., 0], point[..., 1] - pose[..., 1]
-    ahead = jnp.maximum(jnp.abs(cos * x + sin * y) - 0.5 * size[..., 0], 0.0)
-    aside = jnp.maximum(jnp.abs(cos * y - sin * x) - 0.5 * size[..., 1], 0.0)
+    box_x, box_y, yaw = jnp.unstack(pose, axis=-1)
+    half_x, half_y = jnp.unstack(0.5 * size, axis=-1)
+    point_x, point_y = jnp.unstack(point, axis=-1)
+    cos, sin, x, y = jnp.broadcast_arrays(
+        jnp.cos(yaw), jnp.sin(yaw), point_x - box_x, point_y - box_y
+    )
+    ahead = jnp.maximum(jnp.abs(cos * x + sin * y) - half_x, 0.0)
+    aside = jnp.maximum(jnp.abs(cos * y - sin * x) - half_y, 0.0)
     return sqrt(ahead * ahead + aside * aside)
 
 
@@ -124,36 +147,42 @@ def box_distance(
     Two disjoint convex polygons are closest at a vertex of one of them, so the eight
     corner-to-box distances suffice.
     """
-    pair = _relate(pose_a, pose_b)
-    half_a, half_b = 0.5 * size_a, 0.5 * size_b
+    pair = _relate(pose_a, size_a, pose_b, size_b)
     # The frame of a turned as seen from b is that of b turned the other way.
-    to_b = _least_gap(pair.a_in_b, half_a, half_b, pair.cos, -pair.sin)
-    to_a = _least_gap(pair.b_in_a, half_b, half_a, pair.cos, pair.sin)
-    gap = sqrt(jnp.minimum(to_a, to_b))
-    return jnp.where(boxes_overlap(pose_a, size_a, pose_b, size_b), 0.0, gap)
+    to_b = _least_gap(pair.a_in_b, pair.half_a, pair.half_b, pair.cos, -pair.sin)
+    to_a = _least_gap(pair.b_in_a, pair.half_b, pair.half_a, pair.cos, pair.sin)
+    return jnp.where(pair.overlap(), 0.0, sqrt(jnp.minimum(to_a, to_b)))
 
 
 def _least_gap(
     centre: tuple[jax.Array, jax.Array],
-    half: jax.Array,
-    own_half: jax.Array,
+    half: tuple[jax.Array, jax.Array],
+    own_half: tuple[jax.Array, jax.Array],
     cos: jax.Array,
     sin: jax.Array,
 ) -> jax.Array:
     """Squared distance (...) [m^2] from a box to the nearest corner of another.
 
     The other's centre (x, y) [m] and the cosine and sine of its heading are in the
-    box's frame; half lengths and widths (..., 2) [m] are its own and the box's.
+    box's frame; half lengths and widths [m] are its own and the box's.
     """
-    gaps = []
-    for ahead, aside in _CORNER_SIGNS:
-        along, across = ahead * half[..., 0], aside * half[..., 1]
-        x = centre[0] + along * cos - across * sin
-        y = centre[1] + along * sin + across * cos
-        x = jnp.maximum(jnp.abs(x) - own_half[..., 0], 0.0)
-        y = jnp.maximum(jnp.abs(y) - own_half[..., 1], 0.0)
-        gaps.append(x * x + y * y)
-    return functools.reduce(jnp.minimum, gaps)
+    ahead_x, ahead_y = half[0] * cos, half[0] * sin
+    left_x, left_y = half[1] * sin, half[1] * cos
+    front_x, front_y = centre[0] + ahead_x, centre[1] + ahead_y
+    back_x, back_y = centre[0] - ahead_x, centre[1] - ahead_y
+    corners = (
+        (front_x - left_x, front_y + left_y),
+        (back_x - left_x, back_y + left_y),
+        (back_x + left_x, back_y - left_y),
+        (front_x + left_x, front_y - left_y),
+    )
+
+    def gap(corner: tuple[jax.Array, jax.Array]) -> jax.Array:
+        x = jnp.maximum(jnp.abs(corner[0]) - own_half[0], 0.0)
+        y = jnp.maximum(jnp.abs(corner[1]) - own_half[1], 0.0)
+        return x * x + y * y
+
+    return functools.reduce(jnp.minimum, map(gap, corners))
 
 
 def box_disc_distance(
@@ -366,13 +395,6 @@ def swept_half_size(size: jax.Array, spread: jax.Array) -> jax.Array:
     """
     # l cos + w sin is largest at atan(w / l) and monotonic up to there.
     half = 0.5 * size
-    length, width = half[..., 0], half[..., 1]
-    along = jnp.minimum(spread, jnp.arctan2(width, length))
-    across = jnp.minimum(spread, jnp.arctan2(length, width))
-    return jnp.stack(
-        [
-            length * jnp.cos(along) + width * jnp.sin(along),
-            width * jnp.cos(across) + length * jnp.sin(across),
-        ],
-        axis=-1,
-    )
+    other = half[..., ::-1]
+    turn = jnp.minimum(spread[..., None], jnp.arctan2(other, half))
+    return half * jnp.cos(turn) + other * jnp.sin(turn)

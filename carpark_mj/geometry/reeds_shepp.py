@@ -7,21 +7,16 @@ tried in four mirror images (time reversed, sides swapped, both), some also back
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from carpark_mj.geometry.se2 import (
-    arccos,
-    arcsin,
-    arctan2,
-    hypot,
-    sqrt,
-    to_local,
-    wrap_angle,
-)
+from carpark_mj.geometry.se2 import arccos, arcsin, arctan2, sqrt, to_local
 
 _HALF = jnp.pi / 2
 # A turn of 0 may come out as this much in the other direction: without it a car that
 # has its goal straight ahead would find a word only with turns of 60 degrees and more.
 _ROUNDING = 1e-5  # rad, or radii of a straight line
+# The mirror images: as is, time reversed, sides swapped, both.
+_TIME, _SIDE = np.array([1.0, -1.0, 1.0, -1.0]), np.array([1.0, 1.0, -1.0, -1.0])
 
 
 def reeds_shepp_length(
@@ -34,108 +29,82 @@ def reeds_shepp_length(
         goal: as `pose`.
         radius: (...) of the tightest turn of the rear axle [m].
     """
-    local = to_local(pose, goal)
-    x, y, phi = local[..., 0] / radius, local[..., 1] / radius, local[..., 2]
-    # Four images on a new last axis: as is, time reversed, sides swapped, both.
-    x = jnp.stack([x, -x, x, -x], axis=-1)
-    y = jnp.stack([y, y, -y, -y], axis=-1)
-    phi = jnp.stack([phi, -phi, -phi, phi], axis=-1)
+    x, y, phi = jnp.unstack(to_local(pose, goal), axis=-1)
+    x, y, sin, cos = x / radius, y / radius, jnp.sin(phi), jnp.cos(phi)
+    # Also backwards, from the goal to the pose; then in four images, (4, 2, ...).
+    x, y = jnp.stack([x, x * cos + y * sin]), jnp.stack([y, x * sin - y * cos])
+    time, side = (
+        jnp.asarray(flip, x.dtype).reshape(4, *[1] * x.ndim) for flip in (_TIME, _SIDE)
+    )
+    return radius * _lengths(time * x, side * y, time * side * phi).min(axis=(0, 1, 2))
+
+
+def _lengths(x: jax.Array, y: jax.Array, phi: jax.Array) -> jax.Array:
+    """Lengths (words, ...) of words to goals in units of the radius; inf = no path.
+
+    Every word begins with a turn to the left, then its middle has a length, then comes
+    a last turn. Of each the middle is known, and the last turn follows from the first.
+    """
+    # To the centre of a last turn to the same side, and to the other side.
     sin, cos = jnp.sin(phi), jnp.cos(phi)
-    back_x, back_y = x * cos + y * sin, x * sin - y * cos
-    lengths = [
-        *_symmetric_words(x, y, phi),
-        *_words(x, y, phi),
-        *_words(back_x, back_y, phi),
-    ]
-    return radius * jnp.stack(lengths).min(axis=(0, -1))
+    across, up = jnp.stack([x - sin, x + sin]), jnp.stack([y - 1 + cos, y - 1 - cos])
+    square = across * across + up * up
+    root = sqrt(jnp.maximum(square - 4.0, 0.0))
+    same, other = jnp.unstack(arctan2(up, across))
+    tilt, other_tilt = jnp.unstack(jnp.arctan2(2.0, root))
+    (rho, other_rho), (root, other_root) = jnp.unstack(sqrt(square)), jnp.unstack(root)
+    near, far = rho <= 4.0, rho >= 2.0
+    apart = other_rho >= 2.0
+
+    third = 2.0 * arcsin(jnp.minimum(rho / 4.0, 1.0))
+    share = (2.0 + other_rho) / 4.0
+    alike = arccos(jnp.minimum(share, 1.0))
+    cusp = (20.0 - other_rho * other_rho) / 16.0
+    aside = jnp.clip(cusp, -1.0, 1.0)
+    bend = arctan2(2.0 - aside, -sqrt(1.0 - aside * aside))
+    none, everywhere = jnp.zeros_like(x), jnp.ones_like(near)
+    # First turn, length of the middle, sense in which the last turn grows with the
+    # first, the rest of the last turn, and where there is such a middle.
+    words = (
+        # (8.1) left, straight, left
+        (same, rho, -1, none, everywhere),
+        # (8.2) left, straight, right
+        (other + other_tilt, other_root, 1, none, apart),
+        # (8.3), (8.4) left | right, left
+        (same - third / 2 + jnp.pi, third, -1, -third, near),
+        # (8.7) left, right | left, right, the two in the middle alike
+        (other + alike + _HALF, 2 * alike, -1, 2 * alike, share <= 1.0),
+        # (8.8) left | right, left | right
+        (other + bend, 2 * arccos(aside), 1, none, (cusp >= 0.0) & (cusp <= 1.0)),
+        # (8.9) left | right a quarter, straight, left
+        (
+            same + tilt + _HALF,
+            root + _HALF - 2.0,
+            1,
+            none + _HALF,
+            far & (root >= 2.0 - _ROUNDING),
+        ),
+        # (8.10) left | right a quarter, straight, right
+        (other + _HALF, other_rho + _HALF - 2.0, -1, none - _HALF, apart),
+        # (8.11) left | right, straight, left | right, a quarter turn each in the middle
+        (
+            other + other_tilt + _HALF,
+            other_root + jnp.pi - 4.0,
+            1,
+            none,
+            apart & (other_root >= 4.0 - _ROUNDING),
+        ),
+    )
+    first, middle, sense, rest, there = zip(*words, strict=True)
+    first = _wrap(jnp.stack(first))
+    sense = jnp.asarray(sense, x.dtype).reshape(-1, *[1] * x.ndim)
+    last = _wrap(sense * (first - phi) + jnp.stack(rest))
+    either = (jnp.arange(len(words)) == 2).reshape(sense.shape)  # in both gears
+    last = jnp.where(either, jnp.abs(last), last)
+    valid = jnp.stack(there) & (first >= -_ROUNDING) & (last >= -_ROUNDING)
+    return jnp.where(valid, first + jnp.stack(middle) + last, jnp.inf)
 
 
-def _symmetric_words(x: jax.Array, y: jax.Array, phi: jax.Array) -> list[jax.Array]:
-    """Lengths of words that read backwards are words of the same kind."""
-    sin, cos = jnp.sin(phi), jnp.cos(phi)
-    same = x - sin, y - 1.0 + cos  # to the centre of a last turn to the same side
-    other = x + sin, y - 1.0 - cos  # to the other side
-
-    # (8.1) left, straight, left
-    u, t = _polar(*same)
-    v = wrap_angle(phi - t)
-    lsl = _if((t >= -_ROUNDING) & (v >= -_ROUNDING), t + u + v)
-    # (8.2) left, straight, right
-    rho, angle = _polar(*other)
-    u = _root(rho**2 - 4.0)
-    t = wrap_angle(angle + jnp.arctan2(2.0, u))
-    v = wrap_angle(t - phi)
-    lsr = _if((rho >= 2.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING), t + u + v)
-    # (8.7) left, right | left, right, the two in the middle alike
-    share = (2.0 + rho) / 4.0
-    u = _arccos(share)
-    t, v = _ends(u, -u, *other, phi)
-    lrlr = _if((share <= 1.0) & (t >= -_ROUNDING) & (v <= _ROUNDING), t + 2 * u - v)
-    # (8.8) left | right, left | right
-    share = (20.0 - rho**2) / 16.0
-    u = -_arccos(share)
-    t, v = _ends(u, u, *other, phi)
-    valid = (share >= 0.0) & (share <= 1.0) & (t >= -_ROUNDING) & (v >= -_ROUNDING)
-    cusped = _if(valid, t - 2 * u + v)
-    # (8.11) left | right, straight, left | right, a quarter turn each in the middle
-    xi, eta = other
-    u = 4.0 - _root(rho**2 - 4.0)
-    t = arctan2((4.0 - u) * xi - 2.0 * eta, -2.0 * xi + (u - 4.0) * eta)
-    v = wrap_angle(t - phi)
-    valid = (rho >= 2.0) & (u <= _ROUNDING) & (t >= -_ROUNDING) & (v >= -_ROUNDING)
-    quarters = _if(valid, t + jnp.pi - u + v)
-    return [lsl, lsr, lrlr, cusped, quarters]
-
-
-def _words(x: jax.Array, y: jax.Array, phi: jax.Array) -> list[jax.Array]:
-    """Lengths of words that must be tried from both ends."""
-    sin, cos = jnp.sin(phi), jnp.cos(phi)
-    # (8.3), (8.4) left | right, left
-    rho, angle = _polar(x - sin, y - 1.0 + cos)
-    u = -2.0 * arcsin(jnp.clip(rho / 4.0, 0.0, 1.0))
-    t = wrap_angle(angle + u / 2 + jnp.pi)
-    v = wrap_angle(phi - t + u)
-    lrl = _if((rho <= 4.0) & (t >= -_ROUNDING), t - u + jnp.abs(v))
-    # (8.9) left | right a quarter, straight, left
-    r = _root(rho**2 - 4.0)
-    u = 2.0 - r
-    t = wrap_angle(angle + jnp.arctan2(r, -2.0))
-    v = wrap_angle(phi - _HALF - t)
-    valid = (rho >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING)
-    lrsl = _if(valid, t + _HALF - u - v)
-    # (8.10) left | right a quarter, straight, right
-    rho, t = _polar(-(y - 1.0 - cos), x + sin)
-    u = 2.0 - rho
-    v = wrap_angle(t + _HALF - phi)
-    valid = (rho >= 2.0) & (t >= -_ROUNDING) & (u <= _ROUNDING) & (v <= _ROUNDING)
-    lrsr = _if(valid, t + _HALF - u - v)
-    return [lrl, lrsl, lrsr]
-
-
-def _ends(
-    u: jax.Array, v: jax.Array, xi: jax.Array, eta: jax.Array, phi: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """First and last turn about two turns u and v in the middle, (8.7) and (8.8)."""
-    delta = wrap_angle(u - v)
-    a = jnp.sin(u) - jnp.sin(delta)
-    b = jnp.cos(u) - jnp.cos(delta) - 1.0
-    angle = arctan2(eta * a - xi * b, xi * a + eta * b)
-    turned = 2.0 * (jnp.cos(delta) - jnp.cos(v) - jnp.cos(u)) + 3.0 < 0
-    t = wrap_angle(angle + jnp.where(turned, jnp.pi, 0.0))
-    return t, wrap_angle(t - u + v - phi)
-
-
-def _polar(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return hypot(x, y), arctan2(y, x)
-
-
-def _root(x: jax.Array) -> jax.Array:
-    return sqrt(jnp.maximum(x, 0.0))
-
-
-def _arccos(x: jax.Array) -> jax.Array:
-    return arccos(jnp.clip(x, -1.0, 1.0))
-
-
-def _if(valid: jax.Array, length: jax.Array) -> jax.Array:
-    return jnp.where(valid, length, jnp.inf)
+def _wrap(angle: jax.Array) -> jax.Array:
+    """Angles in [-pi, pi]; a full half turn keeps its direction."""
+    return angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))

@@ -1,8 +1,8 @@
 """Assembles a layout from groups of rows; the last step of every generator.
 
 A group is a dictionary of `Layout` fields with one leading dimension. Arguments
-broadcast against the poses, leading dimensions are flattened, and masked rows become
-zeros.
+broadcast against the poses and leading dimensions are flattened. In the layout masked
+rows are zeros.
 """
 
 import math
@@ -21,7 +21,7 @@ from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
 LANE_SPREAD = 0.1
 
 Group = dict[str, jax.Array]
-# Trailing shapes and types of the fields of rows, besides their masks.
+# Trailing shapes and types of the fields of rows.
 PARTS: dict[str, tuple[tuple[int, ...], Any]] = {
     "pose": ((3,), jnp.float32),
     "size": ((2,), jnp.float32),
@@ -31,6 +31,7 @@ PARTS: dict[str, tuple[tuple[int, ...], Any]] = {
     "kind": ((), jnp.int32),
     "end": ((), jnp.int32),
     "one_way": ((), jnp.bool_),
+    "mask": ((), jnp.bool_),
 }
 
 
@@ -109,20 +110,19 @@ def mirror(pose: jax.Array, flip_x: jax.Array, flip_y: jax.Array) -> jax.Array:
 
 
 def _rows(row: str, mask: Any, **values: Any) -> Group:
-    """A group of one kind of row; its values broadcast against the places."""
-    if "pose" in values:
-        pose = jnp.asarray(values["pose"], jnp.float32)
-        values["pose"] = pose.at[..., 2].set(wrap_angle(pose[..., 2]))
-    place = jnp.asarray(values["pose" if "pose" in values else "centre"])
-    lead = place.shape[:-1]
-    mask = jnp.broadcast_to(jnp.asarray(mask, bool), lead).reshape(-1)
-    group = {f"{row}_mask": mask}
-    for part, value in values.items():
+    """A group of one kind of row; its values broadcast against the places.
+
+    Masks that are known stay with NumPy, see `assemble`. Other constants do not: a
+    mixture under `jax.vmap` would select each of them for each of its members.
+    """
+    lead = np.shape(values["pose" if "pose" in values else "centre"])[:-1]
+    group = {}
+    for part, value in (values | {"mask": mask}).items():
         trailing, dtype = PARTS[part]
-        value = jnp.broadcast_to(jnp.asarray(value, dtype), (*lead, *trailing))
-        value = value.reshape(-1, *trailing)
-        keep = mask.reshape(-1, *([1] * len(trailing)))
-        group[f"{row}_{part}"] = jnp.where(keep, value, jnp.zeros_like(value))
+        known = part == "mask" and not isinstance(value, jax.Array)
+        use: Any = np if known else jnp
+        value = use.broadcast_to(use.asarray(value, dtype), (*lead, *trailing))
+        group[f"{row}_{part}"] = value.reshape(-1, *trailing)
     return group
 
 
@@ -224,9 +224,9 @@ def assemble(extent: Any, *groups: Group) -> Layout:
         extent: (2,) half widths of the lot in x and y [m].
         groups: in any order; rows of a kind keep the order of their groups.
     """
-    columns: dict[str, list[jax.Array]] = {}
+    columns: dict[str, list[Any]] = {}
     ends = any("bay_end" in group for group in groups)
-    none, size = jnp.zeros((0, 3)), jnp.zeros(2)
+    none, size = np.zeros((0, 3)), np.zeros(2)
     empty = [  # so that every field exists
         *(bays(none, size), walls(none, size), discs(none[:, :2], 0.0)),
         *(lanes(none, size), spawns(none, size, 0.0)),
@@ -237,7 +237,24 @@ def assemble(extent: Any, *groups: Group) -> Layout:
             group = {"bay_end": either} | group
         for name, rows in group.items():
             columns.setdefault(name, []).append(rows)
-    fields = {name: jnp.concatenate(rows) for name, rows in columns.items()}
+    fields: dict[str, jax.Array] = {}
+    full: set[str] = set()  # kinds of rows of which none is masked
+    for name in [name for name in columns if name.endswith("_mask")]:
+        masks = columns.pop(name)
+        if all(isinstance(mask, np.ndarray) and mask.all() for mask in masks):
+            full.add(name)
+            fields[name] = jnp.ones(sum(map(len, masks)), bool)
+        else:
+            fields[name] = jnp.concatenate(masks)
+    for name, rows in columns.items():
+        row, _, part = name.partition("_")
+        value = jnp.concatenate([x for x in rows if len(x)] or rows[:1])
+        if part == "pose":
+            value = jnp.concatenate([value[:, :2], wrap_angle(value[:, 2:])], axis=-1)
+        if (mask := f"{row}_mask") not in full:
+            keep = jnp.expand_dims(fields[mask], range(1, value.ndim))
+            value = jnp.where(keep, value, jnp.zeros((), value.dtype))
+        fields[name] = value
     return Layout(**fields, extent=jnp.asarray(extent, jnp.float32))
 
 

@@ -205,7 +205,9 @@ def pad_layout(layout: Layout, maxima: Maxima) -> Layout:
                 f"a layout with {array.shape[0]} {kind} rows cannot be padded to "
                 f"{rows[kind]}"
             )
-        changes[field.name] = jnp.pad(array, [(0, extra)] + [(0, 0)] * (array.ndim - 1))
+        if extra:
+            rest = jnp.zeros((extra, *array.shape[1:]), array.dtype)
+            changes[field.name] = jnp.concatenate([array, rest])
     return dataclasses.replace(layout, **changes)
 
 

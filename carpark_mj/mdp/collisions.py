@@ -38,6 +38,7 @@ from carpark_mj.geometry.obstacles import (
     ObstacleKind,
     by_shape,
     is_crowded,
+    joined,
     least_near,
     merge,
     take,
@@ -101,18 +102,29 @@ def _add_hits(hits: _Hits, motion: Motion, groups: Sequence[Group]) -> _Hits:
         if is_crowded(num_agents, sum(group.count for group in same)):
             found = _near_hits(motion, merge(same, num_agents))
         else:
-            found = [(group.kind, _group_hits(motion, group)) for group in same]
+            found = _all_hits(motion, same)
         for kind, hit in found:
             hits[kind] = hits[kind] | hit if kind in hits else hit
     return hits
 
 
-def _group_hits(motion: Motion, group: Group) -> jax.Array:
-    """Agents (num_agents,) bool that hit any of a group."""
+def _all_hits(
+    motion: Motion, groups: Sequence[Group]
+) -> list[tuple[ObstacleKind, jax.Array]]:
+    """Agents (num_agents,) bool that hit any of each group of a shape, by kind."""
     own, own_size = motion.trace_w[:, None], motion.size[:, None, None]
-    hit = group.traced.hit(own, own_size)
-    counts = group.counts(motion.size.shape[0])
-    return (hit & counts[..., None]).any((1, 2))
+    traced = [group.traced for group in groups]
+    hits: dict[int, jax.Array] = {}
+    for instants in {there.pose_w.shape[1] for there in traced}:
+        # What stands still is tested as it stands.
+        rows = [k for k, x in enumerate(traced) if x.pose_w.shape[1] == instants]
+        them, _ = joined([traced[k] for k in rows], 1)
+        hit = them.hit(own, own_size).any(axis=2)
+        ends = np.cumsum([traced[k].count for k in rows])[:-1]
+        for k, part in zip(rows, jnp.split(hit, ends, axis=1), strict=True):
+            counts = groups[k].counts(motion.size.shape[0])
+            hits[k] = (part & counts).any(axis=1)
+    return [(group.kind, hits[k]) for k, group in enumerate(groups)]
 
 
 def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Array]]:

@@ -83,27 +83,24 @@ def stand_in_bay(
     """
     # Turned by h, a box reaches r cos(h - phi) along and r sin(h + phi) across, with
     # its diagonal r and phi = atan(width / length).
+    length, width = jnp.unstack(size, axis=-1)
+    bay_length, bay_width = jnp.unstack(bay_size, axis=-1)
+    x, y, yaw = jnp.unstack(offset, axis=-1)
     diagonal = norm(size)
-    phi = jnp.arctan2(size[..., 1], size[..., 0])
-    along, across = bay_size[..., 0] / diagonal, bay_size[..., 1] / diagonal
+    phi = jnp.arctan2(width, length)
+    along, across = bay_length / diagonal, bay_width / diagonal
     free = jnp.pi / 2
     most = jnp.minimum(
         jnp.where(along < 1.0, phi - jnp.arccos(jnp.minimum(along, 1.0)), free),
         jnp.where(across < 1.0, jnp.arcsin(jnp.minimum(across, 1.0)) - phi, free),
     )
     most = jnp.maximum(most, 0.0)
-    yaw = jnp.clip(offset[..., 2], -most, most)
+    yaw = jnp.clip(yaw, -most, most)
     cos, sin = jnp.cos(yaw), jnp.abs(jnp.sin(yaw))
-    reach = jnp.stack(
-        [
-            size[..., 0] * cos + size[..., 1] * sin,
-            size[..., 0] * sin + size[..., 1] * cos,
-        ],
-        axis=-1,
-    )
-    gap = jnp.maximum(bay_size - reach, 0.0) / 2
-    xy = jnp.clip(offset[..., :2], -gap, gap)
-    return to_world(bay_pose, jnp.concatenate([xy, yaw[..., None]], axis=-1))
+    gap_x = jnp.maximum(bay_length - (length * cos + width * sin), 0.0) / 2
+    gap_y = jnp.maximum(bay_width - (length * sin + width * cos), 0.0) / 2
+    x, y = jnp.clip(x, -gap_x, gap_x), jnp.clip(y, -gap_y, gap_y)
+    return to_world(bay_pose, jnp.stack([x, y, yaw], axis=-1))
 
 
 def poses_in_bays(layout: Layout, cars: ParkedCars) -> jax.Array:

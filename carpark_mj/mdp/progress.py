@@ -50,7 +50,7 @@ def mix_in_maneuver(
     reach: float,
     distance: jax.Array,
     car: Vehicle,
-    motion: Motion,
+    pose_w: jax.Array,
     goal_pose: jax.Array,
     one_way: jax.Array | None = None,
 ) -> jax.Array:
@@ -60,10 +60,10 @@ def mix_in_maneuver(
     """
     radius = car.wheelbase / jnp.tan(car.max_steering)
     back = -car.centre_offset
-    start = move_forward(motion.pose_w, back)
-    turned = goal_pose + jnp.array([0.0, 0.0, jnp.pi])
-    length = reeds_shepp_length(start, move_forward(goal_pose, back), radius)
-    other = reeds_shepp_length(start, move_forward(turned, back), radius)
+    start = move_forward(pose_w, back)
+    goals = jnp.stack([goal_pose, goal_pose + jnp.array([0.0, 0.0, jnp.pi])])
+    lengths = reeds_shepp_length(start, move_forward(goals, back), radius)
+    length, other = jnp.unstack(lengths)
     if one_way is not None:
         other = jnp.where(one_way, jnp.inf, other)
     length = jnp.minimum(length, other)

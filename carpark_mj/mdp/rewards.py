@@ -29,7 +29,7 @@ from carpark_mj.mdp.progress import (
     is_nearer,
     mix_in_maneuver,
 )
-from carpark_mj.types import NO_BAY, Motion, Transition
+from carpark_mj.types import NO_BAY, Transition
 
 if TYPE_CHECKING:
     from carpark_mj.config import EnvConfig
@@ -297,28 +297,31 @@ def _is_off(weight: float) -> bool:
     return not isinstance(weight, jax.Array) and weight == 0.0
 
 
-def _potential(config: EnvConfig, transition: Transition, motion: Motion) -> jax.Array:
-    """Potential (num_agents,) of a motion with regard to the goals of the step."""
+def _potential(
+    config: EnvConfig, transition: Transition, pose_w: jax.Array
+) -> jax.Array:
+    """Potential (num_agents,) of poses (num_agents, 3) for the goals of the step."""
     weights, state, target = config.reward, transition.after, transition.target_pose
-    distance = norm(motion.xy - target[:, :2])
+    distance = norm(pose_w[:, :2] - target[:, :2])
     if weights.route:
         goal = transition.goal
-        distance = route_to(state.routes, state.layout, motion.xy, goal).length
+        distance = route_to(state.routes, state.layout, pose_w[:, :2], goal).length
     if not _is_off(weights.reeds_shepp_reach):
         car = transition.before.physics.vehicle
         distance = mix_in_maneuver(
-            weights.reeds_shepp_reach, distance, car, motion, target, transition.one_way
+            weights.reeds_shepp_reach, distance, car, pose_w, target, transition.one_way
         )
-    return goal_potential(weights, motion.pose_w, target, distance, transition.one_way)
+    return goal_potential(weights, pose_w, target, distance, transition.one_way)
 
 
 def _progress(config: EnvConfig, transition: Transition) -> jax.Array:
     """Progress (num_agents,) towards the goals; its weights are in the potential."""
     if transition.goal_events is not None:
         return dynamic_progress(config, transition)
-    after, before = transition.after.motion, transition.before.motion
-    ended = _potential(config, transition, after)
-    return ended - _potential(config, transition, before)
+    after, before = transition.after.motion.pose_w, transition.before.motion.pose_w
+    potential = jax.vmap(lambda pose_w: _potential(config, transition, pose_w))
+    ended, started = jnp.unstack(potential(jnp.stack([after, before])))
+    return ended - started
 
 
 def dynamic_progress(config: EnvConfig, transition: Transition) -> jax.Array:

@@ -49,8 +49,8 @@ def outlines(pose: jax.Array, size: jax.Array, mask: jax.Array) -> jax.Array:
     X, y, cos, sin, half length and half width; each of them lies in one row, as loops
     over boxes want it.
     """
-    x, y, yaw = pose.T
-    half_x, half_y = size.T / 2
+    x, y, yaw = jnp.unstack(pose, axis=-1)
+    half_x, half_y = jnp.unstack(size / 2, axis=-1)
     x, y = jnp.where(mask, x, AWAY), jnp.where(mask, y, AWAY)
     return jnp.stack([x, y, jnp.cos(yaw), jnp.sin(yaw), half_x, half_y])
 
@@ -73,15 +73,16 @@ def offsets(xy: jax.Array, boxes: jax.Array) -> Pair:
 
     In the boxes' frames; 0 inside.
     """
-    x, y, cos, sin, half_x, half_y = boxes
-    x, y = xy[..., 0] - x, xy[..., 1] - y
+    x, y, cos, sin, half_x, half_y = jnp.unstack(boxes)
+    own_x, own_y = jnp.unstack(xy, axis=-1)
+    x, y = own_x - x, own_y - y
     x, y = cos * x + sin * y, cos * y - sin * x
     return x - jnp.clip(x, -half_x, half_x), y - jnp.clip(y, -half_y, half_y)
 
 
 def meet(start: jax.Array, end: jax.Array, boxes: jax.Array) -> jax.Array:
     """Whether ways between points (n, 2) meet any of the boxes (6, m), (n,) bool."""
-    x, y, cos, sin, half_x, half_y = boxes
+    x, y, cos, sin, half_x, half_y = jnp.unstack(boxes)
 
     def turn(x: jax.Array, y: jax.Array) -> Pair:
         return cos * x + sin * y, cos * y - sin * x

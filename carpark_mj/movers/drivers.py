@@ -65,7 +65,7 @@ def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic
     n = traffic.way.shape[0]
     who = traffic.turn
     own = jax.tree.map(
-        lambda x: x[who],
+        lambda x: jax.lax.dynamic_index_in_dim(x, who.astype(jnp.uint32), 0, False),
         dataclasses.replace(traffic, turn=jnp.zeros(n, jnp.int32), tracks=jnp.zeros(n)),
     )
     own = dataclasses.replace(own, tracks=traffic.tracks)
@@ -222,16 +222,21 @@ def _arc_path(
 
 def _is_free(layout: Layout, pose: jax.Array, bay: jax.Array) -> jax.Array:
     """() bool, whether a car with its rear axle at poses (k, 3) meets nothing."""
-    pose, size = move_forward(pose, OFFSET)[:, None], SIZE + 2 * ROOM
-    bays = boxes_overlap(pose, size, layout.bay_pose, layout.bay_size - SLACK)
-    others = layout.bay_mask & (jnp.arange(layout.num_bays) != bay)
-    size = SIZE + 2 * ROOM_TO_WALLS
-    walls = boxes_overlap(pose, size, layout.wall_pose, layout.wall_size)
+    pose = move_forward(pose, OFFSET)[:, None]
     disc = jnp.pad(layout.disc_centre, ((0, 0), (0, 1)))
     discs = jnp.repeat(2.0 * layout.disc_radius[:, None], 2, axis=1)
-    discs = boxes_overlap(pose, size, disc, discs)
-    meets = (bays & others).any() | (walls & layout.wall_mask).any()
-    return ~(meets | (discs & layout.disc_mask).any())
+    others = layout.bay_mask & (jnp.arange(layout.num_bays) != bay)
+    bays, count = layout.bay_size - SLACK, layout.num_bays
+    there = jnp.concatenate([layout.bay_pose, layout.wall_pose, disc])
+    is_bay = (np.arange(there.shape[0]) < count)[:, None]
+    meets = boxes_overlap(
+        pose,
+        SIZE + 2 * np.where(is_bay, np.float32(ROOM), np.float32(ROOM_TO_WALLS)),
+        there,
+        jnp.concatenate([bays, layout.wall_size, discs]),
+    )
+    mask = jnp.concatenate([others, layout.wall_mask, layout.disc_mask])
+    return ~(meets & mask).any()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -130,10 +130,17 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
 
     count = boxes.shape[1]
     shape = (n * count,)
-    other_half = jnp.broadcast_to(half, (n, count, 2)).reshape(-1, 2)
-    meets, gap = _meet(boxes, room, gear, boxes.reshape(-1, 3), other_half)
-    meets = meets.reshape(n, count, n, count)
+    rows = _others(traffic, lot)
+    there = [boxes.reshape(-1, 3)]
+    halves = [jnp.broadcast_to(half, (n, count, 2)).reshape(-1, 2)]
+    if rows is not None:
+        there, halves = [*there, rows.pose], [*halves, rows.half]
+    meets, gap = _meet(boxes, room, gear, *map(jnp.concatenate, (there, halves)))
     gap = gap + jnp.concatenate([jnp.zeros(1), start])[:, None]
+    (meets, meets_others), (gap, gap_others) = (
+        jnp.split(x, [n * count], axis=-1) for x in (meets, gap)
+    )
+    meets = meets.reshape(n, count, n, count)
     limit = _limits(traffic, meets, accel, dt)
     begins = jnp.concatenate([jnp.full(1, -1.0), start])
     counts = (begins < limit[..., None]) & ~jnp.eye(n, dtype=bool)[..., None]
@@ -142,12 +149,9 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
     velocity = jnp.repeat(traffic.velocity, count, axis=0).reshape(*shape, 2)
     # The own box is for the right of way only.
     found = _first(boxes, gear, meets[:, 1:], gap[:, 1:], velocity)
-    rows = _others(traffic, lot)
     if rows is not None:
-        meets, gap = _meet(boxes, room, gear, rows.pose, rows.half)
-        gap = gap + jnp.concatenate([jnp.zeros(1), start])[:, None]
-        meets = meets & rows.seen[:, None]
-        others = _first(boxes, gear, meets[:, 1:], gap[:, 1:], rows.velocity)
+        meets = (meets_others & rows.seen[:, None])[:, 1:]
+        others = _first(boxes, gear, meets, gap_others[:, 1:], rows.velocity)
         found = choose(others.gap < found.gap, others, found)
     return found
 
@@ -177,25 +181,22 @@ def _meet(
 
     Also the way (n, m, k) [m] from a section's beginning until they do.
     """
-    x = pose[:, 0] - boxes[..., None, 0]
-    y = pose[:, 1] - boxes[..., None, 1]
-    own, other = boxes[..., None, 2], pose[:, 2]
-    cos, sin = jnp.cos(own), jnp.sin(own)
+    x, y, other = jnp.unstack(pose, axis=-1)
+    own_x, own_y, own = jnp.unstack(boxes[..., None, :], axis=-1)
+    x, y, cos, sin = x - own_x, y - own_y, jnp.cos(own), jnp.sin(own)
     far, near = jnp.cos(other), jnp.sin(other)
     same, across = jnp.abs(cos * far + sin * near), jnp.abs(cos * near - sin * far)
     ahead = cos * x + sin * y
     half_x, half_y = room[:, :1], room[:, 1:]
-    reach = same * half[:, 0] + across * half[:, 1]
+    long, wide = jnp.unstack(half, axis=-1)
+    reach = same * long + across * wide
     meets = jnp.abs(ahead) < half_x + reach
-    meets = meets & (
-        jnp.abs(cos * y - sin * x) < half_y + across * half[:, 0] + same * half[:, 1]
-    )
-    meets = meets & (
-        jnp.abs(far * x + near * y) < half[:, 0] + same * half_x + across * half_y
-    )
-    meets = meets & (
-        jnp.abs(far * y - near * x) < half[:, 1] + across * half_x + same * half_y
-    )
+    aside = jnp.abs(cos * y - sin * x)
+    meets = meets & (aside < half_y + across * long + same * wide)
+    ahead_of = jnp.abs(far * x + near * y)
+    meets = meets & (ahead_of < long + same * half_x + across * half_y)
+    aside_of = jnp.abs(far * y - near * x)
+    meets = meets & (aside_of < wide + across * half_x + same * half_y)
     car = SIZE[0] / 2 + ALONG
     section = half_x - car  # half of its length
     free = gear[:, None, None] * ahead + section - car - reach
@@ -390,9 +391,9 @@ def _halt(before: Traffic, after: Traffic, lot: State) -> Traffic:
     """Drivers after a step; who would touch a mover stays, also who does not look."""
     pose, others = after.centre, ~jnp.eye(after.way.shape[0], dtype=bool)
     hits = touches(pose, SIZE, lot.movers.groups)
-    for there in (before.centre, pose):
-        meets = boxes_overlap(pose[:, None], SIZE, there, SIZE)
-        hits = hits | (meets & others & before.present).any(axis=1)
+    there = jnp.concatenate([before.centre, pose])
+    meets = boxes_overlap(pose[:, None], SIZE, there, SIZE)
+    hits = hits | (meets & jnp.tile(others & before.present, 2)).any(axis=1)
     return dataclasses.replace(
         after,
         pose=jnp.where(hits[:, None], before.pose, after.pose),

@@ -86,9 +86,9 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     # Nobody overshoots, and who rests stays.
     pace = jnp.minimum(speed, distance / dt)
     pace = jnp.where(rests & (distance < ARRIVED), 0.0, pace)
-    stop = stopping_zones(lot, dt)
+    stop = stopping_zones(cars, dt)
     gives_way = people.attentive[:, None] * HEADWAY
-    enter = stopping_zones(lot, dt, gives_way)
+    enter = stopping_zones(cars, dt, gives_way)
     wanted = pace[:, None] * heading + _step_aside(people, enter, stop)
     straight = people.straight | (people.child & ~rests)
     straight = straight | (people.phase != ACROSS)

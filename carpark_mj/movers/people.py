@@ -35,7 +35,6 @@ class Places:
 
 def make_places(layout: Layout) -> Places:
     """The places of a lot: one for each bay, then those of lanes and of the border."""
-    edge, inner, there = _of_bays(layout)
     bays = outlines(layout.bay_pose, layout.bay_size, layout.bay_mask)
     grown = outlines(layout.wall_pose, layout.wall_size + GROWN, layout.wall_mask)
     blocks = jnp.concatenate([bays, grown], axis=1)
@@ -47,13 +46,20 @@ def make_places(layout: Layout) -> Places:
     lane = pose[:, :2] + jnp.array(ALONG)[:, None, None] * ahead
     in_lane = jnp.broadcast_to(layout.lane_mask, lane.shape[:2]).reshape(-1)
     lane = lane.reshape(-1, 2)
-    in_lane = in_lane & _has_room(layout, lane)
     border = jnp.array(BORDER) * (layout.extent - INSET)
+    edges, inners = _beside_bays(layout)
+    points = jnp.concatenate([edges.reshape(-1, 2), lane, border])
+    has_room = _has_room(layout, points)
+    ends = edges.shape[0] * edges.shape[1], points.shape[0] - border.shape[0]
+    beside, along, at_border = jnp.split(has_room, ends)
+    in_lane = in_lane & along
+    free = beside.reshape(edges.shape[:2])
+    edge, inner, there = _best_sides(layout, edges, inners, free)
     # Some of the border lies behind walls: only what is seen from a bay counts.
     away = norm(border[:, None] - edge)
     bay = jnp.argmin(jnp.where(there, away, jnp.inf), axis=1)
     seen = ~meet(border, edge[bay], blocks) | ~there.any()
-    seen = seen & _has_room(layout, border)
+    seen = seen & at_border
     return Places(
         jnp.concatenate([edge, lane, border]),
         jnp.concatenate([inner, lane, border]),
@@ -63,8 +69,8 @@ def make_places(layout: Layout) -> Places:
     )
 
 
-def _of_bays(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Edges and inner places (bays, 2), and whether bays (bays,) have them."""
+def _beside_bays(layout: Layout) -> tuple[jax.Array, jax.Array]:
+    """Edges and inner places (sides, bays, 2) at the sides of bays."""
     normal = jnp.array(SIDES)[:, None]
     tangent = jnp.abs(normal[..., ::-1])
     half = layout.bay_size / 2
@@ -76,9 +82,17 @@ def _of_bays(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
         pose = jnp.concatenate([local, jnp.zeros_like(local[..., :1])], axis=-1)
         return to_world(layout.bay_pose, pose)[..., :2]
 
-    edge = place(across + OUTSIDE)  # (sides, bays, 2)
-    inner = place(across - jnp.minimum(DEPTH - OUTSIDE, across))
-    free = _has_room(layout, edge.reshape(-1, 2)).reshape(edge.shape[:2])
+    inner = across - jnp.minimum(DEPTH - OUTSIDE, across)
+    return place(across + OUTSIDE), place(inner)
+
+
+def _best_sides(
+    layout: Layout, edge: jax.Array, inner: jax.Array, free: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Of each bay the places (bays, 2) at one side, and whether there is one (bays,).
+
+    Edges and inner places (sides, bays, 2), and which of them are free (sides, bays).
+    """
     cost = jnp.arange(len(SIDES), dtype=jnp.float32)[:, None] * 0.1
     if layout.lane_mask.shape[0]:
         gap = point_box_distance(edge[:, :, None], layout.lane_pose, layout.lane_size)
@@ -97,13 +111,11 @@ def _of_bays(layout: Layout) -> tuple[jax.Array, jax.Array, jax.Array]:
 def _has_room(layout: Layout, xy: jax.Array) -> jax.Array:
     """(n,) bool, whether there is room for a person at points (n, 2)."""
     free = (jnp.abs(xy) < layout.extent).all(axis=-1)
-    boxes = (
-        (layout.bay_pose, layout.bay_size, layout.bay_mask),
-        (layout.wall_pose, layout.wall_size, layout.wall_mask),
-    )
-    for pose, size, mask in boxes:
-        gap = point_box_distance(xy[:, None], pose, size)
-        free = free & ~((gap < PERSON_ROOM) & mask).any(axis=1)
+    pose = jnp.concatenate([layout.bay_pose, layout.wall_pose])
+    size = jnp.concatenate([layout.bay_size, layout.wall_size])
+    mask = jnp.concatenate([layout.bay_mask, layout.wall_mask])
+    gap = point_box_distance(xy[:, None], pose, size)
+    free = free & ~((gap < PERSON_ROOM) & mask).any(axis=1)
     gap = norm(xy[:, None] - layout.disc_centre) - layout.disc_radius
     return free & ~((gap < PERSON_ROOM) & layout.disc_mask).any(axis=1)
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from carpark_mj.geometry import boxes_overlap, move_forward, norm, wrap_angle
+from carpark_mj.geometry import move_forward, norm, wrap_angle
 from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind, touches
 from carpark_mj.movers.bodies import AWAY, columns
 from carpark_mj.types import State
@@ -81,7 +81,7 @@ class Zones:
 
     def hold(self, here: jax.Array, reach: jax.Array) -> jax.Array:
         """Whether discs of radii (n, 1) at `local` places (n, cars, 2) meet."""
-        x, y = here[..., 0], here[..., 1]
+        x, y = jnp.unstack(here, axis=-1)
         along = (x < self.ahead + reach) & (x > -self.behind - reach)
         return along & (jnp.abs(y) < self.aside + reach)
 
@@ -91,7 +91,7 @@ class Zones:
 
     def turn(self, vector: jax.Array) -> jax.Array:
         """Vectors (n, 1 or cars, 2) in the frames of the cars."""
-        x, y = vector[..., 0], vector[..., 1]
+        x, y = jnp.unstack(vector, axis=-1)
         turned = self.cos * x + self.sin * y, self.cos * y - self.sin * x
         return jnp.stack(turned, axis=-1)
 
@@ -118,19 +118,20 @@ def stopping_distance(
     return faster * dt + faster * faster / (2.0 * decel)
 
 
-def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Zones:
+def stopping_zones(cars: Cars, dt: float, headway: jax.Array | float = 0.0) -> Zones:
     """What the cars of a lot sweep until they stand, or in a time if that is longer.
 
     `headway` is that time [s], broadcastable to (..., cars).
     """
-    cars = cars_of(lot, dt)
     half, speed, accel, decel = cars.size / 2, cars.speed, cars.accel, cars.decel
 
-    def way(speed: jax.Array, most: jax.Array) -> jax.Array:
-        speed = jnp.maximum(speed, 0.0)
-        stop = stopping_distance(speed, most, accel, decel, dt)
-        return half[:, 0] + jnp.maximum(stop, speed * headway) + MARGIN
-
+    # Forwards and backwards.
+    both = jnp.maximum(jnp.stack([speed, -speed]), 0.0)
+    most = jnp.stack([cars.max_speed, cars.max_reverse])
+    stop = stopping_distance(both, most, accel, decel, dt)
+    extra = range(1, jnp.ndim(headway))
+    both, stop = jnp.expand_dims(both, extra), jnp.expand_dims(stop, extra)
+    way = half[:, 0] + jnp.maximum(stop, both * headway) + MARGIN
     # The heading turns with the speed until the car stands.
     turned = jnp.abs(cars.yaw_rate) * (dt + jnp.abs(speed) / (2.0 * decel))
     return Zones(
@@ -138,19 +139,18 @@ def stopping_zones(lot: State, dt: float, headway: jax.Array | float = 0.0) -> Z
         cos=jnp.cos(cars.pose[:, 2]),
         sin=jnp.sin(cars.pose[:, 2]),
         half=half,
-        ahead=way(speed, cars.max_speed),
-        behind=way(-speed, cars.max_reverse),
+        ahead=way[0],
+        behind=way[1],
         aside=half[:, 1] + turned * cars.size[:, 0] + MARGIN,
     )
 
 
 def would_hit(lot: State, pose: jax.Array, size: jax.Array, dt: float) -> jax.Array:
     """() bool, whether a box (3,), (2,) lies where a car cannot stop, or in a mover."""
-    zones = stopping_zones(lot, dt)
+    zones = stopping_zones(cars_of(lot, dt), dt)
     middle = move_forward(zones.pose, (zones.ahead - zones.behind) / 2)
     whole = jnp.stack([zones.ahead + zones.behind, 2.0 * zones.aside], axis=-1)
-    hits = boxes_overlap(pose, size, middle, whole).any()
-    return hits | touches(pose[None], size, lot.movers.groups)[0]
+    return touches(pose[None], size, (Boxes(middle, whole), *lot.movers.groups))[0]
 
 
 def keep_off(
@@ -177,35 +177,36 @@ def keep_off(
     """
     reach, here = radius[:, None], enter.local(xy)
     was_in, too_near = enter.hold(here, reach), stop.hold(here, reach)
-    x, y = here[..., 0], here[..., 1]
+    x, y = jnp.unstack(here, axis=-1)
+    half_x, half_y = jnp.unstack(stop.half, axis=-1)
 
     def outward(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        half_x, half_y = stop.half[:, 0], stop.half[:, 1]
         return x - jnp.clip(x, -half_x, half_x), y - jnp.clip(y, -half_y, half_y)
 
     out_x, out_y = outward(x, y)
     square = out_x * out_x + out_y * out_y
     gap = jnp.sqrt(square)
-    strip = stop.half[:, 1] + reach
+    strip = half_y + reach
     beside = jnp.abs(y) >= strip
 
     def wrong(own: jax.Array) -> jax.Array:
         there = here + own
-        beyond_x, beyond_y = outward(there[..., 0], there[..., 1])
+        there_x, there_y = jnp.unstack(there, axis=-1)
+        beyond_x, beyond_y = outward(there_x, there_y)
         nearer = jnp.sqrt(beyond_x * beyond_x + beyond_y * beyond_y) < gap - STILL
         # Nor nearer to its way, where the car may come before they have passed.
-        closes_in = beside & (jnp.abs(there[..., 1]) < jnp.abs(y) - STILL)
+        closes_in = beside & (jnp.abs(there_y) < jnp.abs(y) - STILL)
         return (enter.hold(there, reach) & ~was_in) | (too_near & (nearer | closes_in))
 
     # Along the edge of the zone, or round the car, of each; then of the nearest in the
     # way: choosing among results is cheaper than among what they are made of.
     own = enter.turn(move[:, None])
     bad = wrong(own)
-    own_x, own_y = own[..., 0], own[..., 1]
+    own_x, own_y = jnp.unstack(own, axis=-1)
     is_end = (x >= enter.ahead + reach) | (x <= -enter.behind - reach)
     # Past a car that stands by the end, or side, that is the shorter way.
     length, there = norm(move)[:, None], enter.local(goal)
-    stands = enter.ahead + enter.behind - 2 * stop.half[:, 0] < STANDS
+    stands = enter.ahead + enter.behind - 2 * half_x < STANDS
     front = x + there[..., 0] > enter.ahead - enter.behind
     round_x = jnp.where(front, length, -length)
     round_y = jnp.where(y + there[..., 1] > 0.0, length, -length)

@@ -42,8 +42,8 @@ class Path:
 
     def along(self, xy: jax.Array) -> jax.Array:
         """Ways (...) to points (..., 2) along the first line [m]."""
-        ahead = jnp.stack([jnp.cos(self.yaw), jnp.sin(self.yaw)], axis=-1)
-        return jnp.sum((xy - self.origin) * ahead, axis=-1)
+        x, y = jnp.unstack(xy - self.origin, axis=-1)
+        return x * jnp.cos(self.yaw) + y * jnp.sin(self.yaw)
 
     def at(self, way: jax.Array) -> jax.Array:
         """Poses (..., k, 3) of the car's rear axle after ways (..., k) [m]."""
@@ -80,15 +80,18 @@ def crossing(
         Ways (...) along the first and along the second line [m], and the change of
         direction [rad]; ways are meaningless where lines are parallel.
     """
-    bend = other[..., 2] - pose[..., 2]
+    x, y, yaw = jnp.unstack(pose, axis=-1)
+    other_x, other_y, other_yaw = jnp.unstack(other, axis=-1)
+    bend = other_yaw - yaw
     bend = jnp.arctan2(jnp.sin(bend), jnp.cos(bend))
-    sine = jnp.where(jnp.abs(jnp.sin(bend)) < 1e-3, 1e-3, jnp.sin(bend))
-    delta = other[..., :2] - pose[..., :2]
+    sine = jnp.sin(bend)
+    sine = jnp.where(jnp.abs(sine) < 1e-3, 1e-3, sine)
+    x, y = other_x - x, other_y - y
 
     def cross(yaw: jax.Array) -> jax.Array:
-        return delta[..., 0] * jnp.sin(yaw) - delta[..., 1] * jnp.cos(yaw)
+        return x * jnp.sin(yaw) - y * jnp.cos(yaw)
 
-    return cross(other[..., 2]) / sine, cross(pose[..., 2]) / sine, bend
+    return cross(other_yaw) / sine, cross(yaw) / sine, bend
 
 
 def tangent(bend: jax.Array) -> jax.Array:
@@ -185,6 +188,8 @@ def choose(mask: jax.Array, new: Tree, old: Tree) -> Tree:
     """Rows of one tree where the mask (n,) or () holds, elsewhere of another."""
 
     def pick(a: jax.Array, b: jax.Array) -> jax.Array:
+        if a is b:  # what is alike in both
+            return a
         return jnp.where(mask.reshape(*mask.shape, *[1] * (b.ndim - mask.ndim)), a, b)
 
     return jax.tree.map(pick, new, old)

@@ -131,9 +131,9 @@ def repeated(group: str, count: int, fields: Iterable[Field]) -> list[Field]:
 def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
     """The values of entities (num_agents, count, k) by the names of their fields."""
     return {
-        f"{group}_{index}_{name}": value[:, index]
+        f"{group}_{index}_{name}": own
         for name, value in values.items()
-        for index in range(value.shape[1])
+        for index, own in enumerate(jnp.unstack(value, axis=1))
     }
 
 

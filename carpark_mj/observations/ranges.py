@@ -24,7 +24,7 @@ from carpark_mj.geometry.obstacles import (
     ObstacleKind,
     by_shape,
     is_crowded,
-    merge,
+    joined,
     take,
     visit_near,
 )
@@ -161,9 +161,9 @@ def cast_rays(
     outline = jnp.min(0.5 * own_size[:, None] / jnp.abs(ahead), axis=-1)
     free = outline + reach  # nothing farther away is seen
     for same in by_shape([group for group in obstacles if group.count]):
-        them = merge(same, own_pose.shape[0])
-        gap = jnp.where(them.counts, them.group.gaps(own_pose[:, :2]), jnp.inf)
-        free = _shorten(free, gap, them.group, origin, direction)
+        them, counts = joined(same, own_pose.shape[0])
+        gap = jnp.where(counts, them.gaps(own_pose[:, :2]), jnp.inf)
+        free = _shorten(free, gap, them, origin, direction)
     return jnp.clip((free - outline) / reach, 0.0, 1.0)
 
 
@@ -226,10 +226,10 @@ def count_rings(config: RingConfig, sight: ObservationInput) -> jax.Array:
     motion = sight.motion
     cars = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR)
     seen = [group for group in sight.obstacles if config.cars or group.kind not in cars]
-    gaps = [
-        jnp.where(group.counts(motion.size.shape[0]), group.gaps(motion.xy), jnp.inf)
-        for group in seen
-    ]
+    gaps = []
+    for same in by_shape(seen):
+        them, counts = joined(same, motion.size.shape[0])
+        gaps.append(jnp.where(counts, them.gaps(motion.xy), jnp.inf))
     gap = jnp.concatenate(gaps, axis=1)
     radii = jnp.array(config.diameters, gap.dtype) / 2
     count = jnp.sum(gap[:, :, None] < radii, axis=1)

@@ -158,6 +158,8 @@ def where_cars(mask: jax.Array, new: Tree, old: Tree) -> Tree:
     """Takes cars from the tree `new` where `mask` (...) is true, else from `old`."""
 
     def select(a: jax.Array, b: jax.Array) -> jax.Array:
+        if a is b:  # what neither changed
+            return a
         return jnp.where(jnp.expand_dims(mask, range(mask.ndim, a.ndim)), a, b)
 
     return jax.tree.map(select, new, old)

@@ -59,10 +59,12 @@ def cross(a: Vector, b: Vector) -> Vector:
 def rotation(q: Quaternion) -> Rotation:
     """Rotation matrix, body to world, of a unit quaternion (w, x, y, z)."""
     w, x, y, z = q
+    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
+    wx, wy, wz = w * x, w * y, w * z
     return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        (1 - 2 * (yy + zz), 2 * (xy - wz), 2 * (xz + wy)),
+        (2 * (xy + wz), 1 - 2 * (xx + zz), 2 * (yz - wx)),
+        (2 * (xz - wy), 2 * (yz + wx), 1 - 2 * (xx + yy)),
     )
 
 
@@ -230,8 +232,7 @@ def unpack_coordinates(
     index: CarIndex, qpos: jax.Array, qvel: jax.Array
 ) -> Coordinates:
     """Coordinates of cars from MuJoCo's `qpos` (..., nq) and `qvel` (..., nv)."""
-    q = [qpos[..., i] for i in range(qpos.shape[-1])]
-    v = [qvel[..., i] for i in range(qvel.shape[-1])]
+    q, v = jnp.unstack(qpos, axis=-1), jnp.unstack(qvel, axis=-1)
     at, dof = index.root_qpos, index.root_dof
     return Coordinates(
         position=(q[at], q[at + 1], q[at + 2]),
@@ -274,9 +275,8 @@ def pack_coordinates(index: CarIndex, at: Coordinates) -> tuple[jax.Array, jax.A
 
 def unpack_tyres(tyres: TyreState) -> tuple[TyreState, ...]:
     """Bristles (..., 4) of cars as those (...) of each wheel."""
-    return tuple(
-        jax.tree.map(lambda x, i=i: x[..., i], tyres) for i in range(len(WHEELS))
-    )
+    columns = (jnp.unstack(x, axis=-1) for x in jax.tree.leaves(tyres))
+    return tuple(TyreState(*wheel) for wheel in zip(*columns, strict=True))
 
 
 def pack_tyres(tyres: tuple[TyreState, ...]) -> TyreState:

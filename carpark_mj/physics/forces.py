@@ -45,6 +45,7 @@ from carpark_mj.physics.coordinates import (
     CarDynamics,
     CarIndex,
     Coordinates,
+    Rotation,
     TyreState,
     Vector,
     add,
@@ -299,7 +300,7 @@ def roll(
     force_w = moment_b = (zero, zero, zero)
     rolled: list[tuple[TyreForces, TyreState]] = []
     for i, wheel in enumerate(wheels):
-        motion, heading, contact = _wheel_motion(wheel, at, i)
+        motion, heading, contact = _wheel_motion(wheel, at, rotation, i)
         forces, state = tyre_forces(wheel, motion, tyres[i], torques[i], dt)
         push = (
             forces.forward * heading[0] - forces.left * heading[1],
@@ -318,12 +319,11 @@ def roll(
 
 
 def _wheel_motion(
-    wheel: Wheel, at: Coordinates, i: int
+    wheel: Wheel, at: Coordinates, rotation: Rotation, i: int
 ) -> tuple[WheelMotion, tuple[jax.Array, jax.Array], Vector]:
     """Motion of the `i`-th wheel, its heading (x, y), its contact point (body) [m]."""
     # The point lies on the ground and does not lean with the car; otherwise the centre
     # of gravity would be too high above it and the car would tip over too early.
-    rotation = at.rotation
     up = rotation[2]
     x, y = wheel.hub
     height = at.position[2] + x * up[0] + y * up[1]  # of the undeflected wheel

@@ -81,7 +81,8 @@ def mass_properties(vehicle: Vehicle) -> MassProperties:
     masses, inertias = vehicle.body_mass, vehicle.body_inertia
 
     def vector(a: jax.Array, body: int) -> Vector:
-        return a[..., body, 0], a[..., body, 1], a[..., body, 2]
+        x, y, z = jnp.unstack(a[..., body, :], axis=-1)
+        return x, y, z
 
     points = [(masses[..., _CHASSIS], vector(vehicle.body_ipos, _CHASSIS))]
     for knuckle, wheel in zip(_KNUCKLES, _FRONT_WHEELS, strict=True):

@@ -74,6 +74,7 @@ class Fleet:
         self._kinds: Vehicle = jax.device_put(
             jax.tree.map(lambda *x: np.stack(x), *kinds)  # JAX would compile programs
         )
+        self._only = kinds[0] if len(kinds) == 1 else None
         self._size = make_vehicle(vehicle).size
 
     def start(
@@ -182,6 +183,11 @@ class Fleet:
 
     def of_kind(self, kind: jax.Array) -> Vehicle:
         """Nominal parameters of cars of kinds (...) int32."""
+        if self._only is not None:
+            return jax.tree.map(
+                lambda x: jnp.broadcast_to(x, (*kind.shape, *x.shape)), self._only
+            )
+        kind = kind.astype(jnp.uint32)  # no index from the end to be thought of
         return jax.tree.map(lambda x: x[kind], self._kinds)
 
     def parked_vehicles(self, cars: ParkedCars) -> list[VehicleParameters]:

@@ -14,7 +14,14 @@ import numpy as np
 from flax import struct
 
 from carpark_mj.geometry import box_distance, boxes_overlap, norm
-from carpark_mj.geometry.obstacles import NO_MOVERS, Group, Movers, touches
+from carpark_mj.geometry.obstacles import (
+    NO_MOVERS,
+    Group,
+    Movers,
+    by_shape,
+    joined,
+    touches,
+)
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.parked_cars import BayFits, in_bays
 from carpark_mj.obstacles import lot_obstacles
@@ -153,7 +160,7 @@ class Surroundings:
         """
         gap = norm(xy[:, None] - self.pose_w[:, :2])
         least = jnp.where(self.others, gap, jnp.inf).min(axis=-1)
-        return self._least(least, lambda mover: mover.gaps(xy))
+        return self._least(least, lambda movers: movers.gaps(xy))
 
     def room(self, pose: jax.Array) -> jax.Array:
         """Clearance (n,) [m] of the car at poses (n, 3) to other agents and movers."""
@@ -162,12 +169,13 @@ class Surroundings:
         own = self.outlines[self.agent]
         gap = box_distance(pose[:, None], own, self.pose_w, self.outlines)
         least = jnp.where(self.others, gap, jnp.inf).min(axis=-1)
-        return self._least(least, lambda mover: mover.distance(pose[:, None], own))
+        return self._least(least, lambda movers: movers.distance(pose[:, None], own))
 
     def _least(self, least: jax.Array, find: Callable[[Group], jax.Array]) -> jax.Array:
         """Numbers (n,), or those (n, m) of movers where these are less."""
-        for mover in self.movers:
-            found = jnp.where(mover.counts(1), find(mover), jnp.inf)
+        for same in by_shape(self.movers):
+            movers, counts = joined(same, 1)
+            found = jnp.where(counts, find(movers), jnp.inf)
             least = jnp.minimum(least, found.min(axis=-1, initial=jnp.inf))
         return least
 

@@ -174,15 +174,20 @@ def _random_points(
 
 def _best(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
     """The first of poses (n, 3) that keeps its distance, else the one of most room."""
-    keeps = _keeps(config, around, pose)
-    room = jnp.where(around.touches(pose), -1.0, around.room(pose))
+    touches = around.touches(pose)
+    keeps = ~touches & _is_far(config, around, pose)
+    room = jnp.where(touches, -1.0, around.room(pose))
     return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(room))]
 
 
 def _keeps(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
     """(n,) bool, whether poses (n, 3) keep their distance and touch nothing."""
-    far = around.distance(pose[:, :2]) > config.min_distance
-    return ~around.touches(pose) & far
+    return ~around.touches(pose) & _is_far(config, around, pose)
+
+
+def _is_far(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
+    """(n,) bool, whether poses (n, 3) keep their distance."""
+    return around.distance(pose[:, :2]) > config.min_distance
 
 
 def draw_heading(layout: Layout, region: jax.Array, number: jax.Array) -> jax.Array:

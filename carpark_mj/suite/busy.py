@@ -150,8 +150,8 @@ def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:
 
     A zone is a box here, and a person one, too.
     """
-    zones = stopping_zones(lot, dt)
-    stands = jnp.abs(cars_of(lot, dt).speed) < AT_REST
+    cars = cars_of(lot, dt)
+    zones, stands = stopping_zones(cars, dt), jnp.abs(cars.speed) < AT_REST
     less = jnp.where(stands, MARGIN - PASSING, 0.0)
     middle = jnp.stack([(zones.ahead - zones.behind) / 2, 0 * zones.aside], axis=-1)
     yaw = zones.pose[:, 2]

@@ -118,10 +118,11 @@ class HopeConfig(LayoutConfig):
         above = _draw_above(self, edge, above_key)
         obstacles = _join(room, above)
 
+        taken = _join(obstacles, _Boxes(goal[None], bay[None], jnp.ones(1, bool)))
+
         def draw_start(key: jax.Array) -> tuple[jax.Array, jax.Array]:
             pose = _draw_start(self, edge, key)
-            on_bay = boxes_overlap(pose, size + START + ROUNDING, goal, bay)
-            return ~(obstacles.meet(pose, size + START + ROUNDING) | on_bay), pose
+            return ~taken.meet(pose, size + START + ROUNDING), pose
 
         start = _until(draw_start, start_key)
         if self.orientation == "parallel":  # the goal faces the way the car starts
@@ -162,11 +163,18 @@ class _Boxes(NamedTuple):
 def _until(draw, key: jax.Array):
     """Draws `(valid, value)` from fresh keys until valid; returns the value."""
 
-    def again(carry):
-        key, own = jax.random.split(carry[0])
+    @jax.jit  # traced once, for its types and for the loop
+    def again(key: jax.Array):
+        key, own = jax.random.split(key)
         return key, *draw(own)
 
-    return jax.lax.while_loop(lambda carry: ~carry[1], again, again((key,)))[2]
+    first = jax.eval_shape(again, key)[2]
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first)
+    return jax.lax.while_loop(
+        lambda carry: ~carry[1],
+        lambda carry: again(carry[0]),
+        (key, jnp.zeros((), bool), nothing),
+    )[2]
 
 
 def _join(*parts: _Boxes) -> _Boxes:
@@ -312,10 +320,12 @@ def _draw_above(config: HopeConfig, edge: jax.Array, key: jax.Array) -> _Boxes:
     corners = box_corners(pose, size)
     inside = (jnp.abs(corners[..., 0]) <= half) & (corners[..., 1] >= far)
     mask = (inside & (corners[..., 1] <= far + end)).all(axis=1)
+    meets = boxes_overlap(pose[:, None], size[:, None], pose, size)
+    stays = mask[:1]
     for row in range(1, count):  # those drawn first stay
-        before = _Boxes(pose[:row], size[:row], mask[:row])
-        mask = mask.at[row].set(mask[row] & ~before.meet(pose[row], size[row]))
-    return _join(wall, _Boxes(pose, size, mask & ~walled))
+        stay = mask[row] & ~(meets[row, :row] & stays).any()
+        stays = jnp.append(stays, stay)
+    return _join(wall, _Boxes(pose, size, stays & ~walled))
 
 
 def _draw_start(config: HopeConfig, edge: jax.Array, key: jax.Array) -> jax.Array:

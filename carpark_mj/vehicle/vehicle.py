@@ -212,25 +212,31 @@ class Wheel:
 
 def wheels_of(vehicle: Vehicle) -> tuple[Wheel, ...]:
     """The wheels of cars (...), in the order of `mjcf.WHEELS`."""
-    return tuple(_wheel(vehicle, i) for i in range(len(WHEELS)))
-
-
-def _wheel(vehicle: Vehicle, i: int) -> Wheel:
     tyres = vehicle.tyres
-    tyre = dataclasses.replace(
-        tyres,
-        static_load=tyres.static_load[..., i],
-        longitudinal_stiffness=tyres.longitudinal_stiffness[..., i],
-        lateral_stiffness=tyres.lateral_stiffness[..., i],
-        torsion_stiffness=tyres.torsion_stiffness[..., i],
+    varied = {
+        name: jnp.unstack(getattr(tyres, name), axis=-1)
+        for name in (
+            *("static_load", "longitudinal_stiffness"),
+            *("lateral_stiffness", "torsion_stiffness"),
+        )
+    }
+    hub_x, hub_y = (
+        jnp.unstack(column, axis=-1) for column in jnp.unstack(vehicle.hub, axis=-1)[:2]
     )
-    return Wheel(
-        hub=(vehicle.hub[..., i, 0], vehicle.hub[..., i, 1]),
-        radius=vehicle.wheel_radius,
-        inertia=vehicle.wheel_inertia,
-        drive_share=vehicle.drive_share[..., i],
-        brake_share=vehicle.brake_share[..., i],
-        tyre=tyre,
+    drive_share = jnp.unstack(vehicle.drive_share, axis=-1)
+    brake_share = jnp.unstack(vehicle.brake_share, axis=-1)
+    return tuple(
+        Wheel(
+            hub=(hub_x[i], hub_y[i]),
+            radius=vehicle.wheel_radius,
+            inertia=vehicle.wheel_inertia,
+            drive_share=drive_share[i],
+            brake_share=brake_share[i],
+            tyre=dataclasses.replace(
+                tyres, **{name: wheel[i] for name, wheel in varied.items()}
+            ),
+        )
+        for i in range(len(WHEELS))
     )
 
 

@@ -10,7 +10,7 @@ from helpers.scenes import cars, lot
 from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry import obstacles as near
-from carpark_mj.geometry.obstacles import visit_near
+from carpark_mj.geometry.obstacles import Boxes, Discs, touches, visit_near
 from carpark_mj.mdp.collisions import agent_clearance, find_hits
 from carpark_mj.types import Motion
 
@@ -106,6 +106,36 @@ def dense_lots(rng, count):
         wall_size,
         rng.uniform(size=(count, WALLS)) < 0.8,
     )
+
+
+def test_touching_groups_is_touching_any_obstacle_that_is_there():
+    rng = np.random.default_rng(7)
+
+    def some(shape, count, masked):
+        pose = np.float32(rng.uniform(-9.0, 9.0, (count, 3 if shape is Boxes else 2)))
+        size = (count, 2) if shape is Boxes else (count,)
+        there = jnp.asarray(rng.uniform(size=count) < 0.5) if masked else None
+        radii = np.float32(rng.uniform(0.2, 2.0, size))
+        return shape(jnp.asarray(pose), jnp.asarray(radii), mask=there)
+
+    groups = [
+        some(shape, count, masked)
+        for shape, count, masked in (
+            *((Boxes, 3, False), (Discs, 2, True), (Boxes, 4, True)),
+            *((Boxes, 0, False), (Discs, 3, False)),
+        )
+    ]
+    pose = jnp.asarray(np.float32(rng.uniform(-9.0, 9.0, (200, 3))))
+    size = jnp.array([3.0, 1.5])
+    each = [
+        np.asarray(group.overlap(pose[:, None], size[None, None]))
+        & (True if group.mask is None else np.asarray(group.mask))
+        for group in groups
+    ]
+    wanted = np.concatenate(each, axis=1).any(axis=1)
+    assert wanted.any()
+    assert not wanted.all()
+    np.testing.assert_array_equal(touches(pose, size, groups), wanted)
 
 
 @functools.cache

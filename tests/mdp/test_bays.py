@@ -227,7 +227,7 @@ def test_the_wrong_way_round_is_farther_from_the_goal(layout, yaw):
     wrong = ~np.array(FITS[yaw])
     np.testing.assert_allclose(got, np.where(wrong, -0.5 * math.pi, 0.0), atol=1e-5)
     car = hand_cars(motion, max_steering=0.6)
-    way = mix_in_maneuver(20.0, jnp.zeros(3), car, motion, goal, one_way)
+    way = mix_in_maneuver(20.0, jnp.zeros(3), car, motion.pose_w, goal, one_way)
     assert (np.asarray(way) > 5.0).tolist() == wrong.tolist()
 
 

@@ -19,7 +19,7 @@ from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.movers import Pedestrians
 from carpark_mj.movers import bodies as model
 from carpark_mj.movers.bodies import Room, go_round
-from carpark_mj.movers.stopping import keep_off, stopping_zones
+from carpark_mj.movers.stopping import cars_of, keep_off, stopping_zones
 from carpark_mj.obstacles import hit_kinds, make_movers
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import COMPACT, make_vehicle
@@ -71,7 +71,7 @@ def drive():
             people, pose, speed, turn = carry
             keys = jax.random.split(key, 4)
             before = state(layout, pose, speed, turn, mode)
-            zones = stopping_zones(before, DT)
+            zones = stopping_zones(cars_of(before, DT), DT)
             near = zones.hold(zones.local(people.xy), people.radius[:, None])
             near = (near & people.present[:, None]).any(axis=0)
             brakes = (mode % DRIVER_BRAKES == BRAKES) & (near[:2] | near[2:])
@@ -140,7 +140,7 @@ def test_nobody_steps_before_a_car_that_cannot_stop(side):
     lot = lot.replace(physics=physics.init(motion.pose_w, vehicle))
     radius, ahead = jnp.array([0.25]), size[0] / 2 + 0.4
     xy = jnp.array([[ahead, side * (size[1] / 2 + 0.35)]])
-    zones = jax.jit(stopping_zones, static_argnums=1)(lot, DT)
+    zones = jax.jit(stopping_zones, static_argnums=1)(cars_of(lot, DT), DT)
     assert bool(zones.hold(zones.local(xy), radius[:, None])[0, 0])
     for across, goes in ((-0.06, False), (0.0, True), (0.06, True)):
         move = jnp.array([[0.4, side * across]])
@@ -162,7 +162,7 @@ def test_braking_prevents_hits_with_the_default_physics():
             keys = jax.random.split(key, 3)
             motion = physics.read(moving)
             lot = state_of(layout, motion, 0).replace(physics=moving)
-            zones = stopping_zones(lot, DT)
+            zones = stopping_zones(cars_of(lot, DT), DT)
             near = zones.hold(zones.local(people.xy), people.radius[:, None])
             stops = brakes & (near & people.present[:, None]).any(axis=0)
             new = jax.random.uniform(keys[0], (2, 2), minval=-1.0)
