@@ -7,6 +7,7 @@ from pathlib import Path
 # On a GPU XLA tries fusions with reductions as Triton kernels, too. One kernel of the
 # reset of 4,096 lots then compiles for two minutes, and is slower than XLA's own.
 FUSION_AUTOTUNER = "xla_gpu_experimental_enable_fusion_autotuner"
+SKIP_SLOW_KERNELS = f"--{FUSION_AUTOTUNER}=false"
 GPU_PLUGINS = ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm7_plugin")
 
 # What takes longer to compile is kept [s]; JAX's own value leaves small programs out.
@@ -18,11 +19,13 @@ def skip_slow_kernels() -> None:
     """Makes XLA on a GPU not try fusions as Triton kernels, unless the user decides.
 
     Importing `carpark_mj.env` calls it, before JAX's first computation, when XLA reads
-    `XLA_FLAGS`. Later it has no effect.
+    `XLA_FLAGS`. Later it has no effect. A file that `XLA_FLAGS` names stays as it is.
     """
-    flags = os.environ.get("XLA_FLAGS", "")
-    if FUSION_AUTOTUNER not in flags and any(map(_is_installed, GPU_PLUGINS)):
-        os.environ["XLA_FLAGS"] = f"{flags} --{FUSION_AUTOTUNER}=false".strip()
+    flags = os.environ.get("XLA_FLAGS", "").strip()
+    is_file = bool(flags) and not flags.startswith("--")
+    decided = is_file or FUSION_AUTOTUNER in flags
+    if not decided and any(map(_is_installed, GPU_PLUGINS)):
+        os.environ["XLA_FLAGS"] = f"{flags} {SKIP_SLOW_KERNELS}".strip()
 
 
 def _is_installed(module: str) -> bool:

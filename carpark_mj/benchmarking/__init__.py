@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import mujoco
 
 from carpark_mj.benchmarking import start
+from carpark_mj.benchmarking.start import WorkerError
 from carpark_mj.cli.process import configure_jax, enable_output_fusion
 from carpark_mj.cli.settings.tables import BenchmarkConfig, Clock, What
 from carpark_mj.config import CONTACT_SIM_DT, EnvConfig, SimConfig
@@ -73,10 +74,6 @@ BEST: dict[str, Callable[[Sequence[float]], float]] = {
 }
 # The measurements of every job, one of each round.
 Rounds = dict[Job, list[Measurement]]
-
-
-class WorkerError(Exception):
-    """A measurement failed, possibly out of memory."""
 
 
 def jobs_of(config: BenchmarkConfig) -> list[Job]:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -12,6 +13,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from carpark_mj.cli.process import OUTPUT_FUSION
 from carpark_mj.config import EnvConfig
 from carpark_mj.files import write_csv
 from carpark_mj.registry import environment
@@ -19,6 +21,10 @@ from carpark_mj.registry import environment
 WORKER = "import sys; from carpark_mj.benchmarking.start import work; work(sys.argv[1])"
 # Seconds that a process reports, in the order in which it spends them.
 PHASES = ("import_s", "construct_s", "reset_s", "step_s", "total_s")
+
+
+class WorkerError(Exception):
+    """A measurement failed, possibly out of memory."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +56,8 @@ def measure_starts(
     All are written to the CSV file `out`, if given, after each.
 
     Raises:
-        ValueError: there is no such environment, or a process failed.
+        ValueError: there is no such environment.
+        WorkerError: a process failed.
     """
     found: list[Start] = []
     for name in environments:
@@ -102,16 +109,25 @@ def _line(one: Start) -> str:
 def _run(name: str, lots: int, process: str, kept: str) -> Start:
     """Measures one process that keeps its programs in a folder."""
     request = {"name": name, "lots": lots, "started": time.time()}
+    environment = {**os.environ, "XDG_CACHE_HOME": kept}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    if environment.get("XLA_FLAGS", "").startswith(OUTPUT_FUSION):  # our commands' own
+        del environment["XLA_FLAGS"]
     done = subprocess.run(
         [sys.executable, "-c", WORKER, json.dumps(request)],
-        env={**os.environ, "JAX_COMPILATION_CACHE_DIR": kept},
+        env=environment,
         capture_output=True,
         text=True,
         check=False,
     )
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise ValueError(f"could not measure {name} with {lots} lots: {last}")
+        if done.returncode == -signal.SIGINT:  # the process was interrupted first
+            raise KeyboardInterrupt
+        raise WorkerError(
+            f"could not measure {name} with {lots} lots: {last} "
+            f"(exit code {done.returncode})"
+        )
     return Start(process=process, **json.loads(done.stdout.splitlines()[-1]))
 
 

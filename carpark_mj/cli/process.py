@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any, NoReturn, cast
 
 from carpark_mj.cli.clock import CLOCK, LOADING
+from carpark_mj.compilation import SKIP_SLOW_KERNELS
 from carpark_mj.rendering.gl import check_gl
 
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
@@ -281,7 +282,9 @@ def enable_output_fusion() -> None:
     Call it before JAX's first computation, when XLA reads `XLA_FLAGS`. It keeps a value
     that the user has set.
     """
-    os.environ.setdefault("XLA_FLAGS", OUTPUT_FUSION)
+    flags = os.environ.setdefault("XLA_FLAGS", OUTPUT_FUSION)
+    if flags == SKIP_SLOW_KERNELS:  # ours, see `compilation`
+        os.environ["XLA_FLAGS"] = f"{OUTPUT_FUSION} {flags}"
 
 
 def dispatch_synchronously() -> None:

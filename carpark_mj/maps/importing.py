@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from shapely import affinity
 
+from carpark_mj.extensions import Registry
 from carpark_mj.layouts import build
 from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.checks import describe_faults
@@ -38,7 +39,6 @@ from carpark_mj.maps.fit import (
 from carpark_mj.maps.osm_xml import osm_features, read_xml
 from carpark_mj.maps.tagged import geojson_features
 from carpark_mj.reading import parse_object, read_text
-from carpark_mj.suite.parkbench import PARKBENCH_CAR, parkbench_layout
 
 FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
 APRON = 6.0  # m of free ground around the spots of a map that has no ground
@@ -59,6 +59,9 @@ AHEAD = 1.0  # m in front of a spot, where its aisle is
 ROUND = 0.75  # of a column's radius that bays must leave, for it to be a disc
 MARGIN = 1.0  # m around everything
 _Disc = tuple[float, float, float]
+# By a key at the top of their JSON files: readers, and the cars they are made for.
+RecordedCase = tuple[Callable[[Mapping[str, Any]], Layout], DesignCar]
+RECORDED_CASES: Registry[RecordedCase] = Registry("recorded case")
 
 
 def import_map(
@@ -82,8 +85,8 @@ def import_map(
         ValueError: no such map, or no valid lot in it; the message names the file.
     """
     try:
-        if case := _parkbench_case(path):
-            return _import_case(case)
+        if case := _recorded_case(path, crs=crs, layers=layers, unit=unit, level=level):
+            return case
         plan = read_plan(path, crs=crs, layers=layers, unit=unit)
         return assemble(lay_out(on_level(plan, level)))
     except OSError as error:
@@ -92,19 +95,22 @@ def import_map(
         raise ValueError(f"{path}: {error}") from None
 
 
-def _parkbench_case(path: Path) -> dict[str, Any] | None:
-    """The object of a ParkBench file; None of other files."""
+def _recorded_case(path: Path, **flags: object) -> tuple[Layout, Report] | None:
+    """The lot of a recorded case; None of maps."""
     if path.suffix.lower() != ".json":
         return None
     data = parse_object(read_text(path), "the map")
-    return data if "Frames" in data else None
-
-
-def _import_case(data: dict[str, Any]) -> tuple[Layout, Report]:
-    layout = parkbench_layout(data)
-    walls = f"{int(layout.wall_mask.sum())} pieces of outlines are walls"
-    notes = [f"a case of ParkBench (CC BY-NC 4.0): {walls}"]
-    if faults := describe_faults(layout, PARKBENCH_CAR.size):
+    key = next((key for key in data if key in RECORDED_CASES), None)
+    if key is None:
+        return None
+    if given := [
+        f"--{name.removesuffix('s')}" for name, value in flags.items() if value
+    ]:
+        raise ValueError(f"a recorded case takes no {' and no '.join(given)}")
+    read, car = RECORDED_CASES[key]
+    layout = read(data)
+    notes = [f"a recorded case: {int(layout.wall_mask.sum())} pieces are walls"]
+    if faults := describe_faults(layout, car.size):
         notes.append(f"warning: {'; '.join(faults)}")
     return layout, Report(spots=1, errors=[0.0], notes=notes)
 

@@ -231,6 +231,13 @@ def _split(graph: Graph, likes: Any, value: Value, sizes: Any, axis: int) -> Any
     return [graph.part(value, axis, *two) for two in itertools.pairwise(edges)]
 
 
+def _unstack(graph: Graph, likes: Any, value: Value, axis: int) -> Any:
+    return [
+        graph.reshape(graph.part(value, axis, k, k + 1), like.shape)
+        for k, like in enumerate(likes)
+    ]
+
+
 def _slice(graph: Graph, like: Any, value: Value, **params: Any) -> Value:
     del like
     starts, ends = params["start_indices"], params["limit_indices"]
@@ -370,6 +377,7 @@ _SHAPED: dict[str, Callable[..., Any]] = {
     "slice": _slice,
     "split": _split,
     "squeeze": _reshape,
+    "unstack": _unstack,
     "stack": _stack,
     "transpose": lambda graph, like, x, permutation: graph.transpose(x, permutation),
 }

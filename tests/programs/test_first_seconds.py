@@ -178,6 +178,7 @@ def test_without_a_folder_to_write_nothing_is_kept(undecided, tmp_path, monkeypa
         (True, None, "--{}=false"),
         (True, "--xla_other=1", "--xla_other=1 --{}=false"),
         (True, "--{}=true", "--{}=true"),  # the user has decided
+        (True, "flags.txt", "flags.txt"),  # XLA reads a file
     ],
 )
 def test_slow_kernels_are_skipped_where_jax_has_a_gpu(gpu, before, after, monkeypatch):

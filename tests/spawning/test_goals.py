@@ -28,8 +28,10 @@ LOTS = 8
 
 def start_lot(layout, num_agents, num_parked_cars, key):
     """Goals and bays of parked cars of a lot that begins."""
-    config = EnvConfig(num_agents=num_agents, num_parked_cars=num_parked_cars)
-    start = Fleet(config, COMPACT).start(layout, key)
+    with jax.ensure_compile_time_eval():
+        config = EnvConfig(num_agents=num_agents, num_parked_cars=num_parked_cars)
+        fleet = Fleet(config, COMPACT)
+    start = fleet.start(layout, key)
     return start.goal, start.parked_cars.bay
 
 

@@ -15,7 +15,12 @@ from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayEnd
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.registry import ANYWHERE
-from carpark_mj.suite.evaluation import CaseEvaluator, SuiteConfig, suite_env
+from carpark_mj.suite.evaluation import (
+    CaseEvaluator,
+    SuiteConfig,
+    require_cases,
+    suite_env,
+)
 from carpark_mj.suite.levels import find_level, is_level, pick_cases, require_alike
 from carpark_mj.suite.parkbench import MARGIN, PARKBENCH_CAR, read_parkbench
 from carpark_mj.suite.tpcap import EDGE
@@ -180,4 +185,4 @@ def test_a_car_of_a_data_sheet_begins_at_the_recorded_pose(tmp_path):
         drives.pose_w[0, 1, 0, -1], cases.layouts.spawn_pose[0, 0], atol=START_SIDE
     )
     with pytest.raises(ValueError, match="needs the vehicle tpcap"):
-        SuiteConfig(("zero",), vehicle=str(sheet), moving_car=True)
+        require_cases(SuiteConfig(("zero",), vehicle=str(sheet), moving_car=True))

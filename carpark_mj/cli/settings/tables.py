@@ -161,7 +161,8 @@ class BenchmarkConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("what", "batches", "layouts", "cars", "num_agents", "runs"):
+        lists = ("what", "batches", "layouts", "cars", "num_agents", "runs")
+        for name in (*lists, "environments"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must name at least one")
         if "start" in self.what and len(self.what) > 1:
