@@ -167,7 +167,7 @@ def run(name: str, arguments: Sequence[str] | None = None) -> object:
 
 
 def call(name: str, arguments: Sequence[str], set_up: bool = False) -> object:
-    """Runs a command in a process that is set up, unless it is asked to do that."""
+    """Runs a command; with `set_up` it sets the process up first, see `run`."""
     words = list(arguments)
     if words and f"{name} {words[0]}" in COMMANDS:
         return call(f"{name} {words[0]}", words[1:], set_up)

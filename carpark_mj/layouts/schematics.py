@@ -214,7 +214,7 @@ class SquareConfig(LayoutConfig):
         )
 
 
-SQUARE = register_layout("square", SquareConfig())
+register_layout("square", SquareConfig())
 # Bays of 2.50 m x 5.00 m: EAR 23 (Germany), the common perpendicular bay.
 SQUARE_COMPACT = register_layout(
     "square_compact",

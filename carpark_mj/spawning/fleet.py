@@ -187,7 +187,7 @@ class Fleet:
             return jax.tree.map(
                 lambda x: jnp.broadcast_to(x, (*kind.shape, *x.shape)), self._only
             )
-        kind = kind.astype(jnp.uint32)  # no index from the end to be thought of
+        kind = kind.astype(jnp.uint32)  # or JAX adds code for negative indices
         return jax.tree.map(lambda x: x[kind], self._kinds)
 
     def parked_vehicles(self, cars: ParkedCars) -> list[VehicleParameters]:

@@ -167,7 +167,7 @@ def _make_tyres(params: VehicleParameters) -> Tyres:
     torque_limit = tyre.friction * (2 / 3) * tyre.patch_radius * load
     slip = tyre.slip_stiffness * load
     lateral = tyre.cornering_stiffness * load
-    # XLA divides by a number like this.
+    # XLA, too, multiplies by reciprocals: results stay the same to the bit.
     return Tyres(
         static_load=load,
         longitudinal_stiffness=slip * (1 / _array(tyre.longitudinal_relaxation)),
