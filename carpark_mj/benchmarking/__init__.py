@@ -19,8 +19,6 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from carpark_mj.benchmarking import start
-from carpark_mj.benchmarking.start import WorkerError
 from carpark_mj.cli.process import configure_jax, enable_output_fusion
 from carpark_mj.cli.settings.tables import BenchmarkConfig, Clock, What
 from carpark_mj.config import CONTACT_SIM_DT, EnvConfig, SimConfig
@@ -72,6 +70,12 @@ BEST: dict[str, Callable[[Sequence[float]], float]] = {
     "first_step_s": min,
     "peak_memory_mb": max,
 }
+
+
+class WorkerError(Exception):
+    """A measurement failed, possibly out of memory."""
+
+
 # The measurements of every job, one of each round.
 Rounds = dict[Job, list[Measurement]]
 
@@ -103,6 +107,8 @@ def main(config: BenchmarkConfig) -> int:
     """Measures and prints the table; returns 1 if a process failed."""
     try:
         if config.what == ("start",):
+            from carpark_mj.benchmarking import start  # it uses this module
+
             names, lots = config.environments, config.batches
             found = start.measure_starts(names, lots, config.repeats, config.out)
             table = tables.markdown(start.rows(found))
@@ -160,15 +166,35 @@ def run_job(job: Job) -> Measurement:
     request = {"job": dataclasses.asdict(job), "started": time.time()}
     environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "false"}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    about = f"{job.what} {job.variant} with {job.lots} lots"
+    return Measurement(**run_worker(WORKER, request, environment, about))
+
+
+def run_worker(
+    program: str, request: dict[str, Any], environment: dict[str, str], about: str
+) -> dict[str, Any]:
+    """What a program prints last, an object, of a request in a fresh process.
+
+    Args:
+        program: Python; its argument is the request as JSON.
+        request: what to measure.
+        environment: variables of the process.
+        about: what is measured, for messages.
+
+    Raises:
+        ValueError: the process refused the request (exit code 2).
+        WorkerError: it failed.
+        KeyboardInterrupt: it was interrupted first.
+    """
     done = subprocess.run(
-        [sys.executable, "-c", WORKER, json.dumps(request)],
+        [sys.executable, "-c", program, json.dumps(request)],
         env=environment,
         capture_output=True,
         text=True,
         check=False,
     )
     if done.returncode == 0:
-        return Measurement(**json.loads(done.stdout.splitlines()[-1]))
+        return json.loads(done.stdout.splitlines()[-1])
     message = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
     if done.returncode == 2:
         raise ValueError(message[0])
@@ -176,9 +202,7 @@ def run_job(job: Job) -> Measurement:
         raise KeyboardInterrupt
     if done.returncode < 0:  # its stderr does not explain the signal
         message = [f"killed by signal {-done.returncode}, possibly out of memory"]
-    raise WorkerError(
-        f"could not measure {job.what} {job.variant} with {job.lots} lots: {message[0]}"
-    )
+    raise WorkerError(f"could not measure {about}: {message[0]}")
 
 
 def markdown(rounds: Rounds) -> str:

@@ -3,8 +3,6 @@
 import dataclasses
 import json
 import os
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -13,6 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from carpark_mj.benchmarking import run_worker
 from carpark_mj.cli.process import OUTPUT_FUSION
 from carpark_mj.config import EnvConfig
 from carpark_mj.files import write_csv
@@ -21,10 +20,6 @@ from carpark_mj.registry import environment
 WORKER = "import sys; from carpark_mj.benchmarking.start import work; work(sys.argv[1])"
 # Seconds that a process reports, in the order in which it spends them.
 PHASES = ("import_s", "construct_s", "reset_s", "step_s", "total_s")
-
-
-class WorkerError(Exception):
-    """A measurement failed, possibly out of memory."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,22 +108,8 @@ def _run(name: str, lots: int, process: str, kept: str) -> Start:
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     if environment.get("XLA_FLAGS", "").startswith(OUTPUT_FUSION):  # our commands' own
         del environment["XLA_FLAGS"]
-    done = subprocess.run(
-        [sys.executable, "-c", WORKER, json.dumps(request)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        if done.returncode == -signal.SIGINT:  # the process was interrupted first
-            raise KeyboardInterrupt
-        raise WorkerError(
-            f"could not measure {name} with {lots} lots: {last} "
-            f"(exit code {done.returncode})"
-        )
-    return Start(process=process, **json.loads(done.stdout.splitlines()[-1]))
+    about = f"{name} with {lots} lots"
+    return Start(process=process, **run_worker(WORKER, request, environment, about))
 
 
 def work(argument: str) -> None:

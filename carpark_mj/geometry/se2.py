@@ -50,7 +50,6 @@ def finite_slope(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]
 
 
 sqrt = finite_slope(jnp.sqrt)
-hypot = finite_slope(jnp.hypot)
 arctan2 = finite_slope(jnp.arctan2)
 arcsin = finite_slope(jnp.arcsin)
 arccos = finite_slope(jnp.arccos)

@@ -140,13 +140,15 @@ class Report:
 
     def __str__(self) -> str:
         """The report as lines of text."""
-        worst, mean = max(self.errors), float(np.mean(self.errors))
-        lines = [
-            f"{len(self.errors)} of {self.spots} spots imported; their rectangles are "
-            f"off by {mean:.2f} m on average, {worst:.2f} m at most",
-            f"turned by {np.degrees(self.turned):.1f} deg to its rows",
-            *self.notes,
-        ]
+        lines = []
+        if self.errors:  # else a recorded case, taken as it is
+            worst, mean = max(self.errors), float(np.mean(self.errors))
+            lines = [
+                f"{len(self.errors)} of {self.spots} spots imported; their rectangles "
+                f"are off by {mean:.2f} m on average, {worst:.2f} m at most",
+                f"turned by {np.degrees(self.turned):.1f} deg to its rows",
+            ]
+        lines += self.notes
         left: dict[str, list[str]] = {}
         for name, why in self.lost.items():
             kind, _, detail = why.partition(": ")

@@ -85,7 +85,8 @@ def import_map(
         ValueError: no such map, or no valid lot in it; the message names the file.
     """
     try:
-        if case := _recorded_case(path, crs=crs, layers=layers, unit=unit, level=level):
+        flags = {"--level": level, "--crs": crs, "--layer": layers, "--unit": unit}
+        if case := _recorded_case(path, [name for name, x in flags.items() if x]):
             return case
         plan = read_plan(path, crs=crs, layers=layers, unit=unit)
         return assemble(lay_out(on_level(plan, level)))
@@ -95,24 +96,22 @@ def import_map(
         raise ValueError(f"{path}: {error}") from None
 
 
-def _recorded_case(path: Path, **flags: object) -> tuple[Layout, Report] | None:
-    """The lot of a recorded case; None of maps."""
+def _recorded_case(path: Path, flags: Sequence[str]) -> tuple[Layout, Report] | None:
+    """The lot of a recorded case, which takes no flags; None of maps."""
     if path.suffix.lower() != ".json":
         return None
     data = parse_object(read_text(path), "the map")
     key = next((key for key in data if key in RECORDED_CASES), None)
     if key is None:
         return None
-    if given := [
-        f"--{name.removesuffix('s')}" for name, value in flags.items() if value
-    ]:
-        raise ValueError(f"a recorded case takes no {' and no '.join(given)}")
+    if flags:
+        raise ValueError(f"a recorded case takes no {' and no '.join(flags)}")
     read, car = RECORDED_CASES[key]
     layout = read(data)
     notes = [f"a recorded case: {int(layout.wall_mask.sum())} pieces are walls"]
     if faults := describe_faults(layout, car.size):
         notes.append(f"warning: {'; '.join(faults)}")
-    return layout, Report(spots=1, errors=[0.0], notes=notes)
+    return layout, Report(notes=notes)
 
 
 def read_plan(

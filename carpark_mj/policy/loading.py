@@ -161,7 +161,7 @@ def _require_fit(
 ) -> None:
     """Refuses an environment with other observations or actions."""
     is_set = config is not None and config.encoder == "set"
-    before, now = make_fields(own), make_fields(env)
+    trained, here = before, now = make_fields(own), make_fields(env)
     if is_set:
         # It has no weights of their own for the others of a kind.
         before, now = (
@@ -175,7 +175,7 @@ def _require_fit(
         number = "" if is_set else "; only a set encoder takes other numbers of cars"
         raise ValueError(
             f"{run} was trained on other observations than this environment's: "
-            f"{_difference(before, now)}{number}"
+            f"{_difference(before, now, _counts(trained), _counts(here))}{number}"
         )
     require_actions(run, own, env)
 
@@ -208,13 +208,22 @@ def _kinds(fields: Iterable[Field]) -> list[str]:
     return list(dict.fromkeys(field.group for field in fields))
 
 
-def _difference(before: Sequence[Field], now: Sequence[Field]) -> str:
-    """What differs between the fields of a training and of an environment."""
+def _difference(
+    before: Sequence[Field],
+    now: Sequence[Field],
+    trained_counts: dict[str, int],
+    counts: dict[str, int],
+) -> str:
+    """What differs between the fields of a training and of an environment.
+
+    The fields may be those of some entities; the counts are of all, by kind.
+    """
     shared = {*_kinds(before)} & {*_kinds(now)}
+    differ = dict(_counts(before).items() ^ _counts(now).items())
     trained, here = (
-        _counts(fields)
+        {kind: number for kind, number in numbers.items() if kind in differ}
         | {x.name: x.size for x in fields if not x.index and x.group in shared}
-        for fields in (before, now)
+        for fields, numbers in ((before, trained_counts), (now, counts))
     )
     found = [
         f"{name} {trained.get(name, 'none')}, here {here.get(name, 'none')}"

@@ -283,8 +283,7 @@ def require_cases(config: SuiteConfig) -> None:
 
 
 def _require_numbers(config: SuiteConfig, level: str) -> None:
-    numbers = find_level(level).numbers
-    known, first = len(numbers), config.first_case
+    known, first = len(find_level(level).numbers), config.first_case
     if not 0 <= first < known:
         raise ValueError(
             f"first_case must be 0 to {known - 1}, not {first}: level "

@@ -234,7 +234,7 @@ def test_an_environment_with_other_observations_or_actions_is_refused(shipped):
         load(rays=dataclasses.replace(seen.rays, count=seen.rays.count + 8))
     with pytest.raises(ValueError, match="other observations"):  # as many numbers
         load(rings=dataclasses.replace(seen.rings, diameters=(5.0, 6.2, 9.0)))
-    with pytest.raises(ValueError, match="mover none, here 1"):
+    with pytest.raises(ValueError, match="mover none, here 2"):
         load(tracked_movers=2)
     goals = dataclasses.replace(TINY.env, goals=GoalConfig(dynamic=True))
     with pytest.raises(ValueError, match="tiny was trained"):
