@@ -10,6 +10,7 @@ import jax
 import pytest
 
 from carpark_mj import compilation
+from carpark_mj.cli.process import OUTPUT_FUSION, enable_output_fusion
 from carpark_mj.compilation import cache_folder, keep_compiled_programs
 
 ROOT = Path(__file__).parents[2]
@@ -199,3 +200,12 @@ def test_xla_knows_the_flag():
     flags = f"--{compilation.FUSION_AUTOTUNER}=false"  # or XLA ends the process
     count = "import jax; print(jax.device_count())"
     assert printed(count, XLA_FLAGS=flags, JAX_PLATFORMS="cpu") >= 1
+
+
+def test_output_fusion_joins_our_own_flag(monkeypatch):
+    for before, fused in ((compilation.SKIP_SLOW_KERNELS, True), ("--xla_a=1", False)):
+        monkeypatch.setenv("XLA_FLAGS", before)
+        enable_output_fusion()
+        flags = os.environ["XLA_FLAGS"].split()
+        assert (OUTPUT_FUSION in flags) == fused
+        assert before in flags
