@@ -120,7 +120,7 @@ class CaseLevel:
 # Levels of other packages, and `busy`: driven alone, for their columns may differ.
 EXTRA_LEVELS: Registry[CaseLevel] = Registry("level of the suite")
 # Levels of a user's files, `NAME:PATH`: readers of the path by name.
-FILE_LEVELS: Registry[Callable[[str], CaseLevel]] = Registry("level of files")
+FILE_LEVELS: dict[str, Callable[[str], CaseLevel]] = {}
 VERSION = 1
 FILE = Path(__file__).with_name(f"held_out_{VERSION}.npz")
 SHA256 = "773f2791aba75242a8e3f765aaa6d1263017e218add2a1b30b8cffaf74989b91"

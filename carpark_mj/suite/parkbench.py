@@ -185,5 +185,5 @@ def parkbench_env(env: EnvConfig) -> EnvConfig:
     return dataclasses.replace(env, layout=OpenGround())
 
 
-FILE_LEVELS.register(NAME, parkbench_level)
+FILE_LEVELS[NAME] = parkbench_level
 RECORDED_CASES.register("Frames", (parkbench_layout, PARKBENCH_CAR))
