@@ -30,7 +30,7 @@ from PIL import Image
 
 from camera_reference import BlockStage, Reference, Renderer
 from carpark_mj import EnvConfig, ParkingEnv
-from carpark_mj.benchmarking import CLOCKS, best_time
+from carpark_mj.benchmarking.measuring import CLOCKS, best_time
 from carpark_mj.cameras import (
     COLOURS,
     RIGS,

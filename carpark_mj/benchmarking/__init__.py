@@ -6,8 +6,6 @@ Every job is measured in a process of its own, by `work`.
 import dataclasses
 import json
 import os
-import signal
-import subprocess
 import sys
 import time
 import traceback
@@ -19,15 +17,13 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from carpark_mj.benchmarking import start
+from carpark_mj.benchmarking.measuring import CLOCKS, WorkerError, best_time, run_worker
 from carpark_mj.cli.process import configure_jax, enable_output_fusion
 from carpark_mj.cli.settings.tables import BenchmarkConfig, Clock, What
 from carpark_mj.config import CONTACT_SIM_DT, EnvConfig, SimConfig
 from carpark_mj.evaluation import tables
 from carpark_mj.files import write_csv
-
-# What is called a second: of the wall clock, or of all threads of this process, which
-# other work on the machine disturbs far less.
-CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,10 +68,6 @@ BEST: dict[str, Callable[[Sequence[float]], float]] = {
 }
 
 
-class WorkerError(Exception):
-    """A measurement failed, possibly out of memory."""
-
-
 # The measurements of every job, one of each round.
 Rounds = dict[Job, list[Measurement]]
 
@@ -107,8 +99,6 @@ def main(config: BenchmarkConfig) -> int:
     """Measures and prints the table; returns 1 if a process failed."""
     try:
         if config.what == ("start",):
-            from carpark_mj.benchmarking import start  # it uses this module
-
             names, lots = config.environments, config.batches
             found = start.measure_starts(names, lots, config.repeats, config.out)
             table = tables.markdown(start.rows(found))
@@ -170,41 +160,6 @@ def run_job(job: Job) -> Measurement:
     return Measurement(**run_worker(WORKER, request, environment, about))
 
 
-def run_worker(
-    program: str, request: dict[str, Any], environment: dict[str, str], about: str
-) -> dict[str, Any]:
-    """What a program prints last, an object, of a request in a fresh process.
-
-    Args:
-        program: Python; its argument is the request as JSON.
-        request: what to measure.
-        environment: variables of the process.
-        about: what is measured, for messages.
-
-    Raises:
-        ValueError: the process refused the request (exit code 2).
-        WorkerError: it failed.
-        KeyboardInterrupt: it was interrupted first.
-    """
-    done = subprocess.run(
-        [sys.executable, "-c", program, json.dumps(request)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode == 0:
-        return json.loads(done.stdout.splitlines()[-1])
-    message = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
-    if done.returncode == 2:
-        raise ValueError(message[0])
-    if done.returncode == -signal.SIGINT:  # the process was interrupted first
-        raise KeyboardInterrupt
-    if done.returncode < 0:  # its stderr does not explain the signal
-        message = [f"killed by signal {-done.returncode}, possibly out of memory"]
-    raise WorkerError(f"could not measure {about}: {message[0]}")
-
-
 def markdown(rounds: Rounds) -> str:
     """The table of the best rounds, under a line that names device and versions."""
     about = next(iter(rounds.values()))[0]
@@ -220,20 +175,6 @@ def markdown(rounds: Rounds) -> str:
         rows.append(row)
     about_machine = f"{about.device}, JAX {about.jax}, MuJoCo {about.mujoco}"
     return f"{about_machine}\n\n{tables.markdown(rows)}"
-
-
-def best_time(
-    call: Callable[[], Any],
-    repeats: int,
-    clock: Callable[[], float] = time.perf_counter,
-) -> float:
-    """Seconds of the fastest of some calls, each until its results are computed."""
-    best = float("inf")
-    for _ in range(repeats):
-        begun = clock()
-        jax.block_until_ready(call())
-        best = min(best, clock() - begun)
-    return best
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from carpark_mj.benchmarking import run_worker
+from carpark_mj.benchmarking.measuring import run_worker
 from carpark_mj.cli.process import OUTPUT_FUSION
 from carpark_mj.config import EnvConfig
 from carpark_mj.files import write_csv

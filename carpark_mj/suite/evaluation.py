@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.benchmarking import best_time
+from carpark_mj.benchmarking.measuring import best_time
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.settings.driving import WORST, SuiteConfig
