@@ -1,8 +1,14 @@
-"""How JAX compiles: kept programs, and no kernels that take XLA minutes."""
+"""How JAX compiles: kept programs, no kernels that take XLA minutes, any mesh."""
 
+import functools
 import importlib.util
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 # On a GPU XLA tries fusions with reductions as Triton kernels, too. One kernel of the
 # reset of 4,096 lots then compiles for two minutes, and is slower than XLA's own.
@@ -66,3 +72,32 @@ def cache_folder() -> Path:
     if not caches.is_absolute():  # or not set
         caches = Path.home() / ".cache"
     return caches / "carpark_mj" / "jax"
+
+
+def shard_automatically(function: Callable[P, R]) -> Callable[P, R]:
+    """Leaves shardings within a function to XLA, on meshes with explicit axes too.
+
+    There JAX asks every gather for the sharding of its result. Without the batch that
+    `jax.vmap` adds, arrays of an environment are on all devices. Its other arguments
+    may be of any type.
+    """
+
+    @functools.wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        import jax
+        from jax.sharding import AxisType, PartitionSpec
+
+        if AxisType.Explicit not in jax.sharding.get_abstract_mesh().axis_types:
+            return function(*args, **kwargs)
+        leaves, tree = jax.tree.flatten((args, kwargs))
+        places = [i for i, leaf in enumerate(leaves) if isinstance(leaf, jax.Array)]
+
+        def of_arrays(arrays: list[Any]) -> R:
+            filled = dict(enumerate(leaves)) | dict(zip(places, arrays, strict=True))
+            args, kwargs = jax.tree.unflatten(tree, list(filled.values()))
+            return function(*args, **kwargs)
+
+        call = jax.sharding.auto_axes(of_arrays, out_sharding=PartitionSpec())
+        return call([leaves[i] for i in places])
+
+    return wrapped

@@ -14,7 +14,11 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-from carpark_mj.compilation import keep_compiled_programs, skip_slow_kernels
+from carpark_mj.compilation import (
+    keep_compiled_programs,
+    shard_automatically,
+    skip_slow_kernels,
+)
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_choice, require_kind
 from carpark_mj.layouts import Layout, layout_config, make_layout, member_shares
@@ -219,6 +223,7 @@ class ParkingEnv:
         return self.reset_to_layout(layout, key, num_present, options)
 
     @float32_only
+    @shard_automatically
     def draw_layout(
         self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
     ) -> Layout:
@@ -229,6 +234,7 @@ class ParkingEnv:
         return self.layout_config.generate_member(member, key)
 
     @float32_only
+    @shard_automatically
     def reset_to_layout(
         self,
         layout: Layout,
@@ -246,6 +252,7 @@ class ParkingEnv:
         return own_buffers(state), observe(self.config, state)
 
     @float32_only
+    @shard_automatically
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         """Advances the lot by one control step.
 

@@ -23,6 +23,19 @@ def test_float64_is_refused_where_an_environment_is_built_or_used():
                 call()
 
 
+def test_a_mesh_with_explicit_axes_shards_what_is_mapped():
+    env, *_ = slide()
+    lots = jax.P("lots")
+
+    def drive(key):
+        return env.step(env.reset(key)[0], HALT)[1]
+
+    with jax.set_mesh(jax.make_mesh((1,), ("lots",))):
+        keys = jax.device_put(jax.random.split(jax.random.key(0), 2), lots)
+        shapes = jax.eval_shape(jax.vmap(drive), keys)
+        assert all(x.sharding.spec[0] == "lots" for x in jax.tree.leaves(shapes))
+
+
 @pytest.mark.slow
 def test_eager_results_can_be_donated():
     env, *_ = slide()
