@@ -92,12 +92,12 @@ def shard_automatically(function: Callable[P, R]) -> Callable[P, R]:
         leaves, tree = jax.tree.flatten((args, kwargs))
         places = [i for i, leaf in enumerate(leaves) if isinstance(leaf, jax.Array)]
 
-        def of_arrays(arrays: list[Any]) -> R:
+        def of_arrays(arrays: list[Any]) -> Any:
             filled = dict(enumerate(leaves)) | dict(zip(places, arrays, strict=True))
-            args, kwargs = jax.tree.unflatten(tree, list(filled.values()))
-            return function(*args, **kwargs)
+            all_args: Any = jax.tree.unflatten(tree, list(filled.values()))
+            return function(*all_args[0], **all_args[1])
 
-        call = jax.sharding.auto_axes(of_arrays, out_sharding=PartitionSpec())
+        call: Any = jax.sharding.auto_axes(of_arrays, out_sharding=PartitionSpec())
         return call([leaves[i] for i in places])
 
     return wrapped
