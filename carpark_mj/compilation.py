@@ -5,7 +5,7 @@ import importlib.util
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -94,8 +94,8 @@ def shard_automatically(function: Callable[P, R]) -> Callable[P, R]:
 
         def of_arrays(arrays: list[Any]) -> Any:
             filled = dict(enumerate(leaves)) | dict(zip(places, arrays, strict=True))
-            all_args: Any = jax.tree.unflatten(tree, list(filled.values()))
-            return function(*all_args[0], **all_args[1])
+            args, kwargs = jax.tree.unflatten(tree, list(filled.values()))
+            return cast(Any, function)(*args, **kwargs)
 
         call: Any = jax.sharding.auto_axes(of_arrays, out_sharding=PartitionSpec())
         return call([leaves[i] for i in places])
