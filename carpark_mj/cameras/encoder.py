@@ -22,7 +22,7 @@ from carpark_mj.observations import (
     Part,
     ego,
 )
-from carpark_mj.vehicle import preset
+from carpark_mj.vehicle.range import cars_of
 
 Channel = Literal["depth", "seen"]
 
@@ -137,7 +137,7 @@ def _heights(env: EnvConfig) -> Heights:
     """Those of the presets that a config names."""
     fleet = env.fleet
     kinds = [fleet.agents or (env.vehicle,), fleet.parked_cars or (env.vehicle,)]
-    cars = [[preset(name) for name in names] for names in kinds]
+    cars = [[car for name in names for _, car in cars_of(name)] for names in kinds]
     return Heights(*(tuple(car.height / car.length for car in each) for each in cars))
 
 

@@ -57,6 +57,8 @@ class ContinuousObservation(ObservationConfig):
             the nearest agent and to the nearest agent that has it as its goal.
         own_car: observe the own size, axles and turning radius; required if agents are
             drawn from a fleet.
+        own_response: observe how the own car answers: rate and lag of its steering, lag
+            and acceleration of its drive, brake, mass, and which axle drives.
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.
@@ -71,6 +73,7 @@ class ContinuousObservation(ObservationConfig):
     share: ShareConfig = dataclasses.field(default_factory=ShareConfig)
     global_information: bool = False
     own_car: bool = False
+    own_response: bool = False
     lines: bool = False
     rings: RingConfig = dataclasses.field(
         default_factory=lambda: RingConfig((5.0, 6.2, 8.0))
@@ -102,6 +105,8 @@ class ContinuousObservation(ObservationConfig):
             parts.append(ego.ROUTE)
         if self.own_car:
             parts.append(ego.CAR)
+        if self.own_response:
+            parts.append(ego.RESPONSE)
         if agents:
             parts.append(agents_part(agents, self.share, num_bays))
         if parked_cars:

@@ -188,6 +188,43 @@ CAR = Part(
 )
 
 
+RATE = 0.5  # rad/s, scale of the steering's
+LAG = 0.5  # s
+ACCELERATION = 4.0  # m/s^2, about a firm brake
+MASS = 2000.0  # kg
+
+
+def _response(sight: ObservationInput) -> dict[str, jax.Array]:
+    car = sight.vehicle
+    pedal = jnp.stack([car.max_acceleration, car.max_deceleration], axis=-1)
+    values = {
+        "own_steering_rate": car.steering_rate[..., None] / RATE,
+        "own_lags": jnp.stack([car.steering_lag, car.drive_lag], axis=-1) / LAG,
+        "own_pedal": pedal / ACCELERATION,
+        "own_mass": car.rated_mass[..., None] / MASS,
+        "own_front_drive": car.drive_share[..., :2].sum(axis=-1, keepdims=True),
+    }
+    return {name: jnp.clip(value, 0.0, 2.0) for name, value in values.items()}
+
+
+RESPONSE = Part(
+    (
+        Field("own_steering_rate", 1, 0.0, 2.0, f"own steering rate [{RATE:g} rad/s]"),
+        Field("own_lags", 2, 0.0, 2.0, f"of own steering and drive [{LAG:g} s]"),
+        Field(
+            "own_pedal",
+            2,
+            0.0,
+            2.0,
+            f"of own full pedal and brake [{ACCELERATION:g} m/s^2]",
+        ),
+        Field("own_mass", 1, 0.0, 2.0, f"own mass, unloaded [{MASS / 1000:g} t]"),
+        Field("own_front_drive", 1, 0.0, 1.0, "share of the drive in front"),
+    ),
+    _response,
+)
+
+
 _BAY_FIELDS = (
     mask_field("bay"),
     *POSE_FIELDS,

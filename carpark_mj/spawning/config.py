@@ -90,7 +90,8 @@ class SpawnConfig(CheckedConfig):
 class FleetConfig(CheckedConfig):
     """Vehicles to draw cars from; an empty list means `EnvConfig.vehicle`.
 
-    Each is a preset's name or a vehicle file, as `EnvConfig.vehicle` is.
+    Each is a preset's name, a vehicle file, as `EnvConfig.vehicle` is, or `range:N` for
+    N cars of many sizes (`carpark_mj.vehicle.range`).
 
     Attributes:
         agents: presets of the agents, drawn at every spawn, each equally often.

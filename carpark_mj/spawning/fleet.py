@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.vehicles import READ, is_name
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.parked_cars import fits, free_bays, poses_in_bays
 from carpark_mj.spawning.reset_options import ResetOptions, given_goals, kept_clear
@@ -22,9 +21,9 @@ from carpark_mj.vehicle import (
     Vehicle,
     VehicleParameters,
     make_vehicle,
-    preset,
 )
 from carpark_mj.vehicle.parameters import scaled
+from carpark_mj.vehicle.range import cars_of
 
 
 class Start(NamedTuple):
@@ -62,13 +61,16 @@ class Fleet:
         """
         self._config = config
         names = config.fleet
-        own_name = _known_as(config.vehicle)
-        if vehicle != preset(config.vehicle):
+        [(own_name, own_car)] = cars_of(config.vehicle)
+        if vehicle != own_car:
             own_name = VEHICLES.name_of(vehicle) or "custom car"
-        self.agent_names = tuple(map(_known_as, names.agents)) or (own_name,)
-        self.parked_names = tuple(map(_known_as, names.parked_cars)) or (own_name,)
-        self.agents = tuple(map(preset, names.agents)) or (vehicle,)
-        self.parked_cars = tuple(map(preset, names.parked_cars)) or (vehicle,)
+        own = ((own_name, vehicle),)
+        agents, parked = (
+            tuple(car for name in each for car in cars_of(name)) or own
+            for each in (names.agents, names.parked_cars)
+        )
+        self.agent_names, self.agents = zip(*agents, strict=True)
+        self.parked_names, self.parked_cars = zip(*parked, strict=True)
         self.mixed = bool(names.agents)
         kinds = [make_vehicle(params) for params in self.agents]
         self._kinds: Vehicle = jax.device_put(
@@ -212,11 +214,6 @@ class Fleet:
         limit = jnp.floor(high * bays + rounding).astype(jnp.int32)
         count = jax.random.randint(key, (), least, jnp.maximum(limit, least) + 1)
         return jnp.minimum(count, most)
-
-
-def _known_as(vehicle: str) -> str:
-    """The name of a car that a config names or describes."""
-    return vehicle if is_name(vehicle) else READ.load()(vehicle)[0]
 
 
 def _in_bays(layout: Layout, cars: ParkedCars) -> ParkedCars:

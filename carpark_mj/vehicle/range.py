@@ -1,0 +1,114 @@
+"""Cars from a range of data sheets, from a Smart fortwo to a long Sprinter.
+
+`range:64` in a fleet stands for 64 of them. They are drawn once, evenly and always the
+same, when an environment is built: each is data like a preset, so their number costs
+nothing in a step.
+
+Ranges hold these data sheets [press]: Smart fortwo (2.70 m x 1.66 m, wheelbase 1.87 m,
+circle 6.95 m), Suzuki Alto (3.40 m x 1.48 m, 2.46 m), VW Golf and ID.4 (4.28 and 4.58
+m), Mercedes S-Class long (5.29 m x 1.95 m, 3.22 m), Ford Transit L3H2 (5.98 m x 2.06 m,
+3.75 m, circle 13.3 m), Mercedes Sprinter L3 (6.97 m x 2.02 m, 4.33 m). What data sheets
+do not say is [est].
+"""
+
+import functools
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from carpark_mj.config.checks import Bounds, require_number
+from carpark_mj.config.vehicles import READ, is_name
+from carpark_mj.vehicle.parameters import VehicleParameters, kerb_to_kerb
+from carpark_mj.vehicle.presets import preset
+from carpark_mj.vehicle.sheet import car_of_sheet
+
+PREFIX = "range:"  # of a fleet's entry, before the number of cars
+MAX_CARS = 1024
+LONG = 4.8  # m, from where rear axles may steer
+REAR_STEERING = 0.25  # share of long cars whose rear axle steers [est]
+# Drawn for each car, in this order.
+RANGES: Mapping[str, tuple[float, float]] = {
+    "length": (2.6, 7.0),  # m
+    "width": (-0.17, 0.17),  # m, about a width that grows with the length
+    "wheelbase": (0.56, 0.72),  # share of the length
+    "rear_overhang": (0.4, 0.62),  # share of both overhangs
+    "lock": (0.57, 0.70),  # rad, of the bicycle's wheel
+    "height": (0.75, 1.1),  # share of the width
+    "mass": (165.0, 255.0),  # kg per m^2 of the outline, with a driver
+    "front_drive": (0.0, 1.0),  # thirds: rear-driven, all wheels, front-driven
+    "steering_rate": (0.30, 0.60),  # rad/s [est]
+    "steering_lag": (0.0, 0.15),  # s [est]
+    "drive_lag": (0.0, 0.25),  # s [est] from electric motors to engines
+    "max_acceleration": (1.5, 3.0),  # m/s^2 [est]
+    "rear_steering": (0.08, 0.17),  # rad
+}
+
+
+def cars_of(name: str) -> tuple[tuple[str, VehicleParameters], ...]:
+    """The cars that an entry of a fleet stands for, each with its name.
+
+    Raises:
+        ValueError: an unknown preset, the message lists the known ones; a bad file or
+            number.
+    """
+    if name.startswith(PREFIX):
+        number = name.removeprefix(PREFIX)
+        if not number.isdecimal():
+            raise ValueError(f"{PREFIX}N needs the number of cars, not {name!r}")
+        return tuple((name, car) for car in cars_in_range(int(number)))
+    return (((name, preset(name)) if is_name(name) else READ.load()(name)),)
+
+
+@functools.cache
+def cars_in_range(number: int) -> tuple[VehicleParameters, ...]:
+    """Cars that cover the range evenly, always the same for a number.
+
+    Raises:
+        ValueError: a number that is not within [1, `MAX_CARS`].
+    """
+    require_number("the number of a range's cars", number, Bounds(ge=1, le=MAX_CARS))
+    return tuple(_car(dict(zip(RANGES, row, strict=True))) for row in _evenly(number))
+
+
+def _evenly(number: int) -> np.ndarray:
+    """A Latin hypercube (number, ranges) in (0, 1)."""
+    draw = np.random.default_rng(0)
+    columns = [(draw.permutation(number) + 0.5) / number for _ in RANGES]
+    return np.stack(columns, axis=1)
+
+
+def _car(chance: Mapping[str, float]) -> VehicleParameters:
+    """The car at a point of the range."""
+
+    def drawn(name: str) -> float:
+        low, high = RANGES[name]
+        return low + chance[name] * (high - low)
+
+    length = drawn("length")
+    width = min(1.15 + 0.145 * length + drawn("width"), 2.1)
+    wheelbase = drawn("wheelbase") * length
+    front_drive = math.floor(3 * chance["front_drive"]) / 2
+    quantities = {
+        "length": length,
+        "width": width,
+        "height": drawn("height") * width,
+        "wheelbase": wheelbase,
+        "rear_overhang": drawn("rear_overhang") * (length - wheelbase),
+        "mass": drawn("mass") * length * width,
+        "wheel_radius": 0.24 + 0.016 * length,
+        "front_drive": front_drive,
+        "tyre_width": 0.14 + 0.013 * length,
+    }
+    quantities["track_width"] = width - quantities["tyre_width"] - 0.06
+    quantities["turning_circle"] = kerb_to_kerb(
+        wheelbase, quantities["track_width"], quantities["tyre_width"], drawn("lock")
+    )
+    for name in ("steering_rate", "steering_lag", "drive_lag", "max_acceleration"):
+        quantities[name] = drawn(name)
+    # The first quarter of its range is stretched over all of it.
+    steers = chance["rear_steering"] / REAR_STEERING
+    if length > LONG and steers < 1.0:
+        low, high = RANGES["rear_steering"]
+        quantities["rear_steering"] = low + steers * (high - low)
+    return car_of_sheet(quantities).params
