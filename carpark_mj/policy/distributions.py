@@ -8,16 +8,15 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from brax.training.distribution import (
+
+from carpark_mj.config.networks import MIN_STD
+from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.policy.brax import (
     IdentityPostprocessor,
     NormalTanhDistribution,
     ParametricDistribution,
     TanhBijector,
 )
-
-from carpark_mj.mdp.actions import ActionSpec
-
-MIN_STD = 0.001  # before tanh; Brax's
 
 
 def action_distribution(

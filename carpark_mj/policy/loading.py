@@ -12,12 +12,12 @@ from jax.tree_util import Partial
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_kind
+from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.fields import ORDERED, Field
 from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import (
-    NetworkConfig,
     Policy,
     init_normalizer,
     make_networks,

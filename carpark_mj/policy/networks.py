@@ -7,22 +7,21 @@ slots, which a set encoder masks, do not count. Pictures have none.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training import networks as brax_networks
-from brax.training.acme import running_statistics, specs
-from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 from jax.tree_util import Partial
 
-from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Positive
+from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import OWN, ObservationSets, observation_sets
 from carpark_mj.observations.fields import Field
-from carpark_mj.policy.distributions import MIN_STD, action_distribution
+from carpark_mj.policy.brax import networks as brax_networks
+from carpark_mj.policy.brax import ppo_networks, running_statistics, specs
+from carpark_mj.policy.distributions import action_distribution
 from carpark_mj.policy.encoder import SetEncoder
 
 # Smallest standard deviation by which observations (scaled to about 1) are divided.
@@ -98,33 +97,6 @@ def normalize(
 
 
 Policy = Callable[[jax.Array, jax.Array], tuple[jax.Array, dict[str, Any]]]
-
-
-@dataclasses.dataclass(frozen=True)
-class NetworkConfig(CheckedConfig):
-    """Sizes of the networks; activations are swish.
-
-    Attributes:
-        policy_layers: sizes of the actor's hidden layers.
-        value_layers: sizes of the critic's hidden layers.
-        encoder: encoder before the layers. `set`: all cars of a kind go through the
-            same layers, see `carpark_mj.policy.encoder`; the weights fit any number of
-            cars. `flat`: none, the layers read the vector.
-        own_size: number of features of the own numbers in `set`.
-        entity_size: number of features of a set of entities in `set`.
-        picture_size: number of features of a picture in `set`, of each camera's.
-        min_std: least standard deviation of continuous actions before tanh, above 0.
-            With a small value a policy may stop exploring.
-    """
-
-    policy_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
-    value_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
-    encoder: Literal["set", "flat"] = "set"
-    own_size: Count = 128
-    entity_size: Count = 64
-    # The first convolution has half as many channels.
-    picture_size: Annotated[int, Bounds(ge=2)] = 64
-    min_std: Positive = MIN_STD
 
 
 def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> ObservationSets:

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.suite import hope as environments
 from carpark_mj.training.ppo.presets import SQUARE
 

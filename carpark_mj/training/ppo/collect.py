@@ -7,14 +7,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.agents.ppo.losses import compute_gae
-from brax.training.types import UInt64
 from flax import struct
 from jax.sharding import PartitionSpec
 
 from carpark_mj.config import LayoutConfig
 from carpark_mj.geometry import norm
 from carpark_mj.layouts import member_shares
+from carpark_mj.policy.brax import UInt64, compute_gae
 from carpark_mj.training.ppo.variants import AXIS
 from carpark_mj.types import State
 from carpark_mj.wrappers.brax import BraxParking

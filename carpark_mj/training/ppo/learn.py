@@ -10,12 +10,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from brax.training.agents.ppo.losses import PPONetworkParams
-from brax.training.agents.ppo.networks import PPONetworks
 from jax.flatten_util import ravel_pytree
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations.compose import ObservationSets
+from carpark_mj.policy.brax import PPONetworkParams, PPONetworks
 from carpark_mj.policy.networks import update_normalizer
 from carpark_mj.training.ppo.collect import (
     AXIS,

@@ -7,13 +7,14 @@ from typing import Any
 
 from carpark_mj.extensions import Entry, Registry
 
+BRAX = "brax"  # the variant of the presets
 PRESETS: Registry[Any] = Registry("preset")  # of `PPOConfig`s
 VARIANTS: Registry[Any] = Registry("variant")
 
 for _name in ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees"):
     _home = f"carpark_mj.training.ppo.presets:{_name.upper()}"
     PRESETS.register(_name, Entry(_home, "CPU" if _name == "cpu" else "GPU"))
-VARIANTS.register("brax", Entry("carpark_mj.training.ppo.variants:BRAX"))
+VARIANTS.register(BRAX, Entry("carpark_mj.training.ppo.variants:BRAX"))
 
 
 def summaries() -> dict[str, str]:

@@ -8,7 +8,7 @@ a GPU. `parts` names them.
 import dataclasses
 
 from carpark_mj.config import EpisodeConfig
-from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.registry import environment
 from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
-from brax.training.agents.ppo.losses import PPONetworkParams
-from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
+
+from carpark_mj.policy.brax import PPONetworkParams, PPONetworks
 
 if TYPE_CHECKING:
     from carpark_mj.training.ppo.config import PPOConfig

@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields, observe
 from carpark_mj.observations.compose import OWN, observation_sets, part_name
@@ -34,7 +35,6 @@ from carpark_mj.policy.loading import (
     network_shapes,
     require_actions,
 )
-from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.runs import find_policy
 from carpark_mj.pretrained import describe_names
 from carpark_mj.training.ppo.collect import Teacher, TrainingState

@@ -11,10 +11,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from brax.training.agents.ppo.losses import PPONetworkParams
-from brax.training.agents.ppo.networks import PPONetworks
 from flax import struct
 
+from carpark_mj.policy.brax import PPONetworkParams, PPONetworks
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.variants import (
     Minibatch,

@@ -12,7 +12,7 @@ last 3.2 M of 16 M have a learning rate of about zero. What differs:
 
 import dataclasses
 
-from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.registry import environment
 from carpark_mj.training.ppo.config import PPOConfig
 

@@ -1,0 +1,35 @@
+"""Settings of policies' networks."""
+
+import dataclasses
+from typing import Annotated, Literal
+
+from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Positive
+
+MIN_STD = 0.001  # of actions before tanh; Brax's
+
+
+@dataclasses.dataclass(frozen=True)
+class NetworkConfig(CheckedConfig):
+    """Sizes of the networks; activations are swish.
+
+    Attributes:
+        policy_layers: sizes of the actor's hidden layers.
+        value_layers: sizes of the critic's hidden layers.
+        encoder: encoder before the layers. `set`: all cars of a kind go through the
+            same layers, see `carpark_mj.policy.encoder`; the weights fit any number of
+            cars. `flat`: none, the layers read the vector.
+        own_size: number of features of the own numbers in `set`.
+        entity_size: number of features of a set of entities in `set`.
+        picture_size: number of features of a picture in `set`, of each camera's.
+        min_std: least standard deviation of continuous actions before tanh, above 0.
+            With a small value a policy may stop exploring.
+    """
+
+    policy_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
+    value_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
+    encoder: Literal["set", "flat"] = "set"
+    own_size: Count = 128
+    entity_size: Count = 64
+    # The first convolution has half as many channels.
+    picture_size: Annotated[int, Bounds(ge=2)] = 64
+    min_std: Positive = MIN_STD
