@@ -46,6 +46,7 @@ BESIDE, BEHIND, ROW, ENDED = 0.8, 0.7, 0.9, 0.4
 OPEN = 0.05  # density below which there is nothing at all
 CELLS, OPPOSITE = 2, 5  # places on either side of the bay, and opposite
 BOXES, DISCS, STARTS = 6, 3, 8
+FREE = 4  # of `_boxes` in which nothing stands
 START = 0.02  # m, side of a spawn region
 CLEAR = 0.1  # m around a start
 STRAY = 0.5  # largest deviation of most starts from the aisle's direction [rad]
@@ -71,8 +72,8 @@ class ClutterConfig(LayoutConfig):
 
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
     largest: DesignCar | None = None
-    gap: Annotated[Range, Bounds(ge=0.1, le=10.0, unit="m")] = (0.25, 1.3)
-    corridor: Annotated[Range, Bounds(ge=0.5, le=2.5)] = (0.85, 1.9)
+    gap: Annotated[Range, Bounds(ge=0.1, le=10.0, unit="m")] = (0.15, 1.2)
+    corridor: Annotated[Range, Bounds(ge=0.5, le=2.5)] = (0.65, 1.7)
     density: Annotated[Range, Bounds(ge=0.0, le=1.0)] = (0.0, 1.0)
     parallel: Ratio = 0.2
     nose_first: Ratio = 0.2
@@ -109,18 +110,16 @@ class ClutterConfig(LayoutConfig):
         slot = _draw_slot(self, chance)
         room = slot.car + 2.0 * CLEAR + START
         start = _draw_starts(slot, room, starts)
-        free = _keep_clear(slot, start[0], room)
+        boxes = _boxes(slot, start, room)
         pose, size, wall = _draw_walls(slot, walls)
-        wall = wall & ~boxes_overlap(pose[:, None], size[:, None], *free).any(axis=1)
+        meets = boxes_overlap(pose[:, None], size[:, None], *boxes)
+        wall = wall & ~meets[:, :FREE].any(axis=1)
+        taken = (meets & wall[:, None]).any(axis=0)
         centre, radius, disc = _draw_discs(slot, discs)
-        meets = box_disc_overlap(*free, centre[:, None], radius[:, None])
-        disc = disc & ~meets.any(axis=1)
-        # Starts are where nothing stands.
-        taken = boxes_overlap(start, room, slot.pose, slot.size)
-        meets = boxes_overlap(start[:, None], room, pose, size) & wall
-        taken = taken | meets.any(axis=1)
-        meets = box_disc_overlap(start[:, None], room, centre, radius) & disc
-        taken = taken | meets.any(axis=1)
+        meets = box_disc_overlap(*boxes, centre[:, None], radius[:, None])
+        disc = disc & ~meets[:, :FREE].any(axis=1)
+        taken = taken | (meets & disc[:, None]).any(axis=0)
+        taken = taken[FREE - 1 :] | boxes_overlap(start, room, slot.pose, slot.size)
         most = (self.largest or self.car).length
         shift = jnp.array([0.0, 0.5 * most, 0.0])
         return build.assemble(
@@ -238,30 +237,28 @@ def _draw_starts(slot: _Slot, room: jax.Array, chance: jax.Array) -> jax.Array:
     )
 
 
-def _keep_clear(
+def _boxes(
     slot: _Slot, start: jax.Array, room: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Poses (4, 3) and sizes (4, 2) of boxes in which nothing stands.
+    """Poses (n, 3) and sizes (n, 2) of the bay, its surroundings and all starts.
 
-    They are the bay, the ground right before it, the first start, and the straight way
-    from the bay there.
+    Nothing stands in the first `FREE`: the bay, the ground right before it, the
+    straight way to the first start, and that start.
     """
-    yaw = jnp.arctan2(slot.out[1], slot.out[0])
-    before = 0.3 * slot.car[0]
-    way = start[:2] - slot.mouth
+    before, way = 0.3 * slot.car[0], start[0, :2] - slot.mouth
+    out = jnp.arctan2(slot.out[1], slot.out[0])
     poses = [
         slot.pose,
-        jnp.append(slot.mouth + before / 2 * slot.out, yaw),
-        start,
+        jnp.append(slot.mouth + before / 2 * slot.out, out),
         jnp.append(slot.mouth + way / 2, jnp.arctan2(way[1], way[0])),
     ]
     sizes = [
         slot.size,
         jnp.stack([before, 2.0 * (slot.half[1] + slot.margin)]),
-        room,
         jnp.stack([norm(way), slot.car[1]]),
+        *([room] * STARTS),
     ]
-    return jnp.stack(poses), jnp.stack(sizes)
+    return jnp.concatenate([jnp.stack(poses), start]), jnp.stack(sizes)
 
 
 def _draw_walls(
@@ -397,12 +394,17 @@ _PLACES: tuple[tuple[int, Callable[[_Slot, jax.Array], list[_Group]]], ...] = (
 _WALLS = sum(count for count, _ in _PLACES)
 
 
-register_layout("clutter", ClutterConfig())
-register_layout(
-    "clutter_roomy",
-    ClutterConfig(gap=(0.6, 1.5), corridor=(1.3, 2.2), density=(0.0, 0.6)),
-)
-register_layout(
-    "clutter_tight",
-    ClutterConfig(gap=(0.2, 0.6), corridor=(0.8, 1.2), density=(0.5, 1.0)),
-)
+# A design car of every size from a small car to a large saloon.
+_SMALL = DesignCar(length=3.5, width=1.62, wheelbase=2.4, rear_overhang=0.55)
+_LARGE = DesignCar(length=4.95, width=2.0, wheelbase=2.95, rear_overhang=1.05)
+_ROOM: dict[str, dict[str, Range]] = {
+    "": {},
+    "_roomy": {"gap": (0.6, 1.5), "corridor": (1.3, 2.2), "density": (0.0, 0.6)},
+    "_tight": {"gap": (0.15, 0.5), "corridor": (0.65, 1.0), "density": (0.7, 1.0)},
+}
+for _name, _ranges in _ROOM.items():
+    _config = register_layout(f"clutter{_name}", ClutterConfig(**_ranges))
+    register_layout(
+        f"clutter_sizes{_name}",
+        dataclasses.replace(_config, car=_SMALL, largest=_LARGE),
+    )

@@ -10,7 +10,16 @@ from carpark_mj.extensions import Entry, Registry
 PRESETS: Registry[Any] = Registry("preset")  # of `PPOConfig`s
 VARIANTS: Registry[Any] = Registry("variant")
 
-for _name in ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees"):
+for _name in (
+    "cpu",
+    "gpu",
+    "square",
+    "dynamic",
+    "anywhere",
+    "valet",
+    "considerate",
+    "sees",
+):
     _home = f"carpark_mj.training.ppo.presets:{_name.upper()}"
     PRESETS.register(_name, Entry(_home, "CPU" if _name == "cpu" else "GPU"))
 VARIANTS.register("brax", Entry("carpark_mj.training.ppo.variants:BRAX"))
