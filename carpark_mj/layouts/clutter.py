@@ -23,7 +23,7 @@ from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayEnd, Layout
 
-MARGIN = 0.3  # m of the bay on every side of the car, less where walls may be nearer
+MARGINS = (0.1, 0.2, 0.3)  # m of the bay around the car: the largest that is free
 THICKNESS: Range = (0.02, 0.05)  # m, of walls
 SETBACK: Range = (-0.4, 0.9)  # m from the aisle's edge to the parked car
 AHEAD: Range = (-1.5, 0.4)  # m by which neighbours stand nearer to the aisle
@@ -72,7 +72,7 @@ class ClutterConfig(LayoutConfig):
 
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
     largest: DesignCar | None = None
-    gap: Annotated[Range, Bounds(ge=0.1, le=10.0, unit="m")] = (0.15, 1.2)
+    gap: Annotated[Range, Bounds(ge=0.15, le=10.0, unit="m")] = (0.2, 1.2)
     corridor: Annotated[Range, Bounds(ge=0.5, le=2.5)] = (0.65, 1.7)
     density: Annotated[Range, Bounds(ge=0.0, le=1.0)] = (0.0, 1.0)
     parallel: Ratio = 0.2
@@ -111,21 +111,25 @@ class ClutterConfig(LayoutConfig):
         room = slot.car + 2.0 * CLEAR + START
         start = _draw_starts(slot, room, starts)
         boxes = _boxes(slot, start, room)
-        pose, size, wall = _draw_walls(slot, walls)
-        meets = boxes_overlap(pose[:, None], size[:, None], *boxes)
+        pose, wall_size, wall = _draw_walls(slot, walls)
+        meets = boxes_overlap(pose[:, None], wall_size[:, None], *boxes)
         wall = wall & ~meets[:, :FREE].any(axis=1)
         taken = (meets & wall[:, None]).any(axis=0)
         centre, radius, disc = _draw_discs(slot, discs)
         meets = box_disc_overlap(*boxes, centre[:, None], radius[:, None])
         disc = disc & ~meets[:, :FREE].any(axis=1)
         taken = taken | (meets & disc[:, None]).any(axis=0)
-        taken = taken[FREE - 1 :] | boxes_overlap(start, room, slot.pose, slot.size)
+        margin = jnp.array(MARGINS)[len(MARGINS) - 1 - taken[-2:].sum()]
+        largest = slot.car + 2.0 * MARGINS[-1]
+        taken = taken[FREE - 1 : -2] | boxes_overlap(start, room, slot.pose, largest)
         most = (self.largest or self.car).length
         shift = jnp.array([0.0, 0.5 * most, 0.0])
         return build.assemble(
             jnp.array(HALF_EXTENT) * most,
-            build.bays((slot.pose - shift)[None], slot.size, end=slot.end),
-            build.walls(pose - shift, size, mask=wall),
+            build.bays(
+                (slot.pose - shift)[None], slot.car + 2.0 * margin, end=slot.end
+            ),
+            build.walls(pose - shift, wall_size, mask=wall),
             build.discs(centre - shift[:2], radius, mask=disc),
             build.spawns(start - shift, (START, START), 0.0, mask=~taken),
         )
@@ -137,7 +141,6 @@ class _Slot(NamedTuple):
     Attributes:
         car: (2,) length and width of the car [m].
         pose: (3,) of the bay.
-        margin: () of the bay around the car [m].
         end: () int32, a `BayEnd`.
         out: (2,) unit vector out of the bay into the aisle.
         half: (2,) half extents of the parked car along `out` and across [m].
@@ -148,18 +151,12 @@ class _Slot(NamedTuple):
 
     car: jax.Array
     pose: jax.Array
-    margin: jax.Array
     end: jax.Array
     out: jax.Array
     half: jax.Array
     gaps: jax.Array
     aisle: jax.Array
     density: jax.Array
-
-    @property
-    def size(self) -> jax.Array:
-        """(2,) length and width of the bay [m]."""
-        return self.car + 2.0 * self.margin
 
     @property
     def right(self) -> jax.Array:
@@ -169,7 +166,7 @@ class _Slot(NamedTuple):
     @property
     def mouth(self) -> jax.Array:
         """(2,) middle of the edge at which the bay is entered."""
-        return self.pose[:2] + (self.half[0] + self.margin) * self.out
+        return self.pose[:2] + (self.half[0] + MARGINS[0]) * self.out
 
 
 def _draw_low(chance: jax.Array, bounds: Range) -> jax.Array:
@@ -196,13 +193,11 @@ def _draw_slot(config: ClutterConfig, chance: jax.Array) -> _Slot:
     aside = jnp.where(chance[3] < 0.5, jnp.pi / 2, -jnp.pi / 2)
     yaw = angle + jnp.where(parallel, aside, 0.0)
     gaps = _draw_low(chance[4:7], config.gap)
-    margin = jnp.minimum(MARGIN, gaps.min() - THICKNESS[1] / 2)
     tail = chance[7] >= 1.0 - config.tail_first
     end = jnp.where(tail, BayEnd.TAIL_FIRST, BayEnd.EITHER)
     return _Slot(
         car=car,
         pose=build.stacked(0.0, -build.draw(chance[8], SETBACK) - reach, yaw),
-        margin=margin,
         end=jnp.where(chance[7] < config.nose_first, BayEnd.NOSE_FIRST, end),
         out=out,
         half=half,
@@ -224,7 +219,8 @@ def _draw_starts(slot: _Slot, room: jax.Array, chance: jax.Array) -> jax.Array:
     yaw = yaw + jnp.where(turn < 0.5, jnp.pi, 0.0)
     sin, cos = jnp.abs(jnp.sin(yaw)), jnp.abs(jnp.cos(yaw))
     reach = (room[0] * sin + room[1] * cos) / 2
-    top = jnp.maximum(box_corners(slot.pose, slot.size)[:, 1].max(), 0.0)
+    bay = box_corners(slot.pose, slot.car + 2.0 * MARGINS[-1])
+    top = jnp.maximum(bay[:, 1].max(), 0.0)
     across = jnp.minimum(slot.aisle, NEAR[1] * length) - top - 2.0 * reach
     aside = 2.0 * x - 1.0
     ahead = top + reach + jnp.maximum(across, 0.0) * y
@@ -240,10 +236,10 @@ def _draw_starts(slot: _Slot, room: jax.Array, chance: jax.Array) -> jax.Array:
 def _boxes(
     slot: _Slot, start: jax.Array, room: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Poses (n, 3) and sizes (n, 2) of the bay, its surroundings and all starts.
+    """Poses (n, 3) and sizes (n, 2) of the bay, the ground before it and all starts.
 
-    Nothing stands in the first `FREE`: the bay, the ground right before it, the
-    straight way to the first start, and that start.
+    Nothing stands in the first `FREE`: the smallest bay, the ground right before it,
+    the straight way to the first start, and that start. The last two are larger bays.
     """
     before, way = 0.3 * slot.car[0], start[0, :2] - slot.mouth
     out = jnp.arctan2(slot.out[1], slot.out[0])
@@ -251,14 +247,18 @@ def _boxes(
         slot.pose,
         jnp.append(slot.mouth + before / 2 * slot.out, out),
         jnp.append(slot.mouth + way / 2, jnp.arctan2(way[1], way[0])),
+        *start,
+        *(slot.pose, slot.pose),
     ]
+    bay, larger, largest = (slot.car + 2.0 * margin for margin in MARGINS)
     sizes = [
-        slot.size,
-        jnp.stack([before, 2.0 * (slot.half[1] + slot.margin)]),
+        bay,
+        jnp.stack([before, 2.0 * (slot.half[1] + MARGINS[0])]),
         jnp.stack([norm(way), slot.car[1]]),
         *([room] * STARTS),
+        *(larger, largest),
     ]
-    return jnp.concatenate([jnp.stack(poses), start]), jnp.stack(sizes)
+    return jnp.stack(poses), jnp.stack(sizes)
 
 
 def _draw_walls(
@@ -311,7 +311,7 @@ def _behind(slot: _Slot, chance: jax.Array) -> list[_Group]:
     x, y = (
         slot.pose[:2]
         - (slot.half[0] + slot.gaps[2]) * slot.out
-        - (slot.half[1] + slot.margin) * slot.right
+        - slot.half[1] * slot.right
     )
     yaw = jnp.arctan2(slot.right[1], slot.right[0]) + tilt
     return [(x, y, yaw, length, BEHIND * slot.density)]
@@ -400,7 +400,7 @@ _LARGE = DesignCar(length=4.95, width=2.0, wheelbase=2.95, rear_overhang=1.05)
 _ROOM: dict[str, dict[str, Range]] = {
     "": {},
     "_roomy": {"gap": (0.6, 1.5), "corridor": (1.3, 2.2), "density": (0.0, 0.6)},
-    "_tight": {"gap": (0.15, 0.5), "corridor": (0.65, 1.0), "density": (0.7, 1.0)},
+    "_tight": {"gap": (0.15, 0.6), "corridor": (0.65, 1.0), "density": (0.7, 1.0)},
 }
 for _name, _ranges in _ROOM.items():
     _config = register_layout(f"clutter{_name}", ClutterConfig(**_ranges))
