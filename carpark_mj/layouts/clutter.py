@@ -195,6 +195,7 @@ def _draw_slot(config: ClutterConfig, chance: jax.Array) -> _Slot:
     gaps = _draw_low(chance[4:7], config.gap)
     tail = chance[7] >= 1.0 - config.tail_first
     end = jnp.where(tail, BayEnd.TAIL_FIRST, BayEnd.EITHER)
+    least, most = config.density  # many pieces are more likely than few
     return _Slot(
         car=car,
         pose=build.stacked(0.0, -build.draw(chance[8], SETBACK) - reach, yaw),
@@ -203,7 +204,7 @@ def _draw_slot(config: ClutterConfig, chance: jax.Array) -> _Slot:
         half=half,
         gaps=gaps,
         aisle=car[0] * _draw_low(chance[9], config.corridor),
-        density=_draw_low(chance[10], config.density[::-1]),
+        density=_draw_low(chance[10], (most, least)),
     )
 
 
@@ -247,9 +248,8 @@ def _boxes(
         slot.pose,
         jnp.append(slot.mouth + before / 2 * slot.out, out),
         jnp.append(slot.mouth + way / 2, jnp.arctan2(way[1], way[0])),
-        *start,
-        *(slot.pose, slot.pose),
     ]
+    poses = [jnp.stack(poses), start, slot.pose[None], slot.pose[None]]
     bay, larger, largest = (slot.car + 2.0 * margin for margin in MARGINS)
     sizes = [
         bay,
@@ -258,7 +258,7 @@ def _boxes(
         *([room] * STARTS),
         *(larger, largest),
     ]
-    return jnp.stack(poses), jnp.stack(sizes)
+    return jnp.concatenate(poses), jnp.stack(sizes)
 
 
 def _draw_walls(
@@ -397,13 +397,13 @@ _WALLS = sum(count for count, _ in _PLACES)
 # A design car of every size from a small car to a large saloon.
 _SMALL = DesignCar(length=3.5, width=1.62, wheelbase=2.4, rear_overhang=0.55)
 _LARGE = DesignCar(length=4.95, width=2.0, wheelbase=2.95, rear_overhang=1.05)
-_ROOM: dict[str, dict[str, Range]] = {
-    "": {},
-    "_roomy": {"gap": (0.6, 1.5), "corridor": (1.3, 2.2), "density": (0.0, 0.6)},
-    "_tight": {"gap": (0.15, 0.6), "corridor": (0.65, 1.0), "density": (0.7, 1.0)},
+_ROOM = {
+    "": ClutterConfig(),
+    "_roomy": ClutterConfig(gap=(0.6, 1.5), corridor=(1.3, 2.2), density=(0.0, 0.6)),
+    "_tight": ClutterConfig(gap=(0.15, 0.6), corridor=(0.7, 1.05), density=(0.6, 1.0)),
 }
-for _name, _ranges in _ROOM.items():
-    _config = register_layout(f"clutter{_name}", ClutterConfig(**_ranges))
+for _name, _config in _ROOM.items():
+    register_layout(f"clutter{_name}", _config)
     register_layout(
         f"clutter_sizes{_name}",
         dataclasses.replace(_config, car=_SMALL, largest=_LARGE),

@@ -137,6 +137,17 @@ def test_a_lot_follows_from_its_key_alone():
         assert not a.weak_type
 
 
+def test_a_mixture_draws_the_same_lots_with_more_rows():
+    member, other = ClutterConfig(), StreetConfig()
+    both, key = mixture([member, other]), jax.random.key(5)
+    own, padded = jax.jit(
+        lambda key: (member.generate(key), both.generate_member(jnp.int32(0), key))
+    )(key)
+    for a, b in zip(*map(jax.tree.leaves, (own, padded)), strict=True):
+        np.testing.assert_allclose(a, b[: len(a)], atol=2e-5)
+        assert not np.any(b[len(a) :])
+
+
 def test_settings_beyond_their_bounds_are_refused():
     for name, value in (
         ("gap", (0.05, 1.0)),
