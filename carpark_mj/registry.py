@@ -83,7 +83,7 @@ ANYWHERE = EnvConfig(
 # several moves.
 VALET = dataclasses.replace(
     ANYWHERE,
-    layout=f"{ANYWHERE.layout},clutter_sizes_roomy,clutter_sizes,clutter_sizes_tight",
+    layout=f"{ANYWHERE.layout},clutter_sizes,clutter_sizes_tight",
     episode=EpisodeConfig(max_steps=500),  # 100 s
 )
 
