@@ -161,7 +161,7 @@ def test_settings_beyond_their_bounds_are_refused():
         ClutterConfig(nose_first=0.7, tail_first=0.4)
 
 
-def test_in_mixtures_these_lots_have_one_agent_and_others_several():
+def test_in_mixtures_these_lots_have_one_agent_others_several():
     config = EnvConfig(
         layout=mixture([ClutterConfig(), StreetConfig()]),
         num_agents=4,
