@@ -79,6 +79,14 @@ ANYWHERE = EnvConfig(
     ),
 )
 
+# The same, and bays among pieces of outlines, where one car is alone. Tight bays take
+# several moves.
+VALET = dataclasses.replace(
+    ANYWHERE,
+    layout=f"{ANYWHERE.layout},clutter_sizes,clutter_sizes_tight",
+    episode=EpisodeConfig(max_steps=500),  # 100 s
+)
+
 # Up to four cars among people of whom more or fewer give way, carts, and drivers.
 # Waiting takes time, so episodes are longer; hitting a person costs `person` besides
 # the crash. Cars have emergency braking for people: what remains to learn is to get on
@@ -120,6 +128,7 @@ SEES = dataclasses.replace(
 ENVIRONMENTS.register("square", SQUARE)
 ENVIRONMENTS.register("dynamic", DYNAMIC)
 ENVIRONMENTS.register("anywhere", ANYWHERE)
+ENVIRONMENTS.register("valet", VALET)
 ENVIRONMENTS.register("considerate", CONSIDERATE)
 ENVIRONMENTS.register("sees", SEES)
 

@@ -1,4 +1,4 @@
-"""The named environments `anywhere`, which takes minutes to compile, and `hope`."""
+"""The named environments `anywhere` and `valet`, which take long to compile, `hope`."""
 
 import dataclasses
 
@@ -17,10 +17,11 @@ from carpark_mj.suite.hope import HOPE
 from carpark_mj.vehicle.presets import PRESETS
 
 
-def test_anywhere_s_lots_and_steps_have_the_shapes_of_its_config():
-    env = ParkingEnv(environment("anywhere"))
+@pytest.mark.parametrize("name", ["anywhere", "valet"])
+def test_lots_and_steps_have_the_shapes_of_the_config(name):
+    env = ParkingEnv(environment(name))
     state, observation = jax.eval_shape(env.reset, jax.random.key(0))
-    assert observation.shape == (8, observation_size(ANYWHERE))
+    assert observation.shape == (8, observation_size(env.config))
     action = jax.ShapeDtypeStruct((8, env.action_spec.size), jnp.float32)
     after, timestep = jax.eval_shape(env.step, state, action)
     assert jax.tree.map(jnp.shape, after) == jax.tree.map(jnp.shape, state)

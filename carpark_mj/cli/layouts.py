@@ -12,6 +12,7 @@ from carpark_mj.cli.settings.lots import Crop, EditConfig, ImportConfig, Layouts
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture
 from carpark_mj.editor.server import EditorServer
+from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.layouts import (
     AngledConfig,
@@ -31,6 +32,7 @@ from carpark_mj.rendering.local_pages import HOST
 
 CHUNK = 250  # layouts drawn at once
 NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
+OUT_OF_REACH = "with bays out of reach"
 
 _LEVELS: dict[Orientation, tuple[Level, ...]] = {
     "perpendicular": ("normal", "complex"),
@@ -175,7 +177,7 @@ def main(config: LayoutsConfig) -> int:
             inspections.append((inspect, config.check, "problems"))
         if config.paths:
             inspect = out_of_reach(config.paths, config.seed, config.vehicle)
-            inspections.append((inspect, config.check, "with bays out of reach"))
+            inspections.append((inspect, config.check, OUT_OF_REACH))
         if config.run:
             inspections.append((run_scene, config.run, "warnings"))
         for inspect, number, what in inspections:
@@ -186,6 +188,11 @@ def main(config: LayoutsConfig) -> int:
             ]
             sound = sound and not found
             lots = "1 lot" if number == 1 else f"{number} lots"
+            if what == OUT_OF_REACH:
+                reached = number - len(found)
+                low, high = (100 * end for end in wilson_interval(reached, number))
+                rate = 100 * reached / number
+                what += f"; {rate:.1f} % ({low:.1f} … {high:.1f}) without"
             print(f"{name}: {lots}, {len(found)} {what}", flush=True)
             print("".join(f"  {problem}\n" for problem in found[:10]), end="")
     return 0 if sound else 1

@@ -1,6 +1,7 @@
 """Layouts of lots and the families of generators that make them."""
 
 from carpark_mj.layouts.car_park import CarParkConfig
+from carpark_mj.layouts.clutter import ClutterConfig
 from carpark_mj.layouts.files import FromFileConfig
 from carpark_mj.layouts.lot import AngledConfig, LotConfig
 from carpark_mj.layouts.registry import (
@@ -37,6 +38,7 @@ __all__ = [
     "BayEnd",
     "BayKind",
     "CarParkConfig",
+    "ClutterConfig",
     "DeadEndConfig",
     "DesignCar",
     "DiscKind",

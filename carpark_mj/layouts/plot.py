@@ -58,7 +58,8 @@ def draw_layout(axes: Any, layout: Layout) -> None:
         mask = plan.bay_mask & (plan.bay_kind == kind)
         boxes("bay", mask, fc=colour, ec="#444444", lw=0.6)
     for kind, colour in WALL_COLOURS.items():
-        boxes("wall", plan.wall_mask & (plan.wall_kind == kind), fc=colour)
+        mask = plan.wall_mask & (plan.wall_kind == kind)
+        boxes("wall", mask, fc=colour, ec=colour, lw=0.4)  # some are 2 cm thick
     for row in np.flatnonzero(plan.disc_mask):
         colour = DISC_COLOURS[DiscKind(int(plan.disc_kind[row]))]
         centre, radius = plan.disc_centre[row], plan.disc_radius[row]

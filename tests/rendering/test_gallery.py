@@ -19,6 +19,7 @@ def test_every_family_that_a_name_draws_is_in_the_gallery():
     others = {"square_compact", "mixture"}  # another square, and a mix of the rest
     alone = (
         "slots",
+        "clutter",
         "hope",
         "tpcap",
         "metadrive",

@@ -28,6 +28,7 @@ class LayoutsConfig(CheckedConfig):
     carpark_mj layouts --check 1000 --run 20
     carpark_mj layouts street my_lot.json --check 1000
     carpark_mj layouts my_lot.json --check 1 --paths 20
+    carpark_mj layouts clutter_tight --check 200 --paths 1
     carpark_mj layouts lot --seed 3 --save lot.json
     carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
     carpark_mj layouts import car_park.osm --out lot.json
@@ -39,7 +40,8 @@ class LayoutsConfig(CheckedConfig):
             every family.
         check: number of lots of each layout to check.
         paths: number of bays of each checked lot, drawn at random, to which the planner
-            must find a path; it needs the extra `planner`.
+            must find a path, with the rate of lots where it does and Wilson's interval
+            of 95 %; it needs the extra `planner`.
         vehicle: preset or file of the car that must fit into bays and spawn regions of
             the checked lots; by default their design car.
         run: number of scenes of each layout to run.

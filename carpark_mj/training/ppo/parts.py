@@ -11,7 +11,16 @@ BRAX = "brax"  # the variant of the presets
 PRESETS: Registry[Any] = Registry("preset")  # of `PPOConfig`s
 VARIANTS: Registry[Any] = Registry("variant")
 
-for _name in ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees"):
+for _name in (
+    "cpu",
+    "gpu",
+    "square",
+    "dynamic",
+    "anywhere",
+    "valet",
+    "considerate",
+    "sees",
+):
     _home = f"carpark_mj.training.ppo.presets:{_name.upper()}"
     PRESETS.register(_name, Entry(_home, "CPU" if _name == "cpu" else "GPU"))
 VARIANTS.register(BRAX, Entry("carpark_mj.training.ppo.variants:BRAX"))
