@@ -394,9 +394,10 @@ _PLACES: tuple[tuple[int, Callable[[_Slot, jax.Array], list[_Group]]], ...] = (
 _WALLS = sum(count for count, _ in _PLACES)
 
 
-# A design car of every size from a small car to a large saloon.
+# Design cars from a small car to a large saloon, and on to a long van.
 _SMALL = DesignCar(length=3.5, width=1.62, wheelbase=2.4, rear_overhang=0.55)
 _LARGE = DesignCar(length=4.95, width=2.0, wheelbase=2.95, rear_overhang=1.05)
+_LONG = DesignCar(length=7.0, width=2.1, wheelbase=4.3, rear_overhang=1.65)
 _ROOM = {
     "": ClutterConfig(),
     "_roomy": ClutterConfig(gap=(0.6, 1.5), corridor=(1.3, 2.2), density=(0.0, 0.6)),
@@ -408,3 +409,4 @@ for _name, _config in _ROOM.items():
         f"clutter_sizes{_name}",
         dataclasses.replace(_config, car=_SMALL, largest=_LARGE),
     )
+register_layout("clutter_vans", ClutterConfig(car=_LARGE, largest=_LONG))
