@@ -40,7 +40,12 @@ def read_sheets() -> Mapping[str, VehicleParameters]:
     """The cars by maker and model, from the shortest to the longest."""
     return {
         name: car_of_sheet(
-            {"drive": drive, **dict(zip(_COLUMNS, row, strict=True))}
+            {
+                "drive": drive,
+                **dict(zip(_COLUMNS, row, strict=True)),
+                "wheel_radius": 0.24 + 0.016 * row[0],  # [est], like the next
+                "tyre_width": 0.14 + 0.013 * row[0],
+            }
             | _MORE.get(name, {})
         ).params
         for name, (drive, row) in _ROWS.items()
