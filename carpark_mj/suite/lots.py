@@ -79,12 +79,13 @@ def _in_turn(name: str, members: Callable[[], Sequence[LayoutConfig]]) -> CaseLe
         return jax.tree.map(lambda x: x[rows], lots)
 
     def env(env: EnvConfig) -> EnvConfig:
+        # As a fleet, the car drives only to bays that it fits in.
+        agents = (env.vehicle,) if env.observation.sees_own_car else ()
         return dataclasses.replace(
             env,
             layout=MixtureConfig(tuple(members())),
             num_parked_cars=PARKED[name],
-            # The car drives only to bays that it fits in.
-            fleet=FleetConfig(agents=(env.vehicle,), parked_cars=("compact",)),
+            fleet=FleetConfig(agents=agents, parked_cars=("compact",)),
         )
 
     return lots_level(name, draw, env)

@@ -176,7 +176,8 @@ def test_who_starts_in_a_bay_and_drives_out_needs_a_goal():
 
 def test_a_car_of_the_fleet_may_be_chosen():
     fleet = FleetConfig(agents=("city", "range:3", "compact"))
-    env = ParkingEnv(dataclasses.replace(SMALL, fleet=fleet))
+    sight = ContinuousObservation(own_car=True)
+    env = ParkingEnv(dataclasses.replace(SMALL, fleet=fleet, observation=sight))
     reset = jax.jit(jax.vmap(lambda key, kind: env.reset(key, options=kind)[0]))
     given = ResetOptions(kind=jnp.array([[4, 0, -1]] * 20))
     lots = reset(keys(20), given)
