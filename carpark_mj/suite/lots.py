@@ -61,7 +61,9 @@ def lots_level(
         number = np.arange(CASES)[which]
         keys = jax.vmap(jax.random.key)(number)
         kind = number % max(len(cars), 1)
-        options = ResetOptions(kind=kind[:, None].astype(np.int32) if cars else None)
+        options = ResetOptions(
+            kind=jnp.asarray(kind[:, None], jnp.int32) if cars else None
+        )
         kinds = np.array(cars)[kind] if cars else np.full(len(number), "drawn")
         return Cases(name, number, kinds, draw(number), CaseStart(keys, options, ()))
 

@@ -38,15 +38,13 @@ NAMES = tuple(_ROWS)
 @functools.cache
 def read_sheets() -> Mapping[str, VehicleParameters]:
     """The cars by maker and model, from the shortest to the longest."""
-    return {
-        name: car_of_sheet(
-            {
-                "drive": drive,
-                **dict(zip(_COLUMNS, row, strict=True)),
-                "wheel_radius": 0.24 + 0.016 * row[0],  # [est], like the next
-                "tyre_width": 0.14 + 0.013 * row[0],
-            }
-            | _MORE.get(name, {})
-        ).params
-        for name, (drive, row) in _ROWS.items()
-    }
+    cars: dict[str, VehicleParameters] = {}
+    for name, (drive, row) in _ROWS.items():
+        sheet: dict[str, Any] = {
+            "drive": drive,
+            **dict(zip(_COLUMNS, row, strict=True)),
+        }
+        sheet["wheel_radius"] = 0.24 + 0.016 * row[0]  # [est]
+        sheet["tyre_width"] = 0.14 + 0.013 * row[0]  # [est]
+        cars[name] = car_of_sheet({**sheet, **_MORE.get(name, {})}).params
+    return cars
