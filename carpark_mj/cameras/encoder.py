@@ -22,7 +22,7 @@ from carpark_mj.observations import (
     Part,
     ego,
 )
-from carpark_mj.vehicle.range import cars_of
+from carpark_mj.vehicle.range import fleet_cars
 
 Channel = Literal["depth", "seen"]
 
@@ -137,7 +137,7 @@ def _heights(env: EnvConfig) -> Heights:
     """Those of the presets that a config names."""
     fleet = env.fleet
     kinds = [fleet.agents or (env.vehicle,), fleet.parked_cars or (env.vehicle,)]
-    cars = [[car for name in names for _, car in cars_of(name)] for names in kinds]
+    cars = [[car for _, car in fleet_cars(names)] for names in kinds]
     return Heights(*(tuple(car.height / car.length for car in each) for each in cars))
 
 

@@ -23,7 +23,7 @@ from carpark_mj.vehicle import (
     make_vehicle,
 )
 from carpark_mj.vehicle.parameters import scaled
-from carpark_mj.vehicle.range import cars_of
+from carpark_mj.vehicle.range import cars_of, fleet_cars
 
 
 class Start(NamedTuple):
@@ -66,8 +66,7 @@ class Fleet:
             own_name = VEHICLES.name_of(vehicle) or "custom car"
         own = ((own_name, vehicle),)
         agents, parked = (
-            tuple(car for name in each for car in cars_of(name)) or own
-            for each in (names.agents, names.parked_cars)
+            fleet_cars(each) or own for each in (names.agents, names.parked_cars)
         )
         self.agent_names, self.agents = zip(*agents, strict=True)
         self.parked_names, self.parked_cars = zip(*parked, strict=True)
@@ -138,6 +137,10 @@ class Fleet:
             own = jnp.arange(layout.num_bays) == given[:, None]
             usable = jnp.where(given[:, None] == NO_BAY, ~clear, own)
             goal_bays = goal_bays & usable[:, None]
+            if options.kind is not None:
+                drawn = options.kind[:, None] < 0
+                chosen = options.kind[:, None] == jnp.arange(len(self.agents))
+                goal_bays = goal_bays & (drawn | chosen)[..., None]
         agents = Wanted(
             fits=goal_bays,
             cars=jnp.ones(n, bool) if present is None else present,
@@ -146,6 +149,8 @@ class Fleet:
         kind, goal = draw_bays(agents, layout.bay_mask, goal_key)
         if options is not None:
             goal = jnp.where(given == NO_BAY, goal, given)
+            if options.kind is not None:  # also where it fits into no bay
+                kind = jnp.where(options.kind < 0, kind, options.kind)
         if config.goals.dynamic:
             goal = jnp.full(n, NO_BAY, jnp.int32)
         sizes = jnp.array([[p.length, p.width] for p in self.parked_cars])

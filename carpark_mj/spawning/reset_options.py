@@ -16,6 +16,7 @@ from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.parked_cars import bay_fits, marked
 from carpark_mj.types import NO_BAY, State
+from carpark_mj.vehicle.range import fleet_cars
 
 TOLERANCE = 1e-3  # m, rad or m/s by which a start may differ from what was asked for
 
@@ -34,11 +35,14 @@ class ResetOptions:
             straight [m/s]; NaN = at rest.
         goal: (num_agents,) int32 bays, rows of `Layout.bay_pose`; `NO_BAY` = drawn.
             Fixed goals only.
+        kind: (num_agents,) int32 cars of the fleet, rows of `fleet.agents` with those
+            of a range one by one; -1 = drawn. A fleet of agents only.
     """
 
     pose: jax.Array | None = None
     speed: jax.Array | None = None
     goal: jax.Array | None = None
+    kind: jax.Array | None = None
 
 
 def read_reset_options(
@@ -47,18 +51,22 @@ def read_reset_options(
     """Options of one lot as float32 and int32; None if nothing is given.
 
     Raises:
-        ValueError: an array has another shape, or goals are dynamic.
+        ValueError: an array has another shape, goals are dynamic, or there is no fleet
+            of agents to choose a car from.
     """
     if options is None or not jax.tree.leaves(options):
         return None
     if options.goal is not None and config.goals.dynamic:
         raise ValueError("options.goal needs fixed goals, goals.dynamic = False")
+    if options.kind is not None and not config.fleet.agents:
+        raise ValueError("options.kind needs a fleet of cars, fleet.agents")
     if config.goals.drive_out and options.pose is not None and options.goal is None:
         raise ValueError(
             "options.pose needs options.goal where goals follow from drawn starts, "
             "goals.drive_out = True"
         )
-    shapes = {"pose": (3,), "speed": (), "goal": ()}
+    shapes = {"pose": (3,), "speed": (), "goal": (), "kind": ()}
+    whole = ("goal", "kind")
     given: dict[str, jax.Array] = {}
     for name, shape in shapes.items():
         value = getattr(options, name)
@@ -69,9 +77,10 @@ def read_reset_options(
             raise ValueError(
                 f"options.{name} must be of shape {wanted}, not {jnp.shape(value)}"
             )
-        if name == "goal" and not jnp.issubdtype(jnp.asarray(value).dtype, jnp.integer):
-            raise ValueError(f"options.goal must be whole numbers, not {value}")
-        given[name] = jnp.asarray(value, jnp.int32 if name == "goal" else jnp.float32)
+        is_whole = jnp.issubdtype(jnp.asarray(value).dtype, jnp.integer)
+        if name in whole and not is_whole:
+            raise ValueError(f"options.{name} must be whole numbers, not {value}")
+        given[name] = jnp.asarray(value, jnp.int32 if name in whole else jnp.float32)
     return ResetOptions(**given)
 
 
@@ -185,6 +194,12 @@ def _faults(config: EnvConfig, options: ResetOptions, state: State) -> Iterator[
         wrong = ~np.take_along_axis(np.asarray(fits), row[..., None], axis=2)[..., 0]
         yield aims & wrong, lambda i: f"its car does not fit into bay {goal[i]}"
 
+    if options.kind is not None:
+        kind, count = np.asarray(options.kind), len(fleet_cars(config.fleet.agents))
+        yield (
+            ~((kind >= -1) & (kind < count)),
+            lambda i: f"kind must be -1 or a car from 0 to {count - 1}, not {kind[i]}",
+        )
     boxes = dataclasses.replace(state, motion=dataclasses.replace(motion, touched=None))
     hits = _hits(boxes, config.episode.hitbox_scale)
     hit = functools.reduce(jnp.logical_or, hits.values())

@@ -59,7 +59,6 @@ from carpark_mj.suite.levels import (
     init_progress,
     pick_cases,
     require_aisle,
-    require_alike,
     require_filmed,
     reset_with_moving_car,
 )
@@ -273,26 +272,28 @@ def require_cases(config: SuiteConfig) -> None:
     preset(config.vehicle)
     if config.moving_car and config.vehicle != VEHICLE:
         raise ValueError(f"a moving car needs the vehicle {VEHICLE}, as it is one")
-    require_alike(config.levels)
+    _require_numbers(config)
     for level in config.levels:
-        _require_numbers(config, level)
         if config.videos:
             require_filmed(level)
         if config.moving_car:
             require_aisle(level)
 
 
-def _require_numbers(config: SuiteConfig, level: str) -> None:
-    known, first = len(find_level(level).numbers), config.first_case
-    if not 0 <= first < known:
+def _require_numbers(config: SuiteConfig) -> None:
+    """Refuses a first case that a level lacks, and more cases than any level has."""
+    first = config.first_case
+    counts = {level: len(find_level(level).numbers) for level in config.levels}
+    for level, known in counts.items():
+        if not 0 <= first < known:
+            raise ValueError(
+                f"first_case must be 0 to {known - 1}, not {first}: level "
+                f"{level} has {known} cases"
+            )
+    level, known = max(counts.items(), key=lambda count: count[1])
+    if config.cases is not None and not 1 <= config.cases <= known - first:
         raise ValueError(
-            f"first_case must be 0 to {known - 1}, not {first}: level "
-            f"{level} has {known} cases"
-        )
-    left = known - first
-    if config.cases is not None and not 1 <= config.cases <= left:
-        raise ValueError(
-            f"cases must be 1 to {left} from case {first} on, not "
+            f"cases must be 1 to {known - first} from case {first} on, not "
             f"{config.cases}: level {level} has {known}"
         )
 
@@ -396,8 +397,10 @@ def _plan(planner: Planner, lot: int) -> Row:
 
 
 def _drawn(planner: Planner, cases: Cases) -> Drawn:
-    """Titles, layouts and paths of the cases in the picture."""
+    """Titles, layouts and paths of the cases in the picture; none of drawn goals."""
     found: Drawn = []
+    if cases.start is not None and cases.start.options.goal is None:
+        return found
     generated = cases.level in (*HOPE_LEVELS, *EXTRA_LEVELS)
     count, name = DRAWN if generated else None, cases.level.partition(":")[0]
     for lot, number in enumerate(cases.number[:count].tolist()):

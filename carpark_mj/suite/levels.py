@@ -80,8 +80,8 @@ class Cases(NamedTuple):
     Attributes:
         level: its name.
         number: (n,) which of the level's.
-        kind: (n,) str, `parallel`, `perpendicular`, `published` of TPCAP's, or
-            `recorded` of ParkBench's.
+        kind: (n,) str, `parallel`, `perpendicular`, `published` of TPCAP's, `recorded`
+            of ParkBench's, `drawn` of whole lots, or the car of `sheets`.
         layouts: (n, ...) of the same shapes in all of HOPE's levels.
         start: how they begin; None = at the spawn region's middle.
     """
@@ -117,7 +117,7 @@ class CaseLevel:
         return self.sha256[:16]
 
 
-# Levels of other packages, and `busy`: driven alone, for their columns may differ.
+# Levels of other packages, `busy`, and those of whole lots (`carpark_mj.suite.lots`).
 EXTRA_LEVELS: Registry[CaseLevel] = Registry("level of the suite")
 # Levels of a user's files, `NAME:PATH`: readers of the path by name.
 FILE_LEVELS: dict[str, Callable[[str], CaseLevel]] = {}
@@ -283,18 +283,8 @@ def require_aisle(level: str) -> None:
         )
 
 
-def require_alike(levels: Iterable[str]) -> None:
-    """Refuses unknown levels, and added ones beside others: their columns differ."""
-    found = in_order(levels)
-    for level in found:
-        find_level(level)
-        if level in EXTRA_LEVELS and len(found) > 1:
-            others = ", ".join(name for name in found if name != level)
-            raise ValueError(f"level {level} must be driven alone, not with {others}")
-
-
 def require_filmed(level: str) -> None:
-    """Refuses films of levels whose movers are not recorded."""
+    """Refuses films of levels whose movers and parked cars are not recorded."""
     if level in EXTRA_LEVELS:
         raise ValueError(
             f"videos show levels {', '.join((*LEVELS, *FILE_LEVELS))} only, not {level}"

@@ -118,11 +118,13 @@ def write_report(
         plot_paths(pictures[0], drawn, preset(vehicle_of(episodes[0])))
     # The planner first: others are compared with its paths.
     names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
-    rows = [row for name in names for row in table_rows(name, episodes)]
+    rows = same_columns([r for name in names for r in table_rows(name, episodes)])
     head = header(episodes)
     written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
     written += write_results(folder, head, rows, episodes, pictures, {})
     print_results(rows, head[0])
+    if len({row["level"] for row in rows}) > 1:
+        print_rows(by_level(rows), "Parked [%] with Wilson's 95 % interval", left=1)
     parts = parts_of(episodes).values()
     worst = [row for part in parts for row in worst_first(part)[:num_videos]]
     if videos := make_videos(folder, worst, drives):  # once more, with them
@@ -259,6 +261,30 @@ def shown_cells(row: Mapping[str, Any]) -> dict[str, str]:
     return shown
 
 
+def same_columns(rows: Sequence[Row]) -> list[Row]:
+    """Rows with the columns of all of them, NaN where one has none."""
+    columns = dict.fromkeys(name for row in sorted(rows, key=len)[::-1] for name in row)
+    return [{name: row.get(name, math.nan) for name in columns} for row in rows]
+
+
+def by_level(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """A row for each policy, a column for each level: what it parks of all cases."""
+    levels = in_order(row["level"] for row in rows)
+    found = {row["policy"]: dict.fromkeys(levels, "–") for row in rows}
+    for row in rows:  # all kinds of a level are its last row
+        found[row["policy"]][row["level"]] = shown_cells(row)["parked [%]"]
+    return [
+        {"policy": policy, **{_short(x): cell for x, cell in cells.items()}}
+        for policy, cells in found.items()
+    ]
+
+
+def _short(level: str) -> str:
+    """A level's name, of a path its last part."""
+    name, colon, path = level.partition(":")
+    return f"{name}{colon}{Path(path).name}"
+
+
 def _number(value: Any, digits: int) -> str:
     if not isinstance(value, float):
         return str(value)
@@ -293,7 +319,11 @@ def write_results(
         videos: of episodes, for the page, in the same folder or below it.
     """
     cells = [shown_cells(row) for row in rows]
-    text = "\n".join([f"# {head[0]}", "", *head[1:], "", markdown(cells)]) + "\n"
+    tables = {"Results": cells}
+    if len({row["level"] for row in rows}) > 1:
+        tables = {"Parked [%] by level": by_level(rows), **tables}
+    shown = [part for cells in tables.values() for part in ("", markdown(cells))]
+    text = "\n".join([f"# {head[0]}", "", *head[1:], *shown]) + "\n"
     files = [folder / name for name in ("suite.md", "suite.csv", "suite.html")]
     write_atomically(files[0], lambda temporary: temporary.write_text(text))
     write_csv(
@@ -303,7 +333,7 @@ def write_results(
             for row in map(dict, rows)
         ],
     )
-    parts = [("Results", table(cells))]
+    parts = [(title, table(cells)) for title, cells in tables.items()]
     parts += [(path.stem.capitalize(), picture(path)) for path in pictures]
     for which, part in parts_of(episodes).items():
         worst = worst_first(part)[:WORST]

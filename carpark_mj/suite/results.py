@@ -35,7 +35,6 @@ from carpark_mj.suite.levels import (
     find_level,
     in_order,
     is_level,
-    require_alike,
 )
 from carpark_mj.types import ENDINGS
 
@@ -67,7 +66,7 @@ _NEEDED = (
     *(*ENDINGS, "hit_agent", "length", "path", "gear_changes", "time_to_park"),
     *("final_distance", "final_heading", "ms / decision"),
 )
-_PLANNED = ("planned", "planned_path", "planning_seconds")  # of the planner alone
+_PLANNED = ("planned", "planned_path", "planning_seconds")  # where it has planned
 _LARGEST = 1e15  # of a number; sums of them are finite
 
 
@@ -154,14 +153,18 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
                 )
             drives[key] = drive
     rows = sorted(episodes.values(), key=lambda row: (row["seed"], row["case"]))
-    require_alike({row["level"] for row in rows})
     _require_one("with and without a moving car", (r.get(MOVING_CAR, 0) for r in rows))
     _require_one("under different rules", (row["rule"] for row in rows))
     _require_one("of different cars", map(vehicle_of, rows))
     for policy in {row["policy"] for row in rows}:
         own = [row for row in rows if row["policy"] == policy]
-        columns = (tuple(sorted(row.keys() - {*_PLANNED})) for row in own)
-        _require_one(f"of {policy} with different columns", columns)
+        for level in {row["level"] for row in own}:
+            columns = (
+                tuple(sorted(row.keys() - {*_PLANNED}))
+                for row in own
+                if row["level"] == level
+            )
+            _require_one(f"of {policy} with different columns", columns)
         # Devices may differ: what stands before the first comma.
         versions = (row["made_with"].partition(", ")[2] for row in own)
         _require_one(f"of {policy} with different versions", versions)
@@ -194,7 +197,7 @@ def _parse(row: CsvRow) -> Row:
             parsed[name] = text
         elif name in (*_WHOLE, MOVING_CAR):
             parsed[name] = row.whole(name)
-        elif text or name not in _PLANNED:
+        elif text or name in _NEEDED:  # other levels may have more
             parsed[name] = row.number(name)
             if abs(parsed[name]) > _LARGEST:
                 raise ValueError(f"{row.place}: {name} is too large, {text}")

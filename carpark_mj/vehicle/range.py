@@ -13,7 +13,7 @@ do not say is [est].
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -58,6 +58,11 @@ def cars_of(name: str) -> tuple[tuple[str, VehicleParameters], ...]:
             raise ValueError(f"{PREFIX}N needs the number of cars, not {name!r}")
         return tuple((name, car) for car in cars_in_range(int(number)))
     return (((name, preset(name)) if is_name(name) else READ.load()(name)),)
+
+
+def fleet_cars(names: Iterable[str]) -> tuple[tuple[str, VehicleParameters], ...]:
+    """The cars of a fleet's entries, one after the other; see `cars_of`."""
+    return tuple(car for name in names for car in cars_of(name))
 
 
 @functools.cache

@@ -29,7 +29,7 @@ from carpark_mj.precision import is_real
 from carpark_mj.registry import environment
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import NO_BAY
-from carpark_mj.vehicle.range import cars_of
+from carpark_mj.vehicle.range import fleet_cars
 
 
 class Options(TypedDict, total=False):
@@ -223,8 +223,7 @@ def _excess(config: EnvConfig, field: Field) -> float:
         return turns - field.high
     if not varies or (lot.is_enclosed and not fast):
         return 0.0
-    names = config.vehicle, *config.fleet.agents
-    cars = [car for name in names for _, car in cars_of(name)]
+    cars = [car for _, car in fleet_cars((config.vehicle, *config.fleet.agents))]
     fastest = 1.5 * max(max(c.max_speed, c.max_reverse_speed) for c in cars)
     if field.speed:
         return fastest / field.speed if fast else 0.0

@@ -254,6 +254,7 @@ class SuiteConfig:
     carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
     carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
     carpark_mj suite planner hope --levels parkbench:rear_in --rule precise
+    carpark_mj suite hope anywhere --levels tpcap metadrive san_jose busy sheets
 
     The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
     and the numbers.
@@ -264,9 +265,11 @@ class SuiteConfig:
         levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
             TPCAP's 20 published cases; `parkbench:FOLDER`, the half of ParkBench's
             files that is for work, and `parkbench:FOLDER:held_out`, the other, to be
-            looked at once; `busy`, where people, a cart or a car get in the way; or
-            registered ones.
-        cases: number of cases of each level; None = all from `first_case` on.
+            looked at once; `busy`, where people, a cart or a car get in the way;
+            `metadrive`, `san_jose` and `dragon_lake`, lots that others drew; `sheets`,
+            twelve cars by data sheet; or registered ones.
+        cases: number of cases of each level, all of levels with fewer; None = all from
+            `first_case` on.
         first_case: first case of each level, from 0.
         rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
             registered rule.

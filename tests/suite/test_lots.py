@@ -1,0 +1,163 @@
+"""Levels of whole lots: cars, goals and sizes of their cases, beside other levels."""
+
+import dataclasses
+import math
+
+import jax
+import numpy as np
+import pytest
+
+from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts import layout_config, make_layout
+from carpark_mj.layouts.types import BayKind
+from carpark_mj.registry import ANYWHERE
+from carpark_mj.spawning.reset_options import check_starts
+from carpark_mj.suite.evaluation import SuiteConfig, require_cases, suite_env
+from carpark_mj.suite.levels import find_level, pick_cases
+from carpark_mj.suite.lots import PARKED, enlarge
+from carpark_mj.suite.report import by_level, same_columns, table_rows
+from carpark_mj.suite.results import Drives, key_of, read_runs, write_run
+from carpark_mj.suite.sheets import NAMES, read_sheets
+from carpark_mj.types import NO_BAY
+
+COUNT = 12
+ENV = dataclasses.replace(suite_env(ANYWHERE, "strict"), physics="bicycle")
+
+
+def begin(level):
+    """Cases, and the states with which they begin."""
+    cases, env = pick_cases(level, COUNT), ParkingEnv(find_level(level).env(ENV))
+
+    def reset(layout, start):
+        return env.reset_to_layout(layout, start.key, None, start.options)[0]
+
+    states = jax.device_get(jax.jit(jax.vmap(reset))(cases.layouts, cases.start))
+    goal = states.goal[:, 0], np.arange(COUNT)
+    check_starts(env.config, cases.start.options, states)
+    assert not (states.goal == NO_BAY).any()
+    return cases, states, goal[::-1]
+
+
+def test_every_sheet_drives_in_turn_to_a_bay_that_it_fits_in():
+    cases, states, goal = begin("sheets")
+    cars = list(read_sheets().values())
+    assert cases.kind.tolist() == list(NAMES)
+    sizes = np.array([[car.length, car.width] for car in cars])
+    np.testing.assert_allclose(states.motion.size[:, 0], sizes, rtol=1e-6)
+    axles = [car.wheelbase for car in cars]
+    np.testing.assert_allclose(states.physics.vehicle.wheelbase[:, 0], axles, 1e-6)
+    room = states.layout.bay_size[goal] - sizes
+    assert room.min() > ENV.episode.slack - 1e-5
+    assert (states.parked_cars.bay != NO_BAY).any(axis=1).all()
+    again = pick_cases("sheets", 2, first=5)
+    assert again.kind.tolist() == list(NAMES[5:7])
+    jax.tree.map(
+        lambda mine, whole: np.testing.assert_array_equal(mine, whole[5:7]),
+        again.layouts,
+        cases.layouts,
+    )
+
+
+def test_sheets_are_cars_that_turn_as_published():
+    cars = read_sheets()
+    lengths = [car.length for car in cars.values()]
+    assert (len(cars), lengths) == (12, sorted(lengths))
+    for car in cars.values():
+        assert 0.45 < car.wheelbase / car.length < 0.73  # least with rear steering
+        assert math.radians(30) < car.max_steering < math.radians(45)
+        assert 130 < car.mass / (car.length * car.width) < 270
+
+
+@pytest.mark.parametrize("level", PARKED)
+def test_a_car_in_a_real_car_park_gets_a_bay_it_fits_in(level):
+    _, states, goal = begin(level)
+    room = states.layout.bay_size[goal] - states.motion.size[:, 0]
+    assert room.min() > ENV.episode.slack - 1e-5
+    assert ((states.parked_cars.bay != NO_BAY).sum(axis=1) == PARKED[level]).all()
+    assert len(np.unique(states.layout.extent, axis=0)) == 1
+    assert len(np.unique(states.layout.bay_mask.sum(axis=1))) > 3
+
+
+def test_cars_drive_in_to_metadrives_spaces_and_out_of_them():
+    _, states, goal = begin("metadrive")
+    leaves = states.layout.bay_kind[goal] == BayKind.EXIT
+    assert 0 < leaves.sum() < COUNT
+    at = states.motion.pose_w[:, 0, None, :2] - states.layout.bay_pose[..., :2]
+    spaces = np.hypot(*np.moveaxis(at, -1, 0))[:, :8]  # exits follow them
+    np.testing.assert_array_equal(spaces.min(axis=1) < 3.0, leaves)
+
+
+def test_an_enlarged_lot_has_longer_lengths_and_the_same_headings():
+    lot = make_layout("square_compact")
+    large = jax.device_get(enlarge(lot, 1.5))
+    for row in ("bay", "wall", "lane", "spawn"):
+        pose, mine = getattr(lot, f"{row}_pose"), getattr(large, f"{row}_pose")
+        np.testing.assert_allclose(mine, pose * np.array([1.5, 1.5, 1.0]), rtol=1e-6)
+        size = getattr(lot, f"{row}_size")
+        np.testing.assert_allclose(getattr(large, f"{row}_size"), 1.5 * size, 1e-6)
+        mask = getattr(lot, f"{row}_mask")
+        np.testing.assert_array_equal(getattr(large, f"{row}_mask"), mask)
+    np.testing.assert_array_equal(large.bay_kind, lot.bay_kind)
+    np.testing.assert_allclose(large.extent, 1.5 * lot.extent, rtol=1e-6)
+    assert layout_config("square_compact").min_bays == large.bay_mask.sum()
+
+
+def episode(policy, level, case, parked=1.0, **more):
+    which = {"policy": policy, "rule": "strict", "made_with": "cpu", "seed": 0}
+    which |= {"held_out": find_level(level).fingerprint, "level": level, "case": case}
+    ends = {"parked": parked, "crashed": 1.0 - parked, "timed_out": 0.0}
+    ends |= {"diverged": 0.0, "hit_agent": 0.0, "length": 9.0, "path": 9.0}
+    ends |= {"gear_changes": 1.0, "time_to_park": 30.0, "final_distance": 0.1}
+    ends |= {"final_heading": 0.1, "ms / decision": 2.0}
+    return {**which, "kind": "parallel", **ends, **more}
+
+
+AMONG = {"hit_person": 0.0, "hit_mover": 0.0, "near_miss": 0.0, "least_gap": 1.0}
+AMONG |= {"contact_speed": 0.0}
+
+
+def test_levels_of_other_columns_are_read_and_shown_together(tmp_path):
+    rows = [
+        episode("x", "normal", 0),
+        episode("x", "normal", 1, 0.0, kind="perpendicular"),
+        episode("x", "busy", 0, **AMONG),
+        episode("y", "sheets", 0),
+    ]
+    shape = (1, 9, 1)
+    drive = Drives(np.zeros((*shape, 2, 3)), np.zeros(shape), np.zeros(shape))
+    drive = Drives(*(x.astype(np.float32) for x in drive))
+    write_run(tmp_path, rows, {key_of(rows[0]): drive})
+    read, _ = read_runs([tmp_path])
+    assert sorted(map(key_of, read)) == sorted(map(key_of, rows))
+    busy = next(row for row in read if row["level"] == "busy")
+    assert {**AMONG}.items() <= busy.items()
+    assert all("least_gap" not in row for row in read if row is not busy)
+    table = same_columns([r for name in "xy" for r in table_rows(name, read)])
+    assert len({tuple(row) for row in table}) == 1
+    assert [row["least gap [m]"] for row in table if row["level"] == "busy"] == [1.0]
+    shown = by_level(table)
+    assert [row["policy"] for row in shown] == ["x", "y"]
+    assert list(shown[0]) == ["policy", "normal", "busy", "sheets"]
+    assert shown[0]["normal"].startswith("50.0 (")
+    assert (shown[0]["sheets"], shown[1]["normal"]) == ("–", "–")
+    # Within a level columns still have to agree.
+    other = tmp_path / "other"
+    other.mkdir()
+    more = [episode("x", "normal", 2, **AMONG)]
+    write_run(other, more, {key_of(more[0]): drive})
+    with pytest.raises(ValueError, match=r"x with different columns"):
+        read_runs([tmp_path, other])
+
+
+def test_levels_with_fewer_cases_are_driven_whole():
+    config = SuiteConfig(("zero",), levels=("tpcap", "metadrive"), cases=100)
+    require_cases(config)
+    assert [len(pick_cases(x, 100).number) for x in config.levels] == [20, 100]
+    with pytest.raises(ValueError, match=r"cases must be 1 to 1000 .*metadrive"):
+        require_cases(dataclasses.replace(config, cases=1001))
+    with pytest.raises(ValueError, match=r"cases must be 1 to 20 .*tpcap"):
+        require_cases(dataclasses.replace(config, levels=("tpcap",), cases=21))
+    with pytest.raises(ValueError, match=r"first_case must be 0 to 19"):
+        require_cases(dataclasses.replace(config, first_case=20))
+    with pytest.raises(ValueError, match=r"videos show levels"):
+        require_cases(dataclasses.replace(config, videos=1))
