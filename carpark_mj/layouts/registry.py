@@ -112,7 +112,7 @@ class MixtureConfig(LayoutConfig):
 
     def generate_member(self, member: jax.Array, key: jax.Array) -> Layout:
         """Draws a lot of one member, () int32, padded like all lots of the mixture."""
-        draws = [config.generate for config in self.members]
+        draws = [jax.jit(config.generate) for config in self.members]  # traced once
         maxima = layout_maxima(jax.eval_shape(draw, key) for draw in draws)
         padded = [
             lambda key, draw=draw: pad_layout(draw(key), maxima) for draw in draws

@@ -33,6 +33,7 @@ class Places:
     walls: jax.Array  # (6, k) those of walls and discs
 
 
+@jax.jit  # traced once for all movers of a lot
 def make_places(layout: Layout) -> Places:
     """The places of a lot: one for each bay, then those of lanes and of the border."""
     bays = outlines(layout.bay_pose, layout.bay_size, layout.bay_mask)
