@@ -65,14 +65,14 @@ COMMANDS = {
         drives=True,
     ),
     "scene": Command(
-        "carpark_mj.cli.scene:main",
+        "carpark_mj.cli.pages:scene",
         "write a car park as MJCF, or show it",
         f"{SCENES}:SceneConfig",
         (keep_compiled_programs,),
         drives=True,
     ),
     "play": Command(
-        "carpark_mj.cli.play:main",
+        "carpark_mj.cli.pages:play",
         "drive a car yourself",
         f"{SCENES}:PlayConfig",
         (keep_compiled_programs,),

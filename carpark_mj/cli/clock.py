@@ -10,6 +10,7 @@ PERIOD = 0.25  # s between its moves
 # What commands do.
 LOADING = "loading JAX and MuJoCo, usually 2 to 10 s"
 COMPILING = "compiling, usually 10 to 60 s, fewer once it is kept, then driving"
+PLACING = "compiling the start, usually 5 to 30 s, fewer once it is kept"
 TRAINING = "compiling, usually 1 to 3 min, less once it is kept"
 CLEAR = b"\r\x1b[K"
 
@@ -56,13 +57,20 @@ class Clock:
         """Clears the line for good."""
         self.set("")
 
+    @property
+    def line(self) -> str:
+        """What is done and for how long; empty if nothing, or only just now."""
+        with self._lock:
+            seconds = time.monotonic() - self._since
+            shown = self._what and seconds > SILENCE
+            return f"{self._what} ... {seconds:.0f} s" if shown else ""
+
     def _run(self) -> None:
         while True:
             time.sleep(PERIOD)
             with self._lock:
-                seconds = time.monotonic() - self._since
-                if self._what and seconds > SILENCE and _in_front():
-                    line = f"{self._what} ... {seconds:.0f} s"
+                line = self.line
+                if line and _in_front():
                     with contextlib.suppress(OSError):  # the terminal may be gone
                         width = os.get_terminal_size(2).columns or 80
                         os.write(2, f"\r{line[: width - 1]}".encode())

@@ -16,10 +16,10 @@ from carpark_mj.rendering.gl import Window, choose_gl, has_display
 if not has_display():
     choose_gl()  # before MuJoCo is imported; windows have an OpenGL of their own
 
-from carpark_mj.cli.clock import COMPILING, doing, wait_for_user
+from carpark_mj.cli.clock import COMPILING, PLACING, doing, wait_for_user
 from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.process import one_line, patient_interrupts
-from carpark_mj.cli.scene import default_env, serve
+from carpark_mj.cli.scene import default_env, run_live
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
@@ -37,7 +37,7 @@ from carpark_mj.play.driving import (
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.web import make_live_viewer, require_web
+from carpark_mj.rendering.web import make_live_viewer
 
 COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
 
@@ -121,6 +121,9 @@ def play_in_window(config: PlayConfig) -> None:
             lot = DrivenLot(env, others, seed, read, lambda lot: save(lot, folder))
             wanted, seed = "R", seed + 1
             with contextlib.closing(Picture(lot, config.camera)) as picture:
+                window.show(picture.draw())
+                doing(COMPILING)
+                lot.compile_step()
                 try:
                     while wanted == "R":
                         wanted = _drive(lot, picture.draw, window)
@@ -147,13 +150,12 @@ def _drive(lot: DrivenLot, draw: Callable[[], np.ndarray], window: Window) -> st
     return "Q"
 
 
-def make_wheel(config: PlayConfig) -> tuple[Any, Any, DrivenLot, dict[str, Any]]:
-    """A page with a lot to drive in.
+def make_wheel(config: PlayConfig, page: Any) -> tuple[Any, DrivenLot, dict[str, Any]]:
+    """Shows a lot to drive in on a page.
 
     Returns:
-        Viewer and server, the lot, and the sliders `wheel` and `pedal`.
+        The viewer, the lot, and the sliders `wheel` and `pedal`.
     """
-    require_web()  # before the work
     env, others = make_env(config)
     held: dict[str, Any] = {}
     folder = open_folder(config)
@@ -163,13 +165,14 @@ def make_wheel(config: PlayConfig) -> tuple[Any, Any, DrivenLot, dict[str, Any]]
         return pad(Controls(-steer, pedal).action, env.action_spec.size)
 
     lot = DrivenLot(env, others, config.seed, read, lambda lot: save(lot, folder))
-    viewer, server = make_live_viewer(lot, config.port)
-    with server.gui.add_folder("Drive"):
-        held["wheel"] = server.gui.add_slider("Wheel, right > 0", -1.0, 1.0, 0.05, 0.0)
-        held["pedal"] = server.gui.add_slider("Pedal, ahead > 0", -1.0, 1.0, 0.05, 0.0)
-        straight = server.gui.add_button("Straight")
-        brake = server.gui.add_button("Brake")
-        saving = server.gui.add_button("Save drive")
+    viewer = make_live_viewer(page, lot)
+    gui = page.gui
+    with gui.add_folder("Drive"):
+        held["wheel"] = gui.add_slider("Wheel, right > 0", -1.0, 1.0, 0.05, 0.0)
+        held["pedal"] = gui.add_slider("Pedal, ahead > 0", -1.0, 1.0, 0.05, 0.0)
+        straight = gui.add_button("Straight")
+        brake = gui.add_button("Brake")
+        saving = gui.add_button("Save drive")
 
     @straight.on_click
     def _(_: Any) -> None:
@@ -186,10 +189,10 @@ def make_wheel(config: PlayConfig) -> tuple[Any, Any, DrivenLot, dict[str, Any]]
         except OSError as error:  # not the end of the drive
             print(one_line(error), file=sys.stderr)
 
-    return viewer, server, lot, held
+    return viewer, lot, held
 
 
-def show_replay(config: PlayConfig) -> None:
+def show_replay(config: PlayConfig, page: Any) -> None:
     """Shows a recorded drive: as a video, in a window or in a browser."""
     demonstration = load_demonstration(Path(config.replay))
     lot = replay(demonstration)
@@ -197,25 +200,24 @@ def show_replay(config: PlayConfig) -> None:
         count = record_video(lot, config.camera, len(demonstration), Path(config.video))
         print(f"wrote {config.video}: {count} frames")
     elif config.shown_in == "web":
-        require_web()
-        serve(*make_live_viewer(lot, config.port))
+        run_live(make_live_viewer(page, lot), lot)
     else:
         window, picture = Window(SIZE), Picture(lot, config.camera)
         while _drive(lot, picture.draw, window) == "R":
             lot.reset()
 
 
-def main(config: PlayConfig) -> None:
-    """Plays, or replays."""
-    doing(COMPILING)
+def main(config: PlayConfig, page: Any = None) -> None:
+    """Plays, or replays; `page` is an open one for the browser, see `cli.pages`."""
+    doing(PLACING)
     if config.replay:
-        show_replay(config)
+        show_replay(config, page)
     elif config.shown_in == "window":
         with patient_interrupts():  # to save the drive
             play_in_window(config)
     else:
-        viewer, server, lot, _ = make_wheel(config)
+        viewer, lot, _ = make_wheel(config, page)
         try:
-            serve(viewer, server)
+            run_live(viewer, lot)
         finally:
             save(lot, Path(config.out))

@@ -8,7 +8,7 @@ import jax
 import mujoco
 import numpy as np
 
-from carpark_mj.cli.clock import COMPILING, doing, wait_for_user
+from carpark_mj.cli.clock import COMPILING, PLACING, doing, wait_for_user
 from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.settings.driving import LotSettings
 from carpark_mj.cli.settings.scenes import SceneConfig, SceneOutput
@@ -18,8 +18,7 @@ from carpark_mj.files import require_writable, write_text
 from carpark_mj.layouts import layout_config
 from carpark_mj.registry import environment
 from carpark_mj.rendering.gl import missing_display
-from carpark_mj.rendering.local_pages import HOST
-from carpark_mj.rendering.web import LiveLot, make_live_viewer, make_viewer, require_web
+from carpark_mj.rendering.web import LiveLot, make_live_viewer, make_viewer
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.checks import has_exits
 from carpark_mj.vehicle import preset
@@ -59,34 +58,32 @@ def default_env(config: LotSettings) -> EnvConfig:
     return EnvConfig(layout=name, num_agents=agents, num_parked_cars=parked)
 
 
-def show_policy(config: SceneConfig) -> None:
-    """Serves a lot in which a policy drives, until Ctrl-C."""
-    require_web()  # before the work
+def show_policy(config: SceneConfig, page: Any) -> None:
+    """Shows a lot in which a policy drives, until Ctrl-C."""
     driver = find_driver(config.policy)
     env = ParkingEnv(adapted(config, driver.env))
+    doing(PLACING)
+    lot = LiveLot(env, driver.policy(env), config.seed)
+    run_live(make_live_viewer(page, lot), lot)
+
+
+def run_live(viewer: Any, lot: LiveLot) -> None:
+    """Moves a lot on its page until Ctrl-C; until it can, the page shows its start."""
     doing(COMPILING)
-    viewer, server = make_live_viewer(
-        LiveLot(env, driver.policy(env), config.seed), config.port
-    )
-    serve(viewer, server)
-
-
-def serve(viewer: Any, server: Any) -> None:
-    """Says where a page is, and shows it until Ctrl-C."""
-    print(f"open http://{HOST}:{server.get_port()} (Ctrl-C ends)", flush=True)
+    lot.compile_step()
     wait_for_user()
     viewer.run()
 
 
-def main(config: SceneConfig) -> None:
-    """Writes and shows."""
+def main(config: SceneConfig, page: Any = None) -> None:
+    """Writes and shows; `page` is an open one for the browser, see `cli.pages`."""
     if config.policy:
-        show_policy(config)
+        show_policy(config, page)
         return
     require_view(config)
     spec, extent = make_scene(config)
     vehicle = preset(adapted(config, default_env(config)).vehicle)
-    show_scene(config, spec, extent, scene_xml(spec, vehicle))
+    show_scene(config, spec, extent, scene_xml(spec, vehicle), page)
 
 
 def require_view(output: SceneOutput) -> None:
@@ -95,8 +92,6 @@ def require_view(output: SceneOutput) -> None:
         require_writable(Path(output.out), new_folders=True)
     else:
         _require_display(output)
-    if output.view == "web":
-        require_web()
 
 
 def _require_display(output: SceneOutput) -> None:
@@ -105,7 +100,11 @@ def _require_display(output: SceneOutput) -> None:
 
 
 def show_scene(
-    output: SceneOutput, spec: mujoco.MjSpec, extent: np.ndarray, text: str
+    output: SceneOutput,
+    spec: mujoco.MjSpec,
+    extent: np.ndarray,
+    text: str,
+    page: Any = None,
 ) -> None:
     """Writes a scene and shows it.
 
@@ -114,6 +113,7 @@ def show_scene(
         spec: the scene.
         extent: (2,) half widths that the browser shows [m].
         text: the scene as MJCF.
+        page: for the browser.
     """
     if output.out:
         path = Path(output.out)
@@ -123,8 +123,9 @@ def show_scene(
     _require_display(output)
     if output.view == "web":
         model = spec.compile()
-        viewer, server = make_viewer(model, mujoco.MjData(model), extent, output.port)
-        serve(viewer, server)
+        viewer = make_viewer(page, model, mujoco.MjData(model), extent)
+        wait_for_user()
+        viewer.run()
     elif output.view:
         from mujoco import viewer as window
 

@@ -1,7 +1,6 @@
 """A lot in the browser, through mjviser: driven by sliders, or live by a policy."""
 
 import functools
-import importlib.util
 import math
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -22,7 +21,6 @@ from carpark_mj.policy.acting import (
     as_argument,
     control_step,
 )
-from carpark_mj.rendering.local_pages import HOST, PORT
 from carpark_mj.rendering.recording import Snapshot, aimed_at, parked_trace
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
@@ -42,7 +40,7 @@ class LiveLot:
     """
 
     def __init__(self, env: ParkingEnv, policy: AnyPolicy, seed: int) -> None:
-        """Compiles and starts a lot, of those for training."""
+        """Starts a lot, of those for training; compiles the reset alone."""
         self._env, self._policy = env, as_argument(policy)
         reset_key, self._key = jax.random.split(evaluation_key(seed))
         self._reset = jax.jit(env.reset)
@@ -63,7 +61,7 @@ class LiveLot:
             env.fleet.parked_vehicles(state.parked_cars),
             state.movers.groups,
         )
-        self.traces = self._run_once()
+        self.traces = state.motion.trace_w.shape[-2]
         # One call of `step` is one traced pose.
         self.stage.model.opt.timestep = config.sim.ctrl_dt / self.traces
         self.reset()
@@ -87,10 +85,9 @@ class LiveLot:
         """What else to keep of a control step, by name; nothing here."""
         return {}
 
-    def _run_once(self) -> int:
-        """Compiles; returns the number of poses traced in a control step."""
-        _, seen = self._step(self._policy, self._start, self._key)
-        return seen["pose_w"].shape[0]
+    def compile_step(self) -> None:
+        """Compiles what `step` runs; else its first call does."""
+        self._step(self._policy, self._start, self._key)
 
     def reset(self) -> None:
         """Restarts the lot with the same random keys."""
@@ -172,45 +169,35 @@ class LiveLot:
         return iter(self._ended.items())
 
 
-MISSING_WEB = 'the browser view needs mjviser: pip install "carpark_mj[web]"'
 DAYLIGHT = 0.5  # of the environment
 GAMMA = 2.2  # of screens
+FIELD_OF_VIEW = math.radians(60.0)  # mjviser's
 _SLAB = 0.05  # m, thickness of the asphalt in the browser
 
 
-def require_web() -> None:
-    """Raises OSError unless the browser view is installed."""
-    if importlib.util.find_spec("mjviser") is None:
-        raise OSError(MISSING_WEB)
-
-
 def make_viewer(
+    server: Any,
     model: mujoco.MjModel,
     data: mujoco.MjData,
     extent: np.ndarray,
-    port: int = PORT,
     step: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
     reset: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
-) -> tuple[Any, Any]:
-    """Serves a scene on localhost to pages of its own; `run()` keeps it moving.
+) -> Any:
+    """Shows a scene on a page; `run()` keeps it moving.
 
     Args:
+        server: viser's, of the page.
         model: of the scene.
         data: its state.
         extent: (2,) half widths of the lot [m].
-        port: where to serve; the next free one if it is taken.
         step: advances `data` by a time step; MuJoCo's own if None.
         reset: restarts; MuJoCo's own if None.
 
     Returns:
-        The viewer of mjviser and its server of viser.
+        The viewer of mjviser.
     """
-    require_web()
     import mjviser
 
-    from carpark_mj.rendering.local_server import LocalServer
-
-    server = LocalServer(HOST, port, "carpark_mj")
     # mjviser prefers a material's colour to the geom's own, which is the car's.
     model.geom_matid[:] = -1
     # Its meshes travel as glTF, where colours of points are linear.
@@ -218,7 +205,6 @@ def make_viewer(
     viewer = mjviser.Viewer(model, data, step_fn=step, reset_fn=reset, server=server)
     viewer.scene.camera_tracking_enabled = False
     server.scene.configure_environment_map(environment_intensity=DAYLIGHT)
-    server.gui.configure_theme(show_logo=False, show_share_button=False)
     # Planes become grids there, so asphalt replaces the ground.
     server.scene.remove_by_name(f"/fixed_bodies/world/{GROUND}")
     server.scene.add_box(
@@ -229,18 +215,25 @@ def make_viewer(
         cast_shadow=False,
     )
     eye, _ = frame_lot("overview", extent, LEAST_ASPECT)
-    # mjviser sets its camera when a browser connects, from these.
+    viewer.scene.update_from_mjdata(data)
+
+    @server.on_client_connect  # before `run`, too
+    def _(client: Any) -> None:
+        client.camera.fov = FIELD_OF_VIEW
+        client.camera.position, client.camera.look_at = 0.65 * eye, model.stat.center
+
+    # mjviser sets its camera when it runs and when a browser connects, from these.
     viewer.scene.create_scene_gui = functools.partial(
         viewer.scene.create_scene_gui,
         camera_distance=0.65 * float(np.linalg.norm(eye)),
         camera_azimuth=math.degrees(math.atan2(-eye[1], -eye[0])),
         camera_elevation=45.0,
     )
-    return viewer, server
+    return viewer
 
 
-def make_live_viewer(lot: LiveLot, port: int = PORT) -> tuple[Any, Any]:
-    """Serves a lot in which a policy drives; see `make_viewer`."""
+def make_live_viewer(server: Any, lot: LiveLot) -> Any:
+    """Shows a lot in which a policy drives; see `make_viewer`."""
     goals: list[Any] = []
 
     def show() -> None:
@@ -264,8 +257,8 @@ def make_live_viewer(lot: LiveLot, port: int = PORT) -> tuple[Any, Any]:
         show()
 
     stage = lot.stage
-    viewer, server = make_viewer(
-        stage.model, stage.data, np.asarray(lot.extent), port, step, reset
+    viewer = make_viewer(
+        server, stage.model, stage.data, np.asarray(lot.extent), step, reset
     )
     for agent in range(len(lot.goal_pose)):
         colour = _bytes(agent_colour(agent))
@@ -276,7 +269,7 @@ def make_live_viewer(lot: LiveLot, port: int = PORT) -> tuple[Any, Any]:
         )
     tally = server.gui.add_markdown("")
     show()
-    return viewer, server
+    return viewer
 
 
 def _turn(yaw: float) -> tuple[float, float, float, float]:

@@ -8,7 +8,16 @@ import pytest
 from helpers.mutating import damaged, with_junk
 from helpers.programs import exit_code
 
-from carpark_mj.cli.play import PlayConfig, main, make_env, pad, replay, save
+from carpark_mj.cli.pages import open_page
+from carpark_mj.cli.play import (
+    PlayConfig,
+    main,
+    make_env,
+    make_wheel,
+    pad,
+    replay,
+    save,
+)
 from carpark_mj.config import EnvConfig
 from carpark_mj.observations import observation_size
 from carpark_mj.play.demonstration import STEPS, Demonstration, load_demonstration
@@ -109,12 +118,9 @@ def test_dynamic_goals_are_bays_that_the_driver_tracks():
 
 def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
     pytest.importorskip("mjviser")
-    from carpark_mj.cli.play import make_wheel
-
-    viewer, _, lot, held = make_wheel(
-        PlayConfig(num_parked_cars=2, view="web", port=8767, out=str(tmp_path))
-    )
-    try:
+    config = PlayConfig(num_parked_cars=2, view="web", port=8767, out=str(tmp_path))
+    with open_page(config.port) as page:
+        _, lot, held = make_wheel(config, page)
         for _ in range(lot.traces):
             lot.step()
         held["wheel"].value, held["pedal"].value = 0.5, 1.0
@@ -125,8 +131,6 @@ def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
             lot.reset()
         (saved,) = tmp_path.iterdir()
         assert len(load_demonstration(saved)) == 2
-    finally:
-        viewer._server.stop()
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import urllib.request
 import numpy as np
 import pytest
 
+from carpark_mj.cli.pages import open_page
 from carpark_mj.cli.settings.scenes import SceneConfig, complete
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
@@ -87,11 +88,11 @@ def test_view_alone_opens_a_window():
 @pytest.fixture(scope="module")
 def page(lot):
     pytest.importorskip("mjviser")
-    viewer, server = web.make_live_viewer(lot, port=8765)
-    viewer._setup_gui()  # what `run` does first; the loop itself never returns
-    viewer._render()
-    yield f"http://{HOST}:{server.get_port()}"
-    server.stop()
+    with open_page(8765) as server:
+        viewer = web.make_live_viewer(server, lot)
+        viewer._setup_gui()  # what `run` does first; the loop itself never returns
+        viewer._render()
+        yield f"http://{HOST}:{server.get_port()}"
 
 
 def test_the_page_is_served(page):

@@ -6,11 +6,13 @@ carpark_mj study junction_scene --scenario 3av-hd --out junction.xml
 import dataclasses
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
 
 from carpark_mj.cli.flags import command_help
+from carpark_mj.cli.pages import open_page
 from carpark_mj.cli.process import run_command
 from carpark_mj.cli.scene import require_view, show_scene
 from carpark_mj.cli.settings.scenes import SceneOutput, complete
@@ -45,15 +47,15 @@ class JunctionSceneConfig(SceneOutput):
         require_seed(self.seed)
 
 
-def main(config: JunctionSceneConfig) -> None:
-    """Writes and shows."""
+def main(config: JunctionSceneConfig, page: Any = None) -> None:
+    """Writes and shows, in the browser on a page."""
     require_view(config)
     env = JunctionEnv(JunctionConfig(config.scenario))
     state, _ = env.reset(jax.random.key(config.seed))
     car = road_car(preset(config.vehicle))
     spec = drivable_junction(car, np.asarray(state.motion.pose_w))
     text = scene_xml(spec, car, "road junction")
-    show_scene(config, spec, np.array([HALF, HALF]), text)
+    show_scene(config, spec, np.array([HALF, HALF]), text, page)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -66,4 +68,6 @@ def _run(arguments: Sequence[str] | None) -> None:
 
     words = complete(sys.argv[1:] if arguments is None else arguments)
     text = command_help(__doc__ or "")
-    main(read_flags(JunctionSceneConfig, words, description=text))
+    config = read_flags(JunctionSceneConfig, words, description=text)
+    with open_page(config.port, config.view == "web") as page:
+        main(config, page)
