@@ -48,6 +48,15 @@ loaded = [x for x in ("jax", "mujoco", "brax", "flax") if x in sys.modules]
 print(json.dumps([seen, missing == needed, loaded]))
 """
 
+PAGE = """
+import contextlib, json, sys
+from carpark_mj.cli.pages import open_page
+
+with contextlib.redirect_stdout(sys.stderr), open_page(8768):
+    loaded = [x for x in ("jax", "mujoco", "brax", "flax") if x in sys.modules]
+print(json.dumps(loaded))
+"""
+
 BUILT = """
 import json
 import jax
@@ -107,6 +116,11 @@ def test_help_and_refusals_do_not_import_jax():
     for name, (helped, said) in seen.items():
         assert helped, name
         assert said, name
+
+
+def test_a_page_opens_before_jax_is_imported():
+    pytest.importorskip("mjviser")
+    assert printed(PAGE) == []
 
 
 def test_environments_are_built_without_compiling_lots(tmp_path):
