@@ -81,6 +81,8 @@ def main(config: SceneConfig, page: Any = None) -> None:
         show_policy(config, page)
         return
     require_view(config)
+    if page is not None:
+        doing(PLACING)
     spec, extent = make_scene(config)
     vehicle = preset(adapted(config, default_env(config)).vehicle)
     show_scene(config, spec, extent, scene_xml(spec, vehicle), page)
