@@ -175,21 +175,21 @@ def test_who_starts_in_a_bay_and_drives_out_needs_a_goal():
 
 
 def test_a_car_of_the_fleet_may_be_chosen():
-    fleet = FleetConfig(agents=("city", "range:3", "compact"))
+    fleet = FleetConfig(agents=("city", "compact", "suv"))
     sight = ContinuousObservation(own_car=True)
     env = ParkingEnv(dataclasses.replace(SMALL, fleet=fleet, observation=sight))
     reset = jax.jit(jax.vmap(lambda key, kind: env.reset(key, options=kind)[0]))
-    given = ResetOptions(kind=jnp.array([[4, 0, -1]] * 20))
+    given = ResetOptions(kind=jnp.array([[2, 0, -1]] * 20))
     lots = reset(keys(20), given)
     lengths = np.array([car.length for car in env.fleet.agents])
     found = np.asarray(lots.motion.size[..., 0])
-    np.testing.assert_allclose(found[:, :2], lengths[[[4, 0]] * 20], rtol=1e-6)
+    np.testing.assert_allclose(found[:, :2], lengths[[[2, 0]] * 20], rtol=1e-6)
     assert len(np.unique(found[:, 2])) > 1
     check_starts(env.config, given, lots)
     room = jnp.take_along_axis(lots.layout.bay_size, lots.goal[..., None], axis=1)
     assert (room > lots.motion.size + env.config.episode.slack - 1e-5).all()
-    beyond = given.replace(kind=given.kind.at[3, 1].set(5))
-    with pytest.raises(ValueError, match=r"agent 1 of lot 3: kind must be .* to 4"):
+    beyond = given.replace(kind=given.kind.at[3, 1].set(3))
+    with pytest.raises(ValueError, match=r"agent 1 of lot 3: kind must be .* to 2"):
         check_starts(env.config, beyond, reset(keys(20), beyond))
     with pytest.raises(ValueError, match=r"options\.kind must be whole numbers"):
         env.reset(keys(1)[0], options=ResetOptions(kind=jnp.zeros(3)))
