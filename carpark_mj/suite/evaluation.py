@@ -37,7 +37,7 @@ from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
 from carpark_mj.mdp.people import CLOSE_TIME
-from carpark_mj.observations import observe
+from carpark_mj.observations import ContinuousObservation, observe
 from carpark_mj.obstacles import make_movers, place_movers, trace_still
 from carpark_mj.planning.policy import Planner, planner_policy
 from carpark_mj.policy.acting import (
@@ -86,6 +86,7 @@ from carpark_mj.vehicle import preset
 
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
+BLIND = (PLANNER, "zero", "random")  # policies that use no observation
 TIMED = 20  # calls of a policy whose shortest counts
 DRAWN = 4  # cases of a generated level in the picture of paths; all of published ones
 
@@ -136,6 +137,17 @@ def suite_env(
         ),
         metrics=MetricsConfig(),
     )
+
+
+def policy_env(name: str, env: EnvConfig, config: SuiteConfig) -> EnvConfig:
+    """The environment in which a policy by name drives, before that of a level.
+
+    Levels with several cars need an environment in which cars observe their own. For
+    policies of `BLIND` it makes no other difference.
+    """
+    if name in BLIND:
+        env = dataclasses.replace(env, observation=ContinuousObservation(own_car=True))
+    return suite_env(env, config.rule, config.moving_car, config.vehicle)
 
 
 class CaseEvaluator:
@@ -333,7 +345,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
     # All are refused before one of them drives.
     for name in config.policies:
         driver = find_driver(name)
-        base = suite_env(driver.env, config.rule, config.moving_car, config.vehicle)
+        base = policy_env(name, driver.env, config)
         for level in config.levels:
             env_config = envs[name, level] = find_level(level).env(base)
             if env_config not in evaluators:

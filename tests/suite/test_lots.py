@@ -7,12 +7,19 @@ import jax
 import numpy as np
 import pytest
 
+from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.layouts.types import BayKind
-from carpark_mj.registry import ANYWHERE
+from carpark_mj.registry import ANYWHERE, SQUARE
 from carpark_mj.spawning.reset_options import check_starts
-from carpark_mj.suite.evaluation import SuiteConfig, require_cases, suite_env
+from carpark_mj.suite.evaluation import (
+    BLIND,
+    SuiteConfig,
+    policy_env,
+    require_cases,
+    suite_env,
+)
 from carpark_mj.suite.levels import find_level, pick_cases
 from carpark_mj.suite.lots import PARKED, enlarge
 from carpark_mj.suite.report import by_level, same_columns, table_rows
@@ -56,6 +63,18 @@ def test_every_sheet_drives_in_turn_to_a_bay_that_it_fits_in():
         again.layouts,
         cases.layouts,
     )
+
+
+@pytest.mark.parametrize("level", ["sheets", *PARKED, "metadrive"])
+def test_planner_zero_and_random_meet_the_cases_of_policies(level):
+    config, to_env = SuiteConfig(("zero",)), find_level(level).env
+    shown = to_env(policy_env("anywhere", ANYWHERE, config))
+    for name in BLIND:
+        env = to_env(policy_env(name, EnvConfig(), config))
+        for field in ("layout", "fleet", "jitter", "occupancy", "num_parked_cars"):
+            assert getattr(env, field) == getattr(shown, field)
+    with pytest.raises(ValueError, match=r"own_car"):  # it would not know its car
+        find_level("sheets").env(policy_env("square", SQUARE, config))
 
 
 def test_sheets_are_cars_that_turn_as_published():
