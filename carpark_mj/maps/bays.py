@@ -169,6 +169,7 @@ def lay_out(plan: Plan) -> Plan:
     drawn = [one.shape.centroid for one in tagged(features, "bay")]
     drawn += [group.shape for group in points]
     laid: list[str] = []
+    askew: list[str] = []  # those of them whose angle the map does not have
     # Smaller areas first: a row is often drawn inside its car park.
     for group in sorted(areas, key=lambda group: group.shape.area):
         inside = sum(bool(group.shape.covers(spot)) for spot in drawn)
@@ -192,6 +193,8 @@ def lay_out(plan: Plan) -> Plan:
         features += [_bay(group, piece, k) for k, piece in enumerate(pieces)]
         if pieces and not alone:
             laid.append(f"{len(pieces)} of {group.count or '?'} in {group.name}")
+            if group.orientation == "diagonal":
+                askew.append(group.name)
         elif not (pieces or inside) and (group.count or group.is_row):
             count = group.count or "?"
             report.lost[group.name] = (
@@ -209,6 +212,11 @@ def lay_out(plan: Plan) -> Plan:
             features.append(_bay(group, shape, 0))
     if laid:
         report.notes.append(f"spots laid out that are not drawn: {first_names(laid)}")
+    if askew:
+        report.notes.append(
+            "diagonal spots laid out as their outline leans, for the map has no angle: "
+            f"{first_names(askew)}"
+        )
     if points:
         report.notes.append(
             f"{len(points)} spots are points: bays across the nearest road"

@@ -104,9 +104,14 @@ def test_spots_by_number_become_rows(imported):
         ([(-9, 0), (40, 0), (40, 30)], ROAD),
     ]
     bays, _, report = imported(shapes)
+    assert "diagonal" not in str(report)
     sizes = sorted(tuple(np.round(box.size, 1).tolist()) for box in bays)
     assert sizes == [(5.0, 2.5)] * 19 + [(6.0, 2.0)] * 3
     assert "8 of 8" in str(report)
+    # Tags have no angle, which the report says.
+    row = SPOT | {"capacity": "4", "orientation": "diagonal"}
+    _, _, report = imported([(rectangle(0, 3, 10, 8), row), ([(-9, 0), (40, 0)], ROAD)])
+    assert "diagonal" in str(report)
 
 
 def test_spots_beside_aisles_fill_a_car_park(imported):
