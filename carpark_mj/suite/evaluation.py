@@ -124,6 +124,7 @@ def suite_env(
         layout=HopeConfig("extreme", "parallel"),
         vehicle=vehicle,
         num_parked_cars=0,
+        movers=(),
         **agents,
         fleet=FleetConfig(),
         jitter=JitterConfig(),

@@ -11,7 +11,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.layouts.types import BayKind
-from carpark_mj.registry import ANYWHERE, SQUARE
+from carpark_mj.registry import ANYWHERE, CONSIDERATE, SQUARE
 from carpark_mj.spawning.reset_options import check_starts
 from carpark_mj.suite.evaluation import (
     BLIND,
@@ -29,6 +29,13 @@ from carpark_mj.types import NO_BAY
 
 COUNT = 12
 ENV = dataclasses.replace(suite_env(ANYWHERE, "strict"), physics="bicycle")
+
+
+def test_movers_come_from_the_level_not_from_the_policy():
+    env = suite_env(CONSIDERATE, "strict")
+    moving = {name: find_level(name).env(env).movers for name in ("sheets", "tpcap")}
+    assert moving == {"sheets": (), "tpcap": ()}
+    assert find_level("busy").env(env).movers == find_level("busy").env(ENV).movers
 
 
 def begin(level):
