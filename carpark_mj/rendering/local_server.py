@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import http
+import io
 import logging
 from collections.abc import Generator
 from typing import Any
@@ -32,7 +33,7 @@ class LocalServer(viser.ViserServer):
         """
         # Browsers open connections that they may never use.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        with _checking() as servers:
+        with _checking() as servers, contextlib.redirect_stdout(io.StringIO()):
             super().__init__(host, port, label, verbose=False)
         if len(servers) != 1:
             super().stop()
@@ -43,7 +44,8 @@ class LocalServer(viser.ViserServer):
         """Stops without waiting for the idle connections that browsers keep open."""
         for connection in [*self._serving.handlers]:
             self._serving.loop.call_soon_threadsafe(connection.transport.abort)
-        super().stop()
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints that it stopped
+            super().stop()
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Opens no tunnel."""

@@ -62,9 +62,9 @@ from carpark_mj.suite.levels import (
     require_filmed,
     reset_with_moving_car,
 )
+from carpark_mj.suite.path_figure import Drawn
 from carpark_mj.suite.report import (
     PLANNER,
-    Drawn,
     made_with,
     require_gl,
     worst_first,

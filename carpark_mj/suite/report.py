@@ -10,12 +10,7 @@ from typing import Any
 from urllib.parse import quote
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from carpark_mj.cli.settings.driving import WORST
 from carpark_mj.config import EnvConfig
@@ -29,9 +24,6 @@ from carpark_mj.evaluation.tables import (
     write_page,
 )
 from carpark_mj.files import write_atomically, write_csv
-from carpark_mj.geometry import box_corners
-from carpark_mj.layouts import Layout
-from carpark_mj.planning.paths import PlannedPath, centre
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
@@ -42,6 +34,7 @@ from carpark_mj.suite.levels import (
     in_order,
     pick_cases,
 )
+from carpark_mj.suite.path_figure import Drawn, plot_paths
 from carpark_mj.suite.results import (
     VEHICLE,
     Drives,
@@ -53,7 +46,7 @@ from carpark_mj.suite.results import (
     write_submission,
 )
 from carpark_mj.types import ENDINGS, OUTCOMES
-from carpark_mj.vehicle import VehicleParameters, preset
+from carpark_mj.vehicle import preset
 
 PLANNER = "planner"
 # Columns on the screen; files have all.
@@ -80,19 +73,6 @@ AMONG = {  # columns of such levels, and what they are means of
     "near miss": "near_miss",
     "least gap [m]": "least_gap",
 }
-COLUMNS = 4
-CELL = (1.75, 1.75)  # inches
-FOOT = 0.5  # inches, of the legend
-ASPECT = 1.2  # width over height of what a cell shows
-AROUND = 4.0  # m shown beyond start, goal and path
-BAR = 5.0  # m
-DPI = 160
-GEARS = {1: "tab:blue", -1: "tab:red"}
-GEAR_NAMES = {1: "forwards", -1: "backwards"}
-
-
-# Cases of the picture of planned paths: titles, layouts and paths.
-Drawn = list[tuple[str, Layout, PlannedPath | None]]
 
 
 def write_report(
@@ -452,75 +432,3 @@ def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str,
 def _mean(rows: Sequence[Row], name: str) -> float:
     values = [row[name] for row in rows if name in row]
     return float(np.mean(values)) if values else math.nan
-
-
-def plot_paths(file: Path, cases: Drawn, car: VehicleParameters) -> None:
-    """Draws cases that a car drives into a PNG, each with a bar of `BAR` metres."""
-    rows = -(-len(cases) // COLUMNS)
-    size = (COLUMNS * CELL[0], rows * CELL[1] + FOOT)
-    figure = Figure(size, layout="constrained")
-    axes = figure.subplots(rows, COLUMNS, squeeze=False)
-    for axis in axes.flat[len(cases) :]:
-        axis.axis("off")
-    for axis, (title, layout, path) in zip(axes.flat, cases, strict=False):
-        axis.set_title(title.replace(": ", "\n"), fontsize=7)
-        _draw(axis, layout, path, car)
-    figure.legend(
-        handles=[
-            Patch(fc="tab:blue", alpha=0.3, label="start"),
-            Patch(fc="tab:green", alpha=0.4, label="goal"),
-            Patch(fc="0.6", label="obstacle"),
-            *(
-                Line2D([], [], color=GEARS[gear], label=GEAR_NAMES[gear])
-                for gear in GEARS
-            ),
-            Patch(fc="none", ec="0.3", label="car at a change of gear"),
-            Line2D([], [], color="black", lw=2, label=f"{BAR:g} m"),
-        ],
-        loc="outside lower center",
-        ncols=COLUMNS,
-        fontsize=7,
-        frameon=False,
-    )
-    write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=DPI))
-
-
-def _draw(
-    axis: Axes, lot: Layout, path: PlannedPath | None, car: VehicleParameters
-) -> None:
-    layout: Any = jax.device_get(lot)
-    axis.set_aspect("equal")
-    axis.set(xticks=[], yticks=[])
-    mask, size = layout.wall_mask, np.array([[car.length, car.width]])
-    # Outlined: edges of polygons are too thin to be seen.
-    _fill(axis, layout.wall_pose[mask], layout.wall_size[mask], color="0.6", lw=0.8)
-    _fill(axis, layout.bay_pose[:1], layout.bay_size[:1], color="tab:green", alpha=0.4)
-    _fill(axis, layout.spawn_pose[:1], size, color="tab:blue", alpha=0.3)
-    for segment in path.segments if path is not None else ():
-        colour, last = GEARS[segment.gear], centre(car, segment.pose[-1:])
-        _fill(axis, last, size, fill=False, ec=colour, lw=0.5)
-        axis.plot(*segment.pose[:, :2].T, color=colour, lw=1.0)
-    (left, low), (right, high) = _view(layout, path)
-    axis.set(xlim=(left, right), ylim=(low, high))
-    inset = (right - left) / 25
-    bar = [left + inset, left + inset + BAR]
-    axis.plot(bar, [low + inset] * 2, color="black", lw=2, solid_capstyle="butt")
-
-
-def _fill(axis: Axes, pose: np.ndarray, size: np.ndarray, **style: Any) -> None:
-    """Draws boxes (n, 3), (n, 2), by default without an outline."""
-    style.setdefault("lw", 0.0)
-    for outline in np.asarray(box_corners(jnp.asarray(pose), jnp.asarray(size))):
-        axis.fill(*outline.T, **style)
-
-
-def _view(layout: Layout, path: PlannedPath | None) -> np.ndarray:
-    """(2, 2) corners of the part of a lot around start, goal and path [m]."""
-    poses = [layout.spawn_pose[0], layout.bay_pose[0]]
-    parts = [part.pose for part in path.segments] if path is not None else []
-    points = np.concatenate([np.stack(poses), *parts])[:, :2]
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    half = np.ptp(points, axis=0) / 2 + AROUND
-    tall = max(half[1], half[0] / ASPECT)
-    half = np.array([ASPECT * tall, tall])
-    return np.stack([middle - half, middle + half])

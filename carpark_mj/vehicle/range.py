@@ -4,11 +4,11 @@
 same, when an environment is built: each is data like a preset, so their number costs
 nothing in a step.
 
-Ranges hold these data sheets [press]: Smart fortwo (2.70 m x 1.66 m, wheelbase 1.87 m,
-circle 6.95 m), Suzuki Alto (3.40 m x 1.48 m, 2.46 m), VW Golf and ID.4 (4.28 and 4.58
-m), Mercedes S-Class long (5.29 m x 1.95 m, 3.22 m), Ford Transit L3H2 (5.98 m x 2.06 m,
-3.75 m, circle 13.3 m), Mercedes Sprinter L3 (6.97 m x 2.02 m, 4.33 m). What data sheets
-do not say is [est].
+Ranges hold these data sheets, quoted from memory: Smart fortwo (2.70 m x 1.66 m,
+wheelbase 1.87 m, circle 6.95 m), Suzuki Alto (3.40 m x 1.48 m, 2.46 m), VW ID.4 (4.58 m
+x 1.85 m, 2.77 m), Mercedes S-Class long (5.29 m x 1.95 m, 3.22 m), Ford Transit L3H2
+(5.98 m x 2.06 m, 3.75 m, circle 13.3 m), Mercedes Sprinter L3 (6.97 m x 2.02 m, 4.33
+m). What data sheets do not say is [est].
 """
 
 import functools
@@ -26,14 +26,15 @@ from carpark_mj.vehicle.sheet import car_of_sheet
 PREFIX = "range:"  # of a fleet's entry, before the number of cars
 MAX_CARS = 1024
 LONG = 4.8  # m, from where rear axles may steer
+LONGEST_WHEELBASE = 4.6  # m, of the longest vans [est]
 REAR_STEERING = 0.25  # share of long cars whose rear axle steers [est]
 # Drawn for each car, in this order.
 RANGES: Mapping[str, tuple[float, float]] = {
     "length": (2.6, 7.0),  # m
     "width": (-0.17, 0.17),  # m, about a width that grows with the length
-    "wheelbase": (0.56, 0.72),  # share of the length
+    "wheelbase": (0.56, 0.73),  # share of the length
     "rear_overhang": (0.4, 0.62),  # share of both overhangs
-    "lock": (0.57, 0.70),  # rad, of the bicycle's wheel
+    "lock": (0.57, 0.76),  # rad, of the bicycle's wheel
     "height": (0.75, 1.1),  # share of the width
     "mass": (165.0, 255.0),  # kg per m^2 of the outline, with a driver
     "front_drive": (0.0, 1.0),  # thirds: rear-driven, all wheels, front-driven
@@ -83,6 +84,11 @@ def _evenly(number: int) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
+def usual_width(length: float) -> float:
+    """Of cars of a length, both in m."""
+    return 1.15 + 0.145 * length
+
+
 def _car(chance: Mapping[str, float]) -> VehicleParameters:
     """The car at a point of the range."""
 
@@ -91,8 +97,8 @@ def _car(chance: Mapping[str, float]) -> VehicleParameters:
         return low + chance[name] * (high - low)
 
     length = drawn("length")
-    width = min(1.15 + 0.145 * length + drawn("width"), 2.1)
-    wheelbase = drawn("wheelbase") * length
+    width = min(usual_width(length) + drawn("width"), 2.1)
+    wheelbase = min(drawn("wheelbase") * length, LONGEST_WHEELBASE)
     front_drive = math.floor(3 * chance["front_drive"]) / 2
     quantities = {
         "length": length,

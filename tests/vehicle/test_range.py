@@ -15,7 +15,8 @@ from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.ego import CAR, RESPONSE
 from carpark_mj.vehicle import make_vehicle
-from carpark_mj.vehicle.range import RANGES, cars_in_range, cars_of
+from carpark_mj.vehicle.parameters import steering_for_circle
+from carpark_mj.vehicle.range import RANGES, cars_in_range, cars_of, usual_width
 
 # Length, width, wheelbase and turning circle [m] of data sheets from end to end.
 SHEETS = {
@@ -49,11 +50,18 @@ def test_cars_cover_every_range_evenly():
 
 
 @pytest.mark.parametrize("name", SHEETS)
-def test_a_car_like_a_real_one_is_drawn(name):
-    """Of a thousand, one within a tenth of all four sizes."""
-    names = ("length", "width", "wheelbase", "turning_circle")
-    sizes = numbers(cars_in_range(1024), *names)
-    assert np.abs(sizes / SHEETS[name] - 1.0).max(axis=1).min() < 0.1
+def test_the_ranges_hold_real_cars(name):
+    length, width, wheelbase, circle = SHEETS[name]
+    tyre = 0.14 + 0.013 * length
+    share = {
+        "length": length,
+        "width": width - usual_width(length),
+        "wheelbase": wheelbase / length,
+        "lock": steering_for_circle(wheelbase, width - tyre - 0.06, tyre, circle),
+    }
+    for name, value in share.items():
+        low, high = RANGES[name]
+        assert low <= value <= high, name
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,188 @@
+"""Rates, speeds, versions and pictures of the pages are those that were recorded."""
+
+import csv
+import re
+import tomllib
+from statistics import fmean
+
+import pytest
+from helpers.pages import (
+    ROOT,
+    section,
+)
+from PIL import Image, ImageSequence
+
+import carpark_mj
+import gallery
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.render import RenderConfig
+from carpark_mj.policy import checkpoints
+from carpark_mj.policy.runs import find_policy
+from carpark_mj.pretrained import FOLDER, pretrained_names
+
+DOCS = ROOT / "docs"
+README = (ROOT / "README.md").read_text()
+RESULTS = (DOCS / "results.md").read_text()
+
+RATE = r"[\d.]+ % \([\d.]+ … [\d.]+\)"
+
+
+# Figures of Tanner 2022 with three or more runs a setting: the columns of a setting.
+FIGURES = {
+    "5.5": ("agents", ["env.num_agents"]),
+    "5.6": ("parked cars, one agent", ["env.num_parked_cars"]),
+    "5.7": ("parked cars", ["env.num_parked_cars"]),
+    "5.8": ("tracked cars", ["env.observation.tracked_cars"]),
+    "5.14": ("agents that choose goals", ["env.num_agents"]),
+}
+
+
+def means(figure, columns, source, metric):
+    """Mean of a metric in per cent by setting, as the page writes them."""
+    with (DOCS / f"study/figure-{figure}.csv").open(newline="") as file:
+        runs = [run for run in csv.DictReader(file) if run["source"] == source]
+    settings = sorted({tuple(int(run[c]) for c in columns) for run in runs})
+    groups = [
+        [run for run in runs if tuple(int(run[c]) for c in columns) == setting]
+        for setting in settings
+    ]
+    return settings, [
+        f"{100 * fmean(float(run[metric]) for run in group):.1f}" for group in groups
+    ]
+
+
+def study_table():
+    """The table of the study's page, from the recorded runs."""
+    lines = [
+        "| figure | varied | | published [%] | ours [%] |",
+        "|---|---|---|---|---|",
+    ]
+    for figure, (name, columns) in FIGURES.items():
+        for metric in ("parked", "crashed"):
+            settings, theirs = means(figure, columns, "Tanner 2022", metric)
+            same, ours = means(figure, columns, "ours", metric)
+            assert settings == same
+            values = ", ".join(str(value) for (value,) in settings)
+            lines.append(
+                f"| {figure} | {name}: {values} | {metric} | {', '.join(theirs)} "
+                f"| {', '.join(ours)} |"
+            )
+    return "\n".join(lines)
+
+
+def test_the_study_s_table_is_that_of_its_recorded_runs():
+    expected = study_table()
+    assert section((DOCS / "study.md").read_text(), "figures") == expected, (
+        f"paste this:\n{expected}"
+    )
+
+
+def card_rates(name):
+    """Rates with intervals on the card of a pretrained policy, by command."""
+    rows = re.findall(
+        r"^\| (`.*) \| [\d,]+ \| (.*) \|$", (FOLDER / f"{name}.md").read_text(), re.M
+    )
+    assert rows
+    return {command: re.findall(RATE, rates) for command, rates in rows}
+
+
+@pytest.mark.parametrize("name", ["dynamic", "anywhere", "considerate", "sees"])
+def test_results_have_the_rates_of_the_cards(name):
+    """Parked and crashed of every row of the card that the page has."""
+    rows = [line for line in RESULTS.splitlines() if line.startswith(f"| `{name}`")]
+    known = [rates[:2] for rates in card_rates(name).values()]
+    assert rows
+    for row in rows:
+        assert re.findall(RATE, row)[:2] in known, row
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_results_say_how_many_steps_a_shipped_policy_was_trained(name):
+    steps = checkpoints.read_header(find_policy(name))["env_steps"]
+    said = f"{steps / 1e6:,.0f} M"
+    assert said in RESULTS or f"{steps:,}" in RESULTS, said
+
+
+def numbers(cell):
+    """Rates of a cell, intervals left out; the ends of a range."""
+    text = re.sub(r"\(.*?\)", "", cell)
+    return {rate for rate in re.findall(r"[\d.]+(?= %| …)", text)}
+
+
+def rates_by_policy(page, parked, first=""):
+    """Parked and crashed rates of tables, by policy.
+
+    Args:
+        page: text with rows whose first cell names a policy, or is empty for the last.
+        parked: column of the parked rates; the next has the crashed ones.
+        first: policy of rows that come before any name.
+    """
+    found, name = {}, first
+    for row in re.findall(r"^\|(.*)\|$", page, re.MULTILINE):
+        cells = row.split("|")
+        if len(cells) <= parked + 1 or "%" not in cells[parked]:
+            continue
+        name = (re.findall(r"`(\w+)`", cells[0]) or [name])[0]
+        pair = found.setdefault(name, (set(), set()))
+        pair[0].update(numbers(cells[parked]))
+        pair[1].update(numbers(cells[parked + 1]))
+    return found
+
+
+def test_rates_of_the_readme_are_those_of_the_results():
+    said = rates_by_policy(section(README, "policies table"), 3)
+    parts = RESULTS.split("\n## ")
+    [cpu] = [part for part in parts if part.startswith("What does the first command")]
+    [gpu] = [part for part in parts if part.startswith("What do the GPU presets")]
+    known = rates_by_policy(gpu, 4) | rates_by_policy(cpu, 3, first="cpu")
+    assert {*said} == {"cpu", *pretrained_names()}
+    for name, (parked, crashed) in said.items():
+        assert min(len(parked), len(crashed)) > 0, name
+        assert parked <= known[name][0], name
+        assert crashed <= known[name][1], name
+
+
+def test_speeds_of_the_readme_are_those_of_the_results():
+    known = set(re.findall(r"\d+(?:,\d{3})+", section(RESULTS, "speeds")))
+    said = set(re.findall(r"\d+(?:,\d{3})+", section(README, "speed table")))
+    assert said
+    assert said <= known
+
+
+PLACES = {
+    "CITATION.cff": r"^version: (.*)$",
+    "docs/stability.md": r"version = \{(.*)\}",
+}
+
+
+def test_the_package_has_the_version_of_its_distribution():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["version"] == carpark_mj.__version__
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_citations_have_the_version(place):
+    found = re.findall(PLACES[place], (ROOT / place).read_text(), re.MULTILINE)
+    assert found == [carpark_mj.__version__]
+
+
+CLIPS = gallery.commands(gallery.PAGE.read_text())
+
+
+@pytest.mark.parametrize("clip", sorted(CLIPS))
+def test_a_clip_is_as_large_and_long_as_its_command_makes_it(clip):
+    config = read_flags(RenderConfig, CLIPS[clip])
+    path = DOCS / clip
+    assert path.stat().st_size < 1e6
+    with Image.open(path) as gif:
+        lasts = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
+        assert gif.size == (config.width, config.height)
+    assert sum(lasts) == pytest.approx(1000 * config.seconds, abs=1000 / config.fps)
+    assert min(lasts) == 1000 / config.fps
+
+
+def test_the_pictures_of_the_gallery_are_those_its_commands_make():
+    shown = re.findall(r"\]\((\S+\.gif)\)", (DOCS / "gallery.md").read_text())
+    assert sorted(shown) == sorted(CLIPS)
+    assert set(gallery.MOSAIC) <= set(CLIPS)
+    assert (DOCS / "mosaic.gif").stat().st_size < 3e6
