@@ -188,6 +188,12 @@ def test_a_car_of_the_fleet_may_be_chosen():
     check_starts(env.config, given, lots)
     room = jnp.take_along_axis(lots.layout.bay_size, lots.goal[..., None], axis=1)
     assert (room > lots.motion.size + env.config.episode.slack - 1e-5).all()
+    # Where one bay has room for it and three agents choose it, all drive it.
+    lot = env.draw_layout(keys(1)[0])
+    lot = dataclasses.replace(lot, bay_size=lot.bay_size.at[1:, 0].set(4.0))
+    chosen = ResetOptions(kind=jnp.full(3, 2))
+    begun = jax.jit(env.reset_to_layout)(lot, keys(1)[0], None, chosen)[0]
+    np.testing.assert_allclose(begun.motion.size[:, 0], lengths[2], rtol=1e-6)
     beyond = given.replace(kind=given.kind.at[3, 1].set(3))
     with pytest.raises(ValueError, match=r"agent 1 of lot 3: kind must be .* to 2"):
         check_starts(env.config, beyond, reset(keys(20), beyond))
