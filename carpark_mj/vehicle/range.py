@@ -35,7 +35,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "wheelbase": (0.56, 0.73),  # share of the length
     "rear_overhang": (0.4, 0.62),  # share of both overhangs
     "lock": (0.57, 0.76),  # rad, of the bicycle's wheel
-    "height": (0.75, 1.1),  # share of the width
+    "height": (0.75, 1.0),  # share of the width
     "mass": (165.0, 255.0),  # kg per m^2 of the outline, with a driver
     "front_drive": (0.0, 1.0),  # thirds: rear-driven, all wheels, front-driven
     "steering_rate": (0.30, 0.60),  # rad/s [est]

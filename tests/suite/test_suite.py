@@ -17,10 +17,8 @@ from carpark_mj.suite.evaluation import (
     suite_env,
 )
 from carpark_mj.suite.levels import load_held_out, pick_cases
+from carpark_mj.suite.path_figure import AROUND, ASPECT, _view
 from carpark_mj.suite.report import (
-    AROUND,
-    ASPECT,
-    _view,
     header,
     print_results,
     shown_cells,
