@@ -79,16 +79,6 @@ ANYWHERE = EnvConfig(
     ),
 )
 
-# The same, and bays among pieces of outlines, where one car is alone; cars of any size,
-# each in lots with bays that it fits in. Tight bays take several moves.
-VALET = dataclasses.replace(
-    ANYWHERE,
-    layout=f"{ANYWHERE.layout},clutter_sizes,clutter_sizes_tight,clutter_vans",
-    fleet=FleetConfig(agents=("range:64",), parked_cars=_CARS),
-    episode=EpisodeConfig(max_steps=500),  # 100 s
-    observation=dataclasses.replace(_OBSERVATION, own_response=True),
-)
-
 # Up to four cars among people of whom more or fewer give way, carts, and drivers.
 # Waiting takes time, so episodes are longer; hitting a person costs `person` besides
 # the crash. Cars have emergency braking for people: what remains to learn is to get on
@@ -130,7 +120,6 @@ SEES = dataclasses.replace(
 ENVIRONMENTS.register("square", SQUARE)
 ENVIRONMENTS.register("dynamic", DYNAMIC)
 ENVIRONMENTS.register("anywhere", ANYWHERE)
-ENVIRONMENTS.register("valet", VALET)
 ENVIRONMENTS.register("considerate", CONSIDERATE)
 ENVIRONMENTS.register("sees", SEES)
 

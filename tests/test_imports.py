@@ -69,3 +69,22 @@ def test_the_core_is_imported_without_the_suite_or_extensions():
     loaded, *extensions = ended.stdout.split()
     assert int(loaded) <= 90
     assert extensions == []
+
+
+def test_the_suite_needs_no_optional_package():
+    """Looking an environment up loads the suite, in a plain installation too."""
+    optional = ("shapely", "pyproj", "ezdxf", "ompl", "viser", "onnx", "moviepy")
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({optional}))\n"
+        "import carpark_mj.suite.evaluation\n"
+        "from carpark_mj.registry import environment\n"
+        "print(environment('valet').num_agents)"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert ended.stdout.split() == ["1"]

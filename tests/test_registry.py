@@ -12,8 +12,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import observation_size
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.registry import ANYWHERE, environment
+from carpark_mj.suite.environments import HOPE
 from carpark_mj.suite.evaluation import suite_env
-from carpark_mj.suite.hope import HOPE
 from carpark_mj.vehicle.presets import PRESETS
 
 
@@ -21,12 +21,12 @@ from carpark_mj.vehicle.presets import PRESETS
 def test_lots_and_steps_have_the_shapes_of_the_config(name):
     env = ParkingEnv(environment(name))
     state, observation = jax.eval_shape(env.reset, jax.random.key(0))
-    assert observation.shape == (8, observation_size(env.config))
-    action = jax.ShapeDtypeStruct((8, env.action_spec.size), jnp.float32)
+    assert observation.shape == (env.num_agents, observation_size(env.config))
+    action = jax.ShapeDtypeStruct((env.num_agents, env.action_spec.size), jnp.float32)
     after, timestep = jax.eval_shape(env.step, state, action)
     assert jax.tree.map(jnp.shape, after) == jax.tree.map(jnp.shape, state)
     assert timestep.observation.shape == observation.shape
-    assert timestep.reward.shape == (8,)
+    assert timestep.reward.shape == (env.num_agents,)
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from carpark_mj.layouts.schematics import (
     StreetParallelConfig,
 )
 from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts.stored import ScaledConfig, StoredConfig
 from carpark_mj.layouts.tight import DeadEndConfig, GarageRowConfig
 from carpark_mj.layouts.types import (
     ROWS,
@@ -48,7 +49,9 @@ __all__ = [
     "LotConfig",
     "Maxima",
     "MixtureConfig",
+    "ScaledConfig",
     "SquareConfig",
+    "StoredConfig",
     "StreetConfig",
     "StreetParallelConfig",
     "WallKind",

@@ -184,7 +184,9 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
     """
     shares: dict[str, float] = {}
     for member, share in config.shares:
-        first = name = LAYOUTS.name_of(member) or member.family
+        scaled = getattr(member, "lots", member)  # `ScaledConfig`
+        name = LAYOUTS.name_of(member) or LAYOUTS.name_of(scaled)
+        first = name = name or member.family
         number = 2
         while name in shares:
             name, number = f"{first} {number}", number + 1

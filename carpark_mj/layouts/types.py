@@ -211,6 +211,30 @@ def pad_layout(layout: Layout, maxima: Maxima) -> Layout:
     return dataclasses.replace(layout, **changes)
 
 
+def enlarge(layout: Layout, factor: jax.Array | float) -> Layout:
+    """A lot of which all lengths are larger by a factor; headings stay."""
+    scale = jnp.stack([factor, factor, 1.0]).astype(jnp.float32)
+    scales = {"pose": scale, "centre": factor, "size": factor, "radius": factor}
+    changes = {
+        field.name: getattr(layout, field.name) * scales[part]
+        for field in dataclasses.fields(layout)
+        if (part := field.name.partition("_")[2]) in scales
+    }
+    return dataclasses.replace(layout, **changes, extent=layout.extent * factor)
+
+
+def mirror(layout: Layout) -> Layout:
+    """A lot whose left is right: y and headings have the other sign."""
+    pose, point = jnp.array([1.0, -1.0, -1.0]), jnp.array([1.0, -1.0])
+    signs = {"pose": pose, "centre": point}
+    changes = {
+        field.name: getattr(layout, field.name) * signs[part]
+        for field in dataclasses.fields(layout)
+        if (part := field.name.partition("_")[2]) in signs
+    }
+    return dataclasses.replace(layout, **changes)
+
+
 WALL_HEIGHTS = {
     WallKind.WALL: WALL_HEIGHT,
     WallKind.KERB: KERB_HEIGHT,

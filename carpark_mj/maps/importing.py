@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +10,12 @@ import numpy as np
 import shapely
 from shapely import affinity
 
-from carpark_mj.extensions import Registry
 from carpark_mj.layouts import build
 from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
+from carpark_mj.maps import RECORDED_CASES
 from carpark_mj.maps.bays import lay_out
 from carpark_mj.maps.commonroad import commonroad_features
 from carpark_mj.maps.features import (
@@ -59,9 +59,6 @@ AHEAD = 1.0  # m in front of a spot, where its aisle is
 ROUND = 0.75  # of a column's radius that bays must leave, for it to be a disc
 MARGIN = 1.0  # m around everything
 _Disc = tuple[float, float, float]
-# By a key at the top of their JSON files: readers, and the cars they are made for.
-RecordedCase = tuple[Callable[[Mapping[str, Any]], Layout], DesignCar]
-RECORDED_CASES: Registry[RecordedCase] = Registry("recorded case")
 
 
 def import_map(

@@ -77,6 +77,17 @@ PARKED_RULES.register(
 PARKED_RULES.register(
     "precise", ParkedRule(distance=0.2, heading=math.radians(3.0), speed=0.05)
 )
+# What both ask for, to train for either.
+PARKED_RULES.register(
+    "exact",
+    ParkedRule(
+        inside_lines=True,
+        distance=0.2,
+        heading=math.radians(3.0),
+        speed=0.05,
+        slack=0.1,
+    ),
+)
 # MetaDrive's arrival: 5 m about the end of the last lane.
 PARKED_RULES.register("metadrive", ParkedRule(from_end=5.0))
 

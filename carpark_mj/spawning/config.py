@@ -96,10 +96,13 @@ class FleetConfig(CheckedConfig):
     Attributes:
         agents: presets of the agents, drawn at every spawn, each equally often.
         parked_cars: the same of the parked cars, drawn when the lot is reset.
+        snug: share of the agents' cars that are likelier the less room the bays leave
+            them; the others are equally likely, and mostly small cars in large bays.
     """
 
     agents: tuple[str, ...] = ()
     parked_cars: tuple[str, ...] = ()
+    snug: Ratio = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -145,6 +145,8 @@ class Fleet:
             fits=goal_bays,
             cars=jnp.ones(n, bool) if present is None else present,
             anywhere=True,
+            snug=config.fleet.snug,
+            room=self._room(layout),
         )
         kind, goal = draw_bays(agents, layout.bay_mask, goal_key)
         if options is not None:
@@ -174,19 +176,27 @@ class Fleet:
             kind = jnp.zeros_like(kind)
         return Start(goal, _in_bays(layout, cars), self.of_kind(kind), kind)
 
-    def draw_kinds(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def draw_kinds(self, layout: Layout, key: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Kinds (num_agents,) int32 of drawn cars, and the next key.
 
         Without a fleet of agents they are all of the one kind and nothing is drawn.
         """
-        shape = (self._config.num_agents,)
+        config = self._config
+        shape = (config.num_agents,)
         if not self.mixed:
             return jnp.zeros(shape, jnp.int32), key
         key, kind_key = jax.random.split(key)
-        kind = jax.random.categorical(
-            kind_key, jnp.zeros(len(self.agents)), shape=shape
-        )
+        logits = jnp.zeros(len(self.agents))
+        if config.fleet.snug:
+            fit = fits(layout.bay_size, self._kinds.size, config.episode.slack)
+            fit = fit & layout.goal_mask
+            logits = kind_logits(fit, self._room(layout), config.fleet.snug)
+        kind = jax.random.categorical(kind_key, logits, shape=shape)
         return kind.astype(jnp.int32), key
+
+    def _room(self, layout: Layout) -> jax.Array:
+        """(kinds, bays) that bays leave in length and width together [m]."""
+        return layout.bay_size.sum(axis=1) - self._kinds.size.sum(axis=1)[:, None]
 
     def of_kind(self, kind: jax.Array) -> Vehicle:
         """Nominal parameters of cars of kinds (...) int32."""
@@ -246,11 +256,37 @@ class Wanted(NamedTuple):
         fits: (cars, kinds, bays) bool.
         cars: (cars,) bool, the cars that need one.
         anywhere: whether a car that fits nowhere still gets a free bay.
+        snug: share of the kinds that are likelier the less room a bay leaves.
+        room: (kinds, bays) that a bay leaves in length and width together [m].
     """
 
     fits: jax.Array
     cars: jax.Array
     anywhere: bool
+    snug: float = 0.0
+    room: jax.Array | None = None
+
+
+SNUG = 0.2  # m more room makes a kind less likely by a factor of e [est]
+
+
+def kind_logits(fit: jax.Array, room: jax.Array | None, snug: float) -> jax.Array:
+    """Logits (kinds,) of kinds of cars that fit into a bay; of all if none does.
+
+    Args:
+        fit: (kinds, bays) bool.
+        room: see `Wanted`; unused without `snug`.
+        snug: see `FleetConfig.snug`.
+    """
+    possible = fit.any(axis=1)
+    possible = possible | ~possible.any()
+    if room is None or not snug:
+        return jnp.where(possible, 0.0, -jnp.inf)
+    left = jnp.where(fit, room, jnp.inf).min(axis=1)
+    left = left - jnp.where(fit.any(), left.min(), 0.0)
+    close = jnp.where(fit.any(axis=1), jnp.exp(-left / SNUG), 0.0)
+    close = close / jnp.maximum(close.sum(), 1.0)
+    return jnp.log(snug * close + (1.0 - snug) * possible / possible.sum())
 
 
 def draw_bays(
@@ -269,8 +305,7 @@ def draw_bays(
     def draw(free: jax.Array, car: tuple[jax.Array, jax.Array, jax.Array]):
         fits, wants, key = car
         kind_key, bay_key = jax.random.split(key)
-        possible = (fits & free).any(axis=1)
-        logits = jnp.where(possible | ~possible.any(), 0.0, -jnp.inf)
+        logits = kind_logits(fits & free, wanted.room, wanted.snug)
         kind = jax.random.categorical(kind_key, logits)
         good = free & fits[kind]
         if wanted.anywhere:

@@ -104,8 +104,10 @@ class Spawner:
             room = has_room(
                 layout, (length, width), config.num_agents, config.spawn.spacing
             )
-        # A single agent never waits.
-        self._may_wait = (config.num_agents > 1 or bool(self._movers)) and not room
+        # A single agent never waits, unless it may get a car that has no room to start.
+        others = config.num_agents > 1 or bool(self._movers)
+        varies = fleet.mixed and config.episode.respawn
+        self._may_wait = (others or varies) and not room
         may_be_fewer = config.occupancy is not None and config.min_agents is not None
         most = min(lot.min_bays // 2, lot.min_goals)
         self._limits_agents = (
@@ -198,7 +200,7 @@ class Spawner:
         begun = mask if state.waited is None else mask | (state.waited > 0)
         kind, vehicles = state.kind, old
         if not first and (config.randomization.is_on or self._fleet.mixed):
-            kind, key = self._fleet.draw_kinds(keys.cars)
+            kind, key = self._fleet.draw_kinds(layout, keys.cars)
             nominal = self._fleet.of_kind(kind)
             vehicles = randomize_all(config.randomization, nominal, key)
         waiting, pose_w = begun, state.motion.pose_w

@@ -3,6 +3,6 @@
 Importing the package registers their layouts, cars, movers, environments and levels.
 """
 
-from carpark_mj.suite import busy, hope, lots, metadrive, parkbench, tpcap
+from carpark_mj.suite import busy, environments, hope, lots, metadrive, parkbench, tpcap
 
-__all__ = ["busy", "hope", "lots", "metadrive", "parkbench", "tpcap"]
+__all__ = ["busy", "environments", "hope", "lots", "metadrive", "parkbench", "tpcap"]

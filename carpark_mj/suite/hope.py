@@ -14,23 +14,12 @@ HOPE counts a car as parked that covers 95 % of the goal; our parked rules apply
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config import (
-    EpisodeConfig,
-    FleetConfig,
-    JitterConfig,
-    LayoutConfig,
-    RandomizationConfig,
-    RayConfig,
-    SensorConfig,
-    SpawnConfig,
-    register_layout,
-)
-from carpark_mj.extensions import Entry
+from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.geometry import box_corners, box_distance, boxes_overlap, move_forward
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.standards import (
@@ -41,10 +30,7 @@ from carpark_mj.layouts.standards import (
     tight_bay,
 )
 from carpark_mj.layouts.types import Layout, WallKind
-from carpark_mj.observations import ContinuousObservation
-from carpark_mj.registry import ANYWHERE, ENVIRONMENTS
 from carpark_mj.suite.tpcap import START, TPCAP_CAR
-from carpark_mj.training.ppo.parts import PRESETS
 
 MARGIN = 0.1  # m from the parked car to the nearest obstacle, and to the bay's lines
 SOLID = 0.5  # share of the sides with a solid obstacle instead of parked cars
@@ -141,11 +127,10 @@ class HopeConfig(LayoutConfig):
 
 
 # The levels that HOPE has.
-register_layout("hope_normal_perpendicular", HopeConfig())
-register_layout("hope_normal_parallel", HopeConfig("normal", "parallel"))
-register_layout("hope_complex_perpendicular", HopeConfig("complex"))
-register_layout("hope_complex_parallel", HopeConfig("complex", "parallel"))
-register_layout("hope_extreme_parallel", HopeConfig("extreme", "parallel"))
+for _level in get_args(Level):
+    for _side in get_args(Orientation):
+        if (_level, _side) != ("extreme", "perpendicular"):
+            register_layout(f"hope_{_level}_{_side}", HopeConfig(_level, _side))
 
 
 class _Boxes(NamedTuple):
@@ -337,32 +322,3 @@ def _draw_start(config: HopeConfig, edge: jax.Array, key: jax.Array) -> jax.Arra
     yaw = _normal(yaw_key, (), START_HEADING, jnp.pi / 2)
     yaw = yaw + jnp.where(jax.random.bernoulli(back_key), jnp.pi, 0.0)
     return move_forward(jnp.stack([x, y, yaw]), config.car.centre_offset)
-
-
-# HOPE's levels (docs/hard_cases.md): one car without noise among boxes, seen by rays.
-HOPE = dataclasses.replace(
-    ANYWHERE,
-    layout="hope_normal_perpendicular,hope_normal_parallel,hope_complex_perpendicular,"
-    "hope_complex_parallel,hope_extreme_parallel",
-    vehicle="tpcap",
-    num_agents=1,
-    min_agents=None,
-    num_parked_cars=0,
-    occupancy=None,
-    fleet=FleetConfig(),
-    jitter=JitterConfig(),
-    spawn=SpawnConfig(close_ratio=0.0),
-    episode=EpisodeConfig(max_steps=500),  # 100 s, as in the suite
-    observation=ContinuousObservation(
-        tracked_agents=0,
-        tracked_parked_cars=0,
-        own_car=True,
-        lines=True,
-        rays=RayConfig(72, near=1.0),
-    ),
-    randomization=RandomizationConfig(),
-    sensors=SensorConfig(),
-)
-
-ENVIRONMENTS.register("hope", HOPE)
-PRESETS.register("hope", Entry("carpark_mj.suite.presets:HOPE", "GPU"))

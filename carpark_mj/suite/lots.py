@@ -23,7 +23,8 @@ from carpark_mj.layouts import layout_config
 from carpark_mj.layouts.car_park import random_parts
 from carpark_mj.layouts.registry import TEST, MixtureConfig, lot_key
 from carpark_mj.layouts.standards import BAY_LENGTH
-from carpark_mj.layouts.types import Layout
+from carpark_mj.layouts.stored import ScaledConfig
+from carpark_mj.layouts.types import Layout, enlarge
 from carpark_mj.registry import ANYWHERE
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.levels import EXTRA_LEVELS, CaseLevel, Cases, CaseStart
@@ -111,42 +112,9 @@ def _metadrive_env(env: EnvConfig) -> EnvConfig:
 EXTRA_LEVELS.register("metadrive", lots_level("metadrive", _metadrive, _metadrive_env))
 
 
-def enlarge(layout: Layout, factor: jax.Array | float) -> Layout:
-    """A lot of which all lengths are larger by a factor; headings stay."""
-    scale = jnp.stack([factor, factor, 1.0]).astype(jnp.float32)
-    scales = {"pose": scale, "centre": factor, "size": factor, "radius": factor}
-    changes = {
-        field.name: getattr(layout, field.name) * scales[part]
-        for field in dataclasses.fields(layout)
-        if (part := field.name.partition("_")[2]) in scales
-    }
-    return dataclasses.replace(layout, **changes, extent=layout.extent * factor)
-
-
 def factor_for(car: VehicleParameters) -> float:
     """How much larger than usual lots are whose shortest bay has room for a car."""
     return max((car.length + ROOM) / BAY_LENGTH[0], 1.0)
-
-
-@dataclasses.dataclass(frozen=True)
-class EnlargedConfig(LayoutConfig):
-    """Lots of `anywhere` that have room for the longest car of the sheets.
-
-    Attributes:
-        family: fixed.
-    """
-
-    family: str = SHEETS
-
-    @property
-    def min_bays(self) -> int:
-        """The fewest bays of these lots."""
-        return layout_config(ANYWHERE.layout).min_bays
-
-    def generate(self, key: jax.Array) -> Layout:
-        """Draws a lot."""
-        factor = max(map(factor_for, read_sheets().values()))
-        return enlarge(layout_config(ANYWHERE.layout).generate(key), factor)
 
 
 @jax.jit
@@ -164,9 +132,10 @@ def _sheet_lots(number: np.ndarray) -> Layout:
 
 def _sheets_env(env: EnvConfig) -> EnvConfig:
     cars = tuple(parameters_text(*car) for car in read_sheets().items())
+    largest = max(map(factor_for, read_sheets().values()))
     return dataclasses.replace(
         env,
-        layout=EnlargedConfig(),
+        layout=ScaledConfig(layout_config(ANYWHERE.layout), (largest, largest)),
         num_parked_cars=ANYWHERE.num_parked_cars,
         occupancy=ANYWHERE.occupancy,
         fleet=FleetConfig(agents=cars, parked_cars=ANYWHERE.fleet.parked_cars),

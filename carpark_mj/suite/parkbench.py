@@ -34,7 +34,7 @@ from carpark_mj.layouts.files import FARTHEST
 from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayEnd, Layout
-from carpark_mj.maps.importing import RECORDED_CASES
+from carpark_mj.maps import RECORDED_CASES
 from carpark_mj.reading import parse_object, read_bytes, read_text
 from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases
 from carpark_mj.suite.tpcap import EDGE, case_layout, stack_layouts

@@ -45,7 +45,7 @@ from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _poses_in_bay
-from carpark_mj.spawning.fleet import Wanted, draw_bays, shuffled_bays
+from carpark_mj.spawning.fleet import Wanted, draw_bays, kind_logits, shuffled_bays
 from carpark_mj.spawning.goals import goal_of_start
 from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
@@ -371,3 +371,17 @@ def _check(state):
         pose[:, :, None], size[:, :, None], pose[:, None], size[:, None]
     )
     assert meet.sum() == meet.shape[0] * meet.shape[1]  # each with itself only
+
+
+def test_snug_cars_are_those_with_the_least_room():
+    """Half are drawn by room: 0.1, 0.3 and 2.1 m, by factors of e for 0.2 m."""
+    fit = jnp.array([[True, True], [True, False], [True, True], [False, False]])
+    room = jnp.array([[0.5, 0.1], [0.3, 0.0], [2.1, 2.5], [-1.0, -1.0]])
+    equal = jax.nn.softmax(kind_logits(fit, room, 0.0))
+    np.testing.assert_allclose(equal, [1 / 3, 1 / 3, 1 / 3, 0.0], atol=1e-6)
+    weights = np.array([1.0, np.exp(-1.0), np.exp(-10.0), 0.0])
+    close = weights / weights.sum()
+    half = jax.nn.softmax(kind_logits(fit, room, 0.5))
+    np.testing.assert_allclose(half, 0.5 * close + 0.5 * equal, atol=1e-6)
+    nowhere = jax.nn.softmax(kind_logits(jnp.zeros_like(fit), room, 0.5))
+    np.testing.assert_allclose(nowhere, 0.25, atol=1e-6)

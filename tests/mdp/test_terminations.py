@@ -84,6 +84,7 @@ CASES = {
         ((0.0, -1.5 - TILT, 0.0), 0.0, False),
     ],
 }
+CASES["exact"] = CASES["precise"]  # the lines are farther away; see below
 # The bay lies anywhere and points anywhere; the rules are those of its own frame.
 BAYS = [(0.0, 0.0, 0.0), (3.0, -18.0, math.pi / 2), (-7.0, 5.0, 2.5)]
 
@@ -105,6 +106,19 @@ def test_parked_rules_hold_up_to_their_thresholds(rule, bay):
 def test_sliding_sideways_counts_as_speed(rule):
     motion = cars((0.0, 0.0, 0.0), speed=0.04, sideways=0.3)
     assert not is_parked(rule, motion, jnp.zeros(3), jnp.array(BAY_SIZE))
+
+
+def test_exact_is_strict_and_precise_in_a_narrow_bay():
+    draw = np.random.default_rng(0)
+    pose = draw.uniform(-1.0, 1.0, (4000, 3)) * (0.25, 0.25, math.radians(6.0))
+    motion = cars(pose, speed=draw.uniform(0.0, 0.08, 4000))
+    strict, precise, exact = (
+        is_parked(rule, motion, jnp.zeros(3), jnp.array([4.3, 2.2]))
+        for rule in ("strict", "precise", "exact")
+    )
+    assert (strict & ~precise).any()
+    assert (precise & ~strict).any()
+    np.testing.assert_array_equal(exact, strict & precise)
 
 
 def test_every_rule_is_probed():

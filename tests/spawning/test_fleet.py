@@ -24,6 +24,7 @@ from carpark_mj.config import (
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import box_inside
 from carpark_mj.layouts import build
+from carpark_mj.layouts.base import LayoutConfig
 from carpark_mj.mdp.parked_cars import AWAY, relocate_parked_cars
 from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.spawning.randomization import randomize_all
@@ -301,7 +302,7 @@ def test_a_collision_is_of_the_own_footprint(env, started, step):
 
 def test_randomization_varies_about_each_agents_own_car(env):
     random = RandomizationConfig(mass=(0.9, 1.1))
-    kind, key = env.fleet.draw_kinds(jax.random.key(1))
+    kind, key = env.fleet.draw_kinds(LAYOUT, jax.random.key(1))
     nominal = env.fleet.of_kind(kind)
     cars = randomize_all(random, nominal, key)
     assert len(set(np.asarray(nominal.mass))) > 1
@@ -333,3 +334,46 @@ def test_presets_of_one_size_are_told_apart(monkeypatch):
     assert len(np.unique(seen, axis=0)) > 1
     parked = env.fleet.parked_vehicles(state.parked_cars)
     assert {car.mass for car in parked} == {COMPACT.mass, heavy.mass}
+
+
+@dataclasses.dataclass(frozen=True)
+class Narrow(LayoutConfig):
+    """Starts between two walls, 4.5 m apart in most lots and 6.5 m in the others."""
+
+    family: str = "narrow"
+    min_bays = 1
+
+    def generate(self, key):
+        half = jnp.where(jax.random.bernoulli(key, 0.8), 2.25, 3.25)
+        ends = jnp.zeros((2, 3)).at[:, 0].set(jnp.stack([-half, half]) - 10.0)
+        return build.assemble(
+            (30.0, 10.0),
+            build.bays(jnp.array([[10.0, 0.0, 0.0]]), (6.5, 3.0)),
+            build.walls(ends, (0.02, 6.0)),
+            build.spawns(jnp.array([[-10.0, 0.0, 0.0]]), (0.02, 0.02), 0.05),
+        )
+
+
+def test_a_car_without_room_to_start_leaves_its_place_to_a_smaller_one():
+    """A city car of 3.5 m can start in all lots, a van of 4.9 m in some."""
+    config = EnvConfig(
+        layout=Narrow(),
+        num_agents=1,
+        num_parked_cars=0,
+        fleet=FleetConfig(agents=("city", "van"), snug=0.5),
+        observation=ContinuousObservation(own_car=True),
+        episode=EpisodeConfig(max_steps=3),
+    )
+    env = ParkingEnv(config, SlidePhysics())
+    reset = jax.jit(jax.vmap(lambda key: env.reset(key)[0]))
+    step = jax.jit(jax.vmap(env.step))
+    state = reset(jax.random.split(jax.random.key(0), 64))
+    present, began = [np.asarray(state.present)], 0
+    for _ in range(20):
+        state, timestep = step(state, jnp.zeros((64, 1, 2)))
+        assert not np.asarray(timestep.events.crashed).any()
+        present.append(np.asarray(state.present))
+        began += int((np.asarray(state.step) == 0)[present[-1]].sum())
+    assert 0.2 < present[0].mean() < 0.9  # a van has less room in its bay
+    assert np.any(present, axis=0).all()  # no lot waits for ever
+    assert began > 64

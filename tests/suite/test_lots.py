@@ -10,7 +10,7 @@ import pytest
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config, make_layout
-from carpark_mj.layouts.types import BayKind
+from carpark_mj.layouts.types import BayKind, enlarge
 from carpark_mj.registry import ANYWHERE, CONSIDERATE, SQUARE
 from carpark_mj.spawning.reset_options import check_starts
 from carpark_mj.suite.evaluation import (
@@ -21,7 +21,7 @@ from carpark_mj.suite.evaluation import (
     suite_env,
 )
 from carpark_mj.suite.levels import find_level, pick_cases
-from carpark_mj.suite.lots import PARKED, enlarge
+from carpark_mj.suite.lots import PARKED
 from carpark_mj.suite.report import by_level, same_columns, table_rows
 from carpark_mj.suite.results import Drives, key_of, read_runs, write_run
 from carpark_mj.suite.sheets import NAMES, read_sheets

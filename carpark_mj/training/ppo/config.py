@@ -102,6 +102,9 @@ class PPOConfig(RunConfig):
         num_lots: number of lots simulated in parallel.
         lot_life: most updates for which a random lot is kept; a few lots are drawn
             anew after every update. 0 = never drawn anew; fixed lots never are.
+        stored_lots: lots that are drawn once, kept in the user's cache and picked from
+            (`carpark_mj.layouts.stored`), where a mixture takes long to compile; 0 =
+            lots are drawn all along. Evaluation draws its own.
         unroll_length: control steps between updates.
         num_minibatches: number of minibatches per epoch.
         num_epochs: passes over the data of an update.
@@ -134,6 +137,7 @@ class PPOConfig(RunConfig):
     minutes: NonNegative = 0.0
     num_lots: Count = 64
     lot_life: Natural = 16
+    stored_lots: Natural = 0
     unroll_length: Count = 64
     num_minibatches: Count = 16
     num_epochs: Count = 4

@@ -13,6 +13,8 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.layouts import layout_config
+from carpark_mj.layouts.stored import StoredConfig
 from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.policy.brax import PPONetworkParams, PPONetworks
 from carpark_mj.policy.networks import update_normalizer
@@ -76,12 +78,15 @@ def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
 
 
 def training_env(config: PPOConfig) -> EnvConfig:
-    """The environment with the starts of the curriculum."""
+    """The environment with the starts of the curriculum, and stored lots."""
     names = ("conflict_ratio", "reverse_ratio", "misaligned_ratio")
     asked = {name: getattr(config.curriculum, name) for name in names}
     changes = {name: ratio for name, ratio in asked.items() if ratio}
     spawn = dataclasses.replace(config.env.spawn, **changes)
-    return dataclasses.replace(config.env, spawn=spawn)
+    layout = config.env.layout
+    if config.stored_lots:
+        layout = StoredConfig(layout_config(layout), config.stored_lots)
+    return dataclasses.replace(config.env, spawn=spawn, layout=layout)
 
 
 Learned = tuple[Any, Any, Any, Any]

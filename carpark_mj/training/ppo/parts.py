@@ -17,7 +17,6 @@ for _name in (
     "square",
     "dynamic",
     "anywhere",
-    "valet",
     "considerate",
     "sees",
 ):

@@ -80,14 +80,6 @@ ANYWHERE = dataclasses.replace(
     networks=NetworkConfig((256, 256, 256), (256, 256, 256), min_std=0.1),
     env=environment("anywhere"),
 )
-# Families of lots differ more: a larger network, and hours instead of minutes.
-VALET = dataclasses.replace(
-    ANYWHERE,
-    preset="valet",
-    num_steps=30_000_000_000,
-    networks=NetworkConfig((512, 512, 512), (512, 512, 512), min_std=0.1),
-    env=environment("valet"),
-)
 # It parks from the start, and learns what to do about people. Where somebody is hit at
 # every other try, a high penalty would teach it to stay where it is.
 CONSIDERATE = dataclasses.replace(

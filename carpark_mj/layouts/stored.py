@@ -1,0 +1,206 @@
+"""Lots at other scales, and lots drawn once and kept.
+
+A mixture compiles the code of all of its families. Lots that are kept are data: a
+program picks one, whatever drew it, and draws only its scale anew.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import zipfile
+from pathlib import Path
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.compilation import cache_folder
+from carpark_mj.config.checks import Bounds, Count, Range
+from carpark_mj.files import write_atomically
+from carpark_mj.layouts.base import FAMILIES, LayoutConfig
+from carpark_mj.layouts.registry import lot_key, lot_number
+from carpark_mj.layouts.standards import Entry
+from carpark_mj.layouts.types import (
+    Layout,
+    Maxima,
+    enlarge,
+    layout_maxima,
+    mirror,
+    pad_layout,
+)
+
+VERSION = 1  # of the drawing of lots: files of another are not read
+CHUNK = 64  # lots drawn at a time
+
+
+@dataclasses.dataclass(frozen=True)
+class ScaledConfig(LayoutConfig):
+    """Lots of which all lengths are multiplied by a factor, as for cars of other sizes.
+
+    Attributes:
+        lots: what is scaled.
+        scale: range of the factor, drawn for every lot.
+        family: fixed.
+    """
+
+    lots: LayoutConfig
+    scale: Annotated[Range, Bounds(ge=0.5, le=2.0)] = (1.0, 1.0)
+    family: str = "scaled"
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a lot and its scale."""
+        key, scale_key = jax.random.split(key)
+        low, high = self.scale
+        factor = jax.random.uniform(scale_key, (), jnp.float32, low, high)
+        return enlarge(self.lots.generate(key), factor)
+
+    @property
+    def min_bays(self) -> int:
+        """As of the lots."""
+        return self.lots.min_bays
+
+    @property
+    def min_goals(self) -> int:
+        """As of the lots."""
+        return self.lots.min_goals
+
+    @property
+    def is_enclosed(self) -> bool:
+        """As of the lots."""
+        return self.lots.is_enclosed
+
+
+@dataclasses.dataclass(frozen=True)
+class StoredConfig(LayoutConfig):
+    """Lots for training that are drawn once, on the CPU, and kept in the user's cache.
+
+    Half of those that are picked are mirrored, and `ScaledConfig`s draw the scale of
+    each anew. All are of the split `train`: evaluate in the lots themselves.
+
+    Attributes:
+        lots: what is drawn from.
+        number: of lots that are kept, by their shares of a mixture.
+        family: fixed.
+    """
+
+    lots: LayoutConfig
+    number: Count = 8192
+    family: str = "stored"
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Picks a member of the mixture, then a lot of it."""
+        pick_key, key = jax.random.split(key)
+        shares = jnp.array([share for _, share in self.shares], jnp.float32)
+        return self.generate_member(
+            jax.random.categorical(pick_key, jnp.log(shares)), key
+        )
+
+    def generate_member(self, member: jax.Array, key: jax.Array) -> Layout:
+        """Picks a lot of one member, () int32."""
+        row_key, scale_key, side_key = jax.random.split(key, 3)
+        counts = jnp.array(self.counts, jnp.int32)
+        first = jnp.cumsum(counts) - counts
+        row = first[member] + jax.random.randint(row_key, (), 0, counts[member])
+        lot = jax.tree.map(lambda x: jnp.asarray(x)[row], stored_lots(self))
+        low, high = jnp.array([_scale(lots) for lots, _ in self.shares]).T
+        factor = jax.random.uniform(scale_key, ()) * (high - low)[member] + low[member]
+        lot = enlarge(lot, factor)
+        mirrored = jax.random.bernoulli(side_key)
+        return jax.tree.map(lambda x, y: jnp.where(mirrored, x, y), mirror(lot), lot)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """How many lots of each member are kept."""
+        return tuple(max(round(share * self.number), 1) for _, share in self.shares)
+
+    @property
+    def shares(self) -> tuple[tuple[LayoutConfig, float], ...]:
+        """Those of the lots."""
+        return self.lots.shares
+
+    @property
+    def parts(self) -> tuple[LayoutConfig, ...]:
+        """Those of the lots."""
+        return self.lots.parts
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Those of the lots."""
+        return self.lots.entries
+
+    @property
+    def min_bays(self) -> int:
+        """As of the lots."""
+        return self.lots.min_bays
+
+    @property
+    def min_goals(self) -> int:
+        """As of the lots."""
+        return self.lots.min_goals
+
+    @property
+    def is_enclosed(self) -> bool:
+        """As of the lots."""
+        return self.lots.is_enclosed
+
+
+def _scale(lots: LayoutConfig) -> Range:
+    return lots.scale if isinstance(lots, ScaledConfig) else (1.0, 1.0)
+
+
+@functools.cache
+def stored_lots(config: StoredConfig) -> Layout:
+    """The lots of a config (n, ...), numpy arrays, member by member.
+
+    They are read from `lots-*.npz` beside the folder of kept programs, or drawn and
+    written there.
+    """
+    told = repr((VERSION, config.lots, config.number))
+    name = f"lots-{hashlib.sha256(told.encode()).hexdigest()[:16]}.npz"
+    try:
+        file: Path | None = cache_folder().parent / name
+    except RuntimeError:  # no home
+        file = None
+    damaged = (OSError, ValueError, TypeError, zipfile.BadZipFile)
+    if file is not None:
+        with contextlib.suppress(*damaged), np.load(file) as arrays:
+            return Layout(**dict(arrays))
+    with jax.ensure_compile_time_eval(), jax.default_device(jax.devices("cpu")[0]):
+        lots = _draw(config)
+    arrays = {name: x for name, x in vars(lots).items() if x is not None}
+    if file is not None:
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_atomically(file, lambda opened: np.savez_compressed(opened, **arrays))
+    return lots
+
+
+def _draw(config: StoredConfig) -> Layout:
+    """Draws all lots; mixtures' members one after the other."""
+    members: list[LayoutConfig] = [
+        lots.lots if isinstance(lots, ScaledConfig) else lots
+        for lots, _ in config.shares
+    ]
+    key = jax.random.key(0)
+    maxima = layout_maxima(jax.eval_shape(lots.generate, key) for lots in members)
+    counts = zip(members, config.counts, strict=True)
+    drawn = [_draw_member(*pair, maxima, k) for k, pair in enumerate(counts)]
+    return jax.tree.map(lambda *x: np.concatenate(x), *drawn)
+
+
+def _draw_member(lots: LayoutConfig, count: int, maxima: Maxima, seed: int) -> Layout:
+    """Lots (count, ...) of the split `train`, padded to `maxima`."""
+
+    @jax.jit
+    def draw(keys: jax.Array) -> Layout:
+        keys = jax.vmap(lambda key: lot_key(lot_number("train", key)))(keys)
+        return jax.vmap(lambda key: pad_layout(lots.generate(key), maxima))(keys)
+
+    keys = jax.random.split(jax.random.key(seed), -(-count // CHUNK) * CHUNK)
+    chunks = [jax.device_get(draw(each)) for each in keys.reshape(-1, CHUNK)]
+    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *chunks)
+
+
+for _family in (ScaledConfig, StoredConfig):
+    FAMILIES.register(_family.family, _family)

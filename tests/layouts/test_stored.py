@@ -1,0 +1,106 @@
+"""Lots at other scales, and lots that are drawn once and picked from."""
+
+import functools
+import os
+
+import jax
+import numpy as np
+import pytest
+
+from carpark_mj.compilation import cache_folder
+from carpark_mj.layouts import (
+    MixtureConfig,
+    ScaledConfig,
+    SquareConfig,
+    StoredConfig,
+    StreetConfig,
+    member_shares,
+)
+from carpark_mj.layouts.stored import stored_lots
+from carpark_mj.layouts.types import mirror
+
+STREET = StreetConfig(bays_per_side=(3, 4))
+LOTS = MixtureConfig((ScaledConfig(STREET, (1.2, 1.5)), SquareConfig()), (3.0, 1.0))
+
+
+def draw(config, count, *member):
+    """Lots (count, ...) of a config, or of its member."""
+    if member:
+        generate = functools.partial(config.generate_member, *member)
+    else:
+        generate = config.generate
+    keys = jax.random.split(jax.random.key(1), count)
+    return jax.device_get(jax.jit(jax.vmap(generate))(keys))
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    stored_lots.cache_clear()
+    yield cache_folder().parent
+    stored_lots.cache_clear()
+
+
+def lengths(lots):
+    """Lengths of a lot that scale with it (lots, n)."""
+    parts = (lots.bay_size, lots.wall_size, lots.bay_pose[..., :2], lots.extent)
+    return np.concatenate([x.reshape(len(x), -1) for x in parts], axis=1)
+
+
+def test_all_lengths_of_a_scaled_lot_have_one_factor():
+    scaled = draw(ScaledConfig(STREET, (0.8, 1.6)), 32)
+    width = scaled.bay_size[..., 1].max(axis=1, keepdims=True)
+    assert width.min() < 0.95 * 2.6
+    assert width.max() > 1.4 * 2.6
+    fixed = draw(ScaledConfig(STREET, (1.5, 1.5)), 4)
+    one = draw(ScaledConfig(STREET, (1.0, 1.0)), 4)
+    np.testing.assert_allclose(lengths(fixed), 1.5 * lengths(one), rtol=1e-5)
+    np.testing.assert_array_equal(fixed.bay_pose[..., 2], one.bay_pose[..., 2])
+
+
+def test_a_mirror_image_of_a_mirror_image_is_the_lot():
+    lots = draw(STREET, 2)
+    image = mirror(lots)
+    assert np.abs(np.asarray(image.bay_pose) - lots.bay_pose).max() > 1.0
+    jax.tree.map(np.testing.assert_array_equal, jax.device_get(mirror(image)), lots)
+
+
+def test_picked_lots_are_those_that_are_kept(own_cache):
+    config = StoredConfig(LOTS, 40)
+    assert config.counts == (30, 10)
+    kept = stored_lots(config)
+    assert len(kept.extent) == 40
+    shares = member_shares(config)
+    assert list(shares.values()) == [0.75, 0.25]
+
+    def nearest(lot, rows):
+        """How far a lot, scaled back, is from the nearest of the kept ones [m]."""
+        factor = lot.extent[0] / kept.extent[rows, 0]
+        own = np.abs(lot.bay_pose[:, :2]) / factor[:, None, None]
+        gap = np.abs(own - np.abs(kept.bay_pose[rows, :, :2])).max(axis=(1, 2))
+        return gap.min(), factor[gap.argmin()]
+
+    mirrored = []
+    for member, rows, scale in ((0, slice(30), (1.2, 1.5)), (1, slice(30, 40), (1, 1))):
+        lots = draw(config, 24, member)
+        for k in range(24):
+            lot = jax.tree.map(lambda x, k=k: x[k], lots)
+            gap, factor = nearest(lot, rows)
+            assert gap < 1e-3
+            assert scale[0] - 1e-4 <= factor <= scale[1] + 1e-4
+            mirrored.append(np.sign(lot.bay_pose[0, 1]))
+    assert len(set(mirrored)) == 2
+
+
+def test_lots_are_kept_in_a_file_and_drawn_again_if_it_is_damaged(own_cache):
+    config = StoredConfig(LOTS, 8)
+    drawn = stored_lots(config)
+    (file,) = own_cache.glob("lots-*.npz")
+    written = os.stat(file).st_mtime_ns
+    stored_lots.cache_clear()
+    jax.tree.map(np.testing.assert_array_equal, stored_lots(config), drawn)
+    assert os.stat(file).st_mtime_ns == written
+    file.write_bytes(file.read_bytes()[:100])
+    stored_lots.cache_clear()
+    jax.tree.map(np.testing.assert_array_equal, stored_lots(config), drawn)
+    assert len(file.read_bytes()) > 100
