@@ -21,6 +21,7 @@ from carpark_mj.config.checks import Bounds, Count, Range
 from carpark_mj.files import write_atomically
 from carpark_mj.layouts.base import FAMILIES, LayoutConfig
 from carpark_mj.layouts.registry import lot_key, lot_number
+from carpark_mj.layouts.schematics import SQUARE_COMPACT
 from carpark_mj.layouts.standards import Entry
 from carpark_mj.layouts.types import (
     Layout,
@@ -45,7 +46,7 @@ class ScaledConfig(LayoutConfig):
         family: fixed.
     """
 
-    lots: LayoutConfig
+    lots: LayoutConfig = SQUARE_COMPACT
     scale: Annotated[Range, Bounds(ge=0.5, le=2.0)] = (1.0, 1.0)
     family: str = "scaled"
 
@@ -85,7 +86,7 @@ class StoredConfig(LayoutConfig):
         family: fixed.
     """
 
-    lots: LayoutConfig
+    lots: LayoutConfig = SQUARE_COMPACT
     number: Count = 8192
     family: str = "stored"
 

@@ -13,7 +13,7 @@ from carpark_mj.config import (
 )
 from carpark_mj.extensions import Entry
 from carpark_mj.layouts import mixture
-from carpark_mj.layouts.base import LAYOUTS
+from carpark_mj.layouts.base import LAYOUTS, register_layout
 from carpark_mj.layouts.stored import ScaledConfig
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.registry import ANYWHERE, ENVIRONMENTS
@@ -54,12 +54,16 @@ _MEMBERS = {
     "clutter_sizes_tight": (3.0, (0.95, 1.05)),
     "clutter_vans": (2.0, (0.95, 1.0)),
 }
-VALET = dataclasses.replace(
-    ANYWHERE,
-    layout=mixture(
+register_layout(
+    "valet",
+    mixture(
         [ScaledConfig(LAYOUTS[name], scale) for name, (_, scale) in _MEMBERS.items()],
         [weight for weight, _ in _MEMBERS.values()],
     ),
+)
+VALET = dataclasses.replace(
+    ANYWHERE,
+    layout="valet",
     num_agents=1,
     min_agents=None,
     fleet=FleetConfig(
