@@ -232,8 +232,8 @@ def drive_single_track(
     seed: int,
     stops: bool,
     measured: Sequence[str] = POSE,
-    seconds: float = 40.0,
     noise: float = 1.0,
+    seconds: float = 40.0,
     dt: float = 0.001,
 ) -> DriveLog:
     """Drives, coasts and brakes in turn, in curves, between 1 and 4 m/s.
@@ -243,8 +243,8 @@ def drive_single_track(
         seed: of the driver and the noise.
         stops: whether the brakes stop it in every cycle; the foot stays on them.
         measured: quantities in the log.
-        seconds: how long.
         noise: factor on `NOISE`.
+        seconds: how long.
         dt: step of the integration [s].
     """
     dice = np.random.default_rng(seed)
