@@ -26,11 +26,7 @@ from carpark_mj.rendering.recording import (
     record,
     recording_stage,
 )
-from carpark_mj.rendering.renderer import (
-    LotRenderer,
-    RenderingError,
-    Show,
-)
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError, Show
 from carpark_mj.rendering.video import (
     CarCameras,
     draw_frame,
@@ -108,7 +104,6 @@ def _write_frames(
 ) -> str:
     """Writes the video; returns how many frames were drawn, and how fast."""
     indices, rate = frame_indices(recording, fps)
-    out.parent.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
     pictures = map(draw, track(indices, "rendering", transient=True))
     count = write_video(out, pictures, rate)
@@ -131,5 +126,4 @@ def _gallery(config: RenderConfig) -> Path:
 
 
 def _write_png(path: Path, picture: Image.Image) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, lambda temporary: picture.save(temporary, optimize=True))

@@ -10,8 +10,7 @@ import numpy as np
 
 from carpark_mj.cli.clock import COMPILING, PLACING, doing, wait_for_user
 from carpark_mj.cli.driver import adapted, find_driver
-from carpark_mj.cli.settings.driving import LotSettings
-from carpark_mj.cli.settings.scenes import SceneConfig, SceneOutput
+from carpark_mj.cli.settings.driving import LotSettings, SceneConfig, SceneOutput
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable, write_text
@@ -119,7 +118,6 @@ def show_scene(
     """
     if output.out:
         path = Path(output.out)
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
         print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
     _require_display(output)

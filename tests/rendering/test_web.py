@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.cli.pages import open_page
-from carpark_mj.cli.settings.scenes import SceneConfig, complete
+from carpark_mj.cli.settings.driving import SceneConfig, complete
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web
