@@ -79,10 +79,9 @@ def require_writable(path: Path, new_folders: bool = False) -> None:
 def write_atomically(path: Path, write: Any) -> None:
     """Calls `write(temporary_path)` and renames the result to `path`.
 
-    Missing folders of `path` are made. The temporary file keeps the suffix of `path`
-    and is removed on any failure. Raises `OSError`.
+    The temporary file keeps the suffix of `path` and is removed on any failure. Raises
+    `OSError`.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     with _temporary(path) as temporary:
         write(temporary)
         with temporary.open("rb") as file:

@@ -19,6 +19,7 @@ from carpark_mj import ParkingEnv
 from carpark_mj.cameras.rig import BODY, CABIN, Rig, Seen
 from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.layouts.types import GROUND_CLEARANCE, Layout
+from carpark_mj.rendering.recording import snapshot_of
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.parts import GROUND, HULL_GROUP, car_prefix
 from carpark_mj.types import NO_BAY, State
@@ -118,22 +119,8 @@ class Renderer:
         """
         self._layout = jax.tree.map(np.asarray, state.layout)
         self._state = state
-        self._stage = BlockStage(
-            self._layout,
-            env.vehicle,
-            env.config.num_agents,
-            env.config.num_parked_cars,
-            agent_kinds=env.fleet.agents,
-            parked_cars=env.fleet.parked_vehicles(state.parked_cars),
-            movers=state.movers.groups,
-        )
-        self._stage.place(
-            np.asarray(state.motion.pose_w, float),
-            np.asarray(state.motion.steering, float),
-            np.asarray(state.parked_cars.pose_w, float),
-            None if state.kind is None else np.asarray(state.kind),
-            state.movers.groups,
-        )
+        self._stage = BlockStage.of(env, state)
+        snapshot_of(state).place(self._stage)
         self._heights = [
             env.fleet.agents[0 if state.kind is None else int(state.kind[k])].height
             for k in range(env.config.num_agents)

@@ -50,6 +50,7 @@ from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import BayKind, layout_config, make_layout
 from carpark_mj.obstacles import Boxes, Discs, Group
+from carpark_mj.rendering.recording import snapshot_of
 from carpark_mj.types import State
 from shell import command
 
@@ -293,14 +294,8 @@ def _clock() -> Callable[[], float]:
 
 def _mujoco_seconds(env: ParkingEnv, state: Any, rig: Rig) -> float:
     """Seconds in which MuJoCo draws depth and segmentation of as many pictures."""
-    stage = BlockStage(
-        jax.device_get(state.layout),
-        env.vehicle,
-        env.config.num_agents,
-        env.config.num_parked_cars,
-    )
-    state = jax.device_get(state)
-    stage.place(state.motion.pose_w, state.motion.steering, state.parked_cars.pose_w)
+    stage = BlockStage.of(env, state)
+    snapshot_of(state).place(stage)
     renderer = mujoco.Renderer(stage.model, rig.height, rig.width)
 
     def draw() -> None:

@@ -83,6 +83,7 @@ def run(config: CarParksConfig) -> None:
         row | {"family": owners[index[row["family"]]], "lot": index[row["family"]]}
         for row in result.episodes
     ]
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for name in parts:
         print_groups(f"number of agents in {name}", by_agents(rows, name))

@@ -248,6 +248,7 @@ def run(config: CrowdsConfig) -> None:
             for v, row in zip(SPEEDS, flows, strict=True)
         ),
     ]
+    out.mkdir(parents=True, exist_ok=True)
     names = [f"seed {k}" for k in range(SEEDS)]
     table = [
         {"what": what, "unit": unit}

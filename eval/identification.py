@@ -120,6 +120,7 @@ def run(config: IdentificationConfig) -> None:
                 }
                 for name in Sought._fields
             ]
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for kind in config.kinds:
         _print([row for row in rows if row["drive"] == kind], kind)

@@ -315,6 +315,7 @@ def draw(path: Path, found: list[Trial]) -> None:
 
 def write_report(folder: Path, found: list[Trial]) -> None:
     """Writes `referee.md` and `referee.png`."""
+    folder.mkdir(parents=True, exist_ok=True)
     text = (
         (Path(__file__).parent / "referee.md")
         .read_text()

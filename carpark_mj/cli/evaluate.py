@@ -111,6 +111,7 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
         f"{env.layout} lot, {env.physics} physics, seed {config.seed}"
     )
     settings = {**dataclasses.asdict(config), "policy": task.name}
+    task.folder.mkdir(parents=True, exist_ok=True)
     written = write_evaluation(task.folder, result, settings)
     print_report(result, title)
     print(f"wrote {', '.join(map(str, written))}")

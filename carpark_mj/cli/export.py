@@ -76,11 +76,13 @@ def main(config: ExportConfig) -> Path:
         out = output_folder(loaded.path) / name
     require_writable(out, new_folders=True)  # before the work
     if out.suffix == ".npz":
+        out.parent.mkdir(parents=True, exist_ok=True)
         save_policy(config.run, out)
     else:
         make = _car_model if config.from_state else _model
         doing(COMPILING)
         model = make(loaded, config)
+        out.parent.mkdir(parents=True, exist_ok=True)
         data = model.proto.SerializeToString()
         write_atomically(out, lambda temporary: temporary.write_bytes(data))
         print("\n".join(model.found))

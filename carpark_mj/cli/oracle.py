@@ -46,6 +46,7 @@ def main(config: OracleConfig) -> list[dict[str, Any]]:
         begun = {"lot": lot, "family": list(shares)[member[lot]]}
         rows += [begun | row for row in answers(seen, seconds, config.seed)]
         if config.out:  # after every lot: they take seconds each
+            file.parent.mkdir(parents=True, exist_ok=True)
             write_csv(file, rows)
     print(describe(rows))
     if config.out:

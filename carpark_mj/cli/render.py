@@ -60,6 +60,7 @@ def main(config: RenderConfig) -> Path:
             renderer = LotRenderer(stage, config.camera, size, show)
             stack.enter_context(contextlib.closing(renderer))
             draw = functools.partial(draw_frame, recording, renderer)
+        out.parent.mkdir(parents=True, exist_ok=True)
         if config.frame is not None:
             _write_png(out, Image.fromarray(draw(num_frames(recording) - 1)))
             drawn = ""
@@ -120,6 +121,7 @@ def _gallery(config: RenderConfig) -> Path:
         for family in track(FAMILIES, "rendering", transient=True)
         for cell in draw_lots(family, size, config.seed)
     ]
+    out.parent.mkdir(parents=True, exist_ok=True)
     _write_png(out, contact_sheet(cells))
     print(f"wrote {out}: {len(cells)} lots")
     return out

@@ -118,6 +118,7 @@ def show_scene(
     """
     if output.out:
         path = Path(output.out)
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
         print(f"wrote {path}; open it: python -m mujoco.viewer --mjcf={path}")
     _require_display(output)

@@ -62,6 +62,7 @@ class Demonstration:
             "config": dataclasses.asdict(self.config),
         }
         arrays = {name: getattr(self, name) for name in STEPS}
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(
             path,
             lambda temporary: np.savez_compressed(

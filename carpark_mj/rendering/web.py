@@ -47,23 +47,13 @@ class LiveLot:
         self._step = jax.jit(self._control_step)
         self._start = Carry(*self._reset(reset_key))
         state = self._start.state
-        layout = state.layout
-        self.extent = np.asarray(layout.extent)
-        self._layout = jax.device_get(layout)
-        config = env.config
+        self.extent = np.asarray(state.layout.extent)
+        self._layout = jax.device_get(state.layout)
         self._shows = np.flatnonzero(state.takes_part)
-        self.stage = Stage(
-            layout,
-            env.vehicle,
-            len(self._shows),
-            config.num_parked_cars,
-            env.fleet.agents,
-            env.fleet.parked_vehicles(state.parked_cars),
-            state.movers.groups,
-        )
+        self.stage = Stage.of(env, state, len(self._shows))
         self.traces = state.motion.trace_w.shape[-2]
         # One call of `step` is one traced pose.
-        self.stage.model.opt.timestep = config.sim.ctrl_dt / self.traces
+        self.stage.model.opt.timestep = env.config.sim.ctrl_dt / self.traces
         self.reset()
 
     def _control_step(self, policy, carry, key):

@@ -234,6 +234,7 @@ def write_report(
     folder: Path, rows: Sequence[Row], curves: Sequence[Curve], command: str
 ) -> None:
     """Writes `report.csv`, `report.md` and the plots."""
+    folder.mkdir(parents=True, exist_ok=True)
     write_csv(folder / "report.csv", [row.cells() for row in rows])
     missed = [row for row in rows if not row.passes]
     presets = list(dict.fromkeys(row.preset for row in rows))

@@ -262,11 +262,13 @@ class ContactTestbed:
 
     def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
         """Drives the runs, one after the other."""
-        return [self._drive(run, dt or self.dt) for run in runs]
+        step = dt or self.dt
+        models = [contact_model(run.params, step, self.suspension) for run in runs]
+        return list(map(self.drive_model, runs, models))
 
-    def _drive(self, run: Run, dt: float) -> Track:
+    def drive_model(self, run: Run, model: mujoco.MjModel, cold: bool = False) -> Track:
+        """Drives a car's model; a `cold` solver starts each substep from nothing."""
         params = run.params
-        model = contact_model(params, dt, self.suspension)
         spin = CarIndex(model).spin_dof
         rolling = model.dof_frictionloss[spin].copy()
         drive_share = np.repeat([params.front_drive, 1 - params.front_drive], 2) / 2
@@ -285,8 +287,11 @@ class ContactTestbed:
             model.dof_frictionloss[spin] = rolling + brakes
             data.ctrl = front_wheel_angles(params, float(steering))
             model.opt.gravity = gravity_of(tilt)
+            if cold:
+                data.qacc_warmstart[:] = 0.0
 
-        return Track(run, dt, *drive_in_c(run, model, act), np.array(torques))
+        motion = drive_in_c(run, model, act)
+        return Track(run, model.opt.timestep, *motion, np.array(torques))
 
 
 def drive_in_c(
