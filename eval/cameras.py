@@ -176,15 +176,9 @@ def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Ag
     return Agreement(int(pixels), *(float(x) for x in parts))
 
 
-def compare_layout(layout: str, lots: int) -> Agreement:
-    """Compares the pictures in some lots of a layout."""
-    env = environment(layout)
-    reset = jax.jit(lambda key: env.reset(key)[0])
-    return compare(env, [reset(jax.random.key(seed)) for seed in range(lots)])
-
-
 CHANNELS: tuple[Channel, ...] = ("depth", "seen", "colour")
 GAP = 4  # pixels between pictures
+FRAME = ((0, GAP), (0, GAP), (0, 0))
 ENLARGED = 3
 
 
@@ -202,26 +196,15 @@ def mosaic(layouts: Sequence[str]) -> np.ndarray:
         config = BirdsEye(3 * rig.height + 2 * GAP)
         above = jax.jit(see_from_above, static_argnums=0)(config, state)[0]
         painted = [np.asarray(paint(own, name)) for name in CHANNELS]
-        rows = np.concatenate([_row(images) for images in painted])[:-GAP]
+        rows = np.concatenate([_framed(*images) for images in painted])[:-GAP]
         sheets.append(np.concatenate([rows, _framed(palette[above])[:-GAP]], axis=1))
         sheets.append(np.full((2 * GAP, sheets[0].shape[1], 3), 255, np.uint8))
     return np.concatenate(sheets[:-1])
 
 
-def write_mosaic(path: Path, layouts: Sequence[str]) -> None:
-    """Writes `mosaic` as a PNG, enlarged."""
-    image = Image.fromarray(mosaic(layouts))
-    size = (image.width * ENLARGED, image.height * ENLARGED)
-    image = image.resize(size, Image.Resampling.NEAREST)
-    write_atomically(path, lambda temporary: image.save(temporary, format="PNG"))
-
-
-def _row(images: np.ndarray) -> np.ndarray:
-    return np.concatenate([_framed(image) for image in images], axis=1)
-
-
-def _framed(image: np.ndarray) -> np.ndarray:
-    return np.pad(image, ((0, GAP), (0, GAP), (0, 0)), constant_values=255)
+def _framed(*images: np.ndarray) -> np.ndarray:
+    """Pictures beside each other, with a gap on the right of each and below."""
+    return np.concatenate([np.pad(x, FRAME, constant_values=255) for x in images], 1)
 
 
 REPEATS = 5
@@ -344,7 +327,10 @@ def truth(config: CamerasConfig) -> int:
     """Prints the table; returns 1 where too few pixels agree."""
     missed = 0
     for k, name in enumerate(config.layouts or families()):
-        found = compare_layout(name, config.lots)
+        env = environment(name)
+        reset = jax.jit(lambda key: env.reset(key)[0])  # noqa: B023
+        states = [reset(jax.random.key(seed)) for seed in range(config.lots)]
+        found = compare(env, states)
         row = {
             "layout": f"`{name}`",
             "pixels": f"{found.pixels:,}",
@@ -386,7 +372,9 @@ def run(config: CamerasConfig) -> int:
     else:
         out = Path(config.out)
         require_writable(out)
-        write_mosaic(out, config.layouts or ("lot", "angled", "street"))
+        picture = mosaic(config.layouts or ("lot", "angled", "street"))
+        large = Image.fromarray(picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1))
+        write_atomically(out, lambda temporary: large.save(temporary, format="PNG"))
         print(f"wrote {out}")
     return 0
 

@@ -22,21 +22,16 @@ from carpark_mj.maps.features import Feature, Plan, Tag, commonest, require_near
 from carpark_mj.maps.tagged import add_tagged
 from carpark_mj.reading import read_bytes
 
-WORDS: dict[str, Tag] = {
-    "bay": "bay",
-    "stall": "bay",
-    "spot": "bay",
-    "lane": "lane",
-    "aisle": "lane",
+_WORDS: dict[Tag, str] = {
+    "bay": "bay stall spot",
+    "lane": "lane aisle",
     "wall": "wall",
-    "kerb": "kerb",
-    "curb": "kerb",
-    "pillar": "pillar",
-    "column": "pillar",
-    "cols": "pillar",
+    "kerb": "kerb curb",
+    "pillar": "pillar column cols",
     "drivable": "drivable",
     "start": "start",
 }
+WORDS = {word: tag for tag, words in _WORDS.items() for word in words.split()}
 PARKING = {"parking", "prkg"}  # bays, where none of `WORDS` is in the name
 MOST_SHAPES = 20_000
 MOST_ENTITIES = 100_000  # of blocks, each time that they are inserted

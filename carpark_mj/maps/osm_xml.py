@@ -27,36 +27,23 @@ Tags = dict[str, str]
 MOST_PIECES = 500  # lines that form a polygon together
 # Subtypes and types in lower case; first what the Lanelet2 documents name, then what
 # maps for valet parking have.
-_SOLID: dict[str, Tag] = {
-    "wall": "wall",
-    "fence": "wall",
-    "guard_rail": "wall",
-    "building": "wall",
-    "curbstone": "kerb",
-    "walls": "wall",
-    "windows": "wall",
-    "doors": "wall",
-    "kerbs": "kerb",
-    "columns": "pillar",
+_WORDS: dict[Tag, str] = {
+    "wall": "wall fence guard_rail building walls windows doors",
+    "kerb": "curbstone kerbs",
+    "pillar": "columns",
+    "bay": "parking_space parking_spot",
+    "drivable": "parking parking_lot parking_access junction",
 }
-_TAGS: dict[str, Tag] = {
-    **_SOLID,
-    "parking_space": "bay",
-    "parking_spot": "bay",
-    "parking": "drivable",
-    "parking_lot": "drivable",
-    "parking_access": "drivable",
-    "junction": "drivable",
-}
+_TAGS = {word: tag for tag, words in _WORDS.items() for word in words.split()}
 # Subtypes of lanelets that are not driven along.
-_ON_FOOT = (
+_ON_FOOT = [
     "crosswalk",
     "walkway",
     "shared_walkway",
     "stairs",
     "pedestrian_lane",
     "bicycle_lane",
-)
+]
 TURN = np.radians(30.0)  # a lanelet that bends more ...
 SHORT = 15.0  # ... over fewer metres joins lanes that cross, and is none itself
 _SAMPLES = 9  # along a border

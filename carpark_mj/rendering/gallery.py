@@ -16,7 +16,7 @@ from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import font
 
-FAMILIES = (
+FAMILIES = [
     "square",
     "street",
     "street_parallel",
@@ -24,7 +24,7 @@ FAMILIES = (
     "lot",
     "garage_row",
     "dead_end",
-)
+]
 LOTS = 2  # of each family
 COLUMNS = 4
 NUM_AGENTS, MOST_PARKED_CARS = 2, 24

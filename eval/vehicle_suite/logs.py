@@ -131,7 +131,11 @@ def _drive(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
     """The motion (drives, n, 5): x, y, yaw, speed and yaw rate at the rear axle."""
     dt = drives[0].sim_dt
     with jax.enable_x64(True):
-        vehicle = jax.tree.map(lambda *x: jnp.stack(x), *map(_vehicle, drives))
+        vehicle = jax.tree.map(
+            lambda *x: jnp.stack(x), *(make_vehicle(drive.car) for drive in drives)
+        )
+        offsets = jnp.array([float(drive.true.steering_offset) for drive in drives])
+        vehicle = dataclasses.replace(vehicle, steering_offset=offsets)
         models = [car_model(d.car, dt, (0.0, 0.0, -GRAVITY)) for d in drives]
         datas = [mujoco.MjData(model) for model in models]
         index = CarIndex(models[0])
@@ -161,22 +165,15 @@ def _drive(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
     return motion
 
 
-def _vehicle(drive: Drive):
-    offset = jnp.asarray(float(drive.true.steering_offset))
-    return dataclasses.replace(make_vehicle(drive.car), steering_offset=offset)
-
-
 def _controls(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
     """Steer and pedal (n, drives, 2) as they arrive at the actuators."""
     late = []
     for drive, (time, wheel, pedal) in zip(drives, commands, strict=True):
         true = drive.true
-        steer = np.interp(time - true.steering_delay, time, wheel) / (
-            true.steering_ratio * drive.car.max_steering
-        )
-        late.append(
-            np.stack([steer, np.interp(time - true.pedal_delay, time, pedal)], -1)
-        )
+        steer = np.interp(time - true.steering_delay, time, wheel)
+        steer = steer / (true.steering_ratio * drive.car.max_steering)
+        pedal = np.interp(time - true.pedal_delay, time, pedal)
+        late.append(np.stack([steer, pedal], -1))
     return np.stack(late, axis=1)
 
 
