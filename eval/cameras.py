@@ -109,17 +109,15 @@ def environment(layout: str, people: bool = True, agents: int = AGENTS) -> Parki
     kinds = make_layout(lot, jax.random.key(0)).bay_kind
     exits = bool((kinds == BayKind.EXIT).any())
     agents = min(agents, lot.min_goals)
-    parked_cars = 0 if exits else min(PARKED_CARS, lot.min_bays - agents)
-    return ParkingEnv(
-        EnvConfig(
-            layout=layout,
-            num_agents=agents,
-            num_parked_cars=parked_cars,
-            goals=GoalConfig(drive_out=exits),
-            spawn=AT_RANDOM if exits else SpawnConfig(),
-            movers=(Bystanders(), Carts()) if people else (),
-        )
+    config = EnvConfig(
+        layout=layout,
+        num_agents=agents,
+        num_parked_cars=0 if exits else min(PARKED_CARS, lot.min_bays - agents),
+        goals=GoalConfig(drive_out=exits),
+        spawn=AT_RANDOM if exits else SpawnConfig(),
+        movers=(Bystanders(), Carts()) if people else (),
     )
+    return ParkingEnv(config)
 
 
 CLOSE = 0.01  # m, of depths that agree
@@ -145,13 +143,7 @@ class Agreement(NamedTuple):
 
 
 def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Agreement:
-    """Compares the pictures of all agents that are in some lots.
-
-    Args:
-        env: the environment.
-        states: of its lots.
-        meshes: compare with meshes, too.
-    """
+    """Compares the pictures of all agents that are in some lots."""
     heights, counts = Heights.of(env.fleet), np.zeros(5, int)
     pictures_of = jax.jit(see, static_argnums=(0, 2))
     for state in states:
@@ -211,13 +203,7 @@ REPEATS = 5
 
 
 def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[dict]:
-    """Rows of a table.
-
-    Args:
-        layout: of the lots, of one agent each.
-        batches: numbers of lots.
-        draws: whether MuJoCo can draw.
-    """
+    """Rows of a table, for numbers of lots of one agent; `draws`: MuJoCo can."""
     blind = environment(layout, people=False, agents=1)
     env = ParkingEnv(dataclasses.replace(blind.config, observation=CameraObservation()))
     still = jnp.zeros((env.num_agents, env.action_spec.size))

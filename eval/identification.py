@@ -104,22 +104,17 @@ def run(config: IdentificationConfig) -> None:
     rows = []
     for kind in config.kinds:
         drives = [Drive(truth(seed, kind), COMPACT, kind, seed) for seed in seeds]
-        for drive, log in zip(
-            drives, _logs(drives, measured, config.noise), strict=True
-        ):
+        logs = _logs(drives, measured, config.noise)
+        for drive, log in zip(drives, logs, strict=True):
             found = identify(log, COMPACT, 0.0, config.sim_dt).estimates
-            rows += [
-                {
-                    "drive": kind,
-                    "seed": drive.seed,
-                    "parameter": name,
-                    "true": float(getattr(drive.true, name)),
-                    "found": found[name].value,
-                    "half_interval": found[name].error,
-                    "told": found[name].identifiable,
-                }
-                for name in Sought._fields
-            ]
+            for name in Sought._fields:
+                row = {"drive": kind, "seed": drive.seed, "parameter": name}
+                row["true"] = float(getattr(drive.true, name))
+                row["found"], row["half_interval"] = (
+                    found[name].value,
+                    found[name].error,
+                )
+                rows.append(row | {"told": found[name].identifiable})
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for kind in config.kinds:

@@ -111,13 +111,8 @@ def overlaps(state: State) -> dict[str, tuple[jax.Array, jax.Array]]:
         if deepest:
             rows = found.setdefault(f"{one.kind.label} in {kind.label}", [])
             rows.append((jnp.stack(deepest).max(axis=0), there))
-    return {
-        name: (
-            jnp.concatenate([deep for deep, _ in rows]),
-            jnp.concatenate([there for _, there in rows]),
-        )
-        for name, rows in found.items()
-    }
+    joined = {k: map(jnp.concatenate, zip(*x, strict=True)) for k, x in found.items()}
+    return {name: (deep, there) for name, (deep, there) in joined.items()}
 
 
 def tally(state: State) -> dict[str, jax.Array]:
@@ -156,14 +151,9 @@ def make_round(
         for x in jax.tree.leaves((state, timestep)):
             if jnp.issubdtype(x.dtype, jnp.floating):
                 bad = bad | ~jnp.isfinite(x).reshape(num_lots, -1).all(axis=1)
-        events = timestep.events
-        person = events.hit_person
-        found = (
-            events.diverged,
-            events.crashed,
-            jnp.zeros_like(events.crashed) if person is None else person,
-            events.parked,
-        )
+        events, person = timestep.events, timestep.events.hit_person
+        person = jnp.zeros_like(events.crashed) if person is None else person
+        found = events.diverged, events.crashed, person, events.parked
         return (state, bad, counts + jnp.stack([x.sum() for x in found])), None
 
     def hold(carry: Any, key: jax.Array) -> tuple[Any, None]:

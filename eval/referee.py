@@ -172,10 +172,7 @@ def apart(
 ) -> tuple[np.ndarray, ...]:
     """Distance [m] and yaw difference [rad] of our car from the reference's, (n,) each.
 
-    Args:
-        track: ours, which starts with its rear axle in the origin.
-        path: the reference model's, whose reference point starts in the origin.
-        rear_axle: compare rear axles, else centres of gravity.
+    Reference points start in the origin: centres of gravity, or the rear axles.
     """
     ours = track.position if rear_axle else (track.cg - track.cg[0])[:, :2]
     rows = np.rint(path.time / track.dt).astype(int)
@@ -316,16 +313,10 @@ def draw(path: Path, found: list[Trial]) -> None:
 def write_report(folder: Path, found: list[Trial]) -> None:
     """Writes `referee.md` and `referee.png`."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = (
-        (Path(__file__).parent / "referee.md")
-        .read_text()
-        .format(
-            table=table(found),
-            slalom_mb_std=between(found[0], "MB", "STD"),
-            brake_mb_std=between(found[1], "MB", "STD"),
-        )
-    )
-    write_text(folder / "referee.md", text)
+    apart = [between(trial, "MB", "STD") for trial in found[:2]]
+    numbers = {"slalom_mb_std": apart[0], "brake_mb_std": apart[1]}
+    text = (Path(__file__).parent / "referee.md").read_text()
+    write_text(folder / "referee.md", text.format(table=table(found), **numbers))
     draw(folder / "referee.png", found)
 
 

@@ -176,15 +176,8 @@ def draw_action(
     wild = jax.random.choice(
         jax.random.fold_in(noise_key, step + ROUNDS), jnp.array(INVALID), (2,)
     )
-    actions = [
-        noise,
-        held,
-        jnp.stack([lock, held[1]]),
-        jnp.stack([held[0], square]),
-        jnp.stack([flip, flip]),
-        wild,
-    ]
-    return jnp.stack(actions)[pattern]
+    mixed = (lock, held[1]), (held[0], square), (flip, flip)
+    return jnp.stack([noise, held, *map(jnp.stack, mixed), wild])[pattern]
 
 
 def wheel_heights(state: CarState) -> jax.Array:

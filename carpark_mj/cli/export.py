@@ -96,14 +96,10 @@ def _model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
     proto = make_model(loaded)
     seen = rollout(loaded, CHECKED, config.seed)["observation"]
     random = random_observations(loaded.env, seen, config.seed)
-    found = [
-        _require_alike(
-            kind,
-            largest_difference(proto, loaded, observation),
-            rounding_error(loaded, observation),
-        )
-        for kind, observation in (("of a roll-out", seen), ("drawn at random", random))
-    ]
+    found = []
+    for kind, observation in (("of a roll-out", seen), ("drawn at random", random)):
+        most = largest_difference(proto, loaded, observation)
+        found.append(_require_alike(kind, most, rounding_error(loaded, observation)))
     inputs = [(x.name, x.shape, x.meaning) for x in onnx_inputs(loaded.env)]
     return Model(proto, found, inputs, ("batch",))
 

@@ -116,11 +116,8 @@ def _write_frames(
 def _gallery(config: RenderConfig) -> Path:
     out = _open_output(config, Path())
     size = cell_size(config.width)
-    cells = [
-        cell
-        for family in track(FAMILIES, "rendering", transient=True)
-        for cell in draw_lots(family, size, config.seed)
-    ]
+    families = track(FAMILIES, "rendering", transient=True)
+    cells = [cell for name in families for cell in draw_lots(name, size, config.seed)]
     out.parent.mkdir(parents=True, exist_ok=True)
     _write_png(out, contact_sheet(cells))
     print(f"wrote {out}: {len(cells)} lots")

@@ -51,12 +51,8 @@ def commonroad_features(root: Any) -> Plan:
     if plan.features:
         shapes = np.array([one.shape for one in plan.features])
         xy = centred(shapely.get_coordinates(shapes))
-        plan.features[:] = [
-            dataclasses.replace(one, shape=shape)
-            for one, shape in zip(
-                plan.features, shapely.set_coordinates(shapes, xy), strict=True
-            )
-        ]
+        moved = zip(plan.features, shapely.set_coordinates(shapes, xy), strict=True)
+        plan.features[:] = [dataclasses.replace(one, shape=x) for one, x in moved]
     return plan
 
 

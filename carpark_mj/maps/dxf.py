@@ -194,11 +194,8 @@ def _entities(
     What a block has on layer 0 is on the block's. A block without a layer that says
     something is left as it is: plans are full of furniture and trees.
     """
-    hidden = {
-        str(layer.dxf.name)
-        for layer in drawing.layers
-        if layer.is_off() or layer.is_frozen()
-    }
+    layers = (x for x in drawing.layers if x.is_off() or x.is_frozen())
+    hidden = {str(layer.dxf.name) for layer in layers}
     useful: dict[tuple[str, str], bool] = {}
     seen = itertools.count()
 

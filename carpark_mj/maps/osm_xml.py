@@ -36,14 +36,10 @@ _WORDS: dict[Tag, str] = {
 }
 _TAGS = {word: tag for tag, words in _WORDS.items() for word in words.split()}
 # Subtypes of lanelets that are not driven along.
-_ON_FOOT = [
-    "crosswalk",
-    "walkway",
-    "shared_walkway",
-    "stairs",
-    "pedestrian_lane",
-    "bicycle_lane",
-]
+_ON_FOOT = (
+    *("crosswalk", "walkway", "shared_walkway"),
+    *("stairs", "pedestrian_lane", "bicycle_lane"),
+)
 TURN = np.radians(30.0)  # a lanelet that bends more ...
 SHORT = 15.0  # ... over fewer metres joins lanes that cross, and is none itself
 _SAMPLES = 9  # along a border

@@ -30,16 +30,11 @@ ORDERS = 6
 BREADTH = 3  # cars of an order among which the one that parks first is next
 WAYS = 2  # of every car in a lot without others
 # Long steps: most of a lot is open, and a search that fails is soon given up.
+TWO = {"paths": 2, "more_paths": 0}
 ALONE = SearchConfig(
-    clearances=(0.08, 0.02, 0.0),
-    step=1.0,
-    paths=2,
-    more_paths=0,
-    max_tests=2500,
-    shorten_tests=1000,
+    (0.08, 0.02, 0.0), step=1.0, max_tests=2500, shorten_tests=1000, **TWO
 )
-# Short steps, for tight bays.
-PATIENT = SearchConfig((0.02,), paths=2, more_paths=0, max_tests=4000)
+PATIENT = SearchConfig((0.02,), max_tests=4000, **TWO)  # short steps, for tight bays
 AROUND = dataclasses.replace(ALONE, clearances=(0.02,), paths=1, max_tests=1000)
 ASIDE = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0, 9.0, -9.0, 12.0, -12.0)  # m along its heading
 MOVES = 2  # aside, of every car
@@ -136,15 +131,11 @@ class _Lot:
     def _in_turn(self, order: list[int], breadth: int) -> _Turns:
         """All cars drive; next is the first to park of some first in an order."""
         count, still = len(order), np.zeros(1, int)
+        places = zip(self._starts, self._size, strict=True)
+        drives = [Drive(pose[None], still, size) for pose, size in places]
+        never, nowhere = np.zeros(count, int), np.zeros((0, 3))
         turns = _Turns(
-            list(self._starts),
-            [np.zeros((0, 3))] * count,
-            [
-                Drive(pose[None], still, size)
-                for pose, size in zip(self._starts, self._size, strict=True)
-            ],
-            np.zeros(count, int),
-            np.zeros(count, bool),
+            list(self._starts), [nowhere] * count, drives, never, never.astype(bool)
         )
         while True:
             left = [k for k in order if not turns.parks[k] and self._ways[k]]
@@ -189,12 +180,11 @@ class _Lot:
             return True
         # At least elsewhere: there may be a way around it.
         nowhere = np.zeros((0, 3))
-        return any(
-            self._move_aside(
-                turns, k, nowhere, size, self._numbers.permutation(ASIDE).tolist()
-            )
-            for k, _, size in blocked
-        )
+        for k, _, size in blocked:
+            distances = self._numbers.permutation(ASIDE).tolist()
+            if self._move_aside(turns, k, nowhere, size, distances):
+                return True
+        return False
 
     def _move_aside(
         self,

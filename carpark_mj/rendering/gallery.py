@@ -16,15 +16,10 @@ from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import font
 
-FAMILIES = [
-    "square",
-    "street",
-    "street_parallel",
-    "angled",
-    "lot",
-    "garage_row",
-    "dead_end",
-]
+FAMILIES = (
+    *("square", "street", "street_parallel", "angled"),
+    *("lot", "garage_row", "dead_end"),
+)
 LOTS = 2  # of each family
 COLUMNS = 4
 NUM_AGENTS, MOST_PARKED_CARS = 2, 24
@@ -47,13 +42,8 @@ def draw_lots(
     Yields a caption and a picture (height, width, 3) uint8 of each; the seed is that of
     the first lot, `size` the width and height of a picture [pixels].
     """
-    env = ParkingEnv(
-        EnvConfig(
-            layout=family,
-            num_agents=NUM_AGENTS,
-            num_parked_cars=min(layout_config(family).min_bays // 2, MOST_PARKED_CARS),
-        )
-    )
+    full = min(layout_config(family).min_bays // 2, MOST_PARKED_CARS)
+    env = ParkingEnv(EnvConfig(family, num_agents=NUM_AGENTS, num_parked_cars=full))
     reset = jax.jit(env.reset)
     for number in range(seed, seed + LOTS):
         state, _ = reset(evaluation_key(number))

@@ -308,13 +308,9 @@ def reversing(study: Study) -> None:
         cars = [grip_on(study.params, s) for s in surfaces for _ in range(drives)]
         fleet = jax.tree.map(lambda *x: jnp.stack(x), *cars)
         twice = np.tile(controls, (1, len(surfaces), 1))
-        coarse, exact = (
-            np.moveaxis(x.trace_w[..., 0], 2, 1).reshape(-1, len(cars))
-            for x in (
-                drive(SimConfig(sim_dt=dt, trace_dt=0.1), fleet, twice)
-                for dt in (0.01, 0.001)
-            )
-        )
+        sims = (SimConfig(sim_dt=dt, trace_dt=0.1) for dt in (0.01, 0.001))
+        paths = (drive(sim, fleet, twice).trace_w[..., 0] for sim in sims)
+        coarse, exact = (np.moveaxis(x, 2, 1).reshape(-1, len(cars)) for x in paths)
     length = np.abs(np.diff(exact, axis=0)).sum(0)
     error = 100 * np.abs(coarse - exact).max(0) / length
     what = "time-step error, 10 against 1 ms, random reversing"

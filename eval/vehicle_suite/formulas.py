@@ -182,11 +182,8 @@ def bounce(params: VehicleParameters) -> tuple[float, np.ndarray]:
     k, c = params.tyre.vertical_stiffness, params.tyre.vertical_damping
     front, rear = params.wheelbase - x, -x
     # Nose down by q lifts a point x ahead by -q x.
-    stiffness = (
-        2
-        * k
-        * np.array([[2.0, -(front + rear)], [-(front + rear), front**2 + rear**2]])
-    )
+    lever = -(front + rear)
+    stiffness = 2 * k * np.array([[2.0, lever], [lever, front**2 + rear**2]])
     stiffness[1, 1] -= mass * GRAVITY * above
     squares, shapes = linalg.eigh(stiffness, np.diag([mass, inertia[1] + pushed]))
     omega = math.sqrt(squares[0])
@@ -258,12 +255,8 @@ def steady_turn(
         pull = tyre.slip_stiffness * static * slip_x
         push = cornering * slip_y
         limit = tyre.friction * load
-        shape = np.array(
-            [
-                brush_shape(v, m)
-                for v, m in zip(np.hypot(pull, push), limit, strict=True)
-            ]
-        )
+        total = np.hypot(pull, push)
+        shape = np.array(list(map(brush_shape, total, limit)))
         given = share * drive * params.mass - rolling
         force_x = np.where(axle > 0, pull * shape, given)
         force_y = push * shape

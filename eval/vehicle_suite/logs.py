@@ -8,7 +8,7 @@ where the brakes have stopped it.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -35,15 +35,10 @@ LOG_DT = 0.02  # s
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """A drive to record.
+    """A drive to record: the true parameters of a car, and the car in all else.
 
-    Attributes:
-        true: parameters of the car.
-        kind: what the driver does; `stops` and `rolling` are of `single_track`.
-        params: the car in all else.
-        seed: of the driver's amplitudes and of the noise.
-        seconds: how long it lasts.
-        sim_dt: step of the engine [s].
+    The seed is of the driver's amplitudes and the noise. The kinds `stops` and
+    `rolling` are those of `drive_single_track`.
     """
 
     true: Sought
@@ -57,19 +52,13 @@ class Drive:
     def car(self) -> VehicleParameters:
         """The true car: no speed limit, wheels that turn as fast as the driver."""
         true = {name: float(value) for name, value in self.true._asdict().items()}
-        names = {field.name for field in dataclasses.fields(self.params.tyre)}
-        tyre = {name: true[name] for name in names & {*true}}
-        tyre = dataclasses.replace(self.params.tyre, **tyre)
-        return dataclasses.replace(
-            self.params,
-            max_acceleration=true["max_acceleration"],
-            max_deceleration=true["max_deceleration"],
-            drive_lag=true["drive_lag"],
-            steering_rate=5.0,
-            max_speed=90.0,
-            max_reverse_speed=90.0,
-            tyre=tyre,
-        )
+
+        def changed(part: Any, **others: Any) -> Any:
+            names = {field.name for field in dataclasses.fields(part)} & {*true}
+            return dataclasses.replace(part, **{k: true[k] for k in names}, **others)
+
+        limits = {"steering_rate": 5.0, "max_speed": 90.0, "max_reverse_speed": 90.0}
+        return changed(self.params, tyre=changed(self.params.tyre), **limits)
 
     def commands(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (n,) [s], angles of the steering wheel (n,) [rad], pedal (n,)."""
@@ -235,14 +224,8 @@ def drive_single_track(
 ) -> DriveLog:
     """Drives, coasts and brakes in turn, in curves, between 1 and 4 m/s.
 
-    Args:
-        car: the car.
-        seed: of the driver and the noise.
-        stops: whether the brakes stop it in every cycle; the foot stays on them.
-        measured: quantities in the log.
-        noise: factor on `NOISE`.
-        seconds: how long.
-        dt: step of the integration [s].
+    With `stops` the brakes stop it in every cycle, and the foot stays on them. `noise`
+    scales `NOISE`; `dt` is the step of the integration [s].
     """
     dice = np.random.default_rng(seed)
     time = np.arange(0, seconds, dt)

@@ -106,13 +106,7 @@ class Curve:
 class Study:
     """A car on a testbed, and what its manoeuvres measured.
 
-    Attributes:
-        bed: drives its runs.
-        preset: name of the car.
-        params: the car.
-        quick: drive fewer cases, with shorter runs.
-        rows: of all manoeuvres.
-        curves: likewise.
+    A `quick` one has fewer cases and shorter runs.
     """
 
     bed: Testbed
@@ -130,14 +124,7 @@ class Study:
     def row(
         self, row: str, measured: float, expected: float = 0.0, scale: float = math.nan
     ) -> None:
-        """Adds a row of `rows.csv`.
-
-        Args:
-            row: its name.
-            measured: from the simulation.
-            expected: from the parameters.
-            scale: whose share the tolerance is; by default the expected value.
-        """
+        """Adds a row of `rows.csv`; a tolerance may be a share of another scale."""
         fact = declared(row, self.tyres)
         scale = abs(expected if math.isnan(scale) else scale)
         tolerance = max(float(fact["share"] or 0) * scale, float(fact["absolute"] or 0))

@@ -48,13 +48,7 @@ WIDTH = 16  # cars of one call; fewer are filled up
 
 @dataclasses.dataclass(frozen=True)
 class BrushTestbed:
-    """The `mjx` back end with brush tyres.
-
-    Attributes:
-        dt: substep [s] unless a manoeuvre asks for another.
-        x64: compute in float64.
-        stepper: the equations of motion, see `SimConfig.stepper`.
-    """
+    """The `mjx` back end with brush tyres, by default in substeps `dt` [s]."""
 
     dt: float = 0.01
     x64: bool = False
@@ -249,11 +243,7 @@ class ContactTestbed:
     """Plain `mujoco.mj_step`.
 
     Drive torques are applied to the wheels, brakes are dry friction of the axles
-    beside their rolling resistance.
-
-    Attributes:
-        dt: substep [s] unless a manoeuvre asks for another.
-        suspension: springs between wheels and car; a track leaves their travel out.
+    beside their rolling resistance. A track leaves the travel of a suspension out.
     """
 
     dt: float = TIMESTEP
@@ -297,15 +287,9 @@ class ContactTestbed:
 def drive_in_c(
     run: Run, model: mujoco.MjModel, act: Callable[[Any, np.ndarray], None]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Drives a run in C MuJoCo.
+    """Drives a run in C MuJoCo; `act` sets the inputs for a row of `Run.signals`.
 
-    Args:
-        run: the run.
-        model: of its car.
-        act: sets the inputs of the data for a row of `Run.signals`.
-
-    Returns:
-        `qpos` (T + 1, 13), `qvel` (T + 1, 12), and the contacts' loads (T, 4) [N].
+    Returns `qpos` (T + 1, 13), `qvel` (T + 1, 12), the contacts' loads (T, 4) [N].
     """
     data = mujoco.MjData(model)
     positions, velocities = rigid_joints(model)

@@ -30,13 +30,8 @@ def turn_run(
     params: VehicleParameters, lock: float, speed: float, locked_axle: bool = False
 ) -> Run:
     """Wheels to the lock [rad], then a circle at a speed [m/s]."""
-    return Run(
-        params,
-        8.0 + 10.0 / abs(speed),
-        target=ramp(speed, 1.0, 2.0),
-        steering=ramp(lock, 0.0, 1.0),
-        locked_axle=locked_axle,
-    )
+    signals = {"target": ramp(speed, 1.0, 2.0), "steering": ramp(lock, 0.0, 1.0)}
+    return Run(params, 8.0 + 10.0 / abs(speed), locked_axle=locked_axle, **signals)
 
 
 def turning(study: Study) -> None:
