@@ -44,30 +44,30 @@ class Command(Entry):
     needs: tuple[str, ...] = ()
 
 
-def _command(home: str, *others: Any) -> Command:
-    return Command(f"carpark_mj.{home}", *others)
+def _command(home: str, *others: Any, **more: Any) -> Command:
+    return Command(f"carpark_mj.{home}", *others, **more)
 
 
 COMMANDS = {
     "train": _command(
         "programs:train", "train a policy with PPO",
-        "", TRAINING, False, ("tyro", "tensorboardX"),
+        "", TRAINING, needs=("tyro", "tensorboardX"),
     ),
     "evaluate": _command(
         "cli.evaluate:main", "evaluate a policy on held-out seeds",
-        "driving:EvaluateConfig", ACTING, True,
+        "driving:EvaluateConfig", ACTING, drives=True,
     ),
     "render": _command(
         "cli.render:main", "render episodes to a video or a still",
-        "driving:RenderConfig", (choose_gl, *ACTING), True,
+        "driving:RenderConfig", (choose_gl, *ACTING), drives=True,
     ),
     "scene": _command(
         "cli.pages:scene", "write a car park as MJCF, or show it",
-        "driving:SceneConfig", KEEPING, True,
+        "driving:SceneConfig", KEEPING, drives=True,
     ),
     "play": _command(
         "cli.pages:play", "drive a car yourself",
-        "driving:PlayConfig", KEEPING, True,
+        "driving:PlayConfig", KEEPING, drives=True,
     ),
     "layouts": _command(
         "cli.layouts:main", "draw, plot, check and save layouts",
@@ -78,7 +78,7 @@ COMMANDS = {
     ),
     "layouts import": _command(
         "cli.layouts:import_layout", "make a layout of a map",
-        "tables:ImportConfig", (), False, ("shapely",),
+        "tables:ImportConfig", needs=("shapely",),
     ),
     "vehicles": _command(
         "cli.vehicles:show", "show a vehicle and its estimated parameters",
@@ -94,16 +94,17 @@ COMMANDS = {
     ),
     "suite": _command(
         "suite.evaluation:main", "compare policies on the held-out hard cases",
-        "tables:SuiteConfig", (choose_gl, *ACTING), True, ("matplotlib",),
+        "tables:SuiteConfig", (choose_gl, *ACTING), drives=True,
+        needs=("matplotlib",),
     ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
     "export": _command(
         "cli.export:main", "export a policy as an ONNX model",
-        "driving:ExportConfig", KEEPING, True,
+        "driving:ExportConfig", KEEPING, drives=True,
     ),
     "sweep": _command(
         "sweeps:main", "train every combination of some settings",
-        "tables:SweepConfig", (), False, ("submitit",),
+        "tables:SweepConfig", needs=("submitit",),
     ),
     "analysis": _command(
         "cli.analysis:main", "compare runs: tables, plots, a page",

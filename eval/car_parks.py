@@ -66,7 +66,7 @@ def run(config: CarParksConfig) -> None:
     }
     driver = find_driver(config.policy)
     lots = MixtureConfig(members=tuple(itertools.chain(*parts.values())))
-    changes = {"layout": lots, "vehicle": config.vehicle, "min_agents": 1}
+    changes: Any = {"layout": lots, "vehicle": config.vehicle, "min_agents": 1}
     env = ParkingEnv(adapt(driver.env, num_agents=config.num_agents, **changes))
     result = evaluate(env, driver.policy(env), config.episodes, config.seed)
     # The parts are samples of a car park, as lots are of a family.

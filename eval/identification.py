@@ -108,7 +108,11 @@ def run(config: IdentificationConfig) -> None:
         for drive, log in zip(drives, logs, strict=True):
             found = identify(log, COMPACT, 0.0, config.sim_dt).estimates
             for name in Sought._fields:
-                row = {"drive": kind, "seed": drive.seed, "parameter": name}
+                row: dict[str, Any] = {
+                    "drive": kind,
+                    "seed": drive.seed,
+                    "parameter": name,
+                }
                 row["true"] = float(getattr(drive.true, name))
                 row["found"], row["half_interval"] = (
                     found[name].value,

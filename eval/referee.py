@@ -159,7 +159,7 @@ def solve(model: str, inputs: Inputs, duration: float, speed: float) -> Referenc
         return dynamics(list(state), [rate, inputs(time)[1]], p)
 
     time = np.linspace(0.0, duration, round(duration / 0.05) + 1)
-    options = {"method": "LSODA", "max_step": 0.02, "rtol": 1e-6, "atol": 1e-8}
+    options: Any = {"method": "LSODA", "max_step": 0.02, "rtol": 1e-6, "atol": 1e-8}
     span = 0.0, duration
     solved = integrate.solve_ivp(rates, span, start(), t_eval=time, **options)
     if not solved.success:

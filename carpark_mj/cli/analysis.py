@@ -80,16 +80,8 @@ def analyse(
 ) -> Path:
     """Writes tables, plots and `report.html` of runs; returns the page.
 
-    Args:
-        sources: runs by source; the first source is ours.
-        by: settings that group runs.
-        metrics: to show.
-        out: folder.
-        title: of the page.
-        notes: sentences at the top, for example about missing runs.
-
-    Raises:
-        OSError: the folder cannot be written.
+    The first source of runs is ours; settings `by` group them. Notes are sentences at
+    the top of the page, for example about missing runs.
     """
     out.mkdir(parents=True, exist_ok=True)
     page = out / "report.html"

@@ -194,8 +194,10 @@ def _print_short_help(
     others = {name: value for name, value in values.items() if name not in short}
     hidden = [(k, tyro.conf.Suppress[hints[k]], value) for k, value in others.items()]
     # A subclass, so that the docstrings of all fields are found.
-    named = {"bases": (cls,), "frozen": True, "namespace": {"__doc__": cls.__doc__}}
-    part: Any = dataclasses.make_dataclass(cls.__name__, hidden, **named)
+    doc, bases = {"__doc__": cls.__doc__}, (cls,)
+    part: Any = dataclasses.make_dataclass(
+        cls.__name__, hidden, bases=bases, frozen=True, namespace=doc
+    )
     flags = [
         f"--{k.replace('_', '-')}{'.*' * dataclasses.is_dataclass(value)}"
         for k, value in others.items()

@@ -107,14 +107,9 @@ def show_scene(
     text: str,
     page: Any = None,
 ) -> None:
-    """Writes a scene and shows it.
+    """Writes a scene, `text` as MJCF, and shows it; a browser needs its `page`.
 
-    Args:
-        output: where it goes.
-        spec: the scene.
-        extent: (2,) half widths that the browser shows [m].
-        text: the scene as MJCF.
-        page: for the browser.
+    `extent` (2,) are the half widths that the browser shows [m].
     """
     if output.out:
         path = Path(output.out)

@@ -31,7 +31,9 @@ _WORDS: dict[Tag, str] = {
     "drivable": "drivable",
     "start": "start",
 }
-WORDS = {word: tag for tag, words in _WORDS.items() for word in words.split()}
+WORDS: dict[str, Tag] = {
+    word: tag for tag, words in _WORDS.items() for word in words.split()
+}
 PARKING = {"parking", "prkg"}  # bays, where none of `WORDS` is in the name
 MOST_SHAPES = 20_000
 MOST_ENTITIES = 100_000  # of blocks, each time that they are inserted

@@ -34,7 +34,9 @@ _WORDS: dict[Tag, str] = {
     "bay": "parking_space parking_spot",
     "drivable": "parking parking_lot parking_access junction",
 }
-_TAGS = {word: tag for tag, words in _WORDS.items() for word in words.split()}
+_TAGS: dict[str, Tag] = {
+    word: tag for tag, words in _WORDS.items() for word in words.split()
+}
 # Subtypes of lanelets that are not driven along.
 _ON_FOOT = (
     *("crosswalk", "walkway", "shared_walkway"),
@@ -268,12 +270,7 @@ def add_lanelet(
 ) -> None:
     """Adds the straight lanes of a lanelet, and the ground that it covers.
 
-    Args:
-        plan: to add to.
-        name: of the lanelet.
-        borders: points (n, 2) of `left` and `right` [m], two at least.
-        one_way: whether it is driven in its direction only.
-        level: floors that it belongs to.
+    Its borders are points (n, 2) of `left` and `right` [m], two at least.
     """
     found = _lanelet(name, borders, one_way) if {"left", "right"} <= {*borders} else []
     plan.features.extend(dataclasses.replace(one, level=level) for one in found)

@@ -101,14 +101,7 @@ class Agent:
         config: SearchConfig,
         seconds: float = math.inf,
     ) -> None:
-        """An agent without a path.
-
-        Args:
-            seed: of its searches.
-            dt: control period [s].
-            config: how to search.
-            seconds: of an episode.
-        """
+        """An agent without a path, with a control period and episodes of `seconds`."""
         self.searches: list[Search] = []
         self._seconds = self._left = seconds
         self._seed, self._dt, self._config = tuple(seed), dt, config
@@ -219,14 +212,7 @@ class Planner:
         config: SearchConfig | None = None,
         seconds: float = math.inf,
     ) -> None:
-        """A planner without any paths.
-
-        Args:
-            ctrl_dt: control period [s].
-            seed: see `reset`.
-            config: how to search; the defaults if None.
-            seconds: of an episode.
-        """
+        """A planner without any paths, for episodes of `seconds`; see `reset`."""
         self._dt, self._config = ctrl_dt, config or SearchConfig()
         self._seconds = seconds
         self.reset(seed)

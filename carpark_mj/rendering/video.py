@@ -340,7 +340,11 @@ def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         for f in frames
     ]
     duration = round(1000 / fps)  # ms per frame; GIF counts in hundredths of a second
-    options = {"append_images": flat[1:], "duration": duration, "loop": 0}
+    options: dict[str, Any] = {
+        "append_images": flat[1:],
+        "duration": duration,
+        "loop": 0,
+    }
     options |= {"format": "GIF", "save_all": True, "optimize": True}
     write_atomically(path, lambda temporary: flat[0].save(temporary, **options))
     return len(flat)

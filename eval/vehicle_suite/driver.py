@@ -149,8 +149,8 @@ def drive_pedals(
     yaw = np.where(facing > 0, 0.0, math.pi)[fill]
     sim = SimConfig(grade_x=grade, ctrl_dt=DT, trace_dt=DT)
     motion = drive(sim, cars, controls, start[fill], yaw, driver)
-    way = motion.pose_w[:, :n, 0].astype(float) * facing
-    return way, motion.speed[:, :n].astype(float)
+    way, speed = np.asarray(motion.pose_w)[..., 0], np.asarray(motion.speed)
+    return way[:, :n].astype(float) * facing, speed[:, :n].astype(float)
 
 
 def cases(*values: tuple[float, ...]) -> np.ndarray:
@@ -309,7 +309,7 @@ def reversing(study: Study) -> None:
         fleet = jax.tree.map(lambda *x: jnp.stack(x), *cars)
         twice = np.tile(controls, (1, len(surfaces), 1))
         sims = (SimConfig(sim_dt=dt, trace_dt=0.1) for dt in (0.01, 0.001))
-        paths = (drive(sim, fleet, twice).trace_w[..., 0] for sim in sims)
+        paths = (np.asarray(drive(sim, fleet, twice).trace_w)[..., 0] for sim in sims)
         coarse, exact = (np.moveaxis(x, 2, 1).reshape(-1, len(cars)) for x in paths)
     length = np.abs(np.diff(exact, axis=0)).sum(0)
     error = 100 * np.abs(coarse - exact).max(0) / length
@@ -366,7 +366,7 @@ def odometry(study: Study) -> None:
     car = make_vehicle(study.params)
     offset = jnp.float32(study.params.centre_offset)
 
-    def believe(poses: np.ndarray, error: tuple[float, ...]) -> np.ndarray:
+    def believe(poses: Any, error: tuple[float, ...]) -> np.ndarray:
         """What it believes too much of its pose (3,)."""
 
         def step(carry: tuple[Odometry, jax.Array], pose: jax.Array):

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def turn_run(
     params: VehicleParameters, lock: float, speed: float, locked_axle: bool = False
 ) -> Run:
     """Wheels to the lock [rad], then a circle at a speed [m/s]."""
-    signals = {"target": ramp(speed, 1.0, 2.0), "steering": ramp(lock, 0.0, 1.0)}
+    signals: Any = {"target": ramp(speed, 1.0, 2.0), "steering": ramp(lock, 0.0, 1.0)}
     return Run(params, 8.0 + 10.0 / abs(speed), locked_axle=locked_axle, **signals)
 
 
