@@ -108,16 +108,9 @@ def run(config: IdentificationConfig) -> None:
         for drive, log in zip(drives, logs, strict=True):
             found = identify(log, COMPACT, 0.0, config.sim_dt).estimates
             for name in Sought._fields:
-                row: dict[str, Any] = {
-                    "drive": kind,
-                    "seed": drive.seed,
-                    "parameter": name,
-                }
-                row["true"] = float(getattr(drive.true, name))
-                row["found"], row["half_interval"] = (
-                    found[name].value,
-                    found[name].error,
-                )
+                row: dict[str, Any] = {"drive": kind, "seed": drive.seed}
+                row |= {"parameter": name, "true": float(getattr(drive.true, name))}
+                row |= {"found": found[name].value, "half_interval": found[name].error}
                 rows.append(row | {"told": found[name].identifiable})
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)

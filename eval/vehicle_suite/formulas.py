@@ -152,11 +152,8 @@ def _load_transfer(
 ) -> float:
     spinning = 4 * params.wheel_inertia / params.wheel_radius
     moment = (params.mass * params.cg_height + spinning) * acceleration
-    above = {
-        "patches": params.cg_height,
-        "hubs": params.cg_height - params.wheel_radius,
-        "rigid": 0.0,
-    }[stance]
+    above = params.cg_height - (params.wheel_radius if stance == "hubs" else 0.0)
+    above = 0.0 if stance == "rigid" else above
     # Four springs k at half the base from their middle resist tilting by k base^2.
     stiffness = params.tyre.vertical_stiffness * base**2
     return moment / base / (1 - params.mass * GRAVITY * above / stiffness)

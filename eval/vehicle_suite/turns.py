@@ -46,10 +46,8 @@ def turning(study: Study) -> None:
         if study.tyres == "brush":
             expected = steady_turn(params, lock, track.late(track.speed, 1.0))
         else:  # geometry alone
-            expected = Turn(
-                formulas.turning_radius(params, lock),
-                formulas.rolling_drag(params, lock),
-            )
+            radius = formulas.turning_radius(params, lock)
+            expected = Turn(radius, formulas.rolling_drag(params, lock))
         angle, way = math.degrees(lock), "forwards" if speed > 0 else "reverse"
         what = f"turning radius, {angle:.1f} deg, {abs(speed):g} m/s {way}"
         radius = circle_radius(track.position[track.at(7.0) :])

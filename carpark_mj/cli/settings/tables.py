@@ -1,4 +1,4 @@
-"""Settings of the commands about cars, layouts, runs and speed."""
+"""Settings of the commands about cars, layouts, runs, the suite and speed."""
 
 import dataclasses
 from typing import Annotated, Literal, get_args
