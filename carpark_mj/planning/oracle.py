@@ -29,8 +29,8 @@ MARGIN = 0.02  # m on every side of a car that drives
 ORDERS = 6
 BREADTH = 3  # cars of an order among which the one that parks first is next
 WAYS = 2  # of every car in a lot without others
+TWO = {"paths": 2, "more_paths": 0}  # of a search
 # Long steps: most of a lot is open, and a search that fails is soon given up.
-TWO = {"paths": 2, "more_paths": 0}
 ALONE = SearchConfig(
     (0.08, 0.02, 0.0), step=1.0, max_tests=2500, shorten_tests=1000, **TWO
 )
@@ -133,9 +133,9 @@ class _Lot:
         count, still = len(order), np.zeros(1, int)
         places = zip(self._starts, self._size, strict=True)
         drives = [Drive(pose[None], still, size) for pose, size in places]
-        never, nowhere = np.zeros(count, int), np.zeros((0, 3))
+        back, moves = [np.zeros((0, 3))] * count, np.zeros(count, int)
         turns = _Turns(
-            list(self._starts), [nowhere] * count, drives, never, never.astype(bool)
+            list(self._starts), back, drives, moves, parks=np.zeros(count, bool)
         )
         while True:
             left = [k for k in order if not turns.parks[k] and self._ways[k]]

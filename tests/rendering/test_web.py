@@ -78,6 +78,7 @@ def test_wheels_of_a_live_lot_roll_and_steer_with_the_car(lot):
 
 
 def test_view_alone_opens_a_window():
+    assert complete([]) == []
     assert complete(["--view"]) == ["--view", "window"]
     assert complete(["--view", "--seed", "3"]) == ["--view", "window", "--seed", "3"]
     assert complete(["--view", "web"]) == ["--view", "web"]

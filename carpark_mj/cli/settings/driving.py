@@ -1,6 +1,7 @@
 """Settings of the commands in which somebody drives, and of `export`."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -424,7 +425,7 @@ class PlayConfig(ShownLot):
 def complete(words: Sequence[str]) -> list[str]:
     """The command line with `--view` alone written out as `--view window`."""
     found: list[str] = []
-    for word, after in zip(words, [*words[1:], "--"], strict=True):
+    for word, after in itertools.pairwise([*words, "--"]):
         found.append(word)
         if word == "--view" and after.startswith("--"):
             found.append("window")
