@@ -161,7 +161,8 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     text = help_of(settings)
     if command.drives:
         text = command_help(text)
-    words = getattr(sys.modules[settings.__module__], "complete", list)(words)
+    if hasattr(settings, "view"):
+        words = Entry(f"{SETTINGS}driving:complete").load()(words)
     return read_flags(settings, words, description=text, prog=f"carpark_mj {name}")
 
 
