@@ -17,8 +17,9 @@ from carpark_mj.extensions import Entry, Registry
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
-DRIVING, TABLES = (f"carpark_mj.cli.settings.{part}" for part in ("driving", "tables"))
-SCENES, LOTS = (f"carpark_mj.cli.settings.{part}" for part in ("scenes", "lots"))
+KEEPING = (keep_compiled_programs,)
+TRAINING = (choose_gl, configure_jax, keep_compiled_programs)
+SETTINGS = "carpark_mj.cli.settings."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,126 +30,92 @@ class Command(Entry):
     before the function is imported, without JAX.
 
     Attributes:
-        settings: `module:name` of the config class; empty = the words themselves.
+        settings: `module:name` of the config class, below `cli.settings`; empty = the
+            words themselves.
         setup: called before the function is imported, which may load MuJoCo, and
             before JAX computes.
-        needs: packages of extras without which it is refused at once.
         drives: its help names the pretrained policies.
+        needs: packages of extras without which it is refused at once.
     """
 
     settings: str = ""
     setup: tuple[Callable[[], object], ...] = ()
-    needs: tuple[str, ...] = ()
     drives: bool = False
+    needs: tuple[str, ...] = ()
+
+
+def _command(home: str, *others: Any, **more: Any) -> Command:
+    return Command(f"carpark_mj.{home}", *others, **more)
 
 
 COMMANDS = {
-    "train": Command(
-        "carpark_mj.programs:train",
-        "train a policy with PPO",
-        "",
-        (choose_gl, configure_jax, keep_compiled_programs),
-        needs=("tyro", "tensorboardX"),
+    "train": _command(
+        "programs:train", "train a policy with PPO",
+        "", TRAINING, needs=("tyro", "tensorboardX"),
     ),
-    "evaluate": Command(
-        "carpark_mj.cli.evaluate:main",
-        "evaluate a policy on held-out seeds",
-        f"{DRIVING}:EvaluateConfig",
-        ACTING,
-        drives=True,
+    "evaluate": _command(
+        "cli.evaluate:main", "evaluate a policy on held-out seeds",
+        "driving:EvaluateConfig", ACTING, drives=True,
     ),
-    "render": Command(
-        "carpark_mj.cli.render:main",
-        "render episodes to a video or a still",
-        f"{DRIVING}:RenderConfig",
-        (choose_gl, *ACTING),
-        drives=True,
+    "render": _command(
+        "cli.render:main", "render episodes to a video or a still",
+        "driving:RenderConfig", (choose_gl, *ACTING), drives=True,
     ),
-    "scene": Command(
-        "carpark_mj.cli.pages:scene",
-        "write a car park as MJCF, or show it",
-        f"{SCENES}:SceneConfig",
-        (keep_compiled_programs,),
-        drives=True,
+    "scene": _command(
+        "cli.pages:scene", "write a car park as MJCF, or show it",
+        "driving:SceneConfig", KEEPING, drives=True,
     ),
-    "play": Command(
-        "carpark_mj.cli.pages:play",
-        "drive a car yourself",
-        f"{SCENES}:PlayConfig",
-        (keep_compiled_programs,),
-        drives=True,
+    "play": _command(
+        "cli.pages:play", "drive a car yourself",
+        "driving:PlayConfig", KEEPING, drives=True,
     ),
-    "layouts": Command(
-        "carpark_mj.cli.layouts:main",
-        "draw, plot, check and save layouts",
-        f"{LOTS}:LayoutsConfig",
-        (keep_compiled_programs,),
+    "layouts": _command(
+        "cli.layouts:main", "draw, plot, check and save layouts",
+        "tables:LayoutsConfig", KEEPING,
     ),
-    "layouts edit": Command(
-        "carpark_mj.cli.layouts:edit",
-        "draw a lot in the browser",
-        f"{LOTS}:EditConfig",
+    "layouts edit": _command(
+        "cli.layouts:edit", "draw a lot in the browser", "tables:EditConfig"
     ),
-    "layouts import": Command(
-        "carpark_mj.cli.layouts:import_layout",
-        "make a layout of a map",
-        f"{LOTS}:ImportConfig",
-        needs=("shapely",),
+    "layouts import": _command(
+        "cli.layouts:import_layout", "make a layout of a map",
+        "tables:ImportConfig", needs=("shapely",),
     ),
-    "vehicles": Command(
-        "carpark_mj.cli.vehicles:show",
-        "show a vehicle and its estimated parameters",
-        f"{TABLES}:VehiclesConfig",
+    "vehicles": _command(
+        "cli.vehicles:show", "show a vehicle and its estimated parameters",
+        "tables:VehiclesConfig",
     ),
-    "identify": Command(
-        "carpark_mj.cli.vehicles:fit",
-        "find a car's parameters in the log of a drive",
-        f"{TABLES}:IdentifyConfig",
-        (enable_output_fusion, keep_compiled_programs),
+    "identify": _command(
+        "cli.vehicles:fit", "find a car's parameters in the log of a drive",
+        "tables:IdentifyConfig", (enable_output_fusion, keep_compiled_programs),
     ),
-    "oracle": Command(
-        "carpark_mj.cli.oracle:main",
-        "say which agents of held-out lots can park",
-        f"{DRIVING}:OracleConfig",
-        (enable_output_fusion, keep_compiled_programs),
+    "oracle": _command(
+        "cli.oracle:main", "say which agents of held-out lots can park",
+        "driving:OracleConfig", (enable_output_fusion, keep_compiled_programs),
     ),
-    "suite": Command(
-        "carpark_mj.suite.evaluation:main",
-        "compare policies on the held-out hard cases",
-        f"{DRIVING}:SuiteConfig",
-        (choose_gl, *ACTING),
+    "suite": _command(
+        "suite.evaluation:main", "compare policies on the held-out hard cases",
+        "tables:SuiteConfig", (choose_gl, *ACTING), drives=True,
         needs=("matplotlib",),
-        drives=True,
     ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
-    "export": Command(
-        "carpark_mj.cli.export:main",
-        "export a policy as an ONNX model",
-        f"{DRIVING}:ExportConfig",
-        (keep_compiled_programs,),
-        drives=True,
+    "export": _command(
+        "cli.export:main", "export a policy as an ONNX model",
+        "driving:ExportConfig", KEEPING, drives=True,
     ),
-    "sweep": Command(
-        "carpark_mj.sweeps:main",
-        "train every combination of some settings",
-        f"{TABLES}:SweepConfig",
-        needs=("submitit",),
+    "sweep": _command(
+        "sweeps:main", "train every combination of some settings",
+        "tables:SweepConfig", needs=("submitit",),
     ),
-    "analysis": Command(
-        "carpark_mj.cli.analysis:main",
-        "compare runs: tables, plots, a page",
-        f"{TABLES}:AnalysisConfig",
+    "analysis": _command(
+        "cli.analysis:main", "compare runs: tables, plots, a page",
+        "tables:AnalysisConfig",
     ),
-    "benchmark": Command(
-        "carpark_mj.benchmarking:main",
-        "measure speed, compilation and memory",
-        f"{TABLES}:BenchmarkConfig",
-        (enable_output_fusion,),
+    "benchmark": _command(
+        "benchmarking:main", "measure speed, compilation and memory",
+        "tables:BenchmarkConfig", (enable_output_fusion,),
     ),
-    "study": Command(
-        "carpark_mj.programs:study", "run a program of a paper or an extension"
-    ),
-}
+    "study": _command("programs:study", "run a program of a paper or an extension"),
+}  # fmt: skip
 
 STUDY_PROGRAMS: Registry[Any] = Registry("program")
 
@@ -190,11 +157,12 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     """The settings of a command."""
     from carpark_mj.cli.flags import command_help, help_of, read_flags
 
-    settings = Entry(command.settings).load()
+    settings = Entry(SETTINGS + command.settings).load()
     text = help_of(settings)
     if command.drives:
         text = command_help(text)
-    words = getattr(sys.modules[settings.__module__], "complete", list)(words)
+    if hasattr(settings, "view"):
+        words = Entry(f"{SETTINGS}driving:complete").load()(words)
     return read_flags(settings, words, description=text, prog=f"carpark_mj {name}")
 
 

@@ -19,6 +19,7 @@ from carpark_mj import ParkingEnv
 from carpark_mj.cameras.rig import BODY, CABIN, Rig, Seen
 from carpark_mj.geometry.obstacles import ObstacleKind
 from carpark_mj.layouts.types import GROUND_CLEARANCE, Layout
+from carpark_mj.rendering.recording import snapshot_of
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.parts import GROUND, HULL_GROUP, car_prefix
 from carpark_mj.types import NO_BAY, State
@@ -70,34 +71,23 @@ def _add_blocks(body: Any, params: VehicleParameters, prefix: str) -> None:
         rear, front, wide, low, high = block
         bottom, top = max(low * params.height, GROUND_CLEARANCE), high * params.height
         half = params.length / 2
+        ahead = params.centre_offset + half * (rear + front) / 2
         body.add_geom(
             name=f"{prefix}block/{name}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[
-                params.centre_offset + half * (rear + front) / 2,
-                0.0,
-                (bottom + top) / 2,
-            ],
-            size=[
-                half * (front - rear) / 2,
-                wide * params.width / 2,
-                (top - bottom) / 2,
-            ],
+            pos=[ahead, 0.0, (bottom + top) / 2],
+            size=np.array([half * (front - rear), wide * params.width, top - bottom])
+            / 2,
             group=BLOCK_GROUP,
-            contype=0,
-            conaffinity=0,
-            mass=0.0,
+            **dict.fromkeys(("contype", "conaffinity", "mass"), 0),
         )
 
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """What MuJoCo shows along rays (...).
+    """What MuJoCo shows along rays (...): depths [m], inf in the sky, and `Seen`.
 
-    Attributes:
-        depth: along the ray [m]; inf = the sky.
-        seen: `Seen`.
-        on_edge: bool, things meet there, so that the depth is none.
+    On an edge (bool) things meet, and the depth is that of none.
     """
 
     depth: np.ndarray
@@ -109,31 +99,11 @@ class Renderer:
     """Draws the states of one lot after another."""
 
     def __init__(self, env: ParkingEnv, state: State, meshes: bool = False) -> None:
-        """Compiles the scene of a lot.
-
-        Args:
-            env: the environment.
-            state: of one lot.
-            meshes: draw the cars' meshes, not their blocks.
-        """
+        """Compiles the scene of a lot; `meshes` draws those of cars, not blocks."""
         self._layout = jax.tree.map(np.asarray, state.layout)
         self._state = state
-        self._stage = BlockStage(
-            self._layout,
-            env.vehicle,
-            env.config.num_agents,
-            env.config.num_parked_cars,
-            agent_kinds=env.fleet.agents,
-            parked_cars=env.fleet.parked_vehicles(state.parked_cars),
-            movers=state.movers.groups,
-        )
-        self._stage.place(
-            np.asarray(state.motion.pose_w, float),
-            np.asarray(state.motion.steering, float),
-            np.asarray(state.parked_cars.pose_w, float),
-            None if state.kind is None else np.asarray(state.kind),
-            state.movers.groups,
-        )
+        self._stage = BlockStage.of(env, state)
+        snapshot_of(state).place(self._stage)
         self._heights = [
             env.fleet.agents[0 if state.kind is None else int(state.kind[k])].height
             for k in range(env.config.num_agents)

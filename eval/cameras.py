@@ -20,7 +20,7 @@ if __name__ == "__main__":  # before the imports, which take seconds
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
-from camera_reference import BlockStage, Reference, Renderer
+from camera_reference import BlockStage, Renderer
 from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.benchmarking.measuring import CLOCKS, best_time
 from carpark_mj.cameras import (
@@ -36,7 +36,6 @@ from carpark_mj.cameras import (
     RIGS,
     BirdsEye,
     Heights,
-    Pictures,
     Rig,
     Seen,
     paint,
@@ -47,9 +46,11 @@ from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.cameras.see import Channel
 from carpark_mj.config import LAYOUTS, GoalConfig, Mover, ObstacleKind, SpawnConfig
 from carpark_mj.config.checks import CheckedConfig, Count
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import BayKind, layout_config, make_layout
 from carpark_mj.obstacles import Boxes, Discs, Group
+from carpark_mj.rendering.recording import snapshot_of
 from carpark_mj.types import State
 from shell import command
 
@@ -108,110 +109,68 @@ def environment(layout: str, people: bool = True, agents: int = AGENTS) -> Parki
     kinds = make_layout(lot, jax.random.key(0)).bay_kind
     exits = bool((kinds == BayKind.EXIT).any())
     agents = min(agents, lot.min_goals)
-    parked_cars = 0 if exits else min(PARKED_CARS, lot.min_bays - agents)
-    return ParkingEnv(
-        EnvConfig(
-            layout=layout,
-            num_agents=agents,
-            num_parked_cars=parked_cars,
-            goals=GoalConfig(drive_out=exits),
-            spawn=AT_RANDOM if exits else SpawnConfig(),
-            movers=(Bystanders(), Carts()) if people else (),
-        )
+    config = EnvConfig(
+        layout=layout,
+        num_agents=agents,
+        num_parked_cars=0 if exits else min(PARKED_CARS, lot.min_bays - agents),
+        goals=GoalConfig(drive_out=exits),
+        spawn=AT_RANDOM if exits else SpawnConfig(),
+        movers=(Bystanders(), Carts()) if people else (),
     )
+    return ParkingEnv(config)
 
 
 CLOSE = 0.01  # m, of depths that agree
 ENOUGH = 0.995  # share of the pixels
-RIG_NAMES = ("surround", "windscreen")
 
 
-@dataclasses.dataclass
-class Agreement:
-    """Counts of pixels.
+class Agreement(NamedTuple):
+    """Pixels, and shares of them.
 
     Attributes:
         pixels: all.
         on_edge: where things meet within a quarter of a pixel or so.
-        close: off the edges, with the right depth.
-        same: of the right class.
-        same_meshes: of the same class as where MuJoCo draws the cars' meshes.
+        depth: with the right depth, of those off the edges.
+        classes: of the right class.
+        meshes: of the same class as where MuJoCo draws the cars' meshes.
     """
 
-    pixels: int = 0
-    on_edge: int = 0
-    close: int = 0
-    same: int = 0
-    same_meshes: int = 0
-
-    @property
-    def depth(self) -> float:
-        """Share of the pixels off edges whose depth agrees."""
-        return self.close / max(self.pixels - self.on_edge, 1)
-
-    @property
-    def classes(self) -> float:
-        """Share of the pixels whose class agrees."""
-        return self.same / self.pixels
-
-    @property
-    def meshes(self) -> float:
-        """The same where MuJoCo draws meshes."""
-        return self.same_meshes / self.pixels
-
-    def add(self, rig: Rig, pictures: Pictures, reference: Reference) -> None:
-        """Counts the pictures (cameras, height, width) of a car."""
-        depth, seen = np.asarray(pictures.depth), np.asarray(pictures.seen)
-        off = np.abs(depth - np.minimum(reference.depth, rig.reach))
-        self.pixels += seen.size
-        self.on_edge += int(reference.on_edge.sum())
-        self.close += int(((off < CLOSE) & ~reference.on_edge).sum())
-        self.same += int((seen == reference.seen).sum())
+    pixels: int
+    on_edge: float
+    depth: float
+    classes: float
+    meshes: float
 
 
 def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Agreement:
-    """Compares the pictures of all agents that are in some lots.
-
-    Args:
-        env: the environment.
-        states: of its lots.
-        meshes: compare with meshes, too.
-    """
-    heights, total = Heights.of(env.fleet), Agreement()
+    """Compares the pictures of all agents that are in some lots."""
+    heights, counts = Heights.of(env.fleet), np.zeros(5, int)
     pictures_of = jax.jit(see, static_argnums=(0, 2))
     for state in states:
-        drawn = [
-            Renderer(env, state, meshes=each) for each in (False, True)[: 1 + meshes]
-        ]
-        for name in RIG_NAMES:
-            rig = RIGS[name]
-            pictures = pictures_of(rig, state, heights)
-            for agent in _present(env, state):
-                own = jax.tree.map(lambda x: x[agent], pictures)  # noqa: B023
-                total.add(rig, own, drawn[0].show(rig, agent))
-                for renderer in drawn[1:]:
-                    other = renderer.show(rig, agent).seen
-                    total.same_meshes += int((np.asarray(own.seen) == other).sum())
+        drawn = [Renderer(env, state, meshes=k == 1) for k in range(1 + meshes)]
+        for rig in (RIGS["surround"], RIGS["windscreen"]):
+            pictures = jax.device_get(pictures_of(rig, state, heights))
+            for agent in range(env.config.num_agents):
+                if state.present is not None and not state.present[agent]:
+                    continue  # it stands far away
+                depth, seen = pictures.depth[agent], pictures.seen[agent]
+                truth = drawn[0].show(rig, agent)
+                off = np.abs(depth - np.minimum(truth.depth, rig.reach))
+                close = (off < CLOSE) & ~truth.on_edge
+                same = [seen == one.show(rig, agent).seen for one in drawn[1:]]
+                found = [truth.on_edge, close, seen == truth.seen, *same]
+                counts[: 1 + len(found)] += [seen.size, *(x.sum() for x in found)]
         for renderer in drawn:
             renderer.close()
-    return total
-
-
-def _present(env: ParkingEnv, state: State) -> list[int]:
-    """The agents in the lot: absent ones stand far away."""
-    agents = range(env.config.num_agents)
-    return [k for k in agents if state.present is None or bool(state.present[k])]
-
-
-def compare_layout(layout: str, lots: int) -> Agreement:
-    """Compares the pictures in some lots of a layout."""
-    env = environment(layout)
-    reset = jax.jit(lambda key: env.reset(key)[0])
-    return compare(env, [reset(jax.random.key(seed)) for seed in range(lots)])
+    pixels, on_edge, close, same, same_meshes = counts
+    depth = close / max(pixels - on_edge, 1)
+    parts = on_edge / pixels, depth, same / pixels, same_meshes / pixels
+    return Agreement(int(pixels), *(float(x) for x in parts))
 
 
 CHANNELS: tuple[Channel, ...] = ("depth", "seen", "colour")
 GAP = 4  # pixels between pictures
+FRAME = ((0, GAP), (0, GAP), (0, 0))
 ENLARGED = 3
 
 
@@ -229,90 +188,66 @@ def mosaic(layouts: Sequence[str]) -> np.ndarray:
         config = BirdsEye(3 * rig.height + 2 * GAP)
         above = jax.jit(see_from_above, static_argnums=0)(config, state)[0]
         painted = [np.asarray(paint(own, name)) for name in CHANNELS]
-        rows = np.concatenate([_row(images) for images in painted])[:-GAP]
+        rows = np.concatenate([_framed(*images) for images in painted])[:-GAP]
         sheets.append(np.concatenate([rows, _framed(palette[above])[:-GAP]], axis=1))
         sheets.append(np.full((2 * GAP, sheets[0].shape[1], 3), 255, np.uint8))
     return np.concatenate(sheets[:-1])
 
 
-def write_mosaic(path: Path, layouts: Sequence[str]) -> None:
-    """Writes `mosaic` as a PNG, enlarged."""
-    image = Image.fromarray(mosaic(layouts))
-    size = (image.width * ENLARGED, image.height * ENLARGED)
-    image = image.resize(size, Image.Resampling.NEAREST)
-    write_atomically(path, lambda temporary: image.save(temporary, format="PNG"))
-
-
-def _row(images: np.ndarray) -> np.ndarray:
-    return np.concatenate([_framed(image) for image in images], axis=1)
-
-
-def _framed(image: np.ndarray) -> np.ndarray:
-    return np.pad(image, ((0, GAP), (0, GAP), (0, 0)), constant_values=255)
+def _framed(*images: np.ndarray) -> np.ndarray:
+    """Pictures beside each other, with a gap on the right of each and below."""
+    return np.concatenate([np.pad(x, FRAME, constant_values=255) for x in images], 1)
 
 
 REPEATS = 5
 
 
-@dataclasses.dataclass(frozen=True)
-class Speed:
-    """A row of the table.
-
-    Attributes:
-        what: is drawn.
-        lots: at once, with one agent each.
-        rate: of them [1/s].
-        pixels: of the pictures of an agent.
-        memory: of the program, the pictures included [GiB].
-    """
-
-    what: str
-    lots: int
-    rate: float
-    pixels: int
-    memory: float = 0.0
-
-
-def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[Speed]:
-    """Rows of a table.
-
-    Args:
-        layout: of the lots.
-        batches: numbers of lots.
-        draws: whether MuJoCo can draw.
-    """
+def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[dict]:
+    """Rows of a table, for numbers of lots of one agent; `draws`: MuJoCo can."""
     blind = environment(layout, people=False, agents=1)
     env = ParkingEnv(dataclasses.replace(blind.config, observation=CameraObservation()))
     still = jnp.zeros((env.num_agents, env.action_spec.size))
     rig, heights, above = RIGS["surround"], Heights.of(env.fleet), BirdsEye()
     cameras = len(rig.cameras) * rig.width * rig.height
+
+    def drawn(state: Any) -> Any:  # as MuJoCo draws them
+        pictures = see(rig, state, heights)
+        return pictures.depth, pictures.seen
+
     looks: list[tuple[str, int, Callable[[Any], Any]]] = [
-        ("surround", cameras, lambda state: _drawn(see(rig, state, heights))),
+        ("surround", cameras, drawn),
         ("surround, classes only", cameras, lambda s: see(rig, s, heights).seen),
         ("bird's eye", above.pixels**2, lambda s: see_from_above(above, s)),
         ("step with surround", cameras, lambda s: env.step(s, still)[1].observation),
     ]
+
+    def row(what: str, lots: int, pixels: int, rate: float, memory: float) -> dict:
+        return {
+            "layout": f"`{layout}`",
+            "what": what,
+            "lots": f"{lots:,}",
+            "pixels/s": f"{pixels * rate:.3g}",
+            "agent steps/s": f"{rate:,.0f}",
+            "GiB": f"{memory:.2g}",
+        }
+
     reset = jax.jit(jax.vmap(lambda key: env.reset(key)[0]))
     states = None
     for lots in batches:
         states = reset(jax.random.split(jax.random.key(0), lots))
         for what, pixels, look in looks:
-            rate, memory = _lots(look, states, lots)
-            yield Speed(what, lots, rate, pixels, memory)
+            yield row(what, lots, pixels, *_lots(look, states, lots))
     if draws and states is not None:
         first = jax.tree.map(lambda x: x[0], states)
-        yield Speed(
-            "MuJoCo's renderer", 1, 1 / _mujoco_seconds(env, first, rig), cameras
-        )
-
-
-def _drawn(pictures: Pictures) -> tuple[jax.Array, jax.Array]:
-    """Depth and classes, as MuJoCo draws them."""
-    return pictures.depth, pictures.seen
+        rate = 1 / _mujoco_seconds(env, first, rig)
+        yield row("MuJoCo's renderer", 1, cameras, rate, 0.0)
 
 
 def _lots(look: Callable[[Any], Any], states: Any, lots: int) -> tuple[float, float]:
-    """Lots a second and GiB: all at once on a GPU, one after the other on a CPU."""
+    """Lots a second and GiB: all at once on a GPU, one after the other on a CPU.
+
+    The memory is that of the program, the pictures included.
+    """
     on_cpu = jax.default_backend() == "cpu"
     looked = (lambda s: jax.lax.map(look, s)) if on_cpu else jax.vmap(look)
     run = jax.jit(looked).lower(states).compile()
@@ -328,14 +263,8 @@ def _clock() -> Callable[[], float]:
 
 def _mujoco_seconds(env: ParkingEnv, state: Any, rig: Rig) -> float:
     """Seconds in which MuJoCo draws depth and segmentation of as many pictures."""
-    stage = BlockStage(
-        jax.device_get(state.layout),
-        env.vehicle,
-        env.config.num_agents,
-        env.config.num_parked_cars,
-    )
-    state = jax.device_get(state)
-    stage.place(state.motion.pose_w, state.motion.steering, state.parked_cars.pose_w)
+    stage = BlockStage.of(env, state)
+    snapshot_of(state).place(stage)
     renderer = mujoco.Renderer(stage.model, rig.height, rig.width)
 
     def draw() -> None:
@@ -382,16 +311,21 @@ class CamerasConfig(CheckedConfig):
 
 def truth(config: CamerasConfig) -> int:
     """Prints the table; returns 1 where too few pixels agree."""
-    print("| layout | pixels | on edges | depth within 1 cm | classes | meshes |")
-    print("|---|---|---|---|---|---|")
     missed = 0
-    for name in config.layouts or families():
-        found = compare_layout(name, config.lots)
-        print(
-            f"| `{name}` | {found.pixels:,} | {found.on_edge / found.pixels:.1%} | "
-            f"{found.depth:.2%} | {found.classes:.2%} | {found.meshes:.1%} |",
-            flush=True,
-        )
+    for k, name in enumerate(config.layouts or families()):
+        env = environment(name)
+        reset = jax.jit(lambda key: env.reset(key)[0])  # noqa: B023
+        states = [reset(jax.random.key(seed)) for seed in range(config.lots)]
+        found = compare(env, states)
+        row = {
+            "layout": f"`{name}`",
+            "pixels": f"{found.pixels:,}",
+            "on edges": f"{found.on_edge:.1%}",
+            "depth within 1 cm": f"{found.depth:.2%}",
+            "classes": f"{found.classes:.2%}",
+            "meshes": f"{found.meshes:.1%}",
+        }
+        _print_row(row, head=k == 0)
         missed += min(found.depth, found.classes) < ENOUGH
     return int(missed > 0)
 
@@ -404,15 +338,15 @@ def speed(config: CamerasConfig) -> None:
     print(f"{jax.devices()[0].device_kind}, {second} seconds")
     if missing:
         print(f"without MuJoCo's renderer: {missing}")
-    print("| layout | what | lots | pixels/s | agent steps/s | GiB |")
-    print("|---|---|---|---|---|---|", flush=True)
-    for name in config.layouts or ("lot",):
-        for row in speeds(name, batches, draws=not missing):
-            print(
-                f"| `{name}` | {row.what} | {row.lots:,} | {row.pixels * row.rate:.3g} "
-                f"| {row.rate:,.0f} | {row.memory:.2g} |",
-                flush=True,
-            )
+    for k, name in enumerate(config.layouts or ("lot",)):
+        for j, row in enumerate(speeds(name, batches, draws=not missing)):
+            _print_row(row, head=k == j == 0)
+
+
+def _print_row(row: dict[str, str], head: bool) -> None:
+    """Prints a row of a table as soon as it is known, the first below its head."""
+    lines = markdown([row]).splitlines()
+    print("\n".join(lines if head else lines[2:]), flush=True)
 
 
 def run(config: CamerasConfig) -> int:
@@ -424,7 +358,9 @@ def run(config: CamerasConfig) -> int:
     else:
         out = Path(config.out)
         require_writable(out)
-        write_mosaic(out, config.layouts or ("lot", "angled", "street"))
+        picture = mosaic(config.layouts or ("lot", "angled", "street"))
+        large = Image.fromarray(picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1))
+        write_atomically(out, lambda temporary: large.save(temporary, format="PNG"))
         print(f"wrote {out}")
     return 0
 

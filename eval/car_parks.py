@@ -66,15 +66,8 @@ def run(config: CarParksConfig) -> None:
     }
     driver = find_driver(config.policy)
     lots = MixtureConfig(members=tuple(itertools.chain(*parts.values())))
-    env = ParkingEnv(
-        adapt(
-            driver.env,
-            layout=lots,
-            vehicle=config.vehicle,
-            num_agents=config.num_agents,
-            min_agents=1,
-        )
-    )
+    changes: Any = {"layout": lots, "vehicle": config.vehicle, "min_agents": 1}
+    env = ParkingEnv(adapt(driver.env, num_agents=config.num_agents, **changes))
     result = evaluate(env, driver.policy(env), config.episodes, config.seed)
     # The parts are samples of a car park, as lots are of a family.
     owners = [name for name, found in parts.items() for _ in found]
@@ -93,9 +86,7 @@ def run(config: CarParksConfig) -> None:
 def by_agents(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
     """Summaries of a car park by the number of agents present, and of all.
 
-    Args:
-        rows: episodes, whose `lot` is the number of their part.
-        name: of the car park.
+    The `lot` of an episode is the number of its part.
     """
     own = [row for row in rows if row["family"] == name]
     counts = sorted({int(row["agents_present"]) for row in own})

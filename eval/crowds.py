@@ -13,6 +13,7 @@ if __name__ == "__main__":  # before the imports, which take seconds
 
 import dataclasses
 import functools
+import itertools
 import math
 from pathlib import Path
 
@@ -231,33 +232,26 @@ def run(config: CrowdsConfig) -> None:
     left = np.asarray(leaving(keys, jnp.array(SPEEDS)))
     flows = np.array([[flow(one) for one in row] for row in left])
     end = round(20.0 / DT)
-    rows = [
-        *(
-            (
-                f"speed at {density:g} 1/m2, radius {radius:g} m, steps of {dt:g} s",
-                "m/s",
-                *np.asarray(speeds(keys, density, radius, dt)),
-            )
-            for density, radius in CROWDED
-            for dt in PERIODS
-        ),
-        ("order of lanes, last 20 s", "", *walks[True][3][:, -end:].mean(axis=1)),
-        ("the same without forces", "", *walks[False][3][:, -end:].mean(axis=1)),
-        *(
-            (f"flow through the door at {v:g} m/s", "1/s", *row)
-            for v, row in zip(SPEEDS, flows, strict=True)
-        ),
-    ]
+    rows: dict[tuple[str, str], np.ndarray] = {}
+    for (density, radius), dt in itertools.product(CROWDED, PERIODS):
+        what = f"speed at {density:g} 1/m2, radius {radius:g} m, steps of {dt:g} s"
+        rows[what, "m/s"] = np.asarray(speeds(keys, density, radius, dt))
+    for what, pushes in (
+        ("order of lanes, last 20 s", True),
+        ("the same without forces", False),
+    ):
+        rows[what, ""] = walks[pushes][3][:, -end:].mean(axis=1)
+    for speed, row in zip(SPEEDS, flows, strict=True):
+        rows[f"flow through the door at {speed:g} m/s", "1/s"] = row
     out.mkdir(parents=True, exist_ok=True)
-    names = [f"seed {k}" for k in range(SEEDS)]
     table = [
         {"what": what, "unit": unit}
-        | {name: f"{x:.3f}" for name, x in zip(names, values, strict=True)}
-        for what, unit, *values in rows
+        | {f"seed {k}": f"{x:.3f}" for k, x in enumerate(values)}
+        for (what, unit), values in rows.items()
     ]
     write_csv(out / "crowds.csv", table)
     draw(out / "crowds.png", walks, flows)
-    for what, unit, *values in rows:
+    for (what, unit), values in rows.items():
         print(f"{what}: {np.mean(values):.2f} ± {np.std(values):.2f} {unit}")
 
 

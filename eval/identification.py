@@ -15,15 +15,15 @@ if __name__ == "__main__":  # before the imports, which take seconds
     enter("identification", "identification:main")
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from rich.console import Console
-from rich.table import Column, Table
 
 from carpark_mj.config.checks import require_seed
+from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.identification.fit import identify
 from carpark_mj.identification.log import POSE, RATES, DriveLog
@@ -85,21 +85,13 @@ def truth(seed: int, kind: DriveName) -> Sought:
     return true._replace(patch_radius=0.0) if kind in SINGLE_TRACK else true
 
 
-def _logs(
-    drives: Sequence[Drive], measured: Sequence[str], config: IdentificationConfig
-) -> list[DriveLog]:
+def _logs(drives: Sequence[Drive], *sensors: Any) -> list[DriveLog]:
     if drives[0].kind not in SINGLE_TRACK:
-        return record(drives, measured, config.noise)
+        return record(drives, *sensors)
+    cars = [SingleTrack(**drive.true._asdict()) for drive in drives]
     return [
-        drive_single_track(
-            SingleTrack(**d.true._asdict()),
-            d.seed,
-            d.kind == "stops",
-            measured,
-            d.seconds,
-            config.noise,
-        )
-        for d in drives
+        drive_single_track(car, d.seed, d.kind == "stops", *sensors)
+        for car, d in zip(cars, drives, strict=True)
     ]
 
 
@@ -112,20 +104,14 @@ def run(config: IdentificationConfig) -> None:
     rows = []
     for kind in config.kinds:
         drives = [Drive(truth(seed, kind), COMPACT, kind, seed) for seed in seeds]
-        for drive, log in zip(drives, _logs(drives, measured, config), strict=True):
+        logs = _logs(drives, measured, config.noise)
+        for drive, log in zip(drives, logs, strict=True):
             found = identify(log, COMPACT, 0.0, config.sim_dt).estimates
-            rows += [
-                {
-                    "drive": kind,
-                    "seed": drive.seed,
-                    "parameter": name,
-                    "true": float(getattr(drive.true, name)),
-                    "found": found[name].value,
-                    "half_interval": found[name].error,
-                    "told": found[name].identifiable,
-                }
-                for name in Sought._fields
-            ]
+            for name in Sought._fields:
+                row: dict[str, Any] = {"drive": kind, "seed": drive.seed}
+                row |= {"parameter": name, "true": float(getattr(drive.true, name))}
+                row |= {"found": found[name].value, "half_interval": found[name].error}
+                rows.append(row | {"told": found[name].identifiable})
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for kind in config.kinds:
@@ -134,23 +120,22 @@ def run(config: IdentificationConfig) -> None:
 
 def _print(rows: list[dict], kind: str) -> None:
     """The first seed's numbers, and how many of all intervals cover the truth."""
-    names = "parameter", "true", "found", "95 % interval", "told", "covered"
-    table = Table(*(Column(name, no_wrap=name == names[0]) for name in names))
+    shown = []
     for name in Sought._fields:
         mine = [row for row in rows if row["parameter"] == name]
         told = [row for row in mine if row["told"]]
         covered = sum(abs(r["found"] - r["true"]) <= r["half_interval"] for r in told)
         first = mine[0]
         low, high = (first["found"] + s * first["half_interval"] for s in (-1, 1))
-        table.add_row(
-            name,
-            f"{first['true']:.4g}",
-            f"{first['found']:.4g}" if first["told"] else "–",
-            f"{low:.4g} … {high:.4g}" if first["told"] else "–",
-            f"{len(told)} of {len(mine)}",
-            f"{covered} of {len(told)}",
-        )
-    Console().print(f"{kind}: the first seed and all", table)
+        row = {"parameter": name, "true": first["true"], "found": math.nan}
+        row["95 % interval"] = "–"
+        if first["told"]:
+            row["found"] = first["found"]
+            row["95 % interval"] = f"{low:.4g} … {high:.4g}"
+        row["told"] = f"{len(told)} of {len(mine)}"
+        row["covered"] = f"{covered} of {len(told)}"
+        shown.append(row)
+    print_rows(shown, f"{kind}: the first seed and all")
 
 
 main = command(IdentificationConfig, run, __doc__, fused=True)

@@ -21,6 +21,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.config.checks import CheckedConfig, Count, Natural, require_seed
 from carpark_mj.env import ParkingEnv
@@ -111,13 +112,8 @@ def overlaps(state: State) -> dict[str, tuple[jax.Array, jax.Array]]:
         if deepest:
             rows = found.setdefault(f"{one.kind.label} in {kind.label}", [])
             rows.append((jnp.stack(deepest).max(axis=0), there))
-    return {
-        name: (
-            jnp.concatenate([deep for deep, _ in rows]),
-            jnp.concatenate([there for _, there in rows]),
-        )
-        for name, rows in found.items()
-    }
+    joined = {k: map(jnp.concatenate, zip(*x, strict=True)) for k, x in found.items()}
+    return {name: (deep, there) for name, (deep, there) in joined.items()}
 
 
 def tally(state: State) -> dict[str, jax.Array]:
@@ -140,52 +136,63 @@ def _add(one: Any, other: Any) -> Any:
     return jax.tree.map(add, one, other)
 
 
-def make_round(
-    env: ParkingEnv, num_lots: int, num_steps: int
-) -> Callable[[jax.Array], jax.Array]:
-    """Returns a compiled round `key -> counts` (5,) of what is in `FOUND`.
+def _make_run(
+    env: ParkingEnv, num_lots: int, begin: Callable[..., Any], count: Callable[..., Any]
+) -> Callable[[jax.Array, jax.Array], Any]:
+    """Returns a compiled run of lots, `start key, keys of the steps -> counts`.
 
-    The first counts lots in which a number was not finite, the others events of agents.
+    These are `begin(state)`, and after a step `count(counts, state, time step)`.
     """
-    holds = -(-num_steps // HOLD)
     shape = (num_lots, env.num_agents, env.action_spec.size)
 
-    def step(action: jax.Array, carry: Any) -> tuple[Any, None]:
-        state, bad, counts = carry
-        state, timestep = jax.vmap(env.step)(state, action)
-        for x in jax.tree.leaves((state, timestep)):
-            if jnp.issubdtype(x.dtype, jnp.floating):
-                bad = bad | ~jnp.isfinite(x).reshape(num_lots, -1).all(axis=1)
-        events = timestep.events
-        person = events.hit_person
-        found = (
-            events.diverged,
-            events.crashed,
-            jnp.zeros_like(events.crashed) if person is None else person,
-            events.parked,
-        )
-        return (state, bad, counts + jnp.stack([x.sum() for x in found])), None
-
-    def hold(carry: Any, key: jax.Array) -> tuple[Any, None]:
+    def step(carry: Any, key: jax.Array) -> tuple[Any, None]:
+        state, counts = carry
         action = jax.random.uniform(key, shape, minval=-1.0)
-        return jax.lax.scan(lambda c, _: step(action, c), carry, None, HOLD)
+        state, timestep = jax.vmap(env.step)(state, action)
+        return (state, count(counts, state, timestep)), None
 
-    def run(key: jax.Array) -> jax.Array:
-        start_key, drive_key = jax.random.split(key)
+    def run(start_key: jax.Array, keys: jax.Array) -> Any:
         state, _ = jax.vmap(env.reset)(jax.random.split(start_key, num_lots))
-        begin = state, jnp.zeros(num_lots, bool), jnp.zeros(4, jnp.int32)
-        keys = jax.random.split(drive_key, holds)
-        (_, bad, counts), _ = jax.lax.scan(hold, begin, keys)
-        return jnp.concatenate([bad.sum(dtype=jnp.int32)[None], counts])
+        return jax.lax.scan(step, (state, begin(state)), keys)[0][1]
 
     return jax.jit(run)
 
 
-def make_watch(
+def make_round(
     env: ParkingEnv, num_lots: int, num_steps: int
-) -> Callable[[jax.Array], Any]:
-    """Returns a compiled round `key -> tallies`, when lots begin and of all steps."""
-    shape = (num_lots, env.num_agents, env.action_spec.size)
+) -> Callable[[jax.Array], jax.Array]:
+    """Returns a round `key -> counts` (5,) of what is in `FOUND`.
+
+    The first counts lots in which a number was not finite, the others events of agents.
+    """
+    holds = -(-num_steps // HOLD)
+
+    def begin(_: State) -> Any:
+        return jnp.zeros(num_lots, bool), jnp.zeros(4, jnp.int32)
+
+    def count(counts: Any, state: State, timestep: Any) -> Any:
+        bad, total = counts
+        for x in jax.tree.leaves((state, timestep)):
+            if jnp.issubdtype(x.dtype, jnp.floating):
+                bad = bad | ~jnp.isfinite(x).reshape(num_lots, -1).all(axis=1)
+        events, person = timestep.events, timestep.events.hit_person
+        person = jnp.zeros_like(events.crashed) if person is None else person
+        found = events.diverged, events.crashed, person, events.parked
+        return bad, total + jnp.stack([x.sum() for x in found])
+
+    run = _make_run(env, num_lots, begin, count)
+
+    def drive(key: jax.Array) -> jax.Array:
+        start_key, drive_key = jax.random.split(key)
+        keys = jax.random.split(drive_key, holds)[np.arange(holds).repeat(HOLD)]
+        bad, total = run(start_key, keys)
+        return jnp.append(bad.sum(dtype=jnp.int32), total)
+
+    return drive
+
+
+def watch(env: ParkingEnv, config: InhabitedConfig) -> int:
+    """Prints a table of overlaps, when lots begin and of all steps."""
 
     def count(state: State) -> dict[str, jax.Array]:
         rows = jax.vmap(tally)(state)
@@ -193,30 +200,19 @@ def make_watch(
             k: jnp.append(x[:, :4].sum(axis=0), x[:, 4].max()) for k, x in rows.items()
         }
 
-    def step(carry: Any, key: jax.Array) -> tuple[Any, None]:
-        state, action, total, number = carry
-        new = jax.random.uniform(key, shape, minval=-1.0)
-        action = jnp.where(number % HOLD == 0, new, action)
-        state, _ = jax.vmap(env.step)(state, action)
-        return (state, action, _add(total, count(state)), number + 1), None
-
-    def run(key: jax.Array) -> Any:
-        start_key, drive_key = jax.random.split(key)
-        state, _ = jax.vmap(env.reset)(jax.random.split(start_key, num_lots))
+    def begin(state: State) -> Any:
         first = count(state)
-        nothing = {k: jnp.zeros(5).at[4].set(-1.0) for k in first}
-        begin = state, jnp.zeros(shape), nothing, jnp.int32(0)
-        keys = jax.random.split(drive_key, num_steps)
-        return first, jax.lax.scan(step, begin, keys)[0][2]
+        return first, {k: jnp.zeros(5).at[4].set(-1.0) for k in first}
 
-    return jax.jit(run)
+    def add(counts: Any, state: State, _: Any) -> Any:
+        return counts[0], _add(counts[1], count(state))
 
-
-def watch(env: ParkingEnv, config: InhabitedConfig) -> int:
-    """Prints a table of overlaps."""
     key = jax.random.fold_in(jax.random.key(config.seed), config.first_round)
+    start_key, drive_key = jax.random.split(key)
+    steps = np.arange(config.round_steps)
+    keys = jax.random.split(drive_key, len(steps))[steps - steps % HOLD]
     names = "first", "steps"
-    rounds = make_watch(env, config.num_lots, config.round_steps)(key)
+    rounds = _make_run(env, config.num_lots, begin, add)(start_key, keys)
     print(f"overlaps of more than {', '.join(f'{x:g}' for x in DEEP)} m; deepest")
     for name, counts in zip(names, jax.device_get(rounds), strict=True):
         for kinds, (there, *over, deepest) in counts.items():

@@ -19,7 +19,7 @@ import contextlib
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
 import gymnasium
@@ -30,6 +30,7 @@ import tyro
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.wrappers.batch import Batch, NumpyBatch
 from carpark_mj.wrappers.options import share
 from shell import command
@@ -41,13 +42,9 @@ GOAL, MANY = "carpark_mj/ParkGoal-v0", "carpark_mj/ParkMany-v0"
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """A program that steps agents.
+    """A program: a `step` moves all of its `agents` under random actions.
 
-    Attributes:
-        name: in the table.
-        agents: stepped by a call.
-        step: one control step of all agents under random actions.
-        beside: name of the subject that it is compared with; empty = of none.
+    It is compared with the subject whose name is `beside`; empty = with none.
     """
 
     name: str
@@ -62,26 +59,6 @@ class Rates:
 
     subject: Subject
     rates: tuple[float, ...]
-
-
-@contextlib.contextmanager
-def subjects(peer: Peer, lots: int) -> Generator[list[Subject]]:
-    """The compared programs, closed after use.
-
-    Args:
-        peer: peer of the adapters.
-        lots: simulated at once, of one agent each.
-
-    Raises:
-        ValueError: a library that is needed is not installed.
-    """
-    with contextlib.ExitStack() as stack:
-        try:
-            yield core(lots, stack) if peer == "core" else highway(lots, stack)
-        except ModuleNotFoundError as error:
-            raise ValueError(
-                f'peer {peer} needs {error.name}: pip install "carpark_mj[sb3,peers]"'
-            ) from None
 
 
 def core(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
@@ -99,19 +76,21 @@ def core(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
         each.reset(0)
     action = random_actions((lots, 1, 2))
     tensor = torch.as_tensor(action, device=torch_batch.device)
-    found = [
-        Subject("core, JAX", lots, lambda: jax.block_until_ready(batch.step(action))),
-        Subject(
-            "NumPy batch", lots, lambda: numpy_batch.step_numpy(action), "core, JAX"
-        ),
-        Subject("torch batch", lots, lambda: torch_batch.step(tensor), "core, JAX"),
-    ]
     vector = gymnasium.make_vec(MANY, lots, agents=1)
     stack.enter_context(contextlib.closing(vector))
-    found.append(Subject("Gymnasium vector", lots, stepper(vector), "core, JAX"))
     vec_env = stack.enter_context(contextlib.closing(ParkVecEnv(MANY, lots, agents=1)))
-    found.append(Subject("SB3 VecEnv", lots, stepper(vec_env), "core, JAX"))
-    return found
+    first = "core, JAX"
+    steps: dict[str, Callable[[], object]] = {
+        first: lambda: jax.block_until_ready(batch.step(action)),
+        "NumPy batch": lambda: numpy_batch.step_numpy(action),
+        "torch batch": lambda: torch_batch.step(tensor),
+        "Gymnasium vector": stepper(vector),
+        "SB3 VecEnv": stepper(vec_env),
+    }
+    return [
+        Subject(name, lots, step, "" if name == first else first)
+        for name, step in steps.items()
+    ]
 
 
 def highway(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
@@ -191,18 +170,17 @@ def take_turns(
 def comparison(measured: Sequence[Rates]) -> str:
     """A markdown table: best rates, their ratios, and the range over the rounds."""
     by_name = {each.subject.name: each.rates for each in measured}
-    lines = ["| what | agents | agent steps/s | ratio |", "|---|---:|---:|---|"]
+    rows = []
     for each in measured:
         ratio, other = "", by_name.get(each.subject.beside)
         if other:
             pairs = [a / b for a, b in zip(each.rates, other, strict=True)]
             best = max(each.rates) / max(other)
             ratio = f"{best:.3g} ({min(pairs):.3g} … {max(pairs):.3g})"
-        lines.append(
-            f"| {each.subject.name} | {each.subject.agents:,} | "
-            f"{max(each.rates):,.0f} | {ratio} |"
-        )
-    return "\n".join(lines)
+        row = {"what": each.subject.name, "agents": f"{each.subject.agents:,}"}
+        row |= {"agent steps/s": f"{max(each.rates):,.0f}", "ratio": ratio}
+        rows.append(row)
+    return markdown(rows, left=1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -222,7 +200,15 @@ class PeersConfig(CheckedConfig):
 
 def compare(config: PeersConfig) -> None:
     """Prints the comparison."""
-    with subjects(config.peer, config.lots) as found:
+    programs = {"core": core, "highway-env": highway}[config.peer]
+    with contextlib.ExitStack() as stack:
+        try:
+            found = programs(config.lots, stack)
+        except ModuleNotFoundError as error:
+            raise ValueError(
+                f"peer {config.peer} needs {error.name}: "
+                'pip install "carpark_mj[sb3,peers]"'
+            ) from None
         print(comparison(take_turns(found, config.rounds)))
 
 

@@ -29,47 +29,23 @@ Tyres = Literal["brush", "contact"]
 Manoeuvre = Callable[[Study], None]
 
 COMMON: tuple[Manoeuvre, ...] = (
-    turns.turning,
-    chassis.stops,
-    chassis.coast_down,
-    chassis.load_transfer,
-    chassis.axle_loads,
-    chassis.slope_hold,
-    chassis.slip_threshold,
-    chassis.energy_balance,
-    engines.mirror,
-    turns.lateral_limit,
-    chassis.scrub_torque,
+    turns.turning, chassis.stops, chassis.coast_down, chassis.load_transfer,
+    chassis.axle_loads, chassis.slope_hold, chassis.slip_threshold,
+    chassis.energy_balance, engines.mirror, turns.lateral_limit, chassis.scrub_torque,
     engines.convergence,
-)
+)  # fmt: skip
 SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
     "brush": (
-        *COMMON,
-        turns.locked_axle,
-        turns.understeer,
-        turns.step_steer,
-        engines.brush_engines,
-        driver.harder_is_slower,
-        driver.hold_on_ice,
-        driver.creep,
-        driver.coast_after_release,
-        driver.stop_from_a_walk,
-        driver.taps,
-        driver.speed_control,
-        driver.reversing,
-        driver.delays,
-        driver.automatic,
-        driver.odometry,
-        driver.wheel_stop,
-        driver.ramp,
+        *COMMON, turns.locked_axle, turns.understeer, turns.step_steer,
+        engines.brush_engines, driver.harder_is_slower, driver.hold_on_ice,
+        driver.creep, driver.coast_after_release, driver.stop_from_a_walk, driver.taps,
+        driver.speed_control, driver.reversing, driver.delays, driver.automatic,
+        driver.odometry, driver.wheel_stop, driver.ramp,
     ),
     "contact": (
-        *COMMON,
-        turns.rolling_turns,
-        engines.contact_engines,
-        chassis.suspension,
+        *COMMON, turns.rolling_turns, engines.contact_engines, chassis.suspension
     ),
-}
+}  # fmt: skip
 TESTBEDS = {"brush": BrushTestbed, "contact": ContactTestbed}
 
 

@@ -27,6 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import integrate
 
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import require_writable, write_atomically, write_text
 from carpark_mj.vehicle import COMPACT, VehicleParameters
 from shell import command
@@ -39,13 +40,7 @@ Inputs = Callable[[float], tuple[float, float]]  # steering angle [rad], m/s^2 a
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """Trajectory of a reference model's car, (n,) instants.
-
-    Attributes:
-        time: (n,) [s].
-        position: (n, 2) of its reference point [m].
-        yaw: (n,) [rad].
-    """
+    """A reference car: times (n,), its reference point (n, 2), and yaws (n,)."""
 
     time: np.ndarray
     position: np.ndarray
@@ -122,16 +117,16 @@ def our_run(
 ) -> Run:
     """The reference models' inputs as ours: m a at the wheels, driving or braking."""
 
-    def signal(pick: Callable[[float, float], float]):
-        return lambda time: np.array([pick(*inputs(float(t))) for t in time])
+    def sample(time: np.ndarray) -> np.ndarray:
+        return np.array([inputs(float(t)) for t in time]).T
 
     return Run(
         params,
         duration,
         speed=speed,
-        steering=signal(lambda angle, _: angle),
-        force=signal(lambda _, a: params.mass * max(a, 0.0)),
-        brake=signal(lambda _, a: params.mass * max(-a, 0.0)),
+        steering=lambda time: sample(time)[0],
+        force=lambda time: params.mass * np.maximum(sample(time)[1], 0.0),
+        brake=lambda time: params.mass * np.maximum(-sample(time)[1], 0.0),
     )
 
 
@@ -164,16 +159,9 @@ def solve(model: str, inputs: Inputs, duration: float, speed: float) -> Referenc
         return dynamics(list(state), [rate, inputs(time)[1]], p)
 
     time = np.linspace(0.0, duration, round(duration / 0.05) + 1)
-    solved = integrate.solve_ivp(
-        rates,
-        (0.0, duration),
-        start(),
-        method="LSODA",
-        t_eval=time,
-        max_step=0.02,
-        rtol=1e-6,
-        atol=1e-8,
-    )
+    options: Any = {"method": "LSODA", "max_step": 0.02, "rtol": 1e-6, "atol": 1e-8}
+    span = 0.0, duration
+    solved = integrate.solve_ivp(rates, span, start(), t_eval=time, **options)
     if not solved.success:
         raise ValueError(f"{model} could not be solved: {solved.message}")
     return Reference(time, solved.y[:2].T, solved.y[4])
@@ -184,10 +172,7 @@ def apart(
 ) -> tuple[np.ndarray, ...]:
     """Distance [m] and yaw difference [rad] of our car from the reference's, (n,) each.
 
-    Args:
-        track: ours, which starts with its rear axle in the origin.
-        path: the reference model's, whose reference point starts in the origin.
-        rear_axle: compare rear axles, else centres of gravity.
+    Reference points start in the origin: centres of gravity, or the rear axles.
     """
     ours = track.position if rear_axle else (track.cg - track.cg[0])[:, :2]
     rows = np.rint(path.time / track.dt).astype(int)
@@ -197,13 +182,7 @@ def apart(
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A manoeuvre of our car and of the reference models.
-
-    Attributes:
-        name: of the manoeuvre.
-        track: ours.
-        paths: those of the reference models, by name.
-    """
+    """A manoeuvre of our car, and paths of the reference models by their names."""
 
     name: str
     track: Track
@@ -245,21 +224,19 @@ def parking_run() -> Run:
     """The parking manoeuvre for our car, which holds the speed that KS has."""
     params = our_car(ackermann=1.0)
 
-    def acceleration(time: np.ndarray) -> np.ndarray:
-        return np.array([parking(float(t))[1] for t in time])
+    def force(time: np.ndarray) -> np.ndarray:
+        asked = np.array([parking(float(t))[1] for t in time])
+        return formulas.rolling_mass(params) * asked
 
     def speed(time: np.ndarray) -> np.ndarray:
         corners = np.append(PARKING_TIMES, 21.0)
         gained = np.append(0.0, np.cumsum(np.diff(corners) * PARKING_ACCELERATIONS))
         return np.interp(time, corners, gained)
 
-    return Run(
-        params,
-        20.0,
-        steering=lambda time: np.interp(time, *PARKING_STEERING),
-        force=lambda time: formulas.rolling_mass(params) * acceleration(time),
-        target=speed,
-    )
+    def steering(time: np.ndarray) -> np.ndarray:
+        return np.interp(time, *PARKING_STEERING)
+
+    return Run(params, 20.0, steering=steering, force=force, target=speed)
 
 
 def trials() -> list[Trial]:
@@ -273,9 +250,7 @@ def trials() -> list[Trial]:
     for name, inputs, duration, speed in cases:
         run = our_run(our_car(), inputs, duration, speed)
         (track,) = bed.drive([run])
-        paths = {
-            model: solve(model, inputs, duration, speed) for model in ("MB", "STD")
-        }
+        paths = {m: solve(m, inputs, duration, speed) for m in ("MB", "STD")}
         found.append(Trial(name, track, paths))
     (track,) = bed.drive([parking_run()])
     path = solve("KS", parking, 20.0, 0.0)
@@ -289,57 +264,25 @@ def between(trial: Trial, first: str, second: str) -> float:
     return float(np.linalg.norm(apart, axis=1).max())
 
 
-TEXT = """# An independent referee
-
-Written by `python eval/referee.py`; do not edit. Our car (brush tyres, MJX in float32
-at 10 ms) configured with the published parameter set 2 (BMW 320i) of the CommonRoad
-vehicle models (M. Althoff, G. Würsching, 2020; package `commonroad-vehicle-models`),
-driven open loop beside their multi-body (MB), single-track drift (STD) and kinematic
-single-track (KS) models. Positions are those of the centre of gravity, for KS of the
-rear axle.
-
-{table}
-
-![Paths and differences](referee.png)
-
-## What differs, and why
-
-- *Slalom.* STD has no track width. MB and ours steer both front wheels by the same
-  angle, so that the pair scrubs and the car slows down: ours falls behind STD along the
-  path. With exact Ackermann angles in our car the distance to STD shrinks from 0.13 m
-  to 0.02 m, and that to MB grows from 0.03 m to 0.08 m. MB and STD are
-  {slalom_mb_std:.2f} m apart.
-- *Brake in a turn.* The first 0.2 deg are our steering servos, which follow 14 ms late;
-  the referees turn their wheels at once. The rest grows with side slip: the brush force
-  bends from the start, the Magic Formula of the same initial slope stays straighter. A
-  fifth more cornering stiffness in our car takes the distance to MB from 0.14 m to
-  0.10 m; 20 % more friction, or a tenth of the relaxation, changes nothing. MB and STD
-  are {brake_mb_std:.2f} m apart.
-- *Parking.* KS has no slip and exactly the asked speed. Ours holds it on a controller
-  and lags by up to 4 cm along the path while it drives; after two gear changes it
-  stands 1 cm beside KS. MB and STD cannot reverse and are no referees here.
-- Not carried over: MB's anti-roll bars, compliant joints, camber and unequal axle
-  springs. Our tyres relax over 0.1 m where theirs answer at once.
-"""
-
-
 def table(found: list[Trial]) -> str:
     """Largest and final differences as markdown."""
-    lines = [
-        "| manoeuvre | referee | path [m] | largest distance [m] | final distance [m] "
-        "| largest yaw difference [deg] | final yaw difference [deg] |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    rows = []
     for trial in found:
         for model, path in trial.paths.items():
             distance, yaw = apart(trial.track, path, trial.rear_axle)
             steps = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
-            largest, final = np.degrees(np.abs(yaw).max()), math.degrees(yaw[-1])
-            lines.append(
-                f"| {trial.name} | {model} | {steps.sum():.1f} | {distance.max():.3f} "
-                f"| {distance[-1]:.3f} | {largest:.2f} | {final:+.2f} |"
+            rows.append(
+                {
+                    "manoeuvre": trial.name,
+                    "referee": model,
+                    "path [m]": f"{steps.sum():.1f}",
+                    "largest distance [m]": f"{distance.max():.3f}",
+                    "final distance [m]": f"{distance[-1]:.3f}",
+                    "largest yaw difference [deg]": f"{np.degrees(abs(yaw).max()):.2f}",
+                    "final yaw difference [deg]": f"{math.degrees(yaw[-1]):+.2f}",
+                }
             )
-    return "\n".join(lines)
+    return markdown(rows)
 
 
 def draw(path: Path, found: list[Trial]) -> None:
@@ -370,12 +313,10 @@ def draw(path: Path, found: list[Trial]) -> None:
 def write_report(folder: Path, found: list[Trial]) -> None:
     """Writes `referee.md` and `referee.png`."""
     folder.mkdir(parents=True, exist_ok=True)
-    text = TEXT.format(
-        table=table(found),
-        slalom_mb_std=between(found[0], "MB", "STD"),
-        brake_mb_std=between(found[1], "MB", "STD"),
-    )
-    write_text(folder / "referee.md", text)
+    apart = [between(trial, "MB", "STD") for trial in found[:2]]
+    numbers = {"slalom_mb_std": apart[0], "brake_mb_std": apart[1]}
+    text = (Path(__file__).parent / "referee.md").read_text()
+    write_text(folder / "referee.md", text.format(table=table(found), **numbers))
     draw(folder / "referee.png", found)
 
 

@@ -17,18 +17,17 @@ if __name__ == "__main__":  # before the imports, which take seconds
 import dataclasses
 import time
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
+from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.mdp.actions import sanitize_numbers
 from carpark_mj.physics.mjx import CarState, MjxPhysics
 from carpark_mj.spawning.randomization import randomize
@@ -177,15 +176,8 @@ def draw_action(
     wild = jax.random.choice(
         jax.random.fold_in(noise_key, step + ROUNDS), jnp.array(INVALID), (2,)
     )
-    actions = [
-        noise,
-        held,
-        jnp.stack([lock, held[1]]),
-        jnp.stack([held[0], square]),
-        jnp.stack([flip, flip]),
-        wild,
-    ]
-    return jnp.stack(actions)[pattern]
+    mixed = (lock, held[1]), (held[0], square), (flip, flip)
+    return jnp.stack([noise, held, *map(jnp.stack, mixed), wild])[pattern]
 
 
 def wheel_heights(state: CarState) -> jax.Array:
@@ -266,24 +258,24 @@ def run(config: SoakConfig) -> int:
 
 def print_table(config: SoakConfig, worst: Worst, cases: np.ndarray) -> None:
     """The worst by preset and by pattern, with the case that reached it."""
-    table = Table(title="worst found, in brackets its case")
-    for column in ("cars", "cases", "non-finite"):
-        table.add_column(column)
-    table.add_column(f"tyre off the ground, mm (<= {1e3 * config.max_hop:g})")
-    table.add_column(f"energy, J/kg (<= {config.max_energy:g})")
+    values = {
+        f"tyre off the ground, mm (<= {1e3 * config.max_hop:g})": 1e3 * worst.hop,
+        f"energy, J/kg (<= {config.max_energy:g})": worst.energy,
+    }
     groups = [(name, preset_of(cases) == k) for k, name in enumerate(PRESETS)]
     groups += [(name, pattern_of(cases) == k) for k, name in enumerate(PATTERNS)]
+    rows: list[dict[str, Any]] = []
     for name, mask in groups:
-        if mask.any():
-            where = np.flatnonzero(mask)
-            row = [name, str(len(where)), str(int(worst.broken[where].sum()))]
-            for values, scale in ((worst.hop, 1e3), (worst.energy, 1.0)):
-                k = where[np.argmax(values[where])]
-                row.append(f"{scale * values[k]:.2f} ({cases[k]})")
-            table.add_row(*row)
-        if name == list(PRESETS)[-1]:
-            table.add_section()
-    Console().print(table)
+        if not mask.any():
+            continue
+        where = np.flatnonzero(mask)
+        broken = int(worst.broken[where].sum())
+        rows.append({"cars": name, "cases": len(where), "non-finite": broken})
+        for column, numbers in values.items():
+            k = where[np.argmax(numbers[where])]
+            rows[-1][column] = f"{numbers[k]:.2f} ({cases[k]})"
+    ends = {sum(bool(mask.any()) for _, mask in groups[: len(PRESETS)]) - 1}
+    print_rows(rows, "worst found, in brackets its case", ends=ends)
 
 
 main = command(SoakConfig, run, __doc__, fused=True)

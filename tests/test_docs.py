@@ -32,7 +32,7 @@ from carpark_mj.cli.layouts import EditConfig, ImportConfig, LayoutsConfig
 from carpark_mj.cli.oracle import OracleConfig
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
-from carpark_mj.cli.settings.scenes import SceneConfig, complete
+from carpark_mj.cli.settings.driving import SceneConfig, complete
 from carpark_mj.cli.vehicles import IdentifyConfig, VehiclesConfig
 from carpark_mj.config import (
     LAYOUTS,

@@ -3,20 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from carpark_mj.analysis import (
-    Point,
-    Record,
-    Sources,
-    group,
-    plot_curves,
-    plot_metric,
-    read_run,
-    run_folders,
-    run_rows,
-    spread_rows,
-    swept_settings,
-    videos,
-)
+from carpark_mj import analysis
 from carpark_mj.cli.settings.tables import AnalysisConfig
 from carpark_mj.evaluation.tables import picture, print_rows, table, write_page
 from carpark_mj.files import require_writable, write_csv
@@ -41,10 +28,10 @@ def main(config: AnalysisConfig) -> Path:
     if not config.runs:
         raise ValueError("give at least one run folder or sweep")
     paths = [Path(name) for name in config.runs]
-    records, missing = read_records(run_folders(paths))
+    records, missing = read_records(analysis.run_folders(paths))
     if not records:
         raise ValueError(f"no evaluated run in {', '.join(config.runs)}")
-    by = list(config.by) or swept_settings(paths, records)
+    by = list(config.by) or analysis.swept_settings(paths, records)
     for name in by:
         if not any(name in record.settings for record in records):
             raise ValueError(f"no run has a setting {name!r}")
@@ -58,20 +45,20 @@ def main(config: AnalysisConfig) -> Path:
     return analyse({"runs": records}, by, config.metrics, out, title, missing)
 
 
-def read_records(folders: Sequence[Path]) -> tuple[list[Record], list[str]]:
+def read_records(folders: Sequence[Path]) -> tuple[list[analysis.Record], list[str]]:
     """The evaluated runs, and reasons why others are left out."""
-    records: list[Record] = []
+    records: list[analysis.Record] = []
     missing: list[str] = []
     for folder in folders:
         try:
-            records.append(read_run(folder))
+            records.append(analysis.read_run(folder))
         except CheckpointError as error:
             missing.append(str(error))
     return records, missing
 
 
 def analyse(
-    sources: Sources,
+    sources: analysis.Sources,
     by: Sequence[str],
     metrics: Sequence[str],
     out: Path,
@@ -80,23 +67,15 @@ def analyse(
 ) -> Path:
     """Writes tables, plots and `report.html` of runs; returns the page.
 
-    Args:
-        sources: runs by source; the first source is ours.
-        by: settings that group runs.
-        metrics: to show.
-        out: folder.
-        title: of the page.
-        notes: sentences at the top, for example about missing runs.
-
-    Raises:
-        OSError: the folder cannot be written.
+    The first source of runs is ours; settings `by` group them. Notes are sentences at
+    the top of the page, for example about missing runs.
     """
     out.mkdir(parents=True, exist_ok=True)
     page = out / "report.html"
     require_writable(page)
-    points = group(sources, by)
-    spreads = spread_rows(points, by, metrics)
-    each = run_rows(points, by, metrics)
+    points = analysis.group(sources, by)
+    spreads = analysis.spread_rows(points, by, metrics)
+    each = analysis.run_rows(points, by, metrics)
     write_csv(out / "spread.csv", spreads)
     write_csv(out / "runs.csv", each)
     parts: list[tuple[str, str]] = []
@@ -104,7 +83,7 @@ def analyse(
         parts.append((heading, picture(path)))
     parts += [("Points", table(spreads)), ("Runs", table(each))]
     ours = [record for records in sources.values() for record in records]
-    if links := videos(page, ours):
+    if links := analysis.videos(page, ours):
         parts.append(("Videos", links))
     write_page(page, title, [*notes, METHOD, *_provenance(ours)], parts)
     if len(spreads) <= MAX_ROWS:
@@ -117,7 +96,7 @@ def analyse(
 
 def _plots(
     out: Path,
-    points: Sequence[Point],
+    points: Sequence[analysis.Point],
     by: Sequence[str],
     metrics: Sequence[str],
     title: str,
@@ -126,16 +105,16 @@ def _plots(
     drawn: list[tuple[Path, str]] = []
     for metric in metrics if by else ():
         path = out / f"{metric}.png"
-        plot_metric(path, points, by, metric, title)
+        analysis.plot_metric(path, points, by, metric, title)
         drawn.append((path, f"{metric.replace('_', ' ')} against {by[0]}"))
     for column in CURVES:
         path = out / f"curve_{column.rpartition('/')[2]}.png"
-        if plot_curves(path, points, column, title):
+        if analysis.plot_curves(path, points, column, title):
             drawn.append((path, f"learning curves, {column.rpartition('/')[2]}"))
     return drawn
 
 
-def _provenance(records: Sequence[Record]) -> list[str]:
+def _provenance(records: Sequence[analysis.Record]) -> list[str]:
     """Devices and versions of the trainings, if known."""
     trained = [record for record in records if record.folder]
     if not trained:

@@ -36,14 +36,8 @@ def main(config: EvaluateConfig) -> Evaluation:
     """Evaluates, writes the files and prints the table."""
     task = prepare(config)
     doing(COMPILING)
-    result = evaluate(
-        task.env,
-        task.policy,
-        config.episodes,
-        config.seed,
-        config.num_lots,
-        config.horizon,
-    )
+    sizes = config.episodes, config.seed, config.num_lots, config.horizon
+    result = evaluate(task.env, task.policy, *sizes)
     report(config, task, result)
     return result
 

@@ -9,9 +9,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import output_folder
@@ -19,6 +16,7 @@ from carpark_mj.cli.settings.driving import COUNTS, ExportConfig
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
@@ -88,7 +86,7 @@ def main(config: ExportConfig) -> Path:
         data = model.proto.SerializeToString()
         write_atomically(out, lambda temporary: temporary.write_bytes(data))
         print("\n".join(model.found))
-        Console().print(_table(loaded, model))
+        _print_table(loaded, model)
     print(f"wrote {out}: {out.stat().st_size / 1e6:.2f} MB")
     return out
 
@@ -98,14 +96,10 @@ def _model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
     proto = make_model(loaded)
     seen = rollout(loaded, CHECKED, config.seed)["observation"]
     random = random_observations(loaded.env, seen, config.seed)
-    found = [
-        _require_alike(
-            kind,
-            largest_difference(proto, loaded, observation),
-            rounding_error(loaded, observation),
-        )
-        for kind, observation in (("of a roll-out", seen), ("drawn at random", random))
-    ]
+    found = []
+    for kind, observation in (("of a roll-out", seen), ("drawn at random", random)):
+        most = largest_difference(proto, loaded, observation)
+        found.append(_require_alike(kind, most, rounding_error(loaded, observation)))
     inputs = [(x.name, x.shape, x.meaning) for x in onnx_inputs(loaded.env)]
     return Model(proto, found, inputs, ("batch",))
 
@@ -135,15 +129,10 @@ def _car_model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
 def _require_alike(
     kind: str, difference: np.ndarray | float, rounding: np.ndarray | float
 ) -> str:
-    """What to print of a model that acts like its policy.
+    """What to print of a model that acts like its policy; refuses any other.
 
-    Args:
-        kind: kind of observations, for messages.
-        difference: of actions, the largest or (count,).
-        rounding: what float32 costs them, likewise.
-
-    Raises:
-        ValueError: it does not.
+    `difference` is that of actions, the largest or (count,), and `rounding` what
+    float32 costs them.
     """
     difference, rounding = np.broadcast_arrays(difference, rounding)
     most = np.maximum(TOLERANCE, ROUNDING * rounding)
@@ -160,11 +149,7 @@ def _require_alike(
 
 
 def environment_rows(env: EnvConfig, counts: Mapping[str, int | None]) -> Rows:
-    """The rows of an environment's lots, or more if given.
-
-    Raises:
-        ValueError: a lot has more.
-    """
+    """The rows of an environment's lots, or more if given; fewer are refused."""
     state, _ = jax.eval_shape(ParkingEnv(env).reset, jax.random.key(0))
     least = rows_of(state)
     given = {name: count for name, count in counts.items() if count is not None}
@@ -208,13 +193,12 @@ def rollout(
     return {name: x[chosen] for name, x in seen.items()}
 
 
-def _table(loaded: LoadedPolicy, model: Model) -> Table:
+def _print_table(loaded: LoadedPolicy, model: Model) -> None:
     """Inputs and output of a model."""
-    table = Table("name", "shape", "range and meaning", title="inputs and output")
-    for name, shape, meaning in model.inputs:
-        table.add_row(name, str((*model.batch, *shape)), escape(meaning))
-    table.add_section()
     spec = action_spec(loaded.env)
-    shape = str((*model.batch, spec.size))
-    table.add_row(OUTPUT, shape, escape(describe_action(spec)))
-    return table
+    parts = [*model.inputs, (OUTPUT, (spec.size,), describe_action(spec))]
+    rows = [
+        {"name": name, "shape": (*model.batch, *shape), "range and meaning": meaning}
+        for name, shape, meaning in parts
+    ]
+    print_rows(rows, "inputs and output", ends={len(rows) - 2})

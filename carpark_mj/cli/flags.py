@@ -103,11 +103,8 @@ def read_flags(
         SystemExit: after the help.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    options: dict[str, Any] = {
-        "description": _by_line(description),
-        "prog": prog,
-        "registry": _REGISTRY,
-    }
+    options: dict[str, Any] = {"description": _by_line(description), "prog": prog}
+    options["registry"] = _REGISTRY
     if "--help-all" in arguments:
         arguments = ["--help"]
     elif short and {"-h", "--help"} & {*arguments}:
@@ -193,31 +190,20 @@ def _print_short_help(
 ) -> None:
     """Prints the help of some fields, names the others, and exits."""
     hints = typing.get_type_hints(cls, include_extras=True)
-    fields = dataclasses.fields(cls)
-    others = [field.name for field in fields if field.name not in short]
+    values = {f.name: getattr(default, f.name) for f in dataclasses.fields(cls)}
+    others = {name: value for name, value in values.items() if name not in short}
+    hidden = [(k, tyro.conf.Suppress[hints[k]], value) for k, value in others.items()]
     # A subclass, so that the docstrings of all fields are found.
-    part = dataclasses.make_dataclass(
-        cls.__name__,
-        [
-            (name, tyro.conf.Suppress[hints[name]], getattr(default, name))
-            for name in others
-        ],
-        bases=(cls,),
-        frozen=True,
-        namespace={"__doc__": cls.__doc__},
+    doc, bases = {"__doc__": cls.__doc__}, (cls,)
+    part: Any = dataclasses.make_dataclass(
+        cls.__name__, hidden, bases=bases, frozen=True, namespace=doc
     )
     flags = [
-        f"--{name.replace('_', '-')}"
-        + (".*" if dataclasses.is_dataclass(getattr(default, name)) else "")
-        for name in others
+        f"--{k.replace('_', '-')}{'.*' * dataclasses.is_dataclass(value)}"
+        for k, value in others.items()
     ]
     try:
-        tyro.cli(
-            part,
-            args=["--help"],
-            default=part(**{f.name: getattr(default, f.name) for f in fields}),
-            **options,
-        )
+        tyro.cli(part, args=["--help"], default=part(**values), **options)
     finally:
         text = f"More settings, which --help-all explains: {', '.join(flags)}"
         print("\n".join(textwrap.wrap(text, 80, break_on_hyphens=False)))

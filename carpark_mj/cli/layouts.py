@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from carpark_mj.cli.clock import wait_for_user
-from carpark_mj.cli.settings.lots import Crop, EditConfig, ImportConfig, LayoutsConfig
+from carpark_mj.cli.settings.tables import Crop, EditConfig, ImportConfig, LayoutsConfig
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture
 from carpark_mj.editor.server import EditorServer
@@ -161,12 +161,11 @@ def main(config: LayoutsConfig) -> int:
         [drawn] = draw(config.layouts[0], 1, config.seed)
         _save(drawn, config.crop, Path(config.save))
     if config.plot:
+        named = bool(config.layouts)
         pictures = [
             (name, drawn)
             for name, layout in shown.items()
-            for drawn in draw(
-                layout, 1 + bool(config.layouts and layout.is_random), config.seed
-            )
+            for drawn in draw(layout, 1 + (named and layout.is_random), config.seed)
         ]
         print(f"wrote {plot_layouts(pictures, Path(config.plot))}")
     sound = True
@@ -224,11 +223,6 @@ def import_layout(config: ImportConfig) -> None:
     from carpark_mj.maps.importing import import_map
 
     require_writable(Path(config.out))
-    layout, report = import_map(
-        Path(config.map),
-        level=config.level,
-        crs=config.crs,
-        layers=config.layer,
-        unit=config.unit,
-    )
+    flags = {name: getattr(config, name) for name in ("level", "crs", "unit")}
+    layout, report = import_map(Path(config.map), layers=config.layer, **flags)
     _save(layout, config.crop, Path(config.out), report)

@@ -64,12 +64,9 @@ def answers(
     for agent in range(len(seen)):
         outcome = "late" if found[agent] else "none found"
         outcome = "in time" if arrival[agent] <= seconds else outcome
-        yield {
-            "agents_present": len(seen),
-            "agent": agent,
-            "outcome": "impossible" if never[agent] else outcome,
-            "arrival": float(arrival[agent]),
-        }
+        outcome = "impossible" if never[agent] else outcome
+        row = {"agents_present": len(seen), "agent": agent, "outcome": outcome}
+        yield row | {"arrival": float(arrival[agent])}
 
 
 def describe(rows: list[dict[str, Any]]) -> str:

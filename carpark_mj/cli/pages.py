@@ -10,7 +10,7 @@ from collections.abc import Generator
 from typing import Any
 
 from carpark_mj.cli.clock import CLOCK, PERIOD
-from carpark_mj.cli.settings.scenes import PlayConfig, SceneConfig
+from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig
 from carpark_mj.rendering.local_pages import HOST, require_web
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from carpark_mj.cli.settings.scenes import PlayConfig
+from carpark_mj.cli.settings.driving import PlayConfig
 from carpark_mj.rendering.gl import Window, choose_gl, has_display
 
 if not has_display():

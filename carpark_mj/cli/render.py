@@ -26,11 +26,7 @@ from carpark_mj.rendering.recording import (
     record,
     recording_stage,
 )
-from carpark_mj.rendering.renderer import (
-    LotRenderer,
-    RenderingError,
-    Show,
-)
+from carpark_mj.rendering.renderer import LotRenderer, RenderingError, Show
 from carpark_mj.rendering.video import (
     CarCameras,
     draw_frame,
@@ -64,6 +60,7 @@ def main(config: RenderConfig) -> Path:
             renderer = LotRenderer(stage, config.camera, size, show)
             stack.enter_context(contextlib.closing(renderer))
             draw = functools.partial(draw_frame, recording, renderer)
+        out.parent.mkdir(parents=True, exist_ok=True)
         if config.frame is not None:
             _write_png(out, Image.fromarray(draw(num_frames(recording) - 1)))
             drawn = ""
@@ -108,7 +105,6 @@ def _write_frames(
 ) -> str:
     """Writes the video; returns how many frames were drawn, and how fast."""
     indices, rate = frame_indices(recording, fps)
-    out.parent.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
     pictures = map(draw, track(indices, "rendering", transient=True))
     count = write_video(out, pictures, rate)
@@ -120,16 +116,13 @@ def _write_frames(
 def _gallery(config: RenderConfig) -> Path:
     out = _open_output(config, Path())
     size = cell_size(config.width)
-    cells = [
-        cell
-        for family in track(FAMILIES, "rendering", transient=True)
-        for cell in draw_lots(family, size, config.seed)
-    ]
+    families = track(FAMILIES, "rendering", transient=True)
+    cells = [cell for name in families for cell in draw_lots(name, size, config.seed)]
+    out.parent.mkdir(parents=True, exist_ok=True)
     _write_png(out, contact_sheet(cells))
     print(f"wrote {out}: {len(cells)} lots")
     return out
 
 
 def _write_png(path: Path, picture: Image.Image) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, lambda temporary: picture.save(temporary, optimize=True))

@@ -10,8 +10,7 @@ import numpy as np
 
 from carpark_mj.cli.clock import COMPILING, PLACING, doing, wait_for_user
 from carpark_mj.cli.driver import adapted, find_driver
-from carpark_mj.cli.settings.driving import LotSettings
-from carpark_mj.cli.settings.scenes import SceneConfig, SceneOutput
+from carpark_mj.cli.settings.driving import LotSettings, SceneConfig, SceneOutput
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable, write_text
@@ -108,14 +107,9 @@ def show_scene(
     text: str,
     page: Any = None,
 ) -> None:
-    """Writes a scene and shows it.
+    """Writes a scene, `text` as MJCF, and shows it; a browser needs its `page`.
 
-    Args:
-        output: where it goes.
-        spec: the scene.
-        extent: (2,) half widths that the browser shows [m].
-        text: the scene as MJCF.
-        page: for the browser.
+    `extent` (2,) are the half widths that the browser shows [m].
     """
     if output.out:
         path = Path(output.out)

@@ -5,11 +5,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Column, Table
-
 from carpark_mj.cli.settings.tables import IdentifyConfig, VehiclesConfig
 from carpark_mj.config.vehicles import is_name
+from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.identification.fit import (
     PARAMETERS,
@@ -75,18 +73,15 @@ def fit(config: IdentifyConfig) -> None:
 
 
 def _print(found: Identification, log: DriveLog) -> None:
-    names = "parameter", "value", "95 % interval", "belongs to"
-    table = Table(*(Column(name, no_wrap=name != names[-1]) for name in names))
+    rows = []
     for name, estimate in found.estimates.items():
         low, high = (estimate.value + s * estimate.error for s in (-1, 1))
-        table.add_row(
-            name,
-            f"{estimate.value:.4g} {PARAMETERS[name].unit}",
-            f"{low:.4g} … {high:.4g}" if estimate.identifiable else "not identifiable",
-            place(name, log),
-        )
-    console = Console()
-    console.print(table)
+        interval = f"{low:.4g} … {high:.4g}"
+        row = {"parameter": name}
+        row["value"] = f"{estimate.value:.4g} {PARAMETERS[name].unit}"
+        row["95 % interval"] = interval if estimate.identifiable else "not identifiable"
+        rows.append(row | {"belongs to": place(name, log)})
+    print_rows(rows)
     units = {"x": "m", "y": "m", "yaw": "rad", "speed": "m/s", "yaw_rate": "rad/s"}
     residuals = (f"{k} {v:.2g} {units[k]}" for k, v in found.residuals.items())
     print(f"residuals, root mean square: {', '.join(residuals)}")

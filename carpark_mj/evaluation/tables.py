@@ -46,7 +46,7 @@ def markdown(rows: Rows, left: int | None = None) -> str:
 
 
 def print_rows(
-    rows: Rows, title: str, left: int | None = None, ends: Container[int] = ()
+    rows: Rows, title: str = "", left: int | None = None, ends: Container[int] = ()
 ) -> None:
     """Prints a table on the terminal.
 
@@ -61,7 +61,7 @@ def print_rows(
     from rich.markup import escape
     from rich.table import Table
 
-    shown = Table(title=escape(title))
+    shown = Table(title=escape(title) or None)
     for number, name in enumerate(rows[0] if rows else ()):
         is_left = left is None or number < left
         shown.add_column(name, justify="left" if is_left else "right")

@@ -38,7 +38,10 @@ def commonroad_features(root: Any) -> Plan:
     for element in root:
         name = element.get("id", "")
         if element.tag == "lanelet":
-            _add_lanelet(plan, name, element)
+            sides = ((s, _points(element.find(f"{s}Bound"))) for s in ("left", "right"))
+            borders = {side: points for side, points in sides if len(points) > 1}
+            one_way = element.find("userBidirectional") is None
+            add_lanelet(plan, name, borders, one_way)
         elif element.tag == "staticObstacle":
             _add_obstacle(plan, name, element)
         elif element.tag == "planningProblem":
@@ -48,19 +51,9 @@ def commonroad_features(root: Any) -> Plan:
     if plan.features:
         shapes = np.array([one.shape for one in plan.features])
         xy = centred(shapely.get_coordinates(shapes))
-        plan.features[:] = [
-            dataclasses.replace(one, shape=shape)
-            for one, shape in zip(
-                plan.features, shapely.set_coordinates(shapes, xy), strict=True
-            )
-        ]
+        moved = zip(plan.features, shapely.set_coordinates(shapes, xy), strict=True)
+        plan.features[:] = [dataclasses.replace(one, shape=x) for one, x in moved]
     return plan
-
-
-def _add_lanelet(plan: Plan, name: str, element: Any) -> None:
-    bounds = {side: _points(element.find(f"{side}Bound")) for side in ("left", "right")}
-    borders = {side: points for side, points in bounds.items() if len(points) > 1}
-    add_lanelet(plan, name, borders, element.find("userBidirectional") is None)
 
 
 def _add_obstacle(plan: Plan, name: str, element: Any) -> None:

@@ -22,20 +22,17 @@ from carpark_mj.maps.features import Feature, Plan, Tag, commonest, require_near
 from carpark_mj.maps.tagged import add_tagged
 from carpark_mj.reading import read_bytes
 
-WORDS: dict[str, Tag] = {
-    "bay": "bay",
-    "stall": "bay",
-    "spot": "bay",
-    "lane": "lane",
-    "aisle": "lane",
+_WORDS: dict[Tag, str] = {
+    "bay": "bay stall spot",
+    "lane": "lane aisle",
     "wall": "wall",
-    "kerb": "kerb",
-    "curb": "kerb",
-    "pillar": "pillar",
-    "column": "pillar",
-    "cols": "pillar",
+    "kerb": "kerb curb",
+    "pillar": "pillar column cols",
     "drivable": "drivable",
     "start": "start",
+}
+WORDS: dict[str, Tag] = {
+    word: tag for tag, words in _WORDS.items() for word in words.split()
 }
 PARKING = {"parking", "prkg"}  # bays, where none of `WORDS` is in the name
 MOST_SHAPES = 20_000
@@ -199,11 +196,8 @@ def _entities(
     What a block has on layer 0 is on the block's. A block without a layer that says
     something is left as it is: plans are full of furniture and trees.
     """
-    hidden = {
-        str(layer.dxf.name)
-        for layer in drawing.layers
-        if layer.is_off() or layer.is_frozen()
-    }
+    layers = (x for x in drawing.layers if x.is_off() or x.is_frozen())
+    hidden = {str(layer.dxf.name) for layer in layers}
     useful: dict[tuple[str, str], bool] = {}
     seen = itertools.count()
 

@@ -240,12 +240,7 @@ def cut_free(box: Box, others: Iterable[Any], gap: float = 0.002) -> Box | None:
     """The rectangle less its overlap with other shapes; None if it vanishes.
 
     Each shape costs the side that loses the least area. If more is left so, the shapes
-    along each long side cost that side together.
-
-    Args:
-        box: to cut.
-        others: shapely polygons.
-        gap: left between the rectangle and the shapes [m].
+    along each long side cost that side together. A gap [m] is left before each.
     """
     others = list(others)
     found = [_cut_each(box, others, gap)]

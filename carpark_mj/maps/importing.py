@@ -236,16 +236,12 @@ def _turned(features: list[Feature], report: Report) -> list[Feature]:
     """Turns the map so that most of its bays lie along x or y."""
     yaws = np.array([around(one.shape).yaw for one in tagged(features, "bay")])
     report.turned = -float(np.angle(np.exp(4j * yaws).sum())) / 4
-    return [
-        dataclasses.replace(
-            one,
-            shape=affinity.rotate(
-                one.shape, report.turned, origin=(0, 0), use_radians=True
-            ),
-            yaw=None if one.yaw is None else one.yaw + report.turned,
-        )
-        for one in features
-    ]
+    found = []
+    for one in features:
+        shape = affinity.rotate(one.shape, report.turned, (0, 0), use_radians=True)
+        yaw = None if one.yaw is None else one.yaw + report.turned
+        found.append(dataclasses.replace(one, shape=shape, yaw=yaw))
+    return found
 
 
 def _bays(

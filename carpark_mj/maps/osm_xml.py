@@ -27,35 +27,20 @@ Tags = dict[str, str]
 MOST_PIECES = 500  # lines that form a polygon together
 # Subtypes and types in lower case; first what the Lanelet2 documents name, then what
 # maps for valet parking have.
-_SOLID: dict[str, Tag] = {
-    "wall": "wall",
-    "fence": "wall",
-    "guard_rail": "wall",
-    "building": "wall",
-    "curbstone": "kerb",
-    "walls": "wall",
-    "windows": "wall",
-    "doors": "wall",
-    "kerbs": "kerb",
-    "columns": "pillar",
+_WORDS: dict[Tag, str] = {
+    "wall": "wall fence guard_rail building walls windows doors",
+    "kerb": "curbstone kerbs",
+    "pillar": "columns",
+    "bay": "parking_space parking_spot",
+    "drivable": "parking parking_lot parking_access junction",
 }
 _TAGS: dict[str, Tag] = {
-    **_SOLID,
-    "parking_space": "bay",
-    "parking_spot": "bay",
-    "parking": "drivable",
-    "parking_lot": "drivable",
-    "parking_access": "drivable",
-    "junction": "drivable",
+    word: tag for tag, words in _WORDS.items() for word in words.split()
 }
 # Subtypes of lanelets that are not driven along.
 _ON_FOOT = (
-    "crosswalk",
-    "walkway",
-    "shared_walkway",
-    "stairs",
-    "pedestrian_lane",
-    "bicycle_lane",
+    *("crosswalk", "walkway", "shared_walkway"),
+    *("stairs", "pedestrian_lane", "bicycle_lane"),
 )
 TURN = np.radians(30.0)  # a lanelet that bends more ...
 SHORT = 15.0  # ... over fewer metres joins lanes that cross, and is none itself
@@ -285,12 +270,7 @@ def add_lanelet(
 ) -> None:
     """Adds the straight lanes of a lanelet, and the ground that it covers.
 
-    Args:
-        plan: to add to.
-        name: of the lanelet.
-        borders: points (n, 2) of `left` and `right` [m], two at least.
-        one_way: whether it is driven in its direction only.
-        level: floors that it belongs to.
+    Its borders are points (n, 2) of `left` and `right` [m], two at least.
     """
     found = _lanelet(name, borders, one_way) if {"left", "right"} <= {*borders} else []
     plan.features.extend(dataclasses.replace(one, level=level) for one in found)

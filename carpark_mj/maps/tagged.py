@@ -138,12 +138,8 @@ def add_tagged(
 ) -> None:
     """Adds a shape by its `tag`, or by the tags of OpenStreetMap if it has none.
 
-    Args:
-        plan: to add to.
-        name: of the shape.
-        shape: of shapely [m].
-        tags: `tag`, one of `features.Tag`; of lanes `width` [m] and `one_way` too.
-        word: the map's own for it, which the report uses.
+    A `tag` is one of `features.Tag`; lanes have `width` [m] and `one_way` too. `word`
+    is the map's own for the tag, which the report uses.
     """
     tag = tags.get("tag")
     if tag is None:

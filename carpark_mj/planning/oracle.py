@@ -29,17 +29,12 @@ MARGIN = 0.02  # m on every side of a car that drives
 ORDERS = 6
 BREADTH = 3  # cars of an order among which the one that parks first is next
 WAYS = 2  # of every car in a lot without others
+TWO = {"paths": 2, "more_paths": 0}  # of a search
 # Long steps: most of a lot is open, and a search that fails is soon given up.
 ALONE = SearchConfig(
-    clearances=(0.08, 0.02, 0.0),
-    step=1.0,
-    paths=2,
-    more_paths=0,
-    max_tests=2500,
-    shorten_tests=1000,
+    (0.08, 0.02, 0.0), step=1.0, max_tests=2500, shorten_tests=1000, **TWO
 )
-# Short steps, for tight bays.
-PATIENT = SearchConfig((0.02,), paths=2, more_paths=0, max_tests=4000)
+PATIENT = SearchConfig((0.02,), max_tests=4000, **TWO)  # short steps, for tight bays
 AROUND = dataclasses.replace(ALONE, clearances=(0.02,), paths=1, max_tests=1000)
 ASIDE = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0, 9.0, -9.0, 12.0, -12.0)  # m along its heading
 MOVES = 2  # aside, of every car
@@ -93,6 +88,10 @@ class _Turns(NamedTuple):
     moves: np.ndarray
     parks: np.ndarray
 
+    def drive(self, k: int, drive: Drive) -> None:
+        """Lets car k drive."""
+        self.drives[k], self.standing[k] = drive, drive.pose[-1]
+
 
 class _Lot:
     def __init__(self, sights: Sequence[Sight], seed: int) -> None:
@@ -132,15 +131,11 @@ class _Lot:
     def _in_turn(self, order: list[int], breadth: int) -> _Turns:
         """All cars drive; next is the first to park of some first in an order."""
         count, still = len(order), np.zeros(1, int)
+        places = zip(self._starts, self._size, strict=True)
+        drives = [Drive(pose[None], still, size) for pose, size in places]
+        back, moves = [np.zeros((0, 3))] * count, np.zeros(count, int)
         turns = _Turns(
-            list(self._starts),
-            [np.zeros((0, 3))] * count,
-            [
-                Drive(pose[None], still, size)
-                for pose, size in zip(self._starts, self._size, strict=True)
-            ],
-            np.zeros(count, int),
-            np.zeros(count, bool),
+            list(self._starts), back, drives, moves, parks=np.zeros(count, bool)
         )
         while True:
             left = [k for k in order if not turns.parks[k] and self._ways[k]]
@@ -151,12 +146,8 @@ class _Lot:
                     continue
                 return turns
             k = min(drives, key=lambda k: len(drives[k].point))
-            self._drive(turns, k, drives[k])
+            turns.drive(k, drives[k])
             turns.parks[k] = True
-
-    def _drive(self, turns: _Turns, k: int, drive: Drive) -> None:
-        turns.drives[k] = drive
-        turns.standing[k] = drive.pose[-1]
 
     def _past_nobody(
         self, turns: _Turns, left: list[int], breadth: int
@@ -173,11 +164,8 @@ class _Lot:
 
     def _past_others(self, turns: _Turns, left: list[int]) -> dict[int, Drive]:
         """The drive of the first car for which a way around the others is found."""
-        for k in left:
-            found = self._first(turns, k, self._around(turns, k))
-            if found:
-                return found
-        return {}
+        tried = (self._first(turns, k, self._around(turns, k)) for k in left)
+        return next(filter(None, tried), {})
 
     def _make_way(self, turns: _Turns, left: list[int]) -> bool:
         """Moves a car that is in the way of another; whether it did."""
@@ -192,12 +180,11 @@ class _Lot:
             return True
         # At least elsewhere: there may be a way around it.
         nowhere = np.zeros((0, 3))
-        return any(
-            self._move_aside(
-                turns, k, nowhere, size, self._numbers.permutation(ASIDE).tolist()
-            )
-            for k, _, size in blocked
-        )
+        for k, _, size in blocked:
+            distances = self._numbers.permutation(ASIDE).tolist()
+            if self._move_aside(turns, k, nowhere, size, distances):
+                return True
+        return False
 
     def _move_aside(
         self,
@@ -223,7 +210,7 @@ class _Lot:
                 continue
             found = self._first(turns, k, [pose])
             if found:
-                self._drive(turns, k, found[k])
+                turns.drive(k, found[k])
                 pause = np.repeat(pose[:1], round(SHIFT_TIME / DT), axis=0)
                 turns.back[k] = np.concatenate([pose[::-1], pause, turns.back[k]])
                 turns.moves[k] += 1
@@ -305,7 +292,7 @@ class _Lot:
 
 
 CELL = 0.4  # m
-STEPS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+Cell = tuple[int, int]
 
 
 def impossible(sights: Sequence[Sight]) -> np.ndarray:
@@ -315,7 +302,7 @@ def impossible(sights: Sequence[Sight]) -> np.ndarray:
         sights: what the agents of a lot see.
     """
     discs = [_Disc(sight) for sight in sights]
-    never = np.array([not disc.reaches for disc in discs], bool)
+    never = np.array([disc.start not in disc.left for disc in discs], bool)
     for a, b in itertools.combinations(np.flatnonzero(~never), 2):
         if not _both_reach(discs[a], discs[b]):
             never[[a, b]] = True
@@ -323,72 +310,55 @@ def impossible(sights: Sequence[Sight]) -> np.ndarray:
 
 
 class _Disc:
-    """The cells where the middle of a car may be.
+    """The cells of a grid where the middle of a car may be.
 
     Attributes:
         radius: of the disc [m].
-        centre: (n, 2) of cells [m].
-        beside: of each cell, indices of the free ones next to it.
-        left: (n,) steps from each to the goal; inf where it cannot be reached.
-        start: index of the cell; None if it is not free.
+        start: cell of the car, free or not.
+        left: steps to the goal from every cell that it can be reached from.
     """
 
     def __init__(self, sight: Sight) -> None:
         self.radius = sight.car.width / 2
         counts = np.ceil(2 * sight.extent / CELL).astype(int)
         grid = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
-        centre = (grid + 0.5) * CELL - sight.extent
-        nearest = gaps(sight.solids, *np.moveaxis(centre, -1, 0)).min(
-            -1, initial=np.inf
-        )
+        x, y = np.moveaxis((grid + 0.5) * CELL - sight.extent, -1, 0)
+        nearest = gaps(sight.solids, x, y).min(-1, initial=np.inf)
         free = nearest > self.radius - CELL * np.sqrt(0.5)
-        self.centre = centre[free]
-        index = {tuple(cell): k for k, cell in enumerate(grid[free].tolist())}
-        self.beside = [
-            [index[at] for at in map(tuple, (cell + STEPS).tolist()) if at in index]
-            for cell in grid[free]
-        ]
+        self._free = set[Cell](map(tuple, grid[free].tolist()))
+        ends = sight.pose[:2], np.atleast_2d(sight.goal)[0, :2]
+        self.start, goal = (
+            tuple(((end + sight.extent) // CELL).astype(int).tolist()) for end in ends
+        )
+        self.left: dict[Cell, int] = {goal: 0} if goal in self._free else {}
+        reached = [*self.left]
+        for cell in reached:  # which grows
+            for near in self.beside(cell):
+                if near not in self.left:
+                    self.left[near] = self.left[cell] + 1
+                    reached.append(near)
 
-        def at(point: np.ndarray) -> int | None:
-            return index.get(tuple(((point + sight.extent) // CELL).astype(int)))
-
-        self.start = at(sight.pose[:2])
-        self.left = self._steps_to(at(np.atleast_2d(sight.goal)[0, :2]))
-
-    @property
-    def reaches(self) -> bool:
-        """Whether the disc gets from start to goal."""
-        return self.start is not None and self.left[self.start] < np.inf
-
-    def _steps_to(self, goal: int | None) -> list[float]:
-        left = [np.inf] * len(self.centre)
-        edge, steps = [] if goal is None else [goal], 0
-        while edge:
-            for cell in edge:
-                left[cell] = steps
-            onward = {near for cell in edge for near in self.beside[cell]}
-            edge = [cell for cell in onward if left[cell] == np.inf]
-            steps += 1
-        return left
+    def beside(self, cell: Cell) -> list[Cell]:
+        """The free cells next to a cell."""
+        x, y = cell
+        near = (x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)
+        return [at for at in near if at in self._free]
 
 
 def _both_reach(a: _Disc, b: _Disc) -> bool:
     """Whether two discs get to their goals without touching each other."""
-    here, there, apart = a.centre.tolist(), b.centre.tolist(), a.radius + b.radius
-    assert a.start is not None
-    assert b.start is not None
     edge = [(a.left[a.start] + b.left[b.start], a.start, b.start)]
     reached = {(a.start, b.start)}
     while edge:  # nearest to both goals first
         left, one, two = heapq.heappop(edge)
         if left == 0:
             return True
-        moves = [(near, two) for near in a.beside[one]]
-        for cells in moves + [(one, near) for near in b.beside[two]]:
-            (x, y), (u, v) = here[cells[0]], there[cells[1]]
+        moves = [(near, two) for near in a.beside(one)]
+        for cells in moves + [(one, near) for near in b.beside(two)]:
+            (x, y), (u, v) = cells
             # The farthest that points of the two cells can be from each other.
-            gap = math.hypot(abs(x - u) + CELL, abs(y - v) + CELL)
-            if cells not in reached and gap > apart:
+            gap = CELL * math.hypot(abs(x - u) + 1, abs(y - v) + 1)
+            if cells not in reached and gap > a.radius + b.radius:
                 reached.add(cells)
                 left = a.left[cells[0]] + b.left[cells[1]]
                 heapq.heappush(edge, (left, *cells))

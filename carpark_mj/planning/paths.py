@@ -305,12 +305,7 @@ def _pedal(
 ) -> float:
     """The pedal along the path, for a car that is not faster than it should be at most.
 
-    Args:
-        speed: of the car along its path [m/s].
-        limit: speed allowed here [m/s].
-        left: of the segment [m].
-        car: that drives.
-        dt: control period [s].
+    `limit` is the speed allowed here [m/s], `left` what is left of the segment [m].
     """
     target = limit
     if speed < CREEP:

@@ -6,6 +6,7 @@ that are on its path or soon will be, stops for whatever is close, and plans aga
 it is stuck. The host decides, in NumPy.
 """
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -100,14 +101,7 @@ class Agent:
         config: SearchConfig,
         seconds: float = math.inf,
     ) -> None:
-        """An agent without a path.
-
-        Args:
-            seed: of its searches.
-            dt: control period [s].
-            config: how to search.
-            seconds: of an episode.
-        """
+        """An agent without a path, with a control period and episodes of `seconds`."""
         self.searches: list[Search] = []
         self._seconds = self._left = seconds
         self._seed, self._dt, self._config = tuple(seed), dt, config
@@ -218,14 +212,7 @@ class Planner:
         config: SearchConfig | None = None,
         seconds: float = math.inf,
     ) -> None:
-        """A planner without any paths.
-
-        Args:
-            ctrl_dt: control period [s].
-            seed: see `reset`.
-            config: how to search; the defaults if None.
-            seconds: of an episode.
-        """
+        """A planner without any paths, for episodes of `seconds`; see `reset`."""
         self._dt, self._config = ctrl_dt, config or SearchConfig()
         self._seconds = seconds
         self.reset(seed)
@@ -250,13 +237,12 @@ class Planner:
         """Actions (lots, agents, 2) from the output of `_look`."""
         seen = jax.tree.map(np.asarray, seen)
         begun = time.thread_time()
-        lots, agents = seen["active"].shape
-        action = np.zeros((lots, agents, 2), np.float32)
-        for lot in range(lots):
+        action = np.zeros((*seen["active"].shape, 2), np.float32)
+        for lot, agents in enumerate(_active(seen)):
             solids = _solids(seen, lot)
-            for agent in np.flatnonzero(seen["active"][lot]):
-                sight = _sight(seen, lot, int(agent), solids)
-                action[lot, agent] = self._agent(lot, int(agent)).act(sight)
+            for agent in agents:
+                sight = _sight(seen, lot, agent, solids)
+                action[lot, agent] = self._agent(lot, agent).act(sight)
                 self.decisions += 1
         self.seconds += time.thread_time() - begun
         return action
@@ -273,9 +259,7 @@ def planner_policy(
 ) -> tuple[StatePolicy, Planner]:
     """A policy that drives on planned paths, and its memory; arguments of `Planner`.
 
-    Raises:
-        ValueError: OMPL is not installed, or agents choose their goals, or cars do not
-            obey a pedal.
+    Raises `ValueError` as `require_plannable` does.
     """
     require_plannable(env)
     dt = env.config.sim.ctrl_dt
@@ -308,11 +292,8 @@ def sights(state: State) -> list[list[Sight]]:
     """What the present agents of lots see; of a state (lots, ...)."""
     seen = jax.tree.map(np.asarray, _look(state))
     return [
-        [
-            _sight(seen, lot, int(agent), _solids(seen, lot))
-            for agent in np.flatnonzero(active)
-        ]
-        for lot, active in enumerate(seen["active"])
+        [_sight(seen, lot, agent, _solids(seen, lot)) for agent in agents]
+        for lot, agents in enumerate(_active(seen))
     ]
 
 
@@ -385,23 +366,27 @@ def _outlines(group: Group) -> Boxes:
     return Boxes(pose, size, velocity, group.mask)
 
 
+def _active(seen: dict[str, Any]) -> list[list[int]]:
+    """The agents of every lot that drive."""
+    return [np.flatnonzero(active).tolist() for active in seen["active"]]
+
+
+def _rows(seen: dict[str, Any], lot: int, name: str, *parts: str) -> list[np.ndarray]:
+    """Arrays `name_part` of what a lot has."""
+    there = seen[f"{name}_mask"][lot]
+    return [seen[f"{name}_{part}"][lot][there].astype(float) for part in parts]
+
+
 def _solids(seen: dict[str, Any], lot: int) -> Solids:
-    boxes, discs = seen["box_mask"][lot], seen["disc_mask"][lot]
-    return Solids(
-        seen["box_pose"][lot][boxes].astype(float),
-        seen["box_size"][lot][boxes].astype(float),
-        seen["disc_pose"][lot][discs].astype(float),
-        seen["disc_size"][lot][discs].astype(float),
-    )
+    shapes = (_rows(seen, lot, name, "pose", "size") for name in ("box", "disc"))
+    return Solids(*itertools.chain(*shapes))
 
 
 def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
     pose = seen["pose"][lot].astype(float)
     others = np.arange(len(pose)) != agent
-    moving = seen["mover_mask"][lot]
-    pose_m, size_m, velocity_m = (
-        seen[f"mover_{name}"][lot][moving].astype(float)
-        for name in ("pose", "size", "velocity")
+    moving_pose, moving_size, velocity = _rows(
+        seen, lot, "mover", "pose", "size", "velocity"
     )
     goal = seen["goal"][lot, agent].astype(float)
     return Sight(
@@ -414,7 +399,7 @@ def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
         car=jax.tree.map(lambda x: x[lot, agent].astype(float), seen["car"]),
         solids=solids,
         others=(pose[others], seen["size"][lot][others].astype(float)),
-        movers=(pose_m, size_m, velocity_m),
+        movers=(moving_pose, moving_size, velocity),
         extent=seen["extent"][lot].astype(float),
     )
 

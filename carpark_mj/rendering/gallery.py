@@ -1,5 +1,6 @@
 """A contact sheet of lots: two of each of `FAMILIES`, each with its name."""
 
+import dataclasses
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -10,19 +11,14 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import layout_config
-from carpark_mj.rendering.recording import Snapshot
+from carpark_mj.rendering.recording import snapshot_of
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import font
 
 FAMILIES = (
-    "square",
-    "street",
-    "street_parallel",
-    "angled",
-    "lot",
-    "garage_row",
-    "dead_end",
+    *("square", "street", "street_parallel", "angled"),
+    *("lot", "garage_row", "dead_end"),
 )
 LOTS = 2  # of each family
 COLUMNS = 4
@@ -46,28 +42,14 @@ def draw_lots(
     Yields a caption and a picture (height, width, 3) uint8 of each; the seed is that of
     the first lot, `size` the width and height of a picture [pixels].
     """
-    env = ParkingEnv(
-        EnvConfig(
-            layout=family,
-            num_agents=NUM_AGENTS,
-            num_parked_cars=min(layout_config(family).min_bays // 2, MOST_PARKED_CARS),
-        )
-    )
+    full = min(layout_config(family).min_bays // 2, MOST_PARKED_CARS)
+    env = ParkingEnv(EnvConfig(family, num_agents=NUM_AGENTS, num_parked_cars=full))
     reset = jax.jit(env.reset)
     for number in range(seed, seed + LOTS):
         state, _ = reset(evaluation_key(number))
-        parked_pose = np.asarray(state.parked_cars.pose_w)
-        goal = np.asarray(state.goal)
-        seen = Snapshot(
-            pose_w=np.asarray(state.motion.pose_w),
-            steering=np.asarray(state.motion.steering),
-            goal_pose=np.asarray(state.layout.bay_pose)[goal],
-            goal_size=np.asarray(state.layout.bay_size)[goal],
-            parked_pose=parked_pose,
-            active=np.zeros(NUM_AGENTS, bool),  # no lines to the goals
-        )
-        stage = Stage(state.layout, env.vehicle, NUM_AGENTS, len(parked_pose))
-        renderer = LotRenderer(stage, "overview", size)
+        no_lines = np.zeros(NUM_AGENTS, bool)  # to the goals
+        seen = dataclasses.replace(snapshot_of(state), active=no_lines)
+        renderer = LotRenderer(Stage.of(env, state), "overview", size)
         try:
             renderer.place(seen)
             yield f"{family}, seed {number}", renderer.draw(seen, renderer.cameras[0])

@@ -185,6 +185,21 @@ class Snapshot:
         )
 
 
+def snapshot_of(state: State) -> Snapshot:
+    """A lot as `ParkingEnv.reset` or `step` leaves it."""
+    goal_pose, goal_size = aimed_at(state.layout, np.asarray(state.goal))
+    return Snapshot(
+        pose_w=np.asarray(state.motion.pose_w),
+        steering=np.asarray(state.motion.steering),
+        goal_pose=goal_pose,
+        goal_size=goal_size,
+        parked_pose=np.asarray(state.parked_cars.pose_w),
+        active=np.asarray(state.active),
+        kind=None if state.kind is None else np.asarray(state.kind),
+        movers=state.movers.groups,
+    )
+
+
 def num_frames(recording: Recording) -> int:
     """Poses recorded, one after every traced instant."""
     return recording.pose_w.shape[0] * recording.pose_w.shape[1]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -52,6 +53,19 @@ class Stage:
             self.model.joint(f"parked{k}/x").qposadr[0] for k in range(num_parked_cars)
         ]
         self.reset()
+
+    @classmethod
+    def of(cls, env: Any, state: Any, num_agents: int | None = None) -> Self:
+        """The scene of a lot of a `ParkingEnv`, for all of its agents by default."""
+        return cls(
+            state.layout,
+            env.vehicle,
+            env.num_agents if num_agents is None else num_agents,
+            env.config.num_parked_cars,
+            env.fleet.agents,
+            env.fleet.parked_vehicles(state.parked_cars),
+            state.movers.groups,
+        )
 
     def build(self) -> mujoco.MjSpec:
         """The scene to compile."""

@@ -84,12 +84,8 @@ def draw_labels(
         pixel = renderer.project(np.array([*flash.pose_w[:2], LABEL_HEIGHT]), camera)
         if pixel is not None:
             text = f"{flash.agent} {flash.outcome.replace('_', ' ')}"
-            tag(
-                pixel[0],
-                pixel[1] - 3 * radius,
-                text,
-                _rgb(FLASH_COLOURS[flash.outcome]),
-            )
+            colour = _rgb(FLASH_COLOURS[flash.outcome])
+            tag(pixel[0], pixel[1] - 3 * radius, text, colour)
     for agent, state in enumerate(seen.state):
         colour = _rgb(agent_colour(agent))
         for pose, height, shape in (
@@ -344,18 +340,13 @@ def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         for f in frames
     ]
     duration = round(1000 / fps)  # ms per frame; GIF counts in hundredths of a second
-    write_atomically(
-        path,
-        lambda temporary: flat[0].save(
-            temporary,
-            format="GIF",
-            save_all=True,
-            append_images=flat[1:],
-            duration=duration,
-            loop=0,
-            optimize=True,
-        ),
-    )
+    options: dict[str, Any] = {
+        "append_images": flat[1:],
+        "duration": duration,
+        "loop": 0,
+    }
+    options |= {"format": "GIF", "save_all": True, "optimize": True}
+    write_atomically(path, lambda temporary: flat[0].save(temporary, **options))
     return len(flat)
 
 

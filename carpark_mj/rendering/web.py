@@ -47,23 +47,13 @@ class LiveLot:
         self._step = jax.jit(self._control_step)
         self._start = Carry(*self._reset(reset_key))
         state = self._start.state
-        layout = state.layout
-        self.extent = np.asarray(layout.extent)
-        self._layout = jax.device_get(layout)
-        config = env.config
+        self.extent = np.asarray(state.layout.extent)
+        self._layout = jax.device_get(state.layout)
         self._shows = np.flatnonzero(state.takes_part)
-        self.stage = Stage(
-            layout,
-            env.vehicle,
-            len(self._shows),
-            config.num_parked_cars,
-            env.fleet.agents,
-            env.fleet.parked_vehicles(state.parked_cars),
-            state.movers.groups,
-        )
+        self.stage = Stage.of(env, state, len(self._shows))
         self.traces = state.motion.trace_w.shape[-2]
         # One call of `step` is one traced pose.
-        self.stage.model.opt.timestep = config.sim.ctrl_dt / self.traces
+        self.stage.model.opt.timestep = env.config.sim.ctrl_dt / self.traces
         self.reset()
 
     def _control_step(self, policy, carry, key):
@@ -98,15 +88,11 @@ class LiveLot:
         self._ended = dict.fromkeys(ENDINGS, 0)
         self.seconds = 0.0
         self._aim(np.asarray(state.goal[self._shows]))
-        motion = jax.tree.map(lambda x: x[self._shows], state.motion)
+        motion, parked_cars = state.motion, state.parked_cars.pose_w
         self.stage.reset()
-        self._place(
-            np.asarray(motion.pose_w),
-            np.asarray(motion.steering),
-            np.asarray(state.parked_cars.pose_w),
-            self._kind(state),
-            state.movers.groups,
-        )
+        own = (np.asarray(x)[self._shows] for x in (motion.pose_w, motion.steering))
+        others = np.asarray(parked_cars), self._kind(state), state.movers.groups
+        self._place(*own, *others)
 
     def _kind(self, state: State) -> jax.Array | None:
         """Which kinds of cars (agents,) are driven; None if there is one."""
@@ -257,16 +243,11 @@ def make_live_viewer(server: Any, lot: LiveLot) -> Any:
         show()
 
     stage = lot.stage
-    viewer = make_viewer(
-        server, stage.model, stage.data, np.asarray(lot.extent), step, reset
-    )
-    for agent in range(len(lot.goal_pose)):
-        colour = _bytes(agent_colour(agent))
-        goals.append(
-            server.scene.add_box(
-                f"/goals/{agent}", colour, opacity=0.5, cast_shadow=False
-            )
-        )
+    extent = np.asarray(lot.extent)
+    viewer = make_viewer(server, stage.model, stage.data, extent, step, reset)
+    add_box = functools.partial(server.scene.add_box, opacity=0.5, cast_shadow=False)
+    agents = range(len(lot.goal_pose))
+    goals += [add_box(f"/goals/{k}", _bytes(agent_colour(k))) for k in agents]
     tally = server.gui.add_markdown("")
     show()
     return viewer

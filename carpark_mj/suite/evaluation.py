@@ -18,7 +18,7 @@ import numpy as np
 from carpark_mj.benchmarking.measuring import best_time
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
-from carpark_mj.cli.settings.driving import WORST, SuiteConfig
+from carpark_mj.cli.settings.tables import WORST, SuiteConfig
 from carpark_mj.config import (
     EnvConfig,
     EpisodeConfig,

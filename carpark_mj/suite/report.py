@@ -12,7 +12,7 @@ from urllib.parse import quote
 import jax
 import numpy as np
 
-from carpark_mj.cli.settings.driving import WORST
+from carpark_mj.cli.settings.tables import WORST
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
 from carpark_mj.evaluation.tables import (

@@ -8,6 +8,7 @@ import copy
 import dataclasses
 import functools
 import inspect
+import types
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Self
 
@@ -17,13 +18,11 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from carpark_mj.config.checks import require_count
-from carpark_mj.geometry.obstacles import Group
-from carpark_mj.layouts.types import Layout
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.rendering.gl import missing_display
-from carpark_mj.rendering.recording import Snapshot, aimed_at
+from carpark_mj.rendering.recording import Snapshot, snapshot_of
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene.camera_flags import camera_names
@@ -377,40 +376,21 @@ class Screen:
     def _place(self, state: Any, lot: int) -> tuple[Stage, Snapshot]:
         """The scene of a lot with its cars in their places."""
         names = ("layout", "motion", "parked_cars", "goal", "active", "movers", "kind")
-        parts = tuple(getattr(state, name) for name in names)
+        parts = {name: getattr(state, name) for name in names}
         parts = jax.device_get(jax.tree.map(lambda x: x[lot], parts))
-        layout, motion, parked_cars, goal, active, movers, kind = parts
-        stage = self._stage(layout, parked_cars, movers.groups, most=len(state.goal))
-        goal_pose, goal_size = aimed_at(layout, goal)
-        seen = Snapshot(
-            pose_w=motion.pose_w,
-            steering=motion.steering,
-            goal_pose=goal_pose,
-            goal_size=goal_size,
-            parked_pose=parked_cars.pose_w,
-            active=active,
-            kind=kind,
-            movers=movers.groups,
-        )
-        seen.place(stage)
-        return stage, seen
+        seen: Any = types.SimpleNamespace(**parts)
+        stage = self._stage(seen, most=len(state.goal))
+        snapshot = snapshot_of(seen)
+        snapshot.place(stage)
+        return stage, snapshot
 
-    def _stage(
-        self, layout: Layout, parked_cars: Any, movers: Sequence[Group], most: int
-    ) -> Stage:
+    def _stage(self, state: Any, most: int) -> Stage:
         """The scene of a lot and its parked cars; the `most` used last are kept."""
-        looks = parked_cars.size, parked_cars.kind, [group.size for group in movers]
-        env, drawn = self._env, jax.tree.leaves((layout, looks))
+        cars, sizes = state.parked_cars, [x.size for x in state.movers.groups]
+        drawn = jax.tree.leaves((state.layout, cars.size, cars.kind, sizes))
         key = b"".join(part.tobytes() for part in drawn)
-        self._stages[key] = self._stages.pop(key, None) or Stage(
-            layout,
-            env.vehicle,
-            env.num_agents,
-            env.config.num_parked_cars,
-            env.fleet.agents,
-            env.fleet.parked_vehicles(parked_cars),
-            movers,
-        )
+        stage = self._stages.pop(key, None) or Stage.of(self._env, state)
+        self._stages[key] = stage
         if len(self._stages) > most:
             del self._stages[next(iter(self._stages))]
-        return self._stages[key]
+        return stage

@@ -47,14 +47,9 @@ class ParkingTaskClass(TaskClass):
         device: torch.device | str,
     ) -> Callable[[], EnvBase]:
         """Makes `num_envs` lots; `device` must be JAX's."""
-        options = dict(self.config)
-        return lambda: TorchRLParking(
-            num_envs,
-            device=device,
-            seed=seed,
-            discrete=not continuous_actions,
-            **options,
-        )
+        options = dict(self.config) | {"device": device, "seed": seed}
+        discrete = not continuous_actions
+        return lambda: TorchRLParking(num_envs, discrete=discrete, **options)
 
     def supports_continuous_actions(self) -> bool:
         """True unless some parts of an action are indices."""

@@ -1,5 +1,6 @@
 """Stops, coasting, slopes, wheel loads, scrub torque, energy, and springs."""
 
+import dataclasses
 import itertools
 import math
 
@@ -138,13 +139,10 @@ def slip_threshold(study: Study) -> None:
         return np.radians(fast + 0.25 * np.maximum(time - 15.0, 0.0))
 
     brake = LOCKING * params.mass * GRAVITY
-    runs = [
-        Run(params, 36.0, heading=math.radians(h), tilt=tilt, brake=brake)
-        for h in (0.0, 90.0)
-    ]
-    for facing, track in zip(
-        ("uphill", "sideways"), study.bed.drive(runs), strict=True
-    ):
+    whole = Run(params, 36.0, tilt=tilt, brake=brake)
+    runs = [whole, dataclasses.replace(whole, heading=math.pi / 2)]
+    tracks = study.bed.drive(runs)
+    for facing, track in zip(("uphill", "sideways"), tracks, strict=True):
         speed = np.linalg.norm(track.qvel[:, :2], axis=1)
         speed[: track.at(15.0)] = 0.0  # settling
         row = int(np.argmax(speed > 0.01))

@@ -8,11 +8,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from carpark_mj.config import CONTACT_SIM_DT, SimConfig
-from carpark_mj.physics.coordinates import CarDynamics, CarIndex, init_tyres
+from carpark_mj.physics.coordinates import CarDynamics, init_tyres
 from carpark_mj.physics.forces import generalized_forces
 from carpark_mj.physics.mjx_step import (
     ContactStep,
@@ -29,6 +28,7 @@ from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from vehicle_suite.report import Study
 from vehicle_suite.testbeds import (
     BrushTestbed,
+    ContactTestbed,
     Testbed,
     controls,
     drive_in_c,
@@ -153,32 +153,16 @@ def contact_engines(study: Study) -> None:
         shared, compiled = copy.copy(own), contact_car_model(COMPACT, sim)
         for constant in ("body_invweight0", "dof_invweight0"):
             getattr(shared, constant)[:] = getattr(compiled, constant)
-        path = drive_contact_in_c(run, shared)
+        bed = ContactTestbed(suspension=suspension)
+        # From nothing, as MJX, which carries no warm start.
+        path = bed.drive_model(run, shared, cold=True).position
         for bits in (32,) if study.quick or suspension else (32, 64):
             apart = np.abs(_drive_in_mjx(run, sim, bits == 64) - path).max()
             what = f"{prefix}C MuJoCo against MJX in float{bits}, 1 s"
             study.row(what, float(apart))
-        apart = np.abs(drive_contact_in_c(run, own) - path).max()
+        apart = np.abs(bed.drive_model(run, own, cold=True).position - path).max()
         what = f"{prefix}data of a shared model against an own model, 1 s"
         study.row(what, float(apart))
-
-
-def drive_contact_in_c(run: Run, model: mujoco.MjModel) -> np.ndarray:
-    """Positions (T + 1, 2) of a car on contact wheels; its driver has float64."""
-    with jax.enable_x64(True):
-        vehicle, spin = make_vehicle(run.params), CarIndex(model).spin_dof
-        rolling = model.dof_frictionloss[spin].copy()
-
-        def act(data: Any, signal: np.ndarray) -> None:
-            at = jnp.array(signal), jnp.array(data.qpos), jnp.array(data.qvel)
-            data.ctrl, data.qfrc_applied[spin], brake = _controls(vehicle, *at)
-            model.dof_frictionloss[spin] = rolling + brake
-            data.qacc_warmstart[:] = 0.0  # as MJX, which carries none
-
-        return drive_in_c(run, model, act)[0][:, :2]
-
-
-_controls = jax.jit(controls)
 
 
 def _drive_in_mjx(run: Run, sim: SimConfig, x64: bool) -> np.ndarray:

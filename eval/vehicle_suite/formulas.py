@@ -152,11 +152,8 @@ def _load_transfer(
 ) -> float:
     spinning = 4 * params.wheel_inertia / params.wheel_radius
     moment = (params.mass * params.cg_height + spinning) * acceleration
-    above = {
-        "patches": params.cg_height,
-        "hubs": params.cg_height - params.wheel_radius,
-        "rigid": 0.0,
-    }[stance]
+    above = params.cg_height - (params.wheel_radius if stance == "hubs" else 0.0)
+    above = 0.0 if stance == "rigid" else above
     # Four springs k at half the base from their middle resist tilting by k base^2.
     stiffness = params.tyre.vertical_stiffness * base**2
     return moment / base / (1 - params.mass * GRAVITY * above / stiffness)
@@ -182,11 +179,8 @@ def bounce(params: VehicleParameters) -> tuple[float, np.ndarray]:
     k, c = params.tyre.vertical_stiffness, params.tyre.vertical_damping
     front, rear = params.wheelbase - x, -x
     # Nose down by q lifts a point x ahead by -q x.
-    stiffness = (
-        2
-        * k
-        * np.array([[2.0, -(front + rear)], [-(front + rear), front**2 + rear**2]])
-    )
+    lever = -(front + rear)
+    stiffness = 2 * k * np.array([[2.0, lever], [lever, front**2 + rear**2]])
     stiffness[1, 1] -= mass * GRAVITY * above
     squares, shapes = linalg.eigh(stiffness, np.diag([mass, inertia[1] + pushed]))
     omega = math.sqrt(squares[0])
@@ -258,12 +252,8 @@ def steady_turn(
         pull = tyre.slip_stiffness * static * slip_x
         push = cornering * slip_y
         limit = tyre.friction * load
-        shape = np.array(
-            [
-                brush_shape(v, m)
-                for v, m in zip(np.hypot(pull, push), limit, strict=True)
-            ]
-        )
+        total = np.hypot(pull, push)
+        shape = np.array(list(map(brush_shape, total, limit)))
         given = share * drive * params.mass - rolling
         force_x = np.where(axle > 0, pull * shape, given)
         force_y = push * shape

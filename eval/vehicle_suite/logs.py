@@ -8,7 +8,7 @@ where the brakes have stopped it.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -35,15 +35,10 @@ LOG_DT = 0.02  # s
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """A drive to record.
+    """A drive to record: the true parameters of a car, and the car in all else.
 
-    Attributes:
-        true: parameters of the car.
-        kind: what the driver does; `stops` and `rolling` are of `single_track`.
-        params: the car in all else.
-        seed: of the driver's amplitudes and of the noise.
-        seconds: how long it lasts.
-        sim_dt: step of the engine [s].
+    The seed is of the driver's amplitudes and the noise. The kinds `stops` and
+    `rolling` are those of `drive_single_track`.
     """
 
     true: Sought
@@ -57,19 +52,13 @@ class Drive:
     def car(self) -> VehicleParameters:
         """The true car: no speed limit, wheels that turn as fast as the driver."""
         true = {name: float(value) for name, value in self.true._asdict().items()}
-        names = {field.name for field in dataclasses.fields(self.params.tyre)}
-        tyre = {name: true[name] for name in names & {*true}}
-        tyre = dataclasses.replace(self.params.tyre, **tyre)
-        return dataclasses.replace(
-            self.params,
-            max_acceleration=true["max_acceleration"],
-            max_deceleration=true["max_deceleration"],
-            drive_lag=true["drive_lag"],
-            steering_rate=5.0,
-            max_speed=90.0,
-            max_reverse_speed=90.0,
-            tyre=tyre,
-        )
+
+        def changed(part: Any, **others: Any) -> Any:
+            names = {field.name for field in dataclasses.fields(part)} & {*true}
+            return dataclasses.replace(part, **{k: true[k] for k in names}, **others)
+
+        limits = {"steering_rate": 5.0, "max_speed": 90.0, "max_reverse_speed": 90.0}
+        return changed(self.params, tyre=changed(self.params.tyre), **limits)
 
     def commands(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (n,) [s], angles of the steering wheel (n,) [rad], pedal (n,)."""
@@ -131,7 +120,11 @@ def _drive(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
     """The motion (drives, n, 5): x, y, yaw, speed and yaw rate at the rear axle."""
     dt = drives[0].sim_dt
     with jax.enable_x64(True):
-        vehicle = jax.tree.map(lambda *x: jnp.stack(x), *map(_vehicle, drives))
+        vehicle = jax.tree.map(
+            lambda *x: jnp.stack(x), *(make_vehicle(drive.car) for drive in drives)
+        )
+        offsets = jnp.array([float(drive.true.steering_offset) for drive in drives])
+        vehicle = dataclasses.replace(vehicle, steering_offset=offsets)
         models = [car_model(d.car, dt, (0.0, 0.0, -GRAVITY)) for d in drives]
         datas = [mujoco.MjData(model) for model in models]
         index = CarIndex(models[0])
@@ -161,22 +154,15 @@ def _drive(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
     return motion
 
 
-def _vehicle(drive: Drive):
-    offset = jnp.asarray(float(drive.true.steering_offset))
-    return dataclasses.replace(make_vehicle(drive.car), steering_offset=offset)
-
-
 def _controls(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
     """Steer and pedal (n, drives, 2) as they arrive at the actuators."""
     late = []
     for drive, (time, wheel, pedal) in zip(drives, commands, strict=True):
         true = drive.true
-        steer = np.interp(time - true.steering_delay, time, wheel) / (
-            true.steering_ratio * drive.car.max_steering
-        )
-        late.append(
-            np.stack([steer, np.interp(time - true.pedal_delay, time, pedal)], -1)
-        )
+        steer = np.interp(time - true.steering_delay, time, wheel)
+        steer = steer / (true.steering_ratio * drive.car.max_steering)
+        pedal = np.interp(time - true.pedal_delay, time, pedal)
+        late.append(np.stack([steer, pedal], -1))
     return np.stack(late, axis=1)
 
 
@@ -232,20 +218,14 @@ def drive_single_track(
     seed: int,
     stops: bool,
     measured: Sequence[str] = POSE,
-    seconds: float = 40.0,
     noise: float = 1.0,
+    seconds: float = 40.0,
     dt: float = 0.001,
 ) -> DriveLog:
     """Drives, coasts and brakes in turn, in curves, between 1 and 4 m/s.
 
-    Args:
-        car: the car.
-        seed: of the driver and the noise.
-        stops: whether the brakes stop it in every cycle; the foot stays on them.
-        measured: quantities in the log.
-        seconds: how long.
-        noise: factor on `NOISE`.
-        dt: step of the integration [s].
+    With `stops` the brakes stop it in every cycle, and the foot stays on them. `noise`
+    scales `NOISE`; `dt` is the step of the integration [s].
     """
     dice = np.random.default_rng(seed)
     time = np.arange(0, seconds, dt)

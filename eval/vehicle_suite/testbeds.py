@@ -48,13 +48,7 @@ WIDTH = 16  # cars of one call; fewer are filled up
 
 @dataclasses.dataclass(frozen=True)
 class BrushTestbed:
-    """The `mjx` back end with brush tyres.
-
-    Attributes:
-        dt: substep [s] unless a manoeuvre asks for another.
-        x64: compute in float64.
-        stepper: the equations of motion, see `SimConfig.stepper`.
-    """
+    """The `mjx` back end with brush tyres, by default in substeps `dt` [s]."""
 
     dt: float = 0.01
     x64: bool = False
@@ -249,11 +243,7 @@ class ContactTestbed:
     """Plain `mujoco.mj_step`.
 
     Drive torques are applied to the wheels, brakes are dry friction of the axles
-    beside their rolling resistance.
-
-    Attributes:
-        dt: substep [s] unless a manoeuvre asks for another.
-        suspension: springs between wheels and car; a track leaves their travel out.
+    beside their rolling resistance. A track leaves the travel of a suspension out.
     """
 
     dt: float = TIMESTEP
@@ -262,11 +252,13 @@ class ContactTestbed:
 
     def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
         """Drives the runs, one after the other."""
-        return [self._drive(run, dt or self.dt) for run in runs]
+        step = dt or self.dt
+        models = [contact_model(run.params, step, self.suspension) for run in runs]
+        return list(map(self.drive_model, runs, models))
 
-    def _drive(self, run: Run, dt: float) -> Track:
+    def drive_model(self, run: Run, model: mujoco.MjModel, cold: bool = False) -> Track:
+        """Drives a car's model; a `cold` solver starts each substep from nothing."""
         params = run.params
-        model = contact_model(params, dt, self.suspension)
         spin = CarIndex(model).spin_dof
         rolling = model.dof_frictionloss[spin].copy()
         drive_share = np.repeat([params.front_drive, 1 - params.front_drive], 2) / 2
@@ -285,22 +277,19 @@ class ContactTestbed:
             model.dof_frictionloss[spin] = rolling + brakes
             data.ctrl = front_wheel_angles(params, float(steering))
             model.opt.gravity = gravity_of(tilt)
+            if cold:
+                data.qacc_warmstart[:] = 0.0
 
-        return Track(run, dt, *drive_in_c(run, model, act), np.array(torques))
+        motion = drive_in_c(run, model, act)
+        return Track(run, model.opt.timestep, *motion, np.array(torques))
 
 
 def drive_in_c(
     run: Run, model: mujoco.MjModel, act: Callable[[Any, np.ndarray], None]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Drives a run in C MuJoCo.
+    """Drives a run in C MuJoCo; `act` sets the inputs for a row of `Run.signals`.
 
-    Args:
-        run: the run.
-        model: of its car.
-        act: sets the inputs of the data for a row of `Run.signals`.
-
-    Returns:
-        `qpos` (T + 1, 13), `qvel` (T + 1, 12), and the contacts' loads (T, 4) [N].
+    Returns `qpos` (T + 1, 13), `qvel` (T + 1, 12), the contacts' loads (T, 4) [N].
     """
     data = mujoco.MjData(model)
     positions, velocities = rigid_joints(model)

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 
@@ -30,13 +31,8 @@ def turn_run(
     params: VehicleParameters, lock: float, speed: float, locked_axle: bool = False
 ) -> Run:
     """Wheels to the lock [rad], then a circle at a speed [m/s]."""
-    return Run(
-        params,
-        8.0 + 10.0 / abs(speed),
-        target=ramp(speed, 1.0, 2.0),
-        steering=ramp(lock, 0.0, 1.0),
-        locked_axle=locked_axle,
-    )
+    signals: Any = {"target": ramp(speed, 1.0, 2.0), "steering": ramp(lock, 0.0, 1.0)}
+    return Run(params, 8.0 + 10.0 / abs(speed), locked_axle=locked_axle, **signals)
 
 
 def turning(study: Study) -> None:
@@ -50,10 +46,8 @@ def turning(study: Study) -> None:
         if study.tyres == "brush":
             expected = steady_turn(params, lock, track.late(track.speed, 1.0))
         else:  # geometry alone
-            expected = Turn(
-                formulas.turning_radius(params, lock),
-                formulas.rolling_drag(params, lock),
-            )
+            radius = formulas.turning_radius(params, lock)
+            expected = Turn(radius, formulas.rolling_drag(params, lock))
         angle, way = math.degrees(lock), "forwards" if speed > 0 else "reverse"
         what = f"turning radius, {angle:.1f} deg, {abs(speed):g} m/s {way}"
         radius = circle_radius(track.position[track.at(7.0) :])

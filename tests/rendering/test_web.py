@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from carpark_mj.cli.pages import open_page
-from carpark_mj.cli.settings.scenes import SceneConfig, complete
+from carpark_mj.cli.settings.driving import SceneConfig, complete
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web
@@ -78,6 +78,7 @@ def test_wheels_of_a_live_lot_roll_and_steer_with_the_car(lot):
 
 
 def test_view_alone_opens_a_window():
+    assert complete([]) == []
     assert complete(["--view"]) == ["--view", "window"]
     assert complete(["--view", "--seed", "3"]) == ["--view", "window", "--seed", "3"]
     assert complete(["--view", "web"]) == ["--view", "web"]

@@ -1,6 +1,8 @@
-"""Settings of the commands in which a policy drives."""
+"""Settings of the commands in which somebody drives, and of `export`."""
 
 import dataclasses
+import itertools
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -16,6 +18,8 @@ from carpark_mj.config.checks import (
     require_unset,
 )
 from carpark_mj.files import require_suffix
+from carpark_mj.rendering.gl import has_display
+from carpark_mj.rendering.local_pages import PORT, Port
 from carpark_mj.scene.camera_flags import (
     OFFSCREEN_HEIGHT,
     OFFSCREEN_WIDTH,
@@ -25,10 +29,8 @@ from carpark_mj.scene.camera_flags import (
 if TYPE_CHECKING:
     from carpark_mj.cameras import Rig
 
-WORST = 10  # cases of a policy and level that can be filmed
-
+LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")
 COUNTS = ("others", "parked", "walls", "discs", "lanes")
-DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "moving_car", "seeds")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -245,87 +247,6 @@ class OracleConfig(LotSettings):
 
 
 @dataclasses.dataclass(frozen=True)
-class SuiteConfig:
-    """The suite of hard cases: one car parks in every case of some levels.
-
-    carpark_mj suite planner anywhere
-    carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3
-    carpark_mj suite planner --levels tpcap --seeds 0 1 2
-    carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
-    carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
-    carpark_mj suite planner hope --levels parkbench:rear_in --rule precise
-    carpark_mj suite hope anywhere --levels tpcap metadrive san_jose busy sheets
-
-    The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
-    and the numbers.
-
-    Attributes:
-        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
-            or `random`.
-        levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
-            TPCAP's 20 published cases; `parkbench:FOLDER`, the half of ParkBench's
-            files that is for work, and `parkbench:FOLDER:held_out`, the other, to be
-            looked at once; `busy`, where people, a cart or a car get in the way;
-            `metadrive`, `san_jose` and `dragon_lake`, lots that others drew; `sheets`,
-            twelve cars by data sheet; or registered ones.
-        cases: number of cases of each level, all of levels with fewer; None = all from
-            `first_case` on.
-        first_case: first case of each level, from 0.
-        rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
-            registered rule.
-        vehicle: preset or file of the car.
-        moving_car: another car drives through the aisle of every case.
-        seeds: of the planner's searches and of stochastic policies; each seed drives
-            all cases.
-        videos: number of worst cases to film for every policy and level, at most 10;
-            needs off-screen OpenGL.
-        combine: folders of this command; drives no case and combines their episodes in
-            one table.
-        check: a `suite.json`; drives no case and checks the file as an entry of the
-            leaderboard.
-        out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
-            `suite.html`, `videos/` and, of the planner, `paths.png`.
-    """
-
-    policies: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
-    ] = ()
-    levels: tuple[str, ...] = ("normal", "complex", "extreme")
-    cases: int | None = None
-    first_case: int = 0
-    rule: str = "strict"
-    vehicle: str = "tpcap"
-    moving_car: bool = False
-    seeds: tuple[int, ...] = (0,)
-    videos: int = 0
-    combine: tuple[str, ...] = ()
-    check: str = ""
-    out: str = "runs/suite"
-
-    def __post_init__(self) -> None:
-        if self.check:
-            other = "with --check, which drives nothing"
-            require_unset(self, other, "policies", "combine", "videos", *DRIVING)
-        elif bool(self.policies) == bool(self.combine):
-            raise ValueError(
-                "name at least one policy, for example planner, or folders to combine"
-                f"{', not both' if self.policies else ''}"
-            )
-        if self.combine:
-            require_unset(self, "with --combine, which drives nothing", *DRIVING)
-        if not 0 <= self.videos <= WORST:
-            raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
-        for name in ("policies", "levels", "seeds", "combine"):
-            value = getattr(self, name)
-            if len(set(value)) < len(value):
-                raise ValueError(f"{name} must differ from each other, not {value}")
-            if not value and name in ("levels", "seeds"):
-                raise ValueError(f"{name} must not be empty")
-        for seed in self.seeds:
-            require_seed(seed)
-
-
-@dataclasses.dataclass(frozen=True)
 class ExportConfig:
     """Exports a policy as an ONNX model, or as a checkpoint without training state.
 
@@ -372,3 +293,140 @@ class ExportConfig:
         if not self.from_state:
             require_unset(self, "without --from-state", *COUNTS)
         require_seed(self.seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneOutput(CheckedConfig):
+    """Where a scene goes.
+
+    Attributes:
+        out: MJCF file to write; it needs no other file and no carpark_mj.
+        view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
+            a page on this machine for a browser.
+        port: port of the browser page.
+    """
+
+    out: str = ""
+    view: Literal["", "window", "web"] = ""
+    port: Port = PORT
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.out and not self.view:
+            raise ValueError("give --out FILE.xml to write the scene, --view, or both")
+        if self.view != "web":
+            require_unset(self, "without --view web", "port")
+        require_suffix("out", self.out, ".xml")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ShownLot(LotSettings):
+    """A lot to look at, or to drive in.
+
+    Attributes:
+        layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
+            file, as in `EnvConfig`; default `square`, or the policy's.
+        policy: pretrained policy, run folder or checkpoint file that drives.
+        num_parked_cars: number of parked cars; default 16, or as many as fit into a
+            smaller lot, or as in the policy's training.
+        vehicle: preset or file of all cars; default `compact`, or the policy's.
+    """
+
+    policy: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneConfig(SceneOutput, ShownLot):
+    """Writes a car park as MJCF that drives in the MuJoCo viewer, or opens it there.
+
+    carpark_mj scene --layout square --out scene.xml
+    python -m mujoco.viewer --mjcf=scene.xml
+    carpark_mj scene --layout lot --seed 3 --view
+    carpark_mj scene --layout lot --seed 3 --view web
+    carpark_mj scene --policy runs/cpu-0 --view web
+    carpark_mj scene --layout square --suspension --view
+
+    Attributes:
+        policy: pretrained policy, run folder or checkpoint file that drives, or `zero`
+            or `random`; in the browser only.
+        num_agents: number of cars to drive; default 2, or 1 in a lot with one goal, or
+            as in the policy's training.
+        suspension: springs between the wheels and the cars to drive.
+        seed: random seed of the lot and its cars.
+    """
+
+    suspension: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.policy and (self.view != "web" or self.out):
+            raise ValueError(
+                "a policy drives in the browser only: give --view web alone"
+            )
+        if self.policy:
+            require_unset(self, "with --policy", "suspension")
+
+
+@dataclasses.dataclass(frozen=True)
+class PlayConfig(ShownLot):
+    """Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
+
+    carpark_mj play --layout street
+    carpark_mj play --policy square --view window --camera chase:0
+    carpark_mj play --replay runs/play/drive-0.npz --video drive.mp4
+
+    Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the
+    next one, Q ends. Gamepad: left stick, right trigger ahead, left trigger back.
+    Without a display a page is served instead, with a steering wheel and a pedal.
+
+    Attributes:
+        policy: pretrained policy, run folder or checkpoint file that drives the other
+            cars; without a policy they stand.
+        num_agents: number of cars, yours included; default 1, or as in the policy's
+            training.
+        seed: seed of the lot; the next lot has the next seed.
+        view: `window`, or `web` for a page on this machine; default: a window if there
+            is a display.
+        camera: camera of the window or the video: `topdown`, `overview`, `chase:0`,
+            `driver:0` or `split`.
+        out: folder in which every drive is saved as drive-K.npz.
+        replay: a saved drive to look at instead.
+        video: `.mp4` or `.gif` to write the replay to.
+        port: port of the page.
+    """
+
+    view: Literal["", "window", "web"] = ""
+    camera: str = "split"
+    out: str = "runs/play"
+    replay: str = ""
+    video: str = ""
+    port: Port = PORT
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.video and not self.replay:
+            raise ValueError("video needs a drive to show: give --replay FILE.npz")
+        if self.replay:
+            require_unset(self, "with --replay", *LOT)
+        if self.video:
+            require_unset(self, "with --video", "view", "port")
+        elif self.shown_in == "web":
+            require_unset(self, "in the browser, which has its own", "camera")
+        else:
+            require_unset(self, "in a window", "port")
+        camera_names(self.camera)
+
+    @property
+    def shown_in(self) -> str:
+        """`window` or `web`."""
+        return self.view or ("window" if has_display() else "web")
+
+
+def complete(words: Sequence[str]) -> list[str]:
+    """The command line with `--view` alone written out as `--view window`."""
+    found: list[str] = []
+    for word, after in itertools.pairwise([*words, "--"]):
+        found.append(word)
+        if word == "--view" and after.startswith("--"):
+            found.append("window")
+    return found

@@ -1,4 +1,4 @@
-"""Settings of the commands about vehicles, runs and speed."""
+"""Settings of the commands about cars, layouts, runs, the suite and speed."""
 
 import dataclasses
 from typing import Annotated, Literal, get_args
@@ -6,15 +6,24 @@ from typing import Annotated, Literal, get_args
 import tyro
 
 from carpark_mj.config.checks import (
+    FARTHEST,
     Bounds,
     CheckedConfig,
     Count,
     Finite,
     Natural,
     NonNegative,
+    require_seed,
+    require_unset,
 )
 from carpark_mj.files import require_suffix
+from carpark_mj.rendering.local_pages import PORT, Port
 
+Lots = Annotated[int, Bounds(ge=0, le=10_000_000)]  # so many take an hour or more
+Crop = tuple[float, float, float, float]  # x and y of two opposite corners [m]
+PICTURES = (".png", ".pdf", ".svg")
+WORST = 10  # cases of a policy and level of the suite that can be filmed
+DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "moving_car", "seeds")
 METRICS = ("parked", "crashed", "timed_out", "length")
 What = Literal["env", "ppo", "physics", "start"]
 Clock = Literal["wall", "cpu"]
@@ -247,3 +256,233 @@ class SweepConfig(Where):
     seed: int = 0
     name: str = ""
     runs_dir: str = "runs"
+
+
+@dataclasses.dataclass(frozen=True)
+class SuiteConfig:
+    """The suite of hard cases: one car parks in every case of some levels.
+
+    carpark_mj suite planner anywhere
+    carpark_mj suite planner runs/gpu-0 --levels extreme --rule precise --videos 3
+    carpark_mj suite planner --levels tpcap --seeds 0 1 2
+    carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
+    carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
+    carpark_mj suite planner hope --levels parkbench:rear_in --rule precise
+    carpark_mj suite hope anywhere --levels tpcap metadrive san_jose busy sheets
+
+    The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
+    and the numbers.
+
+    Attributes:
+        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
+            or `random`.
+        levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
+            TPCAP's 20 published cases; `parkbench:FOLDER`, the half of ParkBench's
+            files that is for work, and `parkbench:FOLDER:held_out`, the other, to be
+            looked at once; `busy`, where people, a cart or a car get in the way;
+            `metadrive`, `san_jose` and `dragon_lake`, lots that others drew; `sheets`,
+            twelve cars by data sheet; or registered ones.
+        cases: number of cases of each level, all of levels with fewer; None = all from
+            `first_case` on.
+        first_case: first case of each level, from 0.
+        rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
+            registered rule.
+        vehicle: preset or file of the car.
+        moving_car: another car drives through the aisle of every case.
+        seeds: of the planner's searches and of stochastic policies; each seed drives
+            all cases.
+        videos: number of worst cases to film for every policy and level, at most 10;
+            needs off-screen OpenGL.
+        combine: folders of this command; drives no case and combines their episodes in
+            one table.
+        check: a `suite.json`; drives no case and checks the file as an entry of the
+            leaderboard.
+        out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
+            `suite.html`, `videos/` and, of the planner, `paths.png`.
+    """
+
+    policies: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
+    ] = ()
+    levels: tuple[str, ...] = ("normal", "complex", "extreme")
+    cases: int | None = None
+    first_case: int = 0
+    rule: str = "strict"
+    vehicle: str = "tpcap"
+    moving_car: bool = False
+    seeds: tuple[int, ...] = (0,)
+    videos: int = 0
+    combine: tuple[str, ...] = ()
+    check: str = ""
+    out: str = "runs/suite"
+
+    def __post_init__(self) -> None:
+        if self.check:
+            other = "with --check, which drives nothing"
+            require_unset(self, other, "policies", "combine", "videos", *DRIVING)
+        elif bool(self.policies) == bool(self.combine):
+            raise ValueError(
+                "name at least one policy, for example planner, or folders to combine"
+                f"{', not both' if self.policies else ''}"
+            )
+        if self.combine:
+            require_unset(self, "with --combine, which drives nothing", *DRIVING)
+        if not 0 <= self.videos <= WORST:
+            raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
+        for name in ("policies", "levels", "seeds", "combine"):
+            value = getattr(self, name)
+            if len(set(value)) < len(value):
+                raise ValueError(f"{name} must differ from each other, not {value}")
+            if not value and name in ("levels", "seeds"):
+                raise ValueError(f"{name} must not be empty")
+        for seed in self.seeds:
+            require_seed(seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class LayoutsConfig(CheckedConfig):
+    """Inspects layouts: pictures, files, checks of their plans, runs of their scenes.
+
+    carpark_mj layouts --plot lots.png
+    carpark_mj layouts --check 1000 --run 20
+    carpark_mj layouts street my_lot.json --check 1000
+    carpark_mj layouts my_lot.json --check 1 --paths 20
+    carpark_mj layouts clutter_tight --check 200 --paths 1
+    carpark_mj layouts lot --seed 3 --save lot.json
+    carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
+    carpark_mj layouts import car_park.osm --out lot.json
+    carpark_mj layouts edit lot.json
+
+    Attributes:
+        layouts: names or layout files; all families if none.
+        plot: picture to write, with two lots of each random layout named, or one of
+            every family.
+        check: number of lots of each layout to check.
+        paths: number of bays of each checked lot, drawn at random, to which the planner
+            must find a path, with the rate of lots where it does and Wilson's interval
+            of 95 %; it needs the extra `planner`.
+        vehicle: preset or file of the car that must fit into bays and spawn regions of
+            the checked lots; by default their design car.
+        run: number of scenes of each layout to run.
+        save: layout file to write, with the first lot of one layout.
+        crop: x and y of two opposite corners [m] of the part to save.
+        seed: seed of the keys.
+    """
+
+    layouts: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")
+    ] = ()
+    plot: str = ""
+    check: Lots = 0
+    paths: Lots = 0
+    vehicle: str = ""
+    run: Lots = 0
+    save: str = ""
+    crop: Crop | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_seed(self.seed)
+        if not (self.plot or self.check or self.run or self.save):
+            raise ValueError(
+                "nothing to do: give --plot FILE, --save FILE, --check N or --run N "
+                "(N > 0)"
+            )
+        if not self.check:
+            require_unset(self, "without --check", "vehicle", "paths")
+        if not self.save:
+            require_unset(self, "without --save", "crop")
+        require_suffix("plot", self.plot, *PICTURES)
+        require_suffix("save", self.save, ".json")
+        if self.save and len(self.layouts) != 1:
+            raise ValueError(
+                "--save writes one lot of one layout, not of "
+                f"{', '.join(self.layouts) or 'all families'}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class EditConfig(CheckedConfig):
+    """Draws a lot in the browser and saves it as a layout file.
+
+    carpark_mj layouts edit --out my_lot.json
+    carpark_mj layouts edit my_lot.json
+    carpark_mj layouts edit --out my_lot.json --background plan.png --width 60
+
+    Attributes:
+        file: layout file (`.json`) to edit; an empty lot if not given.
+        out: layout file to save to; by default the edited one. Another one must be new.
+        background: picture under the drawing (`.png`, `.jpg`, `.webp`), its middle at
+            the origin.
+        scale: metres per pixel of the picture.
+        width: width of the picture [m], instead of `scale`.
+        port: port of the page on localhost.
+    """
+
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")] = ""
+    out: str = ""
+    background: str = ""
+    scale: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
+    width: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
+    port: Port = PORT
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.target:
+            raise ValueError("nothing to edit: give FILE.json, or --out for a new lot")
+        require_suffix("file", self.file, ".json")
+        require_suffix("out", self.out, ".json")
+        if not self.background:
+            require_unset(self, "without --background", "scale", "width")
+        elif bool(self.scale) == bool(self.width):
+            raise ValueError(
+                "--background takes either --scale in metres per pixel or --width in "
+                f"metres, not --scale {self.scale:g} and --width {self.width:g}"
+            )
+
+    @property
+    def target(self) -> str:
+        """The file to save to."""
+        return self.out or self.file
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportConfig:
+    """Makes a layout file of a map of a car park; needs the extra `maps`.
+
+    carpark_mj layouts import car_park.osm --out lot.json
+    carpark_mj layouts import car_park.geojson --out part.json --crop -20 -10 20 10
+    carpark_mj layouts import plan.dxf --out lot.json --unit mm --layer stall=STELLPLATZ
+
+    Attributes:
+        map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), CommonRoad
+            (`.xml`), GeoJSON (`.geojson`, `.json`), a drawing (`.dxf`), or a case of
+            ParkBench (`.json`).
+        out: layout file to write.
+        crop: x and y of two opposite corners [m] of the part to take, in the frame of
+            the whole lot.
+        level: of a car park with several, as the map names it; the one with most spots
+            by default.
+        crs: coordinate reference system of a GeoJSON file that does not name its own,
+            such as EPSG:25832.
+        layer: of a drawing, WORD=TEXT: the layers whose names contain the text hold
+            stalls, aisles, walls, kerbs, columns, drivable ground or starts; may be
+            repeated.
+        unit: of a drawing without one, or with a wrong one: mm, cm, m, in or ft.
+    """
+
+    map: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    out: str
+    crop: Crop | None = None
+    level: str | None = None
+    crs: str | None = None
+    layer: Annotated[
+        tuple[str, ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(metavar="WORD=TEXT"),
+    ] = ()
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        require_suffix("out", self.out, ".json")

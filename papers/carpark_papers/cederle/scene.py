@@ -15,7 +15,7 @@ from carpark_mj.cli.flags import command_help
 from carpark_mj.cli.pages import open_page
 from carpark_mj.cli.process import run_command
 from carpark_mj.cli.scene import require_view, show_scene
-from carpark_mj.cli.settings.scenes import SceneOutput, complete
+from carpark_mj.cli.settings.driving import SceneOutput, complete
 from carpark_mj.config.checks import require_seed
 from carpark_mj.scene.build import scene_xml
 from carpark_mj.vehicle import preset
