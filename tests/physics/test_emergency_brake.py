@@ -37,13 +37,8 @@ AWAY = 1e3  # m
 def scene(speed, *people, present=True, steering=0.0, kind=ObstacleKind.PERSON):
     """A car at the origin, and people (x, y, vx, vy)."""
     there = jnp.array(people, jnp.float32).reshape(-1, 4)
-    discs = Discs(
-        there[:, :2],
-        jnp.full(len(there), RADIUS),
-        there[:, 2:],
-        jnp.full(len(there), present),
-        kind=kind,
-    )
+    radius, mask = jnp.full(len(there), RADIUS), jnp.full(len(there), present)
+    discs = Discs(there[:, :2], radius, there[:, 2:], mask, kind=kind)
     motion = cars([(0.0, 0.0, 0.0)], speed=speed, steering=steering, size=SIZE)
     vehicle = jax.tree.map(lambda x: x[None], VEHICLE)
     state = state_of(PLACE, motion, 0, movers=Movers((), ((discs,),)))
@@ -166,10 +161,8 @@ def drive():
             wanted = jnp.stack([wish, jnp.stack([steer, way])])
             controls = jnp.where(on, override(SIM, state, wanted), wanted)
             moving = PHYSICS.step(moving, controls)
-            walked, after = (
-                PEOPLE.step(keys[2], people, state, DT),
-                PHYSICS.read(moving),
-            )
+            walked = PEOPLE.step(keys[2], people, state, DT)
+            after = PHYSICS.read(moving)
             count = after.trace_w.shape[1]
             share = (jnp.arange(count) + 1.0) / count
             there = people.xy + share[:, None, None] * (walked.xy - people.xy)
@@ -178,10 +171,9 @@ def drive():
             hit = (hit & people.present).any(axis=(0, 2))
             # Who leaves the lot, or has hit somebody, begins anew when there is room.
             out = (jnp.abs(after.xy) > layout.extent - 2.0).any(axis=-1) | hit
-            taken = box_disc_overlap(
-                start[:, None], size, walked.xy, walked.radius + GAP
-            )
-            again = start + 100.0 * taken.any(axis=1)[:, None]
+            near = walked.xy, walked.radius + GAP
+            taken = box_disc_overlap(start[:, None], size, *near).any(axis=1)
+            again = start + 100.0 * taken[:, None]
             moving = PHYSICS.place(moving, out, again, vehicles)
             return (walked, moving, wish), (hit, jnp.abs(motion.speed))
 
@@ -213,12 +205,8 @@ def test_cars_that_slide_down_an_icy_slope_stop_before_people():
     place = jnp.stack([away * jnp.cos(angle), away * jnp.sin(angle)], axis=-1)
 
     def one(yaw, gear, place):
-        discs = Discs(
-            place,
-            jnp.full(people, RADIUS),
-            jnp.zeros((people, 2)),
-            kind=ObstacleKind.PERSON,
-        )
+        still = jnp.full(people, RADIUS), jnp.zeros((people, 2))
+        discs = Discs(place, *still, kind=ObstacleKind.PERSON)
         wanted = jnp.stack([0.6 * gear, gear])[None]
 
         def step(moving, _):

@@ -50,18 +50,13 @@ def test_every_car_sits_as_high_and_as_level_as_without_springs(name):
 
 def test_a_spring_carries_its_corner_without_the_wheel():
     model = contact_model(COMPACT, DT, True)
-    # In front a knuckle stands on the tyre beside the wheel.
     front, rear = formulas.axle_loads(COMPACT)
-    wheel_weight, knuckle_weight = (
-        COMPACT.wheel_mass * 9.81,
-        COMPACT.knuckle_mass * 9.81,
-    )
-    expected = {
-        "fl": front / 2 - wheel_weight - knuckle_weight,
-        "rr": rear / 2 - wheel_weight,
-    }
-    for wheel, force in expected.items():
-        joint = model.joint(f"travel_{wheel}")
+    wheel = COMPACT.wheel_mass * 9.81
+    # In front a knuckle stands on the tyre beside the wheel.
+    knuckle = COMPACT.knuckle_mass * 9.81
+    expected = {"fl": front / 2 - wheel - knuckle, "rr": rear / 2 - wheel}
+    for corner, force in expected.items():
+        joint = model.joint(f"travel_{corner}")
         spring = -model.qpos_spring[joint.qposadr[0]] * joint.stiffness[0]
         assert spring == pytest.approx(force, rel=1e-9)
 
