@@ -18,10 +18,9 @@ def test_a_spread_says_how_many_and_what_is_in_the_middle():
     found = spread([[1.0, 2.0, math.nan], [4.0]])
     assert (found.runs, found.median) == (3, 2.0)
     assert found.low <= found.iqm <= found.high
-
-
-def test_one_run_has_no_interval_and_none_has_nothing():
-    one = spread([[3.0]])
+    found = spread([[0.5, 0.5, 0.5]])  # equal runs: no width
+    assert (found.low, found.iqm, found.high) == (0.5, 0.5, 0.5)
+    one = spread([[3.0]])  # no interval
     assert (one.iqm, one.median) == (3.0, 3.0)
     assert math.isnan(one.low)
     assert math.isnan(one.high)
@@ -44,8 +43,3 @@ def test_strata_keep_differences_between_points_out_of_the_interval():
     assert apart.iqm == mixed.iqm
     assert apart.high - apart.low < 0.1
     assert mixed.high - mixed.low > 3.0
-
-
-def test_equal_runs_have_an_interval_of_no_width():
-    found = spread([[0.5, 0.5, 0.5]])
-    assert (found.low, found.iqm, found.high) == (0.5, 0.5, 0.5)

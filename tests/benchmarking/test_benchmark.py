@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import pytest
-from helpers.programs import exit_code
+from helpers.programs import assert_refused
 
 from carpark_mj import benchmarking
 from carpark_mj.benchmarking import BenchmarkConfig, Job, Measurement, jobs_of
@@ -66,48 +66,38 @@ def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(monkeypatch, tmp_
     assert kept == [(4, "1"), (4, "2"), (8, "1")]
 
 
+def asked(**settings):
+    return jobs_of(BenchmarkConfig(**settings))
+
+
 def test_each_round_measures_every_variant_in_every_batch():
-    config = BenchmarkConfig(batches=(4, 8), layouts=("square", "mixture"))
-    asked = [(job.what, job.variant, job.lots) for job in jobs_of(config)]
-    variants = [
-        ("env", "square"),
-        ("env", "mixture"),
-        ("ppo", "auto"),
-        ("physics", "brush"),
-        ("physics", "mjx.step"),
-        ("physics", "contact"),
+    found = asked(batches=(4, 8), layouts=("square", "mixture"))
+    variants = [("env", "square"), ("env", "mixture"), ("ppo", "auto")]
+    variants += [("physics", tyres) for tyres in ("brush", "mjx.step", "contact")]
+    assert [(job.what, job.variant, job.lots) for job in found] == [
+        (*variant, lots) for variant in variants for lots in (4, 8)
     ]
-    assert asked == [(*variant, lots) for variant in variants for lots in (4, 8)]
-
-
-def test_only_env_has_several_numbers_of_agents():
-    config = BenchmarkConfig(cars=("brush",), num_agents=(1, 4))
-    asked = [(job.what, job.num_agents) for job in jobs_of(config)]
-    assert asked == [("env", 1), ("env", 4), ("ppo", 1), ("physics", 1)]
-
-
-def test_only_ppo_has_several_runs_side_by_side():
-    config = BenchmarkConfig(cars=("brush",), runs=(1, 4))
-    asked = [(job.what, job.runs) for job in jobs_of(config)]
-    assert asked == [("env", 1), ("ppo", 1), ("ppo", 4), ("physics", 1)]
+    # Only env has several numbers of agents, and only ppo several runs side by side.
+    agents = [(x.what, x.num_agents) for x in asked(cars=("brush",), num_agents=(1, 4))]
+    assert agents == [("env", 1), ("env", 4), ("ppo", 1), ("physics", 1)]
+    runs = [(job.what, job.runs) for job in asked(cars=("brush",), runs=(1, 4))]
+    assert runs == [("env", 1), ("ppo", 1), ("ppo", 4), ("physics", 1)]
 
 
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--batch", "4"], "Unrecognized options: --batch, 4"),
-        (["--batches", "0"], "batches must be at least 1, not (0,)"),
-        (["--steps", "many"], "many"),
-        (["--out", "FOLDER/missing/benchmark.csv"], "cannot use"),
+        ("--batch 4", "Unrecognized options: --batch, 4"),
+        ("--batches 0", "batches must be at least 1, not (0,)"),
+        ("--steps many", "many"),
+        ("--out FOLDER/missing/benchmark.csv", "cannot use"),
+        ("--what start --environments nowhere", "nowhere"),
+        ("--what start env", "start"),
     ],
 )
 def test_bad_input_is_one_sentence_and_exit_code_2(flags, said, tmp_path, capsys):
-    flags = [flag.replace("FOLDER", str(tmp_path)) for flag in flags]
-    assert exit_code("benchmark", flags) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("benchmark: ")
-    assert said in error
-    assert error.count("\n") == 1
+    words = flags.replace("FOLDER", str(tmp_path)).split()
+    assert_refused(capsys, "benchmark", words, said)
 
 
 @pytest.mark.slow

@@ -4,8 +4,6 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import pytest
-from helpers.programs import exit_code
 
 from carpark_mj.benchmarking.start import Start, count_equations, rows
 
@@ -45,14 +43,3 @@ def test_rows_are_medians_of_both_processes():
     assert row["first: total [s]"] == "10.0"
     assert row["second: total [s]"] == "2.0"
     assert row["step equations"] == "6,000"
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("--what", "start", "--environments", "nowhere"),
-        ("--what", "start", "env"),
-    ],
-)
-def test_starts_that_cannot_be_measured_are_refused(words):
-    assert exit_code("benchmark", words) == 2
