@@ -136,7 +136,7 @@ def test_a_summary_is_what_a_hand_count_gives():
     assert summary["final_heading"] == pytest.approx(0.2)
 
 
-def test_a_summary_has_each_metric_once_and_by_the_catalogue_s_name():
+def test_a_summary_has_each_metric_of_the_catalogue_once():
     rows = random_episodes(3)
     names = [metric.name for metric in metrics() if metric.name in rows[0]]
     assert list(summarize(rows)) == ["episodes", *names, "mean_returns"]
@@ -152,7 +152,7 @@ def test_no_episodes_have_rates_that_could_be_anything():
         assert rate == {"low": 0.0, "high": 1.0, "count": 0.0}
 
 
-def test_the_share_of_the_wrong_way_weighs_episodes_by_the_way_driven():
+def test_the_wrong_way_share_weighs_by_the_way_driven():
     rows = [episode(path=path) for path in (30.0, 10.0)]
     assert "wrong_way_share" not in summarize(rows)
     rows = [
@@ -170,7 +170,7 @@ def test_returns_by_term_are_means_over_episodes():
     assert summarize(rows)["mean_returns"] == {"park": 2.0, "time": -1.0}
 
 
-def test_conformity_adds_steps_up_over_episodes_before_it_divides():
+def test_conformity_adds_up_steps_before_it_divides():
     counts = [(8.0, 8.0), (1.0, 0.0), (0.0, 0.0)]
     none = {"met_local_same": 0.0, "gave_way_local_same": 0.0}
     rows = [
@@ -205,7 +205,7 @@ def in_lots(outcomes, **stratum):
     ]
 
 
-def test_episodes_that_repeat_those_of_their_lots_tell_nothing_new():
+def test_episodes_that_repeat_tell_nothing_new():
     rng = np.random.default_rng(1)
     lots = rng.uniform(size=(40, 5)) < rng.uniform(0.2, 1, size=(40, 1))
     one = effective_episodes("parked", in_lots(lots))
@@ -228,7 +228,7 @@ def test_two_lots_of_three_episodes_by_hand():
     assert effective_episodes("parked", families) == pytest.approx(6 / 2.5)
 
 
-def test_differences_between_families_leave_no_doubt_about_a_rate():
+def test_differences_of_families_leave_no_doubt_of_a_rate():
     rows = in_lots([[1, 1, 1, 1, 0]] * 10 + [[1, 0, 0, 0, 0]] * 10)
     apart = [row | {"family": "ab"[row["lot"] >= 10]} for row in rows]
     assert effective_episodes("parked", apart) == 100
@@ -268,7 +268,7 @@ def drive(path=9.0, hit=0.0, speed=0.0):
     return {"path": path, "hit_person": hit, "peak_contact_speed": speed}
 
 
-def test_every_contact_is_in_one_class_and_cars_that_stood_do_not_count():
+def test_every_contact_of_cars_that_drove_is_in_one_class():
     speeds = (0.0, 0.4, 0.5, 1.0, 1.7, 2.4)
     rows = [drive(hit=1.0, speed=speed) for speed in speeds]
     rows += [drive()] * 94 + [drive(path=0.05)] * 50
@@ -281,7 +281,7 @@ def test_every_contact_is_in_one_class_and_cars_that_stood_do_not_count():
     assert (rate["low"], rate["high"]) == pytest.approx(wilson_interval(6, 100))
 
 
-def test_without_a_contact_there_is_an_upper_bound_and_without_people_nothing():
+def test_without_a_contact_there_is_an_upper_bound():
     found = contacts([drive()] * 40_000)
     assert found is not None
     assert found["1..2"]["low"] == 0.0
