@@ -132,7 +132,7 @@ def test_the_reward_terms_are_all_there_with_their_weights():
         assert f"`{field.name}`" in MDP or field.name == "goals", field.name
 
 
-def test_the_terms_of_dynamic_goals_are_all_there_with_their_defaults():
+def test_the_terms_of_dynamic_goals_are_all_there():
     weights = goal_weights(EnvConfig()) | {"bad_goal": GivingWayConfig().bad_goal}
     found = [row[:2] for row in cells(MDP, "goal terms")]
     assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]

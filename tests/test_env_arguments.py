@@ -8,7 +8,7 @@ from helpers.sliding import HALT, slide
 from carpark_mj.env import ParkingEnv
 
 
-def test_float64_is_refused_where_an_environment_is_built_or_used():
+def test_float64_is_refused():
     env, reset, step = slide()
     state = reset(jax.random.key(0))[0]
     calls = (

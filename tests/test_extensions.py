@@ -78,9 +78,7 @@ def test_an_extension_that_does_not_import_is_named(extension):
             load_extensions()
 
 
-def test_one_that_is_not_found_is_told_from_one_that_misses_a_module(
-    extension, monkeypatch
-):
+def test_a_lost_extension_is_told_from_a_missing_module(extension, monkeypatch):
     extension("trial_needy", "import nowhere_to_be_found")
     with pytest.raises(ValueError, match="nowhere_to_be_found") as caught:
         load_extensions()

@@ -59,7 +59,7 @@ def make_runs(folder, counts=(1, 2), seeds=2):
     return sorted(str(path) for path in folder.iterdir())
 
 
-def test_runs_of_equal_settings_are_a_point_in_order_of_value_and_seed():
+def test_runs_of_equal_settings_are_a_point_in_order():
     points = group({"ours": RECORDS}, ["env.num_agents"])
     assert [point.values for point in points] == [(2.0,), (10.0,)]
     assert points[0].numbers("parked") == [0.9, 0.85, 0.1]
@@ -100,9 +100,7 @@ def test_a_summary_becomes_one_number_per_name():
     assert flat_metrics(summary) == {"parked": 0.5, "length": 3.0, "jerk_p95": 2.0}
 
 
-def test_a_curve_ends_at_an_unfinished_line_and_skips_updates_without_episodes(
-    tmp_path,
-):
+def test_a_curve_skips_updates_without_episodes(tmp_path):
     make_runs(tmp_path, (1,), 1)
     assert read_curve(tmp_path / "a1-0", "episode/parked") == [(200, 0.1), (300, 0.5)]
     assert read_curve(tmp_path / "a1-0", "other") == []

@@ -37,7 +37,7 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
     assert 170 <= held <= 199  # 95 %, and a bootstrap of few is a little narrow
 
 
-def test_strata_keep_differences_between_points_out_of_the_interval():
+def test_strata_keep_differences_out_of_the_interval():
     near, far = RNG.normal(0.0, 0.01, 8), RNG.normal(10.0, 0.01, 8)
     apart, mixed = spread([near, far]), spread([np.concatenate([near, far])])
     assert apart.iqm == mixed.iqm

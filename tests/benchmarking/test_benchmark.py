@@ -101,9 +101,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(flags, said, tmp_path, capsys
 
 
 @pytest.mark.slow
-def test_a_job_is_measured_in_a_process_of_its_own_without_compiled_programs(
-    monkeypatch,
-):
+def test_a_job_is_measured_in_a_process_of_its_own(monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/nonexistent")
     result = benchmarking.run_job(JOB)
     assert result.what == "physics brush 10 ms"
@@ -151,7 +149,7 @@ def test_a_process_that_fails_is_named_in_one_line(monkeypatch, code, stderr, sa
     ("tyres", "ms", "substeps"),
     [("brush", 10, 20), ("mjx.step", 10, 20), ("contact", 4, 50)],
 )
-def test_each_tyre_model_runs_at_the_substep_of_its_physics_report(tyres, ms, substeps):
+def test_each_tyre_model_runs_at_its_own_substep(tyres, ms, substeps):
     subject = benchmarking.physics_subject(dataclasses.replace(JOB, variant=tyres))
     assert subject.what == f"physics {tyres} {ms} ms"
     assert subject.count == 3 * 2 * substeps  # cars, control steps of 0.2 s
@@ -189,7 +187,7 @@ def test_a_gpu_has_its_own_name_and_its_own_memory(monkeypatch):
     assert benchmarking.peak_memory() == 123
 
 
-def test_a_measurement_that_fails_says_last_why_not_what_jax_notes(capsys, monkeypatch):
+def test_a_measurement_that_fails_says_last_why(capsys, monkeypatch):
     error = RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nallocating 9 GB")
     error.add_note("--------------------\nJAX has removed its internal frames.")
 

@@ -236,7 +236,7 @@ def test_traces_are_the_fewest_that_respect_their_longest_time(
     assert sim.ctrl_dt / sim.num_traces <= sim.trace_dt + 1e-9
 
 
-def test_tyres_need_fine_substeps_and_physics_without_tyres_take_any():
+def test_only_tyres_need_fine_substeps():
     coarse = SimConfig(sim_dt=0.04, trace_dt=0.05)
     for physics in ("mjx", "scene"):
         with pytest.raises(ValueError, match=r"brush tyres .* most 0.02 s, not 0.04"):
@@ -266,7 +266,7 @@ def test_every_layout_has_a_known_family():
         assert FAMILIES[config.family] is type(config)
 
 
-def test_values_are_found_by_their_paths_and_the_config_stays_as_it_is():
+def test_values_are_inserted_by_their_paths():
     config = EnvConfig()
     new = insert(config, {"reward.park": 3.0, "num_agents": 5})
     assert (new.reward.park, new.num_agents) == (3.0, 5)

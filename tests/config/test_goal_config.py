@@ -22,9 +22,7 @@ BAD_REWARDS = [
 
 
 @pytest.mark.parametrize(("change", "message"), BAD_REWARDS)
-def test_rewards_that_break_the_constraints_are_refused_with_dynamic_goals(
-    change, message
-):
+def test_rewards_that_break_the_constraints_are_refused(change, message):
     reward = RewardConfig(goals=GoalRewards(**change))
     EnvConfig(reward=reward)  # nobody is paid for fixed goals
     with pytest.raises(ValueError, match=message) as caught:
@@ -37,7 +35,7 @@ def test_rewards_that_obey_the_constraints_to_rounding_are_taken():
     assert EnvConfig(goals=DYNAMIC, reward=RewardConfig(goals=pay)).goals.dynamic
 
 
-def test_changing_goals_may_cost_nothing_as_in_a_run_of_the_study():
+def test_changing_goals_may_cost_nothing():
     pay = GoalRewards(change_goal=0.0)
     reward = EnvConfig(goals=DYNAMIC, reward=RewardConfig(goals=pay)).reward
     assert reward.goals.stop == 0.0  # by rule (3.5)

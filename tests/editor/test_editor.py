@@ -60,7 +60,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("text", FAULTS)
-def test_a_fault_names_its_rows_and_whether_an_environment_takes_the_lot(text):
+def test_a_fault_names_its_rows_and_whether_it_is_grave(text):
     lot, rows, grave = FAULTS[text]
     [fault] = find_faults(lot)
     assert (fault["text"], fault["grave"]) == (text, grave)

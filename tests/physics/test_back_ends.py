@@ -82,7 +82,7 @@ def trial(config=BASE, **traits):
 
 
 @pytest.mark.parametrize("contacts", [False, True])
-def test_finished_cars_roll_on_with_contacts_and_stay_put_without(contacts):
+def test_finished_cars_roll_on_with_contacts_only(contacts):
     env = trial(contacts=contacts)
     state, _ = jax.jit(env.reset)(jax.random.key(0))
     physics = env.physics.set_speed(state.physics, jnp.array([2.0, 2.0]))

@@ -87,7 +87,7 @@ def test_five_seconds_with_a_braked_turn_agree_with_c_mujoco():
     assert np.abs(poses - expected).max() < 1e-3
 
 
-def test_full_braking_stops_the_car_where_the_formula_says_and_does_not_throw_it():
+def test_full_braking_stops_by_the_formula_without_a_throw():
     pose, speed, height = (x[list(CASES).index("stop")] for x in driven())
     begin = round(2.0 / SIM.ctrl_dt) - 1
     top = speed[begin]

@@ -43,9 +43,7 @@ def tracks(record) -> dict[object, Track]:
 
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("degrees", TURN_ANGLES)
-def test_a_car_steered_left_turns_left_forwards_and_right_in_reverse(
-    tracks, way, degrees
-):
+def test_a_car_turns_left_forwards_and_right_in_reverse(tracks, way, degrees):
     yaw = np.unwrap(tracks["left", degrees, way].pose[:, 2])
     assert np.sign(yaw[-1] - yaw[250]) == way
 
@@ -63,7 +61,7 @@ def test_gravity_on_a_slope_keeps_its_size_and_points_downhill():
     assert gravity_vector(SimConfig()) == (0.0, 0.0, -GRAVITY)
 
 
-def test_a_ramp_is_a_slope_between_its_ends_and_begins_over_three_metres():
+def test_a_ramp_is_a_slope_that_begins_over_three_metres():
     sim = SimConfig(grade_x=0.02, ramp=(10.0, 20.0, 0.1))
     for x, grade in [
         (0.0, 0.02),
@@ -108,9 +106,7 @@ def test_no_wheel_chatters_at_training_time_steps(tracks, inertia, stiffer):
 
 @pytest.mark.parametrize("stiffer", STIFFENINGS)
 @pytest.mark.parametrize("inertia", WHEEL_INERTIAS)
-def test_rolling_wheels_turn_as_fast_as_the_car_drives_and_stop_with_it(
-    tracks, inertia, stiffer
-):
+def test_wheels_turn_as_the_car_drives_and_stop_with_it(tracks, inertia, stiffer):
     track = tracks["wheels", inertia, stiffer]
     for cruise, stand in ((390, 600), (910, 1100)):
         rolling = track.spin[cruise] * COMPACT.wheel_radius

@@ -65,7 +65,7 @@ WAYS = {
 
 
 @pytest.mark.parametrize(("speed", "command"), WAYS)
-def test_it_brakes_where_the_way_to_a_stop_leaves_less_than_the_gap(speed, command):
+def test_it_brakes_where_a_stop_leaves_less_than_the_gap(speed, command):
     side = np.sign(speed or command)
     for more, brakes in ((-0.02, True), (0.02, False)):
         gap = WAYS[speed, command] + GAP + ASIDE + more
@@ -95,7 +95,7 @@ def test_it_brakes_for_whom_it_would_drive_at(who):
     assert bool(got < 0.0) == brakes
 
 
-def test_the_steering_is_held_while_it_brakes_and_else_the_drivers():
+def test_the_steering_is_held_while_it_brakes():
     near, far = (HALF[0] + 0.5, 0.0, 0.0, 0.0), (HALF[0] + 5.0, 0.0, 0.0, 0.0)
     for person, brakes in ((near, True), (far, False)):
         state = scene(1.0, person, steering=0.25 * COMPACT.max_steering)
@@ -117,7 +117,7 @@ def test_cars_turn_wider_than_they_steer():
         assert bool(pedal(state, [1.0, 0.0]) < 0.0) == brakes
 
 
-def test_only_people_who_are_there_count_and_without_any_the_controls_are_the_same():
+def test_only_people_who_are_there_count():
     near, controls = (HALF[0] + 0.5, 0.0, 0.0, 0.0), jnp.array([[0.3, 0.7]])
     assert float(pedal(scene(1.0, near), controls[0])) == -1.0
     absent = scene(1.0, near, present=False)
@@ -188,7 +188,7 @@ def drive():
     return [jax.device_get(run(lots, keys, on)) for on in (True, False)]
 
 
-def test_who_drives_at_people_hits_them_without_it_and_nobody_with_it(drive):
+def test_emergency_brake_prevents_hits_of_people(drive):
     (hit, speed), (hits, _) = drive
     assert not hit.any()
     assert (hits.sum(axis=(0, 1)) > 10).all()

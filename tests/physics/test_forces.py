@@ -92,7 +92,7 @@ def scaled_to_nothing(wheel):
     return wheel.replace(tyre=nothing.replace(**keep))
 
 
-def test_scenes_without_the_cars_first_joints_place_forces_by_address():
+def test_scenes_place_forces_by_address():
     class Shifted:
         root_dof, nv = 3, 20
         steer_dof, spin_dof = np.array([9, 11]), np.array([10, 12, 13, 14])

@@ -37,7 +37,7 @@ def test_parked_cars_stay_where_they_were_set(physics):
     np.testing.assert_array_equal(physics.parked_poses(state, parked), parked)
 
 
-def test_placed_cars_are_at_rest_with_their_vehicle_and_others_are_left_alone(physics):
+def test_placed_cars_are_at_rest_and_others_left_alone(physics):
     old = physics.init(POSE, vehicles(COMPACT, COMPACT))
     mask = jnp.array([True, False])
     new = physics.place(old, mask, POSE[::-1], vehicles(SUV, SUV))

@@ -100,7 +100,7 @@ def test_full_brake_stops_within_v_squared_over_2a(run, name, variant):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_on_ice_the_brake_locks_the_wheels_and_friction_stops_the_car(run, name):
+def test_on_ice_wheels_lock_and_friction_stops_the_car(run, name):
     _, speed = run[name, "ice"]
     # The last second above 0.4 m/s: wheels that spun on the throttle are locked.
     end = BRAKE + np.argmax(speed[BRAKE:] < 0.4)

@@ -61,7 +61,7 @@ def test_a_spring_carries_its_corner_without_the_wheel():
         assert spring == pytest.approx(force, rel=1e-9)
 
 
-def test_a_balanced_car_bounces_at_the_root_of_stiffness_over_mass():
+def test_a_balanced_car_bounces_at_its_natural_frequency():
     # Sprung centre of gravity midway, hardly damped: heave alone, sqrt(4 k / m) / 2 pi.
     knuckles = 2 * COMPACT.knuckle_mass * COMPACT.wheelbase / 2 / COMPACT.mass
     tyre = dataclasses.replace(COMPACT.tyre, vertical_damping=1.0)
@@ -84,7 +84,7 @@ def test_a_balanced_car_bounces_at_the_root_of_stiffness_over_mass():
     assert np.ptp(data.qpos[4:6]) < 1e-3  # it does not pitch
 
 
-def test_it_pitches_rolls_turns_and_stops_by_the_formulas_and_stands_still():
+def test_it_pitches_rolls_turns_and_stops_by_the_formulas():
     study = Study(ContactTestbed(), "compact", COMPACT, quick=True)
     chassis.suspension(study)
     missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]

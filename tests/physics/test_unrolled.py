@@ -72,7 +72,7 @@ def test_five_seconds_of_driving_agree_with_mjx(x64, tolerance, ground):
     assert np.abs(ours - expected).max() < tolerance
 
 
-def test_brush_tyres_are_stepped_unrolled_unless_mjx_is_asked_for():
+def test_brush_tyres_are_stepped_unrolled_by_default():
     steps = {"auto": UnrolledStep, "unrolled": UnrolledStep, "mjx": MjxStep}
     for stepper, kind in steps.items():
         assert isinstance(MjxPhysics(SimConfig(stepper=stepper))._step, kind)

@@ -234,7 +234,7 @@ def test_the_wheel_turns_at_a_rate_and_comes_back():
     assert hold([], hold(["RIGHT"], steps=20)).steer == pytest.approx(-0.6)
 
 
-def test_the_brake_acts_against_the_motion_and_lets_a_standing_car_stand():
+def test_the_brake_acts_against_the_motion():
     assert hold(["SPACE", "UP"], speed=2.0).pedal == -1.0
     assert hold(["SPACE"], speed=-2.0).pedal == 1.0
     assert hold(["SPACE"]).pedal == stop(0.05) == 0.0
@@ -244,7 +244,7 @@ def gamepad(stick=0.0, left=-1.0, right=-1.0):
     return from_gamepad([stick, 0.0, 0.0, 0.0, left, right])
 
 
-def test_a_gamepad_at_rest_does_nothing_and_at_the_stops_everything():
+def test_a_gamepad_acts_from_rest_to_its_stops():
     assert gamepad() == Controls(0.0, 0.0)
     assert gamepad(stick=0.09).steer == 0.0  # dead zone
     assert gamepad(stick=-1.0).steer == 1.0

@@ -33,7 +33,7 @@ def test_a_terminated_step_is_worth_its_reward():
     np.testing.assert_allclose(target, [1.55, 1.0, 3.0], rtol=1e-6)
 
 
-def test_a_truncated_step_is_masked_and_the_one_before_it_bootstrapped():
+def test_a_truncated_step_is_masked_and_bootstrapped():
     advantage, target = three_steps((1, 2, 1), NEVER, SECOND)
     # The first: 1 + 0.5 * 2 - 1, as if the second step had met its value of 2.
     np.testing.assert_allclose(advantage, [1.0, 0.0, 0.0])

@@ -88,7 +88,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow
-def test_devices_learn_together_what_one_learns_from_all_their_steps(tmp_path):
+def test_devices_learn_together_what_one_learns(tmp_path):
     splitting.assert_alike(splitting.learned_by("brax", tmp_path / "learned.npz"))
 
 
@@ -102,7 +102,7 @@ def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):
 
 
 @pytest.mark.slow
-def test_devices_with_the_same_lots_act_learn_and_draw_lots_differently(monkeypatch):
+def test_devices_act_learn_and_draw_lots_differently(monkeypatch):
     config = PPOConfig(
         num_lots=2,
         lot_life=1,  # all are drawn anew after the update

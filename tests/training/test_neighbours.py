@@ -186,7 +186,7 @@ def test_advantages_have_the_share_of_the_progress(monkeypatch, done, part):
     np.testing.assert_array_equal(together, own)
 
 
-def test_shares_are_of_the_own_lot_where_absent_agents_are_dropped(monkeypatch):
+def test_shares_are_of_the_own_lot_if_absent_are_dropped(monkeypatch):
     """The agents kept are in another order; one of three is absent in every lot."""
     present = np.ones((LOTS, AGENTS), bool)
     present[np.arange(LOTS), np.arange(LOTS) % AGENTS] = False
@@ -204,7 +204,7 @@ def test_shares_are_of_the_own_lot_where_absent_agents_are_dropped(monkeypatch):
     np.testing.assert_allclose(shared.sum(), 2 * alone.sum(), rtol=1e-4)
 
 
-def test_the_mean_is_of_those_that_are_kept_where_some_present_are_dropped(monkeypatch):
+def test_the_mean_is_of_those_that_are_kept(monkeypatch):
     """All are alike, so the mean is the own advantage, or 0 where all are dropped."""
     others = ~jnp.tile(jnp.eye(AGENTS, dtype=bool), (LOTS, 1))
     near = jnp.broadcast_to(others, (TIME, *others.shape))

@@ -157,7 +157,7 @@ def test_a_model_with_the_observation_inside_is_checked_too(
         assert exit_code("export", flags) == code
 
 
-def test_observations_of_a_rollout_are_those_of_agents_that_drive(trained, quick):
+def test_observations_of_a_rollout_are_of_agents_that_drive(trained, quick):
     loaded, count = loading.load_policy(trained), command.CHECKED
     seen = command.rollout(loaded, count, 0)["observation"]
     assert seen.shape == (count, observation_size(TINY.env))
@@ -182,7 +182,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(case, trained, capsys):
     assert message in told(capsys)
 
 
-def test_without_its_packages_a_model_is_refused_and_a_checkpoint_is_not(
+def test_without_packages_models_are_refused_not_checkpoints(
     trained, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

@@ -112,7 +112,7 @@ def test_lots_take_turns_and_none_lasts_longer_than_its_life(num_lots, life):
             assert set(np.diff(times)) == {life}
 
 
-def test_an_update_draws_the_lots_that_are_due_and_keeps_the_others(history):
+def test_an_update_renews_lots_that_are_due_and_no_others(history):
     _, _, seen, _ = history
     for number, (before, after) in enumerate(itertools.pairwise(seen)):
         due = due_lots(number, LOTS, CONFIG.lot_life).tolist()
@@ -139,7 +139,7 @@ def test_a_renewed_lot_is_a_fresh_one_and_the_others_stay(renewal):
         np.testing.assert_array_equal(new[[0, 1, 4, 5]], old[[0, 1, 4, 5]])
 
 
-def test_the_episodes_cut_off_are_bootstrapped_in_the_lot_they_were_in(renewal):
+def test_episodes_cut_off_are_bootstrapped_in_their_lot(renewal):
     """The last step of an unroll keeps what the agents saw before the renewal."""
     (rollout, totals), before, after, _ = renewal
     assert rollout.observation.shape[:2] == (UNROLL, LOTS * AGENTS)

@@ -8,11 +8,7 @@ from jax.errors import JaxRuntimeError
 
 from carpark_mj.files import write_json
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.policy.runs import (
-    CONFIG_VERSION,
-    latest_checkpoint,
-    save_checkpoint,
-)
+from carpark_mj.policy.runs import CONFIG_VERSION, latest_checkpoint, save_checkpoint
 from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS, summaries
 from carpark_mj.training.run_folder import (
@@ -102,7 +98,7 @@ def fail(config, error, write):
 
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
-def test_a_run_that_fails_before_its_first_checkpoint_leaves_no_folder(tmp_path, error):
+def test_a_run_without_a_checkpoint_leaves_no_folder(tmp_path, error):
     config = PPOConfig(name="mine", runs_dir=str(tmp_path))
     for _ in range(2):  # the name is free again
         with pytest.raises(type(error)):
@@ -127,7 +123,7 @@ def test_what_was_trained_or_interrupted_or_resumed_is_kept(tmp_path):
     assert latest_checkpoint(tmp_path / "other").is_file()
 
 
-def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_path):
+def test_settings_come_back_and_older_versions_are_refused(tmp_path):
     config = PPOConfig(name="mine", runs_dir=str(tmp_path), clip=0.3)
     with open_run(config) as folder:
         assert read_config(PPOConfig, folder) == config
@@ -144,7 +140,7 @@ def test_settings_of_a_run_come_back_and_those_of_an_older_version_do_not(tmp_pa
             read_config(PPOConfig, folder)
 
 
-def test_a_checkpoint_with_settings_of_nonsense_is_not_resumed_from(tmp_path):
+def test_settings_of_nonsense_are_not_resumed_from(tmp_path):
     settings = dataclasses.asdict(PPOConfig())
     for junk in ({"clip": "-1"}, {"entropy_cost": "../../etc/passwd"}, {"seed": [1]}):
         header = {"config": settings | junk}
@@ -201,7 +197,7 @@ def test_a_resumed_run_keeps_its_preset(tmp_path):
         read(*flags, "square")
 
 
-def test_a_resumed_run_is_given_no_setting_even_if_it_is_the_preset_s(tmp_path):
+def test_a_resumed_run_takes_no_setting(tmp_path):
     config = dataclasses.replace(PRESETS["square"], seed=4)
     write_json(tmp_path / "config.json", describe(config))
     default = read()

@@ -62,7 +62,7 @@ CONFIG = PPOConfig(
         ((0.9, 0.95, 1.0), (0.5, 0.25, 0.25)),
     ],
 )
-def test_half_of_the_probability_is_by_share_and_half_by_shortfall(rates, expected):
+def test_probabilities_are_half_by_share_half_by_shortfall(rates, expected):
     np.testing.assert_allclose(THREE.probabilities(jnp.array(rates)), expected, 1e-5)
 
 
@@ -94,7 +94,7 @@ def test_rates_are_running_means_by_episodes_of_each_member():
     np.testing.assert_allclose(far, [0.5, 0.5, 0.25], atol=1e-6)
 
 
-def test_where_numbers_of_agents_vary_half_is_by_the_shortfall_of_pairs():
+def test_pairs_are_drawn_half_by_their_shortfall():
     rates = jnp.array([0.9, 0.8, 0.95, 0.6])
     # By share 3/8, 3/8, 1/8, 1/8; shortfalls 0, 0.1, 0 and 0.3.
     expected = np.array([3 / 16, 3 / 16 + 1 / 8, 1 / 16, 1 / 16 + 3 / 8])
@@ -105,7 +105,7 @@ def test_where_numbers_of_agents_vary_half_is_by_the_shortfall_of_pairs():
     np.testing.assert_allclose(share, expected, atol=0.04)  # five deviations
 
 
-def test_rates_of_pairs_are_of_what_was_drawn_and_reported_as_means():
+def test_rates_of_pairs_are_reported_as_means():
     many = 20 * MEMORY  # episodes that leave nothing of what was before
     parked = jnp.array([0.1, 0.2, 0.3, 0.4]) * many
     totals = Totals(jnp.full(4, many), {"parked": parked}, {})
@@ -119,7 +119,7 @@ def test_rates_of_pairs_are_of_what_was_drawn_and_reported_as_means():
     assert found == pytest.approx(expected)
 
 
-def test_new_lots_have_the_numbers_of_agents_that_were_drawn_for_them():
+def test_new_lots_have_the_numbers_of_agents_drawn():
     config = dataclasses.replace(CONFIG.env, num_agents=3, min_agents=1)
     env = BraxParking(ParkingEnv(config, SlidePhysics()))
     keys, member = jax.random.split(jax.random.key(0), 4), jnp.array([0, 1, 1, 0])
@@ -136,7 +136,7 @@ def test_new_lots_have_the_numbers_of_agents_that_were_drawn_for_them():
         np.testing.assert_array_equal(state.info["num_present"], np.repeat(expected, 3))
 
 
-def test_one_family_is_drawn_by_the_shortfall_of_its_numbers_of_agents():
+def test_one_family_is_drawn_by_its_numbers_of_agents():
     def probabilities(counts, rates):
         families = make_families(0.9, layout_config("street"), counts)
         return families.probabilities(jnp.array(rates))

@@ -87,7 +87,7 @@ def test_a_training_collects_with_its_teacher_and_neighbours(monkeypatch, share)
     assert more["with_neighbours"] == (share > 0.0)
 
 
-def test_its_weight_falls_linearly_to_zero_and_without_there_is_none():
+def test_a_teacher_s_weight_falls_to_zero_and_none_has_none():
     config = dataclasses.replace(TAUGHT, teacher_cost=4.0, teacher_until=0.5)
     progress = jnp.array([0.0, 0.125, 0.5, 0.9])
     found = jnp.stack([jnp.asarray(teacher_cost(config, x)) for x in progress])
@@ -96,7 +96,7 @@ def test_its_weight_falls_linearly_to_zero_and_without_there_is_none():
     assert teacher_cost(CurriculumConfig(), jnp.float32(0.0)) is None
 
 
-def test_the_loss_counts_the_distance_of_the_mode_where_steps_count():
+def test_the_loss_counts_the_distance_of_modes_by_weight():
     networks = make_networks(
         NetworkConfig((4,), (4,), encoder="flat"),
         [Field("x", 3, -1.0, 1.0, "")],

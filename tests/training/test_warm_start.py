@@ -253,7 +253,7 @@ def test_rays_of_another_reach_are_refused(other):
         warm_start(config, other[1])
 
 
-def test_a_new_kind_of_entities_changes_nothing_and_is_learned_from(tmp_path):
+def test_a_new_kind_of_entity_is_learned_from(tmp_path):
     seen = ContinuousObservation(tracked_parked_cars=0)
     env = dataclasses.replace(TINY.env, observation=seen)
     narrow = parked_learner(dataclasses.replace(TINY, env=env))

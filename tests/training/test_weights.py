@@ -95,7 +95,7 @@ def test_nothing_is_learned_from_steps_without_weight(learner):
     assert max(np.abs(x).max() for x in jax.tree.leaves(expected[0])) > 1e-3
 
 
-def test_an_update_counts_the_steps_of_agents_that_are_present_only(learner):
+def test_an_update_counts_steps_of_present_agents_only(learner):
     start = learner.init()
     present = np.asarray(start.env.pipeline_state.present)
     steps = int(present.sum()) * TINY.unroll_length
@@ -169,7 +169,7 @@ def agents_of(steps):
 
 
 @pytest.mark.parametrize(("count", "dropped"), [(8, 0), (6, 0), (5, 0), (3, 2)])
-def test_absent_agents_are_dropped_first_and_present_ones_at_random(count, dropped):
+def test_absent_agents_are_dropped_first_others_at_random(count, dropped):
     present = np.array([1, 0, 1, 1, 0, 0, 1, 1])
     drop = jax.jit(drop_absent, static_argnums=1)
     seen = set()
