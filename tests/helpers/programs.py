@@ -31,12 +31,13 @@ oracle = functools.partial(exit_code, "oracle")
 
 
 def assert_refused(capsys: Any, program: str, arguments: Sequence[str], said: str):
-    """Asserts exit code 2 and one line on stderr, which says why."""
+    """Asserts exit code 2 and one line on stderr, which says why; returns it."""
     assert exit_code(program, arguments) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"{program}: ")
     assert said in told
     assert told.count("\n") == 1
+    return told
 
 
 def python(*arguments: Any, cwd: Any = None, **variables: str | None):
