@@ -83,32 +83,29 @@ def test_steps_are_pooled_and_shares_of_episodes_averaged():
     assert math.isnan(pool(BY_NAME["speed"], []))
 
 
-def test_crashes_at_the_start_are_those_of_the_first_step():
-    lengths = np.arange(1.0, 5.0)
-    rows = [episode(length, crashed=1.0) for length in lengths]
-    found = [row["crashed_at_start"] for row in rows]
+def test_what_follows_from_the_numbers_of_an_episode():
+    rows = [episode(length, crashed=1.0) for length in np.arange(1.0, 5.0)]
     # The study counts crashes at a step count below 2.
-    assert found == [1.0, 0.0, 0.0, 0.0]
+    assert [row["crashed_at_start"] for row in rows] == [1.0, 0.0, 0.0, 0.0]
     assert episode(1.0, parked=1.0)["crashed_at_start"] == 0.0
+    # The time to park is of parked episodes only.
+    rows = [episode(10, parked=1.0), episode(20, parked=1.0), episode(50)]
+    assert pool(BY_NAME["time_to_park"], rows) == pytest.approx(3.0)
+    assert math.isnan(pool(BY_NAME["time_to_park"], rows[2:]))
+    assert math.isnan(rows[2]["time_to_park"])
+    # The least clearance is to whatever was nearest.
+    near = {"agent": 3, "parked_car": 1, "wall": 2}
+    near = {f"min_clearance_{kind}": gap for kind, gap in near.items()}
+    assert episode(**near)["min_clearance"] == 1
+    # Returns by term are means over episodes.
+    rows = [episode(return_park=park, return_time=-1.0) for park in (4.0, 0.0)]
+    assert summarize(rows)["mean_returns"] == {"park": 2.0, "time": -1.0}
 
 
 def test_extremes_have_a_median_a_quantile_and_the_worst():
     rows = [episode(peak_jerk=float(k), min_clearance=float(k)) for k in range(100)]
     assert pool(BY_NAME["peak_jerk"], rows) == {"median": 49, "p95": 94, "max": 99}
     assert pool(BY_NAME["min_clearance"], rows) == {"median": 49, "p5": 4, "min": 0}
-
-
-def test_time_to_park_is_of_parked_episodes_only():
-    rows = [episode(10, parked=1.0), episode(20, parked=1.0), episode(50)]
-    assert pool(BY_NAME["time_to_park"], rows) == pytest.approx(3.0)
-    assert math.isnan(pool(BY_NAME["time_to_park"], rows[2:]))
-    assert math.isnan(rows[2]["time_to_park"])
-
-
-def test_the_least_clearance_is_to_whatever_was_nearest():
-    near = {"agent": 3, "parked_car": 1, "wall": 2}
-    near = {f"min_clearance_{kind}": gap for kind, gap in near.items()}
-    assert episode(**near)["min_clearance"] == 1
 
 
 def outcome_row(outcome, hit="", **numbers):
@@ -163,11 +160,6 @@ def test_the_wrong_way_share_weighs_by_the_way_driven():
     assert summarize(rows)["wrong_way_share"] == pytest.approx(8 / 40)
     still = [episode(path=0.0, wrong_way=0.0)]
     assert math.isnan(summarize(still)["wrong_way_share"])
-
-
-def test_returns_by_term_are_means_over_episodes():
-    rows = [episode(return_park=park, return_time=-1.0) for park in (4.0, 0.0)]
-    assert summarize(rows)["mean_returns"] == {"park": 2.0, "time": -1.0}
 
 
 def test_conformity_adds_up_steps_before_it_divides():

@@ -14,7 +14,7 @@ RADIUS = COMPACT.wheel_radius
 LOCKED = np.full(4, 1e5, np.float32)  # N m, more brake torque than any tyre can turn
 FREE = np.zeros(4, np.float32)
 MIRROR = np.array([1, 0, 3, 2])  # left to right
-FREELY, LOCKED_FAST = WheelTorques(FREE, FREE), WheelTorques(FREE, LOCKED)
+ROLLING, BRAKED = WheelTorques(FREE, FREE), WheelTorques(FREE, LOCKED)
 
 
 def four_wheels(vehicle: Vehicle) -> Wheel:
@@ -75,7 +75,7 @@ def roll_to_steady_state(
             spin, state = carry
             motion = wheels(forward=speed, left=speed * np.tan(slip_angle))
             motion = motion._replace(spin=spin)
-            forces, state = advance(vehicle, motion, state, FREELY, DT)
+            forces, state = advance(vehicle, motion, state, ROLLING, DT)
             spin = spin + DT * forces.spin / vehicle.wheel_inertia
             return (spin, state), jnp.stack(forces[:3], -1)
 
@@ -85,7 +85,7 @@ def roll_to_steady_state(
 
 
 def test_a_relaxed_tyre_at_rest_feels_its_load_and_nothing_else(compact):
-    forces, state = advance(compact, wheels(), init_tyres(), FREELY, DT)
+    forces, state = advance(compact, wheels(), init_tyres(), ROLLING, DT)
     assert push(forces)[:, :2].tolist() == np.zeros((4, 2)).tolist()
     assert forces.load.tolist() == compact.tyres.static_load.tolist()
     assert forces.spin.tolist() == forces.aligning.tolist() == [0.0] * 4
@@ -99,7 +99,7 @@ def test_a_relaxed_tyre_opposes_sliding_in_any_direction(compact):
         motion = wheels(forward=forward, left=left)  # wheels that do not turn
         state = init_tyres()
         for _ in range(10):
-            forces, state = advance(compact, motion, state, LOCKED_FAST, DT)
+            forces, state = advance(compact, motion, state, BRAKED, DT)
             force = push(forces)
             assert (force[:, 0] * forward + force[:, 1] * left < 0).all()
 
@@ -107,7 +107,7 @@ def test_a_relaxed_tyre_opposes_sliding_in_any_direction(compact):
 def test_scrub_torque_grows_to_that_of_a_sliding_disc(compact):
     state, motion = init_tyres(), wheels(yaw_rate=0.4)
     for _ in range(50):
-        forces, state = advance(compact, motion, state, LOCKED_FAST, DT)
+        forces, state = advance(compact, motion, state, BRAKED, DT)
         assert (np.asarray(forces.aligning) < 0).all()
     load = np.asarray(compact.tyres.static_load)
     disc = 2 / 3 * COMPACT.tyre.friction * load * COMPACT.tyre.patch_radius
@@ -193,7 +193,7 @@ def test_a_locked_wheel_holds_up_to_the_friction_limit(compact, heading, share, 
         def substep(carry, i):
             velocity, position, state = carry
             motion = wheels()._replace(forward=velocity[:, 0], left=velocity[:, 1])
-            forces, state = advance(compact, motion, state, LOCKED_FAST, DT)
+            forces, state = advance(compact, motion, state, BRAKED, DT)
             # Applied slowly: a sudden pull swings to twice its static deflection.
             ramp = jnp.minimum(1.0, i / 400)
             force = (ramp * pull)[:, None] * direction

@@ -1,7 +1,6 @@
 """Training on several hosts and devices; `test_ppo` trains on two hosts."""
 
 import dataclasses
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -26,10 +25,8 @@ from carpark_mj.wrappers.brax import BraxParking
 def test_flags_of_hosts_are_taken_out_of_the_others():
     arguments = ["--seed", "3", "--coordinator=a:1", "--num-hosts", "2", "--host", "1"]
     assert read_hosts(arguments) == (Hosts("a:1", 2, 1), ["--seed", "3"])
-    assert read_hosts(["--help", "--num-lots", "4"]) == (
-        Hosts(),
-        ["--help", "--num-lots", "4"],
-    )
+    others = ["--help", "--num-lots", "4"]
+    assert read_hosts(others) == (Hosts(), others)
 
 
 IMPOSSIBLE = [
@@ -82,9 +79,6 @@ def test_hosts_with_other_settings_are_refused(monkeypatch):
     hosts.require_same("mine")
     with pytest.raises(ValueError, match="the same settings"):
         hosts.require_same("yours")
-
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow
