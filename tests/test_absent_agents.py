@@ -117,7 +117,7 @@ def random_action(env: ParkingEnv, rng: np.random.Generator) -> jax.Array:
 @pytest.mark.parametrize(
     "name", ["dynamic", pytest.param("fixed", marks=pytest.mark.slow)]
 )
-def test_agents_drive_as_in_a_lot_in_which_the_absent_do_not_exist(name):
+def test_agents_drive_as_if_the_absent_did_not_exist(name):
     env = ParkingEnv(CONFIGS[name])
     alone = ParkingEnv(dataclasses.replace(env.config, num_agents=PRESENT))
     reset, step, step_alone = map(jax.jit, (env.reset, env.step, alone.step))
@@ -155,7 +155,7 @@ def test_agents_drive_as_in_a_lot_in_which_the_absent_do_not_exist(name):
 @pytest.mark.parametrize(
     "physics", ["mjx", pytest.param("scene", marks=pytest.mark.slow)]
 )
-def test_absent_agents_stand_still_far_from_each_other_and_see_zeros(physics):
+def test_absent_agents_stand_far_apart_and_see_zeros(physics):
     config = EnvConfig(
         num_agents=4,
         num_parked_cars=2,
@@ -234,7 +234,7 @@ def test_agents_of_fixed_goals_reserve_no_bay_for_the_absent():
         assert len(set(own.tolist())) == len(own)
 
 
-def test_a_lot_of_all_agents_is_bit_for_bit_one_that_knows_of_no_absent_ones():
+def test_a_lot_of_all_agents_is_one_without_absent_ones():
     config = FIXED
     plain = ParkingEnv(config)
     same = ParkingEnv(dataclasses.replace(config, min_agents=MOST))
@@ -249,7 +249,7 @@ def test_a_lot_of_all_agents_is_bit_for_bit_one_that_knows_of_no_absent_ones():
             assert jnp.array_equal(a, b)
 
 
-def test_no_start_is_on_course_for_a_collision_with_an_absent_agent(monkeypatch):
+def test_no_start_is_on_course_to_an_absent_agent(monkeypatch):
     """Targets are recorded in the pose that a stand-in for `course_pose` returns."""
 
     def count_targets(config, layout, around, goal_xy, targets, draws):

@@ -131,7 +131,7 @@ def test_the_page_asks_no_other_server_and_complains_of_nothing(driven):
     assert [line for line in driven.complaints if software not in line] == []
 
 
-def test_cars_park_within_a_minute_by_the_strict_rule_of_the_library(build, driven):
+def test_cars_park_within_a_minute_by_the_strict_rule(build, driven):
     env, state, _ = build.begin(build.LOTS[LOT])
     events = driven.evaluate("demo.events")
     parked = [e for e in events if e["kind"] == "parked" and e["time"] <= MINUTE]
@@ -184,7 +184,7 @@ def test_a_visitor_takes_the_wheel_and_gives_it_back(driven):
     driven.wait_for_function("!demo.report.manual", timeout=WAIT)
 
 
-def test_the_scene_for_an_older_mujoco_drives_as_the_exported_one(build):
+def test_the_scene_for_an_older_mujoco_drives_alike(build):
     env, state, _ = build.begin(build.LOTS[LOT])
     poses = np.asarray(state.motion.pose_w), np.asarray(state.parked_cars.pose_w)
     xml = scene_xml(drivable_scene(state.layout, env.vehicle, *poses), env.vehicle)

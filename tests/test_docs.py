@@ -23,17 +23,8 @@ from helpers.pages import (
 from helpers.rules import LIMITS
 
 import carpark_mj
-from carpark_mj.benchmarking import BenchmarkConfig
-from carpark_mj.cli.analysis import AnalysisConfig
-from carpark_mj.cli.evaluate import EvaluateConfig
-from carpark_mj.cli.export import ExportConfig
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.layouts import EditConfig, ImportConfig, LayoutsConfig
-from carpark_mj.cli.oracle import OracleConfig
-from carpark_mj.cli.play import PlayConfig
-from carpark_mj.cli.render import RenderConfig
-from carpark_mj.cli.settings.driving import SceneConfig, complete
-from carpark_mj.cli.vehicles import IdentifyConfig, VehiclesConfig
+from carpark_mj.cli.settings.driving import complete
 from carpark_mj.config import (
     LAYOUTS,
     REWARD_TERMS,
@@ -42,6 +33,7 @@ from carpark_mj.config import (
     GivingWayConfig,
     RewardConfig,
 )
+from carpark_mj.extensions import Entry
 from carpark_mj.layouts.files import _SCHEMA, read_json
 from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.rewards import TERMS, goal_weights
@@ -50,8 +42,6 @@ from carpark_mj.policy.outside import INPUTS
 from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
-from carpark_mj.suite.evaluation import SuiteConfig
-from carpark_mj.sweeps import SweepConfig
 from carpark_mj.training.hosts import read_hosts
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
@@ -61,78 +51,40 @@ from vehicle_suite.report import excerpt
 
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
-MDP, DEPLOYMENT, VEHICLE, RESULTS, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT = (
-    (DOCS / f"{name}.md").read_text()
-    for name in (
-        *("mdp", "deployment", "vehicle", "results", "layouts", "own_lot"),
-        *("interfaces", "multi_agent"),
-    )
+USED = ("mdp", "deployment", "vehicle", "layouts", "own_lot", "interfaces")
+MDP, DEPLOYMENT, VEHICLE, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT = (
+    (DOCS / f"{name}.md").read_text() for name in (*USED, "multi_agent")
 )
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
-# Configs of the commands; those of other scripts in eval are looked up in them.
-COMMANDS = {
-    "train/ppo.py": PPOConfig,
-    "train/export.py": ExportConfig,
-    "train/sweep.py": SweepConfig,
-    "eval/evaluate.py": EvaluateConfig,
-    "eval/render.py": RenderConfig,
-    "-m carpark_mj.scene": SceneConfig,
-    "-m carpark_mj.layouts": LayoutsConfig,
-    "-m carpark_mj.oracle": OracleConfig,
-    "layouts edit": EditConfig,
-    "layouts import": ImportConfig,
-    "-m carpark_mj.vehicles": VehiclesConfig,
-    "-m carpark_mj.identify": IdentifyConfig,
-    "-m carpark_mj.play": PlayConfig,
-    "-m carpark_mj.suite": SuiteConfig,
-    "-m carpark_mj.analysis": AnalysisConfig,
-    "-m carpark_mj.benchmark": BenchmarkConfig,
-}
-
-
-# The same programs by the command `carpark_mj`.
+# Scripts that are also commands of `carpark_mj`.
 SCRIPTS = {
-    "train": "train/ppo.py",
-    **{f"{name}": f"train/{name}.py" for name in ("sweep", "export")},
-    **{
-        f"{name}": f"-m carpark_mj.{name}"
-        for name in (
-            *("scene", "play", "layouts", "oracle", "vehicles", "identify"),
-            *("suite", "analysis", "benchmark"),
-        )
-    },
-    **{f"{name}": f"eval/{name}.py" for name in ("evaluate", "render")},
+    **{f"eval/{name}.py": name for name in ("evaluate", "render")},
+    **{f"train/{name}.py": name for name in ("export", "sweep")},
+    "train/ppo.py": "train",
 }
-
-
-def as_script(line):
-    """A call of `carpark_mj` as one of a script; others as they are."""
-    for name, script in SCRIPTS.items():
-        start = f"carpark_mj {name}"
-        if line == start or line.startswith(f"{start} "):
-            return f"python {script}{line.removeprefix(start)}"
-    return line
 
 
 def commands(page):
-    """Everything after `python` in blocks and quotes of a page, without comments."""
-    found = [as_script(line) for line in calls(page)]
-    return [call.removeprefix("python ") for call in found if call[:7] == "python "]
+    """Calls of programs in blocks and quotes of a page, without their starts."""
+    found = [call for call in calls(page) if call[:7] == "python "]
+    found = [call[7:].removeprefix("-m ") for call in found]
+    own = [call for call in calls(page) if call.startswith("carpark_mj ")]
+    return found + [x for x in own if x.split()[1] in PROGRAMS and " study" not in x]
 
 
-OWN = [page for page in PAGES if page not in PAPERS]
-COMMAND_LINES = sorted({c for page in OWN for c in commands(page.read_text())})
+COMMAND_LINES = sorted(
+    {c for page in PAGES if page not in PAPERS for c in commands(page.read_text())}
+)
 
 
 def markdown_inputs() -> str:
     """The inputs of a car's model as a table."""
     rows = ["| input | shape | unit | |", "|---|---|---|---|"]
     for entry in INPUTS:
-        shape = ", ".join(map(str, entry.dims))
-        shape = f"({shape},)" if len(entry.dims) == 1 else f"({shape})"
+        shape = ", ".join(map(str, entry.dims)) + "," * (len(entry.dims) == 1)
         unit = entry.unit or entry.dtype
-        rows.append(f"| `{entry.name}` | {shape} | {unit} | {entry.meaning} |")
+        rows.append(f"| `{entry.name}` | ({shape}) | {unit} | {entry.meaning} |")
     return "\n".join(rows)
 
 
@@ -159,19 +111,14 @@ def test_the_parked_rules_are_those_in_force():
     def limit(value, unit, digits=3):
         return "any" if value is None else f"< {value:.{digits}g}{unit}"
 
-    expected = [
-        [
-            name,
-            limit(rule.offset, " m"),
-            limit(rule.distance, " m"),
-            limit(rule.from_end, " m")
-            + (", between the lines" if rule.from_end else ""),
-            "within the lines" if rule.inside_lines else "any",
-            limit(rule.heading and rule.heading * 57.29578, "°"),
-            limit(rule.speed, " m/s"),
-        ]
-        for name, rule in LIMITS.items()
-    ]
+    expected = []
+    for name, rule in LIMITS.items():
+        lines = ", between the lines" if rule.from_end else ""
+        row = [limit(rule.offset, " m"), limit(rule.distance, " m")]
+        row += [limit(rule.from_end, " m") + lines]
+        row += ["within the lines" if rule.inside_lines else "any"]
+        row += [limit(rule.heading and rule.heading * 57.29578, "°")]
+        expected.append([name, *row, limit(rule.speed, " m/s")])
     assert sorted(cells(MDP, "parked rules")) == expected
 
 
@@ -185,7 +132,7 @@ def test_the_reward_terms_are_all_there_with_their_weights():
         assert f"`{field.name}`" in MDP or field.name == "goals", field.name
 
 
-def test_the_terms_of_dynamic_goals_are_all_there_with_their_defaults():
+def test_the_terms_of_dynamic_goals_are_all_there():
     weights = goal_weights(EnvConfig()) | {"bad_goal": GivingWayConfig().bad_goal}
     found = [row[:2] for row in cells(MDP, "goal terms")]
     assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]
@@ -230,33 +177,38 @@ def check_command(line):
     """Asserts that a command exists and takes its flags."""
     line = re.sub(r"parkbench:\S+", "tpcap", line)  # files that users fetch
     words = shlex.split(re.sub(r"\[.*?\]|\.\.\.", "", line).replace("RUN", "runs/x"))
-    program = " ".join(words[:2]) if words[0] == "-m" else words[0]
-    if program.startswith("-m ") and "carpark_mj" not in program:
-        return
-    arguments = words[len(program.split()) :]
-    if not program.startswith("-m "):
+    program, *arguments = words[1:] if words[0] == "carpark_mj" else words
+    if "/" in program:
         assert (ROOT / program).is_file()
+    elif words[0].startswith("carpark_mj."):
+        program = program.partition(".")[2]
+    elif words[0] != "carpark_mj":
+        return
     if not arguments or arguments[0] in ("--help", "--help-all", "scene.xml"):
         return
     if program.startswith("examples/"):  # what they import may be absent
         flags = {w[2:].replace("-", "_") for w in arguments if w.startswith("--")}
         assert flags <= settings_in(ROOT / program)
         return
-    if program.endswith("layouts") and arguments[0] in ("edit", "import"):
-        if len(arguments) == 1:
+    if program == "layouts" and arguments[0] in ("edit", "import"):
+        program, *arguments = f"layouts {arguments[0]}", *arguments[1:]
+        if not arguments:
             return
-        program, arguments = f"layouts {arguments[0]}", arguments[1:]
-    if program == "-m carpark_mj.scene":
-        arguments = complete(arguments)
-    config = COMMANDS.get(program) or settings_of(program)
-
-    def read(words):
-        return read_flags(config, words, preset(config, words))
-
-    if program == "train/ppo.py":
-        read_runs(read_hosts(arguments)[1], read)
+    program = SCRIPTS.get(program, program)
+    if program == "train":
+        read_runs(read_hosts(arguments)[1], read_training)
+    elif program in PROGRAMS:
+        config = Entry(PROGRAMS[program].settings).load()
+        words = complete(arguments) if program == "scene" else arguments
+        read_flags(config, words)
     else:
-        read(arguments)
+        read_flags(settings_of(program), arguments)
+
+
+def read_training(words):
+    """A trainer's settings, which start from its preset's."""
+    name = named(words, "preset")
+    return read_flags(PPOConfig, words, PPO_PRESETS[name] if name else None)
 
 
 def settings_of(program):
@@ -278,12 +230,6 @@ def settings_in(path):
         if isinstance(node, ast.ClassDef) and node.name == "Settings"
     ]
     return {node.target.id for node in settings.body if isinstance(node, ast.AnnAssign)}
-
-
-def preset(config, arguments):
-    """What a trainer's flags start from."""
-    name = named(arguments, "preset")
-    return PPO_PRESETS[name] if config is PPOConfig and name else None
 
 
 def slugs(page):
@@ -308,10 +254,10 @@ def test_links_files_and_modules_exist(page):
 
 
 def test_the_quick_start_names_every_command():
-    text = (ROOT / "docs" / "quick_start.md").read_text()
-    section = text.split("\n## Commands\n")[1].split("\n## ")[0].split(" In a ")[0]
-    named = {q.removeprefix("carpark_mj ") for q in re.findall(r"`([^`]+)`", section)}
-    assert named - {"--help"} == {name.partition(" ")[0] for name in PROGRAMS}
+    text = (DOCS / "quick_start.md").read_text()
+    part = text.split("\n## Commands\n")[1].split("\n## ")[0].split(" In a ")[0]
+    said = {q.removeprefix("carpark_mj ") for q in re.findall(r"`([^`]+)`", part)}
+    assert said - {"--help"} == {name.partition(" ")[0] for name in PROGRAMS}
 
 
 def test_settings_named_in_the_docs_exist():
@@ -332,9 +278,6 @@ def test_public_names_are_all_on_their_page():
     assert {*found, "__version__"} == {*carpark_mj.__all__}
 
 
-# Snippets
-
-
 # Fewer lots and agents, cars that compile faster, a small update of BenchMARL.
 LESS = (
     ("1024", "2"),
@@ -353,18 +296,10 @@ NEEDS = {  # words of snippets, and what they need
     "benchmarl": "benchmarl",
     "jaxmarl": "jaxmarl",
 }
+RUN = ("index", "quick_start", "own_policy", "sb3", "vehicle", "interfaces")
 SNIPPETS = [
     pytest.param(snippet, id=f"{page.stem} {number}")
-    for page in (
-        ROOT / "README.md",
-        *(
-            DOCS / f"{name}.md"
-            for name in (
-                *("index", "quick_start", "own_policy", "sb3", "vehicle"),
-                *("interfaces", "multi_agent"),
-            )
-        ),
-    )
+    for page in (ROOT / "README.md", *(DOCS / f"{n}.md" for n in (*RUN, "multi_agent")))
     for number, snippet in enumerate(code(page.read_text(), "python"))
 ]
 
@@ -394,9 +329,6 @@ OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1
 )
 def test_a_table_names_them_all(text, names):
     assert re.findall(r"^\| `([^`]+)` \|", text, re.MULTILINE) == list(names)
-
-
-# Lots
 
 
 def test_the_table_of_layouts_is_that_of_the_code():
@@ -437,6 +369,3 @@ def test_the_examples_of_the_guide_run():
     assert configs[2].members[:2] == (configs[0], configs[1])
     exec(car, names)
     assert names["env"].vehicle.mass == 1500.0
-
-
-# Numbers and versions

@@ -2,14 +2,10 @@
 
 import csv
 import re
-import tomllib
 from statistics import fmean
 
 import pytest
-from helpers.pages import (
-    ROOT,
-    section,
-)
+from helpers.pages import ROOT, section
 from PIL import Image, ImageSequence
 
 import carpark_mj
@@ -37,18 +33,14 @@ FIGURES = {
 }
 
 
-def means(figure, columns, source, metric):
-    """Mean of a metric in per cent by setting, as the page writes them."""
+def runs_of(figure, columns, source):
+    """Recorded runs of a figure by setting."""
+    groups = {}
     with (DOCS / f"study/figure-{figure}.csv").open(newline="") as file:
-        runs = [run for run in csv.DictReader(file) if run["source"] == source]
-    settings = sorted({tuple(int(run[c]) for c in columns) for run in runs})
-    groups = [
-        [run for run in runs if tuple(int(run[c]) for c in columns) == setting]
-        for setting in settings
-    ]
-    return settings, [
-        f"{100 * fmean(float(run[metric]) for run in group):.1f}" for group in groups
-    ]
+        for run in csv.DictReader(file):
+            if run["source"] == source:
+                groups.setdefault(tuple(int(run[c]) for c in columns), []).append(run)
+    return dict(sorted(groups.items()))
 
 
 def study_table():
@@ -58,23 +50,24 @@ def study_table():
         "|---|---|---|---|---|",
     ]
     for figure, (name, columns) in FIGURES.items():
+        sources = [runs_of(figure, columns, x) for x in ("Tanner 2022", "ours")]
+        assert sources[0].keys() == sources[1].keys()
+        values = ", ".join(str(value) for (value,) in sources[0])
         for metric in ("parked", "crashed"):
-            settings, theirs = means(figure, columns, "Tanner 2022", metric)
-            same, ours = means(figure, columns, "ours", metric)
-            assert settings == same
-            values = ", ".join(str(value) for (value,) in settings)
-            lines.append(
-                f"| {figure} | {name}: {values} | {metric} | {', '.join(theirs)} "
-                f"| {', '.join(ours)} |"
-            )
+            means = [
+                [f"{100 * fmean(float(run[metric]) for run in x):.1f}" for x in y]
+                for y in (source.values() for source in sources)
+            ]
+            theirs, ours = map(", ".join, means)
+            what = f"| {figure} | {name}: {values} | {metric} "
+            lines.append(f"{what}| {theirs} | {ours} |")
     return "\n".join(lines)
 
 
 def test_the_study_s_table_is_that_of_its_recorded_runs():
     expected = study_table()
-    assert section((DOCS / "study.md").read_text(), "figures") == expected, (
-        f"paste this:\n{expected}"
-    )
+    found = section((DOCS / "study.md").read_text(), "figures")
+    assert found == expected, f"paste this:\n{expected}"
 
 
 def card_rates(name):
@@ -150,18 +143,14 @@ def test_speeds_of_the_readme_are_those_of_the_results():
 
 
 PLACES = {
+    "pyproject.toml": r'^version = "(.*)"',
     "CITATION.cff": r"^version: (.*)$",
     "docs/stability.md": r"version = \{(.*)\}",
 }
 
 
-def test_the_package_has_the_version_of_its_distribution():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["version"] == carpark_mj.__version__
-
-
 @pytest.mark.parametrize("place", PLACES)
-def test_citations_have_the_version(place):
+def test_the_version_is_the_same_everywhere(place):
     found = re.findall(PLACES[place], (ROOT / place).read_text(), re.MULTILINE)
     assert found == [carpark_mj.__version__]
 

@@ -2,13 +2,16 @@
 
 import jax
 import numpy as np
+import orbax.checkpoint as ocp
 import pytest
 from helpers.sliding import HALT, slide
+from helpers.trees import same
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.pytrees import with_empty, without_empty
 
 
-def test_float64_is_refused_where_an_environment_is_built_or_used():
+def test_float64_is_refused():
     env, reset, step = slide()
     state = reset(jax.random.key(0))[0]
     calls = (
@@ -63,3 +66,17 @@ def test_eager_results_can_be_donated():
 def test_a_reset_refuses_what_has_no_meaning(change, error, message):
     with pytest.raises(error, match=message):
         slide()[0].reset(jax.random.key(0), **change)
+
+
+def test_orbax_saves_a_state_from_which_a_lot_goes_on(tmp_path):
+    env, reset, step = slide()
+    state, _ = reset(jax.random.key(0))
+    assert any(x.size == 0 for x in jax.tree.leaves(state))  # there are no discs
+    with ocp.StandardCheckpointer() as checkpointer:
+        checkpointer.save(tmp_path / "state", without_empty(state))
+    like = jax.eval_shape(env.reset, jax.random.key(0))[0]
+    with ocp.StandardCheckpointer() as checkpointer:
+        saved = checkpointer.restore(tmp_path / "state", without_empty(like))
+    restored = with_empty(saved, like)
+    assert same(restored, state)
+    assert same(step(restored, HALT), step(state, HALT))

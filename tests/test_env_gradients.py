@@ -39,7 +39,7 @@ def drive():
         yield jax.jit(run), jax.jit(jax.jacrev(run))
 
 
-def test_gradients_of_poses_and_smooth_rewards_are_central_differences(drive):
+def test_gradients_are_central_differences(drive):
     run, slopes = drive
     rng = np.random.default_rng(0)
     # To one side, for smoothness is |change|, and slower than the steering's limit.

@@ -51,7 +51,7 @@ def test_occupancy_invariants_hold_throughout_a_rollout(rollout):
     check_occupancy(states.goal, states.parked_cars.bay, mask)
 
 
-def test_terminated_and_truncated_exclude_each_other_in_a_rollout(rollout):
+def test_terminated_and_truncated_exclude_each_other(rollout):
     _, timesteps = rollout
     events = timesteps.events
     assert not (timesteps.terminated & timesteps.truncated).any()
@@ -72,31 +72,17 @@ def test_step_counters_count_and_start_again_at_every_end(rollout):
 def test_episode_metrics_are_the_sums_over_the_episode(rollout):
     _, timesteps = rollout
     done = timesteps.terminated | timesteps.truncated
-    returns, lengths = np.zeros(done.shape[1:]), np.zeros(done.shape[1:])
-    expected = np.zeros((2, *done.shape))
-    for k in range(done.shape[0]):
-        returns, lengths = returns + timesteps.reward[k], lengths + 1
-        expected[:, k] = returns, lengths
-        returns, lengths = np.where(done[k], 0, [returns, lengths])
-    for name, value in zip(("episode_return", "length"), expected, strict=True):
-        # float32 sums of 60 numbers up to 4.
-        np.testing.assert_allclose(
-            timesteps.metrics[name][done], value[done], atol=1e-4, err_msg=name
-        )
-
-
-def test_returns_by_term_are_the_sums_over_the_episode(rollout):
-    _, timesteps = rollout
-    done = timesteps.terminated | timesteps.truncated
-    for name, term in timesteps.reward_terms.items():
+    steps = {"episode_return": timesteps.reward, "length": np.ones(done.shape)}
+    terms = timesteps.reward_terms
+    steps |= {f"return_{name}": term for name, term in terms.items()}
+    for name, numbers in steps.items():
         total, expected = np.zeros(done.shape[1:]), np.zeros(done.shape)
         for k in range(done.shape[0]):
-            total = total + term[k]
-            expected[k] = total
+            expected[k] = total = total + numbers[k]
             total = np.where(done[k], 0, total)
-        got = timesteps.metrics[f"return_{name}"]
+        got = timesteps.metrics[name][done]
         # float32 sums of 60 numbers up to 4.
-        np.testing.assert_allclose(got[done], expected[done], atol=1e-4, err_msg=name)
+        np.testing.assert_allclose(got, expected[done], atol=1e-4, err_msg=name)
 
 
 def test_rewards_are_the_sums_of_their_terms_in_a_rollout(rollout):

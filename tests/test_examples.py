@@ -3,11 +3,10 @@
 import ast
 import importlib
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from helpers.programs import python
 
 from carpark_mj.wrappers.batch import Step
 
@@ -18,14 +17,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 def test_ppo_in_one_file_trains_and_evaluates(tmp_path):
     pytest.importorskip("torch")
     flags = ("--minutes", "0.05", "--lots", "8", "--minibatches", "4")
-    ended = subprocess.run(
-        [sys.executable, EXAMPLES / "cleanrl_ppo.py", *flags],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    ended = python(EXAMPLES / "cleanrl_ppo.py", *flags, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert re.search(r"held out: [\d.]+% of 1024 episodes parked", ended.stdout)
 
@@ -52,22 +44,16 @@ def test_ppo_in_one_file_learns_from_pictures(monkeypatch):
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
-        (("--discount", "2"), "discount must lie in [0, 1], not 2.0"),
-        (("--gae-lambda", "nan"), "gae_lambda must lie in [0, 1], not nan"),
-        (("--entropy", "-1"), "entropy must be at least 0, not -1.0"),
-        (("--lots", "many"), "--lots takes a whole number, not 'many'"),
-        (("--out", "no/a.png"), "cannot use no/a.png: No such file or directory"),
+        ("--discount 2", "discount must lie in [0, 1], not 2.0"),
+        ("--gae-lambda nan", "gae_lambda must lie in [0, 1], not nan"),
+        ("--entropy -1", "entropy must be at least 0, not -1.0"),
+        ("--lots many", "--lots takes a whole number, not 'many'"),
+        ("--out no/a.png", "cannot use no/a.png: No such file or directory"),
     ],
 )
 def test_bad_flags_of_an_example_are_one_line(flags, line, tmp_path):
     pytest.importorskip("torch")
-    ended = subprocess.run(
-        [sys.executable, EXAMPLES / "cleanrl_ppo.py", *flags],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    ended = python(EXAMPLES / "cleanrl_ppo.py", *flags.split(), cwd=tmp_path)
     assert (ended.returncode, ended.stderr) == (2, f"cleanrl_ppo: {line}\n")
 
 
@@ -84,12 +70,7 @@ def test_what_is_no_scene_to_drive_is_one_line(case, tmp_path):
     path = tmp_path / "a.xml"
     if text is not None:
         path.write_text(text)
-    ended = subprocess.run(
-        [sys.executable, "-I", EXAMPLES / "drive_scene.py", path],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    ended = python("-I", EXAMPLES / "drive_scene.py", path)
     assert ended.returncode == 2
     assert re.fullmatch(rf".*drive_scene\.py: {path}: {line}\n", ended.stderr)
 

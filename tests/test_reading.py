@@ -75,11 +75,6 @@ def test_an_array_of_another_form_is_refused_by_name(name, array, tmp_path):
         Archive(path).read(FORMS)
 
 
-def test_an_archive_that_lacks_an_array_is_of_another_kind(tmp_path):
-    with pytest.raises(ValueError, match="lacks pose"):
-        Archive(archive(tmp_path)).read({"pose": ArrayForm(FLOATS, (3,))})
-
-
 def test_what_a_small_file_inflates_to_is_known_before(tmp_path, monkeypatch):
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, speed=np.zeros((2**24, 4), np.float32))
@@ -95,13 +90,15 @@ def test_what_a_small_file_inflates_to_is_known_before(tmp_path, monkeypatch):
     assert peak < 2**23
 
 
-def test_members_that_are_no_arrays_are_refused(tmp_path):
+def test_members_that_are_no_arrays_or_missing_are_refused(tmp_path):
     path = tmp_path / "a.npz"
     for text in (b"", b"hello", b"\x93NUMPY\x01\x00\x05\x00((((("):
         with zipfile.ZipFile(path, "w") as file:
             file.writestr("speed.npy", text)
         with pytest.raises(ValueError, match=r"a\.npz is damaged|holds speed"):
             Archive(path).read({"speed": FORMS["speed"]})
+    with pytest.raises(ValueError, match="lacks pose"):
+        Archive(archive(tmp_path)).read({"pose": ArrayForm(FLOATS, (3,))})
 
 
 def test_a_damaged_archive_has_its_values_or_is_refused(tmp_path):
@@ -147,15 +144,6 @@ def test_brackets_are_not_followed_for_ever():
         parse_object("[" * 10**6 + "]" * 10**6, "x")
 
 
-def test_a_damaged_object_is_an_object_or_refused(tmp_path):
-    path = tmp_path / "a.json"
-    data = json.dumps({"config": {"name": "x", "sizes": [1, 2.5]}, "seed": 3}).encode()
-    for seed in range(400):
-        path.write_bytes(damaged(data, seed))
-        found = tried(lambda: read_object(path, config=dict, seed=int))
-        assert found is None or type(found["seed"]) is int
-
-
 TABLE = "name,step,value\r\na,1,0.5\r\nb,2,nan\r\n"
 
 
@@ -198,14 +186,17 @@ def test_half_a_line_at_the_end_of_a_growing_table_is_left_out(tmp_path):
         assert len(read_csv(path, "step", growing=True)) == whole
 
 
-def test_a_damaged_table_has_numbers_or_is_refused(tmp_path):
-    path = tmp_path / "a.csv"
+def test_damaged_tables_and_objects_have_their_values_or_are_refused(tmp_path):
+    table, path = tmp_path / "a.csv", tmp_path / "a.json"
+    data = json.dumps({"config": {"name": "x", "sizes": [1, 2.5]}, "seed": 3}).encode()
     for seed in range(400):
-        path.write_bytes(damaged(TABLE.encode(), seed))
-        found = tried(
-            lambda: [row.number("value") for row in read_csv(path, "step", "value")]
-        )
+        table.write_bytes(damaged(TABLE.encode(), seed))
+        rows = tried(lambda: read_csv(table, "step", "value"))
+        found = tried(lambda rows=rows: [row.number("value") for row in rows or ()])
         assert found is None or all(type(value) is float for value in found)
+        path.write_bytes(damaged(data, seed))
+        found = tried(lambda: read_object(path, config=dict, seed=int))
+        assert found is None or type(found["seed"]) is int
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):

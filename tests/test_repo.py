@@ -1,13 +1,12 @@
 """The house: who may import whom, and what an import may cost."""
 
 import ast
+import graphlib
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from helpers.programs import python
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = ROOT / "carpark_mj"
@@ -16,15 +15,7 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 # The floors of the house, from the ground: a room imports those below it only.
 FLOORS = (
     ("extensions",),
-    (
-        "compilation",
-        "pretrained",
-        "precision",
-        "pytrees",
-        "config",
-        "files",
-        "reading",
-    ),
+    ("compilation", "pretrained", "precision", "pytrees", "config", "files", "reading"),
     ("geometry",),
     ("layouts",),
     ("types", "vehicle"),
@@ -51,16 +42,8 @@ FLOORS = (
 )
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 # No room of the task or below it knows MuJoCo, or the cars that need it.
-TASK = ("observations", "mdp")
-WITHOUT_MUJOCO = (
-    "precision",
-    "config",
-    "geometry",
-    "layouts",
-    "types",
-    "obstacles",
-    *TASK,
-)
+WITHOUT_MUJOCO = ("precision", "config", "geometry", "layouts", "types", "obstacles")
+WITHOUT_MUJOCO += ("observations", "mdp")
 AROUND_TASK = {"vehicle", "scene", "physics"}
 
 
@@ -161,35 +144,30 @@ def test_the_library_never_imports_the_programs():
 
 
 # Rooms that a lot steps without.
-AROUND_ENV = {
-    f"carpark_mj.{room}"
-    for room in (
-        "cli.flags",
-        "evaluation",
-        "policy",
-        "rendering.stage",
-        "scene",
-        "suite",
-        "training",
-    )
-}
+# What is imported, in this order in one process, and what may not be loaded by then.
+AROUND = ("cli.flags", "evaluation", "policy", "rendering.stage", "scene", "suite")
+AROUND_ENV = {f"carpark_mj.{room}" for room in (*AROUND, "training")}
 # What is imported, in this order in one process, and what may not be loaded by then.
 HEAVY = {"OpenGL", "glfw", "matplotlib", "flask", "brax", "imageio", "tyro"}
 EXTRAS = {"tyro", "tensorboardX", "matplotlib", "imageio_ffmpeg"}
+MOST_MODULES = 90  # of the library, of an environment
 STAGES = [
     # Before `process` Ctrl-C is Python's own: nothing but the standard library.
     (("", ".cli.process"), HEAVY | {"mujoco", "jax", "gymnasium", "numpy"}),
     ([f".{name}" for name in sorted(WITHOUT_MUJOCO)], HEAVY | {"mujoco"}),
     ((".env",), HEAVY - {"glfw"} | {"mujoco.mjx", "trimesh"} | AROUND_ENV),
+    ((".registry",), {"carpark_mj.suite", "carpark_papers"}),
     # The settings of a training need no package of an extra; flax has rich.
-    ((".training",), EXTRAS),
-    ((), EXTRAS),  # after the settings were made
+    ((".training",), EXTRAS | {"carpark_mj.suite", "carpark_papers"}),
+    ((), EXTRAS | {"carpark_papers"}),  # after the settings were made
 ]
 CODE = """
 import importlib, json, sys
 for names in json.loads(sys.argv[1]):
     for name in names:
         importlib.import_module("carpark_mj" + name)
+        if name == ".training":
+            sys.modules["carpark_mj.env"].ParkingEnv()
     if not names:
         from carpark_mj.training import PRESETS, PPOConfig
         PPOConfig(), PRESETS["gpu"]
@@ -199,18 +177,39 @@ for names in json.loads(sys.argv[1]):
 
 def test_imports_are_silent_and_load_nothing_heavy():
     stages = json.dumps([[*names] for names, _ in STAGES])
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", CODE, stages],
-        cwd=ROOT,
-        # MuJoCo itself loads the GL back end that this variable asks for.
-        env={k: v for k, v in os.environ.items() if k != "MUJOCO_GL"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    # MuJoCo itself loads the GL back end that this variable asks for.
+    done = python("-W", "error", "-c", CODE, stages, cwd=ROOT, MUJOCO_GL=None)
     assert (done.returncode, done.stderr) == (0, "")
     loaded = [set(line.split()) for line in done.stdout.splitlines()]
     for found, (names, heavy) in zip(loaded, STAGES, strict=True):
         assert not found & heavy, names
     assert "mujoco" in loaded[2]
+    assert sum(name.startswith("carpark_mj") for name in loaded[2]) <= MOST_MODULES
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    names = {path.relative_to(ROOT).with_suffix(""): path for path in FILES}
+    modules = {
+        ".".join(name.parts).removesuffix(".__init__"): path
+        for name, path in names.items()
+    }
+    graph = {}
+    for module, path in modules.items():
+        pairs = [(name, name.rpartition(".")[0]) for name in imports_of(path)]
+        found = {name if name in modules else parent for name, parent in pairs}
+        graph[module] = found & {*modules}
+    assert len(graph) > 50
+    graphlib.TopologicalSorter(graph).prepare()  # its error names the circle
+
+
+def test_the_suite_needs_no_optional_package():
+    """Looking an environment up loads the suite, in a plain installation too."""
+    optional = ("shapely", "pyproj", "ezdxf", "ompl", "viser", "onnx", "moviepy")
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({optional}))\n"
+        "import carpark_mj.suite.evaluation\n"
+        "from carpark_mj.registry import environment\n"
+        "print(environment('valet').num_agents)"
+    )
+    done = python("-c", code)
+    assert done.stdout.split() == ["1"], done.stderr

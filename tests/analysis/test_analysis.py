@@ -7,9 +7,10 @@ import re
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import numpy as np
 import pytest
 from helpers.disks import no_printing
-from helpers.programs import exit_code
+from helpers.programs import assert_refused, exit_code
 from helpers.sweeping import write_run
 from matplotlib.axes import Axes
 from rich.console import Console
@@ -23,6 +24,7 @@ from carpark_mj.analysis import (
     read_run,
     run_folders,
     run_rows,
+    spread,
     spread_rows,
     videos,
 )
@@ -38,14 +40,8 @@ def record(agents, seed, parked, **settings):
     return Record(f"a{agents}-{seed}", settings, {"parked": parked}, seed)
 
 
-RECORDS = [
-    record(10, 0, 0.5),
-    record(10, 1, 0.49),
-    record(10, 2, 0.51),
-    record(2, 1, 0.85),
-    record(2, 0, 0.9),
-    record(2, 2, 0.1),
-]
+PARKED = ((10, 0, 0.5), (10, 1, 0.49), (10, 2, 0.51), (2, 1, 0.85), (2, 0, 0.9))
+RECORDS = [record(*row) for row in (*PARKED, (2, 2, 0.1))]
 
 
 def make_runs(folder, counts=(1, 2), seeds=2):
@@ -65,7 +61,7 @@ def make_runs(folder, counts=(1, 2), seeds=2):
     return sorted(str(path) for path in folder.iterdir())
 
 
-def test_runs_of_equal_settings_are_a_point_in_order_of_value_and_seed():
+def test_runs_of_equal_settings_are_a_point_in_order():
     points = group({"ours": RECORDS}, ["env.num_agents"])
     assert [point.values for point in points] == [(2.0,), (10.0,)]
     assert points[0].numbers("parked") == [0.9, 0.85, 0.1]
@@ -106,9 +102,7 @@ def test_a_summary_becomes_one_number_per_name():
     assert flat_metrics(summary) == {"parked": 0.5, "length": 3.0, "jerk_p95": 2.0}
 
 
-def test_a_curve_ends_at_an_unfinished_line_and_skips_updates_without_episodes(
-    tmp_path,
-):
+def test_a_curve_skips_updates_without_episodes(tmp_path):
     make_runs(tmp_path, (1,), 1)
     assert read_curve(tmp_path / "a1-0", "episode/parked") == [(200, 0.1), (300, 0.5)]
     assert read_curve(tmp_path / "a1-0", "other") == []
@@ -175,32 +169,21 @@ def test_a_setting_has_one_colour_whoever_s_runs_they_are(tmp_path, monkeypatch)
     assert [dash for _, dash in lines.values()] == ["-", "-", "--", "--"]
 
 
-def test_runs_without_an_evaluation_are_named(tmp_path, capsys):
-    runs = make_runs(tmp_path)
-    (tmp_path / "a1-0" / "evaluation.json").unlink()
-    assert exit_code("analysis", [*runs, "--out", str(tmp_path / "out")]) == 0
-    assert f"no evaluation.json in {tmp_path / 'a1-0'}" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        ([], "give at least one run folder or sweep"),
-        (["nowhere"], "nowhere is neither a run nor a sweep"),
-        (["a1-0", "--by", "env.colour"], "no run has a setting 'env.colour'"),
-        (["a1-0", "--metrics", "joy"], "no run has a metric 'joy'; there are"),
-        (["a1-0", "--metrics"], "metrics must name at least one"),
-        (["a1-0", "--out", "a1-0/config.json"], "cannot use a1-0/config.json"),
+        ("", "give at least one run folder or sweep"),
+        ("nowhere", "nowhere is neither a run nor a sweep"),
+        ("a1-0 --by env.colour", "no run has a setting 'env.colour'"),
+        ("a1-0 --metrics joy", "no run has a metric 'joy'; there are"),
+        ("a1-0 --metrics", "metrics must name at least one"),
+        ("a1-0 --out a1-0/config.json", "cannot use a1-0/config.json"),
     ],
 )
 def test_bad_input_is_one_sentence(flags, said, tmp_path, monkeypatch, capsys):
     make_runs(tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert exit_code("analysis", flags) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("analysis: ")
-    assert said in told
-    assert told.count("\n") == 1
+    assert_refused(capsys, "analysis", flags.split(), said)
 
 
 def test_a_run_that_is_given_twice_counts_once(tmp_path):
@@ -210,21 +193,21 @@ def test_a_run_that_is_given_twice_counts_once(tmp_path):
     assert sorted(run_folders([*map(Path, again)])) == [*map(Path, names)]
 
 
-@pytest.mark.parametrize(
-    ("file", "text", "said"),
-    [
-        ("config.json", '{"config": []}', "config.json has no 'config'"),
-        ("evaluation.json", '{"summary": 3}', "evaluation.json has no 'summary'"),
-        (
-            "evaluation.json",
-            '{"summary": {"parked": {"rate": "x"}}}',
-            "is damaged: could not convert",
-        ),
-    ],
-)
+DAMAGED = [
+    ("config.json", '{"config": []}', "config.json has no 'config'"),
+    ("evaluation.json", '{"summary": 3}', "evaluation.json has no 'summary'"),
+    ("evaluation.json", '{"summary": {"parked": {"rate": "x"}}}', "could not convert"),
+    ("evaluation.json", None, "no evaluation.json in"),
+]
+
+
+@pytest.mark.parametrize(("file", "text", "said"), DAMAGED)
 def test_a_damaged_run_is_named_and_left_out(file, text, said, tmp_path, capsys):
     runs = make_runs(tmp_path)
-    (tmp_path / "a1-0" / file).write_text(text)
+    if text is None:
+        (tmp_path / "a1-0" / file).unlink()
+    else:
+        (tmp_path / "a1-0" / file).write_text(text)
     assert exit_code("analysis", [*runs, "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
     assert f"{tmp_path / 'a1-0'}" in told
@@ -246,3 +229,43 @@ def test_names_of_runs_and_settings_are_printed_as_they_are(tmp_path, capsys):
     analyse({"ours": runs}, ["env.num_agents"], ["parked"], tmp_path, "x[/blue]")
     printed = capsys.readouterr().out
     assert all(name in printed for name in ("x[/blue]", " [b] ", " [/red] "))
+
+
+RNG = np.random.default_rng(7)
+
+
+def test_the_interquartile_mean_is_that_of_the_middle_half():
+    values = [100.0, -20.0, 2.0, 3.0, 4.0, -50.0, 5.0, 60.0]
+    assert spread([values]).iqm == pytest.approx((2 + 3 + 4 + 5) / 4)
+    assert spread([[1.0, 2.0, 6.0]]).iqm == pytest.approx(3.0)
+
+
+def test_a_spread_says_how_many_and_what_is_in_the_middle():
+    found = spread([[1.0, 2.0, math.nan], [4.0]])
+    assert (found.runs, found.median) == (3, 2.0)
+    assert found.low <= found.iqm <= found.high
+    found = spread([[0.5, 0.5, 0.5]])  # equal runs: no width
+    assert (found.low, found.iqm, found.high) == (0.5, 0.5, 0.5)
+    one = spread([[3.0]])  # no interval
+    assert (one.iqm, one.median) == (3.0, 3.0)
+    assert math.isnan(one.low)
+    assert math.isnan(one.high)
+    none = spread([[math.nan], []])
+    assert none.runs == 0
+    assert math.isnan(none.iqm)
+
+
+def test_intervals_hold_the_truth_about_as_often_as_they_say():
+    held = 0
+    for _ in range(200):
+        found = spread([RNG.normal(5.0, 1.0, 20)])
+        held += found.low <= 5.0 <= found.high
+    assert 170 <= held <= 199  # 95 %, and a bootstrap of few is a little narrow
+
+
+def test_strata_keep_differences_out_of_the_interval():
+    near, far = RNG.normal(0.0, 0.01, 8), RNG.normal(10.0, 0.01, 8)
+    apart, mixed = spread([near, far]), spread([np.concatenate([near, far])])
+    assert apart.iqm == mixed.iqm
+    assert apart.high - apart.low < 0.1
+    assert mixed.high - mixed.low > 3.0

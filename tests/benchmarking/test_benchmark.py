@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import pytest
-from helpers.programs import exit_code
+from helpers.programs import assert_refused
 
 from carpark_mj import benchmarking
 from carpark_mj.benchmarking import BenchmarkConfig, Job, Measurement, jobs_of
+from carpark_mj.benchmarking.start import Start, count_equations, rows
 from carpark_mj.training.ppo import learner
 from carpark_mj.training.ppo.parts import PRESETS
 
@@ -66,54 +67,42 @@ def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(monkeypatch, tmp_
     assert kept == [(4, "1"), (4, "2"), (8, "1")]
 
 
+def asked(**settings):
+    return jobs_of(BenchmarkConfig(**settings))
+
+
 def test_each_round_measures_every_variant_in_every_batch():
-    config = BenchmarkConfig(batches=(4, 8), layouts=("square", "mixture"))
-    asked = [(job.what, job.variant, job.lots) for job in jobs_of(config)]
-    variants = [
-        ("env", "square"),
-        ("env", "mixture"),
-        ("ppo", "auto"),
-        ("physics", "brush"),
-        ("physics", "mjx.step"),
-        ("physics", "contact"),
+    found = asked(batches=(4, 8), layouts=("square", "mixture"))
+    variants = [("env", "square"), ("env", "mixture"), ("ppo", "auto")]
+    variants += [("physics", tyres) for tyres in ("brush", "mjx.step", "contact")]
+    assert [(job.what, job.variant, job.lots) for job in found] == [
+        (*variant, lots) for variant in variants for lots in (4, 8)
     ]
-    assert asked == [(*variant, lots) for variant in variants for lots in (4, 8)]
-
-
-def test_only_env_has_several_numbers_of_agents():
-    config = BenchmarkConfig(cars=("brush",), num_agents=(1, 4))
-    asked = [(job.what, job.num_agents) for job in jobs_of(config)]
-    assert asked == [("env", 1), ("env", 4), ("ppo", 1), ("physics", 1)]
-
-
-def test_only_ppo_has_several_runs_side_by_side():
-    config = BenchmarkConfig(cars=("brush",), runs=(1, 4))
-    asked = [(job.what, job.runs) for job in jobs_of(config)]
-    assert asked == [("env", 1), ("ppo", 1), ("ppo", 4), ("physics", 1)]
+    # Only env has several numbers of agents, and only ppo several runs side by side.
+    agents = [(x.what, x.num_agents) for x in asked(cars=("brush",), num_agents=(1, 4))]
+    assert agents == [("env", 1), ("env", 4), ("ppo", 1), ("physics", 1)]
+    runs = [(job.what, job.runs) for job in asked(cars=("brush",), runs=(1, 4))]
+    assert runs == [("env", 1), ("ppo", 1), ("ppo", 4), ("physics", 1)]
 
 
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--batch", "4"], "Unrecognized options: --batch, 4"),
-        (["--batches", "0"], "batches must be at least 1, not (0,)"),
-        (["--steps", "many"], "many"),
-        (["--out", "FOLDER/missing/benchmark.csv"], "cannot use"),
+        ("--batch 4", "Unrecognized options: --batch, 4"),
+        ("--batches 0", "batches must be at least 1, not (0,)"),
+        ("--steps many", "many"),
+        ("--out FOLDER/missing/benchmark.csv", "cannot use"),
+        ("--what start --environments nowhere", "nowhere"),
+        ("--what start env", "start"),
     ],
 )
 def test_bad_input_is_one_sentence_and_exit_code_2(flags, said, tmp_path, capsys):
-    flags = [flag.replace("FOLDER", str(tmp_path)) for flag in flags]
-    assert exit_code("benchmark", flags) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("benchmark: ")
-    assert said in error
-    assert error.count("\n") == 1
+    words = flags.replace("FOLDER", str(tmp_path)).split()
+    assert_refused(capsys, "benchmark", words, said)
 
 
 @pytest.mark.slow
-def test_a_job_is_measured_in_a_process_of_its_own_without_compiled_programs(
-    monkeypatch,
-):
+def test_a_job_is_measured_in_a_process_of_its_own(monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/nonexistent")
     result = benchmarking.run_job(JOB)
     assert result.what == "physics brush 10 ms"
@@ -161,7 +150,7 @@ def test_a_process_that_fails_is_named_in_one_line(monkeypatch, code, stderr, sa
     ("tyres", "ms", "substeps"),
     [("brush", 10, 20), ("mjx.step", 10, 20), ("contact", 4, 50)],
 )
-def test_each_tyre_model_runs_at_the_substep_of_its_physics_report(tyres, ms, substeps):
+def test_each_tyre_model_runs_at_its_own_substep(tyres, ms, substeps):
     subject = benchmarking.physics_subject(dataclasses.replace(JOB, variant=tyres))
     assert subject.what == f"physics {tyres} {ms} ms"
     assert subject.count == 3 * 2 * substeps  # cars, control steps of 0.2 s
@@ -199,7 +188,7 @@ def test_a_gpu_has_its_own_name_and_its_own_memory(monkeypatch):
     assert benchmarking.peak_memory() == 123
 
 
-def test_a_measurement_that_fails_says_last_why_not_what_jax_notes(capsys, monkeypatch):
+def test_a_measurement_that_fails_says_last_why(capsys, monkeypatch):
     error = RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nallocating 9 GB")
     error.add_note("--------------------\nJAX has removed its internal frames.")
 
@@ -211,3 +200,41 @@ def test_a_measurement_that_fails_says_last_why_not_what_jax_notes(capsys, monke
     assert benchmarking.work(json.dumps(request)) == 1
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == "RuntimeError: RESOURCE_EXHAUSTED: Out of memory"
+
+
+ONE = Start(
+    environment="default",
+    lots=1,
+    process="first",
+    device="cpu",
+    import_s=1.0,
+    construct_s=0.5,
+    reset_s=4.0,
+    step_s=6.0,
+    total_s=11.5,
+    reset_equations=2000,
+    step_equations=6000,
+)
+
+
+def test_loops_and_calls_count_what_they_hold():
+    def loop(x):
+        return jax.lax.fori_loop(0, 9, lambda _, y: jnp.sin(y) + 1.0, x)
+
+    flat = jax.make_jaxpr(lambda x: jnp.sin(x) + 1.0)(0.0)
+    assert count_equations(flat.jaxpr) == 2
+    called = jax.make_jaxpr(jax.jit(lambda x: jnp.sin(x) + 1.0))(0.0)
+    assert count_equations(called.jaxpr) == 2
+    looped = count_equations(jax.make_jaxpr(loop)(0.0).jaxpr)
+    assert 3 <= looped < 9
+
+
+def test_rows_are_medians_of_both_processes():
+    times = 9.0, 10.0, 30.0
+    found = [dataclasses.replace(ONE, total_s=x) for x in times]
+    found += [dataclasses.replace(x, process="second", total_s=2.0) for x in found]
+    [row] = rows(found)
+    assert row["environment"] == "default"
+    assert row["first: total [s]"] == "10.0"
+    assert row["second: total [s]"] == "2.0"
+    assert row["step equations"] == "6,000"

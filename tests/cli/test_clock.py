@@ -6,6 +6,8 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 from carpark_mj.cli.clock import Clock, doing
 
 PROGRAM = """
@@ -34,20 +36,14 @@ enter("program", "program:main")
 """
 
 
-def shown(terminal):
-    """What a terminal shows of the program, or what a pipe gets."""
-    if not terminal:
-        return subprocess.run(
-            [sys.executable, "-c", PROGRAM], stdout=-1, stderr=-2, text=True, check=True
-        ).stdout
+@pytest.fixture(scope="module")
+def shown():
+    """What a terminal shows of the program, and what a pipe gets, at the same time."""
+    command = [sys.executable, "-c", PROGRAM]
+    piped = subprocess.Popen(command, stdout=-1, stderr=subprocess.STDOUT, text=True)
     ours, theirs = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM],
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-        env={**os.environ, "TERM": "xterm"},
-    )
+    streams = {"stdin": theirs, "stdout": theirs, "stderr": theirs}
+    process = subprocess.Popen(command, **streams, env={**os.environ, "TERM": "xterm"})
     os.close(theirs)
     data = b""
     try:
@@ -56,19 +52,13 @@ def shown(terminal):
     except OSError:  # Linux says the end so
         pass
     os.close(ours)
-    assert process.wait() == 0
-    return data.decode()
+    lines = piped.communicate()[0].splitlines()
+    assert process.wait() == piped.returncode == 0
+    return data.decode(), lines
 
 
-def on_screen(text):
-    """Lines that stand after carriage returns and erased lines."""
-    return [
-        line.rpartition("\x1b[K")[2] for line in text.replace("\r\n", "\n").split("\n")
-    ]
-
-
-def test_a_silent_command_shows_a_clock():
-    text = shown(terminal=True)
+def test_a_silent_command_shows_a_clock(shown):
+    text, _ = shown
     before, _, after = text.partition("first")
     between, _, after = after.partition("soon")
     pause, _, after = after.partition("thinking")
@@ -80,12 +70,13 @@ def test_a_silent_command_shows_a_clock():
     assert max(counted) < 5  # from what was printed on, not from the start
     assert re.search(r"\.\.\. [23] s", waiting)
     assert after.strip() == "last"  # no clock while the user works
-    assert on_screen(text) == ["first", "soon", "|last", ""]
+    lines = text.replace("\r\n", "\n").split("\n")
+    on_screen = [line.rpartition("\x1b[K")[2] for line in lines]
+    assert on_screen == ["first", "soon", "|last", ""]
 
 
-def test_a_pipe_gets_lines_alone():
-    lines = ["first", "soon", "thinking ...", "|last"]
-    assert sorted(shown(terminal=False).splitlines()) == sorted(lines)
+def test_a_pipe_gets_lines_alone(shown):
+    assert sorted(shown[1]) == sorted(["first", "soon", "thinking ...", "|last"])
 
 
 def test_work_goes_on_without_the_terminal(monkeypatch):

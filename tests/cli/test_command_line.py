@@ -1,16 +1,15 @@
 """Errors of the user's making are one line that names the culprit."""
 
 import importlib.metadata
+import itertools
 import os
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from helpers.disks import largest_file
-from helpers.programs import exit_code
+from helpers.programs import assert_refused, python
 
 from carpark_mj.cli import evaluate, layouts, render
 from carpark_mj.cli.evaluate import EvaluateConfig
@@ -23,23 +22,16 @@ from carpark_mj.suite.evaluation import SuiteConfig
 ROOT = Path(__file__).parents[2]
 
 
-def test_a_file_error_names_the_file_asked_for(tmp_path):
+def test_errors_name_the_file_and_are_one_line(tmp_path):
     wanted = tmp_path / "missing" / "a.csv"
     with pytest.raises(USER_ERRORS) as caught:
         write_atomically(wanted, lambda temporary: temporary.write_text("x"))
-    line = one_line(caught.value)
-    assert line == f"cannot use {wanted}: No such file or directory"
-
-
-def test_an_error_of_a_full_disk_names_the_file(tmp_path):
+    assert one_line(caught.value) == f"cannot use {wanted}: No such file or directory"
     path = tmp_path / "a.csv"
     with largest_file(1000), pytest.raises(OSError, match=r"a\.csv") as caught:
         write_atomically(path, lambda temporary: temporary.write_bytes(bytes(2000)))
     assert one_line(caught.value) == f"cannot use {path}: File too large"
     assert not [*tmp_path.iterdir()]
-
-
-def test_every_error_is_one_line():
     assert one_line(ValueError("a\n  b")) == "a b"
     assert one_line(OverflowError("of 9")) == "a number is too large: of 9"
 
@@ -69,20 +61,11 @@ for command in sys.argv[1:]:
 
 def test_without_its_packages_every_command_says_what_to_install():
     names = [*(path.stem for path in PROGRAMS), *MODULES]
-    modules = [f"carpark_mj.{name}" for name in MODULES]
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *map(str, PROGRAMS), *modules],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-c", WITHOUT, *PROGRAMS, *(f"carpark_mj.{name}" for name in MODULES))
+    assert done.returncode == 0
     said = re.sub("'(matplotlib|tensorboardX)'", "'tyro'", done.stderr)
-    expected = [
-        f"{name}: No module named 'tyro': pip install \"carpark_mj[train,eval]\"\n2\n"
-        for name in names
-    ]
-    assert said == "".join(expected)
+    missing = "No module named 'tyro': pip install \"carpark_mj[train,eval]\"\n2\n"
+    assert said == "".join(f"{name}: {missing}" for name in names)
 
 
 # A `sitecustomize.py`: Ctrl-C where a process imports JAX, or what reads its flags.
@@ -102,16 +85,10 @@ sys.meta_path.insert(0, Interrupt())
 def test_ctrl_c_while_a_command_imports_is_one_line(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPT)
     path = os.pathsep.join([str(tmp_path), str(ROOT)])
-    commands = {program.stem: [str(program)] for program in PROGRAMS}
+    commands = {program.stem: [program] for program in PROGRAMS}
     commands |= {name: ["-m", "carpark_mj", name] for name in MODULES}
     for name, command in commands.items():
-        done = subprocess.run(
-            [sys.executable, *command],
-            env={**os.environ, "PYTHONPATH": path},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = python(*command, PYTHONPATH=path)
         ended = done.returncode, done.stdout, done.stderr
         assert ended == (130, "", f"{name}: interrupted\n")
 
@@ -122,13 +99,11 @@ def test_a_missing_package_is_in_the_extra_to_install(package, capsys):
         raise ModuleNotFoundError("missing", name=package)
 
     assert run_command("any", command) == 2
-    [extras] = re.findall(
-        r"pip install \"carpark_mj\[(.+)\]\"", capsys.readouterr().err
-    )
+    told = capsys.readouterr().err
+    [extras] = re.findall(r"pip install \"carpark_mj\[(.+)\]\"", told)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    installed = " ".join(
-        " ".join(project["optional-dependencies"][extra]) for extra in extras.split(",")
-    )
+    wanted = [project["optional-dependencies"][extra] for extra in extras.split(",")]
+    installed = " ".join(itertools.chain(*wanted))
     known = importlib.metadata.packages_distributions().get(package, [package])
     assert any(name.lower().replace("_", "-") in installed for name in known)
 
@@ -170,17 +145,19 @@ def test_an_unwritable_picture_is_refused_before_the_work(
     assert [path.name for path in tmp_path.iterdir()] == ["folder.png"]
 
 
-def test_a_new_folder_is_made_only_when_there_is_something_to_write(
-    tmp_path, monkeypatch
-):
-    new = tmp_path / "new"
+def test_a_new_folder_is_made_with_its_first_file(tmp_path, monkeypatch):
+    new, file = tmp_path / "new", tmp_path / "file"
     require_writable(new / "deep" / "a.png", new_folders=True)
     assert not new.exists()
     with pytest.raises(OSError, match=re.escape(str(new))):
         require_writable(new / "a.png")
-    (tmp_path / "file").touch()
+    file.write_text("old")
     with pytest.raises(NotADirectoryError):
-        require_writable(tmp_path / "file" / "deep" / "a.png", new_folders=True)
+        require_writable(file / "deep" / "a.png", new_folders=True)
+    require_writable(file)
+    require_writable(tmp_path / "a.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert file.read_text() == "old"
 
     def refuse(*_, **__):
         raise ValueError("refused in the middle of the work")
@@ -201,30 +178,15 @@ def test_a_new_folder_is_made_only_when_there_is_something_to_write(
 
 
 @pytest.mark.parametrize("flag", ["--plot", "--save"])
-def test_a_file_that_cannot_be_written_is_refused_before_lots_are_drawn(
-    flag, tmp_path, monkeypatch, capsys
-):
+def test_a_file_is_refused_before_lots_are_drawn(flag, tmp_path, monkeypatch, capsys):
     for work in ("draw", "plot_layouts"):
         monkeypatch.setattr(layouts, work, lambda *_: pytest.fail("the work has begun"))
-    suffix = {"--plot": "png", "--save": "json"}[flag]
-    path = tmp_path / "no" / f"a.{suffix}"
-    assert exit_code("layouts", ["square", flag, str(path)]) == 2
-    assert capsys.readouterr().err.startswith(f"layouts: cannot use {path}: ")
+    path = tmp_path / "no" / f"a.{'png' if flag == '--plot' else 'json'}"
+    words = ["square", flag, str(path)]
+    assert_refused(capsys, "layouts", words, f"cannot use {path}: ")
 
 
-def test_a_check_for_writability_leaves_the_old_file_and_nothing_else(tmp_path):
-    path = tmp_path / "a.png"
-    require_writable(path)
-    assert not list(tmp_path.iterdir())
-    path.write_text("old")
-    require_writable(path)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-    assert path.read_text() == "old"
-
-
-def test_a_link_laid_in_the_place_of_a_temporary_file_is_not_followed(
-    tmp_path, monkeypatch
-):
+def test_a_link_in_place_of_a_temporary_file_is_not_followed(tmp_path, monkeypatch):
     path, theirs = tmp_path / "a.csv", tmp_path / "theirs"
     theirs.write_text("old")
     # Even if the name were known.

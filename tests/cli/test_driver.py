@@ -25,23 +25,11 @@ RUN = EnvConfig(num_agents=5, min_agents=3)
         ({"num_agents": None, "min_agents": None}, [3, 4, 5]),
     ],
 )
-def test_a_number_of_agents_is_that_of_every_lot_unless_the_least_is_given(
-    changes, counts
-):
+def test_a_number_of_agents_is_that_of_every_lot(changes, counts):
     assert list(adapt(RUN, **changes).agent_counts) == counts
 
 
-def test_a_vehicle_is_that_of_all_cars_instead_of_a_fleet():
-    fleet = FleetConfig(agents=("city", "van"), parked_cars=("suv",))
-    run = EnvConfig(fleet=fleet, observation=ContinuousObservation(own_car=True))
-    assert run.fleet.is_on
-    alike = adapt(run, vehicle="sedan")
-    assert alike.vehicle == "sedan"
-    assert not alike.fleet.is_on
-    assert adapt(run).fleet == run.fleet
-
-
-def test_any_setting_of_an_environment_can_be_given_as_for_the_trainer():
+def test_any_setting_of_an_environment_can_be_given():
     given = ["sim.steering_delay=0.24", "occupancy=0.2 0.5", "episode.respawn=false"]
     changed = with_settings(RUN, given)
     sim = dataclasses.replace(RUN.sim, steering_delay=0.24)
@@ -64,29 +52,31 @@ def test_settings_that_are_none_are_refused(setting, message):
         with_settings(RUN, [setting])
 
 
-def test_a_number_of_parked_cars_is_that_of_every_lot():
-    run = EnvConfig(num_parked_cars=29, occupancy=(0.2, 0.8))
-    assert adapt(run, num_parked_cars=10).occupancy is None
-    assert adapt(run, num_agents=3).occupancy == (0.2, 0.8)
-
-
 @pytest.mark.parametrize(
     ("layout", "count"), [("square", 28), ("garage_row", 20), ("lot", 20)]
 )
-def test_an_occupancy_has_as_many_parked_cars_as_it_takes_in_another_layout(
-    layout, count
-):
+def test_an_occupancy_parks_as_many_cars_as_it_takes(layout, count):
     run = adapt(ANYWHERE, layout=layout, num_agents=1)
     assert (run.occupancy, run.num_parked_cars) == ((0.2, 0.8), count)
     assert ParkingEnv(run).num_agents == 1  # which refuses too few
     assert adapt(ANYWHERE, layout=layout, num_parked_cars=5).num_parked_cars == 5
 
 
-def test_rule_and_hitboxes_are_set_alone_and_together():
+def test_flags_change_what_they_are_about_and_nothing_else():
     both = adapt(RUN, rule="precise", hitbox_scale=1.1).episode
     assert (both.parked_rule, both.hitbox_scale) == ("precise", 1.1)
     assert adapt(RUN, hitbox_scale=1.1).episode.parked_rule == RUN.episode.parked_rule
     assert adapt(RUN).episode == RUN.episode
+    # A number of parked cars is that of every lot.
+    run = EnvConfig(num_parked_cars=29, occupancy=(0.2, 0.8))
+    assert adapt(run, num_parked_cars=10).occupancy is None
+    assert adapt(run, num_agents=3).occupancy == (0.2, 0.8)
+    # A vehicle is that of all cars instead of a fleet.
+    fleet = FleetConfig(agents=("city", "van"), parked_cars=("suv",))
+    run = EnvConfig(fleet=fleet, observation=ContinuousObservation(own_car=True))
+    alike = adapt(run, vehicle="sedan")
+    assert (alike.vehicle, alike.fleet.is_on) == ("sedan", False)
+    assert adapt(run).fleet == run.fleet
 
 
 def test_nominal_cars_are_observed_as_they_are():

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.programs import python
 
 ROOT = Path(__file__).parents[2]
 START = """
@@ -27,20 +28,21 @@ def main():
 """
 
 
+def started(tmp_path, body):
+    """Writes a command of some lines, and how Python runs it."""
+    indented = "".join(f"    {line}\n" for line in body.splitlines())
+    (tmp_path / "job.py").write_text(START + indented)
+    return "from carpark_mj.cli.process import enter; enter('job', 'job:main')"
+
+
 @pytest.fixture
 def run(tmp_path):
     """Runs a command of some lines in a folder of its own."""
 
     def run(body, stdout=subprocess.PIPE, handler="default_int_handler", **environment):
-        indented = "".join(f"    {line}\n" for line in body.splitlines())
-        (tmp_path / "job.py").write_text(START + indented)
-        program = (
-            f"import signal\nsignal.signal(signal.SIGINT, signal.{handler})\n"
-            "from carpark_mj.cli.process import enter\n"
-            "enter('job', 'job:main')"
-        )
+        signals = f"import signal; signal.signal(signal.SIGINT, signal.{handler}); "
         done = subprocess.run(
-            [sys.executable, "-c", program],
+            [sys.executable, "-c", signals + started(tmp_path, body)],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
             stdout=stdout,
@@ -144,11 +146,9 @@ STREAMS = (
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "2>/dev/full"])
 def test_streams_that_cannot_be_written_cost_no_work(closed, tmp_path):
-    indented = "".join(f"    {line}\n" for line in STREAMS.splitlines())
-    (tmp_path / "job.py").write_text(START + indented)
-    program = "from carpark_mj.cli.process import enter; enter('job', 'job:main')"
+    command = [sys.executable, "-c", started(tmp_path, STREAMS)]
     ended = subprocess.run(
-        ["sh", "-c", f'"$@" {closed}', "sh", sys.executable, "-c", program],
+        ["sh", "-c", f'"$@" {closed}', "sh", *command],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
@@ -207,6 +207,5 @@ print("ended")
     not hasattr(os, "sched_setaffinity"), reason="processes keep to no core here"
 )
 def test_callbacks_with_large_arrays_end_on_one_core():
-    command = [sys.executable, "-c", PROGRAM]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = python("-c", PROGRAM)
     assert done.stdout == "ended\n", done.stderr

@@ -2,11 +2,9 @@
 
 import json
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from helpers.programs import ROOT, python
 
 from carpark_mj.cli.process import OUTPUT_FUSION
 from carpark_mj.config import SimConfig
@@ -14,7 +12,6 @@ from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.mjx_step import ContactPhysics
 from carpark_mj.rendering.gl import choose_gl
 
-ROOT = Path(__file__).parents[2]
 # Runs a script that finds no policy. Says what it has set when MuJoCo is first imported
 # and after it, and whether a program compiled then is fused.
 PROGRAM = """
@@ -43,20 +40,10 @@ print(json.dumps({
 """
 
 
-def left_behind(script: str, flags: str | None = None) -> dict[str, object]:
+def left_behind(script, flags=None):
     """What `PROGRAM` says of a script, started with `XLA_FLAGS` or without."""
-    ours = "XLA_FLAGS", "MUJOCO_GL"
-    environment = {k: v for k, v in os.environ.items() if k not in ours}
-    environment["PYTHONPATH"] = str(ROOT)
-    if flags is not None:
-        environment["XLA_FLAGS"] = flags
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(ROOT / script)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-c", PROGRAM, ROOT / script, XLA_FLAGS=flags, MUJOCO_GL=None)
+    assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
@@ -89,7 +76,7 @@ CONFIGS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONFIGS)
-def test_training_compiles_with_fused_outputs(name: str):
+def test_training_compiles_with_fused_outputs(name):
     program = (
         "import jax; from carpark_mj.config import EnvConfig; "
         "from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig; "
@@ -99,17 +86,8 @@ def test_training_compiles_with_fused_outputs(name: str):
         f"learner = Learner({CONFIGS[name]}); "
         "learner.compile().lower(learner.shapes()).compile()"
     )
-    environment = os.environ | {
-        "XLA_FLAGS": f"--xla_backend_optimization_level=0 {OUTPUT_FUSION}",
-        "PYTHONPATH": str(ROOT),
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    flags = f"--xla_backend_optimization_level=0 {OUTPUT_FUSION}"
+    done = python("-c", program, XLA_FLAGS=flags)
     assert done.returncode == 0, done.stderr[:2000]
 
 

@@ -22,9 +22,7 @@ BAD_REWARDS = [
 
 
 @pytest.mark.parametrize(("change", "message"), BAD_REWARDS)
-def test_rewards_that_break_the_constraints_are_refused_with_dynamic_goals(
-    change, message
-):
+def test_rewards_that_break_the_constraints_are_refused(change, message):
     reward = RewardConfig(goals=GoalRewards(**change))
     EnvConfig(reward=reward)  # nobody is paid for fixed goals
     with pytest.raises(ValueError, match=message) as caught:
@@ -35,9 +33,7 @@ def test_rewards_that_break_the_constraints_are_refused_with_dynamic_goals(
 def test_rewards_that_obey_the_constraints_to_rounding_are_taken():
     pay = GoalRewards(stop_explore=-0.1, stop_goal=-0.2, change_goal=-0.1 - 0.2)
     assert EnvConfig(goals=DYNAMIC, reward=RewardConfig(goals=pay)).goals.dynamic
-
-
-def test_changing_goals_may_cost_nothing_as_in_a_run_of_the_study():
+    # Changing goals may cost nothing, as in a run of the study.
     pay = GoalRewards(change_goal=0.0)
     reward = EnvConfig(goals=DYNAMIC, reward=RewardConfig(goals=pay)).reward
     assert reward.goals.stop == 0.0  # by rule (3.5)
@@ -45,17 +41,14 @@ def test_changing_goals_may_cost_nothing_as_in_a_run_of_the_study():
 
 @pytest.mark.parametrize(("scheme", "needed"), [("L,L,A", False), ("G,G,A", True)])
 def test_a_scheme_says_what_must_be_observed(scheme, needed):
-    observation = EnvConfig().observation
-    for given in (False, True):
-        seen = dataclasses.replace(observation, global_information=given)
-        settings = {"goals": DYNAMIC, "giving_way": GivingWayConfig(scheme)}
-        if given == needed:
-            assert EnvConfig(**settings, observation=seen)
-            continue
-        with pytest.raises(
-            ValueError, match=f"{scheme}.*global_information = {needed}"
-        ):
-            EnvConfig(**settings, observation=seen)
+    seen, other = (
+        dataclasses.replace(EnvConfig().observation, global_information=given)
+        for given in (needed, not needed)
+    )
+    settings = {"goals": DYNAMIC, "giving_way": GivingWayConfig(scheme)}
+    assert EnvConfig(**settings, observation=seen)
+    with pytest.raises(ValueError, match=f"{scheme}.*global_information = {needed}"):
+        EnvConfig(**settings, observation=other)
 
 
 @pytest.mark.parametrize(

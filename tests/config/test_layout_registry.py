@@ -35,7 +35,7 @@ def yard(monkeypatch):
     return register_layout("yard", YardConfig())
 
 
-def test_a_registered_layout_is_known_by_name_in_mixtures_files_and_tables(yard):
+def test_a_registered_layout_is_known_everywhere(yard):
     assert EnvConfig(layout="yard").layout == "yard"
     assert make_layout("yard").num_bays == 20
     assert layout_config("yard,street").members == (yard, StreetConfig())
@@ -46,7 +46,7 @@ def test_a_registered_layout_is_known_by_name_in_mixtures_files_and_tables(yard)
     assert families()["yard"] == yard
 
 
-def test_a_second_layout_of_a_name_and_a_second_class_of_a_family_are_refused(yard):
+def test_second_layouts_and_families_of_a_name_are_refused(yard):
     with pytest.raises(ValueError, match="there is a layout 'yard' already"):
         register_layout("yard", YardConfig(bays_per_side=6))
 

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 from helpers.mutating import with_junk
-from helpers.programs import exit_code
+from helpers.programs import assert_refused
 
 from carpark_mj.editor.document import Draft, find_faults, read_picture
 from carpark_mj.editor.server import EditorServer
@@ -43,24 +43,14 @@ def changed(path, value):
     return lot
 
 
+NARROW, AWAY = changed("bays/1/size", [5, 1.5]), changed("spawns/0/pose", [0, 2.9, 0])
+NEAR = changed("bays/2/pose", [0.5, 6.5, -1.5708])
 FAULTS = {
-    "bays overlap": (
-        changed("bays/2/pose", [0.5, 6.5, -1.5708]),
-        {"bays/1", "bays/2"},
-        True,
-    ),
+    "bays overlap": (NEAR, {"bays/1", "bays/2"}, True),
     "bays meet walls": (changed("walls/0/size", [20, 6]), {"walls/0"}, True),
     "there is no spawn region": (changed("spawns", []), set(), True),
-    "bays are smaller than the car": (
-        changed("bays/1/size", [5, 1.5]),
-        {"bays/1"},
-        False,
-    ),
-    "cars spawning in spawn regions meet bays": (
-        changed("spawns/0/pose", [0, 2.9, 0]),
-        {"spawns/0"},
-        False,
-    ),
+    "bays are smaller than the car": (NARROW, {"bays/1"}, False),
+    "cars spawning in spawn regions meet bays": (AWAY, {"spawns/0"}, False),
     "bays[1].size must be positive, not [5, -1]": (
         changed("bays/1/size", [5, -1]),
         {"bays/1"},
@@ -70,7 +60,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("text", FAULTS)
-def test_a_fault_names_its_rows_and_whether_an_environment_takes_the_lot(text):
+def test_a_fault_names_its_rows_and_whether_it_is_grave(text):
     lot, rows, grave = FAULTS[text]
     [fault] = find_faults(lot)
     assert (fault["text"], fault["grave"]) == (text, grave)
@@ -104,23 +94,26 @@ def server(tmp_path):
         thread.join()
 
 
-def ask(server, method, path, body=None, **headers):
-    """Status and JSON of an answer to a request of the page's own, or its text."""
+def asked(server, method, path, body=None, **headers):
+    """The answer to a request of the page's own, and its text."""
     connection = http.client.HTTPConnection("localhost", server.server_port, timeout=60)
     own = {"Origin": f"http://localhost:{server.server_port}"}
     connection.request(method, path, body, own | headers)
     answer = connection.getresponse()
     text = answer.read().decode()
     connection.close()
+    return answer, text
+
+
+def ask(*request, **headers):
+    """Status and JSON of an answer, or its text."""
+    answer, text = asked(*request, **headers)
     is_json = answer.headers["Content-Type"] == "application/json"
     return answer.status, json.loads(text) if is_json else text
 
 
 def test_no_page_may_frame_it(server):
-    connection = http.client.HTTPConnection("localhost", server.server_port, timeout=60)
-    connection.request("GET", "/")
-    policy = connection.getresponse().headers["Content-Security-Policy"]
-    connection.close()
+    policy = asked(server, "GET", "/")[0].headers["Content-Security-Policy"]
     assert "frame-ancestors 'none'" in policy
 
 
@@ -224,11 +217,8 @@ REFUSED = [
 def test_the_command_refuses_in_one_sentence(arguments, message, folder, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        words = arguments.format(taken=port).split()
-        assert exit_code("layouts edit", words) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"layouts edit: {message.format(taken=port)}")
-    assert told.count("\n") == 1
+        words, said = (text.format(taken=port) for text in (arguments, message))
+        assert_refused(capsys, "layouts edit", words.split(), said)
     assert len(list(folder.iterdir())) == 4
 
 

@@ -182,16 +182,16 @@ def case(tyres: str, manoeuvre):
         if manoeuvre not in ELSEWHERE
     ],
 )
-def test_the_compact_passes(tyres: physics_report.Tyres, manoeuvre):
+def test_the_compact_passes(tyres, manoeuvre):
     check(manoeuvre, physics_report.TESTBEDS[tyres]())
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_tap_on_the_pedal_ends_without_rocking(name: str, bed: BrushTestbed):
+def test_a_tap_on_the_pedal_ends_without_rocking(name, bed):
     check(driver.taps, bed, preset(name))
 
 
-def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
+def test_a_tall_soft_car_slides_before_it_tips_over(bed):
     # Its static threshold is (T / 2h - lean) g = 1.0 g, above mu g = 0.9 g. With forces
     # at patches that lean into the ground with the car it fell over.
     tyre = dataclasses.replace(COMPACT.tyre, vertical_stiffness=25_000.0)
@@ -199,7 +199,7 @@ def test_a_tall_soft_car_slides_before_it_tips_over(bed: BrushTestbed):
     check(turns.lateral_limit, bed, car)
 
 
-def test_a_car_with_other_tyres_than_expected_misses(bed: BrushTestbed):
+def test_a_car_with_other_tyres_than_expected_misses(bed):
     slippery = dataclasses.replace(COMPACT.tyre, friction=0.8)
     car = dataclasses.replace(COMPACT, tyre=slippery)
     run = Run(car, 2.0, speed=5.0, brake=20 * car.mass * 9.81)
@@ -211,7 +211,7 @@ def test_a_car_with_other_tyres_than_expected_misses(bed: BrushTestbed):
     assert row.verdict.startswith("MISS: +1")  # 12.5 % longer
 
 
-def test_runs_of_one_batch_do_not_touch_each_other(bed: BrushTestbed):
+def test_runs_of_one_batch_do_not_touch_each_other(bed):
     runs = [Run(COMPACT, t, speed=v) for t, v in ((0.5, 1.0), (1.0, 2.0), (0.7, 3.0))]
     together = bed.drive(runs)
     for run, track in zip(runs, together, strict=True):
@@ -248,7 +248,7 @@ def test_csv_and_markdown_say_the_same(tmp_path):
         assert [c.replace("\0", "|") for c in shown] == list(cells.values())
 
 
-def test_the_table_of_rows_declares_those_of_the_report_and_no_others():
+def test_the_rows_declared_are_those_of_the_report():
     report = Path(__file__).parents[2] / "docs" / "physics" / "report.csv"
     used = []
     with report.open(newline="") as file:

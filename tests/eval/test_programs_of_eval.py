@@ -154,7 +154,7 @@ def test_subjects_take_turns_after_they_have_compiled():
     assert all(rate > 0 for each in measured for rate in each.rates)
 
 
-def test_the_table_compares_the_best_and_gives_the_range_of_the_rounds():
+def test_the_table_compares_the_best_and_gives_ranges():
     core = Subject("core", 1024, lambda: None)
     other = Subject("torch", 1024, lambda: None, beside="core")
     lines = comparison(

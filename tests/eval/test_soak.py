@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import soak
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.vehicle import PRESETS, Vehicle
+from carpark_mj.vehicle import PRESETS
 
 # The cases that came closest to a limit, per preset and per pattern, in 1.04e7
 # car-steps from case 0: first of hops, then of energy.
@@ -30,29 +30,27 @@ def worst(soaked: soak.Soak) -> soak.Worst:
     return jax.device_get(soaked.run(jnp.array(WORST, jnp.int32)))
 
 
-def test_the_worst_cases_hold(worst: soak.Worst):
+def test_the_worst_cases_hold(worst):
     assert not soak.breaches(worst, LIMITS.max_hop, LIMITS.max_energy).any()
     # They are what the full soak found, close to -4.5 mm and 6.3 J/kg.
     assert -0.01 < worst.hop.max() < 0.0
     assert 5.0 < worst.energy.max() < 7.0
 
 
-def test_only_the_invalid_pattern_has_actions_to_neutralise(worst: soak.Worst):
+def test_only_the_invalid_pattern_has_actions_to_neutralise(worst):
     invalid = soak.pattern_of(np.array(WORST)) == soak.PATTERNS.index("invalid")
     np.testing.assert_array_equal(worst.invalid > 0, invalid)
     assert invalid.any()
 
 
-def test_a_case_is_the_same_wherever_it_runs(soaked: soak.Soak, worst: soak.Worst):
+def test_a_case_is_the_same_wherever_it_runs(soaked, worst):
     again = jax.device_get(soaked.run(jnp.array(WORST[::-1], jnp.int32)))
     for one, other in zip(jax.tree.leaves(worst), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, other[::-1])
     assert soaked.run._cache_size() == 1
 
 
-def test_the_command_tells_a_breach_from_a_pass(
-    soaked: soak.Soak, monkeypatch: pytest.MonkeyPatch, capsys
-):
+def test_the_command_tells_a_breach_from_a_pass(soaked, monkeypatch, capsys):
     monkeypatch.setattr(soak, "Soak", lambda sim: soaked)
     assert soak.run(LIMITS) == 0
     assert "all held" in capsys.readouterr().out
@@ -84,7 +82,7 @@ def test_cases_cover_every_preset_under_every_pattern():
     assert len(pairs) == len(PRESETS) * len(soak.PATTERNS) == 36
 
 
-def test_patterns_do_what_their_names_say(compact: Vehicle):
+def test_patterns_do_what_their_names_say(compact):
     steps = jnp.arange(soak.ROUNDS)
     draw = jax.jit(jax.vmap(soak.draw_action, (0, None, None, None)))
     actions = {
@@ -105,7 +103,7 @@ def test_patterns_do_what_their_names_say(compact: Vehicle):
     assert (np.abs(actions["invalid"]) > 1.0).any()
 
 
-def test_heights_and_energy_are_those_of_rigid_bodies(compact: Vehicle):
+def test_heights_and_energy_are_those_of_rigid_bodies(compact):
     state = MjxPhysics(SimConfig()).init(jnp.array([3.0, -2.0, 0.7]), compact)
     np.testing.assert_allclose(soak.wheel_heights(state), 0.0, atol=1e-6)
     turn = Rotation.from_euler("ZYX", [0.7, 0.02, -0.03])

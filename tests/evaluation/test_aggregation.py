@@ -83,32 +83,29 @@ def test_steps_are_pooled_and_shares_of_episodes_averaged():
     assert math.isnan(pool(BY_NAME["speed"], []))
 
 
-def test_crashes_at_the_start_are_those_of_the_first_step():
-    lengths = np.arange(1.0, 5.0)
-    rows = [episode(length, crashed=1.0) for length in lengths]
-    found = [row["crashed_at_start"] for row in rows]
+def test_what_follows_from_the_numbers_of_an_episode():
+    rows = [episode(length, crashed=1.0) for length in np.arange(1.0, 5.0)]
     # The study counts crashes at a step count below 2.
-    assert found == [1.0, 0.0, 0.0, 0.0]
+    assert [row["crashed_at_start"] for row in rows] == [1.0, 0.0, 0.0, 0.0]
     assert episode(1.0, parked=1.0)["crashed_at_start"] == 0.0
+    # The time to park is of parked episodes only.
+    rows = [episode(10, parked=1.0), episode(20, parked=1.0), episode(50)]
+    assert pool(BY_NAME["time_to_park"], rows) == pytest.approx(3.0)
+    assert math.isnan(pool(BY_NAME["time_to_park"], rows[2:]))
+    assert math.isnan(rows[2]["time_to_park"])
+    # The least clearance is to whatever was nearest.
+    near = {"agent": 3, "parked_car": 1, "wall": 2}
+    near = {f"min_clearance_{kind}": gap for kind, gap in near.items()}
+    assert episode(**near)["min_clearance"] == 1
+    # Returns by term are means over episodes.
+    rows = [episode(return_park=park, return_time=-1.0) for park in (4.0, 0.0)]
+    assert summarize(rows)["mean_returns"] == {"park": 2.0, "time": -1.0}
 
 
 def test_extremes_have_a_median_a_quantile_and_the_worst():
     rows = [episode(peak_jerk=float(k), min_clearance=float(k)) for k in range(100)]
     assert pool(BY_NAME["peak_jerk"], rows) == {"median": 49, "p95": 94, "max": 99}
     assert pool(BY_NAME["min_clearance"], rows) == {"median": 49, "p5": 4, "min": 0}
-
-
-def test_time_to_park_is_of_parked_episodes_only():
-    rows = [episode(10, parked=1.0), episode(20, parked=1.0), episode(50)]
-    assert pool(BY_NAME["time_to_park"], rows) == pytest.approx(3.0)
-    assert math.isnan(pool(BY_NAME["time_to_park"], rows[2:]))
-    assert math.isnan(rows[2]["time_to_park"])
-
-
-def test_the_least_clearance_is_to_whatever_was_nearest():
-    near = {"agent": 3, "parked_car": 1, "wall": 2}
-    near = {f"min_clearance_{kind}": gap for kind, gap in near.items()}
-    assert episode(**near)["min_clearance"] == 1
 
 
 def outcome_row(outcome, hit="", **numbers):
@@ -136,7 +133,7 @@ def test_a_summary_is_what_a_hand_count_gives():
     assert summary["final_heading"] == pytest.approx(0.2)
 
 
-def test_a_summary_has_each_metric_once_and_by_the_catalogue_s_name():
+def test_a_summary_has_each_metric_of_the_catalogue_once():
     rows = random_episodes(3)
     names = [metric.name for metric in metrics() if metric.name in rows[0]]
     assert list(summarize(rows)) == ["episodes", *names, "mean_returns"]
@@ -152,7 +149,7 @@ def test_no_episodes_have_rates_that_could_be_anything():
         assert rate == {"low": 0.0, "high": 1.0, "count": 0.0}
 
 
-def test_the_share_of_the_wrong_way_weighs_episodes_by_the_way_driven():
+def test_the_wrong_way_share_weighs_by_the_way_driven():
     rows = [episode(path=path) for path in (30.0, 10.0)]
     assert "wrong_way_share" not in summarize(rows)
     rows = [
@@ -165,12 +162,7 @@ def test_the_share_of_the_wrong_way_weighs_episodes_by_the_way_driven():
     assert math.isnan(summarize(still)["wrong_way_share"])
 
 
-def test_returns_by_term_are_means_over_episodes():
-    rows = [episode(return_park=park, return_time=-1.0) for park in (4.0, 0.0)]
-    assert summarize(rows)["mean_returns"] == {"park": 2.0, "time": -1.0}
-
-
-def test_conformity_adds_steps_up_over_episodes_before_it_divides():
+def test_conformity_adds_up_steps_before_it_divides():
     counts = [(8.0, 8.0), (1.0, 0.0), (0.0, 0.0)]
     none = {"met_local_same": 0.0, "gave_way_local_same": 0.0}
     rows = [
@@ -205,7 +197,7 @@ def in_lots(outcomes, **stratum):
     ]
 
 
-def test_episodes_that_repeat_those_of_their_lots_tell_nothing_new():
+def test_episodes_that_repeat_tell_nothing_new():
     rng = np.random.default_rng(1)
     lots = rng.uniform(size=(40, 5)) < rng.uniform(0.2, 1, size=(40, 1))
     one = effective_episodes("parked", in_lots(lots))
@@ -228,7 +220,7 @@ def test_two_lots_of_three_episodes_by_hand():
     assert effective_episodes("parked", families) == pytest.approx(6 / 2.5)
 
 
-def test_differences_between_families_leave_no_doubt_about_a_rate():
+def test_differences_of_families_leave_no_doubt_of_a_rate():
     rows = in_lots([[1, 1, 1, 1, 0]] * 10 + [[1, 0, 0, 0, 0]] * 10)
     apart = [row | {"family": "ab"[row["lot"] >= 10]} for row in rows]
     assert effective_episodes("parked", apart) == 100
@@ -268,7 +260,7 @@ def drive(path=9.0, hit=0.0, speed=0.0):
     return {"path": path, "hit_person": hit, "peak_contact_speed": speed}
 
 
-def test_every_contact_is_in_one_class_and_cars_that_stood_do_not_count():
+def test_every_contact_of_cars_that_drove_is_in_one_class():
     speeds = (0.0, 0.4, 0.5, 1.0, 1.7, 2.4)
     rows = [drive(hit=1.0, speed=speed) for speed in speeds]
     rows += [drive()] * 94 + [drive(path=0.05)] * 50
@@ -281,7 +273,7 @@ def test_every_contact_is_in_one_class_and_cars_that_stood_do_not_count():
     assert (rate["low"], rate["high"]) == pytest.approx(wilson_interval(6, 100))
 
 
-def test_without_a_contact_there_is_an_upper_bound_and_without_people_nothing():
+def test_without_a_contact_there_is_an_upper_bound():
     found = contacts([drive()] * 40_000)
     assert found is not None
     assert found["1..2"]["low"] == 0.0

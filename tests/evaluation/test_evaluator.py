@@ -67,9 +67,7 @@ def test_every_agent_gives_the_same_number_of_whole_episodes(result):
     assert len(counts) == 8
 
 
-def test_one_program_evaluates_environments_that_differ_in_numbers(
-    evaluator, run, result
-):
+def test_one_program_evaluates_other_numbers(evaluator, run, result):
     """As environments of their own; cars three times as large crash more often."""
     scaled = run(RANDOM, num_episodes=20, seed=3, values=SCALED)
     assert evaluator._chunk._cache_size() == evaluator._reset._cache_size() == 1
@@ -99,7 +97,7 @@ def test_a_span_counts_the_episodes_that_begin_within_it(run):
         run(RANDOM, num_episodes=8, seed=3, horizon=0.0)
 
 
-def test_returns_by_term_add_up_in_every_episode_and_in_the_summary(result):
+def test_returns_by_term_add_up(result):
     by_term = result.summary["mean_returns"]
     assert {"park", "crash", "time", "progress"} <= by_term.keys()
     for row in result.episodes:
@@ -124,7 +122,7 @@ def test_every_episode_has_exactly_one_outcome_and_a_length(result):
         assert (row["length"] == 30) or not row["timed_out"]
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_seed_does_not(run, result):
+def test_only_the_same_seed_gives_the_same_bits(run, result):
     again, other = (run(RANDOM, num_episodes=20, seed=seed) for seed in (3, 4))
     assert again.episodes == result.episodes
     assert other.episodes != result.episodes
@@ -197,7 +195,7 @@ def test_families_are_summed_up_apart_and_add_up(mixed):
         assert mixed.summary[outcome]["count"] == total
 
 
-def test_an_evaluation_s_lots_are_held_out_and_follow_from_its_seed(mixed, run_mixture):
+def test_evaluated_lots_are_held_out_and_of_the_seed(mixed, run_mixture):
     assert run_mixture().episodes == mixed.episodes
     assert Watched.asked == ["test"]
 
@@ -223,9 +221,7 @@ def crowds(run_crowds):
 
 
 @pytest.mark.parametrize("episodes", [1, 40])
-def test_rare_members_of_a_mixture_get_a_lot_with_every_number_of_agents(
-    episodes, run_crowds
-):
+def test_rare_members_get_lots_of_every_number_of_agents(episodes, run_crowds):
     found = run_crowds(num_episodes=episodes)
     driven = {(row["family"], row["agents_present"]) for row in found.episodes}
     assert len(driven) == 3 * 2

@@ -30,52 +30,33 @@ BICYCLES = EnvConfig(physics="bicycle")
 
 def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys):
     table, data = write_evaluation(tmp_path, everything, {})
+    words = ("family", "vehicle")
     with table.open(newline="") as file:
         rows = [
-            {
-                name: float(x)
-                for name, x in row.items()
-                if name not in ("family", "vehicle")
-            }
+            {name: float(x) for name, x in row.items() if name not in words}
             for row in csv.DictReader(file)
         ]
-    stored = json.loads(data.read_text())["summary"]
-    assert json.dumps(summarize(rows)) == json.dumps(stored)  # NaN like NaN
+    stored = json.loads(data.read_text())
+    assert json.dumps(summarize(rows)) == json.dumps(stored["summary"])  # NaN like NaN
+    assert "families" not in stored  # of a single lot
+    assert {row["family"] for row in everything.episodes} == {"square"}
     print_metrics(everything.summary)
     printed = capsys.readouterr().out
     for name in ("nearest car", "min collision time agent", "worst 5 %"):
         assert name in printed
 
 
-def test_the_first_table_tells_outcomes_and_how_parked_episodes_went(
-    everything, capsys
-):
-    rates = {
-        name: {"rate": 0.25, "low": 0.1, "high": 0.4, "count": 1} for name in ENDINGS
-    }
-    driven = {
-        "time_to_park": 12.34,
-        "path": 17.26,
-        "gear_changes": 1.5,
-        "final_distance": 0.123,
-        "final_heading": 0.1,
-        "final_speed": 0.456,
-        "wrong_way_share": 0.037,
-    }
-    print_table(everything.summary | rates | driven, "a title")
+def test_the_first_table_tells_outcomes_and_how_episodes_went(everything, capsys):
+    rate = {"rate": 0.25, "low": 0.1, "high": 0.4, "count": 1}
+    driven = {"time_to_park": 12.34, "path": 17.26, "gear_changes": 1.5}
+    driven |= {"final_distance": 0.123, "final_heading": 0.1, "final_speed": 0.456}
+    summary = dict.fromkeys(ENDINGS, rate) | driven | {"wrong_way_share": 0.037}
+    print_table(everything.summary | summary, "a title")
     printed = " ".join(capsys.readouterr().out.split())
-    for text in ("a title: 90 episodes", "25.0%", "10.0% … 40.0%", "timed out"):
+    texts = ("a title: 90 episodes", "25.0%", "10.0% … 40.0%", "timed out", "12.3 s")
+    texts += ("17.3 m", "1.5 gear changes", "0.12 m", "5.7 deg", "0.46 m/s")
+    for text in (*texts, "3.7% of the distance driven against the lanes"):
         assert text in printed
-    for text in (
-        "12.3 s",
-        "17.3 m",
-        "1.5 gear changes",
-        "0.12 m",
-        "5.7 deg",
-        "0.46 m/s",
-    ):
-        assert text in printed
-    assert "3.7% of the distance driven against the lanes" in printed
 
 
 def test_every_crash_stands_in_a_row_of_what_was_hit(capsys):
@@ -128,39 +109,29 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
         assert name in printed
 
 
-def test_lots_with_several_numbers_of_agents_have_a_table_by_number(
-    everything, tmp_path, capsys
+@pytest.mark.parametrize(
+    ("part", "column", "file", "names"),
+    [
+        ("agent_counts", "agents_present", "agents_present.csv", (1, 2)),
+        ("vehicles", "vehicle", "vehicles.csv", ("city", "van")),
+    ],
+)
+def test_numbers_of_agents_and_vehicles_have_tables_of_their_own(
+    part, column, file, names, everything, tmp_path, capsys
 ):
-    parts = {n: everything.summary | {"episodes": 10 * n} for n in (1, 2)}
-    result = dataclasses.replace(everything, agent_counts=parts)
+    parts = {n: everything.summary | {"episodes": 10 + k} for k, n in enumerate(names)}
+    result = dataclasses.replace(everything, **{part: parts})
     *_, table = write_evaluation(tmp_path, result, {})
-    assert table.name == "agents_present.csv"
-    with table.open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["agents_present"] for row in rows] == ["1", "2", "all"]
-    assert [row["episodes"] for row in rows] == ["10", "20", "90"]
+    assert table.name == file
+    with table.open() as opened:
+        rows = [(row[column], row["episodes"]) for row in csv.DictReader(opened)]
+    one, other = map(str, names)
+    assert rows == [(one, "10"), (other, "11"), ("all", "90")]
     stored = json.loads((tmp_path / "evaluation.json").read_text())
-    assert stored["agents_present"]["2"]["episodes"] == 20
+    assert stored[table.stem][other]["episodes"] == 11
     print_report(result, "a title")
-    assert "by agents present" in capsys.readouterr().out
-
-
-def test_a_single_lot_has_no_table_of_families(everything, tmp_path):
-    files = write_evaluation(tmp_path, everything, {})
-    assert len(files) == 2
-    assert "families" not in json.loads(files[1].read_text())
-    assert {row["family"] for row in everything.episodes} == {"square"}
-
-
-def test_a_fleet_has_a_table_by_kind_of_car(everything, tmp_path):
-    parts = {name: everything.summary | {"episodes": 7} for name in ("city", "van")}
-    result = dataclasses.replace(everything, vehicles=parts)
-    *_, table = write_evaluation(tmp_path, result, {})
-    assert table.name == "vehicles.csv"
-    with table.open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["vehicle"] for row in rows] == ["city", "van", "all"]
-    assert [row["episodes"] for row in rows[:2]] == ["7", "7"]
+    if part == "agent_counts":
+        assert "by agents present" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("flag", ["run", "policy"])
@@ -196,7 +167,7 @@ def test_an_evaluation_is_written_before_it_is_printed(
         ({"layout": "my-yard.json"}, "layout-my-yard.json"),
     ],
 )
-def test_results_of_another_task_go_to_a_folder_named_by_its_flags(flags, name):
+def test_results_of_other_tasks_are_in_folders_by_flags(flags, name):
     found = subfolder(EvaluateConfig(run="runs/a", **flags))
     assert found == Path("evaluations") / name
 

@@ -1,11 +1,17 @@
-"""Commands run in this process, as `carpark_mj.cli.process.enter` runs them."""
+"""Commands run in this process as `carpark_mj.cli.process.enter` does, or apart."""
 
 import functools
+import os
+import subprocess
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from carpark_mj import programs
 from carpark_mj.cli.process import run_command
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def exit_code(program: Any, arguments: Sequence[str]) -> int:
@@ -22,3 +28,33 @@ layouts = functools.partial(exit_code, "layouts")
 vehicles = functools.partial(exit_code, "vehicles")
 identify = functools.partial(exit_code, "identify")
 oracle = functools.partial(exit_code, "oracle")
+
+
+def assert_refused(capsys: Any, program: str, arguments: Sequence[str], said: str):
+    """Asserts exit code 2 and one line on stderr, which says why; returns it."""
+    assert exit_code(program, arguments) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"{program}: ")
+    assert said in told
+    assert told.count("\n") == 1
+    return told
+
+
+def python(*arguments: Any, cwd: Any = None, **variables: str | None):
+    """Runs Python in a process of its own, which imports this checkout.
+
+    Args:
+        *arguments: of the interpreter.
+        cwd: where it runs, if not here.
+        **variables: of its environment; None = not set.
+    """
+    given = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+    return subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        cwd=cwd,
+        env={name: value for name, value in given.items() if value is not None},
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.programs import assert_refused
 from helpers.programs import identify as main
 
 from carpark_mj.cli import vehicles as command
@@ -61,14 +62,10 @@ def read_log_of(tmp_path, rows):
 
 def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
     found = identify(logs["full"], COMPACT, 0.0, SIM_DT)
+    unknown = "lateral_relaxation", "patch_radius"
     for name, estimate in found.estimates.items():
-        assert estimate.identifiable or name in (
-            "lateral_relaxation",
-            "patch_radius",
-        ), name
-        if (
-            estimate.identifiable
-        ):  # within twice half an interval, four standard deviations
+        assert estimate.identifiable or name in unknown, name
+        if estimate.identifiable:  # twice half an interval: four standard deviations
             assert abs(estimate.value - getattr(TRUE, name)) < 2 * estimate.error, name
         assert estimate.error > 0
     # The residuals are the noise of the sensors.
@@ -79,20 +76,15 @@ def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
 @pytest.mark.parametrize(("stops", "car"), [(True, {}), (False, ALONG)], ids=str)
 def test_intervals_cover_a_car_of_other_equations(stops, car):
     true = SingleTrack(**car)
-    found = identify(
-        drive_single_track(true, 1, stops, seconds=30.0), COMPACT, 0.0, SIM_DT
-    )
-    told = {name: e for name, e in found.estimates.items() if e.identifiable}
+    log = drive_single_track(true, 1, stops, seconds=30.0)
+    estimates = identify(log, COMPACT, 0.0, SIM_DT).estimates
+    told = {name: e for name, e in estimates.items() if e.identifiable}
     assert {"pedal_delay", "steering_ratio", "rolling_resistance"} <= {*told}
-    missed = [
-        name for name, e in told.items() if abs(e.value - getattr(true, name)) > e.error
-    ]
+    missed = [n for n, e in told.items() if abs(e.value - getattr(true, n)) > e.error]
     assert len(missed) <= 1, missed  # of about eight, at 95 %
 
 
-def test_what_a_constant_steering_angle_does_not_tell_keeps_the_vehicle_s_value(
-    logs, tmp_path, capsys, monkeypatch
-):
+def test_what_a_log_does_not_tell_keeps_its_value(logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(command, "identify", partial(identify, sim_dt=SIM_DT))
     path = write(tmp_path / "log.csv", rows_of(logs["circle"]))
     out = tmp_path / "my_car.yaml"
@@ -189,14 +181,10 @@ REFUSED = {
 @pytest.mark.parametrize("fault", REFUSED)
 def test_what_is_no_log_is_refused_in_one_sentence(logs, tmp_path, capsys, fault):
     change, told = REFUSED[fault]
-    rows = change(rows_of(logs["full"]))
-    path = tmp_path / "log.csv"
+    rows, path = change(rows_of(logs["full"])), tmp_path / "log.csv"
     if rows:
         write(path, rows)
     else:
         path.write_text("time,pedal\n")
-    assert main([str(path), "--vehicle", "compact"]) == 2
-    error = capsys.readouterr().err.strip()
-    assert told in error
-    assert str(path) in error
-    assert "\n" not in error
+    words = [str(path), "--vehicle", "compact"]
+    assert str(path) in assert_refused(capsys, "identify", words, told)

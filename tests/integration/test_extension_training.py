@@ -104,7 +104,7 @@ def test_a_named_module_s_preset_and_variant_train(package, tmp_path):
         assert row["loss/halved"] == pytest.approx(row["loss/total_loss"] / 2)
 
 
-def test_an_installed_package_s_program_and_preset_are_listed_and_run(installed):
+def test_an_installed_package_is_listed_and_runs(installed):
     done = command(installed, "study", "hello", "you")
     assert (done.stdout, done.stderr) == ("hello you\n", "")
     assert "\n  hello " in command(installed, "study").stdout

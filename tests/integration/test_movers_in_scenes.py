@@ -78,7 +78,7 @@ class Roller(Mover):
 
 
 @pytest.mark.slow
-def test_who_runs_into_a_standing_car_pushes_it_from_step_to_step():
+def test_a_mover_pushes_a_standing_car_from_step_to_step():
     start = ResetOptions(pose=jnp.zeros((1, 3)))
     ends = []
     for physics in ("mjx", "scene"):

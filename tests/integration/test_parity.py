@@ -74,9 +74,7 @@ def make_driver(x64: bool):
 @pytest.mark.parametrize(
     "params", [pytest.param(COMPACT, id="compact"), pytest.param(VAN, id="van")]
 )
-def test_a_second_of_driving_agrees_with_c_mujoco(
-    params: VehicleParameters, x64: bool, tolerance: float
-):
+def test_a_second_of_driving_agrees_with_c_mujoco(params, x64, tolerance):
     with jax.enable_x64(True):
         expected = CCar(params, START, SIM).drive(CONTROLS)
     poses = make_driver(x64)(params)

@@ -1,12 +1,8 @@
 """Our car beside CommonRoad's multi-body, drift and kinematic models."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from helpers.programs import ROOT, python
 
 import referee
 
@@ -32,9 +28,7 @@ def found() -> dict[str, referee.Trial]:
         ("parking, two gear changes", "KS", 0.08, 0.8),
     ],
 )
-def test_our_car_stays_with_the_referee(
-    found, name: str, model: str, metres: float, degrees: float
-):
+def test_our_car_stays_with_the_referee(found, name, model, metres, degrees):
     trial = found[name]
     path = trial.paths[model]
     assert np.linalg.norm(np.diff(path.position, axis=0), axis=1).sum() > 10.0  # m
@@ -68,14 +62,7 @@ def test_our_car_has_the_published_figures():
 
 def test_the_script_writes_its_page(tmp_path):
     """As a user starts it: with the flags that it sets itself."""
-    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
-    script = Path(__file__).parents[2] / "eval" / "referee.py"
-    done = subprocess.run(
-        [sys.executable, str(script), "--out", str(tmp_path)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    script = ROOT / "eval" / "referee.py"
+    done = python(script, "--out", tmp_path, XLA_FLAGS=None)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "referee.md").exists()

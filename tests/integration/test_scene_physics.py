@@ -94,7 +94,7 @@ def driven():
     return jax.device_get((factored, judged))
 
 
-def test_factored_cars_and_the_scene_agree_until_the_first_contact():
+def test_factored_and_scene_cars_agree_until_a_contact():
     factored, judged = driven()
     apart = ~np.cumsum(judged.touched.any(-1), axis=0).astype(bool)
     seconds = apart.sum(0) * SIM.ctrl_dt
@@ -113,7 +113,7 @@ def test_factored_cars_and_the_scene_agree_until_the_first_contact():
     assert judged.touched.any()
 
 
-def test_a_lot_without_parked_cars_drives_like_the_factored_physics():
+def test_a_lot_without_parked_cars_drives_like_factored():
     lots = 3
     pose = starts(np.random.default_rng(2), lots)[:, :2]
     vehicle = jax.tree.map(lambda x: x[:, :2], fleet(lots))
@@ -181,7 +181,7 @@ def configurations():
     return pose.astype(np.float32), bays, touched
 
 
-def test_box_tests_and_contacts_agree_on_ten_thousand_configurations():
+def test_box_tests_and_contacts_agree():
     pose, bays, touched = configurations()
     size = jnp.array([COMPACT.length, COMPACT.width], jnp.float32)
     sizes = jnp.broadcast_to(size, (AGENTS, 2))
@@ -265,7 +265,7 @@ def test_a_crash_is_physical():
     assert np.abs(poses[-1, 2:] - poses[0, 2:]).max() < 1e-3
 
 
-def test_a_parked_car_that_is_hit_near_its_rear_axle_turns_as_on_four_wheels():
+def test_a_hit_parked_car_turns_as_on_four_wheels():
     """A hit of 3 m/s, and from its end on the slide of Coulomb's friction."""
     reach = COMPACT.width / 2 + COMPACT.length / 2
     pose = np.array([[8, -9 + 3 * k, 0] for k in range(AGENTS)], np.float32)
@@ -320,7 +320,7 @@ def test_an_agent_that_finishes_stays_in_the_way_and_is_pushed():
     assert not timestep.events.done.any()
 
 
-def test_a_moved_parked_car_is_put_there_and_a_pushed_one_stays_pushed():
+def test_parked_cars_are_moved_and_stay_pushed():
     physics, intended = scene(), LAYOUT.bay_pose[:PARKED]
     state = begun(starts(np.random.default_rng(0), 1)[0], intended)
     np.testing.assert_allclose(
@@ -346,7 +346,7 @@ def test_a_non_finite_car_is_contained_and_flagged():
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(read))
 
 
-def test_a_lot_s_result_does_not_depend_on_its_neighbours_in_the_batch():
+def test_a_lot_does_not_depend_on_its_batch():
     pose = starts(np.random.default_rng(2), 3)
     parked = jnp.broadcast_to(LAYOUT.bay_pose[:PARKED], (3, PARKED, 3))
     controls = np.full((3, AGENTS, 2), 0.7, np.float32)

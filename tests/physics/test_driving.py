@@ -41,27 +41,16 @@ def tracks(record) -> dict[object, Track]:
     return dict(zip(DRIVES, record(list(DRIVES.values())), strict=True))
 
 
-# Turning
-
-
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("degrees", TURN_ANGLES)
-def test_a_car_steered_left_turns_left_forwards_and_right_in_reverse(
-    tracks, way: int, degrees: float
-):
+def test_a_car_turns_left_forwards_and_right_in_reverse(tracks, way, degrees):
     yaw = np.unwrap(tracks["left", degrees, way].pose[:, 2])
     assert np.sign(yaw[-1] - yaw[250]) == way
-
-
-# Stopping and standing
 
 
 def test_a_car_is_placed_at_its_static_equilibrium(tracks):
     # Springs preloaded with the static loads: no settling. Measured 2e-8 m.
     assert np.abs(tracks["stand"].height).max() < 1e-6
-
-
-# Slopes
 
 
 def test_gravity_on_a_slope_keeps_its_size_and_points_downhill():
@@ -72,7 +61,7 @@ def test_gravity_on_a_slope_keeps_its_size_and_points_downhill():
     assert gravity_vector(SimConfig()) == (0.0, 0.0, -GRAVITY)
 
 
-def test_a_ramp_is_a_slope_between_its_ends_and_begins_over_three_metres():
+def test_a_ramp_is_a_slope_that_begins_over_three_metres():
     sim = SimConfig(grade_x=0.02, ramp=(10.0, 20.0, 0.1))
     for x, grade in [
         (0.0, 0.02),
@@ -94,14 +83,9 @@ def test_a_ramp_is_a_slope_between_its_ends_and_begins_over_three_metres():
     assert np.shape(plain) == (3,)  # constants where there is none
 
 
-# Wheel speed
-
-
 @pytest.mark.parametrize("stiffer", STIFFENINGS)
 @pytest.mark.parametrize("inertia", WHEEL_INERTIAS)
-def test_no_wheel_chatters_at_training_time_steps(
-    tracks, inertia: float, stiffer: float
-):
+def test_no_wheel_chatters_at_training_time_steps(tracks, inertia, stiffer):
     track = tracks["wheels", inertia, stiffer]
     assert np.isfinite(track.spin).all()
     assert track.finite.all()
@@ -122,9 +106,7 @@ def test_no_wheel_chatters_at_training_time_steps(
 
 @pytest.mark.parametrize("stiffer", STIFFENINGS)
 @pytest.mark.parametrize("inertia", WHEEL_INERTIAS)
-def test_rolling_wheels_turn_as_fast_as_the_car_drives_and_stop_with_it(
-    tracks, inertia: float, stiffer: float
-):
+def test_wheels_turn_as_the_car_drives_and_stop_with_it(tracks, inertia, stiffer):
     track = tracks["wheels", inertia, stiffer]
     for cruise, stand in ((390, 600), (910, 1100)):
         rolling = track.spin[cruise] * COMPACT.wheel_radius
@@ -139,21 +121,15 @@ def test_rolling_wheels_turn_as_fast_as_the_car_drives_and_stop_with_it(
 
 @pytest.mark.parametrize(
     ("name", "limit"),
-    [
-        ("full speed", COMPACT.max_speed),
-        ("full reverse", -COMPACT.max_reverse_speed),
-    ],
+    [("full speed", COMPACT.max_speed), ("full reverse", -COMPACT.max_reverse_speed)],
 )
-def test_the_speed_limit_is_reached_but_not_exceeded(tracks, name: str, limit: float):
+def test_the_speed_limit_is_reached_but_not_exceeded(tracks, name, limit):
     ratio = tracks[name].speed / limit
     # Rolling resistance keeps the limiter's balance c_rr g T = 0.047 m/s below.
     balance = COMPACT.tyre.rolling_resistance * GRAVITY * COMPACT.speed_limit_time
     assert ratio.max() < 1.0
     # Measured 1e-6.
     assert ratio[-1] == pytest.approx(1 - balance / abs(limit), abs=1e-5)
-
-
-# Symmetries
 
 
 def test_mirrored_steering_drives_the_mirrored_path(tracks):
@@ -181,30 +157,20 @@ def test_a_car_moves_the_same_whatever_drives_beside_it(record, tracks):
         alone = record([DRIVES[name]])[0]
         # The same program on the same numbers.
         assert np.array_equal(alone.pose, tracks[name].pose)
-
-
-def test_different_cars_drive_differently_in_one_batch(tracks):
     apart = tracks["wander in a van"].pose[:, :2] - tracks["wander"].pose[:, :2]
     assert np.linalg.norm(apart, axis=1).max() > 0.3  # measured 0.57 m
 
 
 def test_the_error_of_a_time_step_shrinks_with_it():
+    def path(dt):
+        car = CCar(COMPACT, ORIGIN, SimConfig(sim_dt=dt, ctrl_dt=0.2))
+        segments, every = [(1.0, 0.7, 1.0), (1.0, -0.9, 0.6)], round(0.1 / dt)
+        rows = [np.tile(s[1:], (round(s[0] / dt), 1)) for s in segments]
+        return car.drive(np.concatenate(rows))[every - 1 :: every]
+
     with jax.enable_x64(True):
-
-        def path(dt: float) -> np.ndarray:
-            sim = SimConfig(sim_dt=dt, ctrl_dt=0.2)
-            car = CCar(COMPACT, ORIGIN, sim)
-            segments = [(1.0, 0.7, 1.0), (1.0, -0.9, 0.6)]
-            rows = [np.tile(s[1:], (round(s[0] / dt), 1)) for s in segments]
-            return car.drive(np.concatenate(rows))[
-                round(0.1 / dt) - 1 :: round(0.1 / dt)
-            ]
-
-        exact = path(0.000625)
-        errors = [
-            np.linalg.norm(path(dt) - exact, axis=1).max()
-            for dt in (0.01, 0.005, 0.0025)
-        ]
+        exact, *paths = map(path, (0.000625, 0.01, 0.005, 0.0025))
+    errors = [np.linalg.norm(found - exact, axis=1).max() for found in paths]
     # Measured 11.8, 3.5 and 1.2 mm on a path of 3.3 m, against 0.625 ms.
     assert errors[0] < 0.015
     assert errors[0] > 2 * errors[1]

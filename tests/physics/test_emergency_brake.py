@@ -37,13 +37,8 @@ AWAY = 1e3  # m
 def scene(speed, *people, present=True, steering=0.0, kind=ObstacleKind.PERSON):
     """A car at the origin, and people (x, y, vx, vy)."""
     there = jnp.array(people, jnp.float32).reshape(-1, 4)
-    discs = Discs(
-        there[:, :2],
-        jnp.full(len(there), RADIUS),
-        there[:, 2:],
-        jnp.full(len(there), present),
-        kind=kind,
-    )
+    radius, mask = jnp.full(len(there), RADIUS), jnp.full(len(there), present)
+    discs = Discs(there[:, :2], radius, there[:, 2:], mask, kind=kind)
     motion = cars([(0.0, 0.0, 0.0)], speed=speed, steering=steering, size=SIZE)
     vehicle = jax.tree.map(lambda x: x[None], VEHICLE)
     state = state_of(PLACE, motion, 0, movers=Movers((), ((discs,),)))
@@ -70,7 +65,7 @@ WAYS = {
 
 
 @pytest.mark.parametrize(("speed", "command"), WAYS)
-def test_it_brakes_where_the_way_to_a_stop_leaves_less_than_the_gap(speed, command):
+def test_it_brakes_where_a_stop_leaves_less_than_the_gap(speed, command):
     side = np.sign(speed or command)
     for more, brakes in ((-0.02, True), (0.02, False)):
         gap = WAYS[speed, command] + GAP + ASIDE + more
@@ -100,7 +95,7 @@ def test_it_brakes_for_whom_it_would_drive_at(who):
     assert bool(got < 0.0) == brakes
 
 
-def test_the_steering_is_held_while_it_brakes_and_else_the_drivers():
+def test_the_steering_is_held_while_it_brakes():
     near, far = (HALF[0] + 0.5, 0.0, 0.0, 0.0), (HALF[0] + 5.0, 0.0, 0.0, 0.0)
     for person, brakes in ((near, True), (far, False)):
         state = scene(1.0, person, steering=0.25 * COMPACT.max_steering)
@@ -122,7 +117,7 @@ def test_cars_turn_wider_than_they_steer():
         assert bool(pedal(state, [1.0, 0.0]) < 0.0) == brakes
 
 
-def test_only_people_who_are_there_count_and_without_any_the_controls_are_the_same():
+def test_only_people_who_are_there_count():
     near, controls = (HALF[0] + 0.5, 0.0, 0.0, 0.0), jnp.array([[0.3, 0.7]])
     assert float(pedal(scene(1.0, near), controls[0])) == -1.0
     absent = scene(1.0, near, present=False)
@@ -166,10 +161,8 @@ def drive():
             wanted = jnp.stack([wish, jnp.stack([steer, way])])
             controls = jnp.where(on, override(SIM, state, wanted), wanted)
             moving = PHYSICS.step(moving, controls)
-            walked, after = (
-                PEOPLE.step(keys[2], people, state, DT),
-                PHYSICS.read(moving),
-            )
+            walked = PEOPLE.step(keys[2], people, state, DT)
+            after = PHYSICS.read(moving)
             count = after.trace_w.shape[1]
             share = (jnp.arange(count) + 1.0) / count
             there = people.xy + share[:, None, None] * (walked.xy - people.xy)
@@ -178,10 +171,9 @@ def drive():
             hit = (hit & people.present).any(axis=(0, 2))
             # Who leaves the lot, or has hit somebody, begins anew when there is room.
             out = (jnp.abs(after.xy) > layout.extent - 2.0).any(axis=-1) | hit
-            taken = box_disc_overlap(
-                start[:, None], size, walked.xy, walked.radius + GAP
-            )
-            again = start + 100.0 * taken.any(axis=1)[:, None]
+            near = walked.xy, walked.radius + GAP
+            taken = box_disc_overlap(start[:, None], size, *near).any(axis=1)
+            again = start + 100.0 * taken[:, None]
             moving = PHYSICS.place(moving, out, again, vehicles)
             return (walked, moving, wish), (hit, jnp.abs(motion.speed))
 
@@ -196,7 +188,7 @@ def drive():
     return [jax.device_get(run(lots, keys, on)) for on in (True, False)]
 
 
-def test_who_drives_at_people_hits_them_without_it_and_nobody_with_it(drive):
+def test_emergency_brake_prevents_hits_of_people(drive):
     (hit, speed), (hits, _) = drive
     assert not hit.any()
     assert (hits.sum(axis=(0, 1)) > 10).all()
@@ -213,12 +205,8 @@ def test_cars_that_slide_down_an_icy_slope_stop_before_people():
     place = jnp.stack([away * jnp.cos(angle), away * jnp.sin(angle)], axis=-1)
 
     def one(yaw, gear, place):
-        discs = Discs(
-            place,
-            jnp.full(people, RADIUS),
-            jnp.zeros((people, 2)),
-            kind=ObstacleKind.PERSON,
-        )
+        still = jnp.full(people, RADIUS), jnp.zeros((people, 2))
+        discs = Discs(place, *still, kind=ObstacleKind.PERSON)
         wanted = jnp.stack([0.6 * gear, gear])[None]
 
         def step(moving, _):

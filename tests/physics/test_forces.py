@@ -2,17 +2,19 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from carpark_mj.physics.coordinates import (
     CarIndex,
     TyreState,
+    rotate_by,
     unpack_coordinates,
     unpack_tyres,
 )
 from carpark_mj.physics.forces import CarForces, generalized_forces, roll
-from carpark_mj.vehicle import COMPACT, Vehicle
+from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.drive import WheelTorques
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
@@ -35,44 +37,7 @@ def random_car(seed: int) -> tuple[np.ndarray, np.ndarray, TyreState]:
     return qpos, qvel, tyres
 
 
-def forces_on(vehicle: Vehicle, qpos, qvel, tyres) -> CarForces:
-    at = unpack_coordinates(
-        INDEX, jnp.array(qpos, jnp.float32), jnp.array(qvel, jnp.float32)
-    )
-    torques = [WheelTorques(jnp.array(100.0), jnp.array(20.0))] * 4
-    return roll(wheels_of(vehicle), at, unpack_tyres(tyres), torques, DT)[0]
-
-
-def turned(qpos: np.ndarray, qvel: np.ndarray, yaw: float):
-    """The same car on another heading."""
-    c, s = np.cos(yaw / 2), np.sin(yaw / 2)
-    w, x, y, z = qpos[3:7]
-    qpos, qvel = qpos.copy(), qvel.copy()
-    qpos[3:7] = [c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w]
-    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    qpos[:2], qvel[:2] = rotation @ qpos[:2], rotation @ qvel[:2]
-    return qpos, qvel, rotation
-
-
-@pytest.mark.parametrize("yaw", [0.4, np.pi / 2, -2.8])
-def test_forces_turn_with_the_car(compact: Vehicle, yaw: float):
-    for seed in range(5):
-        qpos, qvel, tyres = random_car(seed)
-        along = forces_on(compact, qpos, qvel, tyres)
-        qpos, qvel, rotation = turned(qpos, qvel, yaw)
-        across = forces_on(compact, qpos, qvel, tyres)
-        expected = rotation @ np.array(along.force_w[:2])
-        # Forces up to 10 kN in float32.
-        assert np.array(across.force_w[:2]) == pytest.approx(expected, abs=0.05)
-        assert across.force_w[2] == pytest.approx(float(along.force_w[2]), abs=0.05)
-        for name in ("moment_b", "aligning", "spin", "load"):
-            expected = np.array(getattr(along, name))
-            assert np.array(getattr(across, name)) == pytest.approx(expected, abs=0.1)
-
-
-def test_standing_on_its_tyres_a_car_feels_its_weight_at_its_centre_of_gravity(
-    compact: Vehicle,
-):
+def test_standing_on_its_tyres_a_car_feels_its_weight(compact):
     qpos, qvel = np.zeros(13), np.zeros(12)
     qpos[3] = 1.0
     tyres = TyreState(*(jnp.zeros(4),) * 3)
@@ -81,14 +46,14 @@ def test_standing_on_its_tyres_a_car_feels_its_weight_at_its_centre_of_gravity(
     forces, _ = roll(wheels_of(compact), at, unpack_tyres(tyres), free, DT)
     weight = COMPACT.mass * GRAVITY
     assert np.array(forces.force_w) == pytest.approx([0, 0, weight], rel=1e-5)
+    # At the centre of gravity.
     pitch = -weight * COMPACT.cg_to_rear_axle
     assert np.array(forces.moment_b) == pytest.approx([0, pitch, 0], abs=0.5)
-    assert np.array(forces.load) == pytest.approx(
-        np.array(compact.tyres.static_load), rel=1e-6
-    )
+    static = np.array(compact.tyres.static_load)
+    assert np.array(forces.load) == pytest.approx(static, rel=1e-6)
 
 
-def test_generalized_forces_do_the_work_of_the_tyres(compact: Vehicle):
+def test_generalized_forces_do_the_work_of_the_tyres(compact):
     """Power q' Q against force times velocity at each contact patch, in float64."""
     with jax.enable_x64(True):
         vehicle = jax.tree.map(lambda x: jnp.array(x, jnp.float64), compact)
@@ -122,19 +87,12 @@ def test_generalized_forces_do_the_work_of_the_tyres(compact: Vehicle):
 def scaled_to_nothing(wheel):
     """A wheel whose tyre applies no force: no load, no grip, no resistance."""
     nothing = jax.tree.map(lambda x: 1e-12 * x, wheel.tyre)
-    keep = {
-        name: getattr(wheel.tyre, name)
-        for name in (
-            "longitudinal_relaxation",
-            "lateral_relaxation",
-            "torsion_relaxation",
-            "friction",
-        )
-    }
+    names = [f"{way}_relaxation" for way in ("longitudinal", "lateral", "torsion")]
+    keep = {name: getattr(wheel.tyre, name) for name in (*names, "friction")}
     return wheel.replace(tyre=nothing.replace(**keep))
 
 
-def test_scenes_without_the_cars_first_joints_place_forces_by_address():
+def test_scenes_place_forces_by_address():
     class Shifted:
         root_dof, nv = 3, 20
         steer_dof, spin_dof = np.array([9, 11]), np.array([10, 12, 13, 14])
@@ -148,3 +106,24 @@ def test_scenes_without_the_cars_first_joints_place_forces_by_address():
     qfrc = generalized_forces(Shifted, forces)
     expected = [0] * 3 + [1, 2, 3, 4, 5, 6] + [7, 11, 8, 12, 13, 14] + [0] * 5
     assert qfrc.tolist() == expected
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-20, 1e-3, 1.0, 60.0])
+def test_turning_integrates_as_mujoco_does(rate):
+    q, angular = np.random.default_rng(0).normal(size=(2, 20, 4))
+    q, angular = q / np.linalg.norm(q, axis=1, keepdims=True), rate * angular[:, :3]
+    turned = np.stack(rotate_by(*map(jnp.array, (q.T, angular.T)), 0.01), -1)
+    for i in range(20):
+        expected = q[i].copy()
+        mujoco.mju_quatIntegrate(expected, angular[i], 0.01)
+        assert turned[i] == pytest.approx(expected, abs=3e-7)  # float32
+    assert np.linalg.norm(turned, axis=1) == pytest.approx(np.ones(20), abs=2e-7)
+
+
+def test_a_body_at_rest_turns_as_soon_as_it_is_turned():
+    def yawed(rate):
+        zero = jnp.zeros(())
+        start = jnp.ones(()), zero, zero, zero
+        return rotate_by(start, (zero, zero, rate), 0.1)[3]
+
+    assert jax.grad(yawed)(0.0) == pytest.approx(0.05)  # the half angle, dt / 2

@@ -7,6 +7,7 @@ import pytest
 
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.physics.base import make_physics
+from carpark_mj.physics.mjx_step import ContactPhysics
 from carpark_mj.vehicle import COMPACT, make_vehicle, preset
 
 SUV = preset("suv")
@@ -23,7 +24,9 @@ def vehicles(*params):
 def physics(request):
     sim = SimConfig(tyres=TYRES[request.param], sim_dt=0.004, ctrl_dt=0.2)
     name = "mjx" if request.param == "contact" else request.param
-    return make_physics(EnvConfig(physics=name, sim=sim), None, COMPACT)
+    made = make_physics(EnvConfig(physics=name, sim=sim), None, COMPACT)
+    assert isinstance(made, ContactPhysics) == (request.param == "contact")
+    return made
 
 
 def test_parked_cars_stay_where_they_were_set(physics):
@@ -34,7 +37,7 @@ def test_parked_cars_stay_where_they_were_set(physics):
     np.testing.assert_array_equal(physics.parked_poses(state, parked), parked)
 
 
-def test_placed_cars_are_at_rest_with_their_vehicle_and_others_are_left_alone(physics):
+def test_placed_cars_are_at_rest_and_others_left_alone(physics):
     old = physics.init(POSE, vehicles(COMPACT, COMPACT))
     mask = jnp.array([True, False])
     new = physics.place(old, mask, POSE[::-1], vehicles(SUV, SUV))

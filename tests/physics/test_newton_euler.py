@@ -91,7 +91,7 @@ def unrolled(vehicle: Vehicle, qpos, qvel, forces, targets, gravity=GRAVITY, dt=
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_harsh_substep_of_a_randomized_car_is_that_of_c_mujoco(name: str):
+def test_a_harsh_substep_of_a_randomized_car_is_that_of_c_mujoco(name):
     rng = np.random.default_rng(len(name))
     nominal = make_vehicle(PRESETS[name])
     step = jax.jit(unrolled)
@@ -185,15 +185,10 @@ def test_cars_of_a_batch_are_stepped_one_by_one():
     states = [harsh_state(rng) for _ in cars]
     forces = [harsh_forces(rng) for _ in cars]
     targets = np.stack([targets_near(qpos, rng) for qpos, _ in states])
-    stack = jax.tree.map(lambda *x: jnp.stack(x), *cars)
+    both = (jax.tree.map(lambda *x: jnp.stack(x), *each) for each in (cars, forces))
+    stack, force = both
     qpos, qvel = (np.stack(x) for x in zip(*states, strict=True))
-    together = unrolled(
-        stack,
-        qpos,
-        qvel,
-        jax.tree.map(lambda *x: jnp.stack(x), *forces),
-        targets.T,
-    )
+    together = unrolled(stack, qpos, qvel, force, targets.T)
     for i, (car, state, force) in enumerate(zip(cars, states, forces, strict=True)):
         alone = unrolled(car, *state, force, targets[i])
         for found, expected in zip(together, alone, strict=True):

@@ -9,7 +9,6 @@ from carpark_mj.config import SimConfig
 from carpark_mj.physics import unrolled as kernel
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.vehicle import Vehicle
 
 PROBE = 1e-5  # of the controls
 CONTROLS = np.array([[0.3, 0.6], [-0.2, 0.5]])  # 0.4 s, pulling away
@@ -18,7 +17,7 @@ CONTROLS = np.array([[0.3, 0.6], [-0.2, 0.5]])  # 0.4 s, pulling away
 @pytest.mark.parametrize(
     "physics", [BicyclePhysics, pytest.param(MjxPhysics, marks=pytest.mark.slow)]
 )
-def test_gradients_of_the_final_pose_are_central_differences(physics, compact: Vehicle):
+def test_gradients_of_the_final_pose_are_central_differences(physics, compact):
     with jax.enable_x64(True):
         cars = physics(SimConfig())
         vehicle = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), compact)

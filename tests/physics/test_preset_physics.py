@@ -100,7 +100,7 @@ def test_full_brake_stops_within_v_squared_over_2a(run, name, variant):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_on_ice_the_brake_locks_the_wheels_and_friction_stops_the_car(run, name):
+def test_on_ice_wheels_lock_and_friction_stops_the_car(run, name):
     _, speed = run[name, "ice"]
     # The last second above 0.4 m/s: wheels that spun on the throttle are locked.
     end = BRAKE + np.argmax(speed[BRAKE:] < 0.4)
@@ -117,7 +117,7 @@ def test_every_car_comes_to_rest_and_stays(run, name):
         assert abs(x[-1] - x[-25]) < 1e-4
 
 
-def test_the_brake_holds_every_preset_on_a_slope_of_a_fifth(fleet: Vehicle):
+def test_the_brake_holds_every_preset_on_a_slope_of_a_fifth(fleet):
     # Uphill, downhill and across; standing cars on dry ground, hold for 6 s.
     rows = [k for k, (_, variant) in enumerate(CARS) if variant == "plain"]
     yaws = (0.0, np.pi, np.pi / 2, 0.7)

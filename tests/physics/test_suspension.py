@@ -50,23 +50,18 @@ def test_every_car_sits_as_high_and_as_level_as_without_springs(name):
 
 def test_a_spring_carries_its_corner_without_the_wheel():
     model = contact_model(COMPACT, DT, True)
-    # In front a knuckle stands on the tyre beside the wheel.
     front, rear = formulas.axle_loads(COMPACT)
-    wheel_weight, knuckle_weight = (
-        COMPACT.wheel_mass * 9.81,
-        COMPACT.knuckle_mass * 9.81,
-    )
-    expected = {
-        "fl": front / 2 - wheel_weight - knuckle_weight,
-        "rr": rear / 2 - wheel_weight,
-    }
-    for wheel, force in expected.items():
-        joint = model.joint(f"travel_{wheel}")
+    wheel = COMPACT.wheel_mass * 9.81
+    # In front a knuckle stands on the tyre beside the wheel.
+    knuckle = COMPACT.knuckle_mass * 9.81
+    expected = {"fl": front / 2 - wheel - knuckle, "rr": rear / 2 - wheel}
+    for corner, force in expected.items():
+        joint = model.joint(f"travel_{corner}")
         spring = -model.qpos_spring[joint.qposadr[0]] * joint.stiffness[0]
         assert spring == pytest.approx(force, rel=1e-9)
 
 
-def test_a_balanced_car_bounces_at_the_root_of_stiffness_over_mass():
+def test_a_balanced_car_bounces_at_its_natural_frequency():
     # Sprung centre of gravity midway, hardly damped: heave alone, sqrt(4 k / m) / 2 pi.
     knuckles = 2 * COMPACT.knuckle_mass * COMPACT.wheelbase / 2 / COMPACT.mass
     tyre = dataclasses.replace(COMPACT.tyre, vertical_damping=1.0)
@@ -89,7 +84,7 @@ def test_a_balanced_car_bounces_at_the_root_of_stiffness_over_mass():
     assert np.ptp(data.qpos[4:6]) < 1e-3  # it does not pitch
 
 
-def test_it_pitches_rolls_turns_and_stops_by_the_formulas_and_stands_still():
+def test_it_pitches_rolls_turns_and_stops_by_the_formulas():
     study = Study(ContactTestbed(), "compact", COMPACT, quick=True)
     chassis.suspension(study)
     missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]

@@ -66,18 +66,15 @@ def drive(stepper: str, x64: bool, **ground) -> np.ndarray:
         ),
     ],
 )
-def test_five_seconds_of_driving_agree_with_mjx(x64: bool, tolerance: float, ground):
+def test_five_seconds_of_driving_agree_with_mjx(x64, tolerance, ground):
     ours, expected = (drive(name, x64, **ground) for name in ("unrolled", "mjx"))
     assert np.abs(expected[-1, :, :2] - expected[0, :, :2]).max() > 0.5  # they moved
     assert np.abs(ours - expected).max() < tolerance
 
 
-def test_brush_tyres_are_stepped_unrolled_unless_mjx_is_asked_for():
-    for stepper, kind in (
-        ("auto", UnrolledStep),
-        ("unrolled", UnrolledStep),
-        ("mjx", MjxStep),
-    ):
+def test_brush_tyres_are_stepped_unrolled_by_default():
+    steps = {"auto": UnrolledStep, "unrolled": UnrolledStep, "mjx": MjxStep}
+    for stepper, kind in steps.items():
         assert isinstance(MjxPhysics(SimConfig(stepper=stepper))._step, kind)
     contact = SimConfig(sim_dt=0.004, tyres="contact")
     assert isinstance(ContactPhysics(contact)._step, MjxStep)

@@ -210,7 +210,7 @@ def test_the_mode_is_the_likeliest_and_actions_are_in_range(spec, draws):
     np.testing.assert_allclose(back[unsaturated], raw[unsaturated], atol=1e-4)
 
 
-def test_the_gradient_of_a_log_probability_is_one_hot_less_softmax():
+def test_gradient_of_log_probability_is_one_hot_less_softmax():
     distribution, params = action_distribution(GRID), parameters(GRID)
     index = jnp.array([4, 0, 1])
     found = jax.grad(distribution.log_prob)(params, index)

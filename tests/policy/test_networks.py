@@ -103,7 +103,7 @@ def differ(a, b) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_order_of_the_cars_of_a_kind_changes_neither_actor_nor_critic(many, kind):
+def test_the_order_of_cars_changes_no_output(many, kind):
     parts = seen(many[0].inputs)
     mixed = parts | {kind: parts[kind][:, ::-1]}
     replaced = parts | {kind: parts[kind][:, [0, 0, 1]]}  # one car less: it was read
@@ -259,7 +259,7 @@ def test_empty_slots_change_no_statistics(counted):
         np.testing.assert_allclose(a, b, rtol=1e-6)
 
 
-def test_a_kind_that_nobody_has_seen_yet_has_the_statistics_of_the_start(counted):
+def test_a_kind_unseen_has_the_statistics_of_the_start(counted):
     alone = counted.reshape(-1, 11).copy()
     alone[:, 2:8] = 0.0
     start = init_normalizer(SETS)
@@ -274,7 +274,7 @@ def test_a_kind_that_nobody_has_seen_yet_has_the_statistics_of_the_start(counted
     np.testing.assert_allclose(later["agent"].mean, expected.mean(axis=0), rtol=1e-5)
 
 
-def test_parts_are_scaled_by_their_statistics_alike_in_every_slot(counted):
+def test_parts_are_scaled_alike_in_every_slot(counted):
     vectors = counted.reshape(-1, 11)
     normalizer = update_normalizer(SETS, init_normalizer(SETS), jnp.asarray(vectors))
     again = np.tile([1.0, 5.0], 3)  # the same entity in all slots

@@ -5,13 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.geometry import (
-    box_room,
-    boxes,
-    norm,
-    to_local,
-    wrap_angle,
-)
+from carpark_mj.geometry import box_room, boxes, norm, to_local, wrap_angle
 from carpark_mj.policy.onnx_program import make_graph
 
 onnxruntime = pytest.importorskip("onnxruntime")

@@ -78,13 +78,13 @@ def test_pictures_of_a_shape_are_channels_beside_the_own_numbers():
     assert [part.kinds for part in INPUTS.pictures] == [(0, KINDS), (0,)]
 
 
-def test_a_flat_network_reads_the_vector_and_rows_of_numbers_are_no_picture():
+def test_flat_networks_and_rows_have_no_pictures():
     flat = dataclasses.replace(CONFIG, encoder="flat")
     assert not network_inputs(flat, FIELDS).pictures
     assert not observation_sets([Field("x", 3, 0.0, 1.0, "", shape=(3,))]).pictures
 
 
-def test_a_layer_of_patches_is_a_convolution_with_as_long_a_stride():
+def test_a_layer_of_patches_is_a_strided_convolution():
     pixels = jax.random.normal(jax.random.key(1), (2, 6, 5, 3))
     layer = linen.Conv(7, (4, 4), (4, 4), padding=((0, 2), (0, 3)))
     weights = layer.init(jax.random.key(2), pixels)["params"]

@@ -151,7 +151,7 @@ def test_evaluations_of_another_task_do_not_replace_the_own_one(shipped, flags, 
     assert not task.folder.exists()  # made with its first file
 
 
-def test_a_checkpoint_file_does_not_replace_the_evaluation_of_its_run(run):
+def test_a_checkpoint_is_evaluated_beside_its_run(run):
     file = runs.latest_checkpoint(run)
     task = evaluate.prepare(evaluate.EvaluateConfig(run=str(file)))
     assert task.folder == run / "evaluations" / file.stem
@@ -220,7 +220,7 @@ def test_a_kind_that_is_not_observed_is_an_empty_set(name, counts):
         own.policy(vector, key)
 
 
-def test_an_environment_with_other_observations_or_actions_is_refused(shipped):
+def test_other_observations_or_actions_are_refused(shipped):
     with pytest.raises(TypeError, match="env must be of EnvConfig or None, not 'squa"):
         loading.load_policy("tiny", env="square")  # pyright: ignore[reportArgumentType]
     seen = TINY.env.observation

@@ -44,7 +44,7 @@ def test_a_config_inside_a_config_or_none_survives_json(other):
     assert runs.from_dict(Seeing, json.loads(text)) == Seeing(Eye(3.0), other)
 
 
-def test_a_checkpoint_of_an_older_version_is_refused_before_it_is_read(tmp_path):
+def test_an_older_checkpoint_is_refused_before_it_is_read(tmp_path):
     header = {"config": {"env": {"gone": 1}}, "env_steps": 8}
     path = runs.save_checkpoint(tmp_path / "x", {"a": np.zeros(1)}, header, 8)
     for run in (tmp_path / "x", path):

@@ -2,18 +2,15 @@
 
 import json
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import jax
 import pytest
+from helpers.programs import python
 
 from carpark_mj import compilation
 from carpark_mj.cli.process import OUTPUT_FUSION, enable_output_fusion
 from carpark_mj.compilation import cache_folder, keep_compiled_programs
 
-ROOT = Path(__file__).parents[2]
 OPTIONS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
 
 HELP = """
@@ -94,16 +91,10 @@ print(json.dumps([sum(e.endswith(name) for e in events) for name in names]))
 """
 
 
-def printed(program: str, **variables: str):
+def printed(program, **variables):
     """What a program prints in a process of its own, without kept programs."""
-    kept = {k: v for k, v in os.environ.items() if not k.startswith("JAX_COMPIL")}
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=kept | {"PYTHONPATH": str(ROOT)} | variables,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    kept = dict.fromkeys(name for name in os.environ if name.startswith("JAX_COMPIL"))
+    done = python("-c", program, **kept | variables)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

@@ -42,9 +42,7 @@ def hull(stage, name):
 
 
 @pytest.mark.parametrize("driven", [(0, 1), (1, 1), (1, 0)])
-def test_the_car_an_agent_drives_stands_on_its_footprint_the_others_below(
-    stage, driven
-):
+def test_the_driven_car_stands_on_its_footprint(stage, driven):
     stage.place(POSE, np.zeros(2), PARKED, np.array(driven))
     for agent, shown in enumerate(driven):
         for kind, infix in enumerate(("", "kind1/")):
@@ -60,7 +58,7 @@ def test_the_car_an_agent_drives_stands_on_its_footprint_the_others_below(
     assert stage.camera("topdown") == "topdown"
 
 
-def test_front_wheels_obey_the_geometry_of_the_car_that_is_driven(stage):
+def test_front_wheels_obey_the_driven_car_s_geometry(stage):
     steering = np.array([0.5, 0.5])
     stage.place(POSE, steering, PARKED, np.array([0, 1]))
     for prefix, params in (("agent0/", KINDS[0]), ("agent1/kind1/", KINDS[1])):

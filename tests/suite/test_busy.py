@@ -130,7 +130,7 @@ def drive():
 
 
 @pytest.mark.parametrize("looks", [True, False])
-def test_who_stops_for_people_hits_nobody_and_who_does_not_hits_some(drive, looks):
+def test_who_stops_for_people_hits_nobody_and_others_do(drive, looks):
     hits = []
     for x in np.linspace(-12.0, -10.0, 5, dtype=np.float32):
         hit, y = drive(x, looks)

@@ -113,7 +113,7 @@ def test_cars_drive_in_to_metadrives_spaces_and_out_of_them():
     np.testing.assert_array_equal(spaces.min(axis=1) < 3.0, leaves)
 
 
-def test_an_enlarged_lot_has_longer_lengths_and_the_same_headings():
+def test_an_enlarged_lot_is_longer_with_the_same_headings():
     lot = make_layout("square_compact")
     large = jax.device_get(enlarge(lot, 1.5))
     for row in ("bay", "wall", "lane", "spawn"):
@@ -179,11 +179,11 @@ def test_levels_with_fewer_cases_are_driven_whole():
     config = SuiteConfig(("zero",), levels=("tpcap", "metadrive"), cases=100)
     require_cases(config)
     assert [len(pick_cases(x, 100).number) for x in config.levels] == [20, 100]
-    with pytest.raises(ValueError, match=r"cases must be 1 to 1000 .*metadrive"):
-        require_cases(dataclasses.replace(config, cases=1001))
-    with pytest.raises(ValueError, match=r"cases must be 1 to 20 .*tpcap"):
-        require_cases(dataclasses.replace(config, levels=("tpcap",), cases=21))
-    with pytest.raises(ValueError, match=r"first_case must be 0 to 19"):
-        require_cases(dataclasses.replace(config, first_case=20))
-    with pytest.raises(ValueError, match=r"videos show levels"):
-        require_cases(dataclasses.replace(config, videos=1))
+    for changes, message in (
+        ({"cases": 1001}, r"cases must be 1 to 1000 .*metadrive"),
+        ({"levels": ("tpcap",), "cases": 21}, r"cases must be 1 to 20 .*tpcap"),
+        ({"first_case": 20}, r"first_case must be 0 to 19"),
+        ({"videos": 1}, r"videos show levels"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            require_cases(dataclasses.replace(config, **changes))

@@ -23,11 +23,8 @@ BEFORE = 6.0  # m between the bumpers of two cars that face each other
 
 @pytest.mark.parametrize("level", HOPE_LEVELS)
 def test_every_held_out_case_has_room_for_it(level):
-    cases, alone = (
-        pick_cases(level, 1000, with_moving_car=True),
-        pick_cases(level, 1000),
-    )
-    layouts = cases.layouts
+    layouts = pick_cases(level, 1000, with_moving_car=True).layouts
+    alone = pick_cases(level, 1000)
     start, goal = (np.asarray(x)[:, 1] for x in (layouts.spawn_pose, layouts.bay_pose))
     np.testing.assert_allclose(start * [-1, 1, 1], goal, atol=1e-5)
     # In two cases one way, in the next two the other; forwards.
@@ -99,7 +96,7 @@ def gap_of(drives, lot):
     return np.asarray(box_distance(pose[:, 0], SIZE, pose[:, 1], SIZE))
 
 
-def test_it_drives_straight_through_at_1_m_s_and_stays_at_its_goal(drives):
+def test_it_drives_straight_at_1_m_s_and_stays_at_its_goal(drives):
     cases, rows, _ = drives
     assert rows[GOES]["parked"] == 1.0
     along, offset, speed = way_of(drives, GOES)
@@ -112,7 +109,7 @@ def test_it_drives_straight_through_at_1_m_s_and_stays_at_its_goal(drives):
     assert np.abs(speed[-20:]).max() < 0.01
 
 
-def test_it_waits_for_a_car_in_its_way_and_backs_off_and_tries_again(drives):
+def test_it_waits_for_a_car_backs_off_and_tries_again(drives):
     _, rows, _ = drives
     assert rows[WAITS]["timed_out"] == 1.0
     assert rows[WAITS]["path"] < 0.01  # nobody has pushed it
@@ -140,7 +137,7 @@ def test_a_car_that_drives_into_it_has_hit_it(drives):
     np.testing.assert_array_equal(along[20:], along[20])
 
 
-def test_a_policy_that_reads_the_state_is_asked_about_the_car_that_parks_only():
+def test_a_state_policy_drives_the_parking_car_only():
     seen = []
 
     def act(state):

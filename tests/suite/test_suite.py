@@ -12,10 +12,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.registry import ANYWHERE
-from carpark_mj.suite.evaluation import (
-    CaseEvaluator,
-    suite_env,
-)
+from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
 from carpark_mj.suite.levels import load_held_out, pick_cases
 from carpark_mj.suite.path_figure import AROUND, ASPECT, _view
 from carpark_mj.suite.report import (
@@ -111,7 +108,7 @@ def test_tpcap_s_cases_go_by_their_published_numbers():
     np.testing.assert_allclose(part.layouts.bay_pose[1], lot.bay_pose, atol=1e-6)
 
 
-def test_the_table_counts_by_kind_and_compares_paths_with_the_planners():
+def test_the_table_counts_by_kind_and_compares_paths():
     rows = [
         episode(0, "perpendicular", PARKED, 12.0),
         episode(1, "parallel", MISSED, 3.0),
@@ -148,7 +145,7 @@ def test_seeds_add_episodes_and_not_cases():
     assert row["low"] == pytest.approx(0.1500, abs=1e-4)
 
 
-def test_the_table_says_that_a_car_moves_and_how_often_it_was_hit():
+def test_the_table_says_how_often_the_moving_car_was_hit():
     moving = {"moving_car": 1}
     rows = [episode(n, "parallel", PARKED, **moving) for n in range(3)]
     rows.append(episode(3, "parallel", MISSED, hit_agent=1.0, **moving))
@@ -162,7 +159,7 @@ def test_the_table_says_that_a_car_moves_and_how_often_it_was_hit():
     assert header(alone)[0] == "Hard cases, strict rule"
 
 
-def test_the_table_says_what_cars_hit_how_fast_and_what_they_nearly_hit():
+def test_the_table_says_what_cars_hit_and_how_fast():
     among = {"hit_person": 0.0, "hit_mover": 0.0, "near_miss": 0.0, "least_gap": 2.0}
     among |= {"contact_speed": 0.0, "level": "busy"}
     rows = [episode(0, "cart", PARKED, **among)]
@@ -178,7 +175,7 @@ def test_the_table_says_what_cars_hit_how_fast_and_what_they_nearly_hit():
     assert "4 of busy (0 to 3)" in header(rows)[1]
 
 
-def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
+def test_crashes_are_worse_than_timeouts_than_slow_parking():
     late = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
     rows = [
         episode(0, "parallel", PARKED),
@@ -190,13 +187,7 @@ def test_crashes_are_worse_than_timeouts_and_those_than_slow_parking():
     assert [row["case"] for row in worst_first(rows)] == [4, 3, 2, 1, 0]
 
 
-def test_policies_are_printed_by_the_names_they_have(capsys):
-    rows = table_rows("x[/red]", [episode(0, "parallel", PARKED, policy="x[/red]")])
-    print_results(rows, "a title")
-    assert "x[/red]" in capsys.readouterr().out
-
-
-def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
+def test_files_hold_the_table_the_worst_and_videos(tmp_path, capsys):
     episodes = [episode(0, "parallel", PARKED), episode(7, "parallel", MISSED)]
     (row,) = table_rows("x", episodes)
     videos = {key_of(episodes[1]): tmp_path / "videos" / "x.mp4"}
@@ -210,6 +201,10 @@ def test_files_hold_the_table_the_worst_first_and_videos_below_them(tmp_path):
     assert '<video src="videos/x.mp4"' in html
     assert "case 7, seed 0: crashed" in html
     assert shown_cells(row)["path found [%]"] == "–"
+    # Policies are printed by the names they have.
+    named = episode(0, "parallel", PARKED, policy="x[/red]")
+    print_results(table_rows("x[/red]", [named]), "a title")
+    assert "x[/red]" in capsys.readouterr().out
 
 
 def test_start_and_goal_are_in_view_and_far_obstacles_are_not():

@@ -78,30 +78,23 @@ def test_a_recording_of_a_tpcap_case_is_in_its_lot():
     np.testing.assert_array_equal(recording.layout.bay_pose, lots.bay_pose[8 - 1])
 
 
-def test_runs_with_a_moving_car_are_read_together(tmp_path):
-    rows = [episode(case, moving_car=1) for case in (0, 3)]
-    folders = [
-        write(tmp_path / name, row) for name, row in zip("ab", rows, strict=True)
-    ]
+@pytest.mark.parametrize("more", [{"moving_car": 1}, {"vehicle": "compact"}])
+def test_runs_with_a_moving_or_another_car_are_read_together(tmp_path, more):
+    rows = [episode(case, **more) for case in (0, 3)]
+    folders = [write(tmp_path / str(row["case"]), row) for row in rows]
     assert read_runs(folders)[0] == rows
+    if "vehicle" in more:
+        main(SuiteConfig(combine=tuple(map(str, folders)), out=str(tmp_path / "out")))
+        assert "vehicle compact" in (tmp_path / "out" / "suite.md").read_text()
+        [result] = read_submission(tmp_path / "out" / "suite.json")
+        assert result.vehicle == "compact"
+        return
     recording = recording_of(rows[1], drives(7, agents=2))
     assert recording.pose_w.shape == (7, 2, 2, 3)
     # The outcome is that of the car that parks; each has its own goal.
     assert recording.timed_out[-1].tolist() == [True, False]
     assert recording.goal[-1].tolist() == [0, 1]
     assert recording.layout.bay_mask.tolist() == [True, True]
-
-
-def test_runs_of_another_car_are_read_together(tmp_path):
-    rows = [episode(case, vehicle="compact") for case in (0, 3)]
-    folders = [
-        write(tmp_path / name, row) for name, row in zip("ab", rows, strict=True)
-    ]
-    assert read_runs(folders)[0] == rows
-    main(SuiteConfig(combine=tuple(map(str, folders)), out=str(tmp_path / "out")))
-    assert "vehicle compact" in (tmp_path / "out" / "suite.md").read_text()
-    [result] = read_submission(tmp_path / "out" / "suite.json")
-    assert result.vehicle == "compact"
 
 
 def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
@@ -183,9 +176,7 @@ def test_a_video_is_faster_than_driving(tmp_path):
     assert data["duration"] == pytest.approx(8.0 / FASTER + 1.0, abs=0.2)
 
 
-def test_runs_whose_folders_have_the_same_name_have_videos_of_their_own(
-    tmp_path, monkeypatch
-):
+def test_runs_of_the_same_name_have_videos_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setattr(
         suite_videos, "_write", lambda path, *_: path.write_text("video")
     )

@@ -21,11 +21,7 @@ from submitit.slurm.test_slurm import mocked_slurm
 
 from carpark_mj.cli.settings.tables import SlurmConfig, Where
 from carpark_mj.sweeps import Work, jobs, locked, open_sweep, read_outcome, run_sweep
-from carpark_mj.sweeps.jobs import (
-    make_executor,
-    submit_array,
-    visible_gpus,
-)
+from carpark_mj.sweeps.jobs import make_executor, submit_array, visible_gpus
 
 HERE = Where(cluster="debug", side_by_side=1)
 TESTS = Path(__file__).parents[1]
@@ -50,7 +46,7 @@ def calls(folder: Path) -> list[str]:
     return (folder / "calls.txt").read_text().split()
 
 
-def test_the_table_has_a_row_per_run_with_settings_metrics_seed_and_versions(tmp_path):
+def test_the_table_has_a_row_per_run(tmp_path):
     plan, runs = plan_runs("num_agents=1,2", "num_steps=100", repeats=2)
     assert run_sweep(tmp_path, plan, runs, HERE, train) == {"done": 4}
     rows = table(tmp_path)
@@ -103,7 +99,7 @@ def test_rows_of_earlier_values_and_seeds_stay_in_the_table(tmp_path):
     assert {row["status"] for row in rows} == {"done"}
 
 
-def test_failed_and_killed_jobs_stop_no_others_and_are_tried_again(tmp_path):
+def test_failed_jobs_stop_no_others_and_are_tried_again(tmp_path):
     plan, runs = plan_runs("num_agents=1..4")
     where = Where(jobs=2)
     counts = run_sweep(tmp_path, plan, runs, where, train_badly)
@@ -143,8 +139,8 @@ def test_a_killed_sweep_goes_on_where_it_was(tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not steps[2].exists()  # it was killed in the middle of the second
-    assert read_outcome(tmp_path, runs[0]).status == "done"
-    assert read_outcome(tmp_path, runs[1]).status == "waiting"
+    statuses = [read_outcome(tmp_path, run).status for run in runs[:2]]
+    assert statuses == ["done", "waiting"]
     kept = steps[1].read_text()
     assert run_sweep(tmp_path, plan, runs, HERE, train_slowly) == {"done": 3}
     assert calls(tmp_path) == [run.name for run in runs]  # each once
@@ -163,38 +159,23 @@ def slurm_jobs(folder: Path, repeats=2) -> list[tuple[Work, submitit.Job]]:
     """Jobs of two runs and what Slurm is asked for."""
     plan, runs = plan_runs("num_agents=1", repeats=repeats)
     open_sweep(folder, plan, False)
+    size = {"gpus_per_node": 2, "cpus_per_task": 6, "mem_gb": 8}
     asked = SlurmConfig(
-        partition="gpu",
-        qos="long",
-        constraint="h200",
-        time=90,
-        requeues=7,
-        gpus_per_node=2,
-        cpus_per_task=6,
-        mem_gb=8,
+        "gpu", qos="long", constraint="h200", time=90, requeues=7, **size
     )
     where = Where(cluster="slurm", jobs=1, slurm=asked)
-    submitter = make_executor(where, folder / "logs")
     works = [Work(folder, (run,), train, own_process=False) for run in runs]
-    return submit_array(submitter, works)
+    return submit_array(make_executor(where, folder / "logs"), works)
 
 
-def test_a_submission_to_slurm_asks_for_what_it_was_told_and_runs(tmp_path):
+def test_a_submission_to_slurm_asks_for_its_settings(tmp_path):
+    flags = ("partition=gpu", "qos=long", "constraint=h200", "time=90", "mem=8GB")
+    flags += ("gpus-per-node=2", "cpus-per-task=6", f"job-name={tmp_path.name}")
     with mocked_slurm() as mocked:
         jobs = slurm_jobs(tmp_path)
         [script] = (tmp_path / "logs").glob("*_submission.sh")
         lines = script.read_text().splitlines()
-        for flag in (
-            "partition=gpu",
-            "qos=long",
-            "constraint=h200",
-            "time=90",
-            "gpus-per-node=2",
-            "cpus-per-task=6",
-            "mem=8GB",
-            f"job-name={tmp_path.name}",
-            "array=0-1%1",
-        ):
+        for flag in (*flags, "array=0-1%1"):
             assert f"#SBATCH --{flag}" in lines
         assert not any("account" in line for line in lines)
         for _, job in jobs:
@@ -256,9 +237,8 @@ def test_a_job_that_leaves_the_queue_without_a_result_has_failed(tmp_path, monke
     answers = iter([{"12_0", "12_1"}, {"12_0", "12_1"}, {"12_1"}, set()])
     monkeypatch.setattr(jobs, "queued_jobs", lambda: next(answers))
     monkeypatch.setitem(jobs.POLL_SECONDS, "slurm", 0.0)
+    where = Where(cluster="slurm", side_by_side=1)
     with mocked_slurm():
-        counts = run_sweep(
-            tmp_path, plan, runs, Where(cluster="slurm", side_by_side=1), train
-        )
+        counts = run_sweep(tmp_path, plan, runs, where, train)
     assert counts == {"failed": 2}
     assert "left the queue without a result" in table(tmp_path)[0]["error"]

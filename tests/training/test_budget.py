@@ -67,7 +67,7 @@ def trained(folder, update_seconds, **changes):
     return outcome == "done", read_metrics(folder)
 
 
-def test_a_slow_machine_stops_in_time_at_the_end_of_the_schedules(tmp_path):
+def test_a_slow_machine_stops_at_the_end_of_the_schedules(tmp_path):
     done, rows = trained(tmp_path, 0.7)
     progress = np.array([row["progress"] for row in rows])
     assert done
@@ -79,7 +79,7 @@ def test_a_slow_machine_stops_in_time_at_the_end_of_the_schedules(tmp_path):
     assert 1e-4 < rate < 1e-4 + 0.9e-3 * 0.7 / 60 + 1e-9
 
 
-def test_a_fast_machine_makes_all_steps_on_the_schedules_of_steps(tmp_path):
+def test_a_fast_machine_makes_all_steps(tmp_path):
     done, rows = trained(tmp_path, 0.1)
     assert done
     np.testing.assert_allclose(
@@ -114,9 +114,7 @@ def test_a_resumed_run_has_the_minutes_that_are_left(tmp_path):
     assert again == rows
 
 
-def test_the_budget_is_of_steps_expected_of_present_agents_and_reports_count_them(
-    tmp_path, capsys
-):
+def test_the_budget_is_of_steps_of_present_agents(tmp_path, capsys):
     # One or two agents in each of two lots, three on average, for 16 steps.
     expected, env = 3 * 16, dataclasses.replace(CONFIG.env, min_agents=1)
     changes = {"env": env, "num_steps": 50 * expected, "critic_steps": 10 * expected}

@@ -96,7 +96,7 @@ def unrolls():
     return found
 
 
-def test_only_the_crash_term_of_the_rewards_to_learn_from_is_scaled(unrolls):
+def test_only_the_crash_term_to_learn_from_is_scaled(unrolls):
     (start, totals), (end, same) = unrolls
     np.testing.assert_array_equal(start.observation, end.observation)
     crash = totals.reward_terms["crash"]

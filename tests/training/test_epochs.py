@@ -1,25 +1,23 @@
 """What the epochs of an update learn with: schedules, the discount, and which steps."""
 
 import collections
-from types import SimpleNamespace
-from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from jax.flatten_util import ravel_pytree
+from helpers.learning import begun, rollout
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
-from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
+from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.training.ppo import variants
-from carpark_mj.training.ppo.collect import AXIS, Rollout
+from carpark_mj.training.ppo.collect import AXIS
 from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
-from carpark_mj.training.ppo.learn import learn, network_params, schedule
+from carpark_mj.training.ppo.learn import learn, schedule
 
 LENGTH, AGENTS, SIZE, PARTS = 6, 12, 3, 4
 CONFIG = PPOConfig(
@@ -50,17 +48,13 @@ def test_schedules_are_linear_and_stay_at_their_ends():
     )
 
 
-def rollout():
+def steps():
     """Agents that observe their own number; the last step alone pays."""
-    zero = jnp.zeros((LENGTH, AGENTS))
     number = jnp.arange(AGENTS, dtype=jnp.float32)[:, None]
-    return Rollout(
+    return rollout(
+        (LENGTH, AGENTS),
         observation=jnp.broadcast_to(number, (LENGTH, AGENTS, SIZE)),
-        raw_action=jnp.zeros((LENGTH, AGENTS, 2)),
-        log_prob=zero,
-        reward=zero.at[-1].set(1.0),
-        terminated=zero,
-        truncated=zero,
+        reward=jnp.zeros((LENGTH, AGENTS)).at[-1].set(1.0),
         final_observation=jnp.broadcast_to(number, (AGENTS, SIZE)),
     )
 
@@ -76,23 +70,12 @@ def watched(monkeypatch, watch, update=0):
         return 0.0 * total, watch(batch, weights)
 
     monkeypatch.setattr(variants, "ppo_loss", loss)
-    policy = NETWORKS.policy_network.init(jax.random.key(0))
-    value = NETWORKS.value_network.init(jax.random.key(1))
-    value = jax.tree.map(jnp.zeros_like, value)
     optimizer, inputs = optax.scale_by_adam(), ObservationSets(SIZE)
-    params = network_params(policy, value)
-    state = SimpleNamespace(
-        update=jnp.int32(update),
-        seconds=jnp.float32(0.0),
-        normalizer=init_normalizer(inputs),
-        policy=policy,
-        value=value,
-        optimizer=optimizer.init(ravel_pytree(params)[0]),
-    )
+    state = begun(NETWORKS, inputs, jax.random.key(0), update)
+    state.value = jax.tree.map(jnp.zeros_like, state.value)
 
     def learned(key):
-        given = (CONFIG, NETWORKS, inputs, optimizer, cast(Any, state), rollout())
-        return learn(*given, key)[1]
+        return learn(CONFIG, NETWORKS, inputs, optimizer, state, steps(), key)[1]
 
     keys = jax.random.split(jax.random.key(2), 1)
     found = jax.jit(jax.vmap(learned, axis_name=AXIS))(keys)

@@ -1,7 +1,6 @@
 """Training on several hosts and devices; `test_ppo` trains on two hosts."""
 
 import dataclasses
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -26,10 +25,8 @@ from carpark_mj.wrappers.brax import BraxParking
 def test_flags_of_hosts_are_taken_out_of_the_others():
     arguments = ["--seed", "3", "--coordinator=a:1", "--num-hosts", "2", "--host", "1"]
     assert read_hosts(arguments) == (Hosts("a:1", 2, 1), ["--seed", "3"])
-    assert read_hosts(["--help", "--num-lots", "4"]) == (
-        Hosts(),
-        ["--help", "--num-lots", "4"],
-    )
+    others = ["--help", "--num-lots", "4"]
+    assert read_hosts(others) == (Hosts(), others)
 
 
 IMPOSSIBLE = [
@@ -84,11 +81,8 @@ def test_hosts_with_other_settings_are_refused(monkeypatch):
         hosts.require_same("yours")
 
 
-ROOT = Path(__file__).resolve().parents[2]
-
-
 @pytest.mark.slow
-def test_devices_learn_together_what_one_learns_from_all_their_steps(tmp_path):
+def test_devices_learn_together_what_one_learns(tmp_path):
     splitting.assert_alike(splitting.learned_by("brax", tmp_path / "learned.npz"))
 
 
@@ -102,7 +96,7 @@ def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):
 
 
 @pytest.mark.slow
-def test_devices_with_the_same_lots_act_learn_and_draw_lots_differently(monkeypatch):
+def test_devices_act_learn_and_draw_lots_differently(monkeypatch):
     config = PPOConfig(
         num_lots=2,
         lot_life=1,  # all are drawn anew after the update

@@ -14,7 +14,9 @@ from brax.training import pmap as brax_pmap
 from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.types import Transition
+from helpers.learning import assert_close, rollout
 from helpers.sliding import POSES
+from helpers.trees import same
 from jax.flatten_util import ravel_pytree
 from jax.sharding import PartitionSpec
 
@@ -45,6 +47,7 @@ TINY = dataclasses.replace(
     env=EnvConfig(physics="bicycle", observation=POSES, num_agents=2),
 )
 AGENTS = TINY.num_lots * TINY.env.num_agents
+SHAPE = TINY.unroll_length, AGENTS
 
 
 @pytest.fixture(scope="module")
@@ -62,16 +65,15 @@ def state(learner):
     return learner.init()
 
 
-def canned_data(learner, state, seed: int) -> Transition:
+def canned_data(learner, state, seed: int) -> Rollout:
     """A made-up unroll (time, agents, ...) with terminations.
 
     Nothing is truncated: Brax counts such steps where we do not.
     """
-    rng = np.random.default_rng(seed)
-    shape = (TINY.unroll_length, AGENTS)
+    rng, size = np.random.default_rng(seed), learner.env.observation_size
 
     def normal(*size):
-        return jnp.asarray(rng.normal(size=(*shape, *size)), jnp.float32)
+        return jnp.asarray(rng.normal(size=size), jnp.float32)
 
     distribution = learner.networks.parametric_action_distribution
 
@@ -80,62 +82,48 @@ def canned_data(learner, state, seed: int) -> Transition:
         apply = learner.networks.policy_network.apply
         logits = apply(state.normalizer, state.policy, observation)
         raw = distribution.sample_no_postprocessing(logits, jax.random.key(seed))
-        return logits, raw, distribution.log_prob(logits, raw) + 0.1 * noise
+        return raw, distribution.log_prob(logits, raw) + 0.1 * noise
 
     # Close to what the first normalizer expects, so that ratios stay finite after it.
-    observation = 0.2 + 1.1 * normal(learner.env.observation_size)
-    logits, raw, log_prob = act(observation, normal())
-    done = jnp.asarray(rng.random(shape) < 0.2, jnp.float32)
-    return Transition(
+    observation = 0.2 + 1.1 * normal(*SHAPE, size)
+    raw, log_prob = act(observation, normal(*SHAPE))
+    return rollout(
+        SHAPE,
+        size,
         observation=observation,
-        action=jnp.tanh(raw),
-        reward=normal(),
-        discount=1.0 - done,
-        next_observation=normal(learner.env.observation_size),
-        extras={
-            "policy_extras": {
-                "log_prob": log_prob,
-                "raw_action": raw,
-                "distribution_params": logits,
-            },
-            "state_extras": {
-                "truncation": jnp.zeros(shape),
-                "episode_done": done,
-                "episode_metrics": {},
-            },
-        },
+        raw_action=raw,
+        log_prob=log_prob,
+        reward=normal(*SHAPE),
+        terminated=jnp.asarray(rng.random(SHAPE) < 0.2, jnp.float32),
+        final_observation=normal(AGENTS, size),
     )
 
 
-def as_rollout(data: Transition) -> Rollout:
-    """The same as our update takes it."""
-    extras: Any = data.extras
-    truncated = extras["state_extras"]["truncation"]
-    return Rollout(
-        observation=data.observation,
-        raw_action=extras["policy_extras"]["raw_action"],
-        log_prob=extras["policy_extras"]["log_prob"],
-        reward=data.reward,
-        terminated=1.0 - data.discount - truncated,
-        truncated=truncated,
-        final_observation=data.next_observation[-1],
+def as_brax(steps: Rollout) -> Transition:
+    """The same as Brax takes it."""
+    last = steps.final_observation[None]
+    ends = {"truncation": steps.truncated, "episode_done": steps.terminated}
+    policy = {"log_prob": steps.log_prob, "raw_action": steps.raw_action}
+    policy |= {"distribution_params": jnp.zeros((*SHAPE, 4))}  # for the divergence
+    return Transition(
+        observation=steps.observation,
+        action=jnp.tanh(steps.raw_action),
+        reward=steps.reward,
+        discount=1.0 - steps.terminated,
+        next_observation=jnp.concatenate([steps.observation[1:], last]),
+        extras={
+            "policy_extras": policy,
+            "state_extras": {**ends, "episode_metrics": {}},
+        },
     )
 
 
 def on_one_device(function):
     """The function compiled for one device, over which learning averages."""
-    alone = jax.make_mesh(
-        (1,),
-        (AXIS,),
-        axis_types=(jax.sharding.AxisType.Auto,),
-        devices=jax.devices()[:1],
-    )
-    whole = PartitionSpec()
-    return jax.jit(
-        jax.shard_map(
-            function, mesh=alone, in_specs=whole, out_specs=whole, check_vma=False
-        )
-    )
+    axes, whole = (jax.sharding.AxisType.Auto,), PartitionSpec()
+    alone = jax.make_mesh((1,), (AXIS,), axis_types=axes, devices=jax.devices()[:1])
+    spread = {"mesh": alone, "in_specs": whole, "out_specs": whole, "check_vma": False}
+    return jax.jit(jax.shard_map(function, **spread))
 
 
 class StandInEnv:
@@ -221,55 +209,38 @@ def test_an_update_equals_brax_s_own_on_the_same_data(
     learner, learned, state, monkeypatch
 ):
     data = canned_data(learner, state, seed=0)
-    ours = learned(jax.device_get(state), as_rollout(data))
-    theirs = brax_update(learner, state, data, monkeypatch)
-    for a, b in zip(*map(jax.tree.leaves, (ours[0][OWN], theirs[0])), strict=True):
-        # Sums of numbers of about 1, in another order.
-        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
-    moved = 0.0
-    for mine, brax, old in zip(
-        ours[1:3], theirs[1:], (state.policy, state.value), strict=True
-    ):
-        for a, b, c in zip(*map(jax.tree.leaves, (mine, brax, old)), strict=True):
-            # Three Adam steps of 1.5e-3; measured agreement 2e-7.
-            np.testing.assert_allclose(a, b, atol=2e-6, equal_nan=False)
-            moved = max(moved, float(np.abs(np.asarray(a) - np.asarray(c)).max()))
-    assert moved > 1e-3
+    ours = learned(jax.device_get(state), data)
+    theirs = brax_update(learner, state, as_brax(data), monkeypatch)
+    # Sums of numbers of about 1, in another order.
+    assert_close(ours[0][OWN], theirs[0], rtol=1e-6, atol=1e-6)
+    # Three Adam steps of 1.5e-3; measured agreement 2e-7.
+    assert_close(ours[1:3], theirs[1:], atol=2e-6, equal_nan=False)
+    moved = jax.tree.map(lambda a, b: np.abs(a - b).max(), ours[1], state.policy)
+    assert max(jax.tree.leaves(moved)) > 1e-3
 
 
 def test_the_loss_of_a_minibatch_equals_brax_s(learner, state):
     data = canned_data(learner, state, seed=1)
-    rollout, params = as_rollout(data), network_params(state.policy, state.value)
+    params = network_params(state.policy, state.value)
     weights = Weights(entropy_cost=jnp.float32(0.3), clip=jnp.float32(0.05))
+    given = learner.networks, state.normalizer
 
     def ours(params, key):
         def value(observation):
-            return learner.networks.value_network.apply(
-                state.normalizer, params.value, observation
-            )
+            apply = learner.networks.value_network.apply
+            return apply(state.normalizer, params.value, observation)
 
-        advantage, target = compute_advantages(
-            rollout,
-            value(rollout.observation),
-            value(rollout.final_observation),
-            TINY.discount,
-            TINY.gae_lambda,
-        )
-        batch = Minibatch(
-            observation=rollout.observation,
-            raw_action=rollout.raw_action,
-            log_prob=rollout.log_prob,
-            advantage=advantage,
-            target=target,
-            weight=jnp.ones_like(target),
-        )
-        return ppo_loss(params, learner.networks, state.normalizer, batch, weights, key)
+        values = value(data.observation), value(data.final_observation)
+        found = compute_advantages(data, *values, TINY.discount, TINY.gae_lambda)
+        steps = data.observation, data.raw_action, data.log_prob, *found
+        batch = Minibatch(*steps, weight=jnp.ones(SHAPE))
+        return ppo_loss(params, *given, batch, weights, key)
 
     def brax(params, key):
         return ppo_losses.compute_ppo_loss(
             params,
             state.normalizer,
-            jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data),
+            jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), as_brax(data)),
             key,
             learner.networks,
             entropy_cost=0.3,
@@ -284,72 +255,46 @@ def test_the_loss_of_a_minibatch_equals_brax_s(learner, state):
     assert set(mine[1]) == set(theirs[1])
     for name in set(mine[1]) - {"kl_mean"}:
         np.testing.assert_allclose(mine[1][name], theirs[1][name], rtol=1e-5, atol=1e-6)
-    for a, b in zip(*map(jax.tree.leaves, (mine[0], theirs[0])), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-6)
+    assert_close(mine[0], theirs[0], atol=1e-6)
     assert min(np.abs(x).max() for x in jax.tree.leaves(mine[0])) > 1e-4
 
 
 def test_what_was_done_in_a_truncated_step_changes_nothing(learner, learned, state):
-    rollout = as_rollout(canned_data(learner, state, seed=3))
-    cut = jnp.asarray(np.random.default_rng(4).random(rollout.reward.shape) < 0.2)
-    rollout = dataclasses.replace(
-        rollout, truncated=cut.astype(jnp.float32), terminated=jnp.zeros(cut.shape)
-    )
+    data = canned_data(learner, state, seed=3)
+    cut = jnp.asarray(np.random.default_rng(4).random(SHAPE) < 0.2)
+    ends = {"truncated": cut.astype(jnp.float32), "terminated": jnp.zeros(SHAPE)}
+    data = dataclasses.replace(data, **ends)
     other = dataclasses.replace(
-        rollout,
-        raw_action=jnp.where(cut[..., None], 0.5, rollout.raw_action),
-        log_prob=jnp.where(cut, -3.0, rollout.log_prob),
-        reward=jnp.where(cut, 7.0, rollout.reward),
+        data,
+        raw_action=jnp.where(cut[..., None], 0.5, data.raw_action),
+        log_prob=jnp.where(cut, -3.0, data.log_prob),
+        reward=jnp.where(cut, 7.0, data.reward),
     )
+    whole = dataclasses.replace(other, truncated=jnp.zeros(SHAPE))
     start = jax.device_get(state)
-    ours, same, more = (
-        learned(start, x)
-        for x in (
-            rollout,
-            other,
-            dataclasses.replace(other, truncated=jnp.zeros(cut.shape)),
-        )
-    )
-    for a, b in zip(*map(jax.tree.leaves, (ours, same)), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-7)
+    ours, same, more = (learned(start, x) for x in (data, other, whole))
+    assert_close(ours, same, atol=1e-7)
     moved = jax.tree.map(lambda a, b: np.abs(a - b).max(), ours[1], more[1])
     assert max(jax.tree.leaves(moved)) > 1e-3  # which it does if they are not
 
 
-def test_rates_follow_the_time_used_without_another_compilation(learner, state):
+def test_rates_follow_the_time_used_without_recompiling(learner, state):
     config = dataclasses.replace(TINY, minutes=1.0, learning_rate_end=0.0)
-    rollout = as_rollout(canned_data(learner, state, seed=2))
+    data = canned_data(learner, state, seed=2)
+    parts = learner.networks, learner.inputs, learner.optimizer
 
     @on_one_device
-    def moved(state, rollout):
-        key = jax.random.key(5)
-        new = learn(
-            config,
-            learner.networks,
-            learner.inputs,
-            learner.optimizer,
-            state,
-            rollout,
-            key,
-        )
-        before, after = (
-            ravel_pytree(x)[0] for x in ((state.policy, state.value), new[0][1:3])
-        )
+    def moved(state, data):
+        new, _ = learn(config, *parts, state, data, jax.random.key(5))
+        pair = (state.policy, state.value), new[1:3]
+        before, after = (ravel_pytree(x)[0] for x in pair)
         return jnp.abs(after - before).max()
 
-    seconds = (0.0, 30.0, 59.0, 60.0, 99.0)
-    steps = [
-        float(moved(jax.device_get(learner.set_seconds(state, s)), rollout))
-        for s in seconds
-    ]
+    starts = [learner.set_seconds(state, s) for s in (0.0, 30.0, 59.0, 60.0, 99.0)]
+    steps = [float(moved(jax.device_get(start), data)) for start in starts]
     assert steps[0] > steps[1] > steps[2] > 0.0
     assert steps[3] == steps[4] == 0.0
     assert moved._cache_size() == 1
-
-
-def learned_leaves(state) -> list[np.ndarray]:
-    parts = (state.normalizer, state.policy, state.value, state.optimizer)
-    return [np.array(leaf) for leaf in jax.tree.leaves(parts)]
 
 
 def test_no_empty_array_is_an_input_of_the_compiled_update(update, state):
@@ -364,22 +309,22 @@ def test_no_empty_array_is_an_input_of_the_compiled_update(update, state):
 
 
 def test_a_non_finite_update_is_dropped_whole(learner, update):
-    state = learner.init()
-    good, _ = update(learner.place(jax.device_get(state)))
+    def parts(state):
+        each = state.normalizer, state.policy, state.value, state.optimizer
+        return jax.tree.map(np.array, each)  # the state itself is donated
+
+    good, _ = update(learner.place(jax.device_get(learner.init())))
     before = jax.device_get(good)
+    kept = parts(before)
     assert int(good.skipped) == 0
-    kept = learned_leaves(before)
     # All bays are equal here: what never varied is not blown up either.
     assert before.normalizer[OWN].std.min() == np.float32(MIN_DEVIATION)
-    poisoned = before.replace(
-        env=before.env.replace(obs=np.full_like(before.env.obs, np.nan))
-    )
+    nothing = np.full_like(before.env.obs, np.nan)
+    poisoned = before.replace(env=before.env.replace(obs=nothing))
     after, metrics = update(learner.place(poisoned))
     after = jax.device_get(after)
-    assert int(after.skipped) == 1
-    assert int(metrics["skipped"]) == 1
-    for old, new in zip(kept, learned_leaves(after), strict=True):
-        np.testing.assert_array_equal(new, old)
+    assert int(after.skipped) == int(metrics["skipped"]) == 1
+    assert same(kept, parts(after))
     # The cars' actions were NaN: they are contained, and the next update is fine.
     assert np.isfinite(after.env.obs).all()
     final, metrics = update(learner.place(after))
@@ -389,16 +334,11 @@ def test_a_non_finite_update_is_dropped_whole(learner, update):
     # What a run leaves is the mean of the policies: of the first alone, then with the
     # third update's at a weight of 1/3; the dropped one changed nothing.
     final = jax.device_get(final)
-    for first, same, last, mean in zip(
-        *map(
-            jax.tree.leaves,
-            (before.policy, before.average, final.policy, final.average),
-        ),
-        strict=True,
-    ):
-        np.testing.assert_allclose(same, first, atol=1e-7)
-        np.testing.assert_allclose(mean, first + (last - first) / 3, atol=1e-7)
-        assert np.abs(mean - last).max() > 1e-5
+    assert_close(after.average, before.policy, atol=1e-7)
+    mean = jax.tree.map(lambda a, b: a + (b - a) / 3, before.policy, final.policy)
+    assert_close(final.average, mean, atol=1e-7)
+    apart = jax.tree.map(lambda a, b: np.abs(a - b).max(), final.average, final.policy)
+    assert min(jax.tree.leaves(apart)) > 1e-5
 
 
 ENCODED = PPOConfig(

@@ -22,7 +22,7 @@ from carpark_mj.training.loop import (
 from carpark_mj.training.run_folder import RunConfig
 
 
-def test_a_line_that_a_notebook_s_callback_began_stops_no_training(monkeypatch):
+def test_half_a_line_in_a_notebook_stops_no_training(monkeypatch):
     shown = []
 
     def display(segments, text):
@@ -76,7 +76,7 @@ def go_on(log, update):
     return [row["update"] for row in read_metrics(log.parent)]
 
 
-def test_rows_after_the_checkpoint_and_half_a_line_are_written_anew(log):
+def test_rows_after_the_checkpoint_are_written_anew(log):
     assert go_on(log, 2) == [1, 2, 3]
     with log.open("a") as file:
         file.write("4,4")

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from brax.envs.base import State as BraxState
 from flax import struct
+from helpers.learning import begun, rollout
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.policy.networks import NetworkConfig, init_normalizer
+from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo import learn as epochs
-from carpark_mj.training.ppo import learner as learner_module
 from carpark_mj.training.ppo.collect import (
     RANGE,
-    Rollout,
     collect,
     compute_advantages,
     neighbours,
@@ -54,12 +53,9 @@ def mean(xy, values, active=None):
     return np.asarray(neighbours_mean(near[None], jnp.float32(values)[None]))[0]
 
 
-def test_two_share_within_the_range_and_not_beyond():
+def test_the_mean_is_of_those_nearby_that_are_present():
     np.testing.assert_array_equal(mean([0.0, RANGE - 0.1], [1.0, -2.0]), [-2.0, 1.0])
     np.testing.assert_array_equal(mean([0.0, RANGE + 0.1], [1.0, -2.0]), [0.0, 0.0])
-
-
-def test_the_mean_is_of_those_nearby_that_are_present():
     # At 20 m the last is a neighbour of the second and the third only.
     at, worth = [0.0, 6.0, 8.0, 20.0], [1.0, 2.0, 3.0, 6.0]
     np.testing.assert_allclose(mean(at, worth), [2.5, 10 / 3, 3.0, 2.5])
@@ -149,32 +145,13 @@ def learned(monkeypatch, share, near, weight, reward=None, done=1.0):
         curriculum=CurriculumConfig(neighbour_share=share),
         networks=NetworkConfig((4,), (4,), encoder="flat"),
     )
-    learner = Learner(config)
-    networks, key = learner.networks, jax.random.key(0)
-    state: Any = SimpleNamespace(
-        update=jnp.int32(done * config.num_updates),
-        seconds=0.0,
-        normalizer=init_normalizer(learner.inputs),
-        policy=networks.policy_network.init(key),
-        value=networks.value_network.init(key),
-        optimizer=None,
-    )
-    rng = np.random.default_rng(1)
-    count, size = LOTS * AGENTS, learner.inputs.size
-    drawn = rng.normal(size=(TIME, count))
+    learner, update = Learner(config), int(done * config.num_updates)
+    parts = learner.networks, learner.inputs
+    count = LOTS * AGENTS
+    drawn = np.random.default_rng(1).normal(size=(TIME, count))
     reward = drawn if reward is None else np.tile(reward[:, None], count)
-    rollout = Rollout(
-        observation=jnp.zeros((TIME, count, size)),
-        raw_action=jnp.zeros((TIME, count, 2)),
-        log_prob=jnp.zeros((TIME, count)),
-        reward=jnp.float32(reward),
-        terminated=jnp.zeros((TIME, count)),
-        truncated=jnp.zeros((TIME, count)),
-        final_observation=jnp.zeros((count, size)),
-        weight=weight,
-        near=near,
-    )
-    found = []
+    more = {"reward": jnp.float32(reward), "weight": weight, "near": near}
+    steps, found = rollout((TIME, count), learner.inputs.size, **more), []
 
     def watched(*given):
         found.append(compute_advantages(*given))
@@ -188,18 +165,16 @@ def learned(monkeypatch, share, near, weight, reward=None, done=1.0):
     monkeypatch.setattr(epochs, "compute_advantages", watched)
     stopped = SimpleNamespace(normalizes=0, prepared=prepared)
     monkeypatch.setattr(epochs, "VARIANTS", {config.variant: stopped})
-    given = config, networks, learner.inputs, learner.optimizer, state
+    given = begun(*parts, jax.random.key(0), update), steps, jax.random.key(2)
     with pytest.raises(StopIteration):
-        epochs.learn(*given, rollout, jax.random.key(2))
+        epochs.learn(config, *parts, learner.optimizer, *given)
     (own, targets), steps = found
     np.testing.assert_array_equal(steps.target, targets)  # the critic's are its own
     return np.asarray(steps.advantage), np.asarray(own), np.asarray(steps.weight)
 
 
 @pytest.mark.parametrize(("done", "part"), [(0.0, 0.0), (0.4, 0.25), (1.0, 0.5)])
-def test_advantages_to_learn_from_have_the_share_of_the_progress(
-    monkeypatch, done, part
-):
+def test_advantages_have_the_share_of_the_progress(monkeypatch, done, part):
     all_near = jnp.ones((TIME, LOTS * AGENTS, AGENTS), bool)
     near = all_near & ~jnp.tile(jnp.eye(AGENTS, dtype=bool), (LOTS, 1))
     together, own, _ = learned(monkeypatch, 0.5, near, None, done=done)
@@ -207,30 +182,11 @@ def test_advantages_to_learn_from_have_the_share_of_the_progress(
     theirs = (lot.sum(axis=-1, keepdims=True) - lot) / (AGENTS - 1)
     expected = own + part * theirs.reshape(own.shape)
     np.testing.assert_allclose(together, expected, atol=5e-3)  # whole updates
-
-
-def test_without_a_share_nobody_is_near_and_advantages_are_the_own(monkeypatch):
-    together, own, _ = learned(monkeypatch, 0.0, None, None)
+    together, own, _ = learned(monkeypatch, 0.0, None, None)  # without a share
     np.testing.assert_array_equal(together, own)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_training_asks_for_neighbours_where_they_have_a_share(monkeypatch, share):
-    def asked(*given, **more):
-        del given
-        return more["with_neighbours"]
-
-    monkeypatch.setattr(learner_module, "collect", asked)
-    monkeypatch.setattr(learner_module, "make_policy", lambda *given, **more: None)
-    state: Any = SimpleNamespace(
-        update=jnp.int32(0), seconds=0.0, normalizer=None, policy=None, env=None
-    )
-    config = PPOConfig(curriculum=CurriculumConfig(neighbour_share=share))
-    found: Any = Learner(config)._collect(state, jax.random.key(0))
-    assert found == (share > 0.0)
-
-
-def test_shares_are_of_the_own_lot_where_absent_agents_are_dropped(monkeypatch):
+def test_shares_are_of_the_own_lot_if_absent_are_dropped(monkeypatch):
     """The agents kept are in another order; one of three is absent in every lot."""
     present = np.ones((LOTS, AGENTS), bool)
     present[np.arange(LOTS), np.arange(LOTS) % AGENTS] = False
@@ -248,7 +204,7 @@ def test_shares_are_of_the_own_lot_where_absent_agents_are_dropped(monkeypatch):
     np.testing.assert_allclose(shared.sum(), 2 * alone.sum(), rtol=1e-4)
 
 
-def test_the_mean_is_of_those_that_are_kept_where_some_present_are_dropped(monkeypatch):
+def test_the_mean_is_of_those_that_are_kept(monkeypatch):
     """All are alike, so the mean is the own advantage, or 0 where all are dropped."""
     others = ~jnp.tile(jnp.eye(AGENTS, dtype=bool), (LOTS, 1))
     near = jnp.broadcast_to(others, (TIME, *others.shape))

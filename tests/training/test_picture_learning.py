@@ -1,14 +1,12 @@
 """Updates from pictures, and policies that learn to see."""
 
 import dataclasses
-from types import SimpleNamespace
-from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jax.flatten_util import ravel_pytree
+from helpers.learning import begun, rollout
 
 from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import EnvConfig
@@ -22,9 +20,9 @@ from carpark_mj.policy.networks import (
     network_inputs,
 )
 from carpark_mj.training.ppo import variants
-from carpark_mj.training.ppo.collect import AXIS, Rollout
+from carpark_mj.training.ppo.collect import AXIS
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.learn import learn, network_params
+from carpark_mj.training.ppo.learn import learn
 from carpark_mj.training.ppo.variants import ppo_loss
 from carpark_mj.training.ppo.warm_start import new_fields, widen
 
@@ -43,7 +41,7 @@ CONFIG = PPOConfig(
 )
 
 
-def test_an_update_values_all_steps_and_teaches_the_layers_of_pictures(monkeypatch):
+def test_an_update_values_all_steps_and_teaches_the_eye(monkeypatch):
     """Every step ends an episode, so that a critic's value is reward less advantage."""
     networks = make_networks(CONFIG.networks, FIELDS, ActionSpec(2))
     inputs, optimizer = network_inputs(CONFIG.networks, FIELDS), optax.scale_by_adam()
@@ -58,30 +56,20 @@ def test_an_update_values_all_steps_and_teaches_the_layers_of_pictures(monkeypat
     monkeypatch.setattr(variants, "ppo_loss", loss)
 
     def update(key):
-        keys = jax.random.split(key, 6)
+        keys = jax.random.split(key, 5)
         shape, one = (LENGTH, AGENTS), jnp.ones((LENGTH, AGENTS))
-        rollout = Rollout(
+        steps = rollout(
+            shape,
+            inputs.size,
             observation=jax.random.uniform(keys[0], (*shape, inputs.size)),
             raw_action=jax.random.normal(keys[1], (*shape, 2)),
             log_prob=-one,
             reward=jax.random.normal(keys[2], shape),
             terminated=one,
-            truncated=0.0 * one,
-            final_observation=jnp.zeros((AGENTS, inputs.size)),
         )
-        policy = networks.policy_network.init(keys[3])
-        value = networks.value_network.init(keys[4])
-        params = network_params(policy, value)
-        state = SimpleNamespace(
-            update=jnp.int32(0),
-            seconds=jnp.float32(0.0),
-            normalizer=init_normalizer(inputs),
-            policy=policy,
-            value=value,
-            optimizer=optimizer.init(ravel_pytree(params)[0]),
-        )
-        given = (CONFIG, networks, inputs, optimizer, cast(Any, state), rollout)
-        return learn(*given, keys[5]), policy, value
+        state = begun(networks, inputs, keys[3])
+        learned = learn(CONFIG, networks, inputs, optimizer, state, steps, keys[4])
+        return learned, state.policy, state.value
 
     key = jax.random.split(jax.random.key(0), 1)
     (learned, told), *before = jax.jit(jax.vmap(update, axis_name=AXIS))(key)

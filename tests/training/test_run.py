@@ -55,7 +55,7 @@ def test_the_run_has_the_policy_and_can_be_evaluated(run, monkeypatch):
 
 
 @pytest.mark.slow
-def test_true_ends_the_training_after_the_update_and_it_can_go_on(tmp_path):
+def test_a_callback_ends_a_training_that_can_go_on(tmp_path):
     stopped = run_of(tmp_path, lambda row: row["update"] == 2)
     assert stopped.outcome == "stopped"
     assert [row["update"] for row in stopped.metrics] == [1, 2]

@@ -9,11 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import (
-    EnvConfig,
-    RayConfig,
-    RingConfig,
-)
+from carpark_mj.config import EnvConfig, RayConfig, RingConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation
@@ -67,32 +63,40 @@ def test_a_teacher_acts_on_its_own_observation_of_the_same_lots(monkeypatch):
     assert np.std(advice) > 0.0
 
 
-def test_a_training_collects_with_its_teacher(monkeypatch):
-    knows(monkeypatch, KNOWS)
-    monkeypatch.setattr(learners, "collect", lambda *given, **more: more["teacher"])
+def collected(monkeypatch, config):
+    """The options with which a training collects, and its learner."""
+    monkeypatch.setattr(learners, "collect", lambda *given, **more: more)
     monkeypatch.setattr(learners, "make_policy", lambda *given, **more: None)
+    names = ("normalizer", "policy", "env")
     state: Any = SimpleNamespace(
-        update=jnp.int32(0), seconds=0.0, normalizer=None, policy=None, env=None
+        update=jnp.int32(0), seconds=0.0, **dict.fromkeys(names)
     )
-    learner = learners.Learner(CONFIG)
-    assert learner.teacher is not None
+    learner = learners.Learner(config)
     found: Any = learner._collect(state, jax.random.key(0))
-    assert found is learner.teacher
+    return found, learner
 
 
-def test_without_a_teacher_there_is_none():
-    assert make_teacher(PPOConfig()) is None
-    assert teacher_cost(CurriculumConfig(), jnp.float32(0.0)) is None
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_training_collects_with_its_teacher_and_neighbours(monkeypatch, share):
+    knows(monkeypatch, KNOWS)
+    curriculum = dataclasses.replace(TAUGHT, neighbour_share=share)
+    config = dataclasses.replace(CONFIG, curriculum=curriculum)
+    more, learner = collected(monkeypatch, config)
+    assert learner.teacher is not None
+    assert more["teacher"] is learner.teacher
+    assert more["with_neighbours"] == (share > 0.0)
 
 
-def test_its_weight_falls_linearly_to_zero():
+def test_a_teacher_s_weight_falls_to_zero_and_none_has_none():
     config = dataclasses.replace(TAUGHT, teacher_cost=4.0, teacher_until=0.5)
     progress = jnp.array([0.0, 0.125, 0.5, 0.9])
     found = jnp.stack([jnp.asarray(teacher_cost(config, x)) for x in progress])
     np.testing.assert_allclose(found, [4.0, 3.0, 0.0, 0.0], atol=1e-6)
+    assert make_teacher(PPOConfig()) is None
+    assert teacher_cost(CurriculumConfig(), jnp.float32(0.0)) is None
 
 
-def test_the_loss_counts_the_distance_of_the_mode_where_steps_count():
+def test_the_loss_counts_the_distance_of_modes_by_weight():
     networks = make_networks(
         NetworkConfig((4,), (4,), encoder="flat"),
         [Field("x", 3, -1.0, 1.0, "")],

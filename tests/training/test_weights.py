@@ -7,19 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.envs.base import State as BraxState
+from helpers.learning import assert_close, rollout
 from helpers.sliding import POSES, SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.compose import OWN
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer
-from carpark_mj.training.ppo.collect import (
-    AXIS,
-    Rollout,
-    collect,
-    count_steps,
-    drop_absent,
-)
+from carpark_mj.training.ppo.collect import AXIS, collect, count_steps, drop_absent
 from carpark_mj.training.ppo.learn import network_params, num_learned
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.parts import PRESETS
@@ -96,12 +91,11 @@ def test_nothing_is_learned_from_steps_without_weight(learner):
     expected, found = learn_from(without), learn_from(spoilt)
     for name in ("total_loss", "policy_loss", "v_loss", "kl_mean"):
         np.testing.assert_allclose(found[1][name], expected[1][name], atol=1e-6)
-    for a, b in zip(*map(jax.tree.leaves, (found[0], expected[0])), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-6)
+    assert_close(found[0], expected[0], atol=1e-6)
     assert max(np.abs(x).max() for x in jax.tree.leaves(expected[0])) > 1e-3
 
 
-def test_an_update_counts_the_steps_of_agents_that_are_present_only(learner):
+def test_an_update_counts_steps_of_present_agents_only(learner):
     start = learner.init()
     present = np.asarray(start.env.pipeline_state.present)
     steps = int(present.sum()) * TINY.unroll_length
@@ -125,17 +119,15 @@ def test_an_update_counts_the_steps_of_agents_that_are_present_only(learner):
     assert int(after.skipped) == 0
 
 
-def test_the_step_that_ends_an_episode_counts_even_if_its_agent_then_waits_for_room():
+def test_the_step_that_ends_an_episode_counts_if_its_agent_waits():
     """One agent, alone in an environment by hand, absent before the third step."""
 
     class Waits:
         def step(self, state, action):
             del action
             ended = state.pipeline_state == 1
-            info = state.info | {
-                "episode_done": jnp.float32([ended]),
-                "present": jnp.float32([~ended]),
-            }
+            ends = {"episode_done": jnp.float32([ended])}
+            info = state.info | ends | {"present": jnp.float32([~ended])}
             return state.replace(pipeline_state=state.pipeline_state + 1, info=info)
 
     zero, none = jnp.zeros(1), {"episode_metrics": {}, "reward_terms": {}}
@@ -146,39 +138,38 @@ def test_the_step_that_ends_an_episode_counts_even_if_its_agent_then_waits_for_r
         del key
         return observation, {"raw_action": observation, "log_prob": zero}
 
-    _, rollout, _ = collect(Waits(), start, act, jax.random.key(0), 4, {})
-    assert rollout.terminated[:, 0].tolist() == [0.0, 1.0, 0.0, 0.0]
-    assert rollout.weight[:, 0].tolist() == [1.0, 1.0, 0.0, 1.0]
+    _, steps, _ = collect(Waits(), start, act, jax.random.key(0), 4, {})
+    assert steps.terminated[:, 0].tolist() == [0.0, 1.0, 0.0, 0.0]
+    assert steps.weight[:, 0].tolist() == [1.0, 1.0, 0.0, 1.0]
 
 
 def numbered(present, steps=3):
     """A rollout in which every number is that of its agent."""
     agents = jnp.arange(len(present), dtype=jnp.float32)
     every = jnp.broadcast_to(agents, (steps, len(present)))
-    return Rollout(
+    names = ("log_prob", "reward", "terminated", "truncated")
+    return rollout(
+        every.shape,
+        **dict.fromkeys(names, every),
         observation=jnp.repeat(every[..., None], 5, axis=-1),
         raw_action=jnp.repeat(every[..., None], 2, axis=-1),
-        log_prob=every,
-        reward=every,
-        terminated=every,
-        truncated=every,
         final_observation=jnp.repeat(agents[:, None], 5, axis=-1),
         weight=jnp.broadcast_to(jnp.float32(present), every.shape),
     )
 
 
-def agents_of(rollout):
+def agents_of(steps):
     """Which agents a rollout is of; all its arrays must agree."""
-    number = np.asarray(rollout.reward[0])
-    for part in (rollout.observation, rollout.raw_action, rollout.log_prob):
+    number = np.asarray(steps.reward[0])
+    for part in (steps.observation, steps.raw_action, steps.log_prob):
         spread = np.asarray(part).reshape(*part.shape[:2], -1)
         np.testing.assert_array_equal(spread - number[:, None], 0.0)
-    np.testing.assert_array_equal(rollout.final_observation[:, 0], number)
+    np.testing.assert_array_equal(steps.final_observation[:, 0], number)
     return number.astype(int)
 
 
 @pytest.mark.parametrize(("count", "dropped"), [(8, 0), (6, 0), (5, 0), (3, 2)])
-def test_absent_agents_are_dropped_first_and_present_ones_at_random(count, dropped):
+def test_absent_agents_are_dropped_first_others_at_random(count, dropped):
     present = np.array([1, 0, 1, 1, 0, 0, 1, 1])
     drop = jax.jit(drop_absent, static_argnums=1)
     seen = set()
@@ -201,9 +192,7 @@ def test_absent_agents_are_dropped_first_and_present_ones_at_random(count, dropp
         ({"num_agents": 8, "min_agents": None}, 64),
     ],
 )
-def test_an_update_learns_of_as_many_agents_as_are_present_on_average(
-    changes, expected
-):
+def test_an_update_learns_of_as_many_agents_as_are_expected(changes, expected):
     env = dataclasses.replace(TINY.env, **changes)
     config = dataclasses.replace(TINY, num_lots=8, num_minibatches=8, env=env)
     assert num_learned(config, 64) == expected

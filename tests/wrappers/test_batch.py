@@ -60,6 +60,10 @@ def test_a_sequence_of_seeds_gives_each_lot_its_own():
     in_turn = lots.reset_numpy([9, 3, 9, 4])
     np.testing.assert_array_equal(in_turn[0], in_turn[2])
     np.testing.assert_array_equal(in_turn[[1, 3]], lots.reset_numpy(3)[:2])
+    # Seeds that are None are drawn.
+    one, two = (batch().reset_numpy([1, None, 3, None]) for _ in range(2))
+    np.testing.assert_array_equal(one[::2], two[::2])
+    assert (one[1::2] != two[1::2]).any(axis=(1, 2)).all()
 
 
 def test_without_a_seed_lots_go_on_and_do_not_repeat():
@@ -167,13 +171,6 @@ def test_impossible_actions_are_refused(action, message):
     lots.step_numpy(halt())  # and nothing is broken
 
 
-def test_seeds_that_are_none_are_drawn():
-    given = [1, None, 3, None]
-    one, two = (batch().reset_numpy(given) for _ in range(2))
-    np.testing.assert_array_equal(one[::2], two[::2])
-    assert (one[1::2] != two[1::2]).any(axis=(1, 2)).all()
-
-
 PARK, GOAL, *_ = ENTRY_POINTS
 QUICK = EnvConfig(layout="square_compact", num_parked_cars=2, physics="bicycle")
 AHEAD = np.array([0.2, 1.0], np.float32)
@@ -199,14 +196,11 @@ def test_a_copy_goes_on_like_the_environment(copied, name):
     other.close()
 
 
-def test_so_does_a_copy_of_a_vector():
+def test_so_does_a_copy_of_a_vector_or_of_a_lot_of_agents():
     vector = gymnasium.make_vec(PARK, 2, config=QUICK)
     vector.reset(seed=0)
     actions, other = np.stack([AHEAD, -AHEAD]), copy.deepcopy(vector)
     assert same(other.step(actions)[:4], vector.step(actions)[:4])
-
-
-def test_so_does_a_copy_of_a_lot_of_agents():
     pytest.importorskip("pettingzoo")
     env = carpark_mj.parallel_env(config=QUICK, agents=2, render_mode="rgb_array")
     env.reset(seed=0)

@@ -45,22 +45,18 @@ def test_brax_flattens_lots_by_agents():
 def test_brax_steps_keep_the_structure_of_the_reset_state():
     env, _, _ = slide()
     wrapped = BraxParking(env)
-    keys = jax.random.split(jax.random.key(0), 4)
-    state = jax.eval_shape(wrapped.reset, keys)
+    state = jax.eval_shape(wrapped.reset, jax.random.split(jax.random.key(0), 4))
     action = jax.ShapeDtypeStruct((12, 2), jnp.float32)
     after = jax.eval_shape(wrapped.step, state, action)
-    assert jax.tree.structure(state) == jax.tree.structure(after)
-    for one, other in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
-        assert (one.shape, one.dtype, one.weak_type) == (
-            other.shape,
-            other.dtype,
-            other.weak_type,
-        )
+
+    def kinds(tree):
+        return jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), tree)
+
+    assert kinds(state) == kinds(after)
     flat = (state.obs, state.reward, state.done, state.info)
     assert all(leaf.shape[0] == 12 for leaf in jax.tree.leaves(flat))
     fields = {"truncation", "present", "episode_done", "episode_metrics"}
-    fields |= {"reward_terms", "final_observation"}
-    assert set(state.info) == fields
+    assert set(state.info) == fields | {"reward_terms", "final_observation"}
     assert wrapped.observation_size == env.observation_size
     assert wrapped.action_size == 2
 
@@ -108,9 +104,7 @@ def test_the_parked_rule_of_the_config_is_the_one_used():
     env, step, state = start()
     pose = APART.copy()
     bay = np.asarray(state.layout.bay_pose[state.goal[1]])
-    pose[1] = bay + np.array(
-        [0.4, 0.4, 0.5]
-    )  # askew in the bay: parked for Tanner only
+    pose[1] = bay + np.array([0.4, 0.4, 0.5])  # askew: parked for Tanner only
     state = placed(env, state, pose)
     _, _, step_tanner = slide(rule="tanner")
     for stepped, parked in ((step, False), (step_tanner, True)):

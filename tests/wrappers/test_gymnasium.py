@@ -2,11 +2,7 @@
 
 import dataclasses
 import itertools
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -17,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import AddRenderObservation
+from helpers.programs import python
 
 from carpark_mj.config import (
     PHYSICS,
@@ -66,8 +63,7 @@ def assert_close(one, other):
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
-    [*((name, {"config": SHORT}) for name in SINGLE), (PARK, {})],
+    ("name", "options"), [*((name, {"config": SHORT}) for name in SINGLE), (PARK, {})]
 )
 def test_gymnasium_finds_no_fault(name, options):
     # It would open a window as well; pictures are looked at below.
@@ -79,7 +75,6 @@ def test_gymnasium_finds_no_fault(name, options):
     ("name", "options"),
     [
         (PARK, {"physics": "mjx"}),
-        (PARK, {"config": SHORT}),
         (GOAL, {"config": SHORT}),
         (PARK, {"layout": mixture(["square", "tpcap"]), "parked_cars": 0}),
         pytest.param(
@@ -162,6 +157,9 @@ def test_agents_of_many_share_lots_and_begin_alone():
     observation, _ = vector.reset(seed=2)
     assert observation.shape == vector.observation_space.shape
     assert vector.num_lots == 2
+    state = vector.unwrapped._batch.state  # none is an absent agent
+    assert state.present is None or state.present.all()
+    assert (state.goal >= 0).all()
     for _ in range(5):
         seen, _, _, truncated, infos = vector.step(np.zeros((8, 2), np.float32))
     assert truncated.all()
@@ -169,14 +167,6 @@ def test_agents_of_many_share_lots_and_begin_alone():
     assert final.shape == seen.shape
     assert not np.isclose(final, seen).all(axis=1).any()
     vector.step(np.zeros((8, 2), np.float32))
-
-
-def test_no_environment_of_many_is_an_absent_agent():
-    vector = gymnasium.make_vec(MANY, 8, config=GARAGE)
-    vector.reset(seed=0)
-    state = vector.unwrapped._batch.state
-    assert state.present is None or state.present.all()
-    assert (state.goal >= 0).all()
 
 
 def until_end(env):
@@ -196,9 +186,6 @@ def test_max_episode_steps_is_the_time_limit():
     # One environment, whose rewards may be shares of the time limit.
     lots = env.unwrapped._batch.env
     assert lots is again.unwrapped._batch.env is vector._batch.env
-
-
-def test_without_max_episode_steps_it_is_that_of_the_config():
     for options in ({}, {"max_episode_steps": -1}):  # -1: no `TimeLimit`
         env = gymnasium.make(PARK, config=SHORT, **options)
         assert env.spec.max_episode_steps == 20
@@ -307,9 +294,7 @@ def test_pictures_are_collected_in_a_list():
     env.close()
 
 
-def test_each_lot_has_a_picture_of_a_scene_built_once(
-    monkeypatch,
-):
+def test_each_lot_has_a_picture_of_a_scene_built_once(monkeypatch):
     built = []
 
     class Counted(Stage):
@@ -372,12 +357,5 @@ def test_import_registers_ids_and_loads_no_simulator():
         "print(*sorted(n for n in gymnasium.registry if n[:7] == 'carpark'))\n"
         "print({'jax', 'mujoco', 'torch'} & {*sys.modules})"
     )
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        cwd=Path(__file__).parents[2],
-        env=dict(os.environ),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = python("-W", "error", "-c", code)
     assert done.stdout.splitlines() == [" ".join(sorted(OURS)), "set()"]

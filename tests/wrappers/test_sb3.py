@@ -77,8 +77,10 @@ def test_attributes_are_the_same_in_all_and_cannot_be_set_in_one():
         env.set_attr("num_lots", 4)
 
 
-def test_pictures_are_tiled():
+def test_pictures_are_tiled_and_videos_run_in_real_time():
     env = ParkVecEnv(PARK, 2, render_mode="rgb_array")
+    assert env.metadata["render_fps"] == 5  # a control step of 0.2 s a frame
+    assert "rgb_array" in env.metadata["render_modes"]
     env.reset()
     picture = env.render()
     assert picture is not None
@@ -134,9 +136,3 @@ def test_sac_relabels_goals_and_keeps_what_crashes_cost():
     at_goal = (achieved == desired).all(axis=1)
     assert at_goal.any()  # by hindsight
     np.testing.assert_array_equal(paid[at_goal], 0.0)
-
-
-def test_videos_run_at_the_speed_of_the_simulation():
-    env = ParkVecEnv("carpark_mj/Park-v0", 1, render_mode="rgb_array")
-    assert env.metadata["render_fps"] == 5  # a control step of 0.2 s a frame
-    assert "rgb_array" in env.metadata["render_modes"]

@@ -63,10 +63,6 @@ def test_actions_may_be_strided_and_require_gradients():
 def test_lots_that_are_due_begin_anew():
     lots = batch()
     lots.reset(0)
-    observation = lots.restart(torch.tensor([True, False, False, True]))
-    assert observation.abs().sum(dim=(1, 2)).bool().tolist() == [
-        True,
-        False,
-        False,
-        True,
-    ]
+    due = [True, False, False, True]
+    observation = lots.restart(torch.tensor(due))
+    assert observation.abs().sum(dim=(1, 2)).bool().tolist() == due
