@@ -40,6 +40,7 @@ from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.policy.outside import INPUTS
 from carpark_mj.programs import COMMANDS as PROGRAMS
+from carpark_mj.programs import SETTINGS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.training.hosts import read_hosts
@@ -198,7 +199,7 @@ def check_command(line):
     if program == "train":
         read_runs(read_hosts(arguments)[1], read_training)
     elif program in PROGRAMS:
-        config = Entry(PROGRAMS[program].settings).load()
+        config = Entry(SETTINGS + PROGRAMS[program].settings).load()
         words = complete(arguments) if program == "scene" else arguments
         read_flags(config, words)
     else:
