@@ -36,7 +36,7 @@ DYNAMIC = dataclasses.replace(
 # Lots of every family, some or many cars of all kinds, imperfect sensors. Exploration
 # finds tight bays too rarely to begin with: more pay for the way into the bay.
 _CARS = ("city", "compact", "sedan", "sedan_fwd", "suv", "van")
-_OBSERVATION = ContinuousObservation(
+OBSERVATION = ContinuousObservation(
     tracked_agents=7,
     tracked_parked_cars=6,
     share=ShareConfig(steering=True, priority=True),
@@ -63,7 +63,7 @@ ANYWHERE = EnvConfig(
         closeness=0.0,
         time=2.5,  # high: penalises waiting
     ),
-    observation=_OBSERVATION,
+    observation=OBSERVATION,
     # [est] of loaded or worn cars on a dry or wet surface.
     randomization=RandomizationConfig(
         mass=(0.9, 1.2),
@@ -96,7 +96,7 @@ CONSIDERATE = dataclasses.replace(
     reward=dataclasses.replace(
         ANYWHERE.reward, time=3.0, extra={"person": 5.0, "comfort": 4.0}
     ),
-    observation=dataclasses.replace(_OBSERVATION, tracked_agents=3, tracked_movers=6),
+    observation=dataclasses.replace(OBSERVATION, tracked_agents=3, tracked_movers=6),
 )
 # The same with cameras: others, the lot and the bay are seen by four cameras; the own
 # motion is measured, and a route leads on until the bay is in view.

@@ -16,7 +16,7 @@ from carpark_mj.layouts import mixture
 from carpark_mj.layouts.base import LAYOUTS, register_layout
 from carpark_mj.layouts.stored import ScaledConfig
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.registry import ANYWHERE, ENVIRONMENTS
+from carpark_mj.registry import ANYWHERE, ENVIRONMENTS, OBSERVATION
 from carpark_mj.training.ppo.parts import PRESETS
 
 # HOPE's levels (docs/hard_cases.md): one car without noise among boxes, seen by rays.
@@ -48,8 +48,8 @@ HOPE = dataclasses.replace(
 # HOPE's levels and among pieces of outlines, at the scale of other cars. Tight bays
 # take several moves.
 _MEMBERS = {
-    **dict.fromkeys(ANYWHERE.layout.split(","), (1.0, (0.95, 1.5))),
-    **dict.fromkeys(HOPE.layout.split(","), (1.0, (0.72, 1.3))),
+    **dict.fromkeys(str(ANYWHERE.layout).split(","), (1.0, (0.95, 1.5))),
+    **dict.fromkeys(str(HOPE.layout).split(","), (1.0, (0.72, 1.3))),
     "clutter_sizes": (3.0, (0.95, 1.05)),
     "clutter_sizes_tight": (3.0, (0.95, 1.05)),
     "clutter_vans": (2.0, (0.95, 1.0)),
@@ -72,9 +72,7 @@ VALET = dataclasses.replace(
         snug=0.5,
     ),
     episode=EpisodeConfig(max_steps=500, parked_rule="exact"),  # 100 s
-    observation=dataclasses.replace(
-        ANYWHERE.observation, tracked_agents=0, own_response=True
-    ),
+    observation=dataclasses.replace(OBSERVATION, tracked_agents=0, own_response=True),
     # [est] of a good localisation.
     sensors=SensorConfig(position_noise=0.01, heading_noise=0.003, speed_noise=0.03),
 )
