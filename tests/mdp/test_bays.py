@@ -129,11 +129,7 @@ def draw_many(wanted, free, count=4000):
 def test_kinds_that_fit_are_drawn_equally_often():
     # Kind 0 fits everywhere, kind 1 in bay 2 only, kind 2 in bay 0, which is taken.
     fit = jnp.array([[True] * 4, [False, False, True, False], [True, *[False] * 3]])
-    wanted = Wanted(
-        fits=jnp.stack([fit, fit]),
-        cars=jnp.ones(2, bool),
-        anywhere=False,
-    )
+    wanted = Wanted(fits=jnp.stack([fit, fit]), cars=jnp.ones(2, bool), anywhere=False)
     kind, bay = draw_many(wanted, [False, True, True, True])
     assert (bay[:, 0] != bay[:, 1]).all()
     assert (bay > 0).all()

@@ -119,9 +119,7 @@ def drive():
     return [jax.device_get(run(MANY, keys, mode)) for mode in range(4)]
 
 
-def test_braking_for_people_prevents_hits(
-    drive,
-):
+def test_braking_for_people_prevents_hits(drive):
     hits = [hit.sum() for _, hit, _ in drive]
     assert hits[BRAKES] == hits[DRIVER_BRAKES] == 0
     assert hits[STANDS] == 0  # nobody walks into a standing car

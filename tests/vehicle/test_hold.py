@@ -43,9 +43,7 @@ def test_the_hold_closes_where_a_slow_car_is_not_driven_along_its_motion(
     assert hold == COMPACT.hold_deceleration
 
 
-def test_a_hold_stays_until_the_pedal_drives_the_car_along_its_motion(
-    compact: Vehicle,
-):
+def test_a_hold_stays_until_the_pedal_drives_the_car_along_its_motion(compact: Vehicle):
     full = COMPACT.hold_deceleration
     for speed in (0.5, 8.0):  # slides, wheels locked
         for way in (1, -1):

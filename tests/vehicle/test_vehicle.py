@@ -6,12 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from carpark_mj.vehicle import (
-    COMPACT,
-    VEHICLES,
-    VehicleParameters,
-    make_vehicle,
-)
+from carpark_mj.vehicle import COMPACT, VEHICLES, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
 from carpark_mj.vehicle.parameters import GRAVITY, LENGTHS, scaled
 
