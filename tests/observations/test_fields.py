@@ -130,12 +130,8 @@ def test_each_setting_adds_or_drops_its_numbers(change, numbers):
     [(9, 5, (6, 4)), (7, 4, (6, 4)), (6, 3, (5, 3)), (2, 1, (1, 1)), (1, 0, (1, 1))],
 )
 def test_slots_are_as_many_as_cars_and_at_least_one(num_agents, num_parked_cars, slots):
-    names = {
-        field.name
-        for field in make_fields(
-            EnvConfig(num_agents=num_agents, num_parked_cars=num_parked_cars)
-        )
-    }
+    config = EnvConfig(num_agents=num_agents, num_parked_cars=num_parked_cars)
+    names = {field.name for field in make_fields(config)}
     for kind, count in zip(("agent", "parked_car"), slots, strict=True):
         assert f"{kind}_{count - 1}_present" in names
         assert f"{kind}_{count}_present" not in names

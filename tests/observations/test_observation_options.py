@@ -21,12 +21,7 @@ from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import tracks_parked_cars
-from carpark_mj.observations import (
-    ContinuousObservation,
-    make_fields,
-    markdown_table,
-    observe,
-)
+from carpark_mj.observations import ContinuousObservation, make_fields, observe
 from carpark_mj.observations.sensors import init_sensors
 from carpark_mj.types import NO_BAY
 
@@ -258,23 +253,6 @@ def test_motions_and_the_order_of_others_change_nothing(chosen):
         # float32 at 30 m is 2e-6 m, and headings are sums of rounded angles.
         np.testing.assert_allclose(there[name], value, atol=5e-6, err_msg=name)
         np.testing.assert_array_equal(other[name], value[order], err_msg=name)
-
-
-@pytest.mark.parametrize("num_tracked_bays", [0, 2])
-def test_fields_have_ranges_meanings_and_names_of_their_own(num_tracked_bays):
-    fields = make_fields(config_of(RICH, num_tracked_bays))
-    assert len({field.name for field in fields}) == len(fields)
-    assert all(field.low < field.high and field.meaning for field in fields)
-    rows = markdown_table(fields)
-    assert "agent_0_speed" in rows
-    assert "agent_1_speed" not in rows
-
-
-def test_the_values_stay_within_the_declared_ranges():
-    named = observed(RICH, *scene())
-    for field in make_fields(config_of(RICH, 2)):
-        assert named[field.name].min() >= field.low - 1e-5, field
-        assert named[field.name].max() <= field.high + 1e-5, field
 
 
 def test_the_way_along_the_lanes_by_hand():
