@@ -23,7 +23,7 @@ from carpark_mj.spawning.placing import (
     start_placing,
     surroundings,
 )
-from carpark_mj.spawning.starts import draw_kind, draw_uniform, spawn_pose
+from carpark_mj.spawning.starts import draw_kind, draw_uniform
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT, PRESETS
 
@@ -146,28 +146,6 @@ def test_agents_that_end_together_are_no_targets():
     assert share(old[:, drive], goal[:, drive]) > 0.7
     goal[:, 1] = BAY_XY[before[:, 1]]
     assert share(old[:, :2], goal[:, :2]) < 0.02
-
-
-def test_start_off_course_is_a_new_goal_and_then_a_pose():
-    spawn = SpawnConfig()
-    goal, parked_cars, pose = lots(200)
-    keys = jax.random.split(jax.random.key(2), 200)
-    config = config_of(spawn)
-
-    def by_hand(goal, parked_cars, pose, key):
-        draws = first_draws(spawn, key)
-        inputs, agent = alike(parked_cars), jnp.array(0)
-        placing = start_placing(goal, parked_cars.bay, pose, FIRST)
-        drawn = new_goal(config, inputs, placing, agent, draws.goal)
-        around = surroundings(inputs, drawn, agent)
-        goal_pose = LAYOUT.bay_pose[drawn.goal[0]]
-        return drawn, spawn_pose(spawn, LAYOUT, around, goal_pose, draws.start)
-
-    expected, start = jax.jit(jax.vmap(by_hand))(goal, parked_cars, pose, keys)
-    _, after = placed(spawn, 200)
-    np.testing.assert_array_equal(after.goal, expected.goal)
-    np.testing.assert_array_equal(after.parked_bay, expected.parked_bay)
-    np.testing.assert_allclose(after.pose_w[:, 0], start, atol=2e-6)  # float32
 
 
 def test_reset_starts_are_on_course_for_earlier_agents():

@@ -1,3 +1,5 @@
+"""Random cars: their ranges, what stays upright, and whom the environment renews."""
+
 import dataclasses
 import itertools
 import math
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.cars import ROAD_CARS
 from helpers.sliding import SlidePhysics
+from helpers.trees import leaves, same
 
 from carpark_mj.config import EnvConfig, RandomizationConfig, SimConfig
 from carpark_mj.env import ParkingEnv
@@ -31,14 +34,6 @@ EVERYTHING = RandomizationConfig(
     steering_lag=(0.05, 0.15),
 )
 KEY = jax.random.key(0)
-
-
-def leaves(tree):
-    return [np.asarray(x) for x in jax.tree.leaves(tree)]
-
-
-def same(a, b):
-    return all(np.array_equal(x, y) for x, y in zip(leaves(a), leaves(b), strict=True))
 
 
 @pytest.fixture(scope="module")
