@@ -126,21 +126,15 @@ def test_the_body_hides_what_is_behind_it_and_the_cabin_is_looked_out_of():
 def test_a_picture_of_a_mirrored_lot_is_mirrored():
     rig = RIGS["surround"]
     at = cars([(0.0, 0.0, 0.0)])
-    pictures = [
-        look(
-            rig,
-            lot(
-                [(8.0, side * 4.0, side * 0.4)],
-                walls=[(-6.0, side * 3.0, side * 0.3)],
-                wall_size=[(2.0, 1.0)],
-                discs=[(1.0, side * 5.0, 0.4)],
-            ),
-            at,
-            parked_cars=parked_at([(7.0, -side * 2.0, side * 0.2)]),
-        )
-        for side in (1, -1)
-    ]
-    one, other = (np.where(p.seen == Seen.SKY, 0.0, p.depth)[0] for p in pictures)
+    depth = []
+    for side in (1, -1):
+        things = {"walls": [(-6.0, side * 3.0, side * 0.3)], "wall_size": [(2.0, 1.0)]}
+        things["discs"] = [(1.0, side * 5.0, 0.4)]
+        layout = lot([(8.0, side * 4.0, side * 0.4)], **things)
+        parked = parked_at([(7.0, -side * 2.0, side * 0.2)])
+        picture = look(rig, layout, at, parked_cars=parked)
+        depth.append(np.where(picture.seen == Seen.SKY, 0.0, picture.depth)[0])
+    one, other = depth
     swapped = other[[0, 1, 3, 2], :, ::-1]
     assert (np.abs(one - swapped) < 1e-3).mean() > 0.995
 
@@ -207,10 +201,8 @@ def test_faults_turn_shift_hide_and_darken():
         turn=0.05, shift=0.02, spots=3, spot_size=0.2, exposure=(0.4, 0.6)
     )
     turn = np.asarray(faults.turn)
-    identity = np.swapaxes(turn, -1, -2) @ turn
-    np.testing.assert_allclose(
-        identity, np.broadcast_to(np.eye(3), turn.shape), atol=1e-5
-    )
+    identity = np.broadcast_to(np.eye(3), turn.shape)
+    np.testing.assert_allclose(turn.swapaxes(-1, -2) @ turn, identity, atol=1e-5)
     hidden = (np.asarray(spoilt.depth) == 0.0).mean()
     assert 0.001 < hidden < 0.3
     assert (np.asarray(spoilt.seen) != np.asarray(exact.seen)).mean() > 0.02

@@ -64,10 +64,8 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
     before = FromFileConfig(path)
     options: Options = {"layout": path, "agents": 1, "parked_cars": 0}
     options |= {"physics": "bicycle"}
-    mixed, env = (
-        mixture([path, "square_compact"]),
-        share(ParkingEnv, configure(options)),
-    )
+    mixed = mixture([path, "square_compact"])
+    env = share(ParkingEnv, configure(options))
     assert before == FromFileConfig(path)
     assert make_layout(path).extent.tolist() == [10, 10]
     written(tmp_path, HAND | {"extent": [12, 10]})
@@ -131,6 +129,7 @@ BAD_JSON = [
     (changed(spawns=[{**HAND["spawns"][0], "spread": -3}]), r"\[0, 3.142\], not -3"),
     (changed(spawns=[{**HAND["spawns"][0], "spread": 4}]), "spread must lie in"),
     (changed(spawns=[3]), r"spawns\[0\] must be an object, not 3"),
+    (changed(bays=HAND["bays"] * 2), r"bays overlap: \[\[0, 1\]\]"),
 ]
 
 
@@ -139,12 +138,17 @@ def test_bad_json_layouts_are_told_what_and_where(data, message, tmp_path):
     path = written(tmp_path, data)
     with pytest.raises(ValueError, match=message) as caught:
         FromFileConfig(path=str(path))
-    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).startswith(
+        (f"{path}: ", f"{path} is not a valid layout: ")
+    )
     assert not re.search(r"\n|\\n", str(caught.value))
 
 
-def test_a_damaged_json_layout_is_a_layout_or_refused(tmp_path):
+def test_a_damaged_file_is_a_layout_or_refused(tmp_path):
     text = written(tmp_path, HAND).read_bytes()
+    layout = read_json(tmp_path / "hand.json")
+    wrong = dataclasses.replace(layout, spawn_spread=-layout.spawn_spread)
+    assert describe_faults(wrong) == ["spawn_spread must not be negative"]
     path = tmp_path / "damaged.json"
     junk = (json.dumps(with_junk(HAND, seed)).encode() for seed in range(100))
     flips = (damaged(text, seed) for seed in range(100))
@@ -152,28 +156,12 @@ def test_a_damaged_json_layout_is_a_layout_or_refused(tmp_path):
         path.write_bytes(data)
         with contextlib.suppress(ValueError):
             assert describe_faults(read_json(path), ANY_CAR) == []
-
-
-def test_a_damaged_tpcap_case_is_a_layout_or_refused(tmp_path):
     path = case(tmp_path, [SQUARE, SHARP])
     text = path.read_bytes()
     for seed in range(100):
         path.write_bytes(damaged(text, seed))
         with contextlib.suppress(ValueError):
             assert describe_faults(read_tpcap(path), TPCAP_CAR.size) == []
-
-
-def test_a_start_whose_headings_turn_backwards_is_no_layout(tmp_path):
-    layout = read_json(written(tmp_path, HAND))
-    wrong = dataclasses.replace(layout, spawn_spread=-layout.spawn_spread)
-    assert describe_faults(wrong) == ["spawn_spread must not be negative"]
-
-
-def test_an_invalid_layout_is_refused(tmp_path):
-    bay = HAND["bays"][0]
-    path = written(tmp_path, changed(bays=[bay, bay]))
-    with pytest.raises(ValueError, match=r"bays overlap: \[\[0, 1\]\]"):
-        make_layout(str(path))
 
 
 def test_a_lot_in_centimetres_is_refused(tmp_path):
@@ -228,12 +216,10 @@ def test_a_tpcap_case_is_placed_by_its_rear_axles(tmp_path):
     # Length 4.689 m, rear overhang 0.929 m: the centre lies 1.4155 m ahead.
     bay, start = np.asarray(layout.bay_pose[0]), np.asarray(layout.spawn_pose[0])
     between = bay - start
-    np.testing.assert_allclose(
-        between, [5 - 1.4155, 12 + 1.4155, math.pi / 2], atol=1e-5
-    )
-    np.testing.assert_allclose(
-        layout.bay_size[0], [4.689 + 0.4, 1.942 + 0.4], atol=1e-5
-    )
+    expected = [5 - 1.4155, 12 + 1.4155, math.pi / 2]
+    np.testing.assert_allclose(between, expected, atol=1e-5)
+    size = [4.689 + 0.4, 1.942 + 0.4]
+    np.testing.assert_allclose(layout.bay_size[0], size, atol=1e-5)
     assert layout.spawn_spread.tolist() == [0.0]
 
 
@@ -258,17 +244,12 @@ def test_rectangles_are_one_wall_and_other_polygons_their_edges(tmp_path):
 
 @pytest.mark.parametrize("shift", [(5e3, -2e4), (4.5e9, -8.7e9)])
 def test_where_a_case_lies_makes_no_difference(shift, tmp_path):
-    here, there = (
-        read_tpcap(
-            case(
-                tmp_path,
-                [[(x + dx, y + dy) for x, y in shape] for shape in (SQUARE, SHARP)],
-                start=(dx, dy, 0),
-                goal=(5 + dx, 12 + dy, 1.0),
-            )
-        )
-        for dx, dy in ((0.0, 0.0), shift)
-    )
+    def read(dx, dy):
+        shapes = [[(x + dx, y + dy) for x, y in shape] for shape in (SQUARE, SHARP)]
+        goal = (5 + dx, 12 + dy, 1.0)
+        return read_tpcap(case(tmp_path, shapes, start=(dx, dy, 0), goal=goal))
+
+    here, there = read(0.0, 0.0), read(*shift)
     for name, value in jax.device_get(vars(here)).items():
         if value is None:
             assert getattr(there, name) is None
@@ -280,9 +261,8 @@ def test_a_tight_goal_gets_a_smaller_bay(tmp_path):
     # A wall 0.08 m beside the goal's footprint, which is 1.942 m wide about y = 12.
     wall = [(4, 13.051), (9, 13.051), (9, 14), (4, 14)]
     layout = read_tpcap(case(tmp_path, [wall], goal=(5, 12, 0)))
-    np.testing.assert_allclose(
-        layout.bay_size[0] - np.array(TPCAP_CAR.size), 0.1, atol=1e-5
-    )
+    more = layout.bay_size[0] - np.array(TPCAP_CAR.size)
+    np.testing.assert_allclose(more, 0.1, atol=1e-5)
     assert describe_faults(layout, TPCAP_CAR.size) == []
 
 

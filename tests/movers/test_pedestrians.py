@@ -225,15 +225,11 @@ def test_nobody_stands_in_anybody_or_in_a_parked_car(drive):
         assert not (over & bays[:, None, :, None] & there[:, :, None]).any()
 
 
-def test_people_walk_round_a_car_that_stands(drive):
-    people = drive[STANDS][0]
-    walks = (people.phase != 0) & people.present
-    stuck = np.linalg.norm(people.velocity, axis=-1) < 0.1
-    assert stuck[walks].mean() < 0.05
-
-
 def test_nobody_stays_for_long_by_a_car_that_waits(drive):
     people, first = drive[STANDS][0], MANY.spawn_pose[:, 0]
+    walks = (people.phase != 0) & people.present  # round the car
+    stuck = np.linalg.norm(people.velocity, axis=-1) < 0.1
+    assert stuck[walks].mean() < 0.05
     close = np.zeros(people.present.shape, bool)
     for x in (-3.0, 3.0):
         car = jax.vmap(move_forward, (0, None))(first, x)[:, None, None]
@@ -246,7 +242,10 @@ def test_nobody_stays_for_long_by_a_car_that_waits(drive):
 
 
 def test_density_and_shares_are_those_asked_for(drive):
-    several = dataclasses.replace(PEOPLE, number=20, density=(0.1, 0.9))
+    name = "pedestrians:number=20,children=0.4,attention=0.3,density=0.1..0.9"
+    [several] = make_movers([name])
+    assert several == dataclasses.replace(PEOPLE, number=20, density=(0.1, 0.9))
+    assert ObstacleKind.PERSON in hit_kinds([name])
     make = jax.jit(jax.vmap(lambda key: several.init(key, LOT)))
     people = make(jax.random.split(jax.random.key(0), 200))
     counts = people.present.sum(axis=1)
@@ -256,26 +255,15 @@ def test_density_and_shares_are_those_asked_for(drive):
     assert len(np.unique(counts)) > 5
     assert float(people.child.mean()) == pytest.approx(0.4, abs=0.05)
     assert float(people.speed.mean()) == pytest.approx(1.34, abs=0.02)
+    # Who leads begins in an aisle.
+    box = LOT.bay_pose, LOT.bay_size, people.xy[:, :, None], jnp.array(0.35)
+    alone = people.leader == jnp.arange(several.number)
+    assert not box_disc_overlap(*box)[alone & people.present].any()
     walked = drive[0][0]
     leads = walked.leader[:, 0] == np.arange(15)
     assert not leads.all()
     lead = np.take_along_axis(walked.leader[:, 0], walked.leader[:, 0], axis=1)
     np.testing.assert_array_equal(lead, walked.leader[:, 0])
-
-
-def test_they_begin_in_the_aisles():
-    people = PEOPLE.init(jax.random.key(3), LOT)
-    bays = box_disc_overlap(
-        LOT.bay_pose, LOT.bay_size, people.xy[:, None], jnp.array(0.35)
-    )
-    alone = people.leader == jnp.arange(PEOPLE.number)
-    assert not bays[alone].any()
-
-
-def test_settings_follow_the_name():
-    [mover] = make_movers(["pedestrians:number=3,speed=0.5..0.9,groups=0"])
-    assert mover == Pedestrians(number=3, speed=(0.5, 0.9), groups=0)
-    assert ObstacleKind.PERSON in hit_kinds(["pedestrians"])
 
 
 WEIDMANN = {1.0: 1.06, 2.0: 0.61}  # m/s at persons/m², of one-way flow
