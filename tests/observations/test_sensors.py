@@ -53,16 +53,6 @@ def seen_by(sensors, motion):
     return observed(state_of(LOT, motion, 0, sensors=sensors))
 
 
-def test_late_sensors_show_what_was_then():
-    sensors = init_sensors(LATE, standing(3, 0.0), KEY)
-    seen = []
-    for x in (1.0, 2.0, 3.0, 4.0):
-        motion = standing(3, x)
-        sensors = measure(LATE, lot_with(sensors), motion, KEY)
-        seen.append(np.asarray(seen_by(sensors, motion).pose_w[:, 0]).tolist())
-    assert seen == [[0.0] * 3, [0.0] * 3, [1.0] * 3, [2.0] * 3]
-
-
 def test_a_respawned_agent_has_new_sensors_without_a_past():
     config = SensorConfig(delay_min=1, delay_max=3)
     sensors = init_sensors(config, standing(200, 0.0), KEY)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import lot, moved, polygons
+from helpers.scenes import lot, polygons
 from helpers.spawning import surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
@@ -198,17 +198,6 @@ def test_close_spawn_on_a_grid_is_a_walk_of_unit_steps():
     # Ten units at most give walks of up to nine steps; some never leave.
     assert np.abs(np.round(steps)).sum(axis=1).max() <= 9
     assert (np.abs(steps) < 0.5).all(axis=1).any()
-
-
-def test_spawns_move_with_the_lot():
-    layout, goal, motion = two_regions(), (8.0, 20.0, 0.0), (7.0, -3.0, 1.1)
-    there = layout.replace(spawn_pose=moved(layout.spawn_pose, motion))
-    for config in (RANDOM, CLOSE):
-        before = draw(config, layout, goal, count=500)[:, :2]
-        # Walks of close spawns are drawn in the region's frame, so they turn along.
-        after = draw(config, there, tuple(moved(goal, motion)), count=500)[:, :2]
-        expected = moved(np.c_[before, np.zeros(500)], motion)[:, :2]
-        np.testing.assert_allclose(after, expected, atol=2e-5)  # float32 at 20 m
 
 
 KEYS = jax.random.split(jax.random.key(0), 4000)
