@@ -1,5 +1,6 @@
 """Agents on planned paths: in the real car's physics, and in front of others."""
 
+import functools
 import math
 
 import jax
@@ -41,12 +42,16 @@ def sight(pose=None, others=NOBODY, begins=False):
     return Sight(begins, pose, 0.0, 0.0, goal, CAR, solids, others, extent)
 
 
-@pytest.mark.parametrize(("level", "count"), [("complex", 2), ("extreme", 1)])
-def test_the_physical_car_parks_on_its_path(level, count):
+def test_the_physical_car_parks_on_its_path():
     env = ParkingEnv(suite_env(EnvConfig(), "strict"))
     policy, planner = planner_policy(env)
-    rows, _ = CaseEvaluator(env).drive(policy, pick_cases(level, count), seed=0)
-    assert [row["parked"] for row in rows] == [1.0] * count
+    cases, extreme = pick_cases("complex", 2), pick_cases("extreme", 1)
+    join = functools.partial(jax.tree.map, lambda *parts: np.concatenate(parts))
+    names = ("layouts", "number", "kind", "start")
+    parts = {x: join(getattr(cases, x), getattr(extreme, x)) for x in names}
+    cases = cases._replace(**parts)
+    rows, _ = CaseEvaluator(env).drive(policy, cases, seed=0)
+    assert [row["parked"] for row in rows] == [1.0] * 3
     for lot, row in enumerate(rows):
         [found] = planner.searches(lot, 0)
         # It counts the way of the car's middle, which swings out.
