@@ -93,14 +93,9 @@ def scaled_hits(scale, gap=1.0):
     """Who hits what with scaled hitboxes: pairs and single cars, all `gap` apart."""
     layout = lot([(100.0, 0.0, 0.0)], walls=[(0.0, 20.0, 0.0)], wall_size=(4.0, 1.0))
     length, width = CAR
-    motion = cars(
-        [
-            (0.0, 0.0, 0.0),
-            (length + gap, 0.0, 0.0),  # ahead of agent 0
-            (30.0, 0.0, 0.0),
-            (0.0, 19.5 - gap - width / 2, 0.0),  # beside the wall
-        ]
-    )
+    # Agent 1 is ahead of agent 0, agent 3 beside the wall.
+    x, y = (0.0, length + gap, 30.0, 0.0), (0.0, 0.0, 0.0, 19.5 - gap - width / 2)
+    motion = cars(np.stack([x, y, np.zeros(4)], axis=-1))
     parked = parked_at([(30.0, width + gap, 0.0)], CAR)  # beside agent 2
     scale = None if scale is None else jnp.float32(scale)
     return np.array([*hits_of(layout, motion, parked, scale).values()])
@@ -125,9 +120,7 @@ def test_physics_with_contacts_says_itself_what_was_touched():
         hits = hits_of(FAR_LOT, motion, hitbox_scale=scale)
         np.testing.assert_array_equal(np.stack([*hits.values()], axis=-1), touched)
         assert any_hit(hits).tolist() == [True, True]
-
-
-def test_contacts_with_movers_count_where_the_lot_has_such():
+    # Contacts with movers count where the lot has such.
     touched = jnp.array([[False, False, False, True, False, True], [False] * 6])
     motion = crossing(False).replace(touched=touched)
     far = Discs(jnp.array([[90.0, 0.0]]), jnp.ones(1), kind=ObstacleKind.DRIVER)
@@ -206,13 +199,8 @@ def test_kerb_stops_a_slow_car_and_a_fast_one_crashes():
     wall = kerb_lot(-TYRE, kind=WallKind.WALL)
     assert not kerb_stops(SLOW, state_of(wall, before, 0), motion)[0]
     assert find_hits_and_kerbs(SLOW.episode, state_of(wall, motion, 0))["wall"]
-
-
-def test_the_body_passes_over_a_kerb():
-    """Between tyre and bumper, 2 m behind the middle, there is room for one."""
-    layout = kerb_lot(-1.8, size=(0.2, 3.0))
-    _, motion = reversing(0.1)
-    state = state_of(layout, motion, 0)
+    # Between tyre and bumper, 2 m behind the middle, the body passes over one.
+    state = state_of(kerb_lot(-1.8), reversing(0.1)[1], 0)
     assert find_hits(state)["wall"]
     assert not find_hits_and_kerbs(SLOW.episode, state)["wall"]
 

@@ -296,18 +296,16 @@ def test_driving_is_summed_up_as_by_hand():
     )
 
 
-def test_steps_without_goal_or_other_car_do_not_count():
+def test_the_nearest_car_may_be_another_agent():
+    states = [cars([(0, 0, 0), (3.0, 4.0, 0)])] * 2
+    found = tally(DRIVING, states, parked=parked_at([(6.0, 0.0, 0.0)]))
+    assert found["nearest_car_sum"] == pytest.approx(5.0)
+    # Steps without goal or other car do not count.
     states = [cars([(5.0, 0, 0)]), cars([(4.0, 0, 0)])]
     found = tally(DRIVING, states, goal=NO_BAY)
     for name in ("goal_steps", "towards_goal_steps", "nearest_car_steps"):
         assert found[name] == 0.0
     assert found["nearest_car_sum"] == 0.0  # not inf
-
-
-def test_the_nearest_car_may_be_another_agent():
-    states = [cars([(0, 0, 0), (3.0, 4.0, 0)])] * 2
-    found = tally(DRIVING, states, parked=parked_at([(6.0, 0.0, 0.0)]))
-    assert found["nearest_car_sum"] == pytest.approx(5.0)
 
 
 BAYS = lot([(10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 10.0, 0.0)])
@@ -329,6 +327,9 @@ def test_giving_up_a_goal_in_a_context_is_giving_way():
     tracked = {"tracked_bays": jnp.zeros((5, 1), jnp.int32)}
     step = transition(config, BAYS, before, after, tracked, goal_events=events)
     counts = count_goals(step)
+    assert not {*COUNTS} & {*init_stats(TWO, BAYS).tallies}  # of fixed goals
+    tallies = init_stats(config, BAYS).tallies
+    assert not any(tallies[name].any() for name in COUNTS)
     assert tuple(counts) == COUNTS
     found = {name: np.asarray(count, float).tolist() for name, count in counts.items()}
     assert found["towards_bay_steps"] == [0, 1, 0, 0, 0]  # without a goal alone
@@ -338,15 +339,6 @@ def test_giving_up_a_goal_in_a_context_is_giving_way():
     assert found["gave_way_global_any"] == [1, 1, 0, 0, 1]
     for name in set(CONTEXTS) - {"local_any", "global_any"}:
         assert found[f"met_{name}"] == found[f"gave_way_{name}"] == [0] * 5
-
-
-def test_only_agents_that_choose_their_goals_have_counts_of_them():
-    fixed = init_stats(EnvConfig(num_agents=2), BAYS).tallies
-    config = EnvConfig(num_agents=2, goals=GoalConfig(dynamic=True))
-    chosen = init_stats(config, BAYS).tallies
-    assert not set(COUNTS) & set(fixed)
-    assert set(COUNTS) <= set(chosen)
-    assert all(jnp.all(chosen[name] == 0.0) for name in COUNTS)
 
 
 SPEEDS = [(0.0, 0.0), (3.0, -1.0), (1.0, -2.0)]

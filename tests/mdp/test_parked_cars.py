@@ -97,7 +97,7 @@ def test_absent_cars_stand_away_and_apart():
     assert pose[2, 0] - pose[1, 0] > 10.0
 
 
-def test_pushed_car_keeps_its_pose_while_in_its_bay():
+def test_pushed_car_keeps_its_pose_in_its_bay_and_its_place_in_another():
     pushed = jnp.array([[0.4, -0.2, 0.1], [10.3, 0.1, -0.1], [AWAY, 0.0, 0.0]])
     parked = parked_in(ROW, [0, 1, NO_BAY]).replace(pose_w=pushed)
     same = in_bays(ROW, parked, parked.bay)
@@ -106,9 +106,7 @@ def test_pushed_car_keeps_its_pose_while_in_its_bay():
     assert moved.bay.tolist() == [0, 4, NO_BAY]
     np.testing.assert_array_equal(moved.pose_w[1], ROW.bay_pose[4])
     np.testing.assert_array_equal(moved.pose_w[::2], pushed[::2])
-
-
-def test_a_car_moves_with_the_place_it_takes_in_a_bay():
+    # A car that moves takes its place in the bay along.
     offset = jnp.array([[0.5, -0.2, 0.05], [0.3, 0.1, -0.05]])
     parked = parked_in(ROW, [0, 1]).replace(offset=offset)
     moved = in_bays(ROW, parked, jnp.array([0, 3], jnp.int32))
