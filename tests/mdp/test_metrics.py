@@ -30,7 +30,6 @@ from carpark_mj.mdp.metrics import (
     COUNTS,
     count_goals,
     episode_metrics,
-    fold_tallies,
     init_stats,
     update_stats,
 )
@@ -215,19 +214,6 @@ def tally(measured, states, parked=None, goal=0):
         for name, value in stats.tallies.items()
         if not name.startswith("return_")
     }
-
-
-def test_a_name_says_how_its_numbers_are_folded():
-    names = ("min_a", "peak_a", "last_a", "a")
-    tallies = dict.fromkeys(names, jnp.array([1.0, 5.0]))
-    folded = fold_tallies(tallies, dict.fromkeys(names, jnp.array([3, 3])))
-    assert {name: value.tolist() for name, value in folded.items()} == {
-        "min_a": [1.0, 3.0],
-        "peak_a": [3.0, 5.0],
-        "last_a": [3.0, 3.0],
-        "a": [4.0, 8.0],
-    }
-    assert all(value.dtype == jnp.float32 for value in folded.values())
 
 
 def test_braking_gives_hand_worked_deceleration_and_jerk():

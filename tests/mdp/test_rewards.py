@@ -25,13 +25,7 @@ from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp.metrics import init_stats, update_stats
 from carpark_mj.mdp.people import HARD_BRAKING
-from carpark_mj.mdp.progress import (
-    MOVING,
-    NEARER,
-    direction_of_travel,
-    goal_potential,
-    is_nearer,
-)
+from carpark_mj.mdp.progress import NEARER, goal_potential, is_nearer
 from carpark_mj.mdp.rewards import NEAR, STANDS, reward_terms
 
 PUBLISHED = RewardConfig(  # Tanner 2022, table C.9
@@ -256,12 +250,6 @@ def test_nearer_is_by_more_than_rounding():
     assert not is_nearer(before, before, targets).any()
     moved = is_nearer(before, before + jnp.array([0.0, 0.5]), targets)
     assert moved.tolist() == [[False, True], [False, True]]
-
-
-def test_slow_cars_have_no_direction_of_travel():
-    speeds = [2.0, 1.01 * MOVING, 0.99 * MOVING, 0.0, -0.99 * MOVING, -1.01 * MOVING]
-    motion = cars(np.zeros((6, 3)), speed=speeds)
-    assert direction_of_travel(motion).tolist() == [1, 1, 0, 0, 0, -1]
 
 
 ON_A_LINE = [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (12.0, 0.0, 0.0)]

@@ -38,17 +38,12 @@ observe_jit = jax.jit(observe, static_argnums=0)
 
 def observed(config, layout, motion, goal, parked=(), bays=None, history=None):
     """Named fields of all agents; parked cars are poses."""
-    config = config_of(
-        config, 0 if bays is None else np.shape(bays)[1], num_agents=len(goal)
-    )
-    state = state_of(
-        layout,
-        motion,
-        goal,
-        tracked_bays=bays,
-        parked_cars=parked_at(parked, 2.0),
-        memory=config.observation.init_memory(config) if history is None else history,
-    )
+    count = 0 if bays is None else np.shape(bays)[1]
+    config = config_of(config, count, num_agents=len(goal))
+    if history is None:
+        history = config.observation.init_memory(config)
+    more = {"parked_cars": parked_at(parked, 2.0), "memory": history}
+    state = state_of(layout, motion, goal, tracked_bays=bays, **more)
     return fields_of(observe_jit(config, state), config)
 
 
@@ -99,10 +94,8 @@ def test_steering_and_order_of_others_by_hand():
     # The middle one tracks the others, nearest first.
     order = [int(named[f"agent_{k}_priority"][1, 0]) for k in range(2)]
     steering = [float(named[f"agent_{k}_steering"][1, 0] * limit[0]) for k in range(2)]
-    assert sorted(zip(order, np.round(steering, 5), strict=True)) == [
-        (0, 0.3),
-        (1, 0.1),
-    ]
+    pairs = sorted(zip(order, np.round(steering, 5), strict=True))
+    assert pairs == [(0, 0.3), (1, 0.1)]
     for k in range(2):  # nobody comes before the first, all before the last
         assert named[f"agent_{k}_priority"][0] == 0.0
         assert named[f"agent_{k}_priority"][2] == 1.0
@@ -241,10 +234,8 @@ def test_motions_and_the_order_of_others_change_nothing(chosen):
     shift = (3.0, -7.0, 0.6)
     there = (moved_lot(layout, shift), moved_cars(motion, shift), goal)
     there = observed(config, *there, moved(parked, shift), bays, history)
-    order, mixed = (
-        np.array([0, 4, 2, 5, 1, 3]),
-        np.random.default_rng(1).permutation(10),
-    )
+    rng = np.random.default_rng(1)
+    order, mixed = np.array([0, 4, 2, 5, 1, 3]), rng.permutation(10)
     shuffled = jax.tree.map(lambda x: x[order], motion)
     bays = None if bays is None else bays[order]
     plan = (goal[order], parked[mixed], bays, history[order])

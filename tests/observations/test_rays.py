@@ -29,10 +29,6 @@ AGENTS, PARKED, WALLS, DISCS = 3, 4, 3, 3
 observe_jit = jax.jit(observe, static_argnums=0)
 
 
-def cast(config, layout, motion, parked):
-    return cast_rays(config, motion, lot_obstacles(layout, motion, parked))
-
-
 def test_rays_that_only_graze_do_not_hit():
     origin, ahead = jnp.zeros(2), jnp.array([1.0, 0.0])
     box = ray_box_distance(origin, ahead, jnp.array([5.0, 1.0, 0.0]), jnp.full(2, 2.0))
@@ -51,29 +47,24 @@ def scenes(count=60, seed=0):
     def poses(n):
         return np.float32(rng.uniform((-12, -12, -3.1), (12, 12, 3.1), (count, n, 3)))
 
-    motion = cars(
-        poses(AGENTS), size=rng.uniform((3.5, 1.6), (5, 2), (count, AGENTS, 2))
-    )
+    own_size = rng.uniform((3.5, 1.6), (5, 2), (count, AGENTS, 2))
+    motion = cars(poses(AGENTS), size=own_size)
     sizes = np.float32(rng.uniform((3.5, 1.6), (5, 2), (count, PARKED, 2)))
     present = rng.uniform(size=(count, PARKED)) < 0.8
     bay = np.where(present, np.arange(PARKED, dtype=np.int32), NO_BAY)
     parked = ParkedCars(bay=bay, pose_w=poses(PARKED), size=sizes)
     template = lot([(50.0, 0, 0)], walls=np.zeros((3, 3)), discs=np.zeros((3, 3)))
     layout = jax.tree.map(lambda x: jnp.repeat(x[None], count, axis=0), template)
-    return (
-        motion,
-        parked,
-        layout.replace(
-            wall_pose=poses(WALLS),
-            wall_size=np.float32(
-                rng.uniform((0.2, 0.2), (12.0, 1.0), (count, WALLS, 2))
-            ),
-            wall_mask=rng.uniform(size=(count, WALLS)) < 0.8,
-            disc_centre=poses(DISCS)[..., :2],
-            disc_radius=np.float32(rng.uniform(0.1, 1.5, (count, DISCS))),
-            disc_mask=rng.uniform(size=(count, DISCS)) < 0.8,
-        ),
+    wall_size = np.float32(rng.uniform((0.2, 0.2), (12.0, 1.0), (count, WALLS, 2)))
+    layout = layout.replace(
+        wall_pose=poses(WALLS),
+        wall_size=wall_size,
+        wall_mask=rng.uniform(size=(count, WALLS)) < 0.8,
+        disc_centre=poses(DISCS)[..., :2],
+        disc_radius=np.float32(rng.uniform(0.1, 1.5, (count, DISCS))),
+        disc_mask=rng.uniform(size=(count, DISCS)) < 0.8,
     )
+    return motion, parked, layout
 
 
 @functools.cache
@@ -83,7 +74,8 @@ def compiled(crowded):
     @jax.jit
     @jax.vmap
     def run(motion, parked, layout):
-        return REACH * cast(RayConfig(COUNT, REACH), layout, motion, parked)
+        around = lot_obstacles(layout, motion, parked)
+        return REACH * cast_rays(RayConfig(COUNT, REACH), motion, around)
 
     def call(*scene):
         before = near.MANY_PAIRS

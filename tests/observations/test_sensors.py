@@ -149,13 +149,8 @@ def test_noise_has_the_configured_spread_and_no_bias():
     config = SensorConfig(position_noise=0.1, heading_noise=0.02, speed_noise=0.3)
     motion = cars(np.full((20_000, 3), 1.0), speed=2.0, yaw_rate=0.4, steering=0.1)
     seen = seen_by(init_sensors(config, motion, KEY), motion)
-    for error, spread in (
-        (seen.pose_w[:, 0] - 1.0, 0.1),
-        (seen.pose_w[:, 1] - 1.0, 0.1),
-        (seen.pose_w[:, 2] - 1.0, 0.02),
-        (seen.velocity_b[:, 0] - 2.0, 0.3),
-        (seen.velocity_b[:, 1], 0.3),
-    ):
+    errors = np.c_[seen.pose_w - 1.0, seen.velocity_b - jnp.array([2.0, 0.0])].T
+    for error, spread in zip(errors, (0.1, 0.1, 0.02, 0.3, 0.3), strict=True):
         # 20,000 samples: standard errors of 0.5 % (spread) and 0.7 % of it (mean).
         assert float(error.std()) == pytest.approx(spread, rel=0.03)
         assert abs(float(error.mean())) < 0.03 * spread
@@ -224,15 +219,10 @@ def late_scene(config):
     bays = [[k, (k + 1) % 8, (k + 3) % 8] for k in range(5)]
 
     def seen(motion, sensors=None):
-        state = state_of(
-            AISLES,
-            motion,
-            jnp.arange(5),
-            sensors=sensors,
-            parked_cars=parked_at(AISLES.bay_pose[5:8]),
-            tracked_bays=bays if config.goals.dynamic else None,
-            routes=make_routes(AISLES) if config.follows_routes else None,
-        )
+        more = {"sensors": sensors, "parked_cars": parked_at(AISLES.bay_pose[5:8])}
+        more["tracked_bays"] = bays if config.goals.dynamic else None
+        more["routes"] = make_routes(AISLES) if config.follows_routes else None
+        state = state_of(AISLES, motion, jnp.arange(5), **more)
         return fields_of(observe_jit(config, state), config)
 
     late = init_sensors(SensorConfig(delay_min=1, delay_max=1), believed, KEY)

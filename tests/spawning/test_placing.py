@@ -315,7 +315,7 @@ def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
 
 
 def test_starts_touch_what_collisions_say():
-    """Parked cars where they will stand: car 1 is on its way from bay 0 to bay 2."""
+    """Car 0 where it has been pushed, car 1 on its way from bay 0 to bay 2."""
     rng = np.random.default_rng(2)
     layout = lot(
         [(0.0, 0.0, 0.0), (2.0, 6.0, 0.7), (-5.0, -6.0, 2.0)],
@@ -327,6 +327,8 @@ def test_starts_touch_what_collisions_say():
     pose = rng.uniform((-9, -9, -3), (9, 9, 3), (600, 3)).astype(np.float32)
     size, parked_size = jnp.array([[4.6, 1.9]]), jnp.array([[4.9, 1.9], [3.5, 1.6]])
     after = parked_in(layout, [1, 2], parked_size)
+    pushed = after.pose_w.at[0].add(jnp.array([1.0, -0.5, 0.4]))
+    after = after.replace(pose_w=pushed)
 
     def judge(pose):
         here = cars(pose[None], size=size[0])
@@ -336,6 +338,7 @@ def test_starts_touch_what_collisions_say():
     expected = np.asarray(hits["parked_car"] | hits["wall"])[:, 0]
     assert 100 < expected.sum() < 500
     before = parked_in(layout, [1, 0], parked_size)
+    before = before.replace(pose_w=before.pose_w.at[0].set(pushed[0]))
     inputs = SpawnInputs(layout, before, size, size, BayFits())
     placing = start_placing(jnp.array([0]), after.bay, jnp.zeros((1, 3)), FIRST[:1])
     around = surroundings(inputs, placing, jnp.array(0))

@@ -12,7 +12,7 @@ import shapely
 from helpers.scenes import lot, polygons
 from helpers.sliding import SlidePhysics
 from helpers.spawning import surroundings_of
-from helpers.states import parked_at, parked_in
+from helpers.states import parked_at
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
@@ -26,7 +26,6 @@ from carpark_mj.spawning.placing import (
     has_room,
     place_waiting,
     start_placing,
-    surroundings,
 )
 from carpark_mj.spawning.starts import draw_uniform, random_pose, spawn_shapes
 from carpark_mj.types import NO_BAY
@@ -230,23 +229,6 @@ def test_starts_after_a_first_try_are_random():
     assert (after.tries[:, 1] > 1).any()
     for pose in after.pose_w:
         assert not overlap(pose, SIZE).any()
-
-
-def test_starts_keep_off_parked_cars_where_they_stand():
-    row = lot([(10.0 * k, 0.0, 0.0) for k in range(4)])
-    pushed = jnp.array([[0.0, 9.0, 0.3], [13.0, 9.0, 0.0]])
-    parked = parked_in(row, [0, 1]).replace(pose_w=pushed)
-    size = jnp.full((2, 2), 2.0)
-    inputs = SpawnInputs(row, parked, size, size, BayFits())
-    # The second has made way to bay 3.
-    bay = jnp.array([0, 3], jnp.int32)
-    nowhere = jnp.full((2, 3), 50.0)
-    placing = start_placing(jnp.array([1, 2]), bay, nowhere, jnp.ones(2, bool))
-    around = surroundings(inputs, placing, jnp.array(0))
-    expected = jnp.stack([pushed[0], row.bay_pose[3]])
-    np.testing.assert_array_equal(around.obstacles[0].pose_w, expected)
-    touched = around.touches(jnp.concatenate([expected, row.bay_pose[:2]]))
-    assert touched.tolist() == [True, True, False, False]
 
 
 def test_crowded_lane_start_has_the_most_room():

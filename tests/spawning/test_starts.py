@@ -17,7 +17,6 @@ from carpark_mj.spawning.goals import place_shapes
 from carpark_mj.spawning.starts import (
     draw_kind,
     draw_uniform,
-    pick,
     pick_weighted,
     redraw,
     spawn_pose,
@@ -219,27 +218,6 @@ def test_drawn_numbers_are_uniform_and_independent():
     # No two columns share anything: a deviation of 0.016, six and a half of them.
     alike = np.corrcoef(numbers, rowvar=False) - np.eye(numbers.shape[1])
     assert np.abs(alike).max() < 0.1
-
-
-def test_a_pick_is_uniform_over_the_mask():
-    mask = jnp.array([False, True, False, True, True])
-    scores = jax.random.uniform(jax.random.key(0), (3000, 5))
-    picked = jax.vmap(lambda scores: pick(mask, scores))(scores)
-    # Mean 1000, deviation 26: five of them.
-    np.testing.assert_allclose(
-        np.bincount(picked, minlength=5), [0, 1000, 0, 1000, 1000], atol=130
-    )
-
-
-def test_a_weighted_pick_is_in_proportion_to_the_weights():
-    weights = jnp.array([0.0, 3.0, 0.0, 1.0, 2.0, 0.0])
-    numbers = jax.random.uniform(jax.random.key(0), (3000, 2))
-    picked = np.asarray(pick_weighted(weights, numbers))
-    assert picked.shape == (3000, 2)
-    # Deviations 39, 29 and 37: five of them.
-    np.testing.assert_allclose(
-        np.bincount(picked.ravel(), minlength=6), [0, 3000, 0, 1000, 2000, 0], atol=195
-    )
 
 
 def test_no_number_picks_what_has_no_weight():
