@@ -102,7 +102,7 @@ def test_to_world_undoes_to_local():
     np.testing.assert_allclose(there, pose, atol=3e-5)
 
 
-def test_ahead_is_x_left_is_y_and_moving_forward_keeps_the_heading():
+def test_ahead_is_x_left_is_y_and_moving_keeps_the_heading():
     north = jnp.array([1.0, 2.0, np.pi / 2])
     there = geometry.move_forward(north, 3.0)
     np.testing.assert_allclose(there, [1.0, 5.0, np.pi / 2], atol=1e-6)

@@ -374,7 +374,7 @@ def test_slots_by_hand(x, taken, tracked, slots, by_distance):
     assert tracked_at(x, taken, tracked, by_distance=True) == by_distance
 
 
-def test_bays_of_finished_agents_and_useless_ones_are_not_tracked():
+def test_bays_of_finished_agents_and_useless_ones_are_left_out():
     motion, active = cars([(0.0, 0.0, 0.0)] * 3), jnp.array([False, True, False])
     goal = [0, 1, NO_BAY]
     state = state_of(LINE, motion, goal, active=active, tracked_bays=[NONE] * 3)

@@ -97,7 +97,7 @@ def test_absent_cars_stand_away_and_apart():
     assert pose[2, 0] - pose[1, 0] > 10.0
 
 
-def test_pushed_car_keeps_its_pose_in_its_bay_and_its_place_in_another():
+def test_pushed_car_keeps_its_pose_and_a_moved_one_its_place():
     pushed = jnp.array([[0.4, -0.2, 0.1], [10.3, 0.1, -0.1], [AWAY, 0.0, 0.0]])
     parked = parked_in(ROW, [0, 1, NO_BAY]).replace(pose_w=pushed)
     same = in_bays(ROW, parked, parked.bay)

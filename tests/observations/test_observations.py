@@ -99,7 +99,7 @@ def test_close_to_the_goal_the_near_fields_tell_the_offset():
 
 
 @pytest.mark.parametrize("padding", [False, True])
-def test_rings_count_walls_and_discs_within_their_radius_up_to_the_cap(padding):
+def test_rings_count_walls_and_discs_in_reach_up_to_the_cap(padding):
     # Unit squares whose nearest faces are 1, 2, 2, 2 and 3 m from the origin, and discs
     # whose rims are 1.5 m and 2.5 m away; the last wall and disc may be padding.
     walls = [(1.5, 0, 0), (-2.5, 0, 0), (0, 2.5, 0), (3.5, 0.0, 0.0), (0, -2.5, 0)]
@@ -155,7 +155,7 @@ def test_tracked_cars_are_the_nearest_in_order():
             np.testing.assert_allclose(seen, nearest[:, k], atol=1e-5)  # float32
 
 
-def test_numbers_observed_while_driving_vary_and_keep_to_their_ranges():
+def test_numbers_observed_vary_and_keep_to_their_ranges():
     observation = np.stack([timestep.observation for timestep in mjx_rollout()[3]])
     config = mjx_env().config
     named = fields_of(observation, config)

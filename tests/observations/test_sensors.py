@@ -240,7 +240,7 @@ READ = {
 }
 
 
-def test_observations_follow_measured_poses_and_not_the_true_ones():
+def test_observations_follow_measured_poses_not_the_true_ones():
     read = set()
     for config in SCENES:
         found, expected, truly = late_scene(config)

@@ -154,7 +154,7 @@ def test_slow_paths_are_worth_further_searches(
     assert len(seeds) == len({*seeds}) == searches
 
 
-def test_a_walled_in_bay_has_no_path_and_no_more_tests_than_allowed(monkeypatch):
+def test_a_walled_in_bay_has_no_path_and_no_endless_search(monkeypatch):
     pytest.importorskip("ompl")
     start, goal, solids, extent = case("normal", 0)
     lid = np.array([[goal[0], goal[1] + 3.0, 0.0]])

@@ -125,7 +125,7 @@ def test_mass_properties_that_leave_no_chassis_are_refused(change: dict):
     assert "\n" not in str(refusal.value)
 
 
-def test_the_model_has_twelve_dofs_no_constraints_and_steers_left(model):
+def test_the_model_has_12_dofs_no_constraints_and_steers_left(model):
     data = mujoco.MjData(model)
     data.qpos[model.joint("steer_fl").qposadr] = 2.0  # far beyond any steering lock
     data.ctrl[:] = 2.0
@@ -143,7 +143,7 @@ def test_the_model_has_twelve_dofs_no_constraints_and_steers_left(model):
     assert forward == pytest.approx([math.cos(0.3), math.sin(0.3), 0.0], abs=1e-12)
 
 
-def test_wheels_stand_at_the_corners_whatever_the_shape_of_the_fleet():
+def test_wheels_stand_at_the_corners_in_fleets_of_any_shape():
     fleet = jax.tree.map(
         lambda x: jnp.tile(x, (2, 3, *[1] * x.ndim)), make_vehicle(COMPACT)
     )
