@@ -136,6 +136,7 @@ def test_a_goal_that_is_only_seen_is_in_no_number():
         for encoder in (OBSERVATION, seen)
     )
     assert untold == {"camera_seen"} < told
+    assert ENCODERS["cameras"] is CameraObservation
     with pytest.raises(ValueError, match="goal 'seen' needs fixed goals"):
         dataclasses.replace(CONFIG, observation=seen, goals=GoalConfig(dynamic=True))
 
@@ -180,7 +181,3 @@ def test_who_sees_is_told_of_no_other_car_no_wall_and_no_goal():
     assert not {field.name for field in fields} & {"rays", "ultrasound"}
     assert not any(field.name.startswith("ring_") for field in fields)
     assert {"camera_depth", "camera_seen"} < {field.name for field in fields}
-
-
-def test_it_is_chosen_by_name():
-    assert ENCODERS["cameras"] is CameraObservation

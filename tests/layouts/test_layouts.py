@@ -8,13 +8,7 @@ import pytest
 import shapely
 from helpers.scenes import moved, polygons
 
-from carpark_mj.layouts import (
-    SQUARE_COMPACT,
-    Maxima,
-    SquareConfig,
-    make_layout,
-    pad_layout,
-)
+from carpark_mj.layouts import Maxima, SquareConfig, make_layout, pad_layout
 from carpark_mj.layouts.checks import describe_faults
 
 WU = 0.5625  # m per world unit of Tanner's scene
@@ -22,42 +16,20 @@ NAMES = ["square_compact", "square"]
 EXACT = 1e-5  # m; float32 at 25 m resolves 2e-6 m
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_named_layouts_are_well_formed(name):
-    assert describe_faults(make_layout(name)) == []
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_square_lot_has_36_bays_4_blocks_and_4_outer_walls(name):
-    layout = make_layout(name)
-    assert int(layout.bay_mask.sum()) == 36
-    assert int(layout.wall_mask.sum()) == 8
-    size = np.asarray(layout.wall_size)
-    assert (size[:, 0] == size[:, 1]).sum() == 4  # blocks
-    assert (size[:, 0] > 4 * size[:, 1]).sum() == 4  # slabs
-    assert int(layout.spawn_mask.sum()) == 1
-
-
 def test_tanner_bays_lie_where_his_scene_has_them():
     layout = make_layout("square")
     pose = np.asarray(layout.bay_pose)
     along = [-24, -18, -12, -6, 0, 6, 12, 18, 24]
     # Headings of his table, clockwise from +y, turned into ours: 90 deg - heading.
-    sides = {"bottom": 0, "right": 270, "top": 180, "left": 90}
-    expected = []
-    for side, heading in sides.items():
-        yaw = math.radians(90 - heading)
-        row = -32 if side in ("bottom", "left") else 32
-        for s in along:
-            x, y = (s, row) if side in ("bottom", "top") else (row, s)
-            expected.append((x * WU, y * WU, yaw))
-    np.testing.assert_allclose(pose[:, :2], np.array(expected)[:, :2], atol=EXACT)
-    turn = np.exp(1j * pose[:, 2]) - np.exp(1j * np.array(expected)[:, 2])
+    rows = [[(s, -32, 0) for s in along], [(32, s, 270) for s in along]]
+    rows += [[(s, 32, 180) for s in along], [(-32, s, 90) for s in along]]
+    x, y, heading = np.reshape(rows, (36, 3)).T
+    np.testing.assert_allclose(pose[:, :2], np.stack([x, y], -1) * WU, atol=EXACT)
+    turn = np.exp(1j * pose[:, 2]) - np.exp(1j * np.radians(90 - heading))
     assert np.abs(turn).max() < EXACT
-    np.testing.assert_allclose(layout.bay_size, [[10 * WU, 6 * WU]] * 36, atol=EXACT)
 
 
-def test_tanner_walls_are_his_colliders():
+def test_tanner_s_walls_and_spawn_region_are_his():
     layout = make_layout("square")
     pose, size = np.asarray(layout.wall_pose), np.asarray(layout.wall_size)
     blocks = size[:, 0] == size[:, 1]
@@ -67,32 +39,32 @@ def test_tanner_walls_are_his_colliders():
     distance = np.linalg.norm(pose[~blocks, :2], axis=1)
     inner_face = distance - size[~blocks, 1] / 2
     np.testing.assert_allclose(inner_face, 37.5 * WU, atol=EXACT)
-
-
-def test_the_spawn_region_is_tanners_square_of_42_world_units():
-    layout = make_layout("square")
     np.testing.assert_allclose(layout.spawn_size, [[42 * WU, 42 * WU]], atol=EXACT)
     np.testing.assert_array_equal(layout.spawn_pose, [[0, 0, 0]])
 
 
-def test_compact_bays_are_2_50_m_by_5_00_m():
-    layout = make_layout("square_compact")
-    np.testing.assert_allclose(layout.bay_size, [[5.0, 2.5]] * 36, atol=EXACT)
-    assert SQUARE_COMPACT.bay_width == 2.5
-    # Rows start where the open square of nine bay widths ends.
-    far = np.abs(np.asarray(layout.bay_pose)[:, :2]).max(axis=1)
-    np.testing.assert_allclose(far, 9 * 2.5 / 2 + 5.0 / 2, atol=EXACT)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_parked_cars_point_out_of_their_bay_into_the_open_square(name):
+@pytest.mark.parametrize(
+    ("name", "bay"), [("square_compact", (5.0, 2.5)), ("square", (10 * WU, 6 * WU))]
+)
+def test_a_square_lot_has_36_bays_that_open_into_it_and_8_walls(name, bay):
     layout = make_layout(name)
-    pose, size = np.asarray(layout.bay_pose), np.asarray(layout.bay_size)
+    assert int(layout.bay_mask.sum()) == 36
+    size = np.asarray(layout.wall_size)[np.asarray(layout.wall_mask)]
+    assert (size[:, 0] == size[:, 1]).sum() == 4  # blocks
+    assert (size[:, 0] > 4 * size[:, 1]).sum() == 4  # slabs
+    assert int(layout.spawn_mask.sum()) == 1
+    np.testing.assert_allclose(layout.bay_size, [bay] * 36, atol=EXACT)
+    # The middle of the bay's front edge lies on the edge of the open square, and rows
+    # start where the square of nine bay widths ends.
+    pose = np.asarray(layout.bay_pose)
     ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
-    mouth = pose[:, :2] + ahead * size[:, :1] / 2
-    # The middle of the bay's front edge lies on the edge of the open square.
-    half = 9 * size[0, 1] / 2
+    mouth, half = pose[:, :2] + ahead * bay[0] / 2, 9 * bay[1] / 2
     np.testing.assert_allclose(np.abs(mouth).max(axis=1), half, atol=EXACT)
+    far = np.abs(pose[:, :2]).max(axis=1)
+    np.testing.assert_allclose(far, half + bay[0] / 2, atol=EXACT)
+    for leaf in jax.tree.leaves(layout):
+        assert leaf.dtype in (jnp.float32, jnp.int32, jnp.bool_)
+        assert not leaf.weak_type
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -133,7 +105,11 @@ def furnished(layout, disc=None, lane=None, lane_width=2.0):
     return layout
 
 
-def test_a_disc_and_a_lane_out_of_the_way_are_sound():
+def test_lots_of_other_sizes_and_things_out_of_the_way_are_sound():
+    config = SquareConfig(bays_per_side=5, bay_width=2.7, bay_length=5.2)
+    layout = config.generate(jax.random.key(0))
+    assert layout.num_bays == 20
+    assert describe_faults(layout) == []
     layout = make_layout("square")
     assert describe_faults(furnished(layout, disc=(15.5, 15.5, 0.2))) == []
     assert describe_faults(furnished(layout, lane=10.0)) == []
@@ -200,13 +176,12 @@ def test_describe_faults_names_each_kind_of_fault(word, broken):
 @pytest.mark.parametrize("name", NAMES)
 def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
     layout = make_layout(name)
+    assert describe_faults(layout) == []
     padded = pad_layout(layout, Maxima(40, 11, 2, 4, 3))
     assert describe_faults(padded) == []
-    assert padded.num_bays == 40
-    assert padded.wall_mask.shape == (11,)
-    assert padded.disc_radius.shape == (2,)
-    assert padded.lane_one_way.shape == (4,)
-    assert padded.spawn_mask.shape == (3,)
+    kinds = ("bay", "wall", "disc", "lane", "spawn")
+    counts = [len(getattr(padded, f"{kind}_mask")) for kind in kinds]
+    assert counts == [40, 11, 2, 4, 3]
     for kind in ("bay", "wall", "spawn"):
         mask = np.asarray(getattr(padded, f"{kind}_mask"))
         for part in ("pose", "size"):
@@ -214,16 +189,3 @@ def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
             real = np.asarray(getattr(layout, f"{kind}_{part}"))
             np.testing.assert_array_equal(rows[mask], real)
             np.testing.assert_array_equal(rows[~mask], 0.0)
-
-
-def test_square_lots_of_other_sizes_are_well_formed():
-    config = SquareConfig(bays_per_side=5, bay_width=2.7, bay_length=5.2)
-    layout = config.generate(jax.random.key(0))
-    assert describe_faults(layout) == []
-    assert layout.num_bays == 20
-
-
-def test_layout_arrays_are_strongly_typed_float32():
-    for leaf in jax.tree.leaves(make_layout("square")):
-        assert leaf.dtype in (jnp.float32, jnp.int32, jnp.bool_)
-        assert not leaf.weak_type

@@ -54,12 +54,8 @@ def neighbours(car, angle, width, walled):
     axis = np.array([math.cos(theta), math.sin(theta)])
     normal = np.array([-axis[1], axis[0]])
     if walled:
-        return shapely.union_all(
-            [
-                shapely.box(width / 2, 0.0, width / 2 + 0.2, 6.0),
-                shapely.box(-width / 2 - 0.2, 0.0, -width / 2, 6.0),
-            ]
-        )
+        wall = shapely.box(width / 2, 0.0, width / 2 + 0.2, 6.0)
+        return wall.union(shapely.affinity.translate(wall, -width - 0.2))
     mouth = width / 2 * cot  # along the bay's axis; its outer corner is at the aisle
     pose = []
     for side in (1.0, -1.0):

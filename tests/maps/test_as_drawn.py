@@ -52,19 +52,11 @@ def leaning(angle, side, near, up=1, count=COUNT):
     """Spots between lines of a length at an angle to the road, `WIDTH` apart."""
     step = WIDTH / math.sin(angle)
     x, y = side * math.cos(angle), side * math.sin(angle)
-    return [
-        [
-            (u, up * v)
-            for u, v in (
-                (a, near),
-                (b, near),
-                (b + x, near + y),
-                (a + x, near + y),
-                (a, near),
-            )
-        ]
-        for a, b in itertools.pairwise(step * k for k in range(count + 1))
-    ]
+    rows = []
+    for a, b in itertools.pairwise(step * k for k in range(count + 1)):
+        ring = (a, near), (b, near), (b + x, near + y), (a + x, near + y), (a, near)
+        rows.append([(u, up * v) for u, v in ring])
+    return rows
 
 
 @pytest.mark.parametrize("degrees", [30, 45, 60, 75, 90])

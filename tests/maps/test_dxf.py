@@ -55,11 +55,24 @@ def test_a_bay_lies_between_two_lines(angle, turn):
         assert sum(bay.buffer(1e-3).intersects(line) for line in lines) == 2
 
 
-def test_lines_of_two_rows_bound_both_of_them():
-    for middle in ([], [shapely.LineString([(0, LENGTH), (COUNT * WIDTH, LENGTH)])]):
-        bays = bays_between([*comb(length=2 * LENGTH), *middle])
-        assert len(bays) == 2 * COUNT
-        assert np.allclose(sizes(bays), (WIDTH, LENGTH), atol=0.01)
+MIDDLE = shapely.LineString([(0, LENGTH), (COUNT * WIDTH, LENGTH)])
+DOUBLE = [affinity.translate(line, dx) for line in comb() for dx in (-0.2, 0.2)]
+
+
+@pytest.mark.parametrize(
+    ("lines", "count", "size"),
+    [
+        (comb(length=2 * LENGTH), 2 * COUNT, (WIDTH, LENGTH)),  # of two rows
+        ([*comb(length=2 * LENGTH), MIDDLE], 2 * COUNT, (WIDTH, LENGTH)),
+        (comb(length=2.0, pitch=6.0), COUNT, (2.0, 6.0)),  # along a kerb
+        (DOUBLE, COUNT, (WIDTH - 0.4, LENGTH)),
+    ],
+    ids=["two rows", "with a line between", "parallel", "double lines"],
+)
+def test_lines_bound_the_bays_between_them(lines, count, size):
+    bays = bays_between(lines)
+    assert len(bays) == count
+    assert np.allclose(sizes(bays), size, atol=0.01)
 
 
 def test_an_aisle_between_rows_is_no_bay():
@@ -71,17 +84,6 @@ def test_an_aisle_between_rows_is_no_bay():
     assert len(bays) == 2 * COUNT
     aisle = shapely.box(0, LENGTH, COUNT * WIDTH, LENGTH + 6.0)
     assert max(shapely.area(shapely.intersection(bays, aisle))) < 1e-6
-
-
-def test_short_lines_along_a_kerb_bound_parallel_bays():
-    bays = bays_between(comb(length=2.0, pitch=6.0))
-    assert len(bays) == COUNT
-    assert np.allclose(sizes(bays), (2.0, 6.0), atol=0.01)
-
-
-def test_double_lines_bound_the_bays_between_them():
-    lines = [affinity.translate(line, dx) for line in comb() for dx in (-0.2, 0.2)]
-    assert np.allclose(sizes(bays_between(lines)), (WIDTH - 0.4, LENGTH), atol=0.01)
 
 
 def test_lines_that_bound_no_bay_give_none():

@@ -46,17 +46,13 @@ def test_a_known_lot_comes_back_from_every_format(tmp_path, capsys, name):
     lot = read_json(out)
     assert np.allclose(lot.bay_size, (LENGTH, WIDTH), atol=0.02)
     # Headings and places but for a rigid motion: bays, wall and lane as drawn.
-    centres = np.concatenate(
-        [lot.bay_pose[:, :2], lot.wall_pose[:, :2], lot.lane_pose[:, :2]]
+    centres = np.concatenate([lot.bay_pose, lot.wall_pose, lot.lane_pose])[:, :2]
+    bays = [(WIDTH * (k + 0.5), 5.5) for k in range(COUNT)]
+    drawn = np.array([*bays, (7.5, 8.4), (7.5, 0.0)])
+    apart, expected = (
+        np.linalg.norm(xy[:, None] - xy, axis=-1) for xy in (centres, drawn)
     )
-    drawn = np.array(
-        [*((WIDTH * (k + 0.5), 5.5) for k in range(COUNT)), (7.5, 8.4), (7.5, 0.0)]
-    )
-    assert np.allclose(
-        np.linalg.norm(centres[:, None] - centres, axis=-1),
-        np.linalg.norm(drawn[:, None] - drawn, axis=-1),
-        atol=0.05,
-    )
+    assert np.allclose(apart, expected, atol=0.05)
     [lane], [size] = np.asarray(lot.lane_pose), np.asarray(lot.lane_size)
     assert bool(lot.lane_one_way.all())
     assert np.allclose(size, (19, LANE_WIDTH), atol=0.05)

@@ -58,17 +58,6 @@ def test_invalid_index_becomes_the_nearest_and_nan_the_middle(
     assert flagged.tolist() == [invalid, False]
 
 
-def test_action_has_controls_and_the_choice_of_a_goal():
-    fixed = parse(EnvConfig(), jnp.array([[0.5, -0.5], [0.5, 2.0]]))
-    np.testing.assert_array_equal(fixed.controls, [[0.5, -0.5], [0.5, 1.0]])
-    assert fixed.goal_choice is None
-    assert fixed.invalid.tolist() == [False, True]
-    chosen = parse(CHOOSING, jnp.array([[0.5, -0.5, 3.0], [0.5, -0.5, 9.0]]))
-    np.testing.assert_array_equal(chosen.controls, [[0.5, -0.5]] * 2)
-    assert chosen.goal_choice.tolist() == [3, 3]
-    assert chosen.invalid.tolist() == [False, True]
-
-
 @pytest.mark.parametrize("config", [EnvConfig(), CHOOSING])
 def test_the_middle_of_the_ranges_is_a_valid_action(config):
     spec = action_spec(config)

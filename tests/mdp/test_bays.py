@@ -85,10 +85,8 @@ def test_only_agents_of_a_fleet_need_the_rules_slack():
     found = bay_fits(some, layout, size, size)
     assert found.agents is None
     np.testing.assert_array_equal(found.parked_cars, [[False, True, True, True]])
-    for rule, agents in (
-        ("strict", [False] * 4),
-        ("tanner", [False, True, True, True]),
-    ):
+    rules = {"strict": [False] * 4, "tanner": [False, True, True, True]}
+    for rule, agents in rules.items():
         fleet = EnvConfig(
             fleet=FleetConfig(agents=("city", "van")),
             observation=ContinuousObservation(own_car=True),
@@ -110,10 +108,9 @@ def test_shuffled_bays_have_the_padding_last():
     layout = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
     order = np.asarray(jax.vmap(lambda key: shuffled_bays(layout, key))(keys(3600)))
     assert order.dtype == np.int32
-    np.testing.assert_array_equal(np.sort(order[:, :36], axis=1), [range(36)] * 3600)
-    np.testing.assert_array_equal(
-        np.sort(order[:, 36:], axis=1), [range(36, 40)] * 3600
-    )
+    real, padding = np.sort(order[:, :36], axis=1), np.sort(order[:, 36:], axis=1)
+    np.testing.assert_array_equal(real, [range(36)] * 3600)
+    np.testing.assert_array_equal(padding, [range(36, 40)] * 3600)
     # Binomial with mean 100 and deviation 10: five of them, in the first place and in
     # the last.
     for place in (0, 35):
@@ -129,11 +126,7 @@ def draw_many(wanted, free, count=4000):
 def test_kinds_that_fit_are_drawn_equally_often():
     # Kind 0 fits everywhere, kind 1 in bay 2 only, kind 2 in bay 0, which is taken.
     fit = jnp.array([[True] * 4, [False, False, True, False], [True, *[False] * 3]])
-    wanted = Wanted(
-        fits=jnp.stack([fit, fit]),
-        cars=jnp.ones(2, bool),
-        anywhere=False,
-    )
+    wanted = Wanted(fits=jnp.stack([fit, fit]), cars=jnp.ones(2, bool), anywhere=False)
     kind, bay = draw_many(wanted, [False, True, True, True])
     assert (bay[:, 0] != bay[:, 1]).all()
     assert (bay > 0).all()
@@ -231,27 +224,17 @@ def test_the_wrong_way_round_is_farther_from_the_goal(layout, yaw):
     assert (np.asarray(way) > 5.0).tolist() == wrong.tolist()
 
 
-def test_agents_observe_the_heading_to_park_with(layout):
+def test_the_end_that_goes_in_is_everybody_s(layout):
+    """Of observations, of parked cars, of the task `park_goal`, of the planner."""
     observation = ContinuousObservation(tracked_agents=0, rays=RayConfig(count=0))
-    goals = jnp.arange(3)
-    fields = observed(observation, layout, standing(OUT), goals)
-    np.testing.assert_allclose(
-        fields["goal_heading"], [[1, 0], [-1, 0], [1, 0]], atol=1e-6
-    )
+    fields = observed(observation, layout, standing(OUT), jnp.arange(3))
+    heading = [[1, 0], [-1, 0], [1, 0]]
+    np.testing.assert_allclose(fields["goal_heading"], heading, atol=1e-6)
     np.testing.assert_allclose(fields["goal_position"], 0.0, atol=1e-6)
-
-
-def test_parked_cars_stand_as_they_must(layout):
     yaw = poses_in_bays(layout, parked_in(layout, [0, 1, 2]))[:, 2]
     np.testing.assert_allclose(np.cos(yaw), [1, -1, 1], atol=1e-6)
-
-
-def test_the_goal_of_park_goal_is_the_end_that_may_go_in(layout):
     state = state_of(layout, standing(OUT), jnp.arange(3))
     np.testing.assert_allclose(goal_features(state)[:, 4], [-1, -1, 1], atol=1e-6)
-
-
-def test_the_planner_has_one_way_round_where_there_is_one():
     goal = np.array([1.0, 2.0, 0.5])
     assert _poses_in_bay(goal).shape == (2, 3)
     np.testing.assert_array_equal(_poses_in_bay(goal[None]), goal[None])
@@ -266,10 +249,8 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
         right = draws._replace(nose_out=nose_out)
         paths = paths_out(car, jnp.int32(0), jnp.zeros(3), right)
         assert set(np.round(np.cos(paths[:, 0, 2]), 5)) == facing
-    np.testing.assert_array_equal(
-        clamp_to_bay_end(layout, jnp.int32(BayEnd.EITHER), draws.nose_out),
-        draws.nose_out,
-    )
+    either = clamp_to_bay_end(layout, jnp.int32(BayEnd.EITHER), draws.nose_out)
+    np.testing.assert_array_equal(either, draws.nose_out)
 
 
 def test_misaligned_starts_stand_as_the_car_must_park(layout):
@@ -286,9 +267,8 @@ def test_misaligned_starts_stand_as_the_car_must_park(layout):
         return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
 
     keys = jax.random.split(jax.random.key(0), 64)
-    pose, found = jax.vmap(lambda goal: jax.vmap(lambda key: start(goal, key))(keys))(
-        jnp.arange(3)
-    )
+    every = jax.jit(jax.vmap(jax.vmap(start, (None, 0)), (0, None)))
+    pose, found = every(jnp.arange(3), keys)
     assert found.all()
     nose_in = np.cos(pose[..., 2]) < 0.0
     assert 0.3 < nose_in[0].mean() < 0.7
@@ -296,7 +276,6 @@ def test_misaligned_starts_stand_as_the_car_must_park(layout):
     assert not nose_in[2].any()
 
 
-SPACES, EXITS = range(8), range(8, 11)
 SHORT = dataclasses.replace(METADRIVE.episode, max_steps=2)
 
 
@@ -307,10 +286,11 @@ def test_cars_in_bays_drive_out_and_others_to_free_bays():
     waiting = jnp.array([False, False, False, False, True])
     nobody = jnp.full(0, NO_BAY)
 
-    def goals(pose):
-        placing = start_placing(goal, nobody, jnp.tile(pose, (5, 1)), waiting)
+    def goals(pose, goal=goal, waiting=waiting, agent=0):
+        poses = jnp.tile(pose, (len(goal), 1))
+        placing = start_placing(goal, nobody, poses, waiting)
         scores = jax.random.uniform(jax.random.key(0), (500, 11))
-        draw = jax.vmap(lambda s: goal_of_start(layout, placing, jnp.int32(0), s))
+        draw = jax.vmap(lambda s: goal_of_start(layout, placing, jnp.int32(agent), s))
         return np.bincount(np.asarray(draw(scores)), minlength=11)
 
     out = goals(layout.bay_pose[6])
@@ -319,20 +299,11 @@ def test_cars_in_bays_drive_out_and_others_to_free_bays():
     into = goals(layout.spawn_pose[1])
     assert into[[0, 1, 8, 9, 10]].tolist() == [0] * 5
     assert into[2:8].min() > 500 / 6 * 0.6
-
-
-def test_cars_leave_again_where_every_bay_is_another_agents_goal():
-    layout = make_layout("metadrive")
+    # They leave again where every bay is another agent's goal.
     goal = jnp.arange(9).at[8].set(NO_BAY)
-    placing = start_placing(
-        goal,
-        jnp.full(0, NO_BAY),
-        jnp.tile(layout.spawn_pose[1], (9, 1)),
-        jnp.arange(9) == 8,
-    )
-    scores = jax.random.uniform(jax.random.key(0), (100, 11))
-    drawn = jax.vmap(lambda s: goal_of_start(layout, placing, jnp.int32(8), s))(scores)
-    assert set(drawn.tolist()) == set(EXITS)
+    full = goals(layout.spawn_pose[1], goal, jnp.arange(9) == 8, 8)
+    assert not full[:8].any()
+    assert full[8:].all()
 
 
 def test_absent_agents_keep_no_bay_or_exit_from_others():
@@ -367,9 +338,8 @@ def _check(state):
         spaces = goals[goals < 8]
         assert len(set(spaces.tolist())) == len(spaces)
     pose, size = state.motion.pose_w, state.motion.size
-    meet = boxes_overlap(
-        pose[:, :, None], size[:, :, None], pose[:, None], size[:, None]
-    )
+    own = pose[:, :, None], size[:, :, None]
+    meet = boxes_overlap(*own, pose[:, None], size[:, None])
     assert meet.sum() == meet.shape[0] * meet.shape[1]  # each with itself only
 
 

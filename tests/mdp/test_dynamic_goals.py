@@ -1,21 +1,32 @@
-"""Goals that agents choose, in the environment: steps by hand, and invariants.
+"""Goals that agents choose: by hand, in the environment, and which bays they track.
 
 Cars slide (`helpers.sliding`) where only the task matters.
 """
 
 import dataclasses
 import functools
+import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.scenes import cars, lot
 from helpers.sliding import SlidePhysics, placed
-from helpers.transitions import CHOICES
+from helpers.states import parked_in, state_of
+from helpers.transitions import CHOICES, no_events
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig, GoalConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import make_layout
+from carpark_mj.layouts import Maxima, make_layout, pad_layout
+from carpark_mj.mdp.goals import (
+    choose_goals,
+    nearest_bays,
+    target_bay,
+    track_bays,
+    update_goals,
+)
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.types import NO_BAY
 
@@ -117,64 +128,11 @@ def test_a_choice_is_made_before_the_step_and_judged_with_it():
     assert not explores.events.parked.any()  # in a bay, but without a goal
     after, timestep = step(state, act([1, 3, 0, 0]))
     np.testing.assert_array_equal(timestep.events.parked, [False, True, False, False])
-    assert timestep.goal.tolist()[:2] == [
-        state.tracked_bays[0, 0],
-        state.tracked_bays[1, 2],
-    ]
+    chosen = [state.tracked_bays[0, 0], state.tracked_bays[1, 2], NO_BAY, NO_BAY]
+    assert timestep.goal.tolist() == chosen
     assert timestep.reward_terms["park"][1] == CONFIG.reward.park
     assert after.goal[1] == NO_BAY  # the new episode explores
     assert state.tracked_bays[1, 2] in after.parked_cars.bay
-    named = timestep.metrics
-    assert (named["stop_explore"][1], named["explored_steps"][1]) == (1.0, 0.0)
-
-
-def test_whose_goal_another_parks_in_goes_exploring():
-    state = start()[2]
-    bay = int(free(state)[0])
-    pose = APART.copy()
-    pose[2] = np.asarray(state.layout.bay_pose[bay])
-    _, step, state = start(pose=pose, goal=[bay, NO_BAY, bay, bay])
-    after, timestep = step(state, act([1, 0, 1, 1]))
-    np.testing.assert_array_equal(timestep.events.parked, [False, False, True, False])
-    goals = timestep.goal_events
-    np.testing.assert_array_equal(goals.lost_taken, [True, False, False, True])
-    assert not goals.lost_untracked.any()
-    assert after.goal.tolist() == [NO_BAY] * AGENTS
-    assert bay not in np.asarray(after.tracked_bays)
-    assert not timestep.reward_terms["lost_goal"].any()
-    # The loss belongs to the step, in the return too.
-    np.testing.assert_allclose(
-        timestep.metrics["episode_return"], timestep.reward, atol=1e-6
-    )
-    assert after.stats.tallies["lost_taken"].tolist() == [1, 0, 0, 1]
-    assert after.stats.tallies["explored_steps"].tolist() == [0, 1, 0, 0]
-
-
-def test_a_goal_out_of_sight_is_lost_at_the_end_of_the_step():
-    _, reset, _ = slide()
-    state, _ = reset(jax.random.key(0))
-    gap = np.linalg.norm(state.layout.bay_pose[:, :2] - APART[0, :2], axis=1)
-    far = max(free(state), key=lambda bay: gap[bay])
-    _, step, state = start(goal=[far, NO_BAY, NO_BAY, NO_BAY])
-    after, timestep = step(state, act([1, 0, 0, 0]))
-    np.testing.assert_array_equal(timestep.goal_events.lost_untracked, [True, *[0] * 3])
-    assert timestep.goal[0] == far  # held during the step
-    assert timestep.goal_events.continue_goal[0]
-    assert after.goal[0] == NO_BAY
-    assert timestep.reward_terms["lost_goal"][0] == pytest.approx(-0.05)
-
-
-def test_of_two_agents_in_one_bay_only_the_first_parks():
-    state = start()[2]
-    bay = int(free(state)[0])
-    pose = APART.copy()
-    pose[1] = pose[3] = np.asarray(state.layout.bay_pose[bay])
-    _, step, state = start(pose=pose, goal=[NO_BAY, bay, NO_BAY, bay])
-    after, timestep = step(state, act([0, 1, 0, 1]))
-    np.testing.assert_array_equal(timestep.events.parked, [False, True, False, False])
-    np.testing.assert_array_equal(timestep.events.crashed, [False, False, False, True])
-    assert len(np.unique(after.parked_cars.bay)) == 16
-    assert bay in after.parked_cars.bay
 
 
 def test_parked_agent_keeps_its_bay_without_respawn():
@@ -205,25 +163,22 @@ def drive(env, num_steps, seed, parks):
 
     With a chance of `parks` an agent with a goal is put into its bay beforehand.
     """
-    spec, agents = env.action_spec, env.num_agents
+    agents = env.num_agents
 
     def one(state, key):
-        keys = jax.random.split(key, 5)
-        index = jax.random.randint(keys[0], (agents, 9), 0, jnp.array([999] * 9))
-        index = index[:, : len(spec.choices)] % jnp.array(spec.choices)
+        keys = jax.random.split(key, 4)
+        index = jax.random.randint(keys[0], (agents,), 0, 1 + SLOTS)
         goal = state.goal
         held = jnp.argmax(state.tracked_bays == goal[:, None], axis=1) + 1
         held = jnp.where(goal == NO_BAY, 0, held)
         keep = jax.random.bernoulli(keys[1], 0.7, (agents,))
-        index = index.at[:, -1].set(jnp.where(keep, held, index[:, -1]))
-        numbers = jax.random.uniform(keys[2], (agents, spec.continuous), minval=-0.5)
-        action = jnp.concatenate([numbers, index], axis=1) if spec.continuous else index
-        if parks:
-            put = jax.random.bernoulli(keys[3], parks, (agents,)) & (goal != NO_BAY)
-            pose = state.layout.bay_pose[jnp.minimum(goal, BAYS - 1)]
-            physics = env.physics.place(state.physics, put, pose, state.physics.vehicle)
-            state = state.replace(physics=physics, motion=env.physics.read(physics))
-        after, timestep = env.step(state, action)
+        index = jnp.where(keep, held, index)[:, None]
+        numbers = jax.random.uniform(keys[2], (agents, 2), minval=-0.5)
+        put = jax.random.bernoulli(keys[3], parks, (agents,)) & (goal != NO_BAY)
+        pose = state.layout.bay_pose[jnp.minimum(goal, BAYS - 1)]
+        physics = env.physics.place(state.physics, put, pose, state.physics.vehicle)
+        state = state.replace(physics=physics, motion=env.physics.read(physics))
+        after, timestep = env.step(state, jnp.concatenate([numbers, index], axis=1))
         bare = [x.replace(physics=None, key=None) for x in (state, after)]
         return after, (*bare, timestep)
 
@@ -232,6 +187,11 @@ def drive(env, num_steps, seed, parks):
         return jax.lax.scan(one, state, jax.random.split(key, num_steps))[1]
 
     return jax.device_get(jax.jit(run)(jax.random.key(seed)))
+
+
+def tracks(state, goal):
+    """Which agents track a bay."""
+    return (state.tracked_bays == goal[..., None]).any(axis=-1)
 
 
 def check(env, before, after, timestep):
@@ -257,15 +217,19 @@ def check(env, before, after, timestep):
     stays = (old[:, :, None] == new[:, None, :]).any(axis=2)
     np.testing.assert_array_equal(old[stays], new[stays])
     # Goals are tracked, those that new episodes start with too; lost ones are none.
-    goal = after.goal
-    assert (
-        (goal == NO_BAY) | (after.tracked_bays == goal[..., None]).any(axis=-1)
-    ).all()
-    lost = goals.lost_untracked | goals.lost_taken
-    assert not (lost & events.done).any()
-    goes_on = ~events.done
-    kept = np.where(lost, NO_BAY, timestep.goal)
+    goal, goes_on = after.goal, ~events.done
+    assert ((goal == NO_BAY) | tracks(after, goal)).all()
+    # Taken is one in which another has just parked.
+    others = ~np.eye(AGENTS, dtype=bool)
+    same = (timestep.goal[:, :, None] == timestep.goal[:, None]) & others
+    has = goes_on & (timestep.goal != NO_BAY)
+    taken = has & (same & events.parked[:, None]).any(axis=2)
+    np.testing.assert_array_equal(goals.lost_taken, taken)
+    untracked = has & ~taken & ~tracks(after, timestep.goal)
+    np.testing.assert_array_equal(goals.lost_untracked, untracked)
+    kept = np.where(taken | untracked, NO_BAY, timestep.goal)
     np.testing.assert_array_equal(goal[goes_on], kept[goes_on])
+    np.testing.assert_array_equal(goals.exploring, timestep.goal == NO_BAY)
     # One transition each; rewards are what the transitions pay.
     names = CHOICES
     flags = np.stack([getattr(goals, name) for name in names])
@@ -277,8 +241,6 @@ def check(env, before, after, timestep):
     np.testing.assert_allclose(terms["lost_goal"], pay.stop * goals.lost_untracked)
     np.testing.assert_allclose(timestep.reward, sum(terms.values()), atol=1e-5)
     assert not (events.parked & goals.exploring).any()
-    for name in {"approach"} & terms.keys():  # where it is a term
-        assert not terms[name][goals.exploring].any()
     assert (terms["progress"][goals.exploring] <= 0).all()
     # Metrics of an episode are the sums of what happened in it.
     sums = {name: np.zeros(agents) for name in timestep.metrics if name in vars(goals)}
@@ -335,3 +297,125 @@ def test_agents_of_a_fleet_track_only_bays_they_fit_in():
     tracks_short = np.asarray(short)[state.tracked_bays].any(axis=-1)
     assert (state.tracked_bays != NO_BAY).all()
     np.testing.assert_array_equal(tracks_short, ~van)
+
+
+# Five bays in a row, 4 m apart, agents in front of it, and as many bays of padding.
+ROW = lot([(x, 10.0, math.pi / 2) for x in (0, 4, 8, 12, 16)])
+LINE = pad_layout(ROW, Maxima(8, 1, 1, 0, 1))
+
+
+@pytest.mark.parametrize(
+    ("goal", "choice", "expected", "name"),
+    [
+        (NO_BAY, 0, NO_BAY, "continue_explore"),
+        (NO_BAY, 1, 4, "stop_explore"),
+        (NO_BAY, 2, NO_BAY, "continue_explore"),  # an empty slot
+        (4, 0, NO_BAY, "stop_goal"),
+        (4, 1, 4, "continue_goal"),
+        (4, 2, 4, "continue_goal"),  # an empty slot
+        (4, 3, 1, "change_goal"),
+        (1, 1, 4, "change_goal"),
+    ],
+)
+def test_every_choice_by_hand(goal, choice, expected, name):
+    goals = GoalConfig(dynamic=True, num_tracked_bays=3)
+    config = EnvConfig(num_agents=1, goals=goals)
+    motion, parked = cars([(0.0, 0.0, 0.0)]), parked_in(ROW, [0, 2, 3])
+    tracked = [[4, NO_BAY, 1]]
+    before = state_of(ROW, motion, [goal], parked_cars=parked, tracked_bays=tracked)
+    after = choose_goals(config, before, jnp.array([choice]))
+    assert (after.goal.tolist(), after.goal.dtype) == ([expected], jnp.int32)
+    ended, events = update_goals(config, before, after, no_events(1))
+    assert ended.goal.tolist() == [expected]
+    flags = {name: flag for name, flag in vars(events).items() if name != "contexts"}
+    assert [name for name, flag in flags.items() if flag[0]] == [name]
+    assert bool(events.exploring[0]) == (expected == NO_BAY)
+
+
+def track(state, usable=None, by_distance=False):
+    """Tracked bays of a state; all are usable if None."""
+    config = SimpleNamespace(
+        varies=False,
+        goals=GoalConfig(dynamic=True, slots_by_distance=by_distance),
+        observation=SimpleNamespace(bays_in_view=lambda state: usable),
+    )
+    return track_bays(config, state).tracked_bays
+
+
+def tracked_at(x, taken, tracked, by_distance=False):
+    """Bays tracked by one agent at (x, 0), by the parked cars that there are."""
+    motion, parked = cars([(x, 0.0, 0.0)]), parked_in(LINE, list(taken))
+    state = state_of(LINE, motion, NO_BAY, parked_cars=parked, tracked_bays=[tracked])
+    return track(state, None, by_distance)[0].tolist()
+
+
+NONE = [NO_BAY] * 2
+
+
+@pytest.mark.parametrize(
+    ("x", "taken", "tracked", "slots", "by_distance"),
+    [
+        (0.0, [], NONE, [0, 1], [0, 1]),  # the nearest first
+        (15.0, [], [*NONE, NO_BAY], [4, 3, 2], [4, 3, 2]),
+        (0.0, [0, 2, NO_BAY], NONE, [1, 3], [1, 3]),
+        (3.0, [], [0, 1], [0, 1], [1, 0]),  # bay 1 is nearer now
+        (7.0, [], [0, 1], [2, 1], [2, 1]),  # bay 0 has left its slot to 2
+        (16.0, [], [0, 1], [4, 3], [4, 3]),  # both are new
+        (3.0, [1], [0, 1], [0, 2], [0, 2]),  # somebody parked
+        (3.0, [1], [2, 0], [2, 0], [0, 2]),
+        (0.0, [0, 1, 2, 4], NONE, [3, NO_BAY], [3, NO_BAY]),  # no bay for a slot
+        (0.0, [0, 1, 2, 4], [0, 3], [NO_BAY, 3], [3, NO_BAY]),
+        (0.0, range(5), NONE, NONE, NONE),
+        (0.0, [], [NO_BAY] * 7, [0, 1, 2, 3, 4, *NONE], [0, 1, 2, 3, 4, *NONE]),
+    ],
+)
+def test_slots_by_hand(x, taken, tracked, slots, by_distance):
+    assert tracked_at(x, taken, tracked) == slots
+    assert tracked_at(x, taken, tracked, by_distance=True) == by_distance
+
+
+def test_bays_of_finished_agents_and_useless_ones_are_left_out():
+    motion, active = cars([(0.0, 0.0, 0.0)] * 3), jnp.array([False, True, False])
+    goal = [0, 1, NO_BAY]
+    state = state_of(LINE, motion, goal, active=active, tracked_bays=[NONE] * 3)
+    assert track(state).tolist() == [[1, 2]] * 3
+    usable = jnp.ones((3, 8), bool).at[0].set(jnp.arange(8) == 3)
+    assert track(state, usable).tolist() == [[3, NO_BAY], [1, 2], [1, 2]]
+
+
+def test_tracking_keeps_slots_and_finds_the_nearest():
+    layout, agents, count = make_layout("square"), 5, 4
+
+    def step(tracked, key):
+        place, cars_key = jax.random.split(key)
+        xy = jax.random.uniform(place, (agents, 2), minval=-20, maxval=20)
+        free = jax.random.bernoulli(cars_key, 0.12, (agents, 36))
+        after = nearest_bays(layout, xy, free, tracked)
+        return after, (xy, free, tracked, after)
+
+    keys = jax.random.split(jax.random.key(0), 300)
+    empty = jnp.full((agents, count), NO_BAY, jnp.int32)
+    _, seen = jax.jit(lambda k: jax.lax.scan(step, empty, k))(keys)
+    bays, full = np.asarray(layout.bay_pose)[:, :2], 0
+    rows = [np.asarray(x).reshape(-1, *x.shape[2:]) for x in seen]
+    for xy, free, before, after in zip(*rows, strict=True):
+        gap = np.where(free, np.linalg.norm(bays - xy, axis=-1), np.inf)
+        nearest = np.argsort(gap, kind="stable")[: min(count, free.sum())]
+        assert sorted(after[after != NO_BAY]) == sorted(nearest)
+        stays = np.isin(before, nearest)
+        np.testing.assert_array_equal(after[stays], before[stays])
+        newcomers = [bay for bay in nearest if bay not in before]
+        entered = [bay for bay in after[~stays] if bay != NO_BAY]
+        assert entered == newcomers  # the nearest into the first empty slot
+        full += len(nearest) == count
+    assert 300 < full < 1500
+
+
+def test_target_is_the_goal_or_the_nearest_tracked_bay():
+    xy = jnp.zeros((3, 2))
+    tracked = jnp.array([[4, 2], [NO_BAY, 1], [NO_BAY, NO_BAY]])
+    bay, known = target_bay(LINE, jnp.array([0, NO_BAY, NO_BAY]), tracked, xy)
+    assert known.tolist() == [True, True, False]
+    np.testing.assert_array_equal(bay[:2], [0, 1])
+    bay, _ = target_bay(LINE, jnp.array([NO_BAY, 3, 3]), tracked, xy)
+    np.testing.assert_array_equal(bay, [2, 3, 3])

@@ -10,17 +10,26 @@ import numpy as np
 import pytest
 from helpers.scenes import cars, lot
 from helpers.states import parked_at
-from helpers.transitions import CHOICES, no_events, no_goal_events, no_terms, transition
+from helpers.transitions import no_events, no_goal_events, no_terms, transition
 
-from carpark_mj.config import EnvConfig, GoalConfig, MetricsConfig, SimConfig
+from carpark_mj.config import (
+    METRICS,
+    EnvConfig,
+    GoalConfig,
+    Metric,
+    MetricsConfig,
+    SimConfig,
+    register_metric,
+)
+from carpark_mj.evaluation.aggregation import complete_row, summarize
+from carpark_mj.evaluation.catalogue import metrics
+from carpark_mj.evaluation.report import print_metrics
 from carpark_mj.mdp.collisions import HORIZON, RANGE
 from carpark_mj.mdp.metrics import (
-    CHANGES,
     CONTEXTS,
     COUNTS,
     count_goals,
     episode_metrics,
-    fold_tallies,
     init_stats,
     update_stats,
 )
@@ -207,19 +216,6 @@ def tally(measured, states, parked=None, goal=0):
     }
 
 
-def test_a_name_says_how_its_numbers_are_folded():
-    names = ("min_a", "peak_a", "last_a", "a")
-    tallies = dict.fromkeys(names, jnp.array([1.0, 5.0]))
-    folded = fold_tallies(tallies, dict.fromkeys(names, jnp.array([3, 3])))
-    assert {name: value.tolist() for name, value in folded.items()} == {
-        "min_a": [1.0, 3.0],
-        "peak_a": [3.0, 5.0],
-        "last_a": [3.0, 3.0],
-        "a": [4.0, 8.0],
-    }
-    assert all(value.dtype == jnp.float32 for value in folded.values())
-
-
 def test_braking_gives_hand_worked_deceleration_and_jerk():
     # 0.6, then 1.2 and 1.2 m/s less per step of 0.2 s: 3, 6, 6 m/s2, then none; the
     # jerk is 3 / 0.2 = 15 at first, then 15, 0 and 6 / 0.2 = 30 m/s3.
@@ -286,7 +282,11 @@ def test_driving_is_summed_up_as_by_hand():
     )
 
 
-def test_steps_without_goal_or_other_car_do_not_count():
+def test_the_nearest_car_may_be_another_agent():
+    states = [cars([(0, 0, 0), (3.0, 4.0, 0)])] * 2
+    found = tally(DRIVING, states, parked=parked_at([(6.0, 0.0, 0.0)]))
+    assert found["nearest_car_sum"] == pytest.approx(5.0)
+    # Steps without goal or other car do not count.
     states = [cars([(5.0, 0, 0)]), cars([(4.0, 0, 0)])]
     found = tally(DRIVING, states, goal=NO_BAY)
     for name in ("goal_steps", "towards_goal_steps", "nearest_car_steps"):
@@ -294,59 +294,7 @@ def test_steps_without_goal_or_other_car_do_not_count():
     assert found["nearest_car_sum"] == 0.0  # not inf
 
 
-def test_the_nearest_car_may_be_another_agent():
-    states = [cars([(0, 0, 0), (3.0, 4.0, 0)])] * 2
-    found = tally(DRIVING, states, parked=parked_at([(6.0, 0.0, 0.0)]))
-    assert found["nearest_car_sum"] == pytest.approx(5.0)
-
-
 BAYS = lot([(10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 10.0, 0.0)])
-
-
-def config(num_agents):
-    return EnvConfig(num_agents=num_agents, goals=GoalConfig(dynamic=True))
-
-
-def goal_step(xy, tracked_bays, goal_events=None, **of_state):
-    """A step of agents from the origin to the given places."""
-    after = cars([(x, y, 0.0) for x, y in xy])
-    before = cars(np.zeros((len(xy), 3)))
-    if tracked_bays is not None:
-        of_state["tracked_bays"] = jnp.array(tracked_bays, jnp.int32)
-    return transition(
-        config(len(xy)), BAYS, before, after, of_state, goal_events=goal_events
-    )
-
-
-def test_counts_of_an_episode_conserve_its_steps():
-    agents, steps = 200, 4
-    rng = np.random.default_rng(0)
-    tracked = rng.integers(0, 3, (agents, 1))
-    settings = config(agents)
-    stats, nothing = init_stats(settings, BAYS), no_terms(settings)
-    sums = {name: np.zeros(agents) for name in (*CHOICES, "lost_taken")}
-    towards = np.zeros(agents)
-    for _ in range(steps):
-        choice = rng.integers(0, len(CHOICES), agents)
-        flags = {name: choice == k for k, name in enumerate(CHOICES)}
-        flags["lost_taken"] = rng.random(agents) < 0.3
-        xy = rng.uniform(-1, 1, (agents, 2))
-        happened = goal_step(
-            xy, tracked, goal_events=no_goal_events(agents, **flags), stats=stats
-        )
-        stats = update_stats(settings, happened, nothing)
-        sums = {name: sums[name] + flag for name, flag in flags.items()}
-        gap = np.linalg.norm(np.asarray(BAYS.bay_pose)[tracked[:, 0], :2] - xy, axis=1)
-        # With a goal it does not count.
-        towards += (gap < 10) & (flags["continue_explore"] | flags["stop_goal"])
-    explored = sums["continue_explore"] + sums["stop_goal"]
-    np.testing.assert_array_equal(stats.tallies["explored_steps"], explored)
-    np.testing.assert_array_equal(stats.tallies["towards_bay_steps"], towards)
-    for name in CHANGES:
-        expected = sums.get(name, np.zeros(agents))
-        np.testing.assert_array_equal(stats.tallies[name], expected)
-    assert (towards > 0).any()
-    assert (towards < explored).any()
 
 
 def test_giving_up_a_goal_in_a_context_is_giving_way():
@@ -360,9 +308,17 @@ def test_giving_up_a_goal_in_a_context_is_giving_way():
         local_any=[True, True, True, True, False],
         global_any=[True] * 5,
     )
-    counts = count_goals(goal_step([(1.0, 0.0)] * 5, [[0]] * 5, events))
+    config = EnvConfig(num_agents=5, goals=GoalConfig(dynamic=True))
+    before, after = cars(np.zeros((5, 3))), cars([(1.0, 0.0, 0.0)] * 5)
+    tracked = {"tracked_bays": jnp.zeros((5, 1), jnp.int32)}
+    step = transition(config, BAYS, before, after, tracked, goal_events=events)
+    counts = count_goals(step)
+    assert not {*COUNTS} & {*init_stats(TWO, BAYS).tallies}  # of fixed goals
+    tallies = init_stats(config, BAYS).tallies
+    assert not any(tallies[name].any() for name in COUNTS)
     assert tuple(counts) == COUNTS
     found = {name: np.asarray(count, float).tolist() for name, count in counts.items()}
+    assert found["towards_bay_steps"] == [0, 1, 0, 0, 0]  # without a goal alone
     assert found["met_local_any"] == [1, 1, 1, 1, 0]
     assert found["gave_way_local_any"] == [1, 1, 0, 0, 0]
     assert found["met_global_any"] == [1, 1, 1, 1, 1]
@@ -371,9 +327,57 @@ def test_giving_up_a_goal_in_a_context_is_giving_way():
         assert found[f"met_{name}"] == found[f"gave_way_{name}"] == [0] * 5
 
 
-def test_only_agents_that_choose_their_goals_have_counts_of_them():
-    fixed = init_stats(EnvConfig(num_agents=2), BAYS).tallies
-    chosen = init_stats(config(2), BAYS).tallies
-    assert not set(COUNTS) & set(fixed)
-    assert set(COUNTS) <= set(chosen)
-    assert all(jnp.all(chosen[name] == 0.0) for name in COUNTS)
+SPEEDS = [(0.0, 0.0), (3.0, -1.0), (1.0, -2.0)]
+POOLS = {"count": "mean", "pace": "steps", "min_pace": "least", "peak_pace": "most"}
+
+
+@pytest.fixture
+def registered(monkeypatch):
+    """Metrics of the signed speed, one for every way to add up."""
+    monkeypatch.setattr(METRICS, "_parts", dict(METRICS._parts))
+    for name, pool in POOLS.items():
+        register_metric(
+            Metric(name, "m/s", "speed", pool, value=lambda c, t: t.after.motion.speed)
+        )
+
+
+def episode(extra):
+    """Metrics of two cars after two steps."""
+    config = EnvConfig(num_agents=2, metrics=MetricsConfig(extra=extra))
+    stats = init_stats(config, PLAN)
+    states = [cars([(0.0, 0.0, 0.0)] * 2, speed=list(speed)) for speed in SPEEDS]
+    for before, after in itertools.pairwise(states):
+        happened = transition(config, PLAN, before, after, {"stats": stats})
+        stats = update_stats(config, happened, no_terms(config))
+    found = episode_metrics(happened, stats)
+    return {name: np.asarray(value).tolist() for name, value in found.items()}
+
+
+def test_metrics_are_pooled_over_an_episode(registered):
+    found = episode(tuple(POOLS))
+    assert found["count"] == found["pace_sum"] == [4.0, -3.0]
+    assert found["min_pace"] == [1.0, -2.0]
+    assert found["peak_pace"] == [3.0, -1.0]  # not 0, where it began
+
+
+def test_what_is_not_asked_for_is_not_measured(registered):
+    assert "count" not in episode(())
+    assert {"count", "pace_sum"} & {*episode(("pace",))} == {"pace_sum"}
+    assert {*POOLS} <= {*MetricsConfig.everything().extra}
+
+
+def test_evaluations_have_it_in_their_rows_summaries_and_tables(registered, capsys):
+    found = episode(tuple(POOLS))
+    rows = [
+        complete_row({name: value[k] for name, value in found.items()}, 0.2)
+        for k in range(2)
+    ]
+    assert [row["pace"] for row in rows] == [2.0, -1.5]
+    summary = summarize(rows)
+    assert summary["pace"] == pytest.approx(0.25)
+    assert summary["count"] == pytest.approx(0.5)
+    assert summary["min_pace"]["min"] == -2.0
+    assert summary["peak_pace"]["max"] == 3.0
+    assert {*POOLS} <= {metric.name for metric in metrics()}
+    print_metrics(summary)
+    assert "peak pace" in capsys.readouterr().out

@@ -1,26 +1,31 @@
 """Reward terms by hand, over whole episodes, and in any frame."""
 
 import dataclasses
+import itertools
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.paying import GOAL, LIMITS, MAX_STEPS, events, step, terms
-from helpers.scenes import cars, moved, moved_cars
+from helpers.scenes import cars, lot, moved, moved_cars
 from helpers.states import HandPhysics, hand_cars
-from helpers.transitions import transition
+from helpers.transitions import no_events, no_terms, transition
 
-from carpark_mj.config import REWARDS, WORLD_UNIT, EnvConfig, RewardConfig
+from carpark_mj.config import (
+    REWARDS,
+    WORLD_UNIT,
+    EnvConfig,
+    MetricsConfig,
+    RewardConfig,
+)
+from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
-from carpark_mj.mdp.progress import (
-    MOVING,
-    NEARER,
-    direction_of_travel,
-    goal_potential,
-    is_nearer,
-)
+from carpark_mj.mdp.metrics import init_stats, update_stats
+from carpark_mj.mdp.people import HARD_BRAKING
+from carpark_mj.mdp.progress import NEARER, goal_potential, is_nearer
 from carpark_mj.mdp.rewards import NEAR, STANDS, reward_terms
 
 PUBLISHED = RewardConfig(  # Tanner 2022, table C.9
@@ -82,18 +87,12 @@ def test_closeness_is_of_the_nearest_agent_within_range():
     got = terms(config, state, state, GOAL)["closeness"]
     near, far = -10 / 200 * 0.5, -10 / 200 * (1 - 2.99 / 3)
     np.testing.assert_allclose(got, [near, near, far, 0.0], atol=1e-6)
+    # It is paid for where a step ends.
+    apart = cars([(0.0, 0.0, 0.0), (60.0, 0.0, 0.0), (120.0, 0.0, 0.0), (180.0, 0, 0)])
+    np.testing.assert_array_equal(terms(config, apart, state, GOAL)["closeness"], got)
+    np.testing.assert_array_equal(terms(config, state, apart, GOAL)["closeness"], 0.0)
     alone = cars([(0.0, 0.0, 0.0)])
     assert terms(config, alone, alone, GOAL)["closeness"] == 0.0
-
-
-def test_closeness_is_paid_for_where_a_step_ends():
-    config = RewardConfig(closeness=10.0)
-    apart, near = (cars([(0.0, 0.0, 0.0), (x, 0.0, 0.0)]) for x in (60.0, 5.5))
-    paid = -10 / 200 * 0.5  # for a gap of 1.5 m
-    approaching = terms(config, apart, near, GOAL)["closeness"]
-    leaving = terms(config, near, apart, GOAL)["closeness"]
-    np.testing.assert_allclose(approaching, [paid, paid], atol=1e-6)
-    np.testing.assert_array_equal(leaving, [0.0, 0.0])
 
 
 def test_potential_is_minus_the_weighted_way_left():
@@ -102,35 +101,25 @@ def test_potential_is_minus_the_weighted_way_left():
     potential = goal_potential(config, pose, jnp.array(GOAL))
     expected = [0.0, -1.0, -0.8 - 0.5 * math.pi / 2 * math.exp(-1)]
     np.testing.assert_allclose(potential, expected, atol=1e-6)
-
-
-def test_nose_in_and_nose_out_have_the_same_potential():
     pose = jnp.array([[9.0, 0.5, 0.3], [9.0, 0.5, 0.3 - math.pi]])
     nose_in, nose_out = goal_potential(SHAPED, pose, jnp.array(GOAL))
     assert float(nose_in) == pytest.approx(float(nose_out), abs=1e-6)  # float32
 
 
-def random_path(steps, closed, seed=0):
+def random_path(steps, seed=0):
     rng = np.random.default_rng(seed)
-    path = rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (steps + 1, 3))
-    if closed:
-        path[-1] = path[0]
-    return np.float32(path)
+    return np.float32(rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (steps + 1, 3)))
 
 
-def test_progress_sums_to_zero_around_a_closed_loop():
-    path = random_path(300, closed=True)
-    got = terms(SHAPED, cars(path[:-1]), cars(path[1:]), GOAL)["progress"]
-    # 300 float32 differences of potentials of up to 6: 5e-7 each.
-    assert got.sum() == pytest.approx(0.0, abs=2e-4)
-    assert np.abs(got).sum() > 100  # though each step paid
-
-
-def test_progress_telescopes_along_a_path():
-    path = random_path(300, closed=False)
+@pytest.mark.parametrize("closed", [False, True])
+def test_progress_telescopes_and_sums_to_zero_around_a_loop(closed):
+    path = random_path(300)
+    path[-1] = path[0] if closed else path[-1]
     got = terms(SHAPED, cars(path[:-1]), cars(path[1:]), GOAL)["progress"]
     ends = goal_potential(SHAPED, jnp.array(path[[0, -1]]), jnp.array(GOAL))
-    assert got.sum() == pytest.approx(float(ends[1] - ends[0]), abs=2e-4)  # as above
+    # 300 float32 differences of potentials of up to 6: 5e-7 each.
+    assert got.sum() == pytest.approx(float(ends[1] - ends[0]), abs=2e-4)
+    assert np.abs(got).sum() > 100  # though each step paid
 
 
 def test_progress_can_count_the_way_along_the_lanes():
@@ -188,22 +177,18 @@ def test_a_diverged_car_gets_nothing(config):
     before = cars([(0.0, 0.0, 0.0)] * 2)
     after = cars([(5.0, 0.0, 1.0)] * 2, speed=-1.0, steering=0.05)
     got = terms(config, before, after, GOAL, events(2, diverged=[0]))
-    assert all(term[0] == 0.0 for term in got.values())
+    assert not any(term[0] for term in got.values())
+    lost = cars([(math.nan, 0.0, 1.0)], speed=math.inf, steering=math.nan)
+    alone = terms(config, cars(np.zeros((1, 3))), lost, GOAL, events(1, diverged=[0]))
+    assert not any(term.any() for term in alone.values())
     assert all(np.isfinite(term).all() for term in got.values())
     assert got["time"][1] < 0.0
 
 
-def test_diverged_car_gets_nothing_from_non_finite_numbers():
-    before = cars([(0.0, 0.0, 0.0)])
-    after = cars([(math.nan, 0.0, 1.0)], speed=math.inf, steering=math.nan)
-    got = terms(SHAPED, before, after, GOAL, events(1, diverged=[0]))
-    assert all(term == 0.0 for term in got.values())
-
-
 @pytest.mark.parametrize("config", [SHAPED, PUBLISHED])
 def test_rewards_do_not_depend_on_the_frame(config):
-    path = random_path(200, closed=False, seed=1)
-    goals = random_path(199, closed=False, seed=2)
+    path = random_path(200, seed=1)
+    goals = random_path(199, seed=2)
     rng = np.random.default_rng(3)
     speed, steering = rng.normal(0, 1, 200), rng.uniform(-0.04, 0.04, (2, 200))
     before = cars(path[:-1], steering=steering[0])
@@ -259,20 +244,12 @@ def test_nearer_is_by_more_than_rounding():
     round_it = is_nearer(before, place(angle[1], distance), target)
     assert np.finfo(np.float32).eps < NEARER
     assert not round_it[distance < 1.0].any()
-
-
-def test_standing_still_is_not_coming_nearer():
+    # Nor is standing still coming nearer, of any shape of targets.
     before = jnp.array([[[1.0, 2.0]], [[3.0, 4.0]]])
     targets = jnp.array([[[1.0, 2.0], [9.0, 9.0]], [[0.0, 0.0], [3.0, 5.0]]])
     assert not is_nearer(before, before, targets).any()
     moved = is_nearer(before, before + jnp.array([0.0, 0.5]), targets)
     assert moved.tolist() == [[False, True], [False, True]]
-
-
-def test_slow_cars_have_no_direction_of_travel():
-    speeds = [2.0, 1.01 * MOVING, 0.99 * MOVING, 0.0, -0.99 * MOVING, -1.01 * MOVING]
-    motion = cars(np.zeros((6, 3)), speed=speeds)
-    assert direction_of_travel(motion).tolist() == [1, 1, 0, 0, 0, -1]
 
 
 ON_A_LINE = [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (12.0, 0.0, 0.0)]
@@ -328,9 +305,92 @@ def test_nobody_earns_more_than_the_time_costs(weight, time):
     reward = RewardConfig(time=time, extra={"yielding": weight})
     motion = cars(ON_A_LINE, speed=[0.0, 1.0, 0.0])
     got = terms(reward, motion, motion, GOAL)
-    np.testing.assert_allclose(
-        got["yielding"] + got["time"],
-        -time / MAX_STEPS * np.array([1 - weight, 1, 1 - weight]),
-        atol=1e-9,
+    paid = got["yielding"] + got["time"]
+    expected = -time / MAX_STEPS * np.array([1 - weight, 1, 1 - weight])
+    np.testing.assert_allclose(paid, expected, atol=1e-9)
+    assert (paid <= 0.0).all()
+
+
+PEOPLE_LOT = lot([(30.0, 0.0, 0.0)])
+RADIUS = 0.3
+PEOPLE_METRICS = tuple(MetricsConfig.everything().extra)
+PEOPLE_CONFIG = EnvConfig(
+    num_agents=1,
+    movers=("pedestrians:number=1",),
+    reward=RewardConfig(extra={"person": 10.0, "comfort": 1.0}),
+    metrics=MetricsConfig(extra=PEOPLE_METRICS),
+)
+
+
+def person(gap, speed=0.0):
+    """A person so far before the bumper of a car of 4 m at the origin."""
+    xy, away = jnp.array([[2.0 + gap + RADIUS, 0.0]]), jnp.array([[speed, 0.0]])
+    return Movers(
+        (), ((Discs(xy, jnp.array([RADIUS]), away, kind=ObstacleKind.PERSON),),)
     )
-    assert (got["yielding"] + got["time"] <= 0.0).all()
+
+
+def made(was, now, stats=None, hit=False):
+    """A step between two gaps [m] and own speeds [m/s]."""
+    pose = [(0.0, 0.0, 0.0)]
+    before, after = (cars(pose, speed=speed) for _, speed in (was, now))
+    events = no_events(1, crashed=[hit], hit_person=[hit])
+    step = transition(PEOPLE_CONFIG, PEOPLE_LOT, before, after, events=events)
+    stats = step.before.stats if stats is None else stats
+    return dataclasses.replace(
+        step,
+        before=dataclasses.replace(step.before, movers=person(was[0]), stats=stats),
+        after=dataclasses.replace(step.after, movers=person(now[0])),
+    )
+
+
+@jax.jit
+def update(step):
+    return update_stats(PEOPLE_CONFIG, step, no_terms(PEOPLE_CONFIG))
+
+
+def episode(*instants, hit=False):
+    """Tallies of an episode through gaps and speeds."""
+    stats = init_stats(PEOPLE_CONFIG, PEOPLE_LOT)
+    for k, (was, now) in enumerate(itertools.pairwise(instants)):
+        last = k == len(instants) - 2
+        step = made(was, now, stats, hit and last)
+        stats = update(step)
+    return {name: float(stats.tallies[name][0]) for name in PEOPLE_METRICS}
+
+
+def test_a_contact_costs_more_and_passing_close_costs_by_speed():
+    terms = reward_terms(PEOPLE_CONFIG, made((0.5, 2.0), (0.0, 1.0), hit=True))
+    assert terms["person"] == pytest.approx(-10.0)
+    terms = reward_terms(PEOPLE_CONFIG, made((5.0, 3.0), (1.0, 3.0)))
+    # Half of the 2 m are missing at 3 m/s, of a weight for the whole episode.
+    cost = 1.5**2 / PEOPLE_CONFIG.episode.max_steps
+    assert float(terms["comfort"][0]) == pytest.approx(-cost)
+    assert terms["person"] == 0.0
+    far = reward_terms(PEOPLE_CONFIG, made((5.0, 2.0), (2.1, 3.0)))
+    assert far["comfort"] == 0.0
+
+
+def test_a_near_miss_is_counted_once_when_it_begins():
+    # At 2 m/s the time to a person 4 m ahead is 2 s, to one 2 m ahead 1 s.
+    assert episode((4.0, 2.0), (2.0, 2.0), (1.8, 2.0))["near_misses"] == 1
+    assert episode((4.0, 2.0), (2.0, 2.0), (4.0, 0.0), (2.0, 2.0))["near_misses"] == 2
+    assert episode((9.0, 0.0), (0.4, 0.0), (0.4, 0.1))["near_misses"] == 0
+    assert episode((9.0, -2.0), (0.4, -2.0))["near_misses"] == 1  # close and fast
+
+
+def test_the_least_gap_comes_with_the_speed_at_it():
+    found = episode((9.0, 2.0), (4.0, 1.5), (1.0, 0.7), (2.0, 1.9))
+    assert found["min_person_gap"] == pytest.approx(1.0, abs=1e-5)
+    assert found["person_speed"] == pytest.approx(0.7, abs=1e-5)
+    assert found["peak_contact_speed"] == 0.0
+    found = episode((1.0, 2.0), (0.0, 1.0), hit=True)
+    assert found["peak_contact_speed"] == pytest.approx(2.0)
+
+
+def test_hard_braking_and_waiting():
+    lost = HARD_BRAKING * PEOPLE_CONFIG.sim.ctrl_dt
+    found = episode((9.0, 3.0), (9.0, 3.0 - 1.1 * lost), (9.0, 3.0 - 2.0 * lost))
+    assert found["hard_braking"] == 1
+    found = episode((7.0, 1.0), (7.0, 0.0), (7.0, 0.0), (9.0, 0.0))
+    assert found["waiting"] == pytest.approx(0.4)

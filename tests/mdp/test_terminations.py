@@ -1,5 +1,6 @@
 """How episodes end, under every rule of what "parked" means."""
 
+import functools
 import math
 
 import jax
@@ -156,13 +157,38 @@ def flags(events):
     return [names[row.argmax()] if row.any() else "drives on" for row in table]
 
 
-def test_car_in_its_bay_has_parked_and_one_away_drives_on():
-    assert flags(detected(cars([IN_BAY_0, AWAY]))) == ["parked", "drives on"]
+BOTH = IN_BAY_0, ON_THE_PARKED_CAR
+RULES = ("strict", "precise", "tanner")
+LAST, LOST = {"step": 10}, {"step": 10, "finite": False}
 
 
-def test_parking_in_the_bay_of_another_agent_is_no_parking():
-    events = detected(cars([IN_BAY_0, AWAY]), goal=[1, 0])
-    assert flags(events) == ["drives on", "drives on"]
+@pytest.mark.parametrize(
+    ("poses", "settings", "outcomes"),
+    [
+        ((IN_BAY_0, AWAY), {}, ("parked", "drives on")),
+        ((IN_BAY_0, AWAY), {"goal": [1, 0]}, ("drives on",) * 2),  # another's bay
+        ((IN_BAY_0,), {"speed": 1.0}, ("drives on",)),
+        ((IN_BAY_0,), {"speed": 1.0, "rule": "precise,tanner"}, ("parked",)),  # either
+        ((AWAY,), {"step": 9}, ("drives on",)),
+        ((AWAY,), LAST, ("timed_out",)),
+        (BOTH, LAST, ("parked", "crashed")),
+        *((BOTH, LOST | {"rule": rule}, ("diverged",) * 2) for rule in RULES),
+        (BOTH, LAST | {"active": False}, ("drives on",) * 2),  # finished before
+        (BOTH, LOST | {"active": False}, ("drives on",) * 2),
+        (  # of two in the goal of both the first parks
+            (AWAY, IN_BAY_0, IN_BAY_0),
+            {"goal": [0, 0, 0], "rule": "tanner"},
+            ("drives on", "parked", "crashed"),
+        ),
+    ],
+)
+def test_what_a_step_ends_with(poses, settings, outcomes):
+    about_cars = {k: v for k, v in settings.items() if k in ("speed", "finite")}
+    others = {k: v for k, v in settings.items() if k not in about_cars}
+    events = detected(cars(poses, **about_cars), **others)
+    assert flags(events) == [*outcomes]
+    if "crashed" not in outcomes:
+        assert not (events.hit_agent | events.hit_parked_car | events.hit_wall).any()
 
 
 def test_nobody_parks_without_a_goal():
@@ -172,19 +198,6 @@ def test_nobody_parks_without_a_goal():
     events = detected(motion, "tanner", layout=free, goal=[NO_BAY, NO_BAY])
     assert flags(events) == ["crashed", "drives on"]
     assert flags(detected(motion, "tanner", layout=free, goal=[2, 2]))[0] == "parked"
-
-
-def test_of_two_agents_in_the_goal_of_both_the_first_parks():
-    motion = cars([AWAY, IN_BAY_0, IN_BAY_0])
-    events = detected(motion, rule="tanner", goal=[0, 0, 0])
-    assert flags(events) == ["drives on", "parked", "crashed"]
-
-
-@pytest.mark.parametrize(
-    ("rule", "outcome"), [("strict", "drives on"), ("precise,tanner", "parked")]
-)
-def test_of_several_rules_one_is_enough(rule, outcome):
-    assert flags(detected(cars([IN_BAY_0], speed=1.0), rule)) == [outcome]
 
 
 @pytest.mark.parametrize(("step", "outcome"), [(9, "parked"), (10, "timed_out")])
@@ -215,16 +228,6 @@ def test_a_crash_says_what_was_hit():
     np.testing.assert_array_equal(events.hit_agent, [False, False])
 
 
-@pytest.mark.parametrize(("step", "outcome"), [(9, "drives on"), (10, "timed_out")])
-def test_an_episode_times_out_at_max_steps_and_no_earlier(step, outcome):
-    assert flags(detected(cars([AWAY]), step=step)) == [outcome]
-
-
-def test_parking_and_crashing_in_the_last_step_are_no_time_out():
-    motion = cars([IN_BAY_0, ON_THE_PARKED_CAR])
-    assert flags(detected(motion, step=10)) == ["parked", "crashed"]
-
-
 @pytest.mark.parametrize(
     ("rule", "outcome"),
     [("strict", "crashed"), ("precise", "crashed"), ("tanner", "parked")],
@@ -237,77 +240,9 @@ def test_a_car_that_touches_another_on_its_way_into_the_bay(rule, outcome):
     np.testing.assert_array_equal(events.hit_parked_car, [outcome == "crashed", False])
 
 
-@pytest.mark.parametrize("rule", ["strict", "precise", "tanner"])
-def test_a_diverged_car_neither_parks_nor_crashes_nor_times_out(rule):
-    motion = cars([IN_BAY_0, ON_THE_PARKED_CAR], finite=False)
-    events = detected(motion, rule=rule, step=10)
-    assert flags(events) == ["diverged", "diverged"]
-    assert not (events.hit_agent | events.hit_parked_car | events.hit_wall).any()
-
-
-@pytest.mark.parametrize("finite", [True, False])
-def test_finished_agents_have_no_events(finite):
-    motion = cars([IN_BAY_0, ON_THE_PARKED_CAR], finite=finite)
-    events = detected(motion, step=10, active=False)
-    assert flags(events) == ["drives on", "drives on"]
-    assert not (events.hit_agent | events.hit_parked_car | events.hit_wall).any()
-
-
 def test_only_the_active_agent_of_a_hit_crashes():
     events = detected(crossing(True), active=jnp.array([True, False]))
     assert flags(events) == ["crashed", "drives on"]
-
-
-def random_events(rule, shift=None):
-    """Events of a batch of random states, their poses moved if asked."""
-    rng = np.random.default_rng(1)
-    count = 1000
-    motion, bays, walls, wall_size = random_lots(rng, count)
-    # Half of the first agents stand in or almost in their bays.
-    near = rng.normal(0, (0.2, 0.2, 0.04), (count, 3))
-    pose = np.array(motion.pose_w)
-    trace = np.array(motion.trace_w)
-    half = slice(0, count // 2)
-    pose[half, 0] = (bays[:, 0] + near)[half]
-    trace[half, 0] = pose[half, 0, None]
-    speed = rng.normal(0, 0.1, (count, 3))
-    finite = rng.uniform(size=(count, 3)) > 0.1
-    motion = cars(pose, speed, size=motion.size, trace=trace, finite=finite)
-    step = rng.integers(5, 12, (count, 3))
-    active = rng.uniform(size=(count, 3)) > 0.1
-    if shift is not None:
-        motion = moved_cars(motion, shift)
-        bays, walls = moved(bays, shift), moved(walls, shift)
-    template = lot(bays[0], walls[0], bay_size=(6.5, 3.5))
-
-    def one(motion, bay_pose, wall_pose, wall_size, step, active):
-        layout = template.replace(
-            bay_pose=bay_pose, wall_pose=wall_pose, wall_size=wall_size
-        )
-        parked_cars = parked_in(layout, [3])
-        state = state_of(
-            layout,
-            motion,
-            jnp.arange(3),
-            parked_cars=parked_cars,
-            step=step,
-            active=active,
-        )
-        return detect_events(EpisodeConfig(parked_rule=rule, max_steps=10), state)
-
-    return jax.device_get(
-        jax.jit(jax.vmap(one))(motion, bays, walls, wall_size, step, active)
-    )
-
-
-@pytest.mark.parametrize("rule", ["strict", "precise", "tanner"])
-def test_outcomes_exclude_each_other_in_random_states(rule):
-    events = random_events(rule)
-    outcomes = [events.parked, events.crashed, events.timed_out, events.diverged]
-    assert (np.sum(outcomes, axis=0) <= 1).all()
-    assert all(flag.sum() >= 10 for flag in outcomes)  # each of them occurs
-    hits = events.hit_agent | events.hit_parked_car | events.hit_wall
-    np.testing.assert_array_equal(hits, events.crashed)
 
 
 def test_scaled_hitboxes_do_not_make_parking_harder():
@@ -320,10 +255,48 @@ def test_scaled_hitboxes_do_not_make_parking_harder():
     assert events.hit_parked_car.all()
 
 
-@pytest.mark.parametrize("rule", ["strict", "precise", "tanner"])
-def test_outcomes_do_not_depend_on_the_frame(rule):
-    here, there = random_events(rule), random_events(rule, (12.0, -7.0, 0.9))
-    for name in ("parked", "crashed", "timed_out", "diverged"):
-        differ = (getattr(here, name) != getattr(there, name)).sum()
+@functools.cache
+def random_states():
+    """Crowded lots; half of the first agents stand in or almost in their bays."""
+    rng, count = np.random.default_rng(1), 1000
+    motion, bays, walls, wall_size = random_lots(rng, count)
+    near = rng.normal(0, (0.2, 0.2, 0.04), (count, 3))
+    pose, trace = np.array(motion.pose_w), np.array(motion.trace_w)
+    half = slice(0, count // 2)
+    pose[half, 0] = (bays[:, 0] + near)[half]
+    trace[half, 0] = pose[half, 0, None]
+    speed = rng.normal(0, 0.1, (count, 3))
+    finite = rng.uniform(size=(count, 3)) > 0.1
+    motion = cars(pose, speed, size=motion.size, trace=trace, finite=finite)
+    step = rng.integers(5, 12, (count, 3))
+    active = rng.uniform(size=(count, 3)) > 0.1
+    return motion, bays, walls, wall_size, step, active
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_outcomes_exclude_each_other_and_depend_on_no_frame(rule):
+    motion, bays, walls, *rest = random_states()
+    template = lot(bays[0], walls[0], bay_size=(6.5, 3.5))
+
+    @jax.jit
+    @jax.vmap
+    def detect(motion, bay_pose, wall_pose, wall_size, step, active):
+        walls = {"wall_pose": wall_pose, "wall_size": wall_size}
+        layout = template.replace(bay_pose=bay_pose, **walls)
+        changes = {"parked_cars": parked_in(layout, [3]), "step": step}
+        state = state_of(layout, motion, jnp.arange(3), active=active, **changes)
+        return detect_events(EpisodeConfig(parked_rule=rule, max_steps=10), state)
+
+    events = jax.device_get(detect(motion, bays, walls, *rest))
+    outcomes = ("parked", "crashed", "timed_out", "diverged")
+    count = np.stack([getattr(events, name) for name in outcomes])
+    assert (count.sum(axis=0) <= 1).all()
+    assert (count.sum(axis=(1, 2)) >= 10).all()  # each of them occurs
+    hits = events.hit_agent | events.hit_parked_car | events.hit_wall
+    np.testing.assert_array_equal(hits, events.crashed)
+    shift = (12.0, -7.0, 0.9)
+    there = moved_cars(motion, shift), moved(bays, shift), moved(walls, shift)
+    there = detect(*there, *rest)
+    for name in outcomes:
         # 3000 agents; one may lie within float32 rounding of a threshold.
-        assert differ <= 1, name
+        assert (getattr(events, name) != getattr(there, name)).sum() <= 1, name

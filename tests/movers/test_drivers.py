@@ -14,7 +14,7 @@ from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
 from carpark_mj.layouts.base import LAYOUTS
 from carpark_mj.layouts.registry import MixtureConfig
 from carpark_mj.movers import Drivers, driving
-from carpark_mj.movers.traffic import AWAY, DRIVE, OFFSET, SIZE, STAY, track_path
+from carpark_mj.movers.traffic import AWAY, DRIVE, SIZE, STAY, track_path
 from carpark_mj.obstacles import hit_kinds, make_movers
 from carpark_mj.types import NO_BAY
 
@@ -74,13 +74,8 @@ def placed(layout, track, way):
 
 
 def driven(layout, track, way, motion=NOBODY, person=(500.0, 500.0)):
-    disc = Discs(
-        jnp.array([person]),
-        jnp.array([0.3]),
-        jnp.zeros((1, 2)),
-        jnp.ones(1, bool),
-        kind=ObstacleKind.PERSON,
-    )
+    rest = jnp.array([0.3]), jnp.zeros((1, 2)), jnp.ones(1, bool)
+    disc = Discs(jnp.array([person]), *rest, kind=ObstacleKind.PERSON)
     movers = Movers((), ((disc,),))
     lot = state_of(layout, motion, NO_BAY, movers=movers)
     return [np.asarray(x) for x in roll(placed(layout, track, way), lot)]
@@ -130,34 +125,23 @@ def test_they_yield_to_the_right(east):
     assert 0 < passed[1] < passed[0]
     own, other = pose[:, 0], pose[:, 1]
     assert not boxes_overlap(own, SIZE, other, SIZE).any()
-
-
-def test_who_is_further_in_goes_first():
-    pose, _, _ = driven(CROSSING, [0, 1], [48.0, 30.0])
-    assert np.argmax(pose[:, 0, 0] > 0.0) < np.argmax(pose[:, 1, 1] > 0.0)
+    # But who is further in goes first.
+    way = [48.0, 30.0] if east == 0 else [30.0, 48.0]
+    pose, _, _ = driven(CROSSING, track, way)
+    assert np.argmax(pose[:, east, 0] > 0.0) < np.argmax(pose[:, 1 - east, 1] > 0.0)
 
 
 LOTS, STEPS = 14, 600  # two minutes each
-FAMILIES = MixtureConfig(
-    tuple(
-        LAYOUTS[name]
-        for name in (
-            "angled",
-            "dead_end",
-            "garage_row",
-            "lot",
-            "square",
-            "street",
-            "street_parallel",
-        )
-    )
-)
+NAMES = ("angled", "dead_end", "garage_row", "lot", "square", "street")
+FAMILIES = MixtureConfig(tuple(LAYOUTS[name] for name in (*NAMES, "street_parallel")))
 
 
 @pytest.fixture(scope="module")
 def traffic():
     """Five drivers in lots of all families, two thirds full."""
-    mover = Drivers(number=5, attention=1.0, stay=(2.0, 8.0))
+    [mover] = make_movers(["drivers:number=5,stay=2..8,attention=1"])
+    assert mover == Drivers(number=5, attention=1.0, stay=(2.0, 8.0))
+    assert ObstacleKind.DRIVER in hit_kinds(["drivers"])
 
     def one(key):
         keys = jax.random.split(key, 4)
@@ -196,18 +180,7 @@ def test_attentive_drivers_never_collide(traffic):
     assert np.isfinite(centre).all()
     assert (phase == STAY).any()
     assert (phase != AWAY).mean() > 0.5
-
-
-def test_they_do_all_that_drivers_do(traffic):
-    *_, phase, centre = traffic
-    assert {*np.unique(phase)} == {0, 1, 2, 3, 4}
+    assert {*np.unique(phase)} == {0, 1, 2, 3, 4}  # they do all that drivers do
     moved = np.linalg.norm(np.diff(centre[..., :2], axis=1), axis=-1)
     in_lot = (phase[:, 1:] != AWAY) & (phase[:, :-1] != AWAY)
     assert moved[in_lot].max() < 4.0 * DT  # nobody jumps
-    assert OFFSET > 0
-
-
-def test_settings_follow_the_name():
-    [mover] = make_movers(["drivers:number=2,stay=1..2,attention=0"])
-    assert mover == Drivers(number=2, stay=(1, 2), attention=0)
-    assert ObstacleKind.DRIVER in hit_kinds(["drivers"])

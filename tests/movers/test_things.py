@@ -84,6 +84,8 @@ def test_a_barrier_opens_for_who_comes_near_and_closes_behind():
     np.testing.assert_allclose(boxes.size[:, 0, 1], expected, rtol=1e-4)
     assert boxes.mask[:9].all()
     assert not boxes.mask[10:].any()  # nothing of it is left in the lane
+    bare = Barrier().init(jax.random.key(0), make_layout("square"))  # without lanes
+    assert not Barrier().obstacles(bare)[0].mask.any()
 
 
 def test_a_barrier_opens_for_drivers_too():
@@ -172,13 +174,6 @@ def test_nothing_begins_or_moves_into_anything_else():
     assert deep.max() < 2e-3
     walked = np.linalg.norm(np.diff(xy, axis=1), axis=-1).sum(axis=1)
     assert np.median(walked) > 5.0  # m, for all that, in 40 s
-
-
-def test_lots_without_lanes_have_no_barrier():
-    mover = Barrier()
-    [boxes] = mover.obstacles(mover.init(jax.random.key(0), make_layout("square")))
-    assert not boxes.mask.any()
-    assert dataclasses.asdict(Cart())["mover"] == "cart"
 
 
 HEAD = "id,time,x,y,yaw,length,width\n"

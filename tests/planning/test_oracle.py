@@ -6,8 +6,8 @@ import math
 import jax
 import numpy as np
 import pytest
-from shapely import affinity
-from shapely.geometry import box
+import shapely
+from helpers.scenes import polygons
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
@@ -26,14 +26,6 @@ def ompl():
     pytest.importorskip("ompl")
 
 
-def outline(pose, size):
-    x, y, yaw = pose
-    shape = box(-size[0] / 2, -size[1] / 2, size[0] / 2, size[1] / 2)
-    return affinity.translate(
-        affinity.rotate(shape, yaw, (0, 0), use_radians=True), x, y
-    )
-
-
 def lane(cars, blocks):
     """What cars, starts and goals, see in a lane 2.6 m wide, blind at x = -15 and 15.
 
@@ -49,18 +41,16 @@ def lane(cars, blocks):
     found = []
     for k, (start, goal) in enumerate(cars):
         others = np.delete(poses, k, axis=0), np.delete(sizes, k, axis=0)
-        start, goal = np.array(start, float), np.array(goal, float)
-        extent = np.array([16.0, 7.0])
-        found.append(
-            Sight(True, start, 0.0, 0.0, goal, COMPACT, solids, others, extent)
-        )
+        ends, extent = np.array([start, goal], float), np.array([16.0, 7.0])
+        rest = ends[1], COMPACT, solids, others, extent
+        found.append(Sight(True, ends[0], 0.0, 0.0, *rest))
     return found
 
 
 def check_witness(seen, answer):
     """Cars drive from their starts to their goals and touch nothing and nobody."""
     solids = seen[0].solids
-    walls = [outline(*wall) for wall in zip(solids.pose, solids.size, strict=True)]
+    walls = shapely.union_all(polygons(solids.pose, solids.size))
     last = max(len(drive.point) for drive in answer.drives)
     for sight, drive, parks in zip(seen, answer.drives, answer.parks, strict=True):
         assert drive.pose[0] == pytest.approx(sight.pose)
@@ -73,15 +63,12 @@ def check_witness(seen, answer):
             goal = np.atleast_2d(sight.goal)[0]
             assert drive.pose[-1, :2] == pytest.approx(goal[:2], abs=0.02)
             assert abs(math.sin(drive.pose[-1, 2] - goal[2])) < 0.01
-        for pose in drive.pose:
-            car = outline(pose, drive.size).buffer(-1e-6)
-            assert not any(car.intersects(wall) for wall in walls)
-    for instant in range(last):
-        cars = [
-            outline(d.pose[int(d.at(np.array(instant)))], d.size).buffer(-1e-6)
-            for d in answer.drives
-        ]
-        assert not any(a.intersects(b) for a, b in itertools.combinations(cars, 2))
+        cars = polygons(drive.pose, drive.size - 2e-6)
+        assert not shapely.intersects(cars, walls).any()
+    instants = np.arange(last)
+    cars = [polygons(d.pose[d.at(instants)], d.size - 2e-6) for d in answer.drives]
+    for one, other in itertools.combinations(cars, 2):
+        assert not shapely.intersects(one, other).any()
 
 
 def test_cars_nose_to_nose_in_a_blind_lane_cannot_change_places():

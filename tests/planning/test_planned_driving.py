@@ -1,5 +1,6 @@
 """Agents on planned paths: in the real car's physics, and in front of others."""
 
+import functools
 import math
 
 import jax
@@ -41,12 +42,16 @@ def sight(pose=None, others=NOBODY, begins=False):
     return Sight(begins, pose, 0.0, 0.0, goal, CAR, solids, others, extent)
 
 
-@pytest.mark.parametrize(("level", "count"), [("complex", 2), ("extreme", 1)])
-def test_the_physical_car_parks_on_its_path(level, count):
+def test_the_physical_car_parks_on_its_path():
     env = ParkingEnv(suite_env(EnvConfig(), "strict"))
     policy, planner = planner_policy(env)
-    rows, _ = CaseEvaluator(env).drive(policy, pick_cases(level, count), seed=0)
-    assert [row["parked"] for row in rows] == [1.0] * count
+    cases, extreme = pick_cases("complex", 2), pick_cases("extreme", 1)
+    join = functools.partial(jax.tree.map, lambda *parts: np.concatenate(parts))
+    names = ("layouts", "number", "kind", "start")
+    parts = {x: join(getattr(cases, x), getattr(extreme, x)) for x in names}
+    cases = cases._replace(**parts)
+    rows, _ = CaseEvaluator(env).drive(policy, cases, seed=0)
+    assert [row["parked"] for row in rows] == [1.0] * 3
     for lot, row in enumerate(rows):
         [found] = planner.searches(lot, 0)
         # It counts the way of the car's middle, which swings out.
@@ -57,21 +62,21 @@ def test_the_physical_car_parks_on_its_path(level, count):
     assert planner.seconds > 0
 
 
-def test_a_part_of_a_batch_is_searched_as_in_the_batch():
+def test_a_lot_is_searched_and_driven_alone_as_in_a_batch():
     env = ParkingEnv(suite_env(EnvConfig(), "strict"))
-    cases = pick_cases("normal", 2)
-    state, _ = jax.jit(jax.vmap(env.reset_to_layout))(
-        cases.layouts, jax.random.split(jax.random.key(0), 2)
-    )
-    config = SearchConfig(paths=1)
-    policy, whole = planner_policy(env, 1, config)
-    jax.block_until_ready(jax.jit(policy.act)(state))
-    policy, part = planner_policy(env, config=config)
-    part.reset(1, first_lot=1)
-    second = jax.tree.map(lambda x: x[1:], state)
-    jax.block_until_ready(jax.jit(policy.act)(second))
-    [expected], [found] = whole.searches(1, 0), part.searches(0, 0)
-    assert found.path.length == expected.path.length
+    layouts, keys = pick_cases("normal", 2).layouts, jax.random.split(jax.random.key(0))
+    state, _ = jax.jit(jax.vmap(env.reset_to_layout))(layouts, keys)
+    config, actions, paths = SearchConfig(paths=1), [], []
+    second, alone = (jax.tree.map(lambda x, k=k: x[k], state) for k in (slice(1, 2), 1))
+    for lot, part in ((1, state), (0, second), (0, alone)):
+        policy, planner = planner_policy(env, config=config)
+        planner.reset(1, first_lot=1 - lot)
+        actions.append(np.asarray(jax.jit(policy.act)(part)))
+        paths.append(planner.searches(lot, 0)[0].path.length)
+    assert len({*paths}) == 1
+    np.testing.assert_array_equal(actions[0][1:], actions[1])
+    np.testing.assert_array_equal(actions[1][0], actions[2])
+    assert actions[2].shape == (1, 2)
 
 
 def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypatch):
@@ -170,18 +175,6 @@ def test_a_path_too_long_for_the_episode_is_driven_faster(monkeypatch):
     assert late._path.cruise > CRUISE
     late.act(begins)  # the next episode, with all its time
     assert late._path.cruise == CRUISE
-
-
-def test_the_planner_drives_one_lot_as_it_drives_a_batch():
-    env = ParkingEnv(suite_env(EnvConfig(), "strict"))
-    layout = jax.tree.map(lambda x: x[0], pick_cases("normal", 1).layouts)
-    state, _ = jax.jit(env.reset_to_layout)(layout, jax.random.key(0))
-    policy, _ = planner_policy(env)
-    alone = jax.jit(policy.act)(state)
-    policy, _ = planner_policy(env)
-    batch = jax.tree.map(lambda x: x[None], state)
-    np.testing.assert_array_equal(jax.jit(policy.act)(batch)[0], alone)
-    assert alone.shape == (1, 2)
 
 
 def test_an_agent_slows_down_for_who_is_about_to_step_onto_its_path():

@@ -67,12 +67,9 @@ def test_no_nearer_eye_sees_all_points():
 
     def all_seen(at):
         x, y, back = ((points - at) @ axes).T
-        tangent = np.tan(np.radians(20.0))
-        return (
-            (back < 0).all()
-            and (np.abs(x) <= -back * tangent * 1.5 + 1e-9).all()
-            and (np.abs(y) <= -back * tangent + 1e-9).all()
-        )
+        reach = -back * np.tan(np.radians(20.0))
+        inside = (np.abs(x) <= 1.5 * reach + 1e-9) & (np.abs(y) <= reach + 1e-9)
+        return ((back < 0) & inside).all()
 
     assert all_seen(eye)
     for step in rng.uniform(-0.5, 0.5, (200, 3)):

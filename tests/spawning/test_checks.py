@@ -31,7 +31,14 @@ from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT, PRESETS
 from carpark_mj.vehicle.sheet import parameters_text
 
-OWN_CAR = ContinuousObservation(own_car=True)
+STREET = {"layout": "street", "num_parked_cars": 1}
+
+
+def fleet(*names):
+    """Settings of cars of several kinds."""
+    sight = ContinuousObservation(own_car=True)
+    return {"fleet": FleetConfig(names), "observation": sight}
+
 
 # One-way aisles into which the compact, but not the van backs from a bay of 2.4 m.
 NARROW = LotConfig(
@@ -42,33 +49,18 @@ NARROW = LotConfig(
 )
 WIDE = dataclasses.replace(COMPACT, width=2.9, track_width=2.6)
 BAD_ENVIRONMENTS = [
-    (
-        {"fleet": FleetConfig(("lorry",)), "observation": OWN_CAR},
-        r"unknown vehicle 'lorry'; choose from \['city'",
-    ),
+    (fleet("lorry"), r"unknown vehicle 'lorry'; choose from \['city'"),
     ({"fleet": FleetConfig(parked_cars=("bus",))}, r"unknown vehicle 'bus'"),
     (
-        {
-            "layout": "square_compact",
-            "fleet": FleetConfig(("city", "van")),
-            "observation": OWN_CAR,
-        },
+        fleet("city", "van") | {"layout": "square_compact"},
         r"fleet.agents: the van, 4.90 m x 1.90 m, fits with 0.1 m to spare in no bay",
     ),
     (
-        {
-            "layout": "street",
-            "num_parked_cars": 1,
-            "jitter": JitterConfig(scale=(1, 2)),
-        },
+        STREET | {"jitter": JitterConfig(scale=(1, 2))},
         r"parked cars: the compact, 8.51 m x 3.60 m, fits in no bay",
     ),
     (
-        {
-            "layout": NARROW,
-            "fleet": FleetConfig(("city", "van")),
-            "observation": OWN_CAR,
-        },
+        fleet("city", "van") | {"layout": NARROW},
         r"the van needs an aisle of 4.74 m .* 2.40 m wide .* up to 4.63 m wide",
     ),
     (
@@ -87,10 +79,7 @@ BAD_ENVIRONMENTS = [
         )
         for parked in (36, 40)
     ),
-    (
-        {"physics": "scene", "fleet": FleetConfig(("van",)), "observation": OWN_CAR},
-        r"scene physics has cars of one",
-    ),
+    (fleet("van") | {"physics": "scene"}, r"scene physics has cars of one"),
 ]
 
 
@@ -132,18 +121,10 @@ def drawn(tmp_path, *bays, spawn=(20.0, 1.0), walls=()):
         {"pose": [4.0 * k, 3.0 + length / 2, -math.pi / 2], "size": [length, width]}
         for k, (length, width) in enumerate(bays)
     ]
-    path = tmp_path / "lot.json"
-    path.write_text(
-        json.dumps(
-            {
-                "format": "carpark_mj layout 1",
-                "bays": rows,
-                "walls": [{"pose": [0, y, 0], "size": [60, 0.1]} for y in walls],
-                "spawns": [{"pose": [0, 0, 0], "size": spawn}],
-                "extent": [40, 20],
-            }
-        )
-    )
+    walls = [{"pose": [0, y, 0], "size": [60, 0.1]} for y in walls]
+    spawns, path = [{"pose": [0, 0, 0], "size": spawn}], tmp_path / "lot.json"
+    lot = {"format": "carpark_mj layout 1", "bays": rows, "walls": walls}
+    path.write_text(json.dumps(lot | {"spawns": spawns, "extent": [40, 20]}))
     return str(path)
 
 
@@ -195,12 +176,9 @@ def test_a_car_needs_a_start_at_which_it_touches_nothing(tmp_path):
 
 def test_a_custom_car_has_no_name_but_its_own():
     config = EnvConfig(vehicle="sedan")
-    for car, name in (
-        (PRESETS["sedan"], "sedan"),
-        (PRESETS["suv"], "suv"),
-        (dataclasses.replace(COMPACT, length=4.2), "custom car"),
-        (BUS, "custom car"),
-    ):
+    named = [(PRESETS[name], name) for name in ("sedan", "suv")]
+    own = [dataclasses.replace(COMPACT, length=4.2), BUS]
+    for car, name in [*named, *((car, "custom car") for car in own)]:
         fleet = Fleet(config, car)
         assert fleet.agent_names == fleet.parked_names == (name,)
 
@@ -215,8 +193,7 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
         config = EnvConfig(
             num_agents=num_agents,
             num_parked_cars=0,
-            fleet=FleetConfig(names),
-            observation=OWN_CAR,
+            **fleet(*names),
             episode=EpisodeConfig(parked_rule=rule),
         )
         check_cars(config, Fleet(config, COMPACT), square, layout)
@@ -230,17 +207,19 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
 
 
 def test_there_may_be_more_agents_than_free_bays():
-    env = ParkingEnv(
-        EnvConfig(num_agents=4, num_parked_cars=35, goals=GoalConfig(True, 1))
-    )
+    goals = GoalConfig(True, 1)
+    env = ParkingEnv(EnvConfig(num_agents=4, num_parked_cars=35, goals=goals))
     assert env.num_agents == 4
+    # Or than bays, with a fleet in a fixed lot.
+    changes = {"layout": "square", "num_agents": 40, "num_parked_cars": 28}
+    config = dataclasses.replace(CONFIG, **changes, **fleet("city", "van"))
+    assert ParkingEnv(config, SlidePhysics()).num_agents == 40
 
 
 MOST, LOTS = 7, 48
+STREETS = [StreetConfig(bays_per_side=(count, count)) for count in (2, 5)]
 CONFIG = EnvConfig(  # streets of 4 and of 10 bays
-    layout=mixture(
-        [StreetConfig(bays_per_side=(2, 2)), StreetConfig(bays_per_side=(5, 5))]
-    ),
+    layout=mixture(STREETS),
     num_agents=MOST,
     min_agents=2,
     num_parked_cars=8,
@@ -266,11 +245,8 @@ def lots(env):
     def start(key, member, asked):
         return env.reset(key, "train", member, asked)[0]
 
-    return jax.device_get(
-        jax.jit(
-            lambda: jax.vmap(start)(keys, member, asked).replace(key=jnp.zeros(LOTS))
-        )()
-    )
+    state = jax.jit(jax.vmap(start))(keys, member, asked)
+    return jax.device_get(state.replace(key=None))
 
 
 def test_lot_has_at_most_one_agent_for_two_bays(lots):
@@ -298,9 +274,8 @@ def test_goals_come_first_and_parked_cars_take_what_is_left(lots):
 
 def test_evaluation_counts_the_agents_that_lots_have(env):
     found = evaluate(env, random_policy(ActionSpec(2)), 24, seed=0, num_lots=12)
-    present = {
-        row["lot"]: (row["family"], row["agents_present"]) for row in found.episodes
-    }
+    rows = found.episodes
+    present = {row["lot"]: (row["family"], row["agents_present"]) for row in rows}
     # Two to seven agents in turn in six lots of each family.
     assert [count for _, count in present.values()] == [2] * 6 + [2, 3, 4, 5, 5, 5]
     assert {n: part["episodes"] for n, part in found.agent_counts.items()} == {
@@ -327,15 +302,3 @@ def test_more_agents_than_bays_need_occupancy_and_min_agents(changes, message):
         check_numbers(config, layout_config(config.layout))
     assert "\n" not in str(refusal.value)
     check_numbers(CONFIG, layout_config(CONFIG.layout))
-
-
-def test_fleet_in_a_fixed_lot_may_have_more_agents_than_bays():
-    config = dataclasses.replace(
-        CONFIG,
-        layout="square",
-        num_agents=40,
-        num_parked_cars=28,
-        fleet=FleetConfig(("city", "van")),
-        observation=ContinuousObservation(own_car=True),
-    )
-    assert ParkingEnv(config, SlidePhysics()).num_agents == 40

@@ -77,30 +77,30 @@ def started(env):
     return reset(jax.random.split(jax.random.key(0), KEYS))
 
 
+def check_bays(goal, cars):
+    """Asserts that goals and bays of cars that are there are all different."""
+    count = LAYOUT.num_bays + cars.bay.shape[-1]
+    # Absent cars count as bays of their own.
+    own = np.arange(LAYOUT.num_bays, count)
+    every = np.ones((*goal.shape[:-1], count), bool)
+    check_occupancy(goal, np.where(cars.present, cars.bay, own), every)
+
+
 def check_lots(state):
     """Asserts of lots that every car fits where it is or heads for."""
     state = jax.tree.map(np.asarray, state.replace(key=None))
     cars = state.parked_cars
     goal, bay, here = state.goal, cars.bay, cars.present
-    num_bays = LAYOUT.num_bays
-    # Absent cars count as bays of their own, so that all held bays must differ.
-    own = num_bays + np.arange(bay.shape[-1])
-    every = np.ones((*goal.shape[:-1], num_bays + bay.shape[-1]), bool)
-    check_occupancy(goal, np.where(here, bay, own), every)
+    check_bays(goal, cars)
     size = np.asarray(LAYOUT.bay_size)
     slack = PARKED_RULES["strict"].slack
     assert (state.motion.size + slack <= size[goal] + 1e-5).all()
     parked_bay = np.where(here, bay, 0)
     fit = (cars.size <= size[parked_bay]).all(axis=-1)
     assert fit[here].all()
-    pose = cars.pose_w
-    inside = box_inside(
-        pose,
-        cars.size,
-        np.asarray(LAYOUT.bay_pose)[parked_bay],
-        size[parked_bay] + 4e-4,  # float32 at 60 m
-    )
-    assert np.asarray(inside)[here].all()
+    pose, bays = cars.pose_w, np.asarray(LAYOUT.bay_pose)[parked_bay]
+    bay_size = size[parked_bay] + 4e-4  # float32 at 60 m
+    assert np.asarray(box_inside(pose, cars.size, bays, bay_size))[here].all()
     assert (pose[..., 0] >= AWAY)[~here].all()
     return here
 
@@ -154,17 +154,13 @@ def test_absent_parked_cars_are_not_observed(env, started):
     present = sum(named[f"parked_car_{k}_present"][:, 0, 0] for k in range(4))
     here = np.asarray(state.parked_cars.present)
     np.testing.assert_array_equal(present, np.minimum(here.sum(axis=1), 4))
-    gap = np.linalg.norm(
-        np.asarray(state.parked_cars.pose_w)[..., :2]
-        - np.asarray(state.motion.pose_w)[:, :1, :2],
-        axis=-1,
-    )
+    away = state.parked_cars.pose_w[..., :2] - state.motion.pose_w[:, :1, :2]
+    gap = np.linalg.norm(away, axis=-1)
     seen = np.linalg.norm(named["parked_car_0_position"][:, 0] * 20.0, axis=-1)
     np.testing.assert_allclose(seen, gap.min(axis=1), atol=1e-4)
     nearest = np.asarray(state.parked_cars.size)[np.arange(KEYS), gap.argmin(axis=1)]
-    np.testing.assert_allclose(
-        named["parked_car_0_size"][:, 0] * 5.0, nearest, atol=1e-5
-    )
+    sizes = named["parked_car_0_size"][:, 0] * 5.0
+    np.testing.assert_allclose(sizes, nearest, atol=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -186,11 +182,8 @@ def driven(env, started, step):
             step=jnp.asarray(np.where(end == 1, last, 0), jnp.int32)
         )
         state, timestep = step(before, jnp.zeros((LOTS, 4, 2)))
-        states.append(
-            jax.device_get(
-                (before.replace(key=None), timestep, state.replace(key=None))
-            )
-        )
+        ends = before.replace(key=None), timestep, state.replace(key=None)
+        states.append(jax.device_get(ends))
     assert step._cache_size() == 1
     return states
 
@@ -238,10 +231,7 @@ def test_no_parked_car_stays_on_a_goal_that_is_kept(started, step):
     assert timestep.events.parked.all()
     kept = np.asarray(after.goal) == goal
     assert kept.sum() > LOTS
-    bay, here = np.asarray(after.parked_cars.bay), np.asarray(after.parked_cars.present)
-    own = LAYOUT.num_bays + np.arange(bay.shape[-1])
-    every = np.ones((LOTS, LAYOUT.num_bays + bay.shape[-1]), bool)
-    check_occupancy(after.goal, np.where(here, bay, own), every)
+    check_bays(after.goal, after.parked_cars)
 
 
 def test_farthest_car_that_fits_is_relocated():
@@ -277,9 +267,7 @@ def test_agents_see_what_they_drive_only_with_a_fleet(env, started):
         expected = (params.wheelbase, params.centre_offset, radius)
         fields = ("own_wheelbase", "own_rear_axle", "own_turning_radius")
         for field, value in zip(fields, expected, strict=True):
-            np.testing.assert_allclose(
-                np.asarray(named[field])[mine] * 5.0, value, rtol=1e-5
-            )
+            np.testing.assert_allclose(named[field][mine] * 5.0, value, rtol=1e-5)
     alike = EnvConfig(fleet=FleetConfig(parked_cars=PARKED))
     own_car = ContinuousObservation(own_car=True)
     mixed = EnvConfig(fleet=FleetConfig(AGENTS), observation=own_car)

@@ -76,18 +76,6 @@ def history(layout, num_agents, num_parked_cars, num_steps, seed=0, reach=20.0):
     return jax.device_get(jax.jit(jax.vmap(run))(keys))
 
 
-@pytest.mark.parametrize("num_parked_cars", [0, 16, 33])
-def test_goals_at_a_start_are_distinct_and_without_cars(num_parked_cars):
-    layout = make_layout("square")
-    goal, bay = jax.vmap(lambda key: start_lot(layout, 3, num_parked_cars, key))(
-        jax.random.split(jax.random.key(1), 200)
-    )
-    assert goal.shape == (200, 3)
-    assert bay.shape == (200, num_parked_cars)
-    assert goal.dtype == bay.dtype == jnp.int32
-    check_occupancy(goal, bay, np.broadcast_to(layout.bay_mask, (200, 36)))
-
-
 def test_initial_goals_and_parked_cars_are_spread_over_all_bays():
     layout = make_layout("square")
     goal, bay = jax.vmap(lambda key: start_lot(layout, 2, 9, key))(
@@ -116,8 +104,7 @@ def test_no_goal_ever_holds_a_parked_car(num_agents, num_parked_cars):
 
 
 def test_every_bay_becomes_every_agents_goal():
-    layout = make_layout("square")
-    _, (goal, bay, agent) = history(layout, 3, 16, 3000)
+    _, (goal, bay, agent) = history(make_layout("square"), 3, 16, 3000)
     steps = np.arange(3000)
     drawn = np.zeros((LOTS, 3, 36), int)
     for k in range(LOTS):
@@ -154,55 +141,35 @@ def test_a_new_goal_is_uniform_over_bays_that_are_nobodys_goal():
     assert after.found.all()
 
 
-def test_a_car_on_the_new_goal_makes_way_to_the_old_goal():
-    after = draws([0, 5], [2, 3], [[0.0, 0.0], [50.0, 20.0]])
-    for bay, car in ((2, 0), (3, 1)):
-        drawn = after.goal[:, 0] == bay
-        assert drawn.any()
-        np.testing.assert_array_equal(after.parked_bay[drawn, car], 0)
-        np.testing.assert_array_equal(after.parked_bay[drawn, 1 - car], 5 - bay)
-    free = np.isin(after.goal[:, 0], [1, 4])
-    np.testing.assert_array_equal(after.parked_bay[free], [[2, 3]] * free.sum())
+FAR, NEAR = [[0.0, 0.0], [50.0, 20.0]], [[0.0, 0.0], [0.0, 7.0]]
+FULL = (1, 2, 3, 4)
 
 
-def test_car_makes_way_elsewhere_near_another_agent():
-    # Agent 1 stands 7 m from bay 0, closer than MIN_DISTANCE.
-    after = draws([0, 5], [2, 3], [[0.0, 0.0], [0.0, 7.0]])
-    evicted = after.goal[:, 0] == 2
-    assert evicted.any()
-    # Bay 5 is a goal, 2 and 3 are taken, 0 is too near: 1 and 4 are left.
-    assert set(after.parked_bay[evicted, 0]) == {1, 4}
-
-
-def test_car_makes_way_elsewhere_if_old_goal_is_filled():
-    # As after a relocation: a car stands in agent 0's old goal.
-    after = draws([0, 5], [0, 3], [[0.0, 20.0], [50.0, 20.0]])
-    evicted = after.goal[:, 0] == 3
-    assert evicted.any()
-    assert set(after.parked_bay[evicted, 1]) == {1, 2, 4}
-    np.testing.assert_array_equal(after.parked_bay[:, 0], 0)
-
-
-def test_without_a_refuge_only_bays_without_cars_are_drawn():
-    # Agents 1 and 2 stand near the free bays 0 (the old goal), 1 and 2.
-    after = draws([0, 5, 4], [3], [[0.0, 0.0], [5.0, 1.0], [15.0, 1.0]])
-    assert set(after.goal[:, 0]) == {1, 2}
-    np.testing.assert_array_equal(after.parked_bay, 3)
-
-
-def test_an_agent_keeps_its_goal_when_every_other_bay_is_taken():
-    # No refuge: agent 1 is near the old goal, the only bay without a car.
-    after = draws([0, 5], [1, 2, 3, 4], [[0.0, 0.0], [0.0, 7.0]])
-    np.testing.assert_array_equal(after.goal, [[0, 5]] * 400)
-    np.testing.assert_array_equal(after.parked_bay, [[1, 2, 3, 4]] * 400)
-    np.testing.assert_array_equal(after.found, [[False, True]] * 400)
-
-
-def test_a_full_row_swaps_goal_and_car_when_nobody_is_near():
-    after = draws([0, 5], [1, 2, 3, 4], [[0.0, 0.0], [50.0, 20.0]])
-    assert set(after.goal[:, 0]) == {1, 2, 3, 4}
-    moved = after.parked_bay[np.arange(400), after.goal[:, 0] - 1]
-    np.testing.assert_array_equal(moved, 0)
+@pytest.mark.parametrize(
+    ("goal", "parked", "xy", "expected"),
+    [
+        # A car on the new goal makes way to the old goal.
+        ([0, 5], (2, 3), FAR, {1: "23", 2: "03", 3: "20", 4: "23"}),
+        # Elsewhere if another agent is closer to it than MIN_DISTANCE.
+        ([0, 5], (2, 3), NEAR, {1: "23", 2: "13 43", 3: "21 24", 4: "23"}),
+        # Or if a car stands there, as after a relocation.
+        ([0, 5], (0, 3), FAR, {1: "03", 2: "03", 3: "01 02 04", 4: "03"}),
+        # Without a refuge only bays without cars are drawn: agents 1 and 2 stand near
+        # the free bays 0 (the old goal), 1 and 2.
+        ([0, 5, 4], (3,), [[0.0, 0.0], [5.0, 1.0], [15.0, 1.0]], {1: "3", 2: "3"}),
+        # Where every other bay is taken the goal is kept, or swapped with a car.
+        ([0, 5], FULL, NEAR, {0: "1234"}),
+        ([0, 5], FULL, FAR, {1: "0234", 2: "1034", 3: "1204", 4: "1230"}),
+    ],
+)
+def test_goals_drawn_and_bays_of_parked_cars_by_hand(goal, parked, xy, expected):
+    after = draws(goal, parked, xy)
+    found = {}
+    for own, bays in zip(after.goal[:, 0].tolist(), after.parked_bay, strict=True):
+        found.setdefault(own, set()).add("".join(map(str, bays)))
+    assert found == {own: {*bays.split()} for own, bays in expected.items()}
+    np.testing.assert_array_equal(after.goal[:, 1:], [goal[1:]] * 400)
+    np.testing.assert_array_equal(after.found[:, 0], after.goal[:, 0] != goal[0])
 
 
 def test_car_on_a_kept_goal_makes_way_even_near_an_agent():
@@ -217,9 +184,8 @@ def test_car_on_a_kept_goal_makes_way_even_near_an_agent():
 
 
 def test_reserved_bays_are_no_goals_and_their_cars_come_back():
-    layout = make_layout("square")
     kind = jnp.full(36, BayKind.RESERVED).at[2].set(0)
-    layout = layout.replace(bay_kind=kind)
+    layout = make_layout("square").replace(bay_kind=kind)
     _, (goals, bays, _) = history(layout, 1, 35, num_steps=60)
     assert (goals == 2).all()
     others = np.delete(np.arange(36), 2)
@@ -229,12 +195,10 @@ def test_reserved_bays_are_no_goals_and_their_cars_come_back():
 
 @pytest.mark.parametrize("occupancy", [None, (1.0, 1.0)])
 def test_goals_take_reserved_bays_only_when_no_other_is_free(occupancy):
-    layout = make_layout("square")
     kind = jnp.full(36, BayKind.RESERVED).at[jnp.array([4, 20])].set(0)
-    layout = layout.replace(bay_kind=kind)
-    config = EnvConfig(num_agents=3, num_parked_cars=36, occupancy=occupancy)
-    if occupancy is None:
-        config = EnvConfig(num_agents=3, num_parked_cars=33)
+    layout = make_layout("square").replace(bay_kind=kind)
+    count = 33 if occupancy is None else 36
+    config = EnvConfig(num_agents=3, num_parked_cars=count, occupancy=occupancy)
     fleet = Fleet(config, COMPACT)
     keys = jax.random.split(jax.random.key(0), 40)
     start = jax.jit(jax.vmap(lambda key: fleet.start(layout, key)))(keys)
@@ -246,7 +210,6 @@ def test_goals_take_reserved_bays_only_when_no_other_is_free(occupancy):
 
 HALF = 21 * WORLD_UNIT
 LAYOUT = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
-BAYS = 40  # four of them padding
 CLOSE = SpawnConfig(close_ratio=1.0)
 MIXED = SpawnConfig(close_ratio=0.3, conflict_ratio=0.2)
 # Agent 0 starts; 1 heads for bay 3, 2 explores.
@@ -348,11 +311,8 @@ def goals(close_bay=NO_BAY, conflict=False, others=(3, 8, NO_BAY, NO_BAY), count
     return dict(zip(values.tolist(), (counts / count).tolist(), strict=True))
 
 
-def test_a_random_start_begins_exploring():
-    assert goals() == {NO_BAY: 1.0}
-
-
 def test_half_of_close_starts_have_the_tracked_bay():
+    assert goals() == {NO_BAY: 1.0}  # a random start begins exploring
     share = goals(close_bay=7)
     # Deviation 1.1 %: five of them.
     assert share == pytest.approx({7: 0.5, NO_BAY: 0.5}, abs=0.056)

@@ -1,3 +1,5 @@
+"""Random cars: their ranges, what stays upright, and whom the environment renews."""
+
 import dataclasses
 import itertools
 import math
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.cars import ROAD_CARS
 from helpers.sliding import SlidePhysics
+from helpers.trees import leaves, same
 
 from carpark_mj.config import EnvConfig, RandomizationConfig, SimConfig
 from carpark_mj.env import ParkingEnv
@@ -31,14 +34,6 @@ EVERYTHING = RandomizationConfig(
     steering_lag=(0.05, 0.15),
 )
 KEY = jax.random.key(0)
-
-
-def leaves(tree):
-    return [np.asarray(x) for x in jax.tree.leaves(tree)]
-
-
-def same(a, b):
-    return all(np.array_equal(x, y) for x, y in zip(leaves(a), leaves(b), strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -83,15 +78,8 @@ def test_every_parameter_fills_its_range_and_stays_in_it(
 
 
 def test_parameters_are_drawn_independently_of_each_other(fleet: Vehicle):
-    columns = [
-        fleet.mass,
-        fleet.cg[:, 0],
-        fleet.cg[:, 2],
-        fleet.tyres.friction,
-        fleet.max_deceleration,
-        fleet.steering_offset,
-        fleet.steering_lag,
-    ]
+    columns = [fleet.mass, fleet.cg[:, 0], fleet.cg[:, 2], fleet.tyres.friction]
+    columns += [fleet.max_deceleration, fleet.steering_offset, fleet.steering_lag]
     correlation = np.corrcoef(np.stack(columns)) - np.eye(len(columns))
     # 2000 cars: standard error 0.022.
     assert np.abs(correlation).max() < 0.09
@@ -122,19 +110,12 @@ def test_a_loaded_car_has_the_mass_properties_of_one_built_so(params):
     # float32 rounding of moments of some 1e3 kg m.
     assert model.body_subtreemass[car] == pytest.approx(float(mass), rel=1e-6)
     np.testing.assert_allclose(data.subtree_com[car], cg, atol=1e-5)
-    built = dataclasses.replace(
-        params,
-        mass=float(mass),
-        cg_to_front_axle=params.wheelbase - float(cg[0]),
-        yaw_inertia=1.25 * params.yaw_inertia,
-        roll_inertia=1.25 * params.roll_inertia,
-        pitch_inertia=1.25 * params.pitch_inertia,
-    )
-    expected, got = make_vehicle(built).tyres, loaded.tyres
-    for field in dataclasses.fields(expected):
-        np.testing.assert_allclose(
-            getattr(got, field.name), getattr(expected, field.name), rtol=1e-5
-        )
+    names = ("yaw_inertia", "roll_inertia", "pitch_inertia")
+    inertias = {name: 1.25 * getattr(params, name) for name in names}
+    inertias["cg_to_front_axle"] = params.wheelbase - float(cg[0])
+    built = make_vehicle(dataclasses.replace(params, mass=float(mass), **inertias))
+    for got, expected in zip(leaves(loaded.tyres), leaves(built.tyres), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-5)
 
 
 def test_surfaces_scale_grip_and_scrub_alike(compact: Vehicle):
@@ -142,10 +123,12 @@ def test_surfaces_scale_grip_and_scrub_alike(compact: Vehicle):
     for name, friction in SURFACES.items():
         tyre = dataclasses.replace(COMPACT.tyre, friction=friction)
         built = make_vehicle(dataclasses.replace(COMPACT, tyre=tyre))
-        for got, expected in zip(
-            leaves(on_surface(compact, name)), leaves(built), strict=True
-        ):
+        both = leaves(on_surface(compact, name)), leaves(built)
+        for got, expected in zip(*both, strict=True):
             np.testing.assert_allclose(got, expected, rtol=1e-6)
+
+
+TALL, AHEAD = {"cg_height": (1.0, 2.5)}, {"cg_x": (1.0, 1.4)}
 
 
 @pytest.mark.parametrize(
@@ -154,22 +137,12 @@ def test_surfaces_scale_grip_and_scrub_alike(compact: Vehicle):
         ("van", {"mass": (2.9, 3.0), "cg_height": (2.3, 2.6)}, 0.0, "in turns"),
         ("van", {"mass": (2.9, 3.0)}, 0.0, None),
         ("compact", {"cg_height": (2.3, 2.5)}, 0.0, None),
-        ("compact", {"cg_height": (1.0, 2.5), "cg_x": (0.4, 1.0)}, 0.0, "in turns"),
-        (
-            "compact",
-            {"cg_height": (1.0, 2.5), "steering_offset": (-0.2, 0.0)},
-            0.0,
-            "in turns",
-        ),
+        ("compact", TALL | {"cg_x": (0.4, 1.0)}, 0.0, "in turns"),
+        ("compact", TALL | {"steering_offset": (-0.2, 0.0)}, 0.0, "in turns"),
         ("compact", {"cg_height": (2.3, 2.5)}, 0.2, "in turns"),
-        ("compact", {"cg_x": (1.0, 1.4)}, 0.0, None),
+        ("compact", AHEAD, 0.0, None),
         ("compact", {"brake_gain": (1.0, 2.0)}, 0.0, None),
-        (
-            "compact",
-            {"cg_x": (1.0, 1.4), "brake_gain": (1.0, 2.0)},
-            0.0,
-            "on the brake",
-        ),
+        ("compact", AHEAD | {"brake_gain": (1.0, 2.0)}, 0.0, "on the brake"),
         ("compact", {"steering_lag": (0.0, 0.1)}, 0.9, None),
     ],
 )
@@ -200,9 +173,8 @@ class Loaded(NamedTuple):
         cg_x, off = (ahead / params.cg_to_rear_axle,) * 2, (-self.offset, self.offset)
         mass, accepted = (self.mass,) * 2, []
         for height in np.arange(0.5, 3.0, 0.05):
-            config = RandomizationConfig(
-                mass, cg_x, cg_height=(height, height), steering_offset=off
-            )
+            most = {"cg_height": (height, height), "steering_offset": off}
+            config = RandomizationConfig(mass, cg_x, **most)
             try:
                 check_randomization(config, params)
             except ValueError:
@@ -270,9 +242,8 @@ def test_only_respawned_agents_get_new_cars(env, compiled):
     after, timestep = step(state, jnp.zeros((3, 2)))
     done = np.asarray(timestep.events.done)
     assert done[1]
-    for old, new in zip(
-        leaves(state.physics.vehicle), leaves(after.physics.vehicle), strict=True
-    ):
+    both = leaves(state.physics.vehicle), leaves(after.physics.vehicle)
+    for old, new in zip(*both, strict=True):
         np.testing.assert_array_equal(old[~done], new[~done])
     renewed = np.asarray(after.physics.vehicle.mass)
     assert (renewed[done] != mass[done]).all()
@@ -287,9 +258,8 @@ def test_only_respawned_agents_get_new_cars(env, compiled):
 def test_without_randomization_all_cars_are_the_nominal_one(env, compact: Vehicle):
     off = dataclasses.replace(env.config, randomization=RandomizationConfig())
     state, _ = jax.jit(ParkingEnv(off, SlidePhysics()).reset)(KEY)
-    for got, nominal in zip(
-        leaves(state.physics.vehicle), leaves(compact), strict=True
-    ):
+    both = leaves(state.physics.vehicle), leaves(compact)
+    for got, nominal in zip(*both, strict=True):
         np.testing.assert_array_equal(got, np.broadcast_to(nominal, got.shape))
     assert state.sensors is None
 

@@ -113,9 +113,8 @@ def test_parked_cars_and_drawn_starts_keep_clear_of_given_ones(varied):
 
 
 def test_parked_cars_without_a_bay_are_absent():
-    env = ParkingEnv(
-        EnvConfig(layout="square_compact", num_agents=1, num_parked_cars=35)
-    )
+    config = dataclasses.replace(SMALL, num_agents=1, num_parked_cars=35)
+    env = ParkingEnv(config)
     pose = make_layout("square_compact").bay_pose[:1]
     asked = ResetOptions(pose, goal=jnp.array([1]))
     state, _ = jax.jit(env.reset)(jax.random.key(0), options=asked)
@@ -199,7 +198,6 @@ def test_a_car_of_the_fleet_may_be_chosen():
         check_starts(env.config, beyond, reset(keys(20), beyond))
     with pytest.raises(ValueError, match=r"options\.kind must be whole numbers"):
         env.reset(keys(1)[0], options=ResetOptions(kind=jnp.zeros(3)))
+    unknown = ResetOptions(kind=jnp.zeros(3, int))
     with pytest.raises(ValueError, match=r"options\.kind needs a fleet"):
-        ParkingEnv(SMALL).reset(
-            keys(1)[0], options=ResetOptions(kind=jnp.zeros(3, int))
-        )
+        ParkingEnv(SMALL).reset(keys(1)[0], options=unknown)

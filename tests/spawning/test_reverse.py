@@ -13,7 +13,7 @@ from helpers.scenes import cars, lot, polygons
 from helpers.states import parked_at, parked_in
 
 from carpark_mj.config import EnvConfig, SpawnConfig
-from carpark_mj.layouts import layout_config, layout_maxima, make_layout, pad_layout
+from carpark_mj.layouts import layout_config, layout_maxima, pad_layout
 from carpark_mj.mdp.parked_cars import BayFits, fits, poses_in_bays
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.spawning.fleet import shuffled_bays
@@ -263,24 +263,3 @@ def test_parked_cars_count_where_they_stand_after_the_draw():
     left = polygons(layout.bay_pose[1], (4.0, 2.0))
     assert not shapely.intersects(start, moved).any()
     assert shapely.intersects(start, left)[reverse].mean() > 0.1
-
-
-def test_agents_of_a_lot_that_begins_do_not_overlap():
-    layout = make_layout("square_compact")
-    place = functools.partial(place_agent, EnvConfig(spawn=REVERSE))
-    compact, waiting = vehicles(["compact"] * 6), jnp.ones(6, bool)
-    inputs = inputs_of(layout, parked_at(), compact).replace(first=True)
-
-    @jax.jit
-    @jax.vmap
-    def begin(key):
-        bay_key, key = jax.random.split(key)
-        goal = shuffled_bays(layout, bay_key)[:6]
-        placing = start_placing(
-            goal, jnp.zeros(0, jnp.int32), jnp.zeros((6, 3)), waiting
-        )
-        return place_waiting(place, inputs, placing, key).pose_w
-
-    boxes = polygons(begin(keys_of(5, 300)), compact.size[0])
-    gaps = shapely.distance(boxes[:, :, None], boxes[:, None])
-    assert gaps[:, ~np.eye(6, dtype=bool)].min() > 0.0

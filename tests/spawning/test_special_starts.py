@@ -208,32 +208,19 @@ def test_misaligned_starts_cross_the_lines_of_the_bay():
     assert 0.4 < (way > 0).mean() < 0.6
     bay = polygons(np.array([BAY]), np.array([TIGHT.bay_size[0]]))[0]
     assert not shapely.contains(bay, polygons(pose, SIZE)).any()
-    bays = (
-        np.broadcast_to(BAY, pose.shape),
-        np.broadcast_to(TIGHT.bay_size[0], (COUNT, 2)),
-    )
-    standing = cars(pose, size=SIZE)
+    bays = np.broadcast_to(BAY, pose.shape), np.tile(TIGHT.bay_size[0], (COUNT, 1))
     inside = [name for name, limits in LIMITS.items() if limits.inside_lines]
     assert "strict" in inside
     for rule in inside:
-        assert not np.asarray(is_parked(rule, standing, *bays)).any()
+        assert not is_parked(rule, cars(pose, size=SIZE), *bays).any()
 
 
 def test_they_keep_clear_of_what_stands_beside_the_bay():
-    width = TIGHT.bay_size[0, 1]
-    aside = (
-        BAY[0] - np.sin(BAY[2]) * (width / 2 + 0.2),
-        np.cos(BAY[2]) * (width / 2 + 0.2),
-    )
-    walled = lot(
-        TIGHT.bay_pose,
-        [(*aside, BAY[2])],
-        bay_size=TIGHT.bay_size[0],
-        wall_size=(8.0, 0.2),
-        spawn_size=(1.0, 1.0),
-    )
-    pose = starts(walled)
-    wall = polygons(np.array([[*aside, BAY[2]]]), np.array([[8.0, 0.2]]))[0]
+    gap, sizes = TIGHT.bay_size[0, 1] / 2 + 0.2, {"wall_size": (8.0, 0.2)}
+    wall = BAY[0] - np.sin(BAY[2]) * gap, np.cos(BAY[2]) * gap, BAY[2]
+    sizes |= {"bay_size": TIGHT.bay_size[0], "spawn_size": (1.0, 1.0)}
+    pose = starts(lot(TIGHT.bay_pose, [wall], **sizes))
+    wall = polygons(wall, sizes["wall_size"])
     gaps = shapely.distance(wall, polygons(pose, SIZE))
     assert MARGIN - 1e-3 < gaps.min() < MARGIN + 0.1
     assert in_bay(pose)[1].mean() < -0.02  # farther from the wall
@@ -243,17 +230,12 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
     beside = [(-np.sin(BAY[2]) * y, np.cos(BAY[2]) * y) for y in (2.2, -2.2)]
     near = np.array([[BAY[0] + x, BAY[1] + y, BAY[2]] for x, y in beside])
     parked = parked_at(near[:1], SIZE)
-    both = jax.tree.map(
-        lambda x: jnp.stack([jnp.asarray(x)] * 2), make_vehicle(COMPACT)
-    )
+    both = jax.tree.map(lambda x: jnp.stack([x, x]), make_vehicle(COMPACT))
     sizes = jnp.broadcast_to(jnp.array(SIZE), (2, 2))
     inputs = SpawnInputs(TIGHT, parked, sizes, sizes, BayFits(), both)
-    placing = start_placing(
-        jnp.array([0, 1]),
-        parked.bay,
-        jnp.stack([jnp.zeros(3), jnp.asarray(near[1])]),
-        jnp.array([True, False]),
-    )
+    pose = jnp.stack([jnp.zeros(3), jnp.asarray(near[1])])
+    waiting = jnp.array([True, False])
+    placing = start_placing(jnp.array([0, 1]), parked.bay, pose, waiting)
     around = surroundings(inputs, placing, jnp.array(0))
 
     def one(key):
@@ -269,9 +251,8 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
 
 
 def test_start_is_random_if_always_within_the_lines():
-    wide = lot(
-        TIGHT.bay_pose, bay_size=(SIZE[0] + 2.0, SIZE[1] + 2.0), spawn_size=(1.0, 1.0)
-    )
+    sizes = {"bay_size": (SIZE[0] + 2.0, SIZE[1] + 2.0), "spawn_size": (1.0, 1.0)}
+    wide = lot(TIGHT.bay_pose, **sizes)
     assert np.abs(starts(wide)[:, :2]).max() <= 0.5
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import lot, moved, polygons
+from helpers.scenes import lot, polygons
 from helpers.spawning import surroundings_of, walled
 
 from carpark_mj.config import WORLD_UNIT, SpawnConfig
@@ -17,7 +17,6 @@ from carpark_mj.spawning.goals import place_shapes
 from carpark_mj.spawning.starts import (
     draw_kind,
     draw_uniform,
-    pick,
     pick_weighted,
     redraw,
     spawn_pose,
@@ -64,8 +63,7 @@ def two_regions():
 
 def test_random_spawns_are_uniform_over_the_region():
     layout = make_layout("square")
-    side = 42 * 0.5625
-    pose = draw(RANDOM, layout)
+    side, pose = 42 * 0.5625, draw(RANDOM, layout)
     assert np.abs(pose[:, :2]).max() <= side / 2
     cell = np.floor((pose[:, :2] / side + 0.5) * 4).astype(int)
     count = np.bincount(cell[:, 0] * 4 + cell[:, 1], minlength=16)
@@ -96,18 +94,12 @@ def test_regions_are_drawn_in_proportion_to_their_area():
 
 def test_random_spawns_keep_their_distance_if_there_is_room():
     # They take a third of the region: all 16 candidates fail once in 1e8 draws.
-    others = people((-9.0, -9.0), (9.0, 9.0))
-    pose = draw(RANDOM, make_layout("square"), others=others)
-    gap = np.linalg.norm(pose[:, None, :2] - np.asarray(others[0]), axis=2).min(axis=1)
-    assert gap.min() > RANDOM.min_distance
-
-
-def test_agents_that_are_masked_are_not_kept_away_from():
-    xy, mask = people((0.0, 0.0), (100.0, 0.0))
-    pose = draw(RANDOM, make_layout("square"), others=(xy, mask.at[0].set(False)))
-    gap = np.linalg.norm(pose[:, :2], axis=1)
-    # 18 m^2 pi of 558 m^2 lie within 4.2 m.
-    assert (gap < 4.2).mean() == pytest.approx(np.pi * 4.2**2 / 23.625**2, abs=0.03)
+    xy, mask = people((-9.0, -9.0), (9.0, 9.0), (0.0, 0.0))
+    pose = draw(RANDOM, make_layout("square"), others=(xy, mask.at[2].set(False)))
+    gap = np.linalg.norm(pose[:, None, :2] - np.asarray(xy), axis=2)
+    assert gap[:, :2].min() > RANDOM.min_distance
+    # Not from who is masked: 2 m about the middle of 558 m^2, a third of them taken.
+    assert (gap[:, 2] < 2.0).mean() > np.pi * 2.0**2 / 558.0
 
 
 def test_farthest_candidate_is_taken_if_none_is_far_enough():
@@ -122,42 +114,27 @@ def test_farthest_candidate_is_taken_if_none_is_far_enough():
     assert gap.mean() == pytest.approx(sample.mean(), abs=0.02)
 
 
-@pytest.mark.parametrize("goal", [(0.0, 18.0, 0.0), (18.0, -13.5, 0.0), (3.0, 2.0, 0)])
-def test_close_spawns_are_within_close_distance(goal):
-    half = 21 * 0.5625
-    nearest = np.clip(goal[:2], -half, half)
-    pose = draw(CLOSE, make_layout("square"), goal=goal)
-    assert np.abs(pose[:, :2]).max() <= half
+@pytest.mark.parametrize(
+    ("make", "goal", "region"),
+    [
+        (lambda: make_layout("square"), (0.0, 18.0, 0.0), 0),
+        (lambda: make_layout("square"), (18.0, -13.5, 0.0), 0),
+        (lambda: make_layout("square"), (3.0, 2.0, 0.0), 0),  # in the region
+        (two_regions, (-9.0, 20.0, 0.0), 0),
+        (two_regions, (8.0, 20.0, 0.0), 1),
+    ],
+)
+def test_close_spawns_are_near_in_the_region_nearest_the_goal(make, goal, region):
+    layout = make()
+    pose = draw(CLOSE, layout, goal=goal)
+    area = polygons(layout.spawn_pose[region], layout.spawn_size[region])
+    assert shapely.distance(area, shapely.points(pose[:, :2])).max() < 1e-5  # float32
+    nearest = shapely.shortest_line(area, shapely.Point(goal[:2])).coords[0]
     gap = np.linalg.norm(pose[:, :2] - nearest, axis=1)
-    assert gap.max() <= CLOSE.close_distance + 1e-5  # float32
+    assert gap.max() <= CLOSE.close_distance + 1e-4  # float32
     # A walk can be long and it can be short.
     assert gap.max() > 0.9 * CLOSE.close_distance
     assert gap.min() < 0.1 * CLOSE.close_distance
-
-
-def test_close_spawns_lie_in_the_region_nearest_the_goal():
-    layout = two_regions()
-    for goal, region in (((-9.0, 20.0, 0.0), 0), ((8.0, 20.0, 0.0), 1)):
-        pose = draw(CLOSE, layout, goal=goal)
-        area = polygons(layout.spawn_pose[region], layout.spawn_size[region])
-        point = shapely.points(pose[:, :2])
-        assert shapely.distance(area, point).max() < 1e-5  # float32
-        nearest = shapely.shortest_line(area, shapely.Point(goal[:2])).coords[0]
-        gap = np.linalg.norm(pose[:, :2] - nearest, axis=1)
-        assert gap.max() <= CLOSE.close_distance + 1e-4  # float32
-
-
-def test_close_ratio_is_the_share_of_close_spawns():
-    config = SpawnConfig(close_ratio=0.3, close_distance=1.0)
-    goal = (0.0, 18.0, 0.0)
-    nearest = np.array([0.0, 21 * 0.5625])
-    gap = np.linalg.norm(
-        draw(config, make_layout("square"), goal)[:, :2] - nearest, axis=1
-    )
-    by_chance = np.pi / 2 / 23.625**2
-    # Deviation 0.7 %: five of them.
-    expected = 0.3 + 0.7 * by_chance
-    assert (gap <= 1.0).mean() == pytest.approx(expected, abs=0.036)
 
 
 def test_starts_are_of_one_kind_at_most_in_their_ratios():
@@ -222,17 +199,6 @@ def test_close_spawn_on_a_grid_is_a_walk_of_unit_steps():
     assert (np.abs(steps) < 0.5).all(axis=1).any()
 
 
-def test_spawns_move_with_the_lot():
-    layout, goal, motion = two_regions(), (8.0, 20.0, 0.0), (7.0, -3.0, 1.1)
-    there = layout.replace(spawn_pose=moved(layout.spawn_pose, motion))
-    for config in (RANDOM, CLOSE):
-        before = draw(config, layout, goal, count=500)[:, :2]
-        # Walks of close spawns are drawn in the region's frame, so they turn along.
-        after = draw(config, there, tuple(moved(goal, motion)), count=500)[:, :2]
-        expected = moved(np.c_[before, np.zeros(500)], motion)[:, :2]
-        np.testing.assert_allclose(after, expected, atol=2e-5)  # float32 at 20 m
-
-
 KEYS = jax.random.split(jax.random.key(0), 4000)
 LARGEST = np.float32(1 - 2**-23)  # of `jax.random.uniform`
 
@@ -252,27 +218,6 @@ def test_drawn_numbers_are_uniform_and_independent():
     # No two columns share anything: a deviation of 0.016, six and a half of them.
     alike = np.corrcoef(numbers, rowvar=False) - np.eye(numbers.shape[1])
     assert np.abs(alike).max() < 0.1
-
-
-def test_a_pick_is_uniform_over_the_mask():
-    mask = jnp.array([False, True, False, True, True])
-    scores = jax.random.uniform(jax.random.key(0), (3000, 5))
-    picked = jax.vmap(lambda scores: pick(mask, scores))(scores)
-    # Mean 1000, deviation 26: five of them.
-    np.testing.assert_allclose(
-        np.bincount(picked, minlength=5), [0, 1000, 0, 1000, 1000], atol=130
-    )
-
-
-def test_a_weighted_pick_is_in_proportion_to_the_weights():
-    weights = jnp.array([0.0, 3.0, 0.0, 1.0, 2.0, 0.0])
-    numbers = jax.random.uniform(jax.random.key(0), (3000, 2))
-    picked = np.asarray(pick_weighted(weights, numbers))
-    assert picked.shape == (3000, 2)
-    # Deviations 39, 29 and 37: five of them.
-    np.testing.assert_allclose(
-        np.bincount(picked.ravel(), minlength=6), [0, 3000, 0, 1000, 2000, 0], atol=195
-    )
 
 
 def test_no_number_picks_what_has_no_weight():

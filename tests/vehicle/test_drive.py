@@ -1,3 +1,5 @@
+"""What a car does with its controls: steering, torques, lags, the holding brake."""
+
 import dataclasses
 
 import jax
@@ -13,6 +15,7 @@ from carpark_mj.vehicle import (
     make_vehicle,
 )
 from carpark_mj.vehicle.drive import (
+    CREEP_SPEED,
     HOLD_PEDAL,
     HOLD_SPEED,
     SWITCH_SPEED,
@@ -21,7 +24,10 @@ from carpark_mj.vehicle.drive import (
     actuate,
     close_hold,
     demanded_torques,
+    hold_braking,
     init_actuators,
+    press_pedal,
+    roll_freely,
     steer_towards,
 )
 
@@ -52,37 +58,14 @@ def grid(pedals: np.ndarray, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.6, 1.0])
-def test_cotangents_of_the_front_wheels_differ_by_track_over_wheelbase(fraction: float):
+def test_front_wheels_share_track_over_wheelbase_in_cotangents(fraction: float):
+    """The inner wheel turns more; without Ackermann both are parallel."""
     vehicle = make_vehicle(dataclasses.replace(COMPACT, ackermann=fraction))
-    left, right = np.asarray(ackermann(vehicle, jnp.array(ANGLES)))
-    difference = 1 / np.tan(right) - 1 / np.tan(left)  # outer - inner in a left turn
-    expected = fraction * COMPACT.track_width / COMPACT.wheelbase
-    # float32 rounding of cotangents of up to 11, measured 3e-6.
-    assert difference == pytest.approx(np.full(6, expected), abs=2e-5)
-
-
-def test_front_wheels_without_ackermann_are_parallel():
-    vehicle = make_vehicle(dataclasses.replace(COMPACT, ackermann=0.0))
-    for angle in ANGLES:
-        # float32 rounding of tan and arctan.
-        for wheel in ackermann(vehicle, jnp.array(angle)):
-            assert wheel == pytest.approx(angle, rel=1e-6)
-
-
-def test_the_bicycle_angle_lies_between_both_wheels_with_the_inner_one_larger(
-    compact: Vehicle,
-):
-    for angle in ANGLES:
-        left, right = np.abs(ackermann(compact, jnp.array(angle)))
-        inner, outer = (left, right) if angle > 0 else (right, left)
-        assert outer < abs(angle) < inner
-
-
-def test_steering_left_mirrors_steering_right(compact: Vehicle):
-    for angle in ANGLES:
-        left, right = ackermann(compact, jnp.array(angle))
-        mirrored = ackermann(compact, jnp.array(-angle))
-        assert mirrored == (-right, -left)
+    wheels = np.asarray(ackermann(vehicle, jnp.array(ANGLES)))
+    half = fraction * COMPACT.track_width / (2 * COMPACT.wheelbase)
+    expected = np.arctan(1 / (1 / np.tan(ANGLES) - half * np.array([[1.0], [-1.0]])))
+    np.testing.assert_allclose(wheels, expected, rtol=1e-6)  # float32
+    np.testing.assert_array_equal(wheels[::-1, ::-1], -wheels)
 
 
 @pytest.mark.parametrize("steer", [-1.0, -0.3, 0.7, 1.0])
@@ -101,12 +84,8 @@ def test_steering_reaches_its_target_at_the_limited_rate(
     assert np.abs(steps).max() == pytest.approx(limit, abs=1e-7)
     assert angle == pytest.approx(steer * COMPACT.max_steering, abs=1e-7)
     assert moving.sum() == np.ceil(abs(steer) * COMPACT.max_steering / limit)
-
-
-def test_steering_commands_beyond_the_lock_are_clipped(compact: Vehicle):
-    at_lock = jnp.array(COMPACT.max_steering)
-    assert steer_towards(compact, at_lock, jnp.array(5.0), 0.01) == at_lock
-    assert steer_towards(compact, -at_lock, jnp.array(-5.0), 0.01) == -at_lock
+    lock = jnp.array(np.sign(steer) * COMPACT.max_steering)
+    assert steer_towards(compact, lock, 5.0 * jnp.sign(lock), dt) == lock
 
 
 def test_a_pedal_against_the_motion_brakes_in_proportion(torques):
@@ -201,6 +180,9 @@ def test_a_pedal_along_the_motion_accelerates_in_proportion(torques):
         expected = sign * pedal * COMPACT.max_acceleration * FORCE_TO_TORQUE
         assert brake.tolist() == [0.0] * len(brake)
         assert drive == pytest.approx(expected, abs=TORQUE_TOLERANCE)
+    for speed in (-1.0, 0.0, 1.0):  # pedals beyond one count as one
+        assert torques(7.0, speed) == torques(1.0, speed)
+        assert torques(-7.0, speed) == torques(-1.0, speed)
 
 
 def test_without_a_pedal_the_hold_brakes_and_nothing_drives(torques):
@@ -213,16 +195,10 @@ def test_without_a_pedal_the_hold_brakes_and_nothing_drives(torques):
     assert drive.tolist() == [0.0] * len(pedal)
     assert brake[inside] == pytest.approx(expected, abs=10 * TORQUE_TOLERANCE)
     assert (brake >= expected * (1 - 1e-6)).all()
-
-
-def test_no_pedal_at_speed_lets_the_car_coast(torques):
+    assert COMPACT.hold_deceleration > COMPACT.tyre.friction * 9.81  # wheels lock
+    # An open hold lets the car coast.
     drive, brake = torques(0.0, np.array([-1.9, -HOLD_SPEED, HOLD_SPEED, 2.9]))
-    assert brake.tolist() == [0.0] * 4
-    assert drive.tolist() == [0.0] * 4
-
-
-def test_the_hold_is_stronger_than_friction_so_that_the_wheels_lock():
-    assert COMPACT.hold_deceleration > COMPACT.tyre.friction * 9.81
+    assert drive.tolist() == brake.tolist() == [0.0] * 4
 
 
 def test_the_drive_fades_towards_the_speed_limit(torques):
@@ -237,22 +213,12 @@ def test_the_drive_fades_towards_the_speed_limit(torques):
     assert (drive * pedals < full).all()
 
 
-def test_pedals_beyond_one_count_as_one(torques):
-    for speed in (-1.0, 0.0, 1.0):
-        assert torques(7.0, speed) == torques(1.0, speed)
-        assert torques(-7.0, speed) == torques(-1.0, speed)
-
-
 @pytest.mark.parametrize("front", [0.0, 0.4, 1.0])
 def test_torque_shares_sum_to_one_and_are_equal_across_an_axle(front: float):
-    params = dataclasses.replace(
-        COMPACT, front_drive=front, front_brake=max(front, 0.01)
-    )
+    brake = max(front, 0.01)
+    params = dataclasses.replace(COMPACT, front_drive=front, front_brake=brake)
     vehicle = make_vehicle(params)
-    for share, expected in (
-        (vehicle.drive_share, front),
-        (vehicle.brake_share, max(front, 0.01)),
-    ):
+    for share, expected in ((vehicle.drive_share, front), (vehicle.brake_share, brake)):
         # float32 rounding.
         assert share.sum() == pytest.approx(1.0, abs=1e-6)
         assert share[:2].sum() == pytest.approx(expected, abs=1e-6)
@@ -263,19 +229,15 @@ def test_torque_shares_sum_to_one_and_are_equal_across_an_axle(front: float):
 def test_torque_and_power_limit_the_drive_but_not_the_brake():
     weak = dataclasses.replace(COMPACT, max_drive_torque=500.0, max_power=1000.0)
     vehicle = make_vehicle(weak)
-    speeds = (0.0, 0.5, 1.0, 2.0)
-    expected = (500.0, 500.0, 316.0, 158.0)  # min(T, P r / v), r = 0.316 m, by hand
-    for speed, torque in zip(speeds, expected, strict=True):
-        drive, brake = demanded_torques(
-            vehicle, jnp.array(1.0), jnp.array(0.0), *2 * [jnp.array(speed)]
-        )
-        assert drive == pytest.approx(torque, rel=1e-6)  # float32
-        assert brake == 0.0
-    _, brake = demanded_torques(
-        vehicle, jnp.array(-1.0), jnp.array(0.0), *2 * [jnp.array(2.0)]
-    )
+    speeds = jnp.array([0.0, 0.5, 1.0, 2.0])
+    nothing = jnp.zeros(4)
+    drive, brake = demanded_torques(vehicle, nothing + 1, nothing, speeds, speeds)
+    # min(T, P r / v), r = 0.316 m, by hand
+    assert np.asarray(drive) == pytest.approx([500.0, 500.0, 316.0, 158.0], rel=1e-6)
+    assert not brake.any()
+    _, brake = demanded_torques(vehicle, nothing - 1, nothing, speeds, speeds)
     full = COMPACT.max_deceleration * FORCE_TO_TORQUE
-    assert brake == pytest.approx(full, rel=1e-6)
+    assert brake[-1] == pytest.approx(full, rel=1e-6)
 
 
 def followed(vehicle: Vehicle, controls: tuple[float, float], steps: int) -> Actuators:
@@ -320,9 +282,7 @@ def test_without_lag_the_actuators_are_where_they_are_asked_to_be(compact: Vehic
     demanded, _ = demanded_torques(compact, controls[1], start.hold, speed, speed)
     assert after.drive == demanded
     assert after.steering == steer_towards(compact, start.steering, controls[0], 0.01)
-
-
-def test_a_steering_offset_turns_the_wheels_but_not_the_command(compact: Vehicle):
+    # An offset turns the wheels, but not the command.
     skewed = dataclasses.replace(compact, steering_offset=jnp.array(0.02))
     start, still = init_actuators(compact), jnp.zeros(())
     after, angles, *_ = actuate(skewed, start, (still, still), still, still, 0.01)
@@ -332,10 +292,8 @@ def test_a_steering_offset_turns_the_wheels_but_not_the_command(compact: Vehicle
 
 @pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
 def test_drive_and_brake_reach_the_wheels_of_each_preset(params: VehicleParameters):
-    vehicle = make_vehicle(params)
-    start = init_actuators(vehicle)
-    still = jnp.zeros(())
-    controls = still, jnp.ones(())
+    vehicle, still = make_vehicle(params), jnp.zeros(())
+    start, controls = init_actuators(vehicle), (still, jnp.ones(()))
     after, _, brake = actuate(vehicle, start, controls, still, still, 0.01)
     full = params.max_acceleration * params.mass * params.wheel_radius
     assert full < params.max_drive_torque  # no preset is too weak for the pedal
@@ -358,3 +316,108 @@ def test_the_speed_limiter_goes_by_driven_wheels_that_spin(compact: Vehicle):
     assert drive(-0.2, -COMPACT.max_reverse_speed, -1.0) == 0.0
     # Locked wheels of a sliding car do not spin.
     assert drive(2.9, 0.0) == drive(2.9, 2.9)
+
+
+AUTOMATIC = 0.4  # m/s^2
+
+
+def closed(vehicle: Vehicle, hold: float, pedal: float, speed: float) -> float:
+    asked = [jnp.array(x, jnp.float32) for x in (hold, pedal, speed)]
+    return float(close_hold(vehicle, *asked, 0.01))
+
+
+def test_the_hold_closes_where_a_slow_car_is_not_driven_along_its_motion(
+    compact: Vehicle,
+):
+    for way in (1, -1):
+        for speed in (0.0, 0.05, 0.29):
+            assert closed(compact, 0.0, way * 0.04, way * speed) > 0.0  # no pedal
+        assert closed(compact, 0.0, -way * 0.2, way * 0.29) > 0.0
+        assert closed(compact, 0.0, way * 0.2, way * 0.29) == 0.0
+        # A faster car coasts and brakes without it.
+        for pedal in (0.0, -0.2, 0.2):
+            assert closed(compact, 0.0, way * pedal, way * HOLD_SPEED) == 0.0
+    hold = 0.0
+    for _ in range(500):
+        hold = closed(compact, hold, 0.0, 0.0)
+    assert hold == COMPACT.hold_deceleration
+
+
+def test_a_hold_stays_until_the_pedal_drives_the_car_along_its_motion(compact: Vehicle):
+    full = COMPACT.hold_deceleration
+    for speed in (0.5, 8.0):  # slides, wheels locked
+        for way in (1, -1):
+            assert closed(compact, full, 0.0, way * speed) == full
+            assert closed(compact, full, -way * 1.0, way * speed) == full
+            assert closed(compact, full, way * 0.05, way * speed) == 0.0
+    # Half closed it goes on closing, though the car has become faster.
+    assert closed(compact, 0.5, 0.0, 0.5) > 0.5
+    # A slope may pull the car back before the drive takes over.
+    for speed in (-0.2, -0.01, 0.0, 0.01):
+        assert closed(compact, full, 0.5, speed) == full
+
+
+def test_the_hold_takes_over_what_the_pedal_brakes_with(compact: Vehicle):
+    for pedal in (0.06, 0.3, 1.0):
+        hold = closed(compact, 0.0, -pedal, 0.29)
+        braked = float(hold_braking(compact, jnp.array(hold), jnp.array(0.29)))
+        eased = hold + np.sqrt(2 * 3.0 * 0.29)
+        service = pedal * COMPACT.max_deceleration
+        # It also closes for the substep of 10 ms, by less than 0.1 m/s^2.
+        assert min(service, eased) - 1e-4 <= braked <= min(service + 0.1, eased) + 1e-4
+
+
+def test_the_hold_eases_off_as_the_car_comes_to_rest(compact: Vehicle):
+    speed = jnp.array([HOLD_SPEED, 0.2, 0.1, 0.05, 0.01, 0.0])
+    braked = np.asarray(hold_braking(compact, jnp.array(0.3), speed))
+    assert (np.diff(braked) < 0).all()
+    assert braked[-1] == pytest.approx(0.3, abs=1e-5)
+    full = hold_braking(compact, jnp.array(COMPACT.hold_deceleration), speed)
+    assert full == pytest.approx(COMPACT.hold_deceleration)
+    assert not hold_braking(compact, jnp.array(0.0), speed).any()
+
+
+def test_cars_start_on_their_hold_and_without_it_where_they_roll(compact: Vehicle):
+    start = init_actuators(compact)
+    assert start.hold == COMPACT.hold_deceleration
+    assert roll_freely(start, jnp.array(0.0)).hold == COMPACT.hold_deceleration
+    for speed in (-1.0, 0.1):
+        assert roll_freely(start, jnp.array(speed)).hold == 0.0
+
+
+def idling(vehicle: Vehicle, drive: float, hold: float, pedal: float, speed: float):
+    """Acceleration by the drive [m/s^2], hold and brake of an automatic 10 ms later."""
+    creeping = dataclasses.replace(vehicle, creep=jnp.array(AUTOMATIC))
+    before = Actuators(jnp.zeros(()), jnp.array(drive), jnp.array(hold))
+    pressed, now = jnp.array(pedal, jnp.float32), jnp.array(speed, jnp.float32)
+    after, brake = press_pedal(creeping, before, pressed, now, now, 0.01)
+    to_torque = COMPACT.mass * COMPACT.wheel_radius
+    return float(after.drive) / to_torque, float(after.hold), float(brake)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_an_automatic_creeps_while_no_brake_is_pressed(compact: Vehicle, way: float):
+    half = CREEP_SPEED / 2
+    for drive, pedal, speed, expected in [
+        (100.0, 0.0, 0.0, AUTOMATIC),  # the way of the last drive, from rest
+        (100.0, 0.0, half, AUTOMATIC / 2),
+        (0.0, 0.0, half, AUTOMATIC / 2),  # the way it rolls, after the brake
+        (100.0, 0.0, -0.2, AUTOMATIC),  # against a slope that pulls it back
+        (100.0, 0.0, CREEP_SPEED, 0.0),
+        (0.0, 0.06, 0.0, AUTOMATIC),  # more than a light pedal asks
+        (0.0, 0.5, 0.0, 1.0),  # less than this one
+    ]:
+        got, hold, brake = idling(compact, way * drive, 0.0, way * pedal, way * speed)
+        assert got == pytest.approx(way * expected, abs=1e-5)
+        assert hold == brake == 0.0
+
+
+def test_a_brake_ends_the_creep_and_holds_the_car(compact: Vehicle):
+    assert idling(compact, 100.0, 0.0, -0.5, 1.0)[0] == 0.0  # the service brake
+    drive, hold, brake = idling(compact, 100.0, 0.0, -0.5, 0.2)
+    assert hold > 0.0  # closes, and stays when the pedal is released
+    assert brake > 0.0
+    drive, after, brake = idling(compact, 0.0, hold, 0.0, 0.1)
+    assert (drive, after > hold) == (0.0, True)
+    start = COMPACT.hold_deceleration  # a car begins held
+    assert idling(compact, 0.0, start, 0.0, 0.0)[:2] == (0.0, start)

@@ -1,19 +1,32 @@
+"""The vehicle's model and arrays; presets against published figures."""
+
 import dataclasses
 import math
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from helpers.cars import ROAD_CARS
 
+from carpark_mj.env import ParkingEnv
 from carpark_mj.vehicle import (
     COMPACT,
+    PRESETS,
     VEHICLES,
     VehicleParameters,
     make_vehicle,
 )
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
-from carpark_mj.vehicle.parameters import GRAVITY, LENGTHS, scaled
+from carpark_mj.vehicle.parameters import (
+    GRAVITY,
+    LENGTHS,
+    kerb_to_kerb,
+    scaled,
+    steering_for_circle,
+)
+from carpark_mj.vehicle.vehicle import wheels_of
 
 LIGHT = dataclasses.replace(
     COMPACT,
@@ -51,12 +64,7 @@ def test_chassis_and_wheels_recombine_to_the_whole_car(params: VehicleParameters
     assert mass == pytest.approx(params.mass, rel=1e-9)
     assert cg == pytest.approx([params.cg_to_rear_axle, 0, params.cg_height], rel=1e-9)
     assert np.diag(inertia) == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("params", CARS)
-def test_what_is_left_for_the_chassis_is_a_possible_rigid_body(
-    params: VehicleParameters,
-):
+    # What is left for the chassis is a possible rigid body.
     mass, com, inertia = chassis_inertial(params)
     assert 0 < mass < params.mass
     assert com[1] == pytest.approx(0.0, abs=1e-12)  # measured 0
@@ -106,12 +114,9 @@ def test_parameters_in_other_units_are_refused(change: dict, message: str):
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param({"mass": 90.0}, id="lighter than its wheels"),
-        pytest.param(
-            {"yaw_inertia": 100.0, "roll_inertia": 2100.0},
-            id="wheels alone have more yaw inertia",
-        ),
-        pytest.param({"yaw_inertia": 2690.0}, id="chassis flatter than a plate"),
+        {"mass": 90.0},  # lighter than its wheels
+        {"yaw_inertia": 100.0, "roll_inertia": 2100.0},  # less than the wheels have
+        {"yaw_inertia": 2690.0},  # the chassis would be flatter than a plate
     ],
 )
 def test_mass_properties_that_leave_no_chassis_are_refused(change: dict):
@@ -120,51 +125,35 @@ def test_mass_properties_that_leave_no_chassis_are_refused(change: dict):
     assert "\n" not in str(refusal.value)
 
 
-def test_every_body_joint_and_actuator_has_its_name(model: mujoco.MjModel):
-    bodies = {model.body(i).name for i in range(model.nbody)}
-    joints = {model.joint(i).name for i in range(model.njnt)}
-    servos = {model.actuator(i).name for i in range(model.nu)}
-    wheels = {f"wheel_{w}" for w in WHEELS}
-    assert bodies == {"world", "car", "knuckle_fl", "knuckle_fr"} | wheels
-    assert joints == {"root", "steer_fl", "steer_fr"} | {f"spin_{w}" for w in WHEELS}
-    assert servos == {"steer_fl", "steer_fr"}
-
-
-def test_the_car_has_twelve_dofs_and_no_constraint_row(model: mujoco.MjModel):
+def test_the_model_has_12_dofs_no_constraints_and_steers_left(model):
     data = mujoco.MjData(model)
     data.qpos[model.joint("steer_fl").qposadr] = 2.0  # far beyond any steering lock
     data.ctrl[:] = 2.0
     mujoco.mj_step(model, data)
     assert model.nv == 12
     assert not model.jnt_limited.any()
-    assert data.nefc == 0
-    assert data.ncon == 0
-
-
-def test_wheels_stand_where_the_parameters_say(model: mujoco.MjModel):
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    hubs = np.array([data.body(f"wheel_{w}").xpos for w in WHEELS])
-    assert hubs == pytest.approx(hub_positions(COMPACT), abs=1e-12)  # measured 0
-    left, right = hubs[[0, 2]], hubs[[1, 3]]
-    assert (left[:, 1] - right[:, 1]).tolist() == [COMPACT.track_width] * 2
-    assert hubs[0, 0] - hubs[2, 0] == COMPACT.wheelbase
-
-
-def test_turned_steering_points_the_wheels_to_the_left(model: mujoco.MjModel):
+    assert data.nefc == data.ncon == 0
     data = mujoco.MjData(model)
     data.qpos[model.joint("steer_fl").qposadr] = 0.3
     mujoco.mj_forward(model, data)
+    hubs = np.array([data.body(f"wheel_{w}").xpos for w in WHEELS])
+    assert hubs == pytest.approx(hub_positions(COMPACT), abs=1e-12)  # measured 0
     forward = data.body("wheel_fl").xmat.reshape(3, 3)[:, 0]
     # Exact rotation by the joint angle, measured 1e-16.
     assert forward == pytest.approx([math.cos(0.3), math.sin(0.3), 0.0], abs=1e-12)
 
 
-def test_vehicle_arrays_are_strongly_typed_float32():
-    # A weakly typed first state would compile every step twice.
-    for leaf in jax.tree.leaves(make_vehicle(COMPACT)):
-        assert leaf.dtype == np.float32
-        assert not leaf.weak_type
+def test_wheels_stand_at_the_corners_in_fleets_of_any_shape():
+    fleet = jax.tree.map(
+        lambda x: jnp.tile(x, (2, 3, *[1] * x.ndim)), make_vehicle(COMPACT)
+    )
+    x, y = COMPACT.wheelbase, COMPACT.track_width / 2
+    corners = [(x, y), (x, -y), (0.0, y), (0.0, -y)]
+    assert hub_positions(COMPACT)[:, :2] == pytest.approx(np.array(corners))
+    for wheel, corner in zip(wheels_of(fleet), corners, strict=True):
+        assert {leaf.shape for leaf in jax.tree.leaves(wheel)} == {(2, 3)}
+        assert wheel.hub[0][1, 2] == pytest.approx(corner[0], rel=1e-6)
+        assert wheel.hub[1][1, 2] == pytest.approx(corner[1], rel=1e-6)
 
 
 def test_vehicle_arrays_carry_the_mass_properties_of_the_compiled_model():
@@ -174,6 +163,9 @@ def test_vehicle_arrays_carry_the_mass_properties_of_the_compiled_model():
         expected = getattr(model, name)
         # float32 rounding.
         assert getattr(vehicle, name) == pytest.approx(expected, rel=1e-6, abs=1e-7)
+    # A weakly typed first state would compile every step twice.
+    for leaf in jax.tree.leaves(vehicle):
+        assert (leaf.dtype, leaf.weak_type) == (np.float32, False)
 
 
 def test_bristle_stiffness_times_relaxation_is_the_slip_stiffness():
@@ -188,3 +180,78 @@ def test_bristle_stiffness_times_relaxation_is_the_slip_stiffness():
     assert along == pytest.approx(15.0 * load, rel=1e-6)
     expected = 2 / 3 * tyre.friction * load * tyre.patch_radius
     assert scrub == pytest.approx(expected, rel=1e-6)
+
+
+ALL_CARS = [pytest.param(params, id=name) for name, params in ROAD_CARS.items()]
+# Bicycle angles at full lock, from shop manuals' and published circles by hand:
+# d_o = asin(L / (D/2 - w/2)), cot d = cot d_o - T / 2L.
+LOCKS = {
+    "city": 35.5,
+    "compact": 34.2,
+    "sedan": 35.5,
+    "sedan_fwd": 35.1,
+    "suv": 33.5,
+    "van": 35.5,
+}
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_full_lock_is_that_of_the_published_turning_circle(name: str):
+    # One decimal is what the hand calculation was rounded to.
+    assert math.degrees(PRESETS[name].max_steering) == pytest.approx(
+        LOCKS[name], abs=0.06
+    )
+
+
+@pytest.mark.parametrize("params", ALL_CARS)
+def test_turning_circle_and_steering_invert_each_other(params: VehicleParameters):
+    shape = (params.wheelbase, params.track_width, params.tyre_width)
+    circle = kerb_to_kerb(*shape, params.max_steering)
+    assert circle == pytest.approx(params.turning_circle, rel=1e-12)
+    # The outer front wheel's own triangle: sin d_o = L / (D/2 - w/2).
+    tan = math.tan(params.max_steering)
+    outer = math.atan(tan / (1 + params.track_width / (2 * params.wheelbase) * tan))
+    by_wheel = 2 * (params.wheelbase / math.sin(outer) + params.tyre_width / 2)
+    assert circle == pytest.approx(by_wheel, rel=1e-12)
+    for steering in np.radians([5.0, 20.0, 50.0]):
+        back = steering_for_circle(*shape, kerb_to_kerb(*shape, steering))
+        assert back == pytest.approx(steering, rel=1e-9)
+
+
+@pytest.mark.parametrize("params", ALL_CARS)
+def test_the_chassis_is_possible_and_the_wheels_bear_the_car(params):
+    mass, com, _ = chassis_inertial(params)
+    assert 0.8 * params.mass < mass < params.mass
+    assert 0.0 < com[0] < params.wheelbase
+    vehicle = make_vehicle(params)
+    assert np.isfinite(vehicle.body_inertia).all()
+    assert vehicle.tyres.static_load.sum() == pytest.approx(
+        params.mass * GRAVITY, rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("params", ALL_CARS)
+def test_inertias_and_springs_follow_the_rules_of_thumb(params: VehicleParameters):
+    # openpilot: I_zz = 0.2346 m L^2 within 2 %; m a b agrees within 10 % (measured
+    # 0.4 to 9 %); I_xx close to that of a block of the car's width and height.
+    rule = 0.2346 * params.mass * params.wheelbase**2
+    assert params.yaw_inertia == pytest.approx(rule, rel=0.02)
+    levers = params.cg_to_front_axle * params.cg_to_rear_axle
+    assert params.yaw_inertia == pytest.approx(params.mass * levers, rel=0.1)
+    block = params.mass / 12 * (params.width**2 + params.height**2)
+    assert 0.5 * block < params.roll_inertia < block
+    # And springs and dampers those of passenger cars.
+    stiffness = 4 * params.tyre.vertical_stiffness
+    frequency = math.sqrt(stiffness / params.mass) / (2 * math.pi)
+    damping = 4 * params.tyre.vertical_damping / 2 / math.sqrt(stiffness * params.mass)
+    assert 1.2 <= frequency <= 1.5
+    assert 0.25 <= damping <= 0.4
+
+
+def test_a_custom_car_takes_one_call_and_drives_in_the_environment():
+    taxi = dataclasses.replace(
+        COMPACT, length=4.4, wheelbase=2.7, mass=1500.0, turning_circle=11.2
+    )
+    env = ParkingEnv(vehicle=taxi)
+    assert env.vehicle is taxi
+    assert ParkingEnv().vehicle is COMPACT
