@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from carpark_mj.compilation import (
+    choose_xla_flags,
     keep_compiled_programs,
     shard_automatically,
-    choose_xla_flags,
 )
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_choice, require_kind
