@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from carpark_mj.compilation import (
+    choose_xla_flags,
     keep_compiled_programs,
     shard_automatically,
-    skip_slow_kernels,
 )
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_choice, require_kind
@@ -54,7 +54,7 @@ from carpark_mj.spawning.spawner import Spawner, StepKeys
 from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
-skip_slow_kernels()
+choose_xla_flags()
 
 
 class ParkingEnv:

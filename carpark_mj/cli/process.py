@@ -18,7 +18,7 @@ from types import FrameType
 from typing import Any, NoReturn, cast
 
 from carpark_mj.cli.clock import CLOCK, LOADING
-from carpark_mj.compilation import SKIP_SLOW_KERNELS
+from carpark_mj.compilation import EXTRA_OPTIONS, SHARE_LOOPS, SHARED_LOOPS
 from carpark_mj.rendering.gl import check_gl
 
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
@@ -27,7 +27,7 @@ USER_ERRORS = (ValueError, OSError, OverflowError, MemoryError)
 _EXHAUSTED = "RESOURCE_EXHAUSTED"  # in errors of XLA
 MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
 MAX_SECONDS = 3600  # of a recording, or an evaluation's horizon, both held in memory
-OUTPUT_FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
+OUTPUT_FUSION = f"{EXTRA_OPTIONS}xla_cpu_use_multi_output_fusion,{SHARED_LOOPS}"
 # What installs the packages that commands need beside the library's own.
 EXTRAS = {
     **dict.fromkeys(("tyro", "rich", "matplotlib", "tensorboardX"), "train,eval"),
@@ -282,9 +282,9 @@ def enable_output_fusion() -> None:
     Call it before JAX's first computation, when XLA reads `XLA_FLAGS`. It keeps a value
     that the user has set.
     """
-    flags = os.environ.setdefault("XLA_FLAGS", OUTPUT_FUSION)
-    if flags == SKIP_SLOW_KERNELS:  # ours, see `compilation`
-        os.environ["XLA_FLAGS"] = f"{OUTPUT_FUSION} {flags}"
+    flags = os.environ.get("XLA_FLAGS", SHARE_LOOPS)
+    # Those that `compilation.choose_xla_flags` has set are not the user's.
+    os.environ["XLA_FLAGS"] = flags.replace(SHARE_LOOPS, OUTPUT_FUSION)
 
 
 def dispatch_synchronously() -> None:

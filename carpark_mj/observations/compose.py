@@ -66,8 +66,11 @@ def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.
         encoding = config.observation.encoding
         raise ValueError(f"the observation encoder {encoding!r} {wrong}")
     # XLA would compute the values within the concatenation, some of them repeatedly.
-    ordered = jax.lax.optimization_barrier([values[field.name] for field in fields])
-    return jnp.concatenate(ordered, axis=-1).astype(jnp.float32)
+    # Those of entities are pieces of arrays behind a barrier, see `repeated_values`.
+    own = {field.name: values[field.name] for field in fields if not field.group}
+    ordered = {**values, **jax.lax.optimization_barrier(own)}
+    columns = [ordered[field.name] for field in fields]
+    return jnp.concatenate(columns, axis=-1).astype(jnp.float32)
 
 
 def unpack(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.config.checks import CheckedConfig
 from carpark_mj.extensions import Registry
@@ -129,11 +130,20 @@ def repeated(group: str, count: int, fields: Iterable[Field]) -> list[Field]:
 
 
 def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """The values of entities (num_agents, count, k) by the names of their fields."""
+    """The values of entities (num_agents, count, k) by the names of their fields.
+
+    In the order of their fields they are a piece of the vector as a whole. XLA then
+    copies it at once, and not each value by a kernel of its own.
+    """
+    packed = jnp.concatenate([*values.values()], axis=-1)
+    num_agents, count, _ = packed.shape
+    packed = jax.lax.optimization_barrier(packed.reshape(num_agents, -1))
+    names = [(k, name) for k in range(count) for name in values]
+    ends = np.cumsum([values[name].shape[-1] for _, name in names])
+    columns = jnp.split(packed, ends[:-1], axis=-1)
     return {
-        f"{group}_{index}_{name}": own
-        for name, value in values.items()
-        for index, own in enumerate(jnp.unstack(value, axis=1))
+        f"{group}_{k}_{name}": column
+        for (k, name), column in zip(names, columns, strict=True)
     }
 
 

@@ -10,6 +10,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.spawning.config import ADDED, RandomizationConfig
 from carpark_mj.vehicle import Vehicle, VehicleParameters
@@ -29,14 +30,21 @@ def randomize(config: RandomizationConfig, vehicle: Vehicle, key: jax.Array) -> 
     Each parameter has its own part of `key`, so that switching one on changes no other.
     """
     ranges = config.ranges()
-    keys = dict(zip(ranges, jax.random.split(key, len(ranges)), strict=True))
+    varied = [k for k, name in enumerate(ranges) if config.varies(name)]
+    keys = jax.random.split(key, len(ranges))[np.array(varied)]
+    bounds = jnp.array([*ranges.values()])[np.array(varied)]
+
+    @jax.vmap  # at once, as one call of the generator is one loop
+    def draw(key: jax.Array, bounds: jax.Array) -> jax.Array:
+        return jax.random.uniform(key, minval=bounds[0], maxval=bounds[1])
+
+    numbers = jnp.unstack(draw(keys, bounds))
+    drawn = {[*ranges][k]: x for k, x in zip(varied, numbers, strict=True)}
 
     def vary(name: str, nominal: jax.Array) -> jax.Array:
-        if not config.varies(name):
+        if name not in drawn:
             return nominal
-        low, high = ranges[name]
-        drawn = jax.random.uniform(keys[name], minval=low, maxval=high)
-        return nominal + drawn if name in ADDED else nominal * drawn
+        return nominal + drawn[name] if name in ADDED else nominal * drawn[name]
 
     if any(map(config.varies, ("mass", "cg_x", "cg_height"))):
         cg = vehicle.cg

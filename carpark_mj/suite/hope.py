@@ -14,6 +14,7 @@ HOPE counts a car as parked that covers 95 % of the goal; our parked rules apply
 
 import dataclasses
 import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, get_args
 
 import jax
@@ -166,10 +167,19 @@ def _join(*parts: _Boxes) -> _Boxes:
     return _Boxes(*(jnp.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _normal(key: jax.Array, shape: tuple[int, ...], spread: float, bound: float):
-    """Normal numbers about 0, clipped."""
+def _draw(draw: Callable[..., jax.Array], keys: Sequence[jax.Array], count: int):
+    """Rows (len(keys), count) of random numbers, one for each key.
+
+    All at once: one call of the generator is one loop, which compiles for long. The
+    first numbers of a key are the same for any count.
+    """
     # In double precision where that is enabled, see `held_out`.
-    return jnp.clip(spread * jax.random.normal(key, shape, float), -bound, bound)
+    return jax.vmap(lambda key: draw(key, (count,), float))(jnp.stack(keys))
+
+
+def _normal(keys: Sequence[jax.Array], count: int, spread: float, bound: float):
+    """Rows (len(keys), count) of normal numbers about 0, clipped."""
+    return jnp.clip(spread * _draw(jax.random.normal, keys, count), -bound, bound)
 
 
 def _stand(config: HopeConfig, x: jax.Array, tilt: jax.Array, setback: jax.Array):
@@ -182,21 +192,66 @@ def _stand(config: HopeConfig, x: jax.Array, tilt: jax.Array, setback: jax.Array
     return jnp.stack([x, reach + MARGIN + setback, yaw], axis=-1)
 
 
-def _setback(key: jax.Array) -> jax.Array:
+class _Side(NamedTuple):
+    """Random numbers of one side of the goal.
+
+    Attributes:
+        solid: (), uniform, whether there is a solid obstacle.
+        angle: (2,) [rad] of the solid obstacle's face.
+        radius_key: of its distances.
+        gap: (cars,) uniform, between the cars.
+        taken: (cars,) uniform, whether there is a car.
+        tilt: (cars,) [rad] of the cars.
+        setback: () [m] of the cars.
+        shift: (cars,) [m] of each car beyond that.
+    """
+
+    solid: jax.Array
+    angle: jax.Array
+    radius_key: jax.Array
+    gap: jax.Array
+    taken: jax.Array
+    tilt: jax.Array
+    setback: jax.Array
+    shift: jax.Array
+
+
+def _draw_numbers(config: HopeConfig, key: jax.Array):
+    """Tilt and setback of the goal, and the numbers of both sides."""
+    count = 3 if config.orientation == "parallel" else 4  # cars on a side
+    tilt_key, setback_key, *side_keys = jax.random.split(key, 4)
+    solid, block, cars = _split(jnp.stack(side_keys), 3)
+    angle_keys, radius_keys = _split(block, 2)
+    gap, tilt_keys, setback_keys, shift_keys, taken = _split(cars, 5)
+    uniform = _draw(jax.random.uniform, [*solid, *gap, *taken], count)
+    tilt = _normal([tilt_key, *tilt_keys], count, *TILT)
     mean, spread, bound = SETBACK
-    return jnp.clip(mean + spread * jax.random.normal(key, (), float), 0.0, bound)
+    setback = _draw(jax.random.normal, [setback_key, *setback_keys], 1)[:, 0]
+    setback = jnp.clip(mean + spread * setback, 0.0, bound)
+    angle = _normal([*angle_keys], 2, math.pi / 24, math.pi / 12)
+    shift = _normal([*shift_keys], count, 0.05, 0.1)
+    solid, gap, taken = uniform[:2, 0], uniform[2:4], uniform[4:]
+    columns = angle, radius_keys, gap, taken, tilt[1:], setback[1:], shift
+    return (
+        tilt[0, 0],
+        setback[0],
+        [_Side(*x) for x in zip(solid, *columns, strict=True)],
+    )
+
+
+def _split(keys: jax.Array, count: int) -> jax.Array:
+    """Keys (count, n) of keys (n,)."""
+    return jax.vmap(lambda key: jax.random.split(key, count), out_axes=1)(keys)
 
 
 def _draw_room(config: HopeConfig, key: jax.Array):
     """The goal and its surroundings: (whether it is a case, (goal, boxes))."""
-    tilt_key, setback_key, left_key, right_key = jax.random.split(key, 4)
+    tilt, setback, sides = _draw_numbers(config, key)
     size = jnp.array(config.car.size, float)
     low, high = config.room.excess
-    goal = _stand(
-        config, jnp.zeros(()), _normal(tilt_key, (), *TILT), _setback(setback_key)
-    )
+    goal = _stand(config, jnp.zeros(()), tilt, setback)
     least = low if config.orientation == "parallel" else high
-    left = _draw_side(config, goal, -1, (least / 5, high * 4 / 5), left_key)
+    left = _draw_side(config, goal, -1, (least / 5, high * 4 / 5), sides[0])
 
     def gap(side: _Boxes) -> jax.Array:
         return jnp.where(
@@ -205,7 +260,7 @@ def _draw_room(config: HopeConfig, key: jax.Array):
 
     at_left = gap(left)
     rest = [jnp.maximum(x - at_left, 0.0) + MARGIN for x in (low, high)]
-    right = _draw_side(config, goal, 1, (rest[0], rest[1]), right_key)
+    right = _draw_side(config, goal, 1, (rest[0], rest[1]), sides[1])
     at_right = gap(right)
     behind = _Boxes(
         jnp.array([[0.0, -WALL / 2, 0.0]]),
@@ -224,20 +279,18 @@ def _draw_side(
     goal: jax.Array,
     way: int,
     gap: tuple[jax.Array | float, jax.Array | float],
-    key: jax.Array,
+    side: _Side,
 ) -> _Boxes:
     """Obstacles left (way -1) or right (1) of the goal, at a gap from a range."""
-    solid_key, block_key, cars_key = jax.random.split(key, 3)
-    solid = jax.random.bernoulli(solid_key, SOLID)
-    block = _draw_block(config, goal, way, gap, block_key)
-    cars = _draw_cars(config, way, gap, cars_key)
+    solid = side.solid < SOLID
+    block = _draw_block(config, goal, way, gap, side)
+    cars = _draw_cars(config, way, gap, side)
     block = block._replace(mask=block.mask & solid)
     return _join(block, cars._replace(mask=cars.mask & ~solid))
 
 
-def _draw_block(config, goal, way, gap, key: jax.Array) -> _Boxes:
+def _draw_block(config, goal, way, gap, side: _Side) -> _Boxes:
     """A solid obstacle: a slanted face, and a box from there to the wall's end."""
-    angle_key, radius_key = jax.random.split(key)
     # The goal's corners on this side, the one at the aisle first.
     if config.orientation == "parallel":
         pick = (1, 2) if way < 0 else (0, 3)
@@ -245,10 +298,9 @@ def _draw_block(config, goal, way, gap, key: jax.Array) -> _Boxes:
         pick = (0, 1) if way < 0 else (3, 2)
     corner = box_corners(goal, jnp.array(config.car.size, float))[jnp.array(pick)]
     low, high = gap
-    spread = jax.random.normal(radius_key, (2,), float) * (high - low) / 4
+    spread = jax.random.normal(side.radius_key, (2,), float) * (high - low) / 4
     radius = jnp.clip((low + high) / 2 + spread, low, high)
-    angle = _normal(angle_key, (2,), math.pi / 24, math.pi / 12)
-    step = jnp.stack([way * jnp.cos(angle), jnp.sin(angle)], axis=-1)
+    step = jnp.stack([way * jnp.cos(side.angle), jnp.sin(side.angle)], axis=-1)
     top, bottom = corner + radius[:, None] * step
     along = top - bottom
     length = jnp.linalg.norm(along)
@@ -266,42 +318,40 @@ def _draw_block(config, goal, way, gap, key: jax.Array) -> _Boxes:
     )
 
 
-def _draw_cars(config, way, gap, key: jax.Array) -> _Boxes:
+def _draw_cars(config, way, gap, side: _Side) -> _Boxes:
     """Parked cars: one next to the goal, perhaps others beyond it."""
-    gap_key, tilt_key, setback_key, shift_key, taken_key = jax.random.split(key, 5)
-    parallel = config.orientation == "parallel"
-    count = 3 if parallel else 4
+    count, parallel = side.gap.shape[0], config.orientation == "parallel"
     pitch = config.car.length if parallel else config.car.width
     low, high = gap
-    gaps = low + (high - low) * jax.random.uniform(gap_key, (count,), float)
+    gaps = low + (high - low) * side.gap
     gaps = gaps + MARGIN * (jnp.arange(count) > 0)
-    shift = _normal(shift_key, (count,), 0.05, 0.1).at[0].set(0.0)
+    shift = side.shift.at[0].set(0.0)
     pose = _stand(
         config,
         way * jnp.cumsum(pitch + gaps),
-        _normal(tilt_key, (count,), *TILT),
-        _setback(setback_key) + jnp.cumsum(shift),
+        side.tilt,
+        side.setback + jnp.cumsum(shift),
     )
-    taken = jax.random.bernoulli(taken_key, FARTHER, (count,)).at[0].set(True)
+    taken = (side.taken < FARTHER).at[0].set(True)
     size = jnp.broadcast_to(jnp.array(config.car.size, float), (count, 2))
     return _Boxes(pose, size, taken)
 
 
 def _draw_above(config: HopeConfig, edge: jax.Array, key: jax.Array) -> _Boxes:
     """Obstacles beyond the aisle, whose near edge is at y = `edge`."""
-    wall_key, centre_key, yaw_key, size_key = jax.random.split(key, 4)
-    walled = jax.random.bernoulli(wall_key, WALLED)
     count, far = SCATTERED[config.level], edge + config.room.aisle
+    keys = [*jax.random.split(key, 4)]
+    wall, share, turn, larger = _draw(jax.random.uniform, keys, 2 * count)
+    walled = wall[0] < WALLED
     half, (first, last, end) = config.half_length, SCATTER
     wall = jnp.array([[0.0, MARGIN + OPPOSITE / 2, 0.0]]) + far * jnp.array([0, 1, 0])
     wall = _Boxes(wall, jnp.array([[2 * half, OPPOSITE]]), walled[None])
-    share = jax.random.uniform(centre_key, (count, 2), float)
+    share = share.reshape(count, 2)
     x = (half - 2.0) * (2 * share[:, 0] - 1)
     y = far + first + (last - first) * share[:, 1]
-    yaw = 2 * jnp.pi * jax.random.uniform(yaw_key, (count,), float)
+    yaw = 2 * jnp.pi * turn[:count]
     pose = jnp.stack([x, y, yaw], axis=-1)
-    larger = 0.5 * jax.random.uniform(size_key, (count, 2), float)
-    size = jnp.array(config.car.size, float) + larger
+    size = jnp.array(config.car.size, float) + 0.5 * larger.reshape(count, 2)
     corners = box_corners(pose, size)
     inside = (jnp.abs(corners[..., 0]) <= half) & (corners[..., 1] >= far)
     mask = (inside & (corners[..., 1] <= far + end)).all(axis=1)
@@ -319,6 +369,6 @@ def _draw_start(config: HopeConfig, edge: jax.Array, key: jax.Array) -> jax.Arra
     share = jax.random.uniform(place_key, (2,), float)
     x = config.half_length / 2 * (2 * share[0] - 1)
     y = edge + START_ROOM + (config.room.aisle - 2 * START_ROOM) * share[1]
-    yaw = _normal(yaw_key, (), START_HEADING, jnp.pi / 2)
+    yaw = _normal([yaw_key], 1, START_HEADING, jnp.pi / 2)[0, 0]
     yaw = yaw + jnp.where(jax.random.bernoulli(back_key), jnp.pi, 0.0)
     return move_forward(jnp.stack([x, y, yaw]), config.car.centre_offset)

@@ -9,7 +9,11 @@ from helpers.programs import python
 
 from carpark_mj import compilation
 from carpark_mj.cli.process import OUTPUT_FUSION, enable_output_fusion
-from carpark_mj.compilation import cache_folder, keep_compiled_programs
+from carpark_mj.compilation import (
+    SHARE_LOOPS,
+    cache_folder,
+    keep_compiled_programs,
+)
 
 OPTIONS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
 
@@ -180,14 +184,15 @@ def test_without_a_folder_to_write_nothing_is_kept(undecided, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("gpu", "before", "after"),
     [
-        (False, None, None),
-        (True, None, "--{}=false"),
+        (False, None, SHARE_LOOPS),
+        (True, None, SHARE_LOOPS + " --{}=false"),
+        (False, "", ""),
         (True, "--xla_other=1", "--xla_other=1 --{}=false"),
         (True, "--{}=true", "--{}=true"),  # the user has decided
         (True, "flags.txt", "flags.txt"),  # XLA reads a file
     ],
 )
-def test_slow_kernels_are_skipped_where_jax_has_a_gpu(gpu, before, after, monkeypatch):
+def test_flags_that_xla_gets_on_import(gpu, before, after, monkeypatch):
     monkeypatch.delenv("XLA_FLAGS", raising=False)
     before, after = (
         x and x.format(compilation.FUSION_AUTOTUNER) for x in (before, after)
@@ -197,20 +202,22 @@ def test_slow_kernels_are_skipped_where_jax_has_a_gpu(gpu, before, after, monkey
     plugin = compilation.GPU_PLUGINS[0]
     installed = "json" if gpu else plugin  # a module that is there, or one that is not
     monkeypatch.setattr(compilation, "GPU_PLUGINS", (installed,))
-    compilation.skip_slow_kernels()
+    compilation.choose_xla_flags()
     assert os.environ.get("XLA_FLAGS") == after
 
 
-def test_xla_knows_the_flag():
-    flags = f"--{compilation.FUSION_AUTOTUNER}=false"  # or XLA ends the process
+def test_xla_knows_the_flags():
+    own = f"--{compilation.FUSION_AUTOTUNER}=false"
+    flags = f"{SHARE_LOOPS} {own}"  # or XLA ends the process
     count = "import jax; print(jax.device_count())"
     assert printed(count, XLA_FLAGS=flags, JAX_PLATFORMS="cpu") >= 1
 
 
 def test_output_fusion_joins_our_own_flag(monkeypatch):
-    for before, fused in ((compilation.SKIP_SLOW_KERNELS, True), ("--xla_a=1", False)):
+    gpu = compilation.SKIP_SLOW_KERNELS
+    for before, fused in ((f"{SHARE_LOOPS} {gpu}", True), ("--xla_a=1", False)):
         monkeypatch.setenv("XLA_FLAGS", before)
         enable_output_fusion()
         flags = os.environ["XLA_FLAGS"].split()
         assert (OUTPUT_FUSION in flags) == fused
-        assert before in flags
+        assert before.split()[-1] in flags
