@@ -118,14 +118,9 @@ def test_lots_without_lanes_count_no_metres_against_them():
     stats = init_stats(ONE, plan)
     assert stats.wrong_way is not None
     for wrong in (True, False, True):
-        happened = transition(
-            ONE,
-            plan,
-            STANDING,
-            cars([(2.0, 0, 0)]),
-            {"stats": stats},
-            wrong_way=jnp.array([wrong]),
-        )
+        way = {"wrong_way": jnp.array([wrong])}
+        after = cars([(2.0, 0, 0)])
+        happened = transition(ONE, plan, STANDING, after, {"stats": stats}, **way)
         stats = update_stats(ONE, happened, no_terms(ONE))
     assert stats.wrong_way.tolist() == [4.0]
     named = episode_metrics(happened, stats)

@@ -289,11 +289,9 @@ def test_who_has_just_finished_neither_waits_nor_is_waited_for():
         np.testing.assert_array_equal(found, 0.0)
         found = refund([0.0, 1.0, 0.0], happened=events(3, **{name: [0]}))
         np.testing.assert_allclose(found, [0, 0, 1], rtol=1e-6)
-
-
-def test_an_absent_agent_is_not_waited_for():
-    config = EnvConfig(num_agents=3, reward=REWARD)
+    # Nor is an absent agent waited for.
     motion = cars(ON_A_LINE, speed=[0.0, 1.0, 0.0])
+    config = EnvConfig(num_agents=3, reward=REWARD)
     made = step(config, motion, motion)
     before = dataclasses.replace(made.before, active=jnp.array([True, False, True]))
     got = reward_terms(config, dataclasses.replace(made, before=before))

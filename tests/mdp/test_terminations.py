@@ -208,11 +208,13 @@ def test_a_rule_may_put_the_timeout_first(monkeypatch, step, outcome):
     assert flags(detected(cars([IN_BAY_0]), "early,strict", step)) == ["parked"]
 
 
-def test_both_agents_of_a_collision_crash():
+def test_both_agents_of_a_collision_crash_that_are_active():
     events = detected(crossing(True))
     assert flags(events) == ["crashed", "crashed"]
     np.testing.assert_array_equal(events.hit_agent, [True, True])
     assert not (events.hit_parked_car | events.hit_wall).any()
+    events = detected(crossing(True), active=jnp.array([True, False]))
+    assert flags(events) == ["crashed", "drives on"]  # of a finished agent and another
 
 
 def test_a_crash_says_what_was_hit():
@@ -238,11 +240,6 @@ def test_a_car_that_touches_another_on_its_way_into_the_bay(rule, outcome):
     events = detected(cars([IN_BAY_0, AWAY], trace=trace), rule=rule)
     assert flags(events) == [outcome, "drives on"]
     np.testing.assert_array_equal(events.hit_parked_car, [outcome == "crashed", False])
-
-
-def test_only_the_active_agent_of_a_hit_crashes():
-    events = detected(crossing(True), active=jnp.array([True, False]))
-    assert flags(events) == ["crashed", "drives on"]
 
 
 def test_scaled_hitboxes_do_not_make_parking_harder():

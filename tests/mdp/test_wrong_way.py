@@ -9,13 +9,12 @@ import pytest
 import shapely
 from helpers.lanes import EAST, NORTH, PLAN, SOUTH, WEST
 from helpers.scenes import cars, lot, moved_cars, moved_lot, polygons
-from helpers.sliding import SlidePhysics, placed
+from helpers.sliding import POSES, SlidePhysics, placed
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, RingConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.progress import drives_wrong_way
-from carpark_mj.observations import ContinuousObservation
 
 wrong_way_jit = jax.jit(drives_wrong_way)
 CASES = [
@@ -86,9 +85,7 @@ def street_env(layout):
         num_agents=1,
         num_parked_cars=0,
         episode=EpisodeConfig(max_steps=10),
-        observation=ContinuousObservation(
-            tracked_agents=0, tracked_parked_cars=0, rings=RingConfig()
-        ),
+        observation=POSES,
     )
     return ParkingEnv(config, SlidePhysics())
 

@@ -79,6 +79,7 @@ def test_a_tiny_move_to_and_fro_is_left_out():
     path = make_path(np.concatenate([there, jolt, jolt[-1] + line(2.0)[1:]]), CAR)
     assert [segment.gear for segment in path.segments] == [1]
     assert path.length == pytest.approx(4.0, abs=0.05)
+    assert make_path(np.zeros((5, 3)), CAR) is None  # a path of one place
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -108,10 +109,6 @@ def test_the_wheels_can_follow_and_the_car_can_stop():
     slowing = np.diff(segment.speed**2) / (2 * np.diff(segment.distance))
     assert slowing.min() >= -0.5 * 1.01
     assert segment.speed[-1] == 0.0
-
-
-def test_a_path_of_one_place_is_none():
-    assert make_path(np.zeros((5, 3)), CAR) is None
 
 
 def test_a_car_whose_pedal_is_released_rolls_as_far_as_is_planned():
@@ -162,11 +159,13 @@ def test_a_car_speeds_up_cruises_and_stops():
     assert DT * (len(pose) - 1) == pytest.approx(expected, abs=2 * DT)
 
 
-def test_nobody_waits_alone():
+def test_nobody_waits_alone_or_drives_through_who_stands():
     pose = straight((0.0, 0, 0), (12.0, 0, 0))
     assert schedule(pose, SIZE, [], 0).tolist() == list(range(len(pose)))
     late = schedule(pose, SIZE, [], 7)
     assert late.tolist() == [0] * 7 + list(range(len(pose)))
+    stands = Drive(np.array([[6.0, 0.0, 0.0]]), np.zeros(1, int), SIZE)
+    assert schedule(pose, SIZE, [stands], 0) is None  # nobody drives through it
 
 
 def test_a_car_waits_until_another_has_crossed_and_stops_for_no_less_than_it_takes():
@@ -182,12 +181,6 @@ def test_a_car_waits_until_another_has_crossed_and_stops_for_no_less_than_it_tak
     assert set(np.diff(index)) == {0, 1}
     stood = [int((index == point).sum()) - 1 for point in range(1, len(own) - 1)]
     assert all(count == 0 or count >= round(STOP / DT) - 1 for count in stood)
-
-
-def test_a_car_does_not_drive_through_one_that_stands():
-    own = straight((-12.0, 0, 0), (12.0, 0, 0))
-    stands = Drive(np.zeros((1, 3)), np.zeros(1, int), SIZE)
-    assert schedule(own, SIZE, [stands], 0) is None
 
 
 def test_a_car_does_not_stop_where_another_will_pass():

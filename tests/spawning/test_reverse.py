@@ -234,11 +234,8 @@ def test_a_start_falls_back_to_random_where_no_way_leads_out():
     walls = [(20.0, 1.2, 0.0), (20.0, -1.2, 0.0), (17.2, 0.0, 1.57), (22.8, 0.0, 1.57)]
     closed = lot(FAR.bay_pose, walls, wall_size=(6.0, 0.2), spawn_size=(1.0, 1.0))
     assert np.abs(ends_of(closed, REVERSE)[:, 0]).max() <= 0.5
-
-
-def test_start_is_random_if_agents_leave_no_room():
     agents = [(20.0 + 6.0 * x, 6.0 * y, 0.0) for x in (-1, 0, 1) for y in (-1, 0, 1)]
-    agents = [(0.0, 40.0, 0.0), *agents]
+    agents = [(0.0, 40.0, 0.0), *agents]  # who leave no room
     assert np.abs(ends_of(FAR, REVERSE, agents)[:, 0]).max() <= 0.5
 
 

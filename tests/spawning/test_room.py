@@ -210,15 +210,8 @@ def test_starts_after_a_first_try_are_random():
     def start(key):
         state, _ = env.reset(key)
         # Both head for one bay, so that a start close to it is taken.
-        inputs = SpawnInputs(
-            state.layout,
-            state.parked_cars,
-            None,
-            None,
-            BayFits(),
-            state.physics.vehicle,
-            first=True,
-        )
+        rest = None, None, BayFits(), state.physics.vehicle
+        inputs = SpawnInputs(state.layout, state.parked_cars, *rest, first=True)
         goal, bay = jnp.array([0, 0]), state.parked_cars.bay
         placing = start_placing(goal, bay, jnp.zeros((2, 3)), jnp.ones(2, bool))
         return place_waiting(place, inputs, placing, key)

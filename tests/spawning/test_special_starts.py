@@ -132,10 +132,7 @@ def test_crash_start_fails_without_a_far_target():
     # 14 m are enough to be chosen, but leave no room between both distances.
     assert not any_found(14.0)
     assert any_found(15.0)
-    assert not any_found(15.0, np.zeros(4, bool))
-
-
-def test_only_agents_that_drive_are_crash_targets():
+    assert not any_found(15.0, np.zeros(4, bool))  # agents that drive alone count
     pose, found = attempts(targets=np.array([False, False, True, False]))
     assert found.any()
     assert meets(COURSE, pose[found], XY, GOAL)[:, 1].all()
