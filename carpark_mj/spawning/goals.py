@@ -210,8 +210,6 @@ def new_goal(
         vacant = jnp.where(found, vacant & suits, last)
     parked_bay = jnp.where(displaced, pick(vacant, score), placing.parked_bay)
     placing = dataclasses.replace(placing, parked_bay=parked_bay)
-    if fits.agents is not None:  # the new car may park where the last one did
-        found = found | (fits.agents[agent, old] & (old != NO_BAY))
     return placing.set(agent, goal=goal, found=found)
 
 

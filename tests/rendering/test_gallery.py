@@ -16,7 +16,7 @@ from carpark_mj.rendering.gallery import (
 
 
 def test_every_family_that_a_name_draws_is_in_the_gallery():
-    others = {"square_compact", "mixture"}  # another square, and a mix of the rest
+    others = {"square_compact", "mixture", "valet"}  # another square, mixes of others
     alone = (
         "slots",
         "clutter",
