@@ -184,8 +184,8 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
     """
     shares: dict[str, float] = {}
     for member, share in config.shares:
-        scaled = getattr(member, "lots", member)  # `ScaledConfig`
-        name = LAYOUTS.name_of(member) or LAYOUTS.name_of(scaled)
+        changed = getattr(member, "lots", member)  # has the name of its lots
+        name = LAYOUTS.name_of(member) or LAYOUTS.name_of(changed)
         first = name = name or member.family
         number = 2
         while name in shares:

@@ -37,25 +37,14 @@ CHUNK = 64  # lots drawn at a time
 
 
 @dataclasses.dataclass(frozen=True)
-class ScaledConfig(LayoutConfig):
-    """Lots of which all lengths are multiplied by a factor, as for cars of other sizes.
+class ChangedConfig(LayoutConfig):
+    """Lots of another config, changed.
 
     Attributes:
-        lots: what is scaled.
-        scale: range of the factor, drawn for every lot.
-        family: fixed.
+        lots: the other config.
     """
 
     lots: LayoutConfig = SQUARE_COMPACT
-    scale: Annotated[Range, Bounds(ge=0.5, le=2.0)] = (1.0, 1.0)
-    family: str = "scaled"
-
-    def generate(self, key: jax.Array) -> Layout:
-        """Draws a lot and its scale."""
-        key, scale_key = jax.random.split(key)
-        low, high = self.scale
-        factor = jax.random.uniform(scale_key, (), jnp.float32, low, high)
-        return enlarge(self.lots.generate(key), factor)
 
     @property
     def min_bays(self) -> int:
@@ -74,19 +63,37 @@ class ScaledConfig(LayoutConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class StoredConfig(LayoutConfig):
+class ScaledConfig(ChangedConfig):
+    """Lots of which all lengths are multiplied by a factor, as for cars of other sizes.
+
+    Attributes:
+        scale: range of the factor, drawn for every lot.
+        family: fixed.
+    """
+
+    scale: Annotated[Range, Bounds(ge=0.5, le=2.0)] = (1.0, 1.0)
+    family: str = "scaled"
+
+    def generate(self, key: jax.Array) -> Layout:
+        """Draws a lot and its scale."""
+        key, scale_key = jax.random.split(key)
+        low, high = self.scale
+        factor = jax.random.uniform(scale_key, (), jnp.float32, low, high)
+        return enlarge(self.lots.generate(key), factor)
+
+
+@dataclasses.dataclass(frozen=True)
+class StoredConfig(ChangedConfig):
     """Lots for training that are drawn once, on the CPU, and kept in the user's cache.
 
     Half of those that are picked are mirrored, and `ScaledConfig`s draw the scale of
     each anew. All are of the split `train`: evaluate in the lots themselves.
 
     Attributes:
-        lots: what is drawn from.
         number: of lots that are kept, by their shares of a mixture.
         family: fixed.
     """
 
-    lots: LayoutConfig = SQUARE_COMPACT
     number: Count = 8192
     family: str = "stored"
 
@@ -131,21 +138,6 @@ class StoredConfig(LayoutConfig):
         """Those of the lots."""
         return self.lots.entries
 
-    @property
-    def min_bays(self) -> int:
-        """As of the lots."""
-        return self.lots.min_bays
-
-    @property
-    def min_goals(self) -> int:
-        """As of the lots."""
-        return self.lots.min_goals
-
-    @property
-    def is_enclosed(self) -> bool:
-        """As of the lots."""
-        return self.lots.is_enclosed
-
 
 def _scale(lots: LayoutConfig) -> Range:
     return lots.scale if isinstance(lots, ScaledConfig) else (1.0, 1.0)
@@ -172,8 +164,9 @@ def stored_lots(config: StoredConfig) -> Layout:
         lots = _draw(config)
     arrays = {name: x for name, x in vars(lots).items() if x is not None}
     if file is not None:
-        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_atomically(file, lambda opened: np.savez_compressed(opened, **arrays))
+        with contextlib.suppress(OSError):  # a folder that cannot be written
+            file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            write_atomically(file, lambda opened: np.savez_compressed(opened, **arrays))
     return lots
 
 

@@ -196,6 +196,9 @@ def new_goal(
     candidate = candidate & (can_move | ~has_car)
     if fits.agents is not None:
         candidate = candidate & fits.agents[agent]
+    if fits.agents is not None:  # an agent that waits has not driven there
+        own = (rows == old) & fits.agents[agent] & (placing.waited[agent] > 0)
+        candidate = jnp.where(candidate.any(), candidate, own & ~has_car)
     found = candidate.any()
     goal = jnp.where(found, pick(candidate, scores[0]), old)
     score = jnp.where(rows == old, 2.0, scores[1])

@@ -363,4 +363,5 @@ def test_a_car_without_room_to_start_leaves_its_place_to_a_smaller_one():
         present.append(np.asarray(state.present))
         began += int((np.asarray(state.step) == 0)[present[-1]].sum())
     assert 0.2 < present[0].mean() < 0.9  # a van has less room in its bay
+    assert np.any(present, axis=0).all()  # no lot waits for ever
     assert began > 64

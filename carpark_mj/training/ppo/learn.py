@@ -84,7 +84,7 @@ def training_env(config: PPOConfig) -> EnvConfig:
     changes = {name: ratio for name, ratio in asked.items() if ratio}
     spawn = dataclasses.replace(config.env.spawn, **changes)
     layout = config.env.layout
-    if config.stored_lots:
+    if config.stored_lots and layout_config(layout).is_random:
         layout = StoredConfig(layout_config(layout), config.stored_lots)
     return dataclasses.replace(config.env, spawn=spawn, layout=layout)
 
