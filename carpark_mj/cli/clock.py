@@ -11,6 +11,7 @@ PERIOD = 0.25  # s between its moves
 LOADING = "loading JAX and MuJoCo, usually 2 to 10 s"
 COMPILING = "compiling, usually 10 to 60 s, fewer once it is kept, then driving"
 PLACING = "compiling the start, usually 5 to 30 s, fewer once it is kept"
+DRAWING = "drawing lots, usually 1 to 2 min, only the first time"
 TRAINING = "compiling, usually 1 to 3 min, less once it is kept"
 CLEAR = b"\r\x1b[K"
 

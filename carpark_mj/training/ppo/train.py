@@ -11,7 +11,7 @@ from typing import Literal
 import jax
 import numpy as np
 
-from carpark_mj.cli.clock import TRAINING, doing
+from carpark_mj.cli.clock import DRAWING, TRAINING, doing
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training import hosts
@@ -85,6 +85,8 @@ def train_runs(
         if not config.resume:
             require_run(config)
     learner = make_learner(configs)
+    if any(config.stored_lots for config in configs):
+        doing(DRAWING)
     learner.shapes()  # refuses impossible lots before a folder is made
     hosts.require_same(repr(configs))
     with contextlib.ExitStack() as stack:
