@@ -1,5 +1,6 @@
 """Lots at other scales, and lots that are drawn once and picked from."""
 
+import dataclasses
 import functools
 import os
 
@@ -8,7 +9,10 @@ import numpy as np
 import pytest
 
 from carpark_mj.compilation import cache_folder
+from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import (
+    AngledConfig,
+    ClutterConfig,
     MixtureConfig,
     ScaledConfig,
     SquareConfig,
@@ -18,6 +22,8 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.stored import stored_lots
 from carpark_mj.layouts.types import mirror
+from carpark_mj.training.ppo.learn import training_env
+from carpark_mj.training.ppo.parts import PRESETS
 
 STREET = StreetConfig(bays_per_side=(3, 4))
 LOTS = MixtureConfig((ScaledConfig(STREET, (1.2, 1.5)), SquareConfig()), (3.0, 1.0))
@@ -58,10 +64,19 @@ def test_all_lengths_of_a_scaled_lot_have_one_factor():
     np.testing.assert_array_equal(fixed.bay_pose[..., 2], one.bay_pose[..., 2])
 
 
-def test_a_mirror_image_of_a_mirror_image_is_the_lot():
-    lots = draw(STREET, 2)
-    image = mirror(lots)
-    assert np.abs(np.asarray(image.bay_pose) - lots.bay_pose).max() > 1.0
+@pytest.mark.parametrize("config", [AngledConfig(), ClutterConfig()])
+def test_a_mirrored_lot_has_its_corners_on_the_other_side(config):
+    lots = draw(config, 2)
+    image = jax.device_get(mirror(lots))
+    for name in ("bay", "wall", "lane", "spawn"):
+        pose, size = getattr(lots, f"{name}_pose"), getattr(lots, f"{name}_size")
+        flipped = box_corners(pose, size) * np.array([1.0, -1.0])
+        corners = box_corners(getattr(image, f"{name}_pose"), size)
+        gap = np.linalg.norm(flipped[..., None, :] - corners[..., None, :, :], axis=-1)
+        assert gap.min(axis=-1).max(initial=0.0) < 1e-3
+        ahead = np.cos(pose[..., 2]) - np.cos(getattr(image, f"{name}_pose")[..., 2])
+        assert np.abs(ahead).max(initial=0.0) < 1e-6  # they face the same way along x
+    np.testing.assert_array_equal(image.disc_centre, lots.disc_centre * [1.0, -1.0])
     jax.tree.map(np.testing.assert_array_equal, jax.device_get(mirror(image)), lots)
 
 
@@ -104,3 +119,11 @@ def test_lots_are_kept_in_a_file_and_drawn_again_if_it_is_damaged(own_cache):
     stored_lots.cache_clear()
     jax.tree.map(np.testing.assert_array_equal, stored_lots(config), drawn)
     assert len(file.read_bytes()) > 100
+
+
+def test_a_fixed_lot_is_not_stored():
+    """It would be mirrored."""
+    preset = PRESETS["valet"]
+    assert isinstance(training_env(preset).layout, StoredConfig)
+    env = dataclasses.replace(preset.env, layout="square")
+    assert training_env(dataclasses.replace(preset, env=env)).layout == "square"
