@@ -66,7 +66,7 @@ def test_all_lengths_of_a_scaled_lot_have_one_factor():
 
 @pytest.mark.parametrize("config", [AngledConfig(), ClutterConfig()])
 def test_a_mirrored_lot_has_its_corners_on_the_other_side(config):
-    lots = draw(config, 2)
+    lots = draw(config, 16)
     image = jax.device_get(mirror(lots))
     for name in ("bay", "wall", "lane", "spawn"):
         pose, size = getattr(lots, f"{name}_pose"), getattr(lots, f"{name}_size")
