@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Annotated, Literal
 
-from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Positive
+from carpark_mj.config.checks import Bounds, CheckedConfig, Count, NonNegative, Positive
 
 MIN_STD = 0.001  # of actions before tanh; Brax's
 
@@ -23,6 +23,8 @@ class NetworkConfig(CheckedConfig):
         picture_size: number of features of a picture in `set`, of each camera's.
         min_std: least standard deviation of continuous actions before tanh, above 0.
             With a small value a policy may stop exploring.
+        max_std: largest such deviation; 0 = no limit. A policy that depends on its
+            noise drives worse without it.
     """
 
     policy_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
@@ -33,3 +35,11 @@ class NetworkConfig(CheckedConfig):
     # The first convolution has half as many channels.
     picture_size: Annotated[int, Bounds(ge=2)] = 64
     min_std: Positive = MIN_STD
+    max_std: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_std and self.max_std < self.min_std:
+            raise ValueError(
+                f"max_std {self.max_std} must be 0 or at least min_std {self.min_std}"
+            )

@@ -58,7 +58,7 @@ class ContinuousObservation(ObservationConfig):
         own_car: observe the own size, axles and turning radius; required if agents are
             drawn from a fleet.
         own_response: observe how the own car answers: rate and lag of its steering, lag
-            and acceleration of its drive, brake, mass, and which axle drives.
+            and acceleration of its drive, brake, mass, driven axle and speed limits.
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.

@@ -192,17 +192,20 @@ RATE = 0.5  # rad/s, scale of the steering's
 LAG = 0.5  # s
 ACCELERATION = 4.0  # m/s^2, about a firm brake
 MASS = 2000.0  # kg
+SPEED = 3.0  # m/s, usual limit of a parking car
 
 
 def _response(sight: ObservationInput) -> dict[str, jax.Array]:
     car = sight.vehicle
     pedal = jnp.stack([car.max_acceleration, car.max_deceleration], axis=-1)
+    limits = jnp.stack([car.max_speed, car.max_reverse_speed], axis=-1)
     values = {
         "own_steering_rate": car.steering_rate[..., None] / RATE,
         "own_lags": jnp.stack([car.steering_lag, car.drive_lag], axis=-1) / LAG,
         "own_pedal": pedal / ACCELERATION,
         "own_mass": car.rated_mass[..., None] / MASS,
         "own_front_drive": car.drive_share[..., :2].sum(axis=-1, keepdims=True),
+        "own_speed_limits": limits / SPEED,
     }
     return {name: jnp.clip(value, 0.0, 2.0) for name, value in values.items()}
 
@@ -220,6 +223,13 @@ RESPONSE = Part(
         ),
         Field("own_mass", 1, 0.0, 2.0, f"own mass, unloaded [{MASS / 1000:g} t]"),
         Field("own_front_drive", 1, 0.0, 1.0, "share of the drive in front"),
+        Field(
+            "own_speed_limits",
+            2,
+            0.0,
+            2.0,
+            f"own speed limits, forward and reverse [{SPEED:g} m/s]",
+        ),
     ),
     _response,
 )

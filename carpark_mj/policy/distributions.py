@@ -20,19 +20,41 @@ from carpark_mj.policy.brax import (
 
 
 def action_distribution(
-    spec: ActionSpec, min_std: float = MIN_STD
+    spec: ActionSpec, min_std: float = MIN_STD, max_std: float = 0.0
 ) -> ParametricDistribution:
     """The distribution for actions of a kind: tanh-normal, categorical, or both.
 
     Args:
         spec: the kind.
         min_std: least standard deviation of the numbers before tanh, above 0.
+        max_std: largest; 0 = no limit.
     """
-    if not spec.choices:
-        return NormalTanhDistribution(event_size=spec.continuous, min_std=min_std)
     if not spec.continuous:
         return MultiCategorical(spec.choices)
-    return TanhNormalCategorical(spec.continuous, spec.choices, min_std)
+    n = spec.continuous
+    normal = (
+        BoundedNormalTanh(n, min_std, max_std)
+        if max_std
+        else NormalTanhDistribution(n, min_std=min_std)
+    )
+    if not spec.choices:
+        return normal
+    return TanhNormalCategorical(normal, n, spec.choices)
+
+
+class BoundedNormalTanh(NormalTanhDistribution):
+    """Brax's distribution with an upper bound of its standard deviations."""
+
+    def __init__(self, event_size: int, min_std: float, max_std: float) -> None:
+        """Takes the number of numbers and the bounds, before tanh."""
+        super().__init__(event_size, min_std=min_std)
+        self._max_std = max_std
+
+    def create_dist(self, parameters: jax.Array) -> Any:
+        """Brax's normal distribution of parameters (..., param_size)."""
+        normal = super().create_dist(parameters)
+        normal.scale = jnp.minimum(normal.scale, self._max_std)
+        return normal
 
 
 class Categoricals:
@@ -171,10 +193,10 @@ class TanhNormalCategorical(ParametricDistribution):
     """
 
     def __init__(
-        self, continuous: int, choices: tuple[int, ...], min_std: float
+        self, normal: NormalTanhDistribution, continuous: int, choices: tuple[int, ...]
     ) -> None:
-        """Takes the number of numbers, sizes of the branches and least deviation."""
-        self._normal = NormalTanhDistribution(event_size=continuous, min_std=min_std)
+        """Takes the distribution and number of numbers, and sizes of the branches."""
+        self._normal = normal
         self._categoricals = MultiCategorical(choices)
         super().__init__(
             param_size=self._normal.param_size + self._categoricals.param_size,

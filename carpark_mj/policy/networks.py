@@ -165,7 +165,7 @@ def make_networks(
     They take a `Normalizer` of `network_inputs(config, fields)`.
     """
     inputs = network_inputs(config, fields)
-    distribution = action_distribution(action, config.min_std)
+    distribution = action_distribution(action, config.min_std, config.max_std)
     networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
     if config.encoder == "flat":
         policy = brax_networks.make_policy_network(

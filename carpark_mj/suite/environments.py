@@ -67,7 +67,8 @@ VALET = dataclasses.replace(
     num_agents=1,
     min_agents=None,
     fleet=FleetConfig(
-        agents=("range:64", "tpcap"),
+        # HOPE's and TPCAP's car is drawn as often as 8 of the others.
+        agents=("range:128", *8 * ("tpcap",)),
         parked_cars=ANYWHERE.fleet.parked_cars,
         snug=0.5,
     ),

@@ -41,9 +41,20 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "steering_rate": (0.30, 0.60),  # rad/s [est]
     "steering_lag": (0.0, 0.15),  # s [est]
     "drive_lag": (0.0, 0.25),  # s [est] from electric motors to engines
-    "max_acceleration": (1.5, 3.0),  # m/s^2 [est]
+    "max_acceleration": (1.0, 3.0),  # m/s^2 [est]
     "rear_steering": (0.08, 0.17),  # rad
+    "max_speed": (2.0, 4.0),  # m/s [est] of drivers who park
+    "max_reverse_speed": (1.5, 2.5),  # m/s [est]
 }
+# Of these, parameters of cars that are taken as they are drawn.
+_DRIVEN = (
+    "steering_rate",
+    "steering_lag",
+    "drive_lag",
+    "max_acceleration",
+    "max_speed",
+    "max_reverse_speed",
+)
 
 
 def cars_of(name: str) -> tuple[tuple[str, VehicleParameters], ...]:
@@ -115,7 +126,7 @@ def _car(chance: Mapping[str, float]) -> VehicleParameters:
     quantities["turning_circle"] = kerb_to_kerb(
         wheelbase, quantities["track_width"], quantities["tyre_width"], drawn("lock")
     )
-    for name in ("steering_rate", "steering_lag", "drive_lag", "max_acceleration"):
+    for name in _DRIVEN:
         quantities[name] = drawn(name)
     # The first quarter of its range is stretched over all of it.
     steers = chance["rear_steering"] / REAR_STEERING
