@@ -123,7 +123,7 @@ def rates_by_policy(page, parked, first=""):
 
 
 def test_rates_of_the_readme_are_those_of_the_results():
-    said = rates_by_policy(section(README, "policies table"), 3)
+    said = rates_by_policy(section(README, "policies table"), 2)
     parts = RESULTS.split("\n## ")
     [cpu] = [part for part in parts if part.startswith("What does the first command")]
     [gpu] = [part for part in parts if part.startswith("What do the GPU presets")]
