@@ -142,6 +142,15 @@ def test_speeds_of_the_readme_are_those_of_the_results():
     assert said <= known
 
 
+@pytest.mark.parametrize("page", [README, (DOCS / "index.md").read_text()])
+def test_the_numbers_of_the_first_screen_are_those_of_the_tables(page):
+    rows = page.split("squares).*\n\n")[1].splitlines()
+    said = [cell.strip() for cell in rows[0].strip("|").split("|")]
+    tables = ("policies table", "speed table", "accuracy table")
+    for number, table in zip(said, tables, strict=True):
+        assert number.removesuffix(" m") in section(README, table), number
+
+
 PLACES = {
     "pyproject.toml": r'^version = "(.*)"',
     "CITATION.cff": r"^version: (.*)$",
