@@ -3,8 +3,10 @@
 import sys
 from typing import NoReturn
 
+from carpark_mj import __version__
 from carpark_mj.cli.process import enter
-from carpark_mj.programs import COMMANDS, table
+from carpark_mj.extensions import table
+from carpark_mj.programs import COMMANDS
 
 
 def main() -> NoReturn:
@@ -14,6 +16,10 @@ def main() -> NoReturn:
         summaries = {name: command.summary for name, command in COMMANDS.items()}
         print(f"usage: carpark_mj COMMAND ...\n\n{table(summaries)}\n")
         print("carpark_mj COMMAND --help lists the settings of each.")
+        print("carpark_mj --version prints the version.")
+        sys.exit(0)
+    if name == "--version":
+        print(f"carpark_mj {__version__}")
         sys.exit(0)
     if name not in COMMANDS:
         known = ", ".join(COMMANDS)

@@ -3,7 +3,7 @@
 import dataclasses
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from carpark_mj.cli.clock import CLOCK
@@ -13,7 +13,7 @@ from carpark_mj.cli.process import (
     enable_output_fusion,
 )
 from carpark_mj.compilation import keep_compiled_programs
-from carpark_mj.extensions import Entry, Registry
+from carpark_mj.extensions import Entry, Registry, table
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
@@ -68,6 +68,10 @@ COMMANDS = {
     "play": _command(
         "cli.pages:play", "drive a car yourself",
         "driving:PlayConfig", KEEPING, drives=True,
+    ),
+    "list": _command(
+        "cli.listing:main", "list layouts, environments, vehicles, policies, presets",
+        "tables:ListConfig",
     ),
     "layouts": _command(
         "cli.layouts:main", "draw, plot, check and save layouts",
@@ -166,12 +170,6 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     return read_flags(settings, words, description=text, prog=f"carpark_mj {name}")
 
 
-def table(summaries: Mapping[str, str]) -> str:
-    """A line for each program."""
-    width = max(map(len, summaries), default=0)
-    return "\n".join(f"  {name:{width}}  {x}" for name, x in summaries.items())
-
-
 def study(arguments: Sequence[str]) -> object:
     """Runs a program of a paper or another extension, which the first argument names.
 
@@ -185,8 +183,7 @@ def study(arguments: Sequence[str]) -> object:
             "`pip install ./papers` in a checkout of carpark_mj"
         )
     if not arguments or arguments[0] in ("-h", "--help"):
-        listed = table(STUDY_PROGRAMS.summaries)
-        print(f"usage: carpark_mj study NAME ...\n\n{listed}")
+        print(f"usage: carpark_mj study NAME ...\n\n{table(STUDY_PROGRAMS.summaries)}")
         return 0
     program = STUDY_PROGRAMS[arguments[0]]
     keep_compiled_programs()
@@ -200,6 +197,7 @@ TRAIN_HELP = """Trains one shared parking policy for all agents with PPO (IPPO).
     carpark_mj train --resume runs/cpu-0    # continues where it stopped
     carpark_mj train --preset dynamic --seeds 0..7       # runs side by side
     carpark_mj train --help-all             # every setting
+    carpark_mj train --config mine.yaml     # settings of a file, or a run's config.json
     carpark_mj train --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
     srun carpark_mj train --coordinator auto                         # a cluster
 

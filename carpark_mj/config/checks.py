@@ -109,6 +109,11 @@ def require_count(name: str, value: Any, minimum: int) -> None:
     require_number(name, value, Bounds(ge=minimum))
 
 
+def counted(number: int, noun: str) -> str:
+    """A number of things in words, as in `1 bay` and `2 bays`."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def require_seed(seed: int) -> None:
     """Refuses a seed that is negative, too large, or not a whole number."""
     if type(seed) is bool or not isinstance(seed, numbers.Integral):

@@ -93,7 +93,8 @@ class EvaluateConfig(DriveSettings):
 
     Attributes:
         policy: the same as RUN.
-        episodes: number of episodes, rounded up to the same number per agent.
+        episodes: least number of episodes, rounded up to the same number for every
+            agent of every lot; 1,024 become 1,792 for seven agents in 128 lots.
         horizon: simulated time [s]; all episodes that begin within it count, instead of
             the same number per agent, so that short episodes weigh more. `episodes`
             then sets the number of lots.

@@ -28,8 +28,23 @@ METRICS = ("parked", "crashed", "timed_out", "length")
 What = Literal["env", "ppo", "physics", "start"]
 Clock = Literal["wall", "cpu"]
 Cars = Literal["brush", "mjx.step", "contact"]
+Kind = Literal["all", "layouts", "environments", "vehicles", "policies", "presets"]
 Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
 Cluster = Literal["local", "debug", "slurm"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ListConfig:
+    """Lists names, also those of installed extensions.
+
+    carpark_mj list
+    carpark_mj list layouts
+
+    Attributes:
+        kind: what to list; everything if not given.
+    """
+
+    kind: Annotated[Kind, tyro.conf.Positional] = "all"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -354,7 +369,8 @@ class LayoutsConfig(CheckedConfig):
     carpark_mj layouts edit lot.json
 
     Attributes:
-        layouts: names or layout files; all families if none.
+        layouts: names or layout files; all families if none. Without any flag the
+            names are listed.
         plot: picture to write, with two lots of each random layout named, or one of
             every family.
         check: number of lots of each layout to check.
@@ -384,7 +400,7 @@ class LayoutsConfig(CheckedConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_seed(self.seed)
-        if not (self.plot or self.check or self.run or self.save):
+        if self.layouts and not (self.plot or self.check or self.run or self.save):
             raise ValueError(
                 "nothing to do: give --plot FILE, --save FILE, --check N or --run N "
                 "(N > 0)"
