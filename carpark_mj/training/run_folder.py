@@ -24,6 +24,7 @@ from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError, refused_as
 from carpark_mj.reading import parse_object, parse_yaml, read_object, read_text
 from carpark_mj.training.hosts import take_flags
+from carpark_mj.training.loggers import logger_names
 
 LOCK = ".lock"
 MAX_SEEDS = 1024
@@ -42,6 +43,8 @@ class RunConfig(CheckedConfig):
         time_limit: time after which to save a checkpoint and stop [min]; 0 = no limit.
         seed: random seed.
         checkpoint_minutes: time between checkpoints [min].
+        logger: where metrics, settings and the video go besides the folder:
+            tensorboard, wandb, mlflow or a registered one; several with commas.
     """
 
     preset: str = ""
@@ -51,6 +54,7 @@ class RunConfig(CheckedConfig):
     time_limit: NonNegative = 0.0
     seed: int = 0
     checkpoint_minutes: Positive = 1.0
+    logger: str = "tensorboard"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,9 +85,11 @@ def open_run(config: RunConfig) -> Generator[Path]:
     name is free again.
 
     Raises:
-        ValueError: the given name is taken, or another process trains in the folder.
+        ValueError: the given name is taken, another process trains in the folder, or
+            an unknown logger.
         OSError: the folder cannot be written.
     """
+    logger_names(config.logger)  # refused before there is a folder
     folder = Path(config.resume) if config.resume else _new_folder(config)
     with (folder / LOCK).open("a") as lock:  # the lock of a killed process is released
         try:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from carpark_mj.config.checks import require_count
+from carpark_mj.config.checks import Bounds, require_count, require_number
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
@@ -25,7 +25,11 @@ from carpark_mj.rendering.gl import missing_display
 from carpark_mj.rendering.recording import Snapshot, snapshot_of
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.scene.camera_flags import camera_names
+from carpark_mj.scene.camera_flags import (
+    OFFSCREEN_HEIGHT,
+    OFFSCREEN_WIDTH,
+    camera_names,
+)
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
@@ -300,6 +304,7 @@ def _seeds(seed: Seeds, num_lots: int) -> np.ndarray:
 
 
 SIZE = 960, 540  # pixels
+LARGEST = OFFSCREEN_WIDTH, OFFSCREEN_HEIGHT
 RENDER_MODES = ["human", "rgb_array"]
 
 
@@ -307,7 +312,11 @@ class Screen:
     """Shows lots of one environment; lots that look alike share a scene."""
 
     def __init__(
-        self, env: Any, camera: str = "topdown", num_cars: int | None = None
+        self,
+        env: Any,
+        camera: str = "topdown",
+        num_cars: int | None = None,
+        size: tuple[int, int] = SIZE,
     ) -> None:
         """Opens nothing yet.
 
@@ -315,9 +324,13 @@ class Screen:
             env: a `ParkingEnv`, or what a subclass draws.
             camera: see `carpark_mj.scene.camera_flags.camera_names`.
             num_cars: number of cars that cameras can follow; None = the agents.
+            size: width and height of pictures [pixels].
         """
+        for name, value, most in zip(("width", "height"), size, LARGEST, strict=True):
+            require_count(name, value, 2)
+            require_number(name, value, Bounds(le=most))
         camera_names(camera, env.num_agents if num_cars is None else num_cars)
-        self._env, self._camera = env, camera
+        self._env, self._camera, self._size = env, camera, size
         self._open_nothing()
 
     def _open_nothing(self) -> None:
@@ -328,7 +341,7 @@ class Screen:
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies open their own windows and renderers."""
-        return {"_env": self._env, "_camera": self._camera}
+        return {name: vars(self)[name] for name in ("_env", "_camera", "_size")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -341,7 +354,7 @@ class Screen:
         """Draws a lot of a batch, (height, width, 3) uint8; it needs OpenGL."""
         stage, seen = self._place(state, lot)
         if self._renderer is None:
-            self._renderer = LotRenderer(stage, self._camera, SIZE)
+            self._renderer = LotRenderer(stage, self._camera, self._size)
         self._renderer.show_lot(stage)
         draw, cameras = self._renderer.draw, self._renderer.cameras
         return np.concatenate([draw(seen, name) for name in cameras], axis=1)

@@ -79,6 +79,7 @@ RUN_SETTINGS = (
     "minutes",
     "num_lots",
     "checkpoint_minutes",
+    "logger",
     "eval_episodes",
     "video_seconds",
 )
