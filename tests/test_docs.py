@@ -169,6 +169,14 @@ def test_the_test_command_is_where_ci_reads_it():
     assert block == 'bash\npip install ".[test]" && pytest\n'
 
 
+def test_the_image_installs_what_the_readme_says():
+    image = (ROOT / "Dockerfile").read_text()
+    extras = re.search(r"pip install (?:-e )?(\"\.\[[\w,]+\]\")", README)[1]
+    packages = re.search(r"apt install ((?:[\w-]+ ?)+)", README)[1].split()
+    assert extras in image
+    assert all(f" {package} " in image for package in packages)
+
+
 @pytest.mark.parametrize("line", COMMAND_LINES)
 def test_a_command_exists_and_takes_its_flags(line):
     check_command(line)

@@ -105,12 +105,12 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
         f"{env.layout} lot, {env.physics} physics, seed {config.seed}"
     )
     settings = {**dataclasses.asdict(config), "policy": task.name}
+    task.folder.mkdir(parents=True, exist_ok=True)
+    written = write_evaluation(task.folder, result, settings)
+    print_report(result, title)
     made, asked = len(result.episodes), config.episodes
     if config.horizon is None and made > asked:
         drivers = len({(row["lot"], row["agent"]) for row in result.episodes})
         each = f"{made // drivers} by each of {drivers} agents"
         print(f"{made:,} episodes: {each} ({asked:,} asked for, rounded up)")
-    task.folder.mkdir(parents=True, exist_ok=True)
-    written = write_evaluation(task.folder, result, settings)
-    print_report(result, title)
     print(f"wrote {', '.join(map(str, written))}")
