@@ -3,7 +3,7 @@
 import sys
 from typing import NoReturn
 
-from carpark_mj import __version__
+import carpark_mj
 from carpark_mj.cli.process import enter
 from carpark_mj.extensions import table
 from carpark_mj.programs import COMMANDS
@@ -34,7 +34,7 @@ def main() -> NoReturn:
         print("carpark_mj --version prints the version, --completion a bash script.")
         sys.exit(0)
     if name == "--version":
-        print(f"carpark_mj {__version__}")
+        print(f"carpark_mj {carpark_mj.__version__}")
         sys.exit(0)
     if name == "--completion":
         print(COMPLETION.replace("COMMANDS", " ".join(COMMANDS)))

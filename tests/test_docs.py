@@ -43,7 +43,7 @@ from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.programs import SETTINGS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
-from carpark_mj.training.hosts import read_hosts
+from carpark_mj.training.hosts import read_hosts, take_flags
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.run_folder import named, read_runs
@@ -215,7 +215,8 @@ def check_command(line):
 
 
 def read_training(words):
-    """A trainer's settings, which start from its preset's."""
+    """A trainer's settings, which start from its preset's; a file is not read."""
+    words = take_flags(words, config={})[1]
     name = named(words, "preset")
     return read_flags(PPOConfig, words, PPO_PRESETS[name] if name else None)
 

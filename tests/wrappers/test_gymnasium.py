@@ -305,12 +305,12 @@ def test_a_picture_of_an_impossible_size_is_refused(size):
 def test_an_episode_is_recorded_by_gymnasium_s_wrapper(tmp_path):
     pytest.importorskip("moviepy")
     env = make(render_mode="rgb_array", config=SHORT, width=64, height=48)
-    env = RecordVideo(env, str(tmp_path))
+    env = RecordVideo(env, str(tmp_path / "videos"))
     env.reset(seed=0)
     while not any(env.step(AHEAD)[2:4]):
         pass
     env.close()
-    assert [path.suffix for path in tmp_path.glob("*.mp4")] == [".mp4"]
+    assert [path.suffix for path in tmp_path.rglob("*.mp4")] == [".mp4"]
 
 
 def test_each_lot_has_a_picture_of_a_scene_built_once(monkeypatch):
