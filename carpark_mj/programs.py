@@ -1,7 +1,6 @@
 """The commands of `carpark_mj`, and the programs of papers and extensions."""
 
 import dataclasses
-import importlib.util
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,6 +10,7 @@ from carpark_mj.cli.process import (
     configure_jax,
     dispatch_synchronously,
     enable_output_fusion,
+    require_packages,
 )
 from carpark_mj.compilation import keep_compiled_programs
 from carpark_mj.extensions import Entry, Registry, table
@@ -146,9 +146,7 @@ def call(name: str, arguments: Sequence[str], set_up: bool = False) -> object:
     given: Any = words
     if command.settings:
         given = _read(name, command, words)
-    for package in command.needs:
-        if importlib.util.find_spec(package) is None:
-            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+    require_packages(*command.needs)
     for prepare in command.setup if set_up else ():
         prepare()
     function = command.load()

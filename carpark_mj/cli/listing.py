@@ -9,8 +9,6 @@ from carpark_mj.config.checks import counted
 from carpark_mj.extensions import Entry, table
 from carpark_mj.pretrained import FOLDER, pretrained_names
 
-TASK = "| task | "  # the row of a model card
-
 
 def _layout(config: Any) -> str:
     bays = counted(config.min_bays, "bay")
@@ -25,37 +23,24 @@ def describe_environment(config: Any) -> str:
     return f"{agents}, {goals} goals, {lot} lot, {config.physics} physics"
 
 
-def _vehicle(car: Any) -> str:
-    return f"{car.length:.2f} x {car.width:.2f} m, wheelbase {car.wheelbase:.2f} m"
-
-
-def _plain(row: str) -> str:
-    """The task in a row of a model card, without Markdown."""
-    text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", row[len(TASK) : -2])
-    return text.replace("`", "")
-
-
-def _policies() -> dict[str, str]:
-    """Tasks of the pretrained policies, from their cards; without JAX."""
-    cards = {name: FOLDER / f"{name}.md" for name in pretrained_names()}
-    lines = {name: card.read_text().splitlines() for name, card in cards.items()}
-    return {
-        name: next((_plain(x) for x in card if x.startswith(TASK)), "")
-        for name, card in lines.items()
-    }
+def _policy(name: str) -> str:
+    """The task in a model card, without Markdown; it needs no JAX."""
+    rows = (FOLDER / f"{name}.md").read_text().splitlines()
+    task = next((row.split(" | ")[1][:-2] for row in rows if row[:7] == "| task "), "")
+    return re.sub(r"\[([^]]*)\]\([^)]*\)|`", r"\1", task)
 
 
 _REGISTERED: dict[str, tuple[str, Callable[[Any], str]]] = {
     "layouts": ("layouts.base:LAYOUTS", _layout),
     "environments": ("registry:ENVIRONMENTS", describe_environment),
-    "vehicles": ("vehicle:VEHICLES", _vehicle),
+    "vehicles": ("vehicle:VEHICLES", lambda x: f"{x.length:.2f} x {x.width:.2f} m"),
 }
 
 
 def listed(kind: str) -> Mapping[str, str]:
     """Names of a kind with a line on each; what they are of is imported here."""
     if kind == "policies":
-        return _policies()
+        return {name: _policy(name) for name in pretrained_names()}
     if kind == "presets":
         return Entry("carpark_mj.training.ppo.parts:summaries").load()()
     home, describe = _REGISTERED[kind]

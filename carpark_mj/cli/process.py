@@ -6,7 +6,7 @@ start.
 
 import contextlib
 import errno
-import importlib
+import importlib.util
 import io
 import os
 import signal
@@ -42,6 +42,7 @@ EXTRAS = {
     "sbx": "sb3",
     "stable_baselines3": "sb3",
     "submitit": "sweep",
+    "torch": "sb3,torchrl",
     "vehiclemodels": "test",
 }
 
@@ -140,6 +141,13 @@ def _missing_extra(error: ModuleNotFoundError) -> str | None:
     if extra is None or "pip install" in str(error):
         return extra and str(error)
     return f'{error}: pip install "carpark_mj[{extra}]"'
+
+
+def require_packages(*names: str) -> None:
+    """Raises `ModuleNotFoundError` for the first package that is not installed."""
+    for name in names:
+        if importlib.util.find_spec(name) is None:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
 @contextlib.contextmanager

@@ -6,14 +6,15 @@ An extension registers its own logger, see `carpark_mj.extensions`:
 """
 
 import hashlib
-import importlib.util
+import importlib
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from carpark_mj.extensions import Entry, Registry
+from carpark_mj.cli.process import require_packages
+from carpark_mj.extensions import Registry
 from carpark_mj.files import naming
 
 FLUSH_SECONDS = 20.0  # between looks of TensorBoard at what is new
@@ -28,25 +29,16 @@ class Logger(Protocol):
 
     def write(self, step: int, values: Mapping[str, float]) -> None:
         """Takes finite metrics by name after `step` agent steps."""
-        ...
 
     def video(self, step: int, path: Path) -> None:
         """Takes the video at the end."""
-        ...
 
     def close(self) -> None:
         """Brings all to its place."""
-        ...
 
 
 # Called with the run's folder, the last step logged there and its settings by name.
 LOGGERS: Registry[Callable[[Path, int, Mapping[str, Any]], Logger]] = Registry("logger")
-for _name, _class in (
-    ("tensorboard", "TensorBoard"),
-    ("wandb", "WandB"),
-    ("mlflow", "MLflow"),
-):
-    LOGGERS.register(_name, Entry(f"{__name__}:{_class}"))  # pyright: ignore[reportArgumentType]
 
 
 def logger_names(text: str) -> list[str]:
@@ -57,9 +49,7 @@ def logger_names(text: str) -> list[str]:
         ModuleNotFoundError: its package is missing.
     """
     names = [name.strip() for name in text.split(",") if name.strip()]
-    for name in names:
-        if LOGGERS[name] in (WandB, MLflow) and importlib.util.find_spec(name) is None:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+    require_packages(*(name for name in names if LOGGERS[name] in (WandB, MLflow)))
     return names
 
 
@@ -130,20 +120,13 @@ class WandB:
 
     def __init__(self, folder: Path, step: int, settings: Mapping[str, Any]) -> None:
         """Opens the run, that of the folder if there is one."""
-        import wandb  # pyright: ignore[reportMissingImports]
-
         del step
-        self._wandb: Any = wandb
+        self._wandb = wandb = importlib.import_module("wandb")
         digest = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:8]
-        self._run = self._wandb.init(
-            project=PROJECT,
-            name=folder.name,
-            id=f"{folder.name}-{digest}",
-            resume="allow",
-            dir=str(folder),
-            config=dict(settings),
-            reinit="create_new",  # runs side by side
-        )
+        run = {"name": folder.name, "id": f"{folder.name}-{digest}", "dir": str(folder)}
+        run |= {"project": PROJECT, "config": dict(settings)}
+        # `create_new` for runs side by side.
+        self._run = wandb.init(**run, resume="allow", reinit="create_new")
 
     def write(self, step: int, values: Mapping[str, float]) -> None:
         """See `Logger`."""
@@ -151,8 +134,7 @@ class WandB:
 
     def video(self, step: int, path: Path) -> None:
         """See `Logger`."""
-        video = self._wandb.Video(str(path), format="mp4")
-        self._run.log({"video": video}, step=step)
+        self._run.log({"video": self._wandb.Video(str(path), format="mp4")}, step=step)
 
     def close(self) -> None:
         """See `Logger`."""
@@ -164,11 +146,9 @@ class MLflow:
 
     def __init__(self, folder: Path, step: int, settings: Mapping[str, Any]) -> None:
         """Opens the run, that of the folder if there is one."""
-        from mlflow import MlflowClient, entities  # pyright: ignore[reportMissingImports]
-
         del step
-        self._entities: Any = entities
-        self._client: Any = MlflowClient()
+        self._entities = importlib.import_module("mlflow.entities")
+        self._client = importlib.import_module("mlflow").MlflowClient()
         kept = folder / "mlflow.txt"
         if kept.exists():
             self._run = kept.read_text().strip()
@@ -187,7 +167,7 @@ class MLflow:
     def write(self, step: int, values: Mapping[str, float]) -> None:
         """See `Logger`."""
         now, metric = int(time.time() * 1000), self._entities.Metric
-        metrics: Sequence[Any] = [metric(n, x, now, step) for n, x in values.items()]
+        metrics = [metric(n, x, now, step) for n, x in values.items()]
         self._client.log_batch(self._run, metrics=metrics)
 
     def video(self, step: int, path: Path) -> None:
@@ -198,3 +178,8 @@ class MLflow:
     def close(self) -> None:
         """See `Logger`."""
         self._client.set_terminated(self._run)
+
+
+LOGGERS.register("tensorboard", TensorBoard)
+LOGGERS.register("wandb", WandB)
+LOGGERS.register("mlflow", MLflow)

@@ -22,7 +22,7 @@ from carpark_mj.extensions import table, unknown_name
 from carpark_mj.files import is_temporary, remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError, refused_as
-from carpark_mj.reading import parse_object, parse_yaml, read_object, read_text
+from carpark_mj.reading import parse_yaml, read_object, read_text
 from carpark_mj.training.hosts import take_flags
 from carpark_mj.training.loggers import logger_names
 
@@ -285,46 +285,38 @@ def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> s
 def _read_file(
     path: Path, default: Config, presets: Mapping[str, Config], named: str
 ) -> Config:
-    """The settings of a file: the `config.json` of a run, or some in YAML or JSON.
+    """The settings of a file: the `config.json` of a run, or some in YAML.
 
-    Settings that it does not have are those of the preset `named` on the command line,
-    or of its own, or the default.
+    The others are of the preset `named` on the command line, or of its own.
     """
     from carpark_mj.cli.flags import as_flags, read_flags
 
-    parse = parse_object if path.suffix == ".json" else parse_yaml
-    found = parse(read_text(path), str(path))
-    if "config_version" in found:
+    if path.name == "config.json":
         if named:
             raise ValueError(f"{path} holds all settings of a run: drop --preset")
-        runs.check_version(found, path)
-        with refused_as(f"{path} is not the config of a run"):
-            kept = runs.from_dict(type(default), found.get("config"))
+        kept = read_config(type(default), path.parent)
         return dataclasses.replace(kept, name="", resume="")
-    base, name = default, found.pop("preset", "")
+    found = dict(_words(parse_yaml(read_text(path), str(path))))
+    name = found.pop("preset", "")
     try:
-        if name and not named:
-            if name not in presets:
-                raise ValueError(unknown_name("preset", name, presets))
-            base = presets[name]
+        if name and not named and name not in presets:
+            raise ValueError(unknown_name("preset", name, presets))
         if "resume" in found:
             raise ValueError("resume is a flag: a resumed run has its own settings")
-        return read_flags(type(base), as_flags(_words(found), base), base)
+        base = presets[name] if name and not named else default
+        return read_flags(type(base), as_flags(found, base), base)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _words(settings: Mapping[Any, Any], prefix: str = "") -> dict[str, str]:
-    """Nested settings as words of a command line by dotted name."""
-    found: dict[str, str] = {}
+def _words(settings: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Nested settings as words of a command line, each with its dotted name."""
     for key, value in settings.items():
-        name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            found |= _words(value, f"{name}.")
+            yield from _words(value, f"{prefix}{key}.")
         else:
             parts = value if isinstance(value, list) else [value]
-            found[name] = " ".join(map(str, parts))
-    return found
+            yield f"{prefix}{key}", " ".join(map(str, parts))
 
 
 def read_runs(

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from carpark_mj.config.checks import Bounds, require_count, require_number
+from carpark_mj.config.checks import require_count
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
@@ -304,7 +304,6 @@ def _seeds(seed: Seeds, num_lots: int) -> np.ndarray:
 
 
 SIZE = 960, 540  # pixels
-LARGEST = OFFSCREEN_WIDTH, OFFSCREEN_HEIGHT
 RENDER_MODES = ["human", "rgb_array"]
 
 
@@ -326,9 +325,8 @@ class Screen:
             num_cars: number of cars that cameras can follow; None = the agents.
             size: width and height of pictures [pixels].
         """
-        for name, value, most in zip(("width", "height"), size, LARGEST, strict=True):
-            require_count(name, value, 2)
-            require_number(name, value, Bounds(le=most))
+        require_count("width", size[0], 2, OFFSCREEN_WIDTH)
+        require_count("height", size[1], 2, OFFSCREEN_HEIGHT)
         camera_names(camera, env.num_agents if num_cars is None else num_cars)
         self._env, self._camera, self._size = env, camera, size
         self._open_nothing()
