@@ -4,11 +4,13 @@ import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from PIL import Image
+from rich import get_console
 from rich.progress import track
 
 from carpark_mj.cli.clock import COMPILING, doing
@@ -34,6 +36,8 @@ from carpark_mj.rendering.video import (
     frame_indices,
     write_video,
 )
+
+T = TypeVar("T")
 
 
 def main(config: RenderConfig) -> Path:
@@ -101,13 +105,19 @@ def _show(config: RenderConfig, env: EnvConfig) -> Show:
     return Show(tracked, rings)
 
 
+def _shown(things: Iterable[T]) -> Iterable[T]:
+    """Things under a progress bar, for which notebooks would need another package."""
+    hidden = get_console().is_jupyter
+    return track(things, "rendering", transient=True, disable=hidden)
+
+
 def _write_frames(
     out: Path, fps: float, recording: Recording, draw: Callable[[int], np.ndarray]
 ) -> str:
     """Writes the video; returns how many frames were drawn, and how fast."""
     indices, shown = frame_indices(recording, fps)
     start = time.monotonic()
-    pictures = map(draw, track(indices, "rendering", transient=True))
+    pictures = map(draw, _shown(indices))
     count = write_video(out, pictures, shown)
     rate = count / (time.monotonic() - start)
     return f"{counted(count, 'frame')}, {rate:.1f} rendered per second"
@@ -116,8 +126,9 @@ def _write_frames(
 def _gallery(config: RenderConfig) -> Path:
     out = _open_output(config, Path())
     size = cell_size(config.width)
-    families = track(FAMILIES, "rendering", transient=True)
-    cells = [cell for name in families for cell in draw_lots(name, size, config.seed)]
+    cells = [
+        cell for name in _shown(FAMILIES) for cell in draw_lots(name, size, config.seed)
+    ]
     out.parent.mkdir(parents=True, exist_ok=True)
     _write_png(out, contact_sheet(cells))
     print(f"wrote {out}: {len(cells)} lots")
