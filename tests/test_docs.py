@@ -53,8 +53,8 @@ from vehicle_suite.report import excerpt
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
 USED = ("mdp", "deployment", "vehicle", "layouts", "own_lot", "interfaces")
-MDP, DEPLOYMENT, VEHICLE, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT = (
-    (DOCS / f"{name}.md").read_text() for name in (*USED, "multi_agent")
+MDP, DEPLOYMENT, VEHICLE, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT, EXTENDING = (
+    (DOCS / f"{name}.md").read_text() for name in (*USED, "multi_agent", "extending")
 )
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
@@ -297,12 +297,14 @@ NEEDS = {  # words of snippets, and what they need
     "benchmarl": "benchmarl",
     "jaxmarl": "jaxmarl",
 }
-RUN = ("index", "quick_start", "own_policy", "sb3", "vehicle", "interfaces")
+RUN = ("index", "quick_start", "sb3", "vehicle", "interfaces")
 SNIPPETS = [
     pytest.param(snippet, id=f"{page.stem} {number}")
     for page in (ROOT / "README.md", *(DOCS / f"{n}.md" for n in (*RUN, "multi_agent")))
     for number, snippet in enumerate(code(page.read_text(), "python"))
 ]
+[POLICY] = code(EXTENDING.split("\n## A policy\n")[1].split("\n## ")[0], "python")
+SNIPPETS.append(pytest.param(POLICY, id="a policy"))  # others: `test_extending`
 
 
 @pytest.mark.filterwarnings("ignore")  # of libraries

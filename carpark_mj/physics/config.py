@@ -51,7 +51,7 @@ class SimConfig(CheckedConfig):
         creep: acceleration from rest of an automatic whose engine idles, no pedal
             pressed [m/s^2]; 0 = none, about 0.4 in real cars (`docs/vehicle.md`).
         emergency_brake: gap to people [m] that automatic emergency braking keeps ahead
-            of a car that moves; 0 = it has none. See `docs/people.md`.
+            of a car that moves; 0 = it has none. See `docs/moving_obstacles.md`.
     """
 
     sim_dt: Positive = 0.01
