@@ -1,4 +1,4 @@
-"""Drivers: who is there when a lot begins, and what they do next.
+"""Drivers: their places when a lot begins, and their next paths.
 
 One driver plans in a step, and looks at one way in which it may go on. A path is taken
 if the car sweeps no wall and no other bay on it, whether a car stands there or not.
@@ -49,7 +49,7 @@ POSES = 20  # on a path, tested for walls and bays
 ROOM, ROOM_TO_WALLS = 0.15, 0.25  # m about the car there
 # m by which bays are shorter and narrower to it
 SLACK: Any = np.array([0.3, 0.4], np.float32)
-ENTRY_INSET = 1.0  # m from the beginning of a track to the axle of who comes in
+ENTRY_INSET = 1.0  # m from the beginning of a track to the axle of a driver that enters
 CLEAR = 9.0  # m about a car that comes in
 ABSENCE = 5.0  # s, shortest
 # Fields of `Traffic` that a plan changes.
@@ -57,11 +57,11 @@ MOTION = ("pose", "path", "way", "speed", "steering")
 INTENT = ("phase", "track", "next_track", "bay", "clock")
 TRIES = 8  # places that are tried for a driver
 APART = 8.0  # m between drivers when a lot begins
-FAR = 1e4  # m, where those are who are away
+FAR = 1e4  # m, where absent drivers are
 
 
 def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic:
-    """Drivers of whom one has planned; `search` as of `Drivers`."""
+    """Drivers after one has planned; `search` as of `Drivers`."""
     n = traffic.way.shape[0]
     who = traffic.turn
     own = jax.tree.map(
@@ -104,14 +104,14 @@ def _begins_well(own: Traffic, start: jax.Array) -> jax.Array:
 def _pick(
     key: jax.Array, cost: jax.Array, good: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """One of those that are good, likelier where costs are low; and if any is."""
+    """A good choice, likelier where costs are low, and whether there is one."""
     score = jax.random.gumbel(key, cost.shape) - cost
     index = jnp.argmax(jnp.where(good, score, -jnp.inf))
     return index, good.any()
 
 
 def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
-    """A driver who turns into another track."""
+    """A driver that turns into another track."""
     tracks = own.tracks
     line, length = tracks.pose[own.track], tracks.length
     key, swing_key = jax.random.split(key)
@@ -132,7 +132,7 @@ def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
 def _park(
     key: jax.Array, own: Traffic, traffic: Traffic, lot: State
 ) -> tuple[Traffic, jax.Array]:
-    """A driver who turns into a free bay."""
+    """A driver that turns into a free bay."""
     layout, line = lot.layout, own.tracks.pose[own.track]
     pose = jnp.concatenate(
         [layout.bay_pose[:, :2], wrap_angle(layout.bay_pose[:, 2:] + jnp.pi)], axis=-1
@@ -146,7 +146,7 @@ def _park(
     good = good & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
     good = good & _begins_well(own, start) & (rest > 0.0) & (beyond > -LONGEST)
     index, found = _pick(key, jnp.zeros_like(start), good)
-    # Free is a bay in which nobody stands, and for which nobody heads.
+    # A free bay is neither occupied nor the goal of another car.
     found = found & ~(lot.parked_cars.bay == index).any() & ~(lot.goal == index).any()
     found = found & ~((traffic.bay == index) & traffic.present).any()
     there = boxes_overlap(
@@ -161,7 +161,7 @@ def _park(
 
 
 def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Array]:
-    """A driver who backs out of a bay onto a track, to go on along it."""
+    """A driver that backs out of a bay onto a track."""
     tracks = own.tracks
     line = own.pose.at[2].add(jnp.pi)
     lanes = tracks.pose.at[:, 2].add(jnp.pi)
@@ -189,7 +189,7 @@ def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Ar
 def _enter(
     key: jax.Array, own: Traffic, traffic: Traffic, lot: State
 ) -> tuple[Traffic, jax.Array]:
-    """A driver who comes in where a track begins."""
+    """A driver that enters where a track begins."""
     tracks = own.tracks
     index, found = _pick(key, jnp.zeros_like(tracks.length), tracks.entry)
     pose = move_forward(tracks.pose[index], ENTRY_INSET)
@@ -244,12 +244,11 @@ class Drivers(Mover):
     """Other drivers, in cars of the preset `city`.
 
     Attributes:
-        number: how many, the most if `aggressiveness` is given. Fewer are there at
-            first in a lot without room for all; they come in later.
+        number: how many. Drivers without room enter later.
         aggressiveness: a lot draws its level from this range, a driver from the level's
             neighbourhood; 0 drives the lowest speed with the longest headway, 1 the
             highest with the shortest, and accelerates twice as hard.
-        attention: share of drivers who look for others before they drive.
+        attention: share of drivers that look for others before they drive.
         search: probability of looking for a bay, rather than for a way on, where both
             are near.
         speed: of the least and the most aggressive [m/s].
