@@ -37,12 +37,9 @@ SUCCESS = [
 RATE = r"[\d.]+ % \([\d.]+ … [\d.]+\)"
 
 
-# Figures of Tanner 2022 with three or more runs a setting: the columns of a setting.
+# Figures of Tanner 2022 in the study's table: what varies, the columns of a setting.
 FIGURES = {
     "5.5": ("agents", ["env.num_agents"]),
-    "5.6": ("parked cars, one agent", ["env.num_parked_cars"]),
-    "5.7": ("parked cars", ["env.num_parked_cars"]),
-    "5.8": ("tracked cars", ["env.observation.tracked_cars"]),
     "5.14": ("agents that choose goals", ["env.num_agents"]),
 }
 
