@@ -26,7 +26,7 @@ from shell import command
 INK = "#7d8590"  # text and lines, readable on a light and on a dark page
 FIRST, SECOND, THIRD = "#3b82d0", "#e08214", "#2ca05a"
 STYLE = {
-    "svg.hashsalt": "carpark_mj",  # the same file from the same table
+    "svg.hashsalt": "carpark_mj",  # equal tables give equal files
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.titlecolor": INK,
