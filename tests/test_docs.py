@@ -234,9 +234,11 @@ def settings_in(path):
 
 
 def slugs(page):
-    """Anchors of a page's headings, as GitHub makes them."""
-    heads = re.findall(r"^#+ (.*)", page.read_text(), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}
+    """Anchors of a page: of its headings, as GitHub makes them, and former ones."""
+    text = page.read_text()
+    heads = re.findall(r"^#+ (.*)", text, re.MULTILINE)
+    own = {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}
+    return own | {*re.findall(r'^<a id="([\w-]+)"></a>$', text, re.MULTILINE)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
