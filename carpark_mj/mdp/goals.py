@@ -14,7 +14,7 @@ by distance at every step, as in the study's program.
 
 *Giving way*: an agent with a goal is in a context of `CONTEXTS` if another agent is
 strictly nearer to that goal (centres, world distance), and is tracked or has the same
-goal; docs/mdp.md has a table of them in the notation of Tanner 2022.
+goal; docs/dynamic_goals.md has a table of them in the notation of Tanner 2022.
 
 The situation of a step is what agents observe when they choose: poses and tracked
 agents at its start. Agents choose in the order of their numbers, as in the study. Each

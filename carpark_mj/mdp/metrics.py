@@ -1,4 +1,4 @@
-"""Metrics of episodes, kept per agent in the state; `docs/metrics.md` defines them.
+"""Metrics of episodes, kept per agent in the state.
 
 Most are *tallies*: numbers of every step, folded into one per episode. The name selects
 the fold: `min_...` keeps the least, `peak_...` the largest, `last_...` the latest
@@ -116,7 +116,7 @@ def register_metric(metric: Metric) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class MetricsConfig(CheckedConfig):
-    """Optional measurements, which cost time in every step; see `docs/metrics.md`.
+    """Optional measurements, which cost time in every step.
 
     The outcome, return, length, path and final errors are always measured. Evaluation
     enables all of these, training none by default.

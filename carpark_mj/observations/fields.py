@@ -103,7 +103,7 @@ def distance_field(name: str, meaning: str, reveals_goal: bool = False) -> Field
 
 def mask_field(entity: str) -> Field:
     """Whether an entity of a group is present."""
-    meaning = f"padding mask: 1 if the {entity} exists, else all its numbers are 0"
+    meaning = f"1 if the {entity} exists, else all its numbers are 0"
     return Field("present", 1, 0.0, 1.0, meaning, is_mask=True)
 
 
@@ -149,7 +149,13 @@ def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.A
 
 POSE_FIELDS = (
     position_field("position", "its centre, x and y"),
-    Field("near_position", 2, -1.0, 1.0, f"the same [{NEAR * 2:g} m], clipped"),
+    Field(
+        "near_position",
+        2,
+        -1.0,
+        1.0,
+        f"its centre, body frame [{NEAR * 2:g} m], clipped",
+    ),
     Field("heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
 )
 CAR_FIELDS = (

@@ -49,9 +49,9 @@ class SimConfig(CheckedConfig):
             `simple_planning_simulator`).
         pedal_delay: the same of drive and brakes.
         creep: acceleration from rest of an automatic whose engine idles, no pedal
-            pressed [m/s^2]; 0 = none, about 0.4 in real cars (`docs/vehicle.md`).
+            pressed [m/s^2]; 0 = none, about 0.4 in real cars.
         emergency_brake: gap to people [m] that automatic emergency braking keeps ahead
-            of a car that moves; 0 = it has none. See `docs/people.md`.
+            of a car that moves; 0 = none.
     """
 
     sim_dt: Positive = 0.01

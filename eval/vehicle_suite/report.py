@@ -25,7 +25,7 @@ from vehicle_suite.testbeds import Testbed
 HERE = Path(__file__).parent
 COLUMNS = ("row", "preset", "tyres", "formula", "unit", "measured", "expected",
            "tolerance", "verdict")  # fmt: skip
-SHOWN = "compact"  # the preset whose rows are in the report, if it was driven
+SHOWN = "compact"  # the preset whose main rows are in the report, if it was driven
 # Small multiples, one panel a car and tyre model: title, x axis, y axis, logarithmic.
 FIGURES = {
     "understeer": (
@@ -168,24 +168,26 @@ def markdown(rows: Sequence[Row]) -> str:
     )
 
 
-def excerpt(report: Path) -> str:
-    """Rows of the compact car in a `report.csv` as markdown: those of `excerpt.txt`."""
+def excerpt(report: Path, preset: str = SHOWN) -> str:
+    """Main rows of a preset in a `report.csv` as markdown: those of `excerpt.txt`."""
     found = {
         (row["row"], row["tyres"]): row
         for row in read_table(report)
-        if row["preset"] == "compact"
+        if row["preset"] == preset
     }
     lines = []
     for name in (HERE / "excerpt.txt").read_text().splitlines():
         cells = {tyres: found.get((name, tyres)) for tyres in ("brush", "contact")}
         rows = [row for row in cells.values() if row]
+        if not rows:
+            continue
         numbers = dict.fromkeys(f"{float(row['expected']):.4g}" for row in rows)
         line = {"manoeuvre": name}
         line["expected"] = f"{', '.join(numbers)} {rows[0]['unit']}"
         for tyres, row in cells.items():
             line[tyres] = f"{float(row['measured']):.4g}" if row else "–"
         lines.append(line)
-    return tables.markdown(lines)
+    return tables.markdown(lines) if lines else ""
 
 
 def draw(path: Path, name: str, curves: Sequence[Curve]) -> None:
@@ -229,7 +231,7 @@ def write_report(
     parts = [
         (HERE / "introduction.md").read_text().format(command=command),
         f"{len(rows)} rows, {len(missed)} outside their tolerance. "
-        f"Below are those of `{shown}`; [report.csv](report.csv) has all.\n",
+        "[report.csv](report.csv) has all, with formulas and tolerances.\n",
     ]
     if missed:
         parts.append(f"## Outside their tolerance\n\n{markdown(missed)}\n")
@@ -240,7 +242,10 @@ def write_report(
     models = list(dict.fromkeys(row.tyres for row in rows))
     if len(models) > 1:
         parts.append((HERE / "absent.md").read_text())
-    for tyres in models:
-        own = [row for row in rows if (row.preset, row.tyres) == (shown, tyres)]
-        parts.append(f"## {shown}, {tyres} tyres\n\n{markdown(own)}\n")
+    table = excerpt(folder / "report.csv", shown)
+    parts.append(
+        f"## Main rows of `{shown}`\n\n"
+        "One expected value per tyre model where slip and scrub make a difference.\n\n"
+        f"<!-- physics table -->\n{table}\n<!-- end of physics table -->\n"
+    )
     write_text(folder / "report.md", "\n".join(parts))
