@@ -77,7 +77,7 @@ def test_the_page_of_park_goal_names_the_fields_it_leaves_out():
     assert len(left) + len(fields) == len(make_fields(CONFIG))
 
 
-def test_the_page_of_park_lists_all_arguments_with_their_defaults():
+def test_the_page_of_park_lists_all_arguments_with_defaults():
     listed = {option: repr(DEFAULTS.get(option)) for option in ONE_AGENT}
     text = TEXTS["carpark_mj/Park-v0"]
     pages.assert_arguments(text, ParkEnv, listed | {"config": "EnvConfig()"})
