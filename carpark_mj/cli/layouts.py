@@ -149,8 +149,7 @@ def _save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
     if part is not None:
         layout = crop(layout, part)
     write_text(path, layout_text(layout))
-    bays = int(layout.bay_mask.sum())
-    print(*said, f"wrote {path}: {bays} bay{'s' * (bays != 1)}", sep="\n")
+    print(*said, f"wrote {path}: {int(layout.bay_mask.sum())} bays", sep="\n")
 
 
 def main(config: LayoutsConfig) -> int:

@@ -109,9 +109,8 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
     wide = max(min(WIDE, row), (1 + 2 * GAP) * max(size[0] for size in sizes))
     metre = SHEET / wide  # inches
     lines = [
-        textwrap.wrap(f"{name}, {bays} bay{'s' * (bays != 1)}", LETTERS)
+        textwrap.wrap(f"{name}, {int(layout.bay_mask.sum())} bays", LETTERS)
         for name, layout in layouts
-        for bays in [int(layout.bay_mask.sum())]
     ]
     cells = [
         (max(x * metre, LETTER * max(map(len, title))), y * metre + LINE * len(title))

@@ -25,7 +25,7 @@ from vehicle_suite.testbeds import Testbed
 HERE = Path(__file__).parent
 COLUMNS = ("row", "preset", "tyres", "formula", "unit", "measured", "expected",
            "tolerance", "verdict")  # fmt: skip
-SHOWN = "compact"  # the preset whose main rows are in the report, if it was driven
+SHOWN = "compact"  # the preset whose rows are in the report, if it was driven
 # Small multiples, one panel a car and tyre model: title, x axis, y axis, logarithmic.
 FIGURES = {
     "understeer": (
@@ -169,7 +169,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def excerpt(report: Path, preset: str = SHOWN) -> str:
-    """Main rows of a preset in a `report.csv` as markdown: those of `excerpt.txt`."""
+    """Rows of `excerpt.txt` of one preset in a `report.csv`, as markdown."""
     found = {
         (row["row"], row["tyres"]): row
         for row in read_table(report)
@@ -187,7 +187,7 @@ def excerpt(report: Path, preset: str = SHOWN) -> str:
         for tyres, row in cells.items():
             line[tyres] = f"{float(row['measured']):.4g}" if row else "–"
         lines.append(line)
-    return tables.markdown(lines) if lines else ""
+    return tables.markdown(lines)
 
 
 def draw(path: Path, name: str, curves: Sequence[Curve]) -> None:
@@ -230,22 +230,18 @@ def write_report(
     shown = SHOWN if SHOWN in presets else presets[0]
     parts = [
         (HERE / "introduction.md").read_text().format(command=command),
-        f"{len(rows)} rows, {len(missed)} outside their tolerance. "
-        "[report.csv](report.csv) has all, with formulas and tolerances.\n",
+        f"{len(rows)} rows, {len(missed)} outside their tolerance; "
+        "[report.csv](report.csv) has all with formula, tolerance and verdict.\n",
     ]
     if missed:
         parts.append(f"## Outside their tolerance\n\n{markdown(missed)}\n")
     for name, (title, *_) in FIGURES.items():
         if own := [curve for curve in curves if curve.figure == name]:
             draw(folder / f"{name}.png", name, own)
-            parts.append(f"![{title}]({name}.png)\n")
+            parts.append(f"![{title}]({name}.png)\n\n*{title}.*\n")
     models = list(dict.fromkeys(row.tyres for row in rows))
     if len(models) > 1:
         parts.append((HERE / "absent.md").read_text())
-    table = excerpt(folder / "report.csv", shown)
-    parts.append(
-        f"## Main rows of `{shown}`\n\n"
-        "One expected value per tyre model where slip and scrub make a difference.\n\n"
-        f"<!-- physics table -->\n{table}\n<!-- end of physics table -->\n"
-    )
+    if table := excerpt(folder / "report.csv", shown):
+        parts.append(f"## Excerpt for `{shown}`\n\n{table}\n")
     write_text(folder / "report.md", "\n".join(parts))

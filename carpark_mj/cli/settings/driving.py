@@ -84,7 +84,7 @@ class EvaluateConfig(DriveSettings):
     """Evaluates a policy on held-out seeds.
 
     Writes `evaluation.csv` and `evaluation.json`, and `families.csv` of a mixture, and
-    prints the table. `carpark_mj.evaluation.catalogue` defines every number.
+    prints the table. docs/metrics.md defines every number.
 
     carpark_mj evaluate runs/cpu-0
     carpark_mj evaluate runs/cpu-mixture-0

@@ -62,7 +62,7 @@ class IdentifyConfig(CheckedConfig):
     carpark_mj identify log.csv --vehicle data_sheet.yaml --out my_car.yaml
 
     Attributes:
-        log: table of the drive (CSV).
+        log: table of the drive, see docs/identify.md.
         vehicle: preset or file of a car like this one.
         out: vehicle file to write.
         ahead: distance from the rear axle to the point whose x and y are logged,
@@ -91,7 +91,7 @@ class AnalysisConfig:
         runs: run folders and folders of sweeps.
         by: settings that group runs, by full name (`env.num_agents`); the first is the
             horizontal axis. Default: the settings that the sweeps vary.
-        metrics: metrics of the evaluations, of `carpark_mj.evaluation.catalogue`.
+        metrics: metrics of the evaluations, see docs/metrics.md.
         out: folder to write to; default: the sweep's if one is given, else
             `runs/analysis`.
     """
@@ -270,7 +270,8 @@ class SuiteConfig:
     carpark_mj suite planner hope --levels parkbench:rear_in --rule precise
     carpark_mj suite hope anywhere --levels tpcap metadrive san_jose busy sheets
 
-    The result is a table (Markdown, CSV, HTML).
+    The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
+    and the numbers.
 
     Attributes:
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
