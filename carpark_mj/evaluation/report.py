@@ -163,4 +163,4 @@ def print_metrics(summary: dict[str, Any]) -> None:
         rows.append(row | {column: f"{x:.3g}" for column, x in cells})
     lasts = (DRIVING[-1], SAFETY[-1], GOALS[-1])
     ends = [number for number, metric in enumerate(shown) if metric in lasts]
-    print_rows(rows, "driving and safety (docs/metrics.md)", left=2, ends=ends)
+    print_rows(rows, "driving and safety", left=2, ends=ends)

@@ -51,7 +51,7 @@ class OnnxInput:
 
     @property
     def meaning(self) -> str:
-        """Range and meaning, as in docs/mdp.md."""
+        """Range and meaning of the first."""
         first = self.fields[0]
         return f"{first.low:g} … {first.high:g}: {first.meaning}"
 
@@ -136,7 +136,7 @@ def make_model(loaded: LoadedPolicy) -> Any:
 
 
 def describe_action(spec: ActionSpec) -> str:
-    """Meaning of the numbers of an action, see docs/mdp.md."""
+    """Meaning of the numbers of an action."""
     parts = ["steer and pedal in [-1, 1]"] if spec.continuous else []
     parts += [f"an index below {count}" for count in spec.choices]
     return ", ".join(parts)
