@@ -22,7 +22,6 @@ from typing import Literal, NamedTuple
 
 import tyro
 
-from carpark_mj.cli.process import INTERRUPTED
 from carpark_mj.evaluation.tables import markdown
 
 # A cheap and typical use of each command, in this order: some need files of others.
@@ -129,7 +128,7 @@ def measure(only: Sequence[str] = ()) -> list[dict[str, object]]:
                     f"{field} {when} [s]": f"{getattr(waited, field):.1f}"
                     for field in ("first", "silence", "total")
                 }
-                if waited.code not in (0, INTERRUPTED * (name in PAGES)):
+                if waited.code:
                     row["command"] = f"{row['command']}: exit code {waited.code}"
             print(*row.values(), sep=", ", file=sys.stderr, flush=True)
             rows.append(row)

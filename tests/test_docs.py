@@ -43,7 +43,7 @@ from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.programs import SETTINGS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
-from carpark_mj.training.hosts import read_hosts
+from carpark_mj.training.hosts import read_hosts, take_flags
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.run_folder import named, read_runs
@@ -180,6 +180,14 @@ def test_the_test_command_is_where_ci_reads_it():
     assert block == 'bash\npip install ".[test]" && pytest\n'
 
 
+def test_the_image_installs_what_the_readme_says():
+    image = (ROOT / "Dockerfile").read_text()
+    extras = re.search(r"pip install (?:-e )?(\"\.\[[\w,]+\]\")", README)[1]
+    packages = re.search(r"apt install ((?:[\w-]+ ?)+)", README)[1].split()
+    assert extras in image
+    assert all(f" {package} " in image for package in packages)
+
+
 @pytest.mark.parametrize("line", COMMAND_LINES)
 def test_a_command_exists_and_takes_its_flags(line):
     check_command(line)
@@ -218,7 +226,8 @@ def check_command(line):
 
 
 def read_training(words):
-    """A trainer's settings, which start from its preset's."""
+    """A trainer's settings, which start from its preset's; a file is not read."""
+    words = take_flags(words, config={})[1]
     name = named(words, "preset")
     return read_flags(PPOConfig, words, PPO_PRESETS[name] if name else None)
 

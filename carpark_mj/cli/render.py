@@ -15,6 +15,7 @@ from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.settings.driving import RenderConfig
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import counted
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.observations.fields import Tracked
@@ -104,13 +105,12 @@ def _write_frames(
     out: Path, fps: float, recording: Recording, draw: Callable[[int], np.ndarray]
 ) -> str:
     """Writes the video; returns how many frames were drawn, and how fast."""
-    indices, rate = frame_indices(recording, fps)
+    indices, shown = frame_indices(recording, fps)
     start = time.monotonic()
     pictures = map(draw, track(indices, "rendering", transient=True))
-    count = write_video(out, pictures, rate)
-    return (
-        f"{count} frames, {count / (time.monotonic() - start):.1f} rendered per second"
-    )
+    count = write_video(out, pictures, shown)
+    rate = count / (time.monotonic() - start)
+    return f"{counted(count, 'frame')}, {rate:.1f} rendered per second"
 
 
 def _gallery(config: RenderConfig) -> Path:

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from carpark_mj.config.checks import counted
 from carpark_mj.files import write_atomically
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
@@ -109,7 +110,7 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
     wide = max(min(WIDE, row), (1 + 2 * GAP) * max(size[0] for size in sizes))
     metre = SHEET / wide  # inches
     lines = [
-        textwrap.wrap(f"{name}, {int(layout.bay_mask.sum())} bays", LETTERS)
+        textwrap.wrap(f"{name}, {counted(int(layout.bay_mask.sum()), 'bay')}", LETTERS)
         for name, layout in layouts
     ]
     cells = [

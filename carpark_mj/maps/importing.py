@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from shapely import affinity
 
+from carpark_mj.config.checks import counted
 from carpark_mj.layouts import build
 from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.checks import describe_faults
@@ -195,7 +196,7 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
     if closed := walled_off([box for box, _ in bays], starts, standing):
         report.notes.append(
             f"warning: walls keep cars that start in the lot from {len(closed)} of "
-            f"{len(bays)} bays"
+            f"{counted(len(bays), 'bay')}"
         )
     layout = _layout(bays, solids, discs, lanes, starts)
     if faults := describe_faults(layout):

@@ -33,7 +33,6 @@ from carpark_mj.policy.outside import INPUTS, PlainInput, Rows, sight_of
 OUTPUT = "action"
 METADATA = "carpark_mj"  # key of a car model's metadata, as JSON
 NUDGES = 4
-MISSING = 'ONNX export needs onnx and onnxruntime: pip install "carpark_mj[export]"'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +98,7 @@ def join_inputs(config: EnvConfig, *arrays: jax.Array) -> jax.Array:
 def require_onnx() -> None:
     """Raises OSError unless the packages of the extra `export` are installed."""
     if not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
-        raise OSError(MISSING)
+        raise OSError('ONNX export needs the extra: pip install "carpark_mj[export]"')
 
 
 def make_model(loaded: LoadedPolicy) -> Any:

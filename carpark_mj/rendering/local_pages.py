@@ -1,6 +1,5 @@
 """Pages for browsers on this machine: where they are served, who may use them."""
 
-import importlib.util
 import re
 from collections.abc import Sequence
 from typing import Annotated
@@ -12,14 +11,7 @@ NO_FRAMES = "frame-ancestors 'none'"
 HOST, PORT = "localhost", 8080
 # Bounded: viser would silently choose another one.
 Port = Annotated[int, Bounds(ge=1, le=65_535)]
-MISSING_WEB = 'the browser view needs mjviser: pip install "carpark_mj[web]"'
 LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
-
-
-def require_web() -> None:
-    """Raises OSError unless the browser view is installed."""
-    if importlib.util.find_spec("mjviser") is None:
-        raise OSError(MISSING_WEB)
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | None:

@@ -20,6 +20,7 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from carpark_mj.config.checks import counted
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before anything imports MuJoCo; jobs import this module first
@@ -259,7 +260,7 @@ def run_sweep(
     left = [run for run in runs if read_outcome(folder, run).status != "done"]
     say = Console(highlight=False, soft_wrap=True, markup=False).print
     done = len(runs) - len(left)
-    say(f"{folder}: {len(runs)} runs, {done} of them done")
+    say(f"{folder}: {counted(len(runs), 'run')}, {done} done")
     for run in left:
         write_outcome(folder, run, Outcome("waiting"))
     write_table(folder, runs)
