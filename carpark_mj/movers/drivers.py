@@ -2,6 +2,31 @@
 
 One driver plans in a step, and looks at one way in which it may go on. A path is taken
 if the car sweeps no wall and no other bay on it, whether a car stands there or not.
+
+- *Tracks*: the middle of a one-way lane, or the middle of each half of another, on the
+  right. A lot without lanes has a counter-clockwise ring in its first spawn region.
+  Where no other track can be reached a driver stands 2 s and leaves the lot. After at
+  least 5 s it enters where a track begins on the border and no mover is within 9 m, or
+  at any track if none begins there.
+- *Paths*: a line, an arc of 3.5 m radius and a line: into another track, into a bay
+  nose first, or backwards out of one. The bay must be free: no car, no agent's goal, no
+  other driver's target. Every other arc ends 0.6 m to the left of its track, a wide
+  turn that keeps off islands. A bay that becomes an agent's goal is vacated.
+- *Car*: `city` as a kinematic bicycle (`advance` of the back end `bicycle`), four
+  substeps in a control step, with the car's steering lock and rate, at most 2 m/s² and
+  4 m/s². Pure pursuit (Coulter 1992) aims 1.2 m and 0.3 s ahead. Speeds are at most
+  1.5 m/s in arcs and 0.8 m/s in reverse, and lower while the wheels still turn.
+- *Distance*: the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000, Physical
+  Review E 62, 1805) with b = 1.67 m/s² and exponent 4 as published, s0 = 1 m instead of
+  2 m and a = 1 to 2 m/s² instead of 0.73 m/s². The gap is the free part of the path, up
+  to 10.5 m, past drivers, stopping ways of agents, and people at present and in 1 s.
+- *Right of way*: a car that backs out yields, then one that turns into a bay. Otherwise
+  the car from the right goes first, and the oncoming before one that turns left. A car
+  further in goes on. After 6 s at rest the longest wait goes first. After 12 s a driver
+  that cannot turn off goes straight on, and one stuck at a bay goes back.
+- *Attention*: an inattentive driver sees cars ahead, neither the right of way nor
+  anything behind; it stops on contact. In the first 3 m out of a bay neighbouring cars
+  limit every view to 1.5 m on either side per metre behind.
 """
 
 import dataclasses
