@@ -111,7 +111,7 @@ def run(config: IdentificationConfig) -> None:
                 row: dict[str, Any] = {"drive": kind, "seed": drive.seed}
                 row |= {"parameter": name, "true": float(getattr(drive.true, name))}
                 row |= {"found": found[name].value, "half_interval": found[name].error}
-                rows.append(row | {"told": found[name].identifiable})
+                rows.append(row | {"identified": found[name].identifiable})
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for kind in config.kinds:
@@ -123,17 +123,17 @@ def _print(rows: list[dict], kind: str) -> None:
     shown = []
     for name in Sought._fields:
         mine = [row for row in rows if row["parameter"] == name]
-        told = [row for row in mine if row["told"]]
-        covered = sum(abs(r["found"] - r["true"]) <= r["half_interval"] for r in told)
+        found = [row for row in mine if row["identified"]]
+        covered = sum(abs(r["found"] - r["true"]) <= r["half_interval"] for r in found)
         first = mine[0]
         low, high = (first["found"] + s * first["half_interval"] for s in (-1, 1))
         row = {"parameter": name, "true": first["true"], "found": math.nan}
         row["95 % interval"] = "–"
-        if first["told"]:
+        if first["identified"]:
             row["found"] = first["found"]
             row["95 % interval"] = f"{low:.4g} … {high:.4g}"
-        row["told"] = f"{len(told)} of {len(mine)}"
-        row["covered"] = f"{covered} of {len(told)}"
+        row["identified"] = f"{len(found)} of {len(mine)}"
+        row["covered"] = f"{covered} of {len(found)}"
         shown.append(row)
     print_rows(shown, f"{kind}: the first seed and all")
 

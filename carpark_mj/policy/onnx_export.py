@@ -331,7 +331,7 @@ def sensitivity(
 
 
 def inputs_of(model: Any) -> list[PlainInput]:
-    """Those of `INPUTS` that a model takes, in order."""
+    """Entries of `INPUTS` that a model takes, in order."""
     names = {value.name for value in model.graph.input}
     return [entry for entry in INPUTS if entry.name in names]
 

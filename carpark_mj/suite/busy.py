@@ -313,7 +313,7 @@ def draw_case(number: int) -> dict[str, list[float]]:
     }
 
     def meet(depth: float) -> float:
-        """How far off a car is that comes at `PACE` as somebody reaches its way."""
+        """Distance of a car at `PACE` as a person reaches its way."""
         way = abs(edge + side * depth - pose[1])
         return TPCAP_CAR.length / 2 + PACE * way / script["speed"]
 
