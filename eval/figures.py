@@ -28,7 +28,7 @@ from shell import command
 INK = "#7d8590"  # text and lines, readable on a light and on a dark page
 COLOURS = ("#3b82d0", "#e08214", "#2ca05a", "#c2504f", INK)
 MARKERS = "oD^vs"
-STYLE = {
+STYLE: Any = {
     "svg.hashsalt": "carpark_mj",  # equal tables give equal files
     "grid.alpha": 0.3,
     "legend.framealpha": 0.0,
@@ -113,8 +113,8 @@ def success(axes: Axes, rows: list[Row]) -> None:
 def families(axes: Axes, rows: list[Row]) -> None:
     """Success rate of `anywhere` by family of layouts and number of agents."""
     dots(axes, rows, "family", "agents")
-    axes.legend(loc="lower left", title="agents", title_fontproperties={"size": 10})
-    axes.get_legend().get_title().set_color(INK)
+    legend = axes.legend(loc="lower left", title="agents")
+    legend.get_title().set_color(INK)
 
 
 def start(axes: Axes, rows: list[Row]) -> None:
@@ -153,8 +153,8 @@ def run(config: FiguresConfig) -> None:
         with matplotlib.rc_context(STYLE):
             figure = Figure((6, height), layout="constrained")
             draw(figure.add_subplot(), read(path.with_name(table)))
-            look: Any = {"format": "svg", "transparent": True, "metadata": {"Date": None}}
-            write_atomically(path, lambda to: figure.savefig(to, **look))  # noqa: B023
+            look: Any = {"transparent": True, "metadata": {"Date": None}}
+            write_atomically(path, lambda to: figure.savefig(to, format="svg", **look))  # noqa: B023
         print(f"wrote {path}")
 
 
