@@ -61,7 +61,10 @@ def read(path: Path) -> list[Row]:
 def places(axes: Axes, labels: Sequence[str]) -> dict[str, int]:
     """Gives every different label a line, the first at the top; returns the lines."""
     lines = {label: line for line, label in enumerate(dict.fromkeys(labels))}
-    axes.set_yticks(range(len(lines)), [textwrap.fill(label, 30) for label in lines])
+    axes.set_yticks(
+        range(len(lines)),
+        [textwrap.fill(label, 32, break_on_hyphens=False) for label in lines],
+    )
     axes.set_ylim(len(lines) - 0.5, -0.5)
     axes.grid(axis="x")
     return lines
@@ -120,10 +123,10 @@ def families(axes: Axes, rows: list[Row]) -> None:
 def start(axes: Axes, rows: list[Row]) -> None:
     """Seconds until a command ends, with empty caches and again."""
     rows = [row for row in rows if row["kind"] == "command"]
-    lines = places(axes, [row["what"].split(" --")[0] for row in rows])
+    lines = places(axes, [row["what"] for row in rows])
     for k, measured in enumerate(("total, empty caches", "total, again")):
         part = [row for row in rows if row["measured"] == measured]
-        heights = [lines[row["what"].split(" --")[0]] + 0.4 * k - 0.2 for row in part]
+        heights = [lines[row["what"]] + 0.4 * k - 0.2 for row in part]
         seconds = [float(row["seconds"]) for row in part]
         axes.barh(heights, seconds, 0.38, color=COLOURS[k], label=measured)
     axes.set_xlabel("time to the end of the command [s]")
@@ -140,7 +143,7 @@ def levels(axes: Axes, rows: list[Row]) -> None:
 FIGURES = {
     "success": ("success.csv", success, 5.8),
     "families": ("families.csv", families, 3.4),
-    "start": ("start.csv", start, 5.0),
+    "start": ("start.csv", start, 7.5),
     "levels": ("suite.csv", levels, 5.0),
 }
 
