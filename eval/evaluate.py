@@ -1,4 +1,4 @@
-"""`python eval/evaluate.py`: the same as `carpark_mj evaluate`."""
+"""`python eval/evaluate.py`: equals `carpark_mj evaluate`."""
 
 import sys
 from pathlib import Path

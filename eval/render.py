@@ -1,4 +1,4 @@
-"""`python eval/render.py`: the same as `carpark_mj render`."""
+"""`python eval/render.py`: equals `carpark_mj render`."""
 
 import sys
 from pathlib import Path

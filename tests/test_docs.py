@@ -52,9 +52,14 @@ from vehicle_suite.report import excerpt
 
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
-USED = ("mdp", "deployment", "vehicle", "layouts", "own_lot", "interfaces")
-MDP, DEPLOYMENT, VEHICLE, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT = (
-    (DOCS / f"{name}.md").read_text() for name in (*USED, "multi_agent")
+USED = ("deployment", "vehicle", "layouts", "own_lot", "interfaces", "multi_agent")
+DEPLOYMENT, VEHICLE, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT = (
+    (DOCS / f"{name}.md").read_text() for name in USED
+)
+EXTENDING = (DOCS / "extending.md").read_text()
+TASK = ("mdp", "observation", "reward", "dynamic_goals", "environments")
+MDP, OBSERVATION, REWARD, GOALS, NAMED = (
+    (DOCS / f"{name}.md").read_text() for name in TASK
 )
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
@@ -92,13 +97,19 @@ def markdown_inputs() -> str:
 @pytest.mark.parametrize(
     ("page", "name", "expected"),
     [
-        (MDP, "observation table", lambda: markdown_table(make_fields(EnvConfig()))),
+        (
+            *(OBSERVATION, "observation table"),
+            lambda: markdown_table(make_fields(EnvConfig())),
+        ),
         (DEPLOYMENT, "inputs of a car", markdown_inputs),
-        (VEHICLE, "physics table", lambda: excerpt(REPORT)),
     ],
 )
 def test_a_table_is_the_generated_one(page, name, expected):
     assert section(page, name) == expected(), f"paste this:\n{expected()}"
+
+
+def test_the_physics_report_has_the_excerpt_of_its_rows():
+    assert excerpt(REPORT) in REPORT.with_suffix(".md").read_text()
 
 
 def test_the_readme_has_rows_of_the_physics_table():
@@ -126,24 +137,24 @@ def test_the_parked_rules_are_those_in_force():
 def test_the_reward_terms_are_all_there_with_their_weights():
     weights = {name: getattr(REWARDS["shaped"], name) for name in TERMS}
     weights |= dict.fromkeys(sorted(REWARD_TERMS), 0) | REWARDS["shaped"].extra
-    found = dict(row[:2] for row in cells(MDP, "reward terms"))
+    found = dict(row[:2] for row in cells(REWARD, "reward terms"))
     del weights["pose"]  # of tasks with goal poses
     assert found == {name: f"{weight:g}" for name, weight in weights.items()}
     for field in dataclasses.fields(RewardConfig):
-        assert f"`{field.name}`" in MDP or field.name == "goals", field.name
+        assert f"`{field.name}`" in REWARD or field.name == "goals", field.name
 
 
 def test_the_terms_of_dynamic_goals_are_all_there():
     weights = goal_weights(EnvConfig()) | {"bad_goal": GivingWayConfig().bad_goal}
-    found = [row[:2] for row in cells(MDP, "goal terms")]
+    found = [row[:2] for row in cells(GOALS, "goal terms")]
     assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]
 
 
 def test_contexts_environments_and_layouts_are_all_named():
-    named = [row[0].split("`")[0] for row in cells(MDP, "contexts")]
+    named = [row[0].split("`")[0] for row in cells(GOALS, "contexts")]
     assert tuple(named) == CONTEXTS
-    ours = {row[0] for row in cells(MDP, "environments")}
-    papers = {row[0] for row in cells(MDP, "environments of papers")}
+    ours = {row[0] for row in cells(NAMED, "environments")}
+    papers = {row[0] for row in cells(NAMED, "environments of papers")}
     assert ours == {*ENVIRONMENTS} - papers
 
 
@@ -243,9 +254,11 @@ def settings_in(path):
 
 
 def slugs(page):
-    """Anchors of a page's headings, as GitHub makes them."""
-    heads = re.findall(r"^#+ (.*)", page.read_text(), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}
+    """Anchors of a page: of its headings, as GitHub makes them, and former ones."""
+    text = page.read_text()
+    heads = re.findall(r"^#+ (.*)", text, re.MULTILINE)
+    own = {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}
+    return own | {*re.findall(r'^<a id="([\w-]+)"></a>$', text, re.MULTILINE)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -307,12 +320,14 @@ NEEDS = {  # words of snippets, and what they need
     "jaxmarl": "jaxmarl",
     "RecordVideo": "moviepy",
 }
-RUN = ("index", "troubleshooting", "own_policy", "sb3", "vehicle", "interfaces")
+RUN = ("index", "troubleshooting", "sb3", "vehicle", "interfaces")
 SNIPPETS = [
     pytest.param(snippet, id=f"{page.stem} {number}")
     for page in (ROOT / "README.md", *(DOCS / f"{n}.md" for n in (*RUN, "multi_agent")))
     for number, snippet in enumerate(code(page.read_text(), "python"))
 ]
+[POLICY] = code(EXTENDING.split("\n## A policy\n")[1].split("\n## ")[0], "python")
+SNIPPETS.append(pytest.param(POLICY, id="a policy"))  # others: `test_extending`
 
 
 @pytest.mark.filterwarnings("ignore")  # of libraries
@@ -334,7 +349,6 @@ OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1
     ("text", "names"),
     [
         (section(INTERFACES, "ids"), OURS),
-        (section(INTERFACES, "options"), OPTIONS),
         (MULTI_AGENT, OPTIONS),
     ],
 )

@@ -50,7 +50,7 @@ class OnnxInput:
 
     @property
     def meaning(self) -> str:
-        """Range and meaning, as in docs/mdp.md."""
+        """Range and meaning of the first."""
         first = self.fields[0]
         return f"{first.low:g} … {first.high:g}: {first.meaning}"
 
@@ -135,7 +135,7 @@ def make_model(loaded: LoadedPolicy) -> Any:
 
 
 def describe_action(spec: ActionSpec) -> str:
-    """Meaning of the numbers of an action, see docs/mdp.md."""
+    """Meaning of the numbers of an action."""
     parts = ["steer and pedal in [-1, 1]"] if spec.continuous else []
     parts += [f"an index below {count}" for count in spec.choices]
     return ", ".join(parts)
@@ -331,7 +331,7 @@ def sensitivity(
 
 
 def inputs_of(model: Any) -> list[PlainInput]:
-    """Those of `INPUTS` that a model takes, in order."""
+    """Entries of `INPUTS` that a model takes, in order."""
     names = {value.name for value in model.graph.input}
     return [entry for entry in INPUTS if entry.name in names]
 

@@ -1,4 +1,4 @@
-"""Pages for browsers on this machine: where they are served, who may use them."""
+"""Pages for browsers on this machine: addresses and access."""
 
 import re
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | 
 
     Any page open in the same browser can send requests here. A page cannot choose the
     headers `Host`, the name of the requested server, and `Origin`, its own site.
-    `reads` tells whether the request is for a file and changes nothing.
+    `reads` is whether the request is for a file and changes nothing.
     """
     if len(hosts) != 1 or not LOCAL.fullmatch(hosts[0]):
         return f"Host must be that of this machine, localhost, not {', '.join(hosts)}"

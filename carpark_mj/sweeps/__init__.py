@@ -72,7 +72,7 @@ def run_folder(sweep: Path, run: Run) -> Path:
 
 
 def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
-    """Makes the folder of a sweep, or checks that it holds runs of the same kind."""
+    """Makes the folder of a sweep, or checks that its runs fit."""
     definition = {**plan.definition, "stochastic": stochastic}
     path = folder / "sweep.json"
     if not path.exists():
@@ -162,7 +162,7 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) ->
         else:
             report(by_folder[folder], "done", "")
 
-    # Side by side they go on from the same checkpoint: a kill between two checkpoints
+    # Side by side they go on from one checkpoint: a kill between two checkpoints
     # leaves runs of a group with different ones.
     parts: dict[str, list[PPOConfig]] = {}
     for folder, run in by_folder.items():

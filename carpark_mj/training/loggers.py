@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from carpark_mj.cli.process import require_packages
+from carpark_mj.cli.process import USER_ERRORS, one_line, require_packages
 from carpark_mj.extensions import Registry
 from carpark_mj.files import naming
 
@@ -53,6 +53,18 @@ def logger_names(text: str) -> list[str]:
     return names
 
 
+def open_loggers(
+    names: str, folder: Path, step: int, settings: Mapping[str, Any]
+) -> list[Logger]:
+    """The loggers in a setting `logger`, opened; a `ValueError` says what fails."""
+    try:
+        return [LOGGERS[name](folder, step, settings) for name in logger_names(names)]
+    except (*USER_ERRORS, ModuleNotFoundError):
+        raise
+    except Exception as error:  # W&B without a login, MLflow without its server
+        raise ValueError(f"logger {names}: {one_line(error)}") from error
+
+
 class TensorBoard:
     """Event files in the run's `tensorboard/`."""
 
@@ -70,8 +82,8 @@ class TensorBoard:
         # The suffix is for a run that is resumed within a second.
         self._events = EventsWriter(str(self._board / "events"), f".{step}")
         self._flushed = time.monotonic()
-        log = self._event.SessionLog
-        self._add(step + 1, session_log=log(status=log.START))
+        start = self._event.SessionLog(status=self._event.SessionLog.START)
+        self._add(step + 1, session_log=start)
         plain = {
             name: value if isinstance(value, bool | int | float) else str(value)
             for name, value in settings.items()
@@ -148,15 +160,13 @@ class MLflow:
         """Opens the run, that of the folder if there is one."""
         del step
         self._entities = importlib.import_module("mlflow.entities")
-        self._client = importlib.import_module("mlflow").MlflowClient()
+        mlflow = importlib.import_module("mlflow")
+        self._client = mlflow.MlflowClient()
         kept = folder / "mlflow.txt"
         if kept.exists():
             self._run = kept.read_text().strip()
             return
-        known = self._client.get_experiment_by_name(PROJECT)
-        place = (
-            known.experiment_id if known else self._client.create_experiment(PROJECT)
-        )
+        place = mlflow.set_experiment(PROJECT).experiment_id
         run = self._client.create_run(place, run_name=folder.name)
         self._run: str = run.info.run_id
         kept.write_text(self._run)

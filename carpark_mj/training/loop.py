@@ -24,7 +24,7 @@ from rich.progress import (
 from carpark_mj.cli.clock import TRAINING
 from carpark_mj.files import naming, write_atomically, write_csv
 from carpark_mj.reading import CsvRow, read_csv
-from carpark_mj.training.loggers import LOGGERS, logger_names
+from carpark_mj.training.loggers import open_loggers
 from carpark_mj.training.run_folder import RunConfig, list_settings
 
 LINE_SECONDS = 20.0  # between lines of progress where there is no terminal
@@ -155,13 +155,11 @@ class MetricsLog:
         ]
         self._columns = list(rows[0]) if rows else []
         write_csv(self._path, rows)
-        self._file = self._path.open("a", newline="")
         self._step = int(float(rows[-1]["env_steps"])) if rows else 0
         settings = dict(list_settings(config)) if config else {}
-        self._loggers = [
-            LOGGERS[name](folder, self._step, settings)
-            for name in logger_names((config or RunConfig()).logger)
-        ]
+        names = (config or RunConfig()).logger
+        self._loggers = open_loggers(names, folder, self._step, settings)
+        self._file = self._path.open("a", newline="")
 
     def write(self, row: dict[str, float]) -> None:
         """Adds the row of an update; the first row fixes the columns."""

@@ -53,7 +53,7 @@ class Batch:
     def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
         """Takes an environment; it is compiled by the first calls.
 
-        `restart` tells whether a lot resets when all its agents have finished.
+        `restart` is whether a lot resets when all its agents have finished.
         """
         require_count("num_lots", num_lots, 1)
         self.env: Any = env  # adapters know of which kind

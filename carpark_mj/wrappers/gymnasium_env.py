@@ -82,11 +82,11 @@ class Parking:
 class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """One agent parks: `carpark_mj/Park-v0`.
 
-    - observation: (size,) float32, the fields of `docs/mdp.md`; with cameras a
-      dictionary, see `carpark_mj.observations.unpack`.
+    - observation: (size,) float32, the fields of `carpark_mj.observations.make_fields`;
+      with cameras a dictionary, see `carpark_mj.observations.unpack`.
     - action: (2,) float32, steer and pedal in [-1, 1]; numbers out of range are
       clipped. On the grid: indices of an acceleration and a turn.
-    - reward: the sum of the terms of `docs/mdp.md`.
+    - reward: the sum of the terms of `RewardConfig`.
     - end: terminated when parked or crashed, truncated when out of time; then `reset`
       draws the next lot.
     - info: `is_success` (parked) and `crashed`.

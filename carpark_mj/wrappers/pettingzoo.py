@@ -110,7 +110,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         self.state_space = spaces.Box(low, high, dtype=box.dtype)
 
     def observation_space(self, agent: str) -> spaces.Box | spaces.Dict:
-        """The vector (observation_size,) float32 of `docs/mdp.md`, or with pictures."""
+        """The vector (observation_size,) float32, or with pictures a dictionary."""
         return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:

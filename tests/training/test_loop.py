@@ -108,6 +108,16 @@ def test_an_extension_s_logger_gets_all_that_is_finite(tmp_path, monkeypatch):
     assert not (tmp_path / "tensorboard").exists()
 
 
+def test_a_logger_that_cannot_begin_is_one_sentence(tmp_path, monkeypatch):
+    def broken(*_):
+        raise RuntimeError("no\nserver")
+
+    restore_after(monkeypatch, LOGGERS)
+    LOGGERS.register("broken", broken)
+    with pytest.raises(ValueError, match="broken: no server"):
+        MetricsLog(tmp_path, 0, PPOConfig(logger="broken"))
+
+
 @pytest.mark.parametrize("name", ["mlfow", "wandb,none"])
 def test_an_unknown_logger_is_refused_before_there_is_a_folder(name, tmp_path):
     config = PPOConfig(logger=name, runs_dir=str(tmp_path / "runs"))

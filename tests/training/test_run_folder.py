@@ -210,6 +210,13 @@ def test_settings_need_to_fit_the_named_preset_only():
         read("--num-minibatches", "28")
 
 
+def test_curricula_of_a_preset_may_be_without_effect():
+    alone = read("--preset", "anywhere", "--env.num-agents=1", "--env.min-agents=None")
+    assert alone.curriculum == PRESETS["anywhere"].curriculum
+    fixed = read("--preset", "hope", "--env.layout", "tpcap_1", "--lot-life", "0")
+    assert fixed.curriculum.target_rate
+
+
 def test_the_whole_help_lists_every_setting(capsys):
     with pytest.raises(SystemExit) as stop:
         read("--preset", "gpu", "--help-all")
