@@ -6,13 +6,27 @@ neither: the names below load on first use, so that MuJoCo's OpenGL can still be
 """
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from carpark_mj.registration import register_environments
 
 register_environments()
 
 __version__ = "1.0.0"
+
+if TYPE_CHECKING:  # for editors; at run time names come from `_HOMES`
+    from carpark_mj.config import EnvConfig as EnvConfig
+    from carpark_mj.config import EpisodeConfig as EpisodeConfig
+    from carpark_mj.config import RewardConfig as RewardConfig
+    from carpark_mj.config import SimConfig as SimConfig
+    from carpark_mj.config import SpawnConfig as SpawnConfig
+    from carpark_mj.env import ParkingEnv as ParkingEnv
+    from carpark_mj.layouts import make_layout as make_layout
+    from carpark_mj.observations import ContinuousObservation as ContinuousObservation
+    from carpark_mj.policy.loading import load_policy as load_policy
+    from carpark_mj.training import evaluate as evaluate
+    from carpark_mj.training import render as render
+    from carpark_mj.wrappers.pettingzoo import parallel_env as parallel_env
 
 _HOMES = {
     "ContinuousObservation": "carpark_mj.observations",
@@ -22,9 +36,11 @@ _HOMES = {
     "RewardConfig": "carpark_mj.config",
     "SimConfig": "carpark_mj.config",
     "SpawnConfig": "carpark_mj.config",
+    "evaluate": "carpark_mj.training",
     "load_policy": "carpark_mj.policy.loading",
     "make_layout": "carpark_mj.layouts",
     "parallel_env": "carpark_mj.wrappers.pettingzoo",
+    "render": "carpark_mj.training",
 }
 
 __all__ = [*sorted(_HOMES), "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
@@ -33,4 +49,11 @@ __all__ = [*sorted(_HOMES), "__version__"]  # pyright: ignore[reportUnsupportedD
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'carpark_mj' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    from carpark_mj.cli.process import naming_extras
+
+    with naming_extras():
+        return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_HOMES]

@@ -3,8 +3,25 @@
 import sys
 from typing import NoReturn
 
+import carpark_mj
 from carpark_mj.cli.process import enter
-from carpark_mj.programs import COMMANDS, table
+from carpark_mj.extensions import table
+from carpark_mj.programs import COMMANDS
+
+# Completes names of commands, and flags by what tyro prints for each command.
+COMPLETION = """_carpark_mj() {
+  if [ "$COMP_CWORD" = 1 ]; then
+    COMPREPLY=($(compgen -W "COMMANDS" -- "$2"))
+    return
+  fi
+  local flags=_tyro_carpark_mj_${COMP_WORDS[1]}
+  if ! declare -F "$flags" >/dev/null; then
+    eval "$(carpark_mj "${COMP_WORDS[1]}" --tyro-print-completion bash 2>/dev/null)"
+    complete -F _carpark_mj carpark_mj
+  fi
+  if declare -F "$flags" >/dev/null; then "$flags" "$@"; fi
+}
+complete -F _carpark_mj carpark_mj"""
 
 
 def main() -> NoReturn:
@@ -14,6 +31,13 @@ def main() -> NoReturn:
         summaries = {name: command.summary for name, command in COMMANDS.items()}
         print(f"usage: carpark_mj COMMAND ...\n\n{table(summaries)}\n")
         print("carpark_mj COMMAND --help lists the settings of each.")
+        print("carpark_mj --version prints the version, --completion a bash script.")
+        sys.exit(0)
+    if name == "--version":
+        print(f"carpark_mj {carpark_mj.__version__}")
+        sys.exit(0)
+    if name == "--completion":
+        print(COMPLETION.replace("COMMANDS", " ".join(COMMANDS)))
         sys.exit(0)
     if name not in COMMANDS:
         known = ", ".join(COMMANDS)

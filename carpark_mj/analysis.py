@@ -25,7 +25,10 @@ CONFIDENCE = 0.95
 RESAMPLES = 2000
 GRID = 200  # points of a mean curve
 # Settings that may differ between runs of the same training.
-_INCIDENTAL = ("name", "runs_dir", "resume", "time_limit", "seed", "preset")
+_INCIDENTAL = (
+    *("name", "runs_dir", "resume", "time_limit", "seed", "preset"),
+    "logger",
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The parking environment: reads like the definition of the MDP.
 
 One `ParkingEnv` describes one lot with its agents; `jax.vmap` over keys and states
-gives a batch, in which every lot may have another layout of the same padded shape.
+gives a batch, in which every lot may have another layout of one padded shape.
 The object holds constants only; everything that changes is in `State`.
 """
 
@@ -108,7 +108,7 @@ class ParkingEnv:
         if not isinstance(config, EnvConfig | None):  # pyright: ignore
             raise TypeError(
                 f"config must be an EnvConfig, not {config!r}; "
-                "`carpark_mj.registry.environment` gives those that have a name"
+                "`carpark_mj.registry.environment` returns the named ones"
             )
         require_kind("vehicle", vehicle, VehicleParameters | None)
         config = config if config is not None else EnvConfig()
@@ -171,7 +171,7 @@ class ParkingEnv:
 
         Returns:
             A dictionary of arrays (...) if there are pictures, see
-            `carpark_mj.observations.unpack`; otherwise the same.
+            `carpark_mj.observations.unpack`; otherwise the observations.
         """
         return unpack(make_fields(self.config), observation)
 
@@ -227,7 +227,7 @@ class ParkingEnv:
     def draw_layout(
         self, key: jax.Array, split: Split = "train", member: jax.Array | None = None
     ) -> Layout:
-        """Draws a layout as `reset` does; always of the same shape."""
+        """Draws a layout as `reset` does; all have one shape."""
         key = lot_key(lot_number(split, key))
         if member is None:
             return self.layout_config.generate(key)

@@ -35,6 +35,14 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
     return f"unknown {kind} {name!r}; choose from {names}{meant}"
 
 
+def table(lines: Mapping[str, str], indent: int = 2) -> str:
+    """A line for each name."""
+    width = max(map(len, lines), default=0)
+    return "\n".join(
+        f"{'':{indent}}{n:{width}}  {x}".rstrip() for n, x in lines.items()
+    )
+
+
 @dataclasses.dataclass(frozen=True)
 class Entry:
     """A part that is imported on first use.

@@ -1,9 +1,8 @@
 """The commands of `carpark_mj`, and the programs of papers and extensions."""
 
 import dataclasses
-import importlib.util
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from carpark_mj.cli.clock import CLOCK
@@ -11,9 +10,10 @@ from carpark_mj.cli.process import (
     configure_jax,
     dispatch_synchronously,
     enable_output_fusion,
+    require_packages,
 )
 from carpark_mj.compilation import keep_compiled_programs
-from carpark_mj.extensions import Entry, Registry
+from carpark_mj.extensions import Entry, Registry, table
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
@@ -68,6 +68,10 @@ COMMANDS = {
     "play": _command(
         "cli.pages:play", "drive a car yourself",
         "driving:PlayConfig", KEEPING, drives=True,
+    ),
+    "list": _command(
+        "cli.listing:main", "list layouts, environments, vehicles, policies, presets",
+        "tables:ListConfig",
     ),
     "layouts": _command(
         "cli.layouts:main", "draw, plot, check and save layouts",
@@ -142,9 +146,7 @@ def call(name: str, arguments: Sequence[str], set_up: bool = False) -> object:
     given: Any = words
     if command.settings:
         given = _read(name, command, words)
-    for package in command.needs:
-        if importlib.util.find_spec(package) is None:
-            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+    require_packages(*command.needs)
     for prepare in command.setup if set_up else ():
         prepare()
     function = command.load()
@@ -166,12 +168,6 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     return read_flags(settings, words, description=text, prog=f"carpark_mj {name}")
 
 
-def table(summaries: Mapping[str, str]) -> str:
-    """A line for each program."""
-    width = max(map(len, summaries), default=0)
-    return "\n".join(f"  {name:{width}}  {x}" for name, x in summaries.items())
-
-
 def study(arguments: Sequence[str]) -> object:
     """Runs a program of a paper or another extension, which the first argument names.
 
@@ -185,8 +181,7 @@ def study(arguments: Sequence[str]) -> object:
             "`pip install ./papers` in a checkout of carpark_mj"
         )
     if not arguments or arguments[0] in ("-h", "--help"):
-        listed = table(STUDY_PROGRAMS.summaries)
-        print(f"usage: carpark_mj study NAME ...\n\n{listed}")
+        print(f"usage: carpark_mj study NAME ...\n\n{table(STUDY_PROGRAMS.summaries)}")
         return 0
     program = STUDY_PROGRAMS[arguments[0]]
     keep_compiled_programs()
@@ -200,6 +195,7 @@ TRAIN_HELP = """Trains one shared parking policy for all agents with PPO (IPPO).
     carpark_mj train --resume runs/cpu-0    # continues where it stopped
     carpark_mj train --preset dynamic --seeds 0..7       # runs side by side
     carpark_mj train --help-all             # every setting
+    carpark_mj train --config mine.yaml     # settings of a file, or a run's config.json
     carpark_mj train --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
     srun carpark_mj train --coordinator auto                         # a cluster
 

@@ -61,6 +61,20 @@ def parse_object(text: str, what: str, **kinds: type) -> dict[str, Any]:
     return found
 
 
+def parse_yaml(text: str, what: str) -> dict[str, Any]:
+    """Parses a YAML mapping; `what` it is begins the message about a fault."""
+    import yaml  # only for such files; Flax brings it
+
+    try:
+        found = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        told = " ".join(str(error).split())
+        raise ValueError(f"{what}: not YAML ({told})") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"{what} must have lines as 'name: value', not {text[:40]!r}")
+    return found
+
+
 def require_entries(found: Mapping[str, Any], what: str, **kinds: type) -> None:
     """Refuses an object, `what` it is, without entries of some types by name."""
     for name, kind in kinds.items():

@@ -1,8 +1,8 @@
-"""MuJoCo's own pictures of a state, resampled at the rays of any camera.
+"""MuJoCo's images of a state, resampled at the rays of any camera.
 
-Six pinhole pictures make a cube about the camera. On a plane the inverse of the depth
+Six pinhole images make a cube about the camera. On a plane the inverse of the depth
 is linear across a picture, so it is interpolated between the four pixels about a ray
-without an error where they show one thing; elsewhere the ray is on an edge.
+exactly if all four show one object; otherwise the ray is on an edge.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _FACES = np.array(  # axis, left and up of each face
 
 
 class BlockStage(Stage):
-    """A lot's scene in which every car is a mesh and the blocks that cameras see."""
+    """A lot's scene with the mesh of every car and the blocks that cameras see."""
 
     def build(self) -> mujoco.MjSpec:
         """The scene with blocks, and a camera `free`."""
@@ -85,9 +85,9 @@ def _add_blocks(body: Any, params: VehicleParameters, prefix: str) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """What MuJoCo shows along rays (...): depths [m], inf in the sky, and `Seen`.
+    """MuJoCo's image along rays (...): depths [m], inf in the sky, and `Seen`.
 
-    On an edge (bool) things meet, and the depth is that of none.
+    On an edge (bool) objects meet, and the depth belongs to none.
     """
 
     depth: np.ndarray
@@ -99,7 +99,7 @@ class Renderer:
     """Draws the states of one lot after another."""
 
     def __init__(self, env: ParkingEnv, state: State, meshes: bool = False) -> None:
-        """Compiles the scene of a lot; `meshes` draws those of cars, not blocks."""
+        """Compiles the scene of a lot; `meshes` draws cars as meshes, not as blocks."""
         self._layout = jax.tree.map(np.asarray, state.layout)
         self._state = state
         self._stage = BlockStage.of(env, state)
@@ -176,7 +176,7 @@ class Renderer:
         geom: np.ndarray,
         agent: int,
     ) -> np.ndarray:
-        """What is seen along rays that meet geoms; bays are areas of the ground."""
+        """Classes along rays that meet geoms; bays are areas of the ground."""
         seen = np.where(geom < 0, Seen.SKY, self._kinds[geom])
         seen[(geom >= 0) & (self._owner[geom] == agent)] = Seen.OWN_CAR
         ground = self._stage.model.geom(GROUND).id
@@ -204,7 +204,7 @@ def _sample(
 
 
 def _owners(model: mujoco.MjModel) -> np.ndarray:
-    """Agents (geoms,) whose car a geom is part of; -1 = none."""
+    """Agent (geoms,) of the car that a geom belongs to; -1 = none."""
     owners = np.full(model.ngeom, -1)
     for k in range(model.ngeom):
         root = model.body(model.body_rootid[model.geom_bodyid[k]]).name
@@ -214,7 +214,7 @@ def _owners(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _show_solids(model: mujoco.MjModel) -> None:
-    """Shows of movers the solids with which cars collide, which alone have names."""
+    """Shows only the named geoms of movers, which are those of collisions."""
     for k in range(model.ngeom):
         if model.body(model.geom_bodyid[k]).name.startswith("mover"):
             model.geom_group[k] = 0 if model.geom(k).name else HULL_GROUP

@@ -1,13 +1,13 @@
-"""Compares cameras with MuJoCo's renderer, measures their speed, shows what they see.
+"""Compares cameras with MuJoCo's renderer, measures their speed, draws their images.
 
 python eval/cameras.py                                # the truth, in every family
 python eval/cameras.py --what speed                   # pixels and agent steps a second
 python eval/cameras.py --what pictures --layouts lot angled street --out cameras.png
 
-`truth` draws the same state by MuJoCo, with every car as the two blocks that cameras
-see and, beside that, as its mesh. Exit code 1: fewer pixels agree than must. `speed`
-counts a core's seconds on a CPU, of all threads together, which other work on the
-machine disturbs far less, and the wall clock's on a GPU.
+`truth` draws each state in MuJoCo, with every car as the two blocks that cameras see
+and as its mesh. Exit code 1: too few pixels agree. `speed` counts CPU seconds of all
+threads on a CPU, which other work on the machine disturbs less, and wall-clock seconds
+on a GPU.
 """
 
 from carpark_mj.cli.process import enter
@@ -60,7 +60,7 @@ AGENTS, PARKED_CARS, PEOPLE = 2, 8, 3
 
 @dataclasses.dataclass(frozen=True)
 class Bystanders(Mover):
-    """People who stand anywhere in the lot."""
+    """People standing anywhere in the lot."""
 
     mover: str = "bystanders"
     kind = ObstacleKind.PERSON
@@ -93,7 +93,7 @@ class Carts(Bystanders):
 
 
 def families() -> list[str]:
-    """A layout of every family, and the rest of those that no other looks like."""
+    """A layout of every family, and all layouts unlike any other."""
     first: dict[str, str] = {}
     for name in LAYOUTS:
         first.setdefault(LAYOUTS[name].family, name)
@@ -101,9 +101,9 @@ def families() -> list[str]:
 
 
 def environment(layout: str, people: bool = True, agents: int = AGENTS) -> ParkingEnv:
-    """An environment with as many of the cars as its lots have bays for.
+    """An environment with at most as many cars as bays.
 
-    Where lots have exits, agents drive out and nobody is parked.
+    In lots with exits agents drive out and no car is parked.
     """
     lot = layout_config(layout)
     kinds = make_layout(lot, jax.random.key(0)).bay_kind
@@ -125,14 +125,14 @@ ENOUGH = 0.995  # share of the pixels
 
 
 class Agreement(NamedTuple):
-    """Pixels, and shares of them.
+    """Number and shares of pixels.
 
     Attributes:
-        pixels: all.
-        on_edge: where things meet within a quarter of a pixel or so.
-        depth: with the right depth, of those off the edges.
-        classes: of the right class.
-        meshes: of the same class as where MuJoCo draws the cars' meshes.
+        pixels: number of pixels.
+        on_edge: share within about a quarter of a pixel of an edge.
+        depth: share of pixels off the edges with the right depth.
+        classes: share with the right class.
+        meshes: share with the class that MuJoCo's image of the meshes has.
     """
 
     pixels: int
@@ -143,7 +143,7 @@ class Agreement(NamedTuple):
 
 
 def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Agreement:
-    """Compares the pictures of all agents that are in some lots."""
+    """Compares the images of all agents of some lots."""
     heights, counts = Heights.of(env.fleet), np.zeros(5, int)
     pictures_of = jax.jit(see, static_argnums=(0, 2))
     for state in states:
@@ -246,7 +246,7 @@ def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[dict]:
 def _lots(look: Callable[[Any], Any], states: Any, lots: int) -> tuple[float, float]:
     """Lots a second and GiB: all at once on a GPU, one after the other on a CPU.
 
-    The memory is that of the program, the pictures included.
+    The memory is that of the program with its images.
     """
     on_cpu = jax.default_backend() == "cpu"
     looked = (lambda s: jax.lax.map(look, s)) if on_cpu else jax.vmap(look)
@@ -262,7 +262,7 @@ def _clock() -> Callable[[], float]:
 
 
 def _mujoco_seconds(env: ParkingEnv, state: Any, rig: Rig) -> float:
-    """Seconds in which MuJoCo draws depth and segmentation of as many pictures."""
+    """Seconds that MuJoCo needs for depth and segmentation of as many images."""
     stage = BlockStage.of(env, state)
     snapshot_of(state).place(stage)
     renderer = mujoco.Renderer(stage.model, rig.height, rig.width)
@@ -288,7 +288,7 @@ class CamerasConfig(CheckedConfig):
     """Settings of `python eval/cameras.py`.
 
     Attributes:
-        what: what to do.
+        what: comparison, speed measurement or pictures.
         layouts: of the lots; by default one of every family, `lot` for `speed`, and
             three of the families for `pictures`.
         lots: of each layout, for `truth`.
@@ -344,13 +344,13 @@ def speed(config: CamerasConfig) -> None:
 
 
 def _print_row(row: dict[str, str], head: bool) -> None:
-    """Prints a row of a table as soon as it is known, the first below its head."""
+    """Prints a row of a table, the first with its head."""
     lines = markdown([row]).splitlines()
     print("\n".join(lines if head else lines[2:]), flush=True)
 
 
 def run(config: CamerasConfig) -> int:
-    """Does what is asked for; returns the exit code."""
+    """Runs `what`; returns the exit code."""
     if config.what == "truth":
         return truth(config)
     if config.what == "speed":

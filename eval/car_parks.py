@@ -3,7 +3,7 @@
 python eval/car_parks.py anywhere
 python eval/car_parks.py anywhere --parts 10 --num-agents 4 --episodes 500
 
-Every part has as many lots with each number of agents, and every bay of it a route.
+Every part has equally many lots with each number of agents, and a route to every bay.
 Intervals hold for parts drawn at random: lots of one part count as one cluster.
 """
 
@@ -40,7 +40,7 @@ class CarParksConfig(CheckedConfig):
         parts: number of parts of each car park.
         size: of a part in x and y [m].
         num_agents: the most agents in a lot; there are lots with each number from 1.
-        episodes: of both car parks, rounded up to the same number for every agent.
+        episodes: of both car parks, rounded up to an equal number for every agent.
         vehicle: preset or file of all cars.
         seed: of parts and episodes.
         out: folder of the file.
@@ -94,7 +94,7 @@ def by_agents(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
         str(count): summarize([row for row in own if row["agents_present"] == count])
         for count in counts
     }
-    # A part is one cluster, whatever the number of agents.
+    # A part is one cluster for all numbers of agents.
     return {**groups, "all": summarize([row | {"agents_present": 0} for row in own])}
 
 

@@ -83,10 +83,10 @@ def move(
 
 
 def order(xy: jax.Array, way: jax.Array) -> jax.Array:
-    """Order of lanes (): how far those before and behind walk the same way.
+    """Order of lanes (): how far people ahead and behind walk in one direction.
 
-    The mean over walkers of the share of others in their strip who walk as they do,
-    less that of those who come towards them: 0 in a mixed crowd, 1 in lanes.
+    The mean over walkers of the share of others in their strip with their direction,
+    less the share with the opposite one: 0 in a mixed crowd, 1 in lanes.
     """
     length, count = CORRIDOR[0], way.shape[0]
     x = xy[:, None, 0] - xy[:, 0]
@@ -99,7 +99,7 @@ def order(xy: jax.Array, way: jax.Array) -> jax.Array:
 
 
 def spread(key: jax.Array, count: int, size: tuple[float, float]) -> jax.Array:
-    """Places (count, 2) [m] about those of a grid in a rectangle from the origin."""
+    """Places (count, 2) [m] near grid points in a rectangle from the origin."""
     columns = math.ceil(math.sqrt(count * size[0] / size[1]))
     rows = math.ceil(count / columns)
     number = jnp.arange(count)
@@ -158,7 +158,7 @@ def walk(key: jax.Array, pushes: bool) -> tuple[jax.Array, ...]:
 
 
 def one_way(key: jax.Array, density: float, radius: float, dt: float) -> jax.Array:
-    """Mean speed () [m/s] of people who walk one way, in the second half of the time.
+    """Mean speed () [m/s] of people walking one way, in the second half of the time.
 
     There are `density` people per square metre, with bodies of a radius [m].
     """
@@ -183,7 +183,7 @@ def one_way(key: jax.Array, density: float, radius: float, dt: float) -> jax.Arr
 
 
 def leave(key: jax.Array, speed: jax.Array) -> jax.Array:
-    """How many have left a room through its door, over time."""
+    """Number of people that left a room through its door, over time."""
     xy, middle, half = spread(key, LEAVERS, (ROOM, ROOM)), ROOM / 2, DOOR / 2
     borders = walls(
         (-1.0, 0.0, -1.0, ROOM + 1.0),
@@ -211,7 +211,7 @@ def leave(key: jax.Array, speed: jax.Array) -> jax.Array:
 
 
 def flow(left: np.ndarray) -> float:
-    """Persons per second between the 10th and the 80th who leave, or until the end."""
+    """Persons per second between the 10th and the 80th to leave, or until the end."""
     if left[-1] <= 10:
         return 0.0
     first = int(np.argmax(left >= 10))
@@ -238,7 +238,7 @@ def run(config: CrowdsConfig) -> None:
         rows[what, "m/s"] = np.asarray(speeds(keys, density, radius, dt))
     for what, pushes in (
         ("order of lanes, last 20 s", True),
-        ("the same without forces", False),
+        ("order of lanes without forces", False),
     ):
         rows[what, ""] = walks[pushes][3][:, -end:].mean(axis=1)
     for speed, row in zip(SPEEDS, flows, strict=True):

@@ -1,6 +1,11 @@
-"""`python eval/evaluate.py`: the same as `carpark_mj evaluate`."""
+"""`python eval/evaluate.py`: equals `carpark_mj evaluate`."""
 
-from carpark_mj.cli.process import enter
+import sys
+from pathlib import Path
 
 if __name__ == "__main__":
+    # This checkout, not an installed copy.
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    from carpark_mj.cli.process import enter
+
     enter("evaluate", "carpark_mj.programs:run", "evaluate")

@@ -1,9 +1,9 @@
 """Makes the clips of docs/gallery.md by the commands there, and the README's mosaic.
 
 python eval/gallery.py                    # all
-python eval/gallery.py street mosaic.gif  # those whose path has one of the words
+python eval/gallery.py street mosaic.gif  # clips whose path contains one of the words
 
-A policy that is trained again drives otherwise: look at the clips, and choose seeds.
+A retrained policy drives differently: look at the clips and choose seeds.
 """
 
 from carpark_mj.cli.process import enter
@@ -66,7 +66,7 @@ def commands(page: str) -> dict[str, list[str]]:
 
 
 def make(config: GalleryConfig) -> None:
-    """Makes what is asked for, in `docs/`."""
+    """Makes the requested clips in `docs/`."""
     os.chdir(DOCS)
     words = config.clips or ("",)
     for clip, arguments in commands(PAGE.read_text()).items():
@@ -79,7 +79,7 @@ def make(config: GalleryConfig) -> None:
 
 
 def _tiles(clip: Path, caption: str) -> Iterator[Image.Image]:
-    """What a clip shows every `1 / FPS` seconds, with a caption below."""
+    """Frames of a clip every `1 / FPS` seconds, with a caption below."""
     with Image.open(clip) as film:
         lasts = [frame.info["duration"] for frame in ImageSequence.Iterator(film)]
         ends = np.cumsum(lasts)

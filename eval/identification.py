@@ -5,8 +5,8 @@ python eval/identification.py --kinds stops rolling
 python eval/identification.py --kinds full --seeds 10 --first 10 --measured rates
 
 Every seed has a compact car with other true parameters, another drive and other noise.
-The kinds `stops` and `rolling` are drives of a single-track car in NumPy, which shares
-no code with the library, the others of a car in C MuJoCo.
+The kinds `stops` and `rolling` drive a single-track car in NumPy, which shares no code
+with the library, the others a car in C MuJoCo.
 """
 
 from carpark_mj.cli.process import enter
@@ -55,9 +55,9 @@ class IdentificationConfig:
 
     Attributes:
         kinds: drives of every seed.
-        seeds: how many.
-        first: the first of them.
-        measured: what the logs have beside time, steering wheel and pedal.
+        seeds: number of seeds.
+        first: first seed.
+        measured: columns of the logs besides time, steering wheel and pedal.
         noise: factor on the noise of the sensors.
         sim_dt: substep of the simulation that is fitted [s]; 0.01 takes a quarter of
             the time, and its tyres seem a tenth softer.
@@ -111,7 +111,7 @@ def run(config: IdentificationConfig) -> None:
                 row: dict[str, Any] = {"drive": kind, "seed": drive.seed}
                 row |= {"parameter": name, "true": float(getattr(drive.true, name))}
                 row |= {"found": found[name].value, "half_interval": found[name].error}
-                rows.append(row | {"told": found[name].identifiable})
+                rows.append(row | {"identified": found[name].identifiable})
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for kind in config.kinds:
@@ -119,21 +119,21 @@ def run(config: IdentificationConfig) -> None:
 
 
 def _print(rows: list[dict], kind: str) -> None:
-    """The first seed's numbers, and how many of all intervals cover the truth."""
+    """Prints the first seed's numbers and how many intervals cover the truth."""
     shown = []
     for name in Sought._fields:
         mine = [row for row in rows if row["parameter"] == name]
-        told = [row for row in mine if row["told"]]
-        covered = sum(abs(r["found"] - r["true"]) <= r["half_interval"] for r in told)
+        found = [row for row in mine if row["identified"]]
+        covered = sum(abs(r["found"] - r["true"]) <= r["half_interval"] for r in found)
         first = mine[0]
         low, high = (first["found"] + s * first["half_interval"] for s in (-1, 1))
         row = {"parameter": name, "true": first["true"], "found": math.nan}
         row["95 % interval"] = "–"
-        if first["told"]:
+        if first["identified"]:
             row["found"] = first["found"]
             row["95 % interval"] = f"{low:.4g} … {high:.4g}"
-        row["told"] = f"{len(told)} of {len(mine)}"
-        row["covered"] = f"{covered} of {len(told)}"
+        row["identified"] = f"{len(found)} of {len(mine)}"
+        row["covered"] = f"{covered} of {len(found)}"
         shown.append(row)
     print_rows(shown, f"{kind}: the first seed and all")
 

@@ -1,11 +1,11 @@
-"""Runs inhabited lots for long: what is not finite, and what stands in what.
+"""Runs lots with movers for long; counts non-finite states and overlaps.
 
 python eval/inhabited.py
 python eval/inhabited.py --environment considerate --layout lot --overlaps
 
 Cars hold random controls for a second. Seed and round determine everything, so a round
 that fails can be repeated with `--seed` and `--first-round`. `--overlaps` runs one
-round and prints how often movers overlap each other and what stands.
+round and prints how often movers overlap each other and standing obstacles.
 """
 
 from carpark_mj.cli.process import enter
@@ -32,7 +32,7 @@ from carpark_mj.registry import environment
 from carpark_mj.types import State
 from shell import command
 
-HOLD = 5  # control steps of the same controls
+HOLD = 5  # control steps with equal controls
 FOUND = ("not finite", "diverged", "crashed", "hit a person", "parked")
 DEEP = (1e-3, 0.05, 0.2)  # m, overlaps that are told apart
 
@@ -43,12 +43,12 @@ class InhabitedConfig(CheckedConfig):
 
     Attributes:
         environment: name of an environment.
-        movers: what lives in its lots, see `carpark_mj.obstacles.make_movers`.
+        movers: moving obstacles of its lots, see `carpark_mj.obstacles.make_movers`.
         agent_steps: control steps of agents to make, rounded up to whole rounds.
         num_lots: number of lots simulated in parallel.
-        round_steps: control steps of a round, after which lots begin anew.
+        round_steps: control steps of a round, after which lots are reset.
         first_round: number of the first round.
-        seed: of everything that is drawn.
+        seed: of all random draws.
         layout: of the lots; "" = that of the environment.
         overlaps: whether to count overlaps, in one round.
     """
@@ -92,7 +92,7 @@ def depth(one: Group, other: Group) -> jax.Array:
 
 
 def overlaps(state: State) -> dict[str, tuple[jax.Array, jax.Array]]:
-    """Depths (n,) [m] of movers of a kind in what is of another, and who is there."""
+    """Depths (n,) [m] of movers of one kind in obstacles of another, and presence."""
     obstacles = lot_obstacles(state.layout, None, state.parked_cars)
     groups = [*state.movers.groups, *obstacles]
     agents = Boxes(state.motion.pose_w, state.motion.size, mask=state.active)
@@ -117,7 +117,7 @@ def overlaps(state: State) -> dict[str, tuple[jax.Array, jax.Array]]:
 
 
 def tally(state: State) -> dict[str, jax.Array]:
-    """Counts (5,) for each pair of kinds: who is there, `DEEP`, and the deepest [m]."""
+    """Counts (5,) for each pair of kinds: present, `DEEP`, and the deepest [m]."""
 
     def count(deep: jax.Array, there: jax.Array) -> jax.Array:
         deep = jnp.where(there, deep, -1.0)

@@ -3,8 +3,8 @@
     python eval/peers.py core --lots 1024 --rounds 8
     python eval/peers.py highway-env --lots 1024    # pip install ".[sb3,peers]"
 
-All are compiled first. Then they take turns, so that other work on the machine affects
-all of them alike; the best turn of each counts.
+All programs are compiled first and then take turns, so that other work on the machine
+affects all alike; the best turn of each counts.
 """
 
 from carpark_mj.cli.process import enter
@@ -94,7 +94,7 @@ def core(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
 
 
 def highway(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
-    """highway-env's parking and ours: one car, a goal pose, an empty lot.
+    """highway-env's parking and ParkGoal: one car, a goal pose, an empty lot.
 
     highway-env steps one car at a time, so it gets a process for every core.
     """

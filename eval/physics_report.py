@@ -54,8 +54,8 @@ class ReportConfig:
     """Settings of `python eval/physics_report.py`.
 
     Attributes:
-        presets: vehicle presets to test; default: all but those for one task (`tpcap`,
-            `tanner`, `highway`).
+        presets: vehicle presets to test; default: all except task-specific ones
+            (`tpcap`, `tanner`, `highway`).
         tyres: tyre models to test.
         out: folder of the report.
         quick: run fewer cases, with shorter runs.
@@ -74,7 +74,7 @@ class ReportConfig:
 
 
 def command_of(config: ReportConfig) -> str:
-    """The command that makes this report, wherever it is written."""
+    """The command that makes this report."""
     parts = ["python eval/physics_report.py"]
     if config.presets:
         parts.append(" ".join(["--presets", *config.presets]))

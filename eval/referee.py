@@ -1,4 +1,4 @@
-"""Compares our car with the CommonRoad vehicle models; writes `referee.md` and a plot.
+"""Compares the car with the CommonRoad vehicle models; writes `referee.md` and a plot.
 
 python eval/referee.py
 python eval/referee.py --out runs/referee
@@ -55,13 +55,13 @@ def published_set() -> Any:
 
 
 def our_car(ackermann: float = 0.0) -> VehicleParameters:
-    """The published set as our car, as far as the models allow.
+    """The published set as a car of this package, as far as the models allow.
 
     Taken over: masses, wheelbase, centre of gravity, inertias, mean track, wheel
     radius and inertia, brake and drive split, initial slopes p_ky1 and p_kx1 and
     lateral peak p_dy1 of the tyres; suspension and tyre springs in series, mean of the
-    axles. MB steers both front wheels by the same angle (`ackermann` 0). Its tyres have
-    neither relaxation nor rolling resistance nor scrub torque: ours get as little as
+    axles. MB steers both front wheels by one angle (`ackermann` 0). Its tyres have
+    neither relaxation nor rolling resistance nor scrub torque, which are set as low as
     the equations allow. Their steering limit of 61 deg is not a BMW's; it is not used.
     """
     p = published_set()
@@ -115,7 +115,7 @@ def our_car(ackermann: float = 0.0) -> VehicleParameters:
 def our_run(
     params: VehicleParameters, inputs: Inputs, duration: float, speed: float
 ) -> Run:
-    """The reference models' inputs as ours: m a at the wheels, driving or braking."""
+    """The models' inputs for the car: m a at the wheels, driving or braking."""
 
     def sample(time: np.ndarray) -> np.ndarray:
         return np.array([inputs(float(t)) for t in time]).T
@@ -274,7 +274,7 @@ def table(found: list[Trial]) -> str:
             rows.append(
                 {
                     "manoeuvre": trial.name,
-                    "referee": model,
+                    "model": model,
                     "path [m]": f"{steps.sum():.1f}",
                     "largest distance [m]": f"{distance.max():.3f}",
                     "final distance [m]": f"{distance[-1]:.3f}",

@@ -1,6 +1,11 @@
-"""`python eval/render.py`: the same as `carpark_mj render`."""
+"""`python eval/render.py`: equals `carpark_mj render`."""
 
-from carpark_mj.cli.process import enter
+import sys
+from pathlib import Path
 
 if __name__ == "__main__":
+    # This checkout, not an installed copy.
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    from carpark_mj.cli.process import enter
+
     enter("render", "carpark_mj.programs:run", "render")

@@ -3,10 +3,10 @@
 python eval/soak.py
 python eval/soak.py --car-steps 1000000 --first-case 5000000
 
-All presets, randomised far, on anything from ice to dry asphalt, under random,
+All presets with widely randomised parameters, from ice to dry asphalt, under random,
 alternating, saturated and invalid inputs. Prints a table of the worst cases; exit code
 1 if a car had a non-finite state, too much energy, or left the ground. A case is one
-car for one episode, and its number determines everything about it.
+car for one episode and is determined by its number.
 """
 
 from carpark_mj.cli.process import enter
@@ -37,7 +37,7 @@ from shell import command
 ArrayOrNumpy = TypeVar("ArrayOrNumpy", jax.Array, np.ndarray)
 
 HOLD = 10  # control steps of 20 ms for which an action is held, as in the environment
-MAX_CASE = 2**31 - 1  # beyond it the seeds, int32, would repeat those of other cases
+MAX_CASE = 2**31 - 1  # beyond it the seeds, int32, would repeat seeds of other cases
 ROUNDS = 60  # actions of an episode: 12 s
 RANDOMISATION = RandomizationConfig(
     mass=(0.75, 1.25),
@@ -181,7 +181,7 @@ def draw_action(
 
 
 def wheel_heights(state: CarState) -> jax.Array:
-    """How far the wheels (..., 4) are above where they rest [m]."""
+    """Heights (..., 4) of the wheels above their rest positions [m]."""
     w, x, y, z = jnp.moveaxis(state.qpos[..., 3:7], -1, 0)
     across = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x)], axis=-1)
     rise = jnp.sum(state.vehicle.hub * across[..., None, :], axis=-1)
@@ -189,7 +189,7 @@ def wheel_heights(state: CarState) -> jax.Array:
 
 
 def hops(state: CarState) -> jax.Array:
-    """How far the tyres (..., 4) are above the ground [m]; negative: they carry."""
+    """Heights (..., 4) of the tyres above the ground [m]; negative: loaded."""
     tyres = state.vehicle.tyres
     droop = tyres.static_load / tyres.vertical_stiffness[..., None]
     return wheel_heights(state) - droop
@@ -224,7 +224,7 @@ class SoakConfig(CheckedConfig):
         max_hop: largest allowed gap between tyre and ground, at full droop [m].
         max_energy: largest allowed kinetic and spring energy per mass [J/kg]; a car at
             its speed limit of 3 m/s has 4.5.
-        sim: time step, slope and surface; `ctrl_dt` is 20 ms whatever it says, so that
+        sim: time step, slope and surface; `ctrl_dt` is always 20 ms, so that
             hops are seen.
     """
 

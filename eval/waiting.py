@@ -1,10 +1,10 @@
-"""How long a person waits for each command: first output, longest silence, all of it.
+"""Measures the waiting time of each command: first output, longest silence, total.
 
     python eval/waiting.py                 # all commands, with empty caches and again
     python eval/waiting.py --only train render
 
-Each runs as typed at a terminal, in a new folder. A command with a page ends when the
-page has its picture.
+Each runs on a terminal in a new folder. A command with a page ends when the page shows
+its picture.
 """
 
 import dataclasses
@@ -22,7 +22,6 @@ from typing import Literal, NamedTuple
 
 import tyro
 
-from carpark_mj.cli.process import INTERRUPTED
 from carpark_mj.evaluation.tables import markdown
 
 # A cheap and typical use of each command, in this order: some need files of others.
@@ -68,7 +67,7 @@ class Waited(NamedTuple):
 
 
 def wait_for(command: list[str], folder: Path, cache: Path, is_page: bool) -> Waited:
-    """Runs a command on a terminal of its own, in a folder and with a cache."""
+    """Runs a command on a pseudo-terminal, in a folder and with a cache."""
     pid, terminal = pty.fork()
     if pid == 0:
         os.chdir(folder)
@@ -101,7 +100,7 @@ def wait_for(command: list[str], folder: Path, cache: Path, is_page: bool) -> Wa
 
 
 def write_inputs(folder: Path) -> None:
-    """A small map, and the log of a car that swings to and fro at up to 2 m/s."""
+    """Writes a small map and the log of a car that swings to and fro at up to 2 m/s."""
     (folder / "map.osm").write_text(MAP)
     rows, speed = ["time,steering,pedal,speed,yaw_rate"], 0.0
     for k in range(300):
@@ -113,7 +112,7 @@ def write_inputs(folder: Path) -> None:
 
 
 def measure(only: Sequence[str] = ()) -> list[dict[str, object]]:
-    """A row for each command: with empty caches, and again with what was kept."""
+    """A row for each command: with empty caches, and again with kept ones."""
     rows: list[dict[str, object]] = []
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
@@ -129,7 +128,7 @@ def measure(only: Sequence[str] = ()) -> list[dict[str, object]]:
                     f"{field} {when} [s]": f"{getattr(waited, field):.1f}"
                     for field in ("first", "silence", "total")
                 }
-                if waited.code not in (0, INTERRUPTED * (name in PAGES)):
+                if waited.code:
                     row["command"] = f"{row['command']}: exit code {waited.code}"
             print(*row.values(), sep=", ", file=sys.stderr, flush=True)
             rows.append(row)

@@ -43,7 +43,7 @@ from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.programs import SETTINGS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
-from carpark_mj.training.hosts import read_hosts
+from carpark_mj.training.hosts import read_hosts, take_flags
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS as PPO_PRESETS
 from carpark_mj.training.run_folder import named, read_runs
@@ -52,9 +52,14 @@ from vehicle_suite.report import excerpt
 
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
-USED = ("mdp", "deployment", "vehicle", "layouts", "own_lot", "interfaces")
-MDP, DEPLOYMENT, VEHICLE, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT = (
-    (DOCS / f"{name}.md").read_text() for name in (*USED, "multi_agent")
+USED = ("deployment", "vehicle", "layouts", "own_lot", "interfaces", "multi_agent")
+DEPLOYMENT, VEHICLE, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT = (
+    (DOCS / f"{name}.md").read_text() for name in USED
+)
+EXTENDING = (DOCS / "extending.md").read_text()
+TASK = ("mdp", "observation", "reward", "dynamic_goals", "environments")
+MDP, OBSERVATION, REWARD, GOALS, NAMED = (
+    (DOCS / f"{name}.md").read_text() for name in TASK
 )
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
@@ -92,13 +97,19 @@ def markdown_inputs() -> str:
 @pytest.mark.parametrize(
     ("page", "name", "expected"),
     [
-        (MDP, "observation table", lambda: markdown_table(make_fields(EnvConfig()))),
+        (
+            *(OBSERVATION, "observation table"),
+            lambda: markdown_table(make_fields(EnvConfig())),
+        ),
         (DEPLOYMENT, "inputs of a car", markdown_inputs),
-        (VEHICLE, "physics table", lambda: excerpt(REPORT)),
     ],
 )
 def test_a_table_is_the_generated_one(page, name, expected):
     assert section(page, name) == expected(), f"paste this:\n{expected()}"
+
+
+def test_the_physics_report_has_the_excerpt_of_its_rows():
+    assert excerpt(REPORT) in REPORT.with_suffix(".md").read_text()
 
 
 def test_the_readme_has_rows_of_the_physics_table():
@@ -126,24 +137,24 @@ def test_the_parked_rules_are_those_in_force():
 def test_the_reward_terms_are_all_there_with_their_weights():
     weights = {name: getattr(REWARDS["shaped"], name) for name in TERMS}
     weights |= dict.fromkeys(sorted(REWARD_TERMS), 0) | REWARDS["shaped"].extra
-    found = dict(row[:2] for row in cells(MDP, "reward terms"))
+    found = dict(row[:2] for row in cells(REWARD, "reward terms"))
     del weights["pose"]  # of tasks with goal poses
     assert found == {name: f"{weight:g}" for name, weight in weights.items()}
     for field in dataclasses.fields(RewardConfig):
-        assert f"`{field.name}`" in MDP or field.name == "goals", field.name
+        assert f"`{field.name}`" in REWARD or field.name == "goals", field.name
 
 
 def test_the_terms_of_dynamic_goals_are_all_there():
     weights = goal_weights(EnvConfig()) | {"bad_goal": GivingWayConfig().bad_goal}
-    found = [row[:2] for row in cells(MDP, "goal terms")]
+    found = [row[:2] for row in cells(GOALS, "goal terms")]
     assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]
 
 
 def test_contexts_environments_and_layouts_are_all_named():
-    named = [row[0].split("`")[0] for row in cells(MDP, "contexts")]
+    named = [row[0].split("`")[0] for row in cells(GOALS, "contexts")]
     assert tuple(named) == CONTEXTS
-    ours = {row[0] for row in cells(MDP, "environments")}
-    papers = {row[0] for row in cells(MDP, "environments of papers")}
+    ours = {row[0] for row in cells(NAMED, "environments")}
+    papers = {row[0] for row in cells(NAMED, "environments of papers")}
     assert ours == {*ENVIRONMENTS} - papers
 
 
@@ -167,6 +178,14 @@ def test_the_vehicle_presets_are_those_of_the_code():
 def test_the_test_command_is_where_ci_reads_it():
     block = README.split("<!-- test command -->\n")[1].split("```")[1]
     assert block == 'bash\npip install ".[test]" && pytest\n'
+
+
+def test_the_image_installs_what_the_readme_says():
+    image = (ROOT / "Dockerfile").read_text()
+    extras = re.search(r"pip install (?:-e )?(\"\.\[[\w,]+\]\")", README)[1]
+    packages = re.search(r"apt install ((?:[\w-]+ ?)+)", README)[1].split()
+    assert extras in image
+    assert all(f" {package} " in image for package in packages)
 
 
 @pytest.mark.parametrize("line", COMMAND_LINES)
@@ -207,7 +226,8 @@ def check_command(line):
 
 
 def read_training(words):
-    """A trainer's settings, which start from its preset's."""
+    """A trainer's settings, which start from its preset's; a file is not read."""
+    words = take_flags(words, config={})[1]
     name = named(words, "preset")
     return read_flags(PPOConfig, words, PPO_PRESETS[name] if name else None)
 
@@ -234,9 +254,11 @@ def settings_in(path):
 
 
 def slugs(page):
-    """Anchors of a page's headings, as GitHub makes them."""
-    heads = re.findall(r"^#+ (.*)", page.read_text(), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}
+    """Anchors of a page: of its headings, as GitHub makes them, and former ones."""
+    text = page.read_text()
+    heads = re.findall(r"^#+ (.*)", text, re.MULTILINE)
+    own = {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}
+    return own | {*re.findall(r'^<a id="([\w-]+)"></a>$', text, re.MULTILINE)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -254,11 +276,10 @@ def test_links_files_and_modules_exist(page):
         assert is_importable(name), name
 
 
-def test_the_quick_start_names_every_command():
-    text = (DOCS / "quick_start.md").read_text()
-    part = text.split("\n## Commands\n")[1].split("\n## ")[0].split(" In a ")[0]
-    said = {q.removeprefix("carpark_mj ") for q in re.findall(r"`([^`]+)`", part)}
-    assert said - {"--help"} == {name.partition(" ")[0] for name in PROGRAMS}
+def test_the_page_of_commands_names_every_command():
+    table = (DOCS / "commands.md").read_text().split("\n\n## ")[0]
+    rows = [line.split(" | ")[0] for line in table.splitlines() if line[:3] == "| `"]
+    assert {*re.findall(r"`([^`]+)`", " ".join(rows))} == {*PROGRAMS}
 
 
 def test_settings_named_in_the_docs_exist():
@@ -284,6 +305,7 @@ LESS = (
     ("1024", "2"),
     ("64", "2"),
     ("num_agents=2)", 'num_agents=2, physics="bicycle")'),
+    ("max_episode_steps=20", 'max_episode_steps=20, physics="bicycle"'),
     ("agents=4", 'agents=2, parked_cars=2, physics="bicycle"'),
     ('{"agents": 4}', '{"agents": 2, "parked_cars": 2, "physics": "bicycle"}'),
     ("rates = ", "config.on_policy_n_minibatch_iters = 1\nrates = "),
@@ -296,13 +318,16 @@ NEEDS = {  # words of snippets, and what they need
     "torchrl": "torchrl",
     "benchmarl": "benchmarl",
     "jaxmarl": "jaxmarl",
+    "RecordVideo": "moviepy",
 }
-RUN = ("index", "quick_start", "own_policy", "sb3", "vehicle", "interfaces")
+RUN = ("index", "troubleshooting", "sb3", "vehicle", "interfaces")
 SNIPPETS = [
     pytest.param(snippet, id=f"{page.stem} {number}")
     for page in (ROOT / "README.md", *(DOCS / f"{n}.md" for n in (*RUN, "multi_agent")))
     for number, snippet in enumerate(code(page.read_text(), "python"))
 ]
+[POLICY] = code(EXTENDING.split("\n## A policy\n")[1].split("\n## ")[0], "python")
+SNIPPETS.append(pytest.param(POLICY, id="a policy"))  # others: `test_extending`
 
 
 @pytest.mark.filterwarnings("ignore")  # of libraries
@@ -324,7 +349,6 @@ OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1
     ("text", "names"),
     [
         (section(INTERFACES, "ids"), OURS),
-        (section(INTERFACES, "options"), OPTIONS),
         (MULTI_AGENT, OPTIONS),
     ],
 )

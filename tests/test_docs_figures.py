@@ -20,15 +20,26 @@ DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
 RESULTS = (DOCS / "results.md").read_text()
 
+
+def table(name):
+    """Rows of a recorded table."""
+    with (DOCS / name).open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+# Success rates: default and pretrained policies of the default task.
+SUCCESS = [
+    row
+    for row in table("results/success.csv")
+    if row["group"] in ("default training", "presets")
+]
+
 RATE = r"[\d.]+ % \([\d.]+ … [\d.]+\)"
 
 
-# Figures of Tanner 2022 with three or more runs a setting: the columns of a setting.
+# Figures of Tanner 2022 in the study's table: what varies, the columns of a setting.
 FIGURES = {
     "5.5": ("agents", ["env.num_agents"]),
-    "5.6": ("parked cars, one agent", ["env.num_parked_cars"]),
-    "5.7": ("parked cars", ["env.num_parked_cars"]),
-    "5.8": ("tracked cars", ["env.observation.tracked_cars"]),
     "5.14": ("agents that choose goals", ["env.num_agents"]),
 }
 
@@ -36,10 +47,9 @@ FIGURES = {
 def runs_of(figure, columns, source):
     """Recorded runs of a figure by setting."""
     groups = {}
-    with (DOCS / f"study/figure-{figure}.csv").open(newline="") as file:
-        for run in csv.DictReader(file):
-            if run["source"] == source:
-                groups.setdefault(tuple(int(run[c]) for c in columns), []).append(run)
+    for run in table(f"study/figure-{figure}.csv"):
+        if run["source"] == source:
+            groups.setdefault(tuple(int(run[c]) for c in columns), []).append(run)
     return dict(sorted(groups.items()))
 
 
@@ -79,21 +89,66 @@ def card_rates(name):
     return {command: re.findall(RATE, rates) for command, rates in rows}
 
 
+def recorded(row, which):
+    """A recorded rate, as pages write it."""
+    low, high = row[f"{which}_low"], row[f"{which}_high"]
+    return f"{row[which]} % ({low} … {high})" if low else f"{row[which]} %"
+
+
+PRESETS_PART = section(RESULTS, "pretrained")
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_results_have_the_recorded_rates_of_a_policy(name):
+    """Parked and crashed of every row of the page, of the shipped policy."""
+    found = [x for x in PRESETS_PART.splitlines() if x.startswith(f"| `{name}`")]
+    shipped = [x for x in SUCCESS if x["policy"] == name and x["shipped"]]
+    known = {(recorded(x, "parked"), recorded(x, "crashed")) for x in shipped}
+    assert found
+    for row in found:
+        assert tuple(cell.strip() for cell in row.split("|")[2:4]) in known, row
+
+
 @pytest.mark.parametrize("name", ["dynamic", "anywhere", "considerate", "sees"])
 def test_results_have_the_rates_of_the_cards(name):
     """Parked and crashed of every row of the card that the page has."""
-    rows = [line for line in RESULTS.splitlines() if line.startswith(f"| `{name}`")]
+    rows = [x for x in PRESETS_PART.splitlines() if x.startswith(f"| `{name}`")]
     known = [rates[:2] for rates in card_rates(name).values()]
     assert rows
     for row in rows:
         assert re.findall(RATE, row)[:2] in known, row
 
 
+def test_the_page_has_the_recorded_default_training():
+    part = RESULTS.split("\n## Success rate of the default training")[1]
+    rows = [x for x in part.split("\n## ")[0].splitlines() if "core" in x and "|" in x]
+    known = {
+        (f"{x['steps_M']} M", recorded(x, "parked"), f"{x['timed_out']} %")
+        for x in SUCCESS
+    }
+    assert rows
+    for row in rows:
+        cells = [cell.strip() for cell in row.split("|")]
+        assert (cells[2], cells[3], cells[5]) in known, row
+
+
+def test_the_ablations_of_the_page_are_recorded():
+    """Every figure of a row of the page stands in the table of all trials."""
+    known = (DOCS / "ablations.csv").read_text()
+    rows = re.findall(
+        r"^\| (?!setting|---).*\|$", (DOCS / "ablations.md").read_text(), re.M
+    )
+    assert len(rows) > 10
+    for row in rows:
+        for figure in re.findall(r"\d+\.\d+", row.split("|")[2]):
+            assert figure in known, row
+
+
 @pytest.mark.parametrize("name", pretrained_names())
 def test_results_say_how_many_steps_a_shipped_policy_was_trained(name):
     steps = checkpoints.read_header(find_policy(name))["env_steps"]
-    said = f"{steps / 1e6:,.0f} M"
-    assert said in RESULTS or f"{steps:,}" in RESULTS, said
+    shipped = [x for x in SUCCESS if x["policy"] == name and x["shipped"]]
+    assert {row["steps_M"] for row in shipped} == {f"{steps / 1e6:.0f}"}
 
 
 def numbers(cell):
@@ -102,15 +157,14 @@ def numbers(cell):
     return {rate for rate in re.findall(r"[\d.]+(?= %| …)", text)}
 
 
-def rates_by_policy(page, parked, first=""):
+def rates_by_policy(page, parked):
     """Parked and crashed rates of tables, by policy.
 
     Args:
         page: text with rows whose first cell names a policy, or is empty for the last.
         parked: column of the parked rates; the next has the crashed ones.
-        first: policy of rows that come before any name.
     """
-    found, name = {}, first
+    found, name = {}, ""
     for row in re.findall(r"^\|(.*)\|$", page, re.MULTILINE):
         cells = row.split("|")
         if len(cells) <= parked + 1 or "%" not in cells[parked]:
@@ -123,11 +177,12 @@ def rates_by_policy(page, parked, first=""):
 
 
 def test_rates_of_the_readme_are_those_of_the_results():
-    said = rates_by_policy(section(README, "policies table"), 3)
-    parts = RESULTS.split("\n## ")
-    [cpu] = [part for part in parts if part.startswith("What does the first command")]
-    [gpu] = [part for part in parts if part.startswith("What do the GPU presets")]
-    known = rates_by_policy(gpu, 4) | rates_by_policy(cpu, 3, first="cpu")
+    said = rates_by_policy(section(README, "policies table"), 2)
+    known = {}
+    for row in SUCCESS:
+        pair = known.setdefault(row["policy"], (set(), set()))
+        pair[0].add(row["parked"])
+        pair[1].add(row["crashed"])
     assert {*said} == {"cpu", *pretrained_names()}
     for name, (parked, crashed) in said.items():
         assert min(len(parked), len(crashed)) > 0, name
@@ -140,6 +195,15 @@ def test_speeds_of_the_readme_are_those_of_the_results():
     said = set(re.findall(r"\d+(?:,\d{3})+", section(README, "speed table")))
     assert said
     assert said <= known
+
+
+@pytest.mark.parametrize("page", [README, (DOCS / "index.md").read_text()])
+def test_the_numbers_of_the_first_screen_are_those_of_the_tables(page):
+    rows = page.split("squares).*\n\n")[1].splitlines()
+    said = [cell.strip() for cell in rows[0].strip("|").split("|")]
+    tables = ("policies table", "speed table", "accuracy table")
+    for number, table in zip(said, tables, strict=True):
+        assert number.removesuffix(" m") in section(README, table), number
 
 
 PLACES = {

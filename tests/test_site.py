@@ -32,7 +32,7 @@ def test_the_site_is_whole_and_asks_nobody(tmp_path):
         assert not re.search("|".join(LOADS), text), page
         prose = re.sub(r"<(pre|code)\b.*?</\1>", "", text, flags=re.S)
         assert not LEFT_AS_TEXT.search(prose), page
-    formulas = (tmp_path / "vehicle.html").read_text()
+    formulas = (tmp_path / "physics" / "equations.html").read_text()
     assert formulas.count("<math ") > 30
     assert "arithmatex" not in formulas
     api = (tmp_path / "api" / "env.html").read_text()

@@ -1,6 +1,11 @@
 """`python train/export.py`: the same as `carpark_mj export`."""
 
-from carpark_mj.cli.process import enter
+import sys
+from pathlib import Path
 
 if __name__ == "__main__":
+    # This checkout, not an installed copy.
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    from carpark_mj.cli.process import enter
+
     enter("export", "carpark_mj.programs:run", "export")

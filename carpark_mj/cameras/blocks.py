@@ -36,7 +36,7 @@ class Heights:
 
     @classmethod
     def of(cls, fleet: Any) -> "Heights":
-        """Those of `fleet.agents` and `fleet.parked_cars`, as of `ParkingEnv.fleet`."""
+        """Heights of the cars of a fleet, as of `ParkingEnv.fleet`."""
         both = (fleet.agents, fleet.parked_cars)
         return cls(*(tuple(car.height / car.length for car in cars) for cars in both))
 
@@ -175,7 +175,7 @@ def seat(blocks: Blocks, agent: jax.Array, place: Place, height: jax.Array) -> S
 def trace(
     hit: jax.Array, rays: jax.Array, boxes: Seat, cylinders: Seat, shaded: bool
 ) -> jax.Array:
-    """Hits (...) of rays (..., 3) in the car's frame, nearer than those so far."""
+    """Hits (...) of rays (..., 3) in the car's frame, nearer than before."""
     slopes = [_off_zero(rays[..., k]) for k in range(3)]
 
     for blocks, meet in ((boxes, _meet_box), (cylinders, _meet_cylinder)):

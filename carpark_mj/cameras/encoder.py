@@ -39,9 +39,9 @@ class CameraObservation(ContinuousObservation):
         height: of a picture [pixels].
         reach: depths are at most this [m].
         channels: what of the pictures.
-        goal: `pose` = its place is among the numbers; `seen` = only pictures tell it,
-            where pixels show the own bay. A `route` then leads there, and is zeros on
-            its last stretch while a camera sees the bay.
+        goal: `pose` = the goal pose is observed; `seen` = it is removed while pixels
+            show the own bay. A `route` then leads there, and is zero on its last
+            stretch while a camera sees the bay.
     """
 
     rig: RigName = "surround"
@@ -65,7 +65,7 @@ class CameraObservation(ContinuousObservation):
             raise ValueError(f"goal 'seen' needs the channel seen of {self.channels}")
         for name in ("lines", "global_information"):
             if getattr(self, name):
-                raise ValueError(f"{name} tells where the goal is: goal must be 'pose'")
+                raise ValueError(f"{name} contains the goal pose: goal must be 'pose'")
 
     def check(self, env: EnvConfig) -> None:
         """See `ObservationConfig.check`."""
@@ -80,7 +80,7 @@ class CameraObservation(ContinuousObservation):
         return dataclasses.replace(RIGS[self.rig], **changes)
 
     def parts(self, env: EnvConfig) -> list[Part]:
-        """Those of the default encoder, and the pictures."""
+        """Parts of the default encoder, and the pictures."""
         rig = self.cameras
         shape = (len(rig.cameras), rig.height, rig.width)
         size = math.prod(shape)
@@ -123,7 +123,7 @@ class CameraObservation(ContinuousObservation):
         return [*parts, Part(pictured, fill)]
 
     def see(self, env: EnvConfig, sight: ObservationInput) -> dict[str, jax.Array]:
-        """Those of the default encoder and the pictures; see `goal`."""
+        """Parts of the default encoder and the pictures; see `goal`."""
         values = super().see(env, sight)
         if self.goal == "seen" and self.route:
             in_view = (values["camera_seen"] == Seen.OWN_BAY).any(axis=-1)
@@ -134,7 +134,7 @@ class CameraObservation(ContinuousObservation):
 
 
 def _heights(env: EnvConfig) -> Heights:
-    """Those of the presets that a config names."""
+    """Heights of the presets that a config names."""
     fleet = env.fleet
     kinds = [fleet.agents or (env.vehicle,), fleet.parked_cars or (env.vehicle,)]
     cars = [[car for _, car in fleet_cars(names)] for names in kinds]

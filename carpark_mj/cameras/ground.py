@@ -60,7 +60,7 @@ def fold(
 
     Args:
         best: of the pixels, before.
-        things: pytree of arrays (n, ...); those of -1, which pad, change nothing.
+        things: pytree of arrays (n, ...); rows of index -1 pad and change nothing.
         meet: `best` after a thing, arrays (...).
         matters: (n,) bool, the things that can change something; passes over the others
             are saved. None = all.

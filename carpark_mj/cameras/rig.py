@@ -170,7 +170,7 @@ class Rig(CheckedConfig):
         width: of a picture [pixels].
         height: of a picture [pixels].
         reach: depths are at most this [m], that of the sky is.
-        shaded: tell how bright the sun makes what is seen.
+        shaded: whether pictures have the brightness of faces.
     """
 
     cameras: tuple[Camera, ...]

@@ -30,7 +30,7 @@ class Pictures:
     # from the camera along the pixel's ray [m], at most the rig's reach
     depth: jax.Array
     seen: jax.Array  # uint8, `Seen`
-    # uint8 brightness in [0, `SHADES`], the same for all unless the rig is
+    # uint8 brightness in [0, `SHADES`], equal for all unless the rig is
     # `shaded`
     shade: jax.Array
 

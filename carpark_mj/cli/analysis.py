@@ -5,6 +5,7 @@ from pathlib import Path
 
 from carpark_mj import analysis
 from carpark_mj.cli.settings.tables import AnalysisConfig
+from carpark_mj.config.checks import counted
 from carpark_mj.evaluation.tables import picture, print_rows, table, write_page
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -123,4 +124,5 @@ def _provenance(records: Sequence[analysis.Record]) -> list[str]:
     versions = sorted(
         {f"{name} {v}" for record in trained for name, v in record.versions.items()}
     )
-    return [f"{len(trained)} runs on {', '.join(devices)}; {', '.join(versions)}."]
+    made = counted(len(trained), "run")
+    return [f"{made} on {', '.join(devices)}; {', '.join(versions)}."]

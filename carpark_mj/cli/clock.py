@@ -24,11 +24,12 @@ class Clock:
 
     Attributes:
         runs: whether the thread runs.
+        idle: whether a page or a window is open, which Ctrl-C ends as it should.
     """
 
     def __init__(self) -> None:
         """Shows nothing yet."""
-        self.runs = False
+        self.runs = self.idle = False
         self._lock = threading.RLock()  # signal handlers print too
         self._what = ""
         self._drawn = False
@@ -45,7 +46,7 @@ class Clock:
         """From now on the command does `what`; nothing is shown if it is empty."""
         with self._lock:
             self._clear()
-            self._what, self._since = what, time.monotonic()
+            self._what, self._since, self.idle = what, time.monotonic(), False
 
     def printed(self) -> None:
         """Clears the line: the command is about to print."""
@@ -106,3 +107,4 @@ def doing(what: str) -> None:
 def wait_for_user() -> None:
     """Shows no clock until the next `doing`: a page or a window is open."""
     CLOCK.stop()
+    CLOCK.idle = True

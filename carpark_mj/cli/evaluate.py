@@ -101,11 +101,16 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
     fewest, most = counts[0], counts[-1]
     agents = f"{fewest} to {most}" if fewest < most else f"{most}"
     title = (
-        f"{task.name}: {agents} agent{'s' if most > 1 else ''}, {rule} rule, "
+        f"{task.name}: {agents} agent{'s' * (most > 1)}, {rule} rule, "
         f"{env.layout} lot, {env.physics} physics, seed {config.seed}"
     )
     settings = {**dataclasses.asdict(config), "policy": task.name}
     task.folder.mkdir(parents=True, exist_ok=True)
     written = write_evaluation(task.folder, result, settings)
     print_report(result, title)
+    made, asked = len(result.episodes), config.episodes
+    if config.horizon is None and made > asked:
+        drivers = len({(row["lot"], row["agent"]) for row in result.episodes})
+        each = f"{made // drivers} by each of {drivers} agents"
+        print(f"{made:,} episodes: {each} ({asked:,} asked for, rounded up)")
     print(f"wrote {', '.join(map(str, written))}")

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import difflib
 import inspect
 import io
 import itertools
@@ -235,5 +236,11 @@ def _sentence(box: str) -> str:
     sentence = re.sub(r"^Error parsing (\w+: )?", "", " ".join(message))
     for words, plain in PYTHON_WORDS.items():
         sentence = sentence.replace(words, plain)
-    meant = re.search(r"Perhaps you meant:\s*(--\S+)", "\n".join(lines))
-    return f"{sentence}; perhaps you meant {meant[1]}" if meant else sentence
+    unknown = re.search(r"--[\w.-]+", sentence)
+    meant = re.findall(r"^--\w[\w.-]*", "\n".join(lines), re.MULTILINE)
+    if not (unknown and meant):
+        return sentence
+    # Tyro lists them in another order.
+    match = difflib.SequenceMatcher
+    nearest = max(meant, key=lambda flag: match(None, unknown[0], flag).ratio())
+    return f"{sentence}; perhaps you meant {nearest}"

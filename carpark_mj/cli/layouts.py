@@ -8,11 +8,14 @@ import jax
 import numpy as np
 
 from carpark_mj.cli.clock import wait_for_user
+from carpark_mj.cli.listing import listed
 from carpark_mj.cli.settings.tables import Crop, EditConfig, ImportConfig, LayoutsConfig
 from carpark_mj.config import LAYOUTS, LayoutConfig
+from carpark_mj.config.checks import counted
 from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.evaluation.aggregation import wilson_interval
+from carpark_mj.extensions import table
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.layouts import (
     AngledConfig,
@@ -105,7 +108,7 @@ def faults(layout: LayoutConfig | str, vehicle: str = "") -> Inspect:
         problems = describe_faults(drawn, size)
         bays = int(drawn.bay_mask.sum())
         if bays < config.min_bays:
-            problems.append(f"{bays} bays, min_bays is {config.min_bays}")
+            problems.append(f"{counted(bays, 'bay')}, min_bays is {config.min_bays}")
         return problems
 
     return inspect
@@ -125,7 +128,9 @@ def out_of_reach(paths: int, seed: int, vehicle: str = "") -> Inspect:
     def inspect(drawn: Layout) -> list[str]:
         tried, missed = unreached(drawn, preset(vehicle or "compact"), paths, seed)
         bays = ", ".join(map(str, missed))
-        words = f"no path found to {len(missed)} of {len(tried)} bays: {bays}"
+        words = (
+            f"no path found to {len(missed)} of {counted(len(tried), 'bay')}: {bays}"
+        )
         return [words] if missed else []
 
     return inspect
@@ -149,11 +154,15 @@ def _save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
     if part is not None:
         layout = crop(layout, part)
     write_text(path, layout_text(layout))
-    print(*said, f"wrote {path}: {int(layout.bay_mask.sum())} bays", sep="\n")
+    bays = counted(int(layout.bay_mask.sum()), "bay")
+    print(*said, f"wrote {path}: {bays}", sep="\n")
 
 
 def main(config: LayoutsConfig) -> int:
     """Draws, saves, checks and runs; returns the exit code, 1 if there are problems."""
+    if not (config.layouts or config.plot or config.check or config.run):
+        print(table(listed("layouts"), indent=0))
+        return 0
     shown = {name: layout_config(name) for name in config.layouts} or families()
     for file in filter(None, (config.save, config.plot)):
         require_writable(Path(file))  # refused before the work
@@ -186,13 +195,12 @@ def main(config: LayoutsConfig) -> int:
                 for problem in inspect(drawn)
             ]
             sound = sound and not found
-            lots = "1 lot" if number == 1 else f"{number} lots"
             if what == OUT_OF_REACH:
                 reached = number - len(found)
                 low, high = (100 * end for end in wilson_interval(reached, number))
                 rate = 100 * reached / number
                 what += f"; {rate:.1f} % ({low:.1f} … {high:.1f}) without"
-            print(f"{name}: {lots}, {len(found)} {what}", flush=True)
+            print(f"{name}: {counted(number, 'lot')}, {len(found)} {what}", flush=True)
             print("".join(f"  {problem}\n" for problem in found[:10]), end="")
     return 0 if sound else 1
 

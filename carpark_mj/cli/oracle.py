@@ -10,6 +10,7 @@ import numpy as np
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import adapted
 from carpark_mj.cli.settings.driving import OracleConfig
+from carpark_mj.config.checks import counted
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.evaluator import allot
@@ -40,7 +41,7 @@ def main(config: OracleConfig) -> list[dict[str, Any]]:
     keys = jax.random.split(evaluation_key(config.seed), config.lots)
     state, _ = jax.jit(jax.vmap(lambda key, n: env.reset(key, "test", n)))(keys, member)
     seconds = task.episode.max_steps * task.sim.ctrl_dt
-    doing(f"planning {config.lots} lots, some seconds each")
+    doing(f"planning {counted(config.lots, 'lot')}, some seconds each")
     rows: list[dict[str, Any]] = []
     for lot, seen in enumerate(sights(state)):
         begun = {"lot": lot, "family": list(shares)[member[lot]]}

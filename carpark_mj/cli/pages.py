@@ -10,8 +10,9 @@ from collections.abc import Generator
 from typing import Any
 
 from carpark_mj.cli.clock import CLOCK, PERIOD
+from carpark_mj.cli.process import require_packages
 from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig
-from carpark_mj.rendering.local_pages import HOST, require_web
+from carpark_mj.rendering.local_pages import HOST
 
 
 @contextlib.contextmanager
@@ -19,12 +20,12 @@ def open_page(port: int, wanted: bool = True) -> Generator[Any]:
     """Serves an empty page with a clock; gives viser's server, None if not `wanted`.
 
     Raises:
-        OSError: mjviser is not installed.
+        ModuleNotFoundError: mjviser is not installed.
     """
     if not wanted:
         yield None
         return
-    require_web()
+    require_packages("mjviser")
     from carpark_mj.rendering.local_server import LocalServer
 
     server = LocalServer(HOST, port, "carpark_mj")

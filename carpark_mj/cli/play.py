@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.cli.settings.driving import PlayConfig
+from carpark_mj.config.checks import counted
 from carpark_mj.rendering.gl import Window, choose_gl, has_display
 
 if not has_display():
@@ -198,7 +199,7 @@ def show_replay(config: PlayConfig, page: Any) -> None:
     lot = replay(demonstration)
     if config.video:
         count = record_video(lot, config.camera, len(demonstration), Path(config.video))
-        print(f"wrote {config.video}: {count} frames")
+        print(f"wrote {config.video}: {counted(count, 'frame')}")
     elif config.shown_in == "web":
         run_live(make_live_viewer(page, lot), lot)
     else:

@@ -6,7 +6,7 @@ start.
 
 import contextlib
 import errno
-import importlib
+import importlib.util
 import io
 import os
 import signal
@@ -33,7 +33,16 @@ EXTRAS = {
     **dict.fromkeys(("tyro", "rich", "matplotlib", "tensorboardX"), "train,eval"),
     **dict.fromkeys(("imageio_ffmpeg", "scipy"), "train,eval"),
     **dict.fromkeys(("ezdxf", "pyproj", "shapely"), "maps"),
+    **dict.fromkeys(("torchrl", "benchmarl"), "torchrl"),
+    **dict.fromkeys(("onnx", "onnxruntime"), "export"),
+    **{name: name for name in ("jaxmarl", "mlflow", "pettingzoo", "wandb")},
+    "mjviser": "web",
+    "moviepy": "video",
+    "ompl": "planner",
+    "sbx": "sb3",
+    "stable_baselines3": "sb3",
     "submitit": "sweep",
+    "torch": "sb3,torchrl",
     "vehiclemodels": "test",
 }
 
@@ -43,8 +52,9 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
 
     A clock runs on the terminal while it is silent, see `carpark_mj.cli.clock`. Ctrl-C
     ends it with one line and exit code 130, also in compiled code, unless the command
-    has its own handler; a second Ctrl-C always does. A closed stdout, a full disk or a
-    character that the encoding lacks does not stop the work.
+    has its own handler; a second Ctrl-C always does. An open page or window ends with
+    0. A closed stdout, a full disk or a character that the encoding lacks does not stop
+    the work.
 
     Args:
         program: name before messages on stderr.
@@ -128,7 +138,16 @@ def one_line(error: BaseException) -> str:
 
 def _missing_extra(error: ModuleNotFoundError) -> str | None:
     extra = EXTRAS.get((error.name or "").partition(".")[0])
-    return extra and f'{error}: pip install "carpark_mj[{extra}]"'
+    if extra is None or "pip install" in str(error):
+        return extra and str(error)
+    return f'{error}: pip install "carpark_mj[{extra}]"'
+
+
+def require_packages(*names: str) -> None:
+    """Raises `ModuleNotFoundError` for the first package that is not installed."""
+    for name in names:
+        if importlib.util.find_spec(name) is None:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
 @contextlib.contextmanager
@@ -140,7 +159,7 @@ def naming_extras() -> Generator[None]:
         message = _missing_extra(error)
         if message is None:
             raise
-        raise ImportError(message, name=error.name) from None
+        raise ModuleNotFoundError(message, name=error.name) from None
 
 
 def _missing_device() -> str | None:
@@ -250,7 +269,7 @@ class Interrupts:
         sys.__unraisablehook__(unraisable)
 
     def end(self) -> NoReturn:
-        """Ends the process with one line.
+        """Ends the process with one line, or silently where only a page was open.
 
         `sys.exit` is not used: the interpreter would destroy running programs.
         """
@@ -258,6 +277,8 @@ class Interrupts:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             with contextlib.suppress(Exception):
                 sys.stdout.flush()
+        if CLOCK.idle:
+            os._exit(0)
         CLOCK.stop()
         # Not `print`, whose lock the main thread may hold.
         os.write(2, f"{self._program}: interrupted\n".encode())

@@ -4,17 +4,20 @@ import contextlib
 import dataclasses
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from PIL import Image
+from rich import get_console
 from rich.progress import track
 
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.settings.driving import RenderConfig
 from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import counted
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.observations.fields import Tracked
@@ -33,6 +36,8 @@ from carpark_mj.rendering.video import (
     frame_indices,
     write_video,
 )
+
+T = TypeVar("T")
 
 
 def main(config: RenderConfig) -> Path:
@@ -100,24 +105,30 @@ def _show(config: RenderConfig, env: EnvConfig) -> Show:
     return Show(tracked, rings)
 
 
+def _shown(things: Iterable[T]) -> Iterable[T]:
+    """Things under a progress bar, for which notebooks would need another package."""
+    hidden = get_console().is_jupyter
+    return track(things, "rendering", transient=True, disable=hidden)
+
+
 def _write_frames(
     out: Path, fps: float, recording: Recording, draw: Callable[[int], np.ndarray]
 ) -> str:
     """Writes the video; returns how many frames were drawn, and how fast."""
-    indices, rate = frame_indices(recording, fps)
+    indices, shown = frame_indices(recording, fps)
     start = time.monotonic()
-    pictures = map(draw, track(indices, "rendering", transient=True))
-    count = write_video(out, pictures, rate)
-    return (
-        f"{count} frames, {count / (time.monotonic() - start):.1f} rendered per second"
-    )
+    pictures = map(draw, _shown(indices))
+    count = write_video(out, pictures, shown)
+    rate = count / (time.monotonic() - start)
+    return f"{counted(count, 'frame')}, {rate:.1f} rendered per second"
 
 
 def _gallery(config: RenderConfig) -> Path:
     out = _open_output(config, Path())
     size = cell_size(config.width)
-    families = track(FAMILIES, "rendering", transient=True)
-    cells = [cell for name in families for cell in draw_lots(name, size, config.seed)]
+    cells = [
+        cell for name in _shown(FAMILIES) for cell in draw_lots(name, size, config.seed)
+    ]
     out.parent.mkdir(parents=True, exist_ok=True)
     _write_png(out, contact_sheet(cells))
     print(f"wrote {out}: {len(cells)} lots")

@@ -5,9 +5,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from carpark_mj.cli.listing import listed
 from carpark_mj.cli.settings.tables import IdentifyConfig, VehiclesConfig
 from carpark_mj.config.vehicles import is_name
 from carpark_mj.evaluation.tables import print_rows
+from carpark_mj.extensions import table
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.identification.fit import (
     PARAMETERS,
@@ -17,7 +19,7 @@ from carpark_mj.identification.fit import (
     vehicle_text,
 )
 from carpark_mj.identification.log import DriveLog, read_log
-from carpark_mj.vehicle import VEHICLES, preset
+from carpark_mj.vehicle import preset
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.sheet import Sheet, parameters_text, read_sheet
 
@@ -25,7 +27,7 @@ from carpark_mj.vehicle.sheet import Sheet, parameters_text, read_sheet
 def show(config: VehiclesConfig) -> None:
     """Prints and saves."""
     if not config.vehicle:
-        print("\n".join(VEHICLES))
+        print(table(listed("vehicles"), indent=0))
         return
     if config.save:
         require_writable(Path(config.save))

@@ -102,11 +102,16 @@ def require_number(name: str, value: Any, bounds: Bounds) -> None:
         raise ValueError(f"{name} must fit 32 bits, not {value!r}")
 
 
-def require_count(name: str, value: Any, minimum: int) -> None:
-    """Refuses values other than whole numbers of at least a minimum."""
+def require_count(name: str, value: Any, least: int, most: float = math.inf) -> None:
+    """Refuses values other than whole numbers within bounds."""
     if type(value) is bool or not isinstance(value, numbers.Integral):
         raise ValueError(f"{name} must be a whole number, not {value!r}")
-    require_number(name, value, Bounds(ge=minimum))
+    require_number(name, value, Bounds(ge=least, le=most))
+
+
+def counted(number: int, noun: str) -> str:
+    """A number of things in words, as in `1 bay` and `2 bays`."""
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def require_seed(seed: int) -> None:

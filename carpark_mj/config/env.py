@@ -45,42 +45,40 @@ class EnvConfig:
     """A parking environment.
 
     Attributes:
-        layout: the lot, by name: `square` (3.375 m x 5.625 m bays), `square_compact`
-            (the same with 2.5 m x 5.0 m bays), a random family such as `street`, or any
-            other of `LAYOUTS`, to which other packages add theirs. Or a
-            layout file (.json). A comma-separated list is a mixture. From Python also
-            the config of a family, see `carpark_mj.layouts`.
+        layout: name of the lot: `square` (3.375 m x 5.625 m bays), `square_compact`
+            (2.5 m x 5.0 m bays), a random family such as `street`, or any other of
+            `LAYOUTS`; or a layout file (.json). A comma-separated list is a mixture.
+            From Python also the config of a family, see `carpark_mj.layouts`.
         vehicle: a name in `carpark_mj.vehicle.VEHICLES`, or a vehicle file (.yaml,
             .json); the config then stores the parameters instead of the path.
         num_agents: number of agents, the cars that act.
         min_agents: smallest number of agents; a lot's number is drawn uniformly from
             here to `num_agents` when the lot begins. With fixed goals and `occupancy` a
-            lot still has at most one agent for every two bays, because more would jam
-            the aisle of a small lot. None = always `num_agents`.
+            lot has at most one agent for every two bays. None = always `num_agents`.
         num_parked_cars: number of parked cars.
         occupancy: share of the lot's bays that hold a parked car, drawn from this range
             when the lot is reset; `num_parked_cars` is then the maximum. Agents' goals
-            have precedence: if they leave fewer bays, fewer cars are parked.
-        fleet: presets that cars are drawn from instead of `vehicle`.
+            have priority: if they leave fewer bays, fewer cars are parked.
+        fleet: presets from which cars are drawn instead of `vehicle`.
         jitter: variation of parked cars' poses in their bays, and of their sizes.
-        movers: obstacles that move by themselves, by name, of `MOVERS`; from Python
-            also configs.
-        physics: back end, by name. `mjx`: every car is an MJX model of its own, stepped
-            as `sim.stepper` says; crashes are found by box tests. `scene`: the whole
-            lot in one C MuJoCo world, crashes are its contacts; slow. `bicycle`:
-            kinematic cars whose tyres never slip. `carpark_papers` adds `highway` and
-            the grid worlds `grid`, `grid_coarse`, `grid_recorded`, with integer
-            actions. From Python also the config of a back end, a `PhysicsConfig`.
+        movers: moving obstacles of the lot, names in `MOVERS`; from Python also
+            configs.
+        physics: name of the back end. `mjx`: one MJX model per car, see `sim.stepper`;
+            box tests find crashes. `scene`: the whole lot in one C MuJoCo world, whose
+            contacts are crashes; slow. `bicycle`: kinematic cars without slip.
+            `carpark_papers` adds `highway` and the grid worlds `grid`, `grid_coarse`,
+            `grid_recorded` with integer actions. From Python also the config of a back
+            end, a `PhysicsConfig`.
         sim: time steps and ground.
         goals: whether the environment or the agents choose the goals.
         giving_way: when agents should give up dynamic goals.
         spawn: where episodes start.
         episode: when episodes end.
         reward: reward weights.
-        observation: encoder of what agents observe; named encoders are in
-            `carpark_mj.config.ENCODERS`.
+        observation: the encoder of the observation; `carpark_mj.config.ENCODERS` has
+            the named ones.
         randomization: parameters that differ between cars.
-        sensors: noise, delay and drift of what agents observe.
+        sensors: noise, delay and drift of the observation.
         metrics: optional measurements.
     """
 

@@ -15,12 +15,12 @@ class NetworkConfig(CheckedConfig):
     Attributes:
         policy_layers: sizes of the actor's hidden layers.
         value_layers: sizes of the critic's hidden layers.
-        encoder: encoder before the layers. `set`: all cars of a kind go through the
-            same layers, see `carpark_mj.policy.encoder`; the weights fit any number of
-            cars. `flat`: none, the layers read the vector.
-        own_size: number of features of the own numbers in `set`.
-        entity_size: number of features of a set of entities in `set`.
-        picture_size: number of features of a picture in `set`, of each camera's.
+        encoder: encoder before the layers. `set`: shared layers for all cars of
+            a kind, see `carpark_mj.policy.encoder`; the weights fit any number of cars.
+            `flat`: none, the layers read the vector.
+        own_size: features of the agent's own numbers in `set`.
+        entity_size: features of a set of entities in `set`.
+        picture_size: features of each camera's picture in `set`.
         min_std: least standard deviation of continuous actions before tanh, above 0.
             With a small value a policy may stop exploring.
         max_std: largest such deviation; 0 = no limit. A policy that depends on its

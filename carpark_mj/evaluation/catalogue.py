@@ -1,6 +1,6 @@
 """The catalogue of metrics: meanings, units and aggregation over episodes.
 
-It defines the library's metrics and the tables of `docs/metrics.md`; others are
+It defines the library's metrics, which `docs/metrics.md` lists; others are
 registered (`carpark_mj.mdp.metrics`). An evaluation has a column for each in the
 table of episodes, and one or several aggregates.
 """

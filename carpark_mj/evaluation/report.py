@@ -7,6 +7,7 @@ from typing import Any
 import jax
 from rich.console import Console
 
+from carpark_mj.config.checks import counted
 from carpark_mj.evaluation.aggregation import HITS, contacts
 from carpark_mj.evaluation.catalogue import DRIVING, GOALS, OUTCOME, SAFETY, metrics
 from carpark_mj.evaluation.evaluator import Evaluation
@@ -111,7 +112,7 @@ def print_table(summary: dict[str, Any], title: str) -> None:
         row |= {"rate": f"{rate['rate']:.1%}"}
         row |= {"95 % interval": f"{rate['low']:.1%} … {rate['high']:.1%}"}
         rows.append(row | {"episodes": f"{rate['count']:.0f}"})
-    print_rows(rows, f"{title}: {summary['episodes']} episodes", left=1)
+    print_rows(rows, f"{title}: {counted(summary['episodes'], 'episode')}", left=1)
     touched = sum(summary[name]["count"] for name in hits)
     console = Console()
     if more := touched - summary["crashed"]["count"]:
@@ -163,4 +164,4 @@ def print_metrics(summary: dict[str, Any]) -> None:
         rows.append(row | {column: f"{x:.3g}" for column, x in cells})
     lasts = (DRIVING[-1], SAFETY[-1], GOALS[-1])
     ends = [number for number, metric in enumerate(shown) if metric in lasts]
-    print_rows(rows, "driving and safety (docs/metrics.md)", left=2, ends=ends)
+    print_rows(rows, "driving and safety", left=2, ends=ends)

@@ -56,7 +56,7 @@ def print_rows(
         left: columns beyond this number are right-aligned; None = no column is.
         ends: rows below which a line is drawn.
     """
-    # Here: whoever reads no table needs no rich.
+    # Here: only tables need rich.
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table

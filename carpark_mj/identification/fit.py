@@ -88,7 +88,7 @@ PARAMETERS = {
 HALVES = 2  # blocks of a piece that the jackknife leaves out
 _START_STEPS = np.array([1e-2, 1e-2, 5e-3, 2e-2])  # m, m, rad, m/s
 _START_DOUBTS = np.array([3.0, 3.0, 0.5, 1.0])  # of the log's own guess, likewise
-# Of sensors, before residuals tell them.
+# Of sensors, before residuals determine it.
 _NOISE = {"x": 0.05, "y": 0.05, "yaw": 0.01, "speed": 0.05, "yaw_rate": 0.01}
 _LEAST_NOISE = 1e-4  # of these
 _ROUNDS, _LOOKS = 4, 30
@@ -192,7 +192,7 @@ class _Problem:
     def _triangles(self, unknown: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Of derivatives and residuals, by QR: (pieces, halves, p + 5, p + 5).
 
-        They stand for the measurements, with the same squares and products.
+        They stand for the measurements, with equal squares and products.
         """
         residual, slope = self._simulated(unknown)
         both = np.append(slope, residual[None], axis=0) / noise[:, None]

@@ -142,7 +142,7 @@ def _quantities(names: list[str], path: Path) -> dict[str, str]:
 
 
 def _value(row: CsvRow, column: str, quantity: str) -> float:
-    """A cell; those of the motion may be empty."""
+    """A cell; cells of the motion may be empty."""
     if quantity in (*POSE, *RATES) and not row.cells[column].strip():
         return math.nan
     value = row.number(column)

@@ -168,7 +168,7 @@ def _pieces(
     """When the simulations of pieces begin (pieces,) [s], and rows' pieces (n,).
 
     A piece begins at rest or else where the car is fast. Rows of piece -1 are not
-    compared: those before a warm-up ends, and those where the car stands.
+    compared: before the end of a warm-up, and where the car stands.
     """
     begin, piece = [], np.full(len(time), -1)
     for first, after in _runs(~stands):
@@ -319,7 +319,7 @@ def _start(
         (-jnp.sin(yaw), jnp.cos(yaw)),
     )
     yaw_rate = speed * jnp.tan(angle) / vehicle.wheelbase
-    # A stiffness per load is the same at all wheels, and so is their slip angle.
+    # Stiffness per load and slip angle are equal at all wheels.
     slip = speed * yaw_rate / (GRAVITY * stiffness) + zero
     drift = -jnp.abs(speed) * slip
     at = Coordinates(

@@ -1,4 +1,4 @@
-"""`python -m carpark_mj.layouts`: the same as `carpark_mj layouts`."""
+"""`python -m carpark_mj.layouts`, equal to `carpark_mj layouts`."""
 
 from carpark_mj.cli.process import enter
 

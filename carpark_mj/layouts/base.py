@@ -29,7 +29,7 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
     @abc.abstractmethod
     def generate(self, key: jax.Array) -> Layout:
-        """Draws a lot: the same for the same key, of the same shapes for others."""
+        """Draws a lot: equal for equal keys, of equal shapes for all."""
 
     def generate_member(self, member: jax.Array, key: jax.Array) -> Layout:
         """Draws a lot of one member, () int32, of a mixture; there is none here."""

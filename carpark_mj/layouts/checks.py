@@ -1,7 +1,7 @@
 """Checks of layouts, and messages about their faults.
 
 `find_faults` is pure and runs for thousands of layouts at once under `jax.vmap`;
-`describe_faults` puts those of one layout into sentences.
+`describe_faults` describes one layout's faults in sentences.
 """
 
 import dataclasses

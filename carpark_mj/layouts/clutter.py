@@ -66,7 +66,8 @@ class ClutterConfig(LayoutConfig):
             for every lot; below 0.05 nothing stands there.
         parallel: share of the bays that lie along the aisle.
         nose_first: share of the bays that a car must enter with its nose first.
-        tail_first: the same with its tail; the other bays allow either end.
+        tail_first: share of the bays that a car must enter with its tail first; the
+            other bays allow either end.
         family: fixed.
     """
 

@@ -45,7 +45,7 @@ class LotConfig(LayoutConfig):
         extra_aisle: width of the aisles beyond the standard's for the angle.
         cross_aisle: width of the cross aisles.
         num_accessible: wide bays for disabled drivers next to the first entrance.
-        num_family: wide bays for families after those.
+        num_family: wide bays for families after the accessible ones.
         row_ends: what protects the last cars of a row.
         end_width: of the strip at the ends of the rows.
         pillar_every: bays between pillars, as in a parking deck; 0 = no pillars.

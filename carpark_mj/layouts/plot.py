@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from carpark_mj.config.checks import counted
 from carpark_mj.files import write_atomically
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts.types import BayKind, DiscKind, Layout, WallKind
@@ -34,6 +35,7 @@ GAP = 0.015  # of it, between lots
 LINE, LETTER = 0.15, 0.072  # inches, of a title
 LETTERS = 24  # in a title's line
 FONT = 8.0  # points
+WALL = 1.2  # points, the least width of a wall: some are 2 cm thick
 DPI = 160
 
 
@@ -59,7 +61,7 @@ def draw_layout(axes: Any, layout: Layout) -> None:
         boxes("bay", mask, fc=colour, ec="#444444", lw=0.6)
     for kind, colour in WALL_COLOURS.items():
         mask = plan.wall_mask & (plan.wall_kind == kind)
-        boxes("wall", mask, fc=colour, ec=colour, lw=0.4)  # some are 2 cm thick
+        boxes("wall", mask, fc=colour, ec=colour, lw=WALL)
     for row in np.flatnonzero(plan.disc_mask):
         colour = DISC_COLOURS[DiscKind(int(plan.disc_kind[row]))]
         centre, radius = plan.disc_centre[row], plan.disc_radius[row]
@@ -108,7 +110,7 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
     wide = max(min(WIDE, row), (1 + 2 * GAP) * max(size[0] for size in sizes))
     metre = SHEET / wide  # inches
     lines = [
-        textwrap.wrap(f"{name}, {int(layout.bay_mask.sum())} bays", LETTERS)
+        textwrap.wrap(f"{name}, {counted(int(layout.bay_mask.sum()), 'bay')}", LETTERS)
         for name, layout in layouts
     ]
     cells = [
@@ -149,7 +151,7 @@ def _pack(
 
 
 def _legend(figure: Any, layouts: Sequence[tuple[str, Layout]], metre: float) -> None:
-    """Names what the colours of these layouts mean, and draws a bar of 10 m."""
+    """Draws the legend of these layouts' colours, and a bar of 10 m."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -3,7 +3,7 @@
 Random lots are numbered from 0 to 2^32 - 1, and lot n is drawn from
 `fold_in(key(0), n)`. Training draws from the lower half of the numbers, evaluation from
 the upper half. Threefry, JAX's generator, is a block cipher: for a given key no two
-numbers fold to the same key, so that no lot of one half is drawn in the other.
+numbers fold to equal keys, so that no lot of one half is drawn in the other.
 """
 
 import abc
@@ -72,7 +72,7 @@ class MixtureConfig(LayoutConfig):
 
     @property
     def parts(self) -> tuple[LayoutConfig, ...]:
-        """The members, and those of mixtures among them."""
+        """The members, and the members of mixtures among them."""
         return sum((member.parts for member in self.members), ())
 
     @property
@@ -99,7 +99,7 @@ class MixtureConfig(LayoutConfig):
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """Those of all members; not known if those of one are not."""
+        """Of all members; not known if one does not know."""
         entries = [member.entries for member in self.members]
         return sum(entries, ()) if all(entries) else ()
 

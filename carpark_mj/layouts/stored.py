@@ -125,17 +125,17 @@ class StoredConfig(ChangedConfig):
 
     @property
     def shares(self) -> tuple[tuple[LayoutConfig, float], ...]:
-        """Those of the lots."""
+        """Shares of the lots."""
         return self.lots.shares
 
     @property
     def parts(self) -> tuple[LayoutConfig, ...]:
-        """Those of the lots."""
+        """Parts of the lots."""
         return self.lots.parts
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """Those of the lots."""
+        """Entries of the lots."""
         return self.lots.entries
 
 

@@ -91,7 +91,7 @@ def _segments(lines: Sequence[Any]) -> np.ndarray:
 def _between(
     lines: np.ndarray, side: tuple[float, float], apart: tuple[float, float]
 ) -> list[Any]:
-    """Rectangles between parallel segments, those of the nearest ones first.
+    """Rectangles between parallel segments, nearest segments first.
 
     `side` is the range of their length [m], up to twice the most for two bays each, and
     `apart` that of the distance between them [m].
@@ -169,7 +169,7 @@ def lay_out(plan: Plan) -> Plan:
     drawn = [one.shape.centroid for one in tagged(features, "bay")]
     drawn += [group.shape for group in points]
     laid: list[str] = []
-    askew: list[str] = []  # those of them whose angle the map does not have
+    askew: list[str] = []  # rows without an angle in the map
     # Smaller areas first: a row is often drawn inside its car park.
     for group in sorted(areas, key=lambda group: group.shape.area):
         inside = sum(bool(group.shape.covers(spot)) for spot in drawn)

@@ -55,7 +55,7 @@ class Box:
         return affinity.translate(turned, self.x, self.y)
 
     def turned(self) -> "Box":
-        """The same rectangle, heading the other way."""
+        """The rectangle, heading the other way."""
         return dataclasses.replace(
             self, yaw=math.remainder(self.yaw + math.pi, math.tau)
         )
@@ -287,7 +287,7 @@ def _cut_each(box: Box, others: list[Any], gap: float) -> Box | None:
 def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
     """Rectangles of lanes, and whether they are driven along their heading only.
 
-    Lanes in line are joined. Two opposite lanes on the same ground become one two-way
+    Lanes in line are joined. Two opposite lanes on one ground become one two-way
     lane.
     """
     features = [one for one in features if one.shape.length > 0.1]

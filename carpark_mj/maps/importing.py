@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from shapely import affinity
 
+from carpark_mj.config.checks import counted
 from carpark_mj.layouts import build
 from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.checks import describe_faults
@@ -48,7 +49,7 @@ MOST_BAYS = 500
 REACH = 1.5  # m from the drivable ground within which walls and kerbs are kept
 NEAR = 4.0  # m from the drivable ground within which a spot must begin
 WORST_FIT = 0.6  # m between the outlines of a spot and its rectangle
-TWICE = 0.5  # share of a spot that another covers, for it to be the same one
+TWICE = 0.5  # share of a spot that a duplicate covers
 DETAIL = 0.25  # m, smaller bends of walls are straightened
 SLIVER = 0.08  # m, thinner walls are dropped
 THINNEST = 0.02  # m, of a wall
@@ -195,11 +196,11 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
     if closed := walled_off([box for box, _ in bays], starts, standing):
         report.notes.append(
             f"warning: walls keep cars that start in the lot from {len(closed)} of "
-            f"{len(bays)} bays"
+            f"{counted(len(bays), 'bay')}"
         )
     layout = _layout(bays, solids, discs, lanes, starts)
     if faults := describe_faults(layout):
-        raise ValueError(f"no valid layout comes of the map: {'; '.join(faults)}")
+        raise ValueError(f"the map gives no valid layout: {'; '.join(faults)}")
     return layout, report
 
 
@@ -366,7 +367,7 @@ def _solids(
     solids = list[tuple[Box, WallKind]]()
     for kind, shapes in kept.items():
         closed = opened(shapely.union_all(shapes), -DETAIL).difference(occupied)
-        parts = shapely.get_parts(opened(closed, SLIVER))  # without those between bays
+        parts = shapely.get_parts(opened(closed, SLIVER))  # without gaps between bays
         parts = parts[shapely.area(parts) > 0]
         # No more than a quarter of a thin wall's thickness.
         thickness = 2 * shapely.area(parts) / shapely.length(parts)

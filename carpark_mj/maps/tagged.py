@@ -1,4 +1,4 @@
-"""Shapes by their tags, ours or those of OpenStreetMap; GeoJSON, which has both.
+"""Shapes by their tags, ours or OpenStreetMap's; GeoJSON, which has both.
 
 The property `tag` is one of `carpark_mj.maps.features.Tag`; `width` [m] and `one_way`
 belong to lanes. Coordinates of GeoJSON are longitude and latitude, or of the system

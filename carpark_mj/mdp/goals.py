@@ -8,13 +8,13 @@ lose goals in which another agent has parked, and goals that they no longer trac
 
 A bay is free if it holds no parked car, even if it is another agent's goal or an agent
 is in it (Tanner 2022). An agent tracks the nearest free bays. A bay keeps its slot for
-as long as it is tracked, as in the study's text, so that the index of a choice means
-the same bay from step to step. With `GoalConfig.slots_by_distance` the bays are sorted
+as long as it is tracked, as in the study's text, so that an index means one bay from
+step to step. With `GoalConfig.slots_by_distance` the bays are sorted
 by distance at every step, as in the study's program.
 
 *Giving way*: an agent with a goal is in a context of `CONTEXTS` if another agent is
 strictly nearer to that goal (centres, world distance), and is tracked or has the same
-goal; docs/mdp.md has a table of them in the notation of Tanner 2022.
+goal; docs/dynamic_goals.md has a table of them in the notation of Tanner 2022.
 
 The situation of a step is what agents observe when they choose: poses and tracked
 agents at its start. Agents choose in the order of their numbers, as in the study. Each
@@ -62,10 +62,10 @@ class GoalConfig(CheckedConfig):
         dynamic: every agent chooses its goal at every step among the free bays it
             tracks; otherwise the environment draws one for each episode.
         num_tracked_bays: nearest free bays that an agent tracks (n_space).
-        slots_by_distance: renumber the tracked bays at every step, the nearest first;
-            otherwise a bay keeps its slot while it is tracked.
-        may_repeat: whether the goal of an episode may be that of the one before; fixed
-            goals only.
+        slots_by_distance: sort the tracked bays by distance at every step; otherwise a
+            bay keeps its slot while it is tracked.
+        may_repeat: whether an episode may have the goal of the agent's last episode;
+            fixed goals only.
         drive_out: an agent that starts in a bay drives to an exit of the lot, all
             others to bays; fixed goals only, in layouts with exits.
     """

@@ -1,4 +1,4 @@
-"""Metrics of episodes, kept per agent in the state; `docs/metrics.md` defines them.
+"""Metrics of episodes, kept per agent in the state.
 
 Most are *tallies*: numbers of every step, folded into one per episode. The name selects
 the fold: `min_...` keeps the least, `peak_...` the largest, `last_...` the latest
@@ -116,7 +116,7 @@ def register_metric(metric: Metric) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class MetricsConfig(CheckedConfig):
-    """Optional measurements, which cost time in every step; see `docs/metrics.md`.
+    """Optional measurements, which cost time in every step.
 
     The outcome, return, length, path and final errors are always measured. Evaluation
     enables all of these, training none by default.
@@ -198,7 +198,7 @@ def episode_metrics(
 ) -> dict[str, jax.Array]:
     """Named metrics (num_agents,) float32 of episodes, valid where `events.done`.
 
-    `stats` are those of the episodes, the step included.
+    `stats` are of the episodes, the step included.
     """
     pose_w, target = transition.after.motion.pose_w, transition.target_pose
     events = {
@@ -257,14 +257,14 @@ def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
 def fold_tallies(
     tallies: dict[str, jax.Array], step: dict[str, jax.Array]
 ) -> dict[str, jax.Array]:
-    """Tallies (num_agents,) with a step's numbers of the same names folded in.
+    """Tallies (num_agents,) with a step's numbers of equal names folded in.
 
     Raises:
         ValueError: a name is only among the tallies or only in the step.
     """
     if tallies.keys() != step.keys():
         raise ValueError(
-            "tallies and numbers of a step must have the same names, but "
+            "tallies and numbers of a step must have equal names, but "
             f"{sorted(tallies.keys() - step.keys())} are only tallies and "
             f"{sorted(step.keys() - tallies.keys())} only numbers of the step"
         )

@@ -117,7 +117,7 @@ class ExtraTerms(dict[str, float]):
         return parameter in REWARD_TERMS[name].fixed
 
     def check(self, taken: Container[str]) -> None:
-        """Refuses settings of no registered term, or of those whose names are taken."""
+        """Refuses settings of unregistered terms and names that are taken."""
         for key, value in self.items():
             name, _, parameter = key.partition(".")
             if name in taken:
@@ -140,10 +140,10 @@ class ExtraTerms(dict[str, float]):
 
 @dataclasses.dataclass(frozen=True)
 class GoalRewards(CheckedConfig):
-    """Rewards for what agents do with dynamic goals.
+    """Rewards for choices of dynamic goals.
 
     They are signed rewards of a step, not divided by the episode length. The defaults
-    are those of Tanner 2022, table C.10 (e is exploring, p and p' are bays).
+    are from Tanner 2022, table C.10 (e is exploring, p and p' are bays).
 
     Attributes:
         continue_explore: reward for continuing to explore, r(e->e).
@@ -151,8 +151,8 @@ class GoalRewards(CheckedConfig):
         continue_goal: reward for keeping the bay, r(p->p).
         change_goal: reward for choosing another bay, r(p->p').
         stop_goal: reward for giving up the bay to explore, r(p->e); None = r(p->p') -
-            r(e->p), as the study's rule (3.5) requires. Losing the goal because it is
-            no longer tracked pays the same, as in the reference implementation.
+            r(e->p), as the study's rule (3.5) requires. It is also paid when a goal is
+            lost because it is not tracked any more, as in the reference implementation.
     """
 
     continue_explore: Finite = data(-0.002)
@@ -212,9 +212,9 @@ class RewardConfig(CheckedConfig):
         route: measure the distances of `progress` and `alignment` along the lanes
             (`carpark_mj.layouts.routes`) instead of straight; fixed goals only.
         reeds_shepp_reach: distance to the goal [m] within which `progress` measures the
-            shortest Reeds-Shepp path instead, nose in or nose out: that of a car with
-            the own turning circle, gear changes included. It is mixed in linearly down
-            to a quarter of this distance. 0 = never.
+            shortest Reeds-Shepp path for the car's turning circle instead, nose in or
+            out. The path is mixed in linearly down to a quarter of this distance. 0 =
+            never.
         alignment: reward per radian of misalignment with the goal's axis removed,
             fading with the distance to the goal; negative when it grows.
         closeness: penalty per step, times the share of 3 m by which the nearest other
@@ -260,7 +260,7 @@ REWARDS.register("shaped", RewardConfig())
 
 
 def term_weights(config: EnvConfig) -> dict[str, float]:
-    """Weights of all terms by name, which may be traced; those that are off are 0."""
+    """Weights of all terms by name, which may be traced; 0 where a term is off."""
     reward = config.reward
     weights: dict[str, float] = {name: getattr(reward, name) for name in TERMS}
     # Its two weights are in the potential.

@@ -30,14 +30,12 @@ class ParkedRule(CheckedConfig):
         inside_lines: the footprint must be within the bay's lines.
         heading: largest angle to the bay's axis, either way round [rad].
         speed: highest speed [m/s].
-        test: what else must hold: a function of the cars' `Motion` (...), the poses
-            (..., 3), sizes (..., 2) [m] and ends (...), None = either, of their goals
-            that returns (...) bool, in JAX.
+        test: a further condition, a JAX function of the cars' `Motion` (...) and the
+            poses (..., 3), sizes (..., 2) [m] and ends (...) (None = either) of their
+            goals that returns (...) bool.
         before_crash: an agent that parks in a step cannot crash in it.
         before_timeout: an agent that parks in its last step is not timed out.
-        slack: smallest margin of a bay's length and width over those of a fleet's car
-            for the bay to be its goal [m]; ending within the lines takes some room to
-            steer.
+        slack: least margin of a goal bay's length and width over a fleet car's [m].
     """
 
     offset: Positive | None = None
@@ -102,19 +100,19 @@ class EpisodeConfig(CheckedConfig):
     """When an agent's episode ends.
 
     Attributes:
-        parked_rule: what "parked" means, one of `carpark_mj.config.PARKED_RULES`; of
-            several, separated by commas, any.
+        parked_rule: success rule, one of `carpark_mj.config.PARKED_RULES`; several,
+            separated by commas, hold where any of them holds.
         max_steps: control steps until an episode is truncated (timeout).
         hitbox_scale: factor on the cars' lengths and widths in collision tests, in
-            evaluations too. Those of walls and discs are not scaled.
+            evaluations too. Walls and discs are not scaled.
         kerb_speed: highest speed [m/s] at which wheels may touch a kerb, which then
             stops the car; 0 = kerbs are walls. The body passes over kerbs.
         wheel_stops: distance of a wheel stop's face from the far end of every bay but
             parallel ones [m]; 0 = none. It is a kerb, neither observed nor drawn.
-        respawn: whether an agent whose episode ends starts a new one at once; otherwise
-            it brakes and stays where it is until the lot is reset.
-        final_observation: whether `TimeStep` also carries the observation at the end of
-            a step, before any respawn; off-policy learners need it.
+        respawn: start a new episode of an agent at once when one ends; otherwise the
+            agent brakes and stays where it is until the lot is reset.
+        final_observation: add the observation before any respawn to `TimeStep`;
+            off-policy learners need it.
     """
 
     parked_rule: str = "strict"

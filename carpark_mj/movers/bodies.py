@@ -1,12 +1,12 @@
 """Outlines of what people may touch, room between bodies, and the social force model.
 
-Forces are those of Helbing & Molnár 1995, "Social force model for pedestrian
+Forces follow Helbing & Molnár 1995, "Social force model for pedestrian
 dynamics", Physical Review E 51, 4282, whose numbers of equations are given below; they
 are per mass [m/s²].
 
-Bodies cannot overlap: of the gap between two people each may use half, so that nobody
-needs to know how the other moves. The room towards a convex body is a half-plane:
-whoever stays within all of them touches nothing at the end of a step.
+Bodies cannot overlap: of the gap between two people each may use half, whatever the
+other does. The room towards a convex body is a half-plane: a person that stays within
+all of them touches nothing at the end of a step.
 """
 
 import functools
@@ -24,8 +24,8 @@ AWAY = 1e6  # m, where boxes are that do not count
 SPARE = 1e-3  # m that is left between bodies
 TINY = 1e-8  # m², keeps quotients finite where people coincide
 ROUNDING = 1e-6  # m or m/s, of moves along a body that is touched
-STRAIGHT = 0.1  # share of a move aside, below which whoever is stopped goes right
-DODGE = 2.0  # m/s² [est], by which whoever is stopped turns aside
+STRAIGHT = 0.1  # share of a move aside, below which a stopped person goes right
+DODGE = 2.0  # m/s² [est], by which a stopped person turns aside
 # Of the social force model.
 RELAXATION = 0.5  # s, tau
 STRENGTH = 2.1  # m²/s², V0 of people
@@ -37,7 +37,7 @@ SIGHT = -0.17364818  # cos of 100°: half the angle of sight
 UNSEEN = 0.5  # c, weight of what is behind
 SPEED_LIMIT = 1.3  # largest speed over the desired one
 SUBSTEP = 0.05  # s, longest
-CLOSING = 0.3  # s, in which people use at most half of the gap to who is ahead
+CLOSING = 0.3  # s, in which people use at most half of the gap ahead
 
 Pair = tuple[jax.Array, jax.Array]  # x and y
 Beyond = tuple[jax.Array, jax.Array, jax.Array]
@@ -110,7 +110,7 @@ class Room(NamedTuple):
     """How far people (n,) may go towards bodies (n, k)."""
 
     x: jax.Array  # of unit vectors towards them
-    y: jax.Array  # of the same
+    y: jax.Array  # of these vectors
     free: jax.Array  # in these directions [m], at least 0
 
     def along(self, move: jax.Array) -> jax.Array:
@@ -132,7 +132,7 @@ def room_among(offset: Pair, radius: jax.Array) -> Room:
 
 
 def room_to(xy: jax.Array, radius: jax.Array, boxes: jax.Array) -> Room:
-    """Room of discs (n, 2), (n,) to outlines (6, n or 1, k); any to who is inside."""
+    """Room of discs (n, 2), (n,) to outlines (6, n or 1, k); unlimited if inside."""
     x, y = offsets(xy[:, None], boxes)
     distance = jnp.sqrt(x * x + y * y + TINY)
     towards = -1.0 / distance
@@ -142,9 +142,9 @@ def room_to(xy: jax.Array, radius: jax.Array, boxes: jax.Array) -> Room:
 
 
 def go_round(rooms: Sequence[Room], move: jax.Array, aside: float) -> jax.Array:
-    """Moves (n, 2) that end within the room, from those that people wish for.
+    """Moves (n, 2) that end within the room, from the desired ones.
 
-    Whoever is stopped turns aside as far as there is room, by at most `aside`. That is
+    A stopped person turns aside as far as there is room, by at most `aside`. That is
     `DODGE` over the time of the move, or walking would depend on how time is divided.
     """
     beyond, x, y = functools.reduce(_further, (_nearest(room, move) for room in rooms))

@@ -1,7 +1,32 @@
-"""Drivers: who is there when a lot begins, and what they do next.
+"""Drivers: their places when a lot begins, and their next paths.
 
 One driver plans in a step, and looks at one way in which it may go on. A path is taken
 if the car sweeps no wall and no other bay on it, whether a car stands there or not.
+
+- *Tracks*: the middle of a one-way lane, or the middle of each half of another, on the
+  right. A lot without lanes has a counter-clockwise ring in its first spawn region.
+  Where no other track can be reached a driver stands 2 s and leaves the lot. After at
+  least 5 s it enters where a track begins on the border and no mover is within 9 m, or
+  at any track if none begins there.
+- *Paths*: a line, an arc of 3.5 m radius and a line: into another track, into a bay
+  nose first, or backwards out of one. The bay must be free: no car, no agent's goal, no
+  other driver's target. Every other arc ends 0.6 m to the left of its track, a wide
+  turn that keeps off islands. A bay that becomes an agent's goal is vacated.
+- *Car*: `city` as a kinematic bicycle (`advance` of the back end `bicycle`), four
+  substeps in a control step, with the car's steering lock and rate, at most 2 m/s² and
+  4 m/s². Pure pursuit (Coulter 1992) aims 1.2 m and 0.3 s ahead. Speeds are at most
+  1.5 m/s in arcs and 0.8 m/s in reverse, and lower while the wheels still turn.
+- *Distance*: the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000, Physical
+  Review E 62, 1805) with b = 1.67 m/s² and exponent 4 as published, s0 = 1 m instead of
+  2 m and a = 1 to 2 m/s² instead of 0.73 m/s². The gap is the free part of the path, up
+  to 10.5 m, past drivers, stopping ways of agents, and people at present and in 1 s.
+- *Right of way*: a car that backs out yields, then one that turns into a bay. Otherwise
+  the car from the right goes first, and the oncoming before one that turns left. A car
+  further in goes on. After 6 s at rest the longest wait goes first. After 12 s a driver
+  that cannot turn off goes straight on, and one stuck at a bay goes back.
+- *Attention*: an inattentive driver sees cars ahead, neither the right of way nor
+  anything behind; it stops on contact. In the first 3 m out of a bay neighbouring cars
+  limit every view to 1.5 m on either side per metre behind.
 """
 
 import dataclasses
@@ -49,7 +74,7 @@ POSES = 20  # on a path, tested for walls and bays
 ROOM, ROOM_TO_WALLS = 0.15, 0.25  # m about the car there
 # m by which bays are shorter and narrower to it
 SLACK: Any = np.array([0.3, 0.4], np.float32)
-ENTRY_INSET = 1.0  # m from the beginning of a track to the axle of who comes in
+ENTRY_INSET = 1.0  # m from the beginning of a track to the axle of a driver that enters
 CLEAR = 9.0  # m about a car that comes in
 ABSENCE = 5.0  # s, shortest
 # Fields of `Traffic` that a plan changes.
@@ -57,11 +82,11 @@ MOTION = ("pose", "path", "way", "speed", "steering")
 INTENT = ("phase", "track", "next_track", "bay", "clock")
 TRIES = 8  # places that are tried for a driver
 APART = 8.0  # m between drivers when a lot begins
-FAR = 1e4  # m, where those are who are away
+FAR = 1e4  # m, where absent drivers are
 
 
 def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic:
-    """Drivers of whom one has planned; `search` as of `Drivers`."""
+    """Drivers after one has planned; `search` as of `Drivers`."""
     n = traffic.way.shape[0]
     who = traffic.turn
     own = jax.tree.map(
@@ -104,14 +129,14 @@ def _begins_well(own: Traffic, start: jax.Array) -> jax.Array:
 def _pick(
     key: jax.Array, cost: jax.Array, good: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """One of those that are good, likelier where costs are low; and if any is."""
+    """A good choice, likelier where costs are low, and whether there is one."""
     score = jax.random.gumbel(key, cost.shape) - cost
     index = jnp.argmax(jnp.where(good, score, -jnp.inf))
     return index, good.any()
 
 
 def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
-    """A driver who turns into another track."""
+    """A driver that turns into another track."""
     tracks = own.tracks
     line, length = tracks.pose[own.track], tracks.length
     key, swing_key = jax.random.split(key)
@@ -132,7 +157,7 @@ def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
 def _park(
     key: jax.Array, own: Traffic, traffic: Traffic, lot: State
 ) -> tuple[Traffic, jax.Array]:
-    """A driver who turns into a free bay."""
+    """A driver that turns into a free bay."""
     layout, line = lot.layout, own.tracks.pose[own.track]
     pose = jnp.concatenate(
         [layout.bay_pose[:, :2], wrap_angle(layout.bay_pose[:, 2:] + jnp.pi)], axis=-1
@@ -146,7 +171,7 @@ def _park(
     good = good & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
     good = good & _begins_well(own, start) & (rest > 0.0) & (beyond > -LONGEST)
     index, found = _pick(key, jnp.zeros_like(start), good)
-    # Free is a bay in which nobody stands, and for which nobody heads.
+    # A free bay is neither occupied nor the goal of another car.
     found = found & ~(lot.parked_cars.bay == index).any() & ~(lot.goal == index).any()
     found = found & ~((traffic.bay == index) & traffic.present).any()
     there = boxes_overlap(
@@ -161,7 +186,7 @@ def _park(
 
 
 def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Array]:
-    """A driver who backs out of a bay onto a track, to go on along it."""
+    """A driver that backs out of a bay onto a track."""
     tracks = own.tracks
     line = own.pose.at[2].add(jnp.pi)
     lanes = tracks.pose.at[:, 2].add(jnp.pi)
@@ -189,7 +214,7 @@ def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Ar
 def _enter(
     key: jax.Array, own: Traffic, traffic: Traffic, lot: State
 ) -> tuple[Traffic, jax.Array]:
-    """A driver who comes in where a track begins."""
+    """A driver that enters where a track begins."""
     tracks = own.tracks
     index, found = _pick(key, jnp.zeros_like(tracks.length), tracks.entry)
     pose = move_forward(tracks.pose[index], ENTRY_INSET)
@@ -244,12 +269,11 @@ class Drivers(Mover):
     """Other drivers, in cars of the preset `city`.
 
     Attributes:
-        number: how many, the most if `aggressiveness` is given. Fewer are there at
-            first in a lot without room for all; they come in later.
+        number: how many. Drivers without room enter later.
         aggressiveness: a lot draws its level from this range, a driver from the level's
             neighbourhood; 0 drives the lowest speed with the longest headway, 1 the
             highest with the shortest, and accelerates twice as hard.
-        attention: share of drivers who look for others before they drive.
+        attention: share of drivers that look for others before they drive.
         search: probability of looking for a bay, rather than for a way on, where both
             are near.
         speed: of the least and the most aggressive [m/s].

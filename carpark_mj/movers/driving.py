@@ -43,7 +43,7 @@ from carpark_mj.vehicle import make_vehicle
 from carpark_mj.vehicle.drive import steer_towards
 from carpark_mj.vehicle.presets import CITY
 
-PATIENCE = 6.0  # s of standing after which who waits longest goes first
+PATIENCE = 6.0  # s at rest, after which the longest wait goes first
 EDGES = (0.0, 0.4, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.5)  # m, of the sections
 ASIDE, ALONG = 0.3, 0.15  # m of room about a car
 HARD = 3.0  # m/s², with which drivers reckon to stop; cars brake with 4
@@ -63,16 +63,16 @@ WHEELS = 0.25  # rad, how far the wheels may still have to turn at walking pace
 CLOSE = 0.1  # m, from the end of a path
 LEAVES_AFTER = 2.0  # s at the end of a lane
 GIVES_UP = 12.0  # s of standing, after which a driver changes its mind
-BEHIND = 0.5  # m before an arc, to which a driver goes back who is stuck in it
+BEHIND = 0.5  # m before an arc, to which a driver stuck in it goes back
 DECIDED = 0.3  # m behind an arc, where a driver is on the next track
 
 
 def goes_first(traffic: Traffic) -> jax.Array:
     """(n, n) bool, whether the second of a pair goes before the first; one of both.
 
-    Who backs out yields, then who turns into a bay. Otherwise the car from the right
-    goes first, and before one that turns left the oncoming. If somebody has waited for
-    long, it is who has waited longest; last of all the more aggressive.
+    A car that backs out yields, then one that turns into a bay. Otherwise the car from
+    the right goes first, and the oncoming before one that turns left. After a long wait
+    the longest wait goes first; ties go to the more aggressive.
     """
     pose, phase = traffic.centre, traffic.phase
     local = to_local(pose[:, None], pose)
@@ -99,7 +99,7 @@ def goes_first(traffic: Traffic) -> jax.Array:
 
 
 class Rows(NamedTuple):
-    """Boxes (k, ...) that drivers (n,) see: poses, half sizes, velocities, who does."""
+    """Boxes (k, ...) that drivers (n,) see: poses, half sizes, velocities, mask."""
 
     pose: jax.Array
     half: jax.Array
@@ -108,7 +108,7 @@ class Rows(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """Free ways (n,) [m] of drivers and the speeds (n,) [m/s] of who is there."""
+    """Free ways (n,) [m] of drivers and the speeds (n,) [m/s] of the leaders."""
 
     gap: jax.Array
     speed: jax.Array
@@ -213,7 +213,7 @@ def _limits(
     soon = (speed + faster) / 2 * dt + faster**2 / (2.0 * HARD)
     soon = jnp.where(parked, 0.0, soon)
     wish = jnp.where(traffic.phase == DRIVE, speed * YIELDS_FOR, 0.0)
-    # Who stands where the other wants to go is further in, and goes on.
+    # A car that stands in the other's way is further in, and goes on.
     wanted = jnp.array([-1.0, *EDGES[:-1]]) < wish[:, None]
     inside = (meets[:, 0] & wanted).any(axis=-1)
     wish = jnp.where(inside | _hidden(traffic, traffic.centre), 0.0, wish)
@@ -222,12 +222,12 @@ def _limits(
 
 
 def _blind(traffic: Traffic) -> jax.Array:
-    """(n,) what those who do not look see: cars before them, behind them nothing."""
+    """(n,) what inattentive drivers see: cars ahead, nothing behind."""
     return jnp.where(traffic.path.gear > 0.0, 0.0, -2.0)
 
 
 def _hidden(traffic: Traffic, pose: jax.Array) -> jax.Array:
-    """(n, k) bool, whether neighbours hide poses (k, 3) from who backs out of a bay."""
+    """(n, k) bool, whether neighbours hide poses (k, 3) from a car backing out."""
     within = (traffic.phase == BACK_OUT) & (traffic.way < OUT)
     own = traffic.centre
     x, y = pose[:, 0] - own[:, :1], pose[:, 1] - own[:, 1:2]
@@ -294,8 +294,8 @@ def idm_acceleration(
     Args:
         speed: v [m/s].
         wanted: v0 [m/s].
-        gap: s to who is ahead [m].
-        leader_speed: of who is ahead [m/s].
+        gap: s to the leader [m].
+        leader_speed: of the leader [m/s].
         headway: T [s].
         accel: a [m/s²].
     """
@@ -321,7 +321,7 @@ def drive(
     accel = CITY.max_acceleration * (0.5 + 0.5 * pushes)
     ahead = look(traffic, lot, accel, dt)
     taken = (traffic.bay[:, None] == lot.parked_cars.bay).any(axis=1)
-    taken = taken & (traffic.phase == PARK)  # somebody was faster: wait for the bay
+    taken = taken & (traffic.phase == PARK)  # another was faster: wait for the bay
     gap = jnp.where(taken, 0.0, ahead.gap)
     target = _aim(traffic)
     limit = _limit(traffic, jnp.abs(target - traffic.steering))
@@ -329,7 +329,7 @@ def drive(
     wish = idm_acceleration(speed, wanted, gap, ahead.speed, headway, accel)
     faster = speed + dt * jnp.clip(wish, -HARD, accel)
     faster = jnp.minimum(faster, jnp.maximum(limit, speed - HARD * dt))
-    # Whatever the model wishes, the car can stop before who is ahead.
+    # Whatever the model wishes, the car can stop before the leader.
     usable = jnp.maximum(gap - CLOSE - speed * dt / 2, 0.0)
     safe = HARD * (jnp.sqrt(dt * dt / 4 + 2.0 * usable / HARD) - dt / 2)
     faster = jnp.minimum(faster, safe)
@@ -388,7 +388,7 @@ def _roll(traffic: Traffic, target: jax.Array, faster: jax.Array, dt: float) -> 
 
 
 def _halt(before: Traffic, after: Traffic, lot: State) -> Traffic:
-    """Drivers after a step; who would touch a mover stays, also who does not look."""
+    """Drivers after a step; each stays that would touch a mover."""
     pose, others = after.centre, ~jnp.eye(after.way.shape[0], dtype=bool)
     hits = touches(pose, SIZE, lot.movers.groups)
     there = jnp.concatenate([before.centre, pose])
@@ -403,7 +403,7 @@ def _halt(before: Traffic, after: Traffic, lot: State) -> Traffic:
 
 
 def _go_on(key: jax.Array, traffic: Traffic, stays: tuple[float, float]) -> Traffic:
-    """Drivers who have come to the end of a path, or of the arc to the next track."""
+    """Drivers at the end of a path, or of the arc to the next track."""
     path, phase, bay = traffic.path, traffic.phase, traffic.bay
     at_end = (path.total - traffic.way < 2.0 * CLOSE) & (traffic.speed < 0.1)
     turned = (phase == DRIVE) & (path.bend != 0.0)
@@ -412,7 +412,7 @@ def _go_on(key: jax.Array, traffic: Traffic, stays: tuple[float, float]) -> Traf
     parked = (phase == PARK) & at_end
     leaves = (phase == DRIVE) & at_end & (path.bend == 0.0)
     leaves = leaves & (traffic.clock > LEAVES_AFTER)
-    # Who cannot turn off goes straight on, who is stuck in an arc goes back.
+    # A driver that cannot turn off goes straight on; one stuck in an arc goes back.
     stuck = (traffic.clock > GIVES_UP) & ~at_end
     fresh = (path.bend != 0.0) & (path.straight > 1.0)  # of a path not gone back yet
     begun = traffic.way >= path.straight

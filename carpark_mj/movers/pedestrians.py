@@ -1,4 +1,4 @@
-"""Pedestrians: who walks in a lot, and a step of theirs.
+"""Pedestrians: the people of a lot, and their steps.
 
 A walk leads out of the gap between two cars, straight to another place that can be
 seen, and perhaps into the gap there. In gaps and when they run, people go straight;
@@ -47,23 +47,23 @@ from carpark_mj.types import State
 
 REST, OUT, ACROSS, IN = range(4)  # phases of a walk
 ARRIVED = 0.4  # m
-LEG = 60.0  # s, after which somebody who cannot get there heads elsewhere
-RESTS, LONG_REST = 5.0, 40.0  # s, mean rest at a place, of those who mostly stand
+LEG = 60.0  # s, after which a blocked person heads elsewhere
+RESTS, LONG_REST = 5.0, 40.0  # s, mean rest at a place; of people that mostly stand
 GOES_IN = 0.3  # probability that an adult goes between the cars at the end of a walk
-RUN = 2.5  # m/s, of children who run
-HEADWAY = 3.0  # s, who gives way leaves a car as much
-PATIENCE = 2.0, 5.0  # s without headway until who gives way, or not, turns elsewhere
+RUN = 2.5  # m/s, of running children
+HEADWAY = 3.0  # s, that attentive people leave a car
+PATIENCE = 2.0, 5.0  # s blocked until attentive, inattentive people turn
 SLOW = 0.2  # m/s, what is no headway
 WAITS = 0.1  # m/s, cars that are slower wait
-CLOSE = 1.5  # m from a car that waits: nobody rests there
-ASIDE = 0.5  # m, how far from a car's way those who give way step aside
+CLOSE = 1.5  # m from a waiting car, within which no one rests
+ASIDE = 0.5  # m, from a car's way to where attentive people step aside
 NEAR = 4  # boxes whose forces act on a person
 ROUNDS = 8  # steps after which near boxes are looked up again
 CANDIDATES = 4  # targets that are looked at
 TAKEN = 1e3  # m, added to the distance of places that are taken
 Number = TypeVar("Number", int, float)
 CHILD = 0.25  # m, radius
-FIRST_REST = 10.0  # s, longest until somebody sets out when a lot begins
+FIRST_REST = 10.0  # s, longest until a person sets out when a lot begins
 START_SPARE = 0.01  # m of room about people when a lot begins
 TRIES = 8  # places that are tried beside a leader
 
@@ -83,7 +83,7 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
     rests = people.phase == REST
     speed = jnp.where(people.child & ~rests, RUN, people.speed)
     heading = to_go / jnp.maximum(distance, 1e-3)[:, None]
-    # Nobody overshoots, and who rests stays.
+    # Walks do not overshoot; people at rest stay.
     pace = jnp.minimum(speed, distance / dt)
     pace = jnp.where(rests & (distance < ARRIVED), 0.0, pace)
     stop = stopping_zones(cars, dt)
@@ -125,7 +125,7 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
 
 
 def _waypoint(people: People) -> jax.Array:
-    """(n, 2) where people head for [m]; who walks with another does not go in."""
+    """(n, 2) where people head for [m]; followers do not enter bays."""
     places, alone = people.places, people.leader == jnp.arange(people.leader.shape[0])
     goes_out = people.phase == OUT
     at = jnp.where(goes_out, people.place, people.target)
@@ -149,7 +149,7 @@ def _go_on(chance: jax.Array, people: People, arrived: jax.Array) -> People:
     gives_up = halted > jnp.where(people.attentive, *PATIENCE)
     late = (people.clock > LEG) | gives_up
     changes = (phase != REST) & (arrived | late)
-    # Who comes too late is where the walk ends, for want of a better place.
+    # A late walk ends where the person is.
     phase = jnp.where(changes, jnp.where(late, REST, next_phase), phase)
     inside = inside & ~(changes & late)
     stays = changes & (phase == REST)
@@ -176,7 +176,7 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
     due = due & (people.leader == jnp.arange(count))
     who = jnp.argmax(jnp.where(due, people.clock, -1.0))
     here, inside = people.target[who], people.inside[who]
-    # Who is in a bay, or has a car before the gap, looks out between what stands there.
+    # In a bay, or behind a car before the gap, people look out between the obstacles.
     boxes = _boxes(cars)
     blocks = jnp.concatenate([places.blocks, boxes], axis=1)
     start = jnp.where(inside, places.edge[here], people.xy[who])
@@ -190,8 +190,8 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
     bodies = jnp.concatenate([_parked(lot), places.walls, boxes], axis=1)
     hidden = jnp.where(shut, meet(starts, ends, bodies), meet(starts, ends, blocks))
     good = places.mask[found] & (found != here) & ~hidden & ~_by_waiting(ends, cars)
-    # The nearest of them, so that most walks are short; a place that is somebody's only
-    # where no other is left, or in a full lot whoever is in the way would stay there.
+    # The nearest of them, so that most walks are short; a taken place only if there is
+    # no other, or in a full lot people in the way would stay there.
     taken = ((people.target == found[:, None]) & people.present).any(axis=1)
     distance = norm(ends - start) + jnp.where(taken, TAKEN, 0.0)
     target = found[jnp.argmin(jnp.where(good, distance, jnp.inf))]
@@ -212,7 +212,7 @@ def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> Peopl
         target=change(people.target, target),
         phase=change(people.phase, jnp.where(inside, OUT, ACROSS)),
         inside=change(people.inside, goes_in),
-        # Who finds no way lets the others look first.
+        # A person without a way lets the others look first.
         clock=jnp.where(own & due[who], 0.0, people.clock),
     )
 
@@ -244,9 +244,9 @@ def _find_near(people: People, lot: State) -> People:
 
 
 def _apart(people: People, xy: jax.Array) -> Pair:
-    """X and y (n, n) [m] from the second people to the first; nobody meets themselves.
+    """X and y (n, n) [m] from the second people to the first.
 
-    Nor does anybody meet those who are not there.
+    Absent people and people themselves are far away.
     """
     gone = jnp.where(people.present, 0.0, AWAY) + AWAY * jnp.eye(xy.shape[0])
     return xy[:, :1] - xy[:, 0] + gone, xy[:, 1:] - xy[:, 1]
@@ -264,7 +264,7 @@ def _by_waiting(xy: jax.Array, cars: Cars) -> jax.Array:
 
 
 def _step_aside(people: People, enter: Zones, stop: Zones) -> jax.Array:
-    """Velocities (n, 2) [m/s] out of the ways of cars, of those who give way."""
+    """Velocities (n, 2) [m/s] of attentive people out of the ways of cars."""
     here = enter.local(people.xy)
     on_way = enter.hold(here, people.radius[:, None])
     on_way = on_way & (jnp.abs(here[..., 1]) < stop.half[:, 1] + ASIDE)
@@ -276,7 +276,7 @@ def _step_aside(people: People, enter: Zones, stop: Zones) -> jax.Array:
 
 @dataclasses.dataclass(frozen=True)
 class Pedestrians(Mover):
-    """People who walk between bays, entrances and ends of lanes.
+    """People that walk between bays, entrances and ends of lanes.
 
     Shares are probabilities for each person, drawn when a lot begins.
 
@@ -289,12 +289,11 @@ class Pedestrians(Mover):
             its ends, two standard deviations away. Weidmann 1993: 1.34 m/s, standard
             deviation 0.26 m/s.
         radius: of adults [m], uniform.
-        attention: share of adults who give way to cars, or the range that a lot draws
-            it from.
-        groups: share of adults who walk with the one before.
-        standing: share of adults who mostly stand.
-        straight: share of adults who walk straight whoever is near.
-        children: share of people who run across aisles from between parked cars.
+        attention: share of adults that give way to cars, or a range per lot.
+        groups: share of adults that walk with the previous one.
+        standing: share of adults that mostly stand.
+        straight: share of adults that avoid nobody.
+        children: share of people that run across aisles from between parked cars.
         mover: fixed.
     """
 
@@ -347,7 +346,7 @@ class Pedestrians(Mover):
             area = 4.0 * layout.extent[0] * layout.extent[1]
             wanted = jnp.round(density * area / 100.0).astype(jnp.int32)
         child = share(self.children)
-        # Of two neighbours in the list the second follows, so nobody leads a leader.
+        # Of two neighbours in the list the second follows, so no follower leads.
         follows = (
             share(2.0 * self.groups) & (rank % 2 == 1) & ~child & ~jnp.roll(child, 1)
         )
@@ -413,7 +412,7 @@ class Pedestrians(Mover):
 
 
 def _bounds(value: Number | tuple[Number, Number]) -> tuple[Number, Number]:
-    """The ends of a range; those of one number are the same."""
+    """The ends of a range; equal for one number."""
     return value if isinstance(value, tuple) else (value, value)
 
 

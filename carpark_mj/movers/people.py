@@ -13,7 +13,7 @@ OUTSIDE = 0.6  # m from a bay's line into the aisle: a person and some room
 DEPTH = 1.2  # m from there into the gap between two cars
 PERSON_ROOM = 0.5  # m about a place that is free
 INSET = 1.0  # m from the ends of lanes and the lot's border
-GROWN = 0.6  # m by which walls are longer and wider to people who look for a way
+GROWN = 0.6  # m by which walls are longer and wider to people that look for a way
 ALONG = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of half a lane: where its places are
 BORDER = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
 # Sides of a bay in the order in which they are tried: normals.
@@ -30,12 +30,12 @@ class Places:
     mask: jax.Array  # (n,) bool, which of them can be reached
     # (6, m) `outlines` that walks must not meet: bays, and walls grown
     blocks: jax.Array
-    walls: jax.Array  # (6, k) those of walls and discs
+    walls: jax.Array  # (6, k) of walls and discs
 
 
 @jax.jit  # traced once for all movers of a lot
 def make_places(layout: Layout) -> Places:
-    """The places of a lot: one for each bay, then those of lanes and of the border."""
+    """The places of a lot: one per bay, then of lanes and of the border."""
     bays = outlines(layout.bay_pose, layout.bay_size, layout.bay_mask)
     grown = outlines(layout.wall_pose, layout.wall_size + GROWN, layout.wall_mask)
     blocks = jnp.concatenate([bays, grown], axis=1)
@@ -132,7 +132,7 @@ class People:
     present: jax.Array  # bool, whether there is such a person
     child: jax.Array  # bool, waits between parked cars and runs across
     stands: jax.Array  # bool, rests for long
-    straight: jax.Array  # bool, walks straight whoever is near
+    straight: jax.Array  # bool, avoids nobody
     attentive: jax.Array  # bool, gives way to cars
     leader: jax.Array  # int32, whom the person walks with; itself if alone
     offset: jax.Array  # (n, 2) beside the leader's way [m]
@@ -143,5 +143,5 @@ class People:
     clock: jax.Array  # time since the phase began; negative = of rest left [s]
     halted: jax.Array  # time without headway, on the way or by a car that waits [s]
     near: jax.Array  # (6, n, k) `outlines` of parked cars and walls that are near
-    turn: jax.Array  # () int32, whose are looked up next
+    turn: jax.Array  # () int32, the people that are looked up next
     places: Places  # of the lot

@@ -1,4 +1,4 @@
-"""Cars that drive as somebody has driven.
+"""Cars that follow recorded poses.
 
 Recordings are trajectories (CSV) or what `carpark_mj play` saved. A CSV has the columns
 id, time, x, y, yaw, length and width; a row is the pose of a footprint's centre, s, m
@@ -114,7 +114,7 @@ def _from_archive(path: Path) -> list[Car]:
 
 @dataclasses.dataclass(frozen=True)
 class Replay(Mover):
-    """Cars of a file of drives, again and again; they see nobody.
+    """Cars of a recording, repeated; they stop for nothing.
 
     A car is there from its first to its last sample, and goes straight from one to the
     next.

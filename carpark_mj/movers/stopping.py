@@ -1,7 +1,7 @@
 """Where cars can no longer stop: nothing that moves by itself steps there.
 
-So a car that brakes fully as soon as someone is in its zone hits nobody, and every
-contact could have been avoided. Cars are agents and drivers.
+A car that brakes fully as soon as its zone is entered hits nobody, so every collision
+is avoidable. Cars are agents and drivers.
 """
 
 from typing import NamedTuple
@@ -73,7 +73,7 @@ class Zones:
 
     pose: jax.Array  # (n, 3) their centres
     cos: jax.Array  # (n,) of their headings
-    sin: jax.Array  # (n,) of the same
+    sin: jax.Array  # (n,) of the heading
     half: jax.Array  # (n, 2) their half lengths and widths [m]
     ahead: jax.Array  # (..., n) from their centres forwards [m]
     behind: jax.Array  # (..., n) backwards [m]
@@ -163,17 +163,17 @@ def keep_off(
 ) -> jax.Array:
     """Moves (n, 2) [m] of discs, cut so that none is the cause of a collision.
 
-    Nobody steps into a zone, but goes along its edge, round a car that stands. Whoever
-    is in one because a car came goes on, but where the car cannot stop neither nearer
-    to it nor to its way.
+    Discs do not enter a zone; they go along its edge, round a car that stands. A disc
+    in a zone because a car came goes on, but where the car cannot stop neither nearer
+    to the car nor to its path.
 
     Args:
         xy: (n, 2) centres [m].
         move: (n, 2) as wanted [m].
         goal: (n, 2) where they head for [m].
         radius: (n,) [m].
-        enter: zones that nobody steps into, (n, cars).
-        stop: zones where cars cannot stop, within those.
+        enter: zones that are not entered, (n, cars).
+        stop: zones where cars cannot stop, within `enter`.
     """
     reach, here = radius[:, None], enter.local(xy)
     was_in, too_near = enter.hold(here, reach), stop.hold(here, reach)

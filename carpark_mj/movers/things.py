@@ -70,7 +70,7 @@ class Barrier(Mover):
     def init(
         self, key: jax.Array, layout: Layout, others: Sequence[Group] = ()
     ) -> BarrierState:
-        """It is closed, or open where somebody stands beneath."""
+        """It is closed, or open where a mover stands beneath."""
         pose, size, there = draw_lane(key, layout)
         closed = BarrierState(pose, size, jnp.float32(0.0), there)
         # The ends of the beam may reach into walls and parked cars.
@@ -94,7 +94,7 @@ class Barrier(Mover):
         return after._replace(is_open=jnp.where(waits, state.is_open, after.is_open))
 
     def obstacles(self, state: BarrierState) -> list[Boxes]:
-        """The beam until it is open; drivers would wait for what is left of it."""
+        """The beam until it is open; drivers would wait for the rest of it."""
         pose, size = self._beam(state)
         there = state.there & (state.is_open < 1.0)
         return [Boxes(pose[None], size[None], mask=there[None])]
@@ -123,7 +123,7 @@ class CartState(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Cart(Mover):
-    """A cart that somebody pushes now and then, and that rolls until it stands.
+    """A cart that is pushed now and then and rolls until it stands.
 
     It stops at walls, bays and movers, and where a car cannot stop.
 
@@ -236,7 +236,7 @@ class Door(Mover):
         goal = jnp.clip(jnp.minimum(clock, 2 * SWING + OPEN - clock) / SWING, 0.0, 1.0)
         angle = WIDEST * goal
         at = _door_pose(pose, size, side, angle)
-        # Who comes too near while it opens holds it, and whoever it would touch.
+        # An obstacle too near while it opens, or in its way, holds it.
         held = (angle > state.angle) & would_hit(lot, at, jnp.array(DOOR), dt)
         at = at[None]
         held = held | touches(at, jnp.array(DOOR), lot.movers.groups)[0] & ~closed

@@ -63,7 +63,7 @@ class Path:
 
 
 def turn_back(path: Path) -> Path:
-    """The same paths (...) from their ends to their beginnings, in the other gear."""
+    """Paths (...) reversed, in the other gear."""
     end = path.at(path.total[..., None])[..., 0, :2]
     straight = jnp.maximum(path.total - path.arc_end, 0.0)
     yaw = path.yaw + path.bend + jnp.pi
@@ -163,7 +163,7 @@ class Traffic:
     stay: jax.Array  # time in bays [s]
     aggressiveness: jax.Array  # in [0, 1]
     attentive: jax.Array  # bool, looks before it drives
-    turn: jax.Array  # () int32, who plans next
+    turn: jax.Array  # () int32, the driver that plans next
     tracks: Tracks  # of the lot
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -124,14 +125,17 @@ def cardinalities(config: EnvConfig) -> tuple[int, ...]:
 
 
 def markdown_table(fields: Iterable[Field]) -> str:
-    """Fields as a markdown table; of repeated entities the first."""
+    """Fields as a markdown table; of repeated entities the first.
+
+    Neighbours that differ in nothing but their names share a row.
+    """
     rows = ["| field | size | range | meaning [unit] |", "|---|---|---|---|"]
-    rows += [
-        f"| `{field.name}` | {field.size} | {field.low:g} … {field.high:g} | "
-        f"{field.meaning} |"
-        for field in fields
-        if field.index == 0
-    ]
+    first = [field for field in fields if field.index == 0]
+    for row, alike in itertools.groupby(
+        first, lambda x: f"{x.size} | {x.low:g} … {x.high:g} | {x.meaning} |"
+    ):
+        names = ", ".join(f"`{field.name}`" for field in alike)
+        rows.append(f"| {names} | {row}")
     return "\n".join(rows)
 
 

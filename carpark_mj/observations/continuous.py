@@ -48,23 +48,22 @@ class ContinuousObservation(ObservationConfig):
     """Real numbers of order 1; `parts` lists them.
 
     Attributes:
-        tracked_agents: how many of the nearest other agents are observed, capped by
-            those in the lot.
-        tracked_parked_cars: how many of the nearest parked cars are observed, capped by
-            those in the lot.
-        share: what is observed of tracked agents in addition to their poses.
-        global_information: observe, for the goal or every tracked bay, the distances to
-            the nearest agent and to the nearest agent that has it as its goal.
+        tracked_agents: number of nearest other agents observed, at most all in the lot.
+        tracked_parked_cars: number of nearest parked cars observed, at most all in the
+            lot.
+        share: further properties of tracked agents that are observed.
+        global_information: observe, for the goal or each tracked bay, the distances to
+            the nearest agent and to the nearest agent with this goal.
         own_car: observe the own size, axles and turning radius; required if agents are
             drawn from a fleet.
-        own_response: observe how the own car answers: rate and lag of its steering, lag
-            and acceleration of its drive, brake, mass, driven axle and speed limits.
+        own_response: observe the own steering rate and lag, drive lag and acceleration,
+            brake, mass, driven axle and speed limits.
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.
         ultrasound: sensors in the bumpers and sides.
         route: observe the route along the lanes to the goal; fixed goals only.
-        tracked_movers: how many of the nearest movers, people among them, are observed.
+        tracked_movers: number of nearest movers observed, people included.
         encoding: name of the encoder; as a flag it chooses another.
     """
 
@@ -85,10 +84,10 @@ class ContinuousObservation(ObservationConfig):
     encoding: str = "continuous"
 
     def parts(self, env: EnvConfig) -> list[Part]:
-        """All that is observed, in order. An extension adds to it.
+        """All parts in order. An extension adds to them.
 
-        At least one slot each remains for other agents and for parked cars, so that a
-        set encoder has the same weights whatever their number.
+        Other agents and parked cars have at least one slot each, so that the weights of
+        a set encoder do not depend on their number.
         """
         num_bays = env.goals.num_tracked_bays if env.goals.dynamic else 0
         agents = min(self.tracked_agents, max(env.num_agents - 1, 1))
@@ -143,12 +142,12 @@ class ContinuousObservation(ObservationConfig):
 
     @property
     def circles(self) -> tuple[float, ...]:
-        """Those of the rings."""
+        """Diameters of the rings."""
         return self.rings.diameters
 
     @property
     def sees_own_car(self) -> bool:
-        """Whether agents with different cars can tell which they drive."""
+        """Whether agents observe the parameters of their own car."""
         return self.own_car
 
     @property

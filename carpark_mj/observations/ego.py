@@ -273,7 +273,7 @@ def choice_part(num_tracked_bays: int) -> Part:
 
 @functools.cache
 def bays_part(count: int, global_information: bool) -> Part:
-    """The tracked bays, with who is near them if there is global information."""
+    """The tracked bays, with the agents near them if there is global information."""
 
     def fill(sight: ObservationInput) -> dict[str, jax.Array]:
         layout, motion, bays = sight.layout, sight.motion, sight.tracked_bays

@@ -52,8 +52,8 @@ class Field:
             their speed limits.
         meaning: description of the numbers, with scale and unit.
         group: the repeated entity it describes, as `agent`, `parked_car` or `bay`; ""
-            if it describes none. All entities of a group have the same fields in the
-            same order, next to each other.
+            if it describes none. All entities of a group have equal fields in one
+            order, next to each other.
         index: which of the group, from 0.
         is_mask: whether it is 1 where the entity is present, and 0 where it is not.
         metres: scale of a length [m], whose range holds on the lot only; else 0.
@@ -62,8 +62,8 @@ class Field:
         is_yaw_rate: whether it is a yaw rate [rad/s], which a back end that turns cars
             can make larger.
         is_whole: whether its numbers are whole, from `low` to `high`.
-        reveals_goal: whether it tells an agent where its own goal is; goals that are
-            relabelled (`carpark_mj.wrappers.goal`) would contradict it.
+        reveals_goal: whether it depends on the agent's own goal, which relabelled goals
+            (`carpark_mj.wrappers.goal`) would contradict.
         shape: of the picture that its numbers are: views, height, width, or the last
             two. () = they are no picture.
         gamma: of a picture's bytes in dictionaries of observations: they are its share
@@ -103,7 +103,7 @@ def distance_field(name: str, meaning: str, reveals_goal: bool = False) -> Field
 
 def mask_field(entity: str) -> Field:
     """Whether an entity of a group is present."""
-    meaning = f"padding mask: 1 if the {entity} exists, else all its numbers are 0"
+    meaning = f"1 if the {entity} exists, else all its numbers are 0"
     return Field("present", 1, 0.0, 1.0, meaning, is_mask=True)
 
 
@@ -149,7 +149,13 @@ def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.A
 
 POSE_FIELDS = (
     position_field("position", "its centre, x and y"),
-    Field("near_position", 2, -1.0, 1.0, f"the same [{NEAR * 2:g} m], clipped"),
+    Field(
+        "near_position",
+        2,
+        -1.0,
+        1.0,
+        f"its centre, body frame [{NEAR * 2:g} m], clipped",
+    ),
     Field("heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
 )
 CAR_FIELDS = (
@@ -247,7 +253,7 @@ class ObservationConfig(CheckedConfig, abc.ABC):
 
     @property
     def sees_own_car(self) -> bool:
-        """Whether agents with different cars can tell which they drive."""
+        """Whether agents observe the parameters of their own car."""
         return False
 
     @property
@@ -257,7 +263,7 @@ class ObservationConfig(CheckedConfig, abc.ABC):
 
     @property
     def sees_everywhere(self) -> bool:
-        """Whether it tells how near all agents are to bays: global information."""
+        """Whether it has global information: how near all agents are to bays."""
         return False
 
     def tracks_agents(self, state: State) -> jax.Array | None:

@@ -276,7 +276,7 @@ def _ring_names(config: RingConfig) -> list[str]:
 
 
 ULTRASOUND = "ultrasound"  # name of the field
-_NOISE = 0x55535544  # tells its random numbers from the others of a lot's key
+_NOISE = 0x55535544  # separates its random numbers from others of a lot's key
 # Half lengths ahead, half widths to the left, and yaw of the axis [deg]: four in each
 # bumper and two on each side, as in a car that parks itself.
 _FRONT = ((1.0, 0.9, 40.0), (1.0, 0.35, 5.0), (1.0, -0.35, -5.0), (1.0, -0.9, -40.0))

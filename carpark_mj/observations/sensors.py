@@ -1,7 +1,7 @@
 """Sensors: the cars' motion as agents observe it, with drift, noise and delay.
 
 Events, rewards and metrics use the true motion. A measurement is made once a control
-step and is the same for all observers.
+step and equal for all observers.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from carpark_mj.types import Motion, Odometry, Reading, Sensors, State
 
 @dataclasses.dataclass(frozen=True)
 class SensorConfig(CheckedConfig):
-    """Errors of what agents observe of the cars' motion; none by default.
+    """Errors of the observed motion of cars; none by default.
 
     Attributes:
         position_noise: standard deviation of the white noise on x and y [m].
@@ -29,8 +29,8 @@ class SensorConfig(CheckedConfig):
         odometry_scale: standard deviation, over episodes, of the relative error of the
             distance that the wheels measure [m/m]. Where this or one of the next two
             is not 0, a car knows its pose by dead reckoning from its start.
-        odometry_veer: the same of the heading per distance [rad/m], positive left.
-        odometry_turn: the same of the heading per turn [rad/rad].
+        odometry_veer: standard deviation of the heading's error per distance [rad/m].
+        odometry_turn: standard deviation of the heading's error per turn [rad/rad].
     """
 
     position_noise: NonNegative = 0.0

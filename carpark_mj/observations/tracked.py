@@ -28,15 +28,15 @@ from carpark_mj.types import NO_BAY, ParkedCars
 
 @dataclasses.dataclass(frozen=True)
 class ShareConfig(CheckedConfig):
-    """What agents observe of the other agents they track, in addition to their poses.
+    """Observed properties of tracked agents in addition to their poses.
 
     Attributes:
         speeds: observe the speeds of tracked agents.
         goals: observe the goals of tracked agents: positions of fixed goals, and which
             of the observer's tracked bays a dynamic goal is.
         steering: observe the steering of tracked agents.
-        priority: observe which tracked agents have priority, those that come first in
-            the lot, so that two agents of one policy that meet can act differently.
+        priority: observe which tracked agents have a lower number in the lot, so that
+            two agents of one policy that meet can act differently.
     """
 
     speeds: bool = True
@@ -201,7 +201,7 @@ def movers_part(count: int) -> Part:
         pose, size, velocity, there, person, round_ = _table(groups)
         mask = jnp.broadcast_to(there, (own.xy.shape[0], *there.shape))
         index, present = nearest(own.xy, pose[:, :2], mask, count)
-        # Whoever stands without a heading is told as heading as the observer does.
+        # A mover that stands without a heading gets the observer's heading.
         still = (norm(velocity) < STANDS) & round_
         yaw = jnp.where(still[index], own.pose_w[:, None, 2], pose[index, 2])
         seen = jnp.concatenate([pose[index, :2], yaw[..., None]], axis=-1)

@@ -27,7 +27,7 @@ MAX_GAP = 2.0  # m, to people, of emergency braking
 
 @dataclasses.dataclass(frozen=True)
 class SimConfig(CheckedConfig):
-    """Time steps and ground of the physics, and what it adds to a car.
+    """Time steps, ground and actuators of the physics.
 
     Attributes:
         sim_dt: physics substep [s]; 0.01 for training, 0.005 as a reference. At most
@@ -47,11 +47,11 @@ class SimConfig(CheckedConfig):
         steering_delay: dead time of the steering [s], a multiple of `sim_dt`. By wire
             it is 0.24, and 0.1 of the acceleration (defaults of Autoware's
             `simple_planning_simulator`).
-        pedal_delay: the same of drive and brakes.
+        pedal_delay: dead time of drive and brakes [s], a multiple of `sim_dt`.
         creep: acceleration from rest of an automatic whose engine idles, no pedal
-            pressed [m/s^2]; 0 = none, about 0.4 in real cars (`docs/vehicle.md`).
+            pressed [m/s^2]; 0 = none, about 0.4 in real cars.
         emergency_brake: gap to people [m] that automatic emergency braking keeps ahead
-            of a car that moves; 0 = it has none. See `docs/people.md`.
+            of a car that moves; 0 = none.
     """
 
     sim_dt: Positive = 0.01
@@ -157,11 +157,11 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
     """A back end: a frozen dataclass of its settings, which builds it.
 
     The other attributes are its traits, for the task, observations, rewards, planner
-    and adapters. The defaults are those of a car that is simulated on its own.
+    and adapters. The defaults suit a car that is simulated on its own.
 
     Attributes:
-        back_end: its name in `PHYSICS`, a field that is the same in all configs of a
-            class; files tell the classes by it.
+        back_end: its name in `PHYSICS`, a field that is equal in all configs of a
+            class; files identify the class by it.
         continuous: number of controls in [-1, 1]; indices come after them, see
             `choices`. Where there are indices only, controls are int32.
         steers: whether it moves cars: the first two controls are steer and pedal, and

@@ -1,10 +1,17 @@
 """Automatic emergency braking for people, as cars have it (UN R152).
 
-A car brakes fully in a step if what its driver commands would bring it so near to a
-person that it could not stop before them afterwards. It reads true positions, as a
-perfect sensor would. The steering is held while it brakes, so that the car stays on
-the way that was looked at. It brakes for a danger that the car makes: who comes nearer
-to a car that stands or drives away does not matter.
+A car brakes fully in a step if obeying its driver would bring it so near to a person
+that it could not stop afterwards. True positions are read, as by a perfect sensor.
+
+The footprint is swept along the way that obeys the pedal for a step and then brakes
+fully, and along the gap, on three arcs between the present steering angle and that of
+the next step, the outer one a fifth less curved. Load, grip, slopes, `creep` and
+`pedal_delay` count. Where full brakes lock the wheels, the car slides on from the
+velocity of its centre, drifts down the slope, and keeps its heading or turns on. It
+brakes if a person, at present or where the velocity leads meanwhile, is within 0.15 m
+of the sweep, twice that in a slide, and nearer by a tenth than at present: approaches
+to a car that stands or drives away do not count. The steering is held while it brakes,
+so that the swept area stays valid.
 """
 
 import dataclasses

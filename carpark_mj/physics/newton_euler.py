@@ -1,11 +1,11 @@
 r"""Newton-Euler equations of the car, steering and wheel spin eliminated by hand.
 
 The equations equal MuJoCo's for the model of `carpark_mj.vehicle.mjcf`, term by term
-(derivation: docs/vehicle.md). Two properties shorten them: knuckles and wheels are
-balanced about their hinges, so the common centre of mass c is fixed in the body; and a
-wheel is symmetric about its axle, so its angle does not enter. With the body's angular
-velocity w and acceleration a, a front corner's steering angle d, and for each wheel the
-axle n, the spin p and its momentum H = I_s (p + n.w):
+(docs/physics/equations.md derives them). Two properties shorten them: knuckles and
+wheels are balanced about their hinges, so the common centre of mass c is fixed in the
+body; and a wheel is symmetric about its axle, so its angle does not enter. With the
+body's angular velocity w and acceleration a, a front corner's steering angle d, and for
+each wheel the axle n, the spin p and its momentum H = I_s (p + n.w):
 
     wheel     dH/dt = spin torque
     corner    A_z (a_z + d'') + gyro_z = aligning + servo - friction d' - armature d''

@@ -44,7 +44,7 @@ class Answer(NamedTuple):
     """What is possible in a lot.
 
     Attributes:
-        drives: of every agent; who does not park stands at its start or aside.
+        drives: of every agent; one that does not park stands at its start or aside.
         parks: (agents,) bool, whether the drive ends in the goal.
         alone: (agents,) bool, whether there is a path in a lot without other agents.
     """
@@ -79,7 +79,7 @@ class _Turns(NamedTuple):
         back: the poses of each from there to its start.
         drives: of each.
         moves: how often each has moved aside.
-        parks: (agents,) bool, who has parked.
+        parks: (agents,) bool, which have parked.
     """
 
     standing: list[np.ndarray]
@@ -124,7 +124,7 @@ class _Lot:
                 break
             if attempt % 2:
                 order, breadth = list(self._numbers.permutation(len(order))), BREADTH
-            else:  # who comes too late goes first
+            else:  # late agents go first
                 order, breadth = sorted(order, key=lambda k: not late[k]), 1
         return max(answers, key=lambda answer: answer[:2])[2]
 
@@ -296,7 +296,7 @@ Cell = tuple[int, int]
 
 
 def impossible(sights: Sequence[Sight]) -> np.ndarray:
-    """(agents,) bool, who cannot reach the goal alone, or only if another does not.
+    """(agents,) bool, which cannot reach the goal alone, or only if another does not.
 
     Args:
         sights: what the agents of a lot see.

@@ -128,7 +128,7 @@ def _poses_in_bay(goal: np.ndarray) -> np.ndarray:
 
 
 def _wrap(yaw: float) -> float:
-    """The same direction in [-pi, pi): OMPL leaves out states beyond its bounds."""
+    """The direction in [-pi, pi): OMPL leaves out states beyond its bounds."""
     yaw = math.remainder(yaw, 2 * math.pi)
     return -math.pi if yaw == math.pi else yaw
 

@@ -33,7 +33,6 @@ from carpark_mj.policy.outside import INPUTS, PlainInput, Rows, sight_of
 OUTPUT = "action"
 METADATA = "carpark_mj"  # key of a car model's metadata, as JSON
 NUDGES = 4
-MISSING = 'ONNX export needs onnx and onnxruntime: pip install "carpark_mj[export]"'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +50,7 @@ class OnnxInput:
 
     @property
     def meaning(self) -> str:
-        """Range and meaning, as in docs/mdp.md."""
+        """Range and meaning of the first."""
         first = self.fields[0]
         return f"{first.low:g} … {first.high:g}: {first.meaning}"
 
@@ -99,7 +98,7 @@ def join_inputs(config: EnvConfig, *arrays: jax.Array) -> jax.Array:
 def require_onnx() -> None:
     """Raises OSError unless the packages of the extra `export` are installed."""
     if not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
-        raise OSError(MISSING)
+        raise OSError('ONNX export needs the extra: pip install "carpark_mj[export]"')
 
 
 def make_model(loaded: LoadedPolicy) -> Any:
@@ -136,7 +135,7 @@ def make_model(loaded: LoadedPolicy) -> Any:
 
 
 def describe_action(spec: ActionSpec) -> str:
-    """Meaning of the numbers of an action, see docs/mdp.md."""
+    """Meaning of the numbers of an action."""
     parts = ["steer and pedal in [-1, 1]"] if spec.continuous else []
     parts += [f"an index below {count}" for count in spec.choices]
     return ", ".join(parts)
@@ -332,7 +331,7 @@ def sensitivity(
 
 
 def inputs_of(model: Any) -> list[PlainInput]:
-    """Those of `INPUTS` that a model takes, in order."""
+    """Entries of `INPUTS` that a model takes, in order."""
     names = {value.name for value in model.graph.input}
     return [entry for entry in INPUTS if entry.name in names]
 

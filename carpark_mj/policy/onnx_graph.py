@@ -75,7 +75,7 @@ class Graph:
         return self.elementwise("Cast", dtype, value, to=to)
 
     def reshape(self, value: Value, shape: Sequence[int]) -> Value:
-        """The same numbers in another shape."""
+        """The numbers in another shape."""
         if isinstance(value, np.ndarray):
             return value.reshape(shape)
         before = self._reshaped.get(value.name, value)

@@ -1,6 +1,5 @@
-"""Pages for browsers on this machine: where they are served, who may use them."""
+"""Pages for browsers on this machine: addresses and access."""
 
-import importlib.util
 import re
 from collections.abc import Sequence
 from typing import Annotated
@@ -12,14 +11,7 @@ NO_FRAMES = "frame-ancestors 'none'"
 HOST, PORT = "localhost", 8080
 # Bounded: viser would silently choose another one.
 Port = Annotated[int, Bounds(ge=1, le=65_535)]
-MISSING_WEB = 'the browser view needs mjviser: pip install "carpark_mj[web]"'
 LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
-
-
-def require_web() -> None:
-    """Raises OSError unless the browser view is installed."""
-    if importlib.util.find_spec("mjviser") is None:
-        raise OSError(MISSING_WEB)
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | None:
@@ -27,7 +19,7 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | 
 
     Any page open in the same browser can send requests here. A page cannot choose the
     headers `Host`, the name of the requested server, and `Origin`, its own site.
-    `reads` tells whether the request is for a file and changes nothing.
+    `reads` is whether the request is for a file and changes nothing.
     """
     if len(hosts) != 1 or not LOCAL.fullmatch(hosts[0]):
         return f"Host must be that of this machine, localhost, not {', '.join(hosts)}"

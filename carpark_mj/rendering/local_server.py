@@ -21,8 +21,8 @@ LOG = logging.getLogger(__name__)
 class LocalServer(viser.ViserServer):
     """A server that answers its own page and refuses pages of other sites.
 
-    viser does not check who sends requests (`local_pages.refusal`), and opens a tunnel
-    to the internet on request.
+    viser does not check the senders of requests (`local_pages.refusal`), and opens a
+    tunnel to the internet on request.
     """
 
     def __init__(self, host: str, port: int, label: str) -> None:

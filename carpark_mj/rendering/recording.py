@@ -72,8 +72,8 @@ def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
 def parked_trace(before: State, after: State, motion: Motion) -> jax.Array:
     """Poses (k, num_parked_cars, 3) of parked cars at the k traced instants of a step.
 
-    Physics tells where pushed cars are at its end; until then they are on a straight
-    line. A car that is relocated at the end stays where it was.
+    Physics has pushed cars at its end; until then they are on a straight line.
+    A car that is relocated at the end stays where it was.
     """
     start, end = before.parked_cars, after.parked_cars
     push = end.pose_w - start.pose_w
@@ -124,10 +124,10 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
         chunks.append(jax.device_get(frames))
     frames = jax.tree.map(lambda *xs: np.concatenate(xs)[:num_steps], *chunks)
     movers = frames.pop("movers")
-    # A lot keeps its parked cars: who is absent at the start never comes.
+    # A lot keeps its parked cars: an absent one never comes.
     here = np.asarray(state.parked_cars.present)
     frames["parked_pose"] = frames["parked_pose"][:, :, here]
-    # The same of the agents, but for those that wait.
+    # So do agents, except waiting ones.
     mine = np.flatnonzero(state.takes_part)
     own = {"pose_w": np.s_[:, :, mine], "parked_pose": np.s_[:]}
     frames = {n: x[own.get(n, np.s_[:, mine])] for n, x in frames.items()}

@@ -288,7 +288,7 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
             quality=None,  # pyright: ignore[reportArgumentType]
             output_params=["-crf", "23", "-preset", "veryfast"],
             macro_block_size=2,
-            ffmpeg_log_level="quiet",  # errors are told below
+            ffmpeg_log_level="quiet",  # errors are reported below
         )
         writer.send(None)
         try:
@@ -318,14 +318,14 @@ def _num_encoded(path: Path) -> int:
 
     program = imageio_ffmpeg.get_ffmpeg_exe()
     copy = ("-map", "0:v:0", "-c", "copy", "-f", "null", "-")
-    told = subprocess.run(
+    copied = subprocess.run(
         [program, "-nostdin", "-i", str(path), *copy],
         capture_output=True,
         text=True,
         errors="replace",
         check=False,
     )
-    counts = re.findall(r"frame= *(\d+)", told.stderr)
+    counts = re.findall(r"frame= *(\d+)", copied.stderr)
     return int(counts[-1]) if counts else 0
 
 

@@ -135,7 +135,7 @@ class LiveLot:
             goal_pose=self.goal_pose,
             goal_size=self.goal_size,
             parked_pose=parked_pose,
-            active=np.abs(pose_w[:, 0]) < AWAY / 2,  # who waits for room is absent
+            active=np.abs(pose_w[:, 0]) < AWAY / 2,  # waiting agents are absent
             state=("",) * len(pose_w),
             tally=dict(self.tally()),
             kind=kind,

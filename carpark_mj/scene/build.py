@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from carpark_mj.config.checks import counted
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.scene import cameras, looks, markings, parts
@@ -203,7 +204,7 @@ def scene_xml(
     agents = sum(body.name.startswith("agent") for body in spec.worldbody.bodies)
     guide = _GUIDE.format(
         place=place,
-        agents="1 car" if agents == 1 else f"{agents} cars",
+        agents=counted(agents, "car"),
         rate=params.steering_rate,
         reverse=-params.max_reverse_speed / params.max_speed,
         speed=params.max_speed,

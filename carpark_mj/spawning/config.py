@@ -24,14 +24,14 @@ RelocationRule = Literal["furthest", "random", "any"]
 
 @dataclasses.dataclass(frozen=True)
 class SpawnConfig(CheckedConfig):
-    """Where agents start an episode, and which parked car moves when one has parked.
+    """Start poses of agents, and the parked car that moves when an agent has parked.
 
     Attributes:
         close_ratio: share of spawns next to the goal.
         close_distance: longest walk of a close spawn from the point nearest to the goal
             [m].
-        conflict_ratio: share of spawns in conflict with another agent: on course for a
-            collision with it, or with its goal where goals are dynamic.
+        conflict_ratio: share of spawns in conflict with another agent: on a collision
+            course, or with its goal where goals are dynamic.
         conflict_distance: on a collision course, shortest distance of the other agent
             to its goal, and from the meeting point to that goal [m].
         reverse_ratio: share of spawns on a collision-free path sampled backwards from
@@ -47,11 +47,10 @@ class SpawnConfig(CheckedConfig):
             `min_distance`.
         spacing: spacing of the grid of start positions [m], centred in a spawn region
             and including its edges; 0 = anywhere.
-        relocation: which parked car moves into a bay where an agent has parked: the one
-            `furthest` from all agents, a `random` one that no agent tracks, or `any`, a
-            random one that agents may track.
+        relocation: the parked car that moves into a bay where an agent has parked:
+            `furthest` from all agents, a `random` one that no agent tracks, or `any`.
         kinds_at_reset: with dynamic goals, whether the first starts in a lot are of all
-            kinds; otherwise they are random. With fixed goals they are of all kinds.
+            kinds instead of random. With fixed goals they are always of all kinds.
     """
 
     close_ratio: Ratio = 0.2
@@ -95,9 +94,9 @@ class FleetConfig(CheckedConfig):
 
     Attributes:
         agents: presets of the agents, drawn at every spawn, each equally often.
-        parked_cars: the same of the parked cars, drawn when the lot is reset.
-        snug: share of the agents' cars that are likelier the less room the bays leave
-            them; the others are equally likely, and mostly small cars in large bays.
+        parked_cars: presets of the parked cars, drawn when the lot is reset.
+        snug: share of the agents' cars that are likelier the less room the bays leave;
+            the others are equally likely, which means mostly small cars in large bays.
     """
 
     agents: tuple[str, ...] = ()
@@ -158,7 +157,7 @@ ADDED = ("steering_offset", "steering_lag")  # to the nominal value, which may b
 
 @dataclasses.dataclass(frozen=True)
 class RandomizationConfig(CheckedConfig):
-    """Ranges of what differs between cars, drawn at every spawn; nothing by default.
+    """Ranges of the cars' parameters, drawn at every spawn; none by default.
 
     In `bicycle` physics only `mass`, `brake_gain` and what is added to the steering
     have an effect; `highway` and the grid refuse all.

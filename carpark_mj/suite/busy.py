@@ -2,7 +2,17 @@
 
 The 1,000 held-out cases are of five groups in turn, in an aisle between two rows of
 perpendicular bays. The package stores them in whole millimetres, 1e-4 rad, mm/s and ms.
-`write` draws the same bytes again.
+`write` draws equal bytes again.
+
+- `crossing`: a person at 0.9 to 1.7 m/s from one row into the other, in the way of a
+  car at 2 m/s as it comes, or up to 2.5 m before.
+- `dart_out`: a child at 2 to 3 m/s from the gap between two parked cars, up to 2 m
+  before.
+- `backing_out`: a car that reverses out of its bay by 2.5 m or more when a car is 6 to
+  11 m away, stands 1 to 4 s and drives back in.
+- `cart`: a cart that rolls askew into the aisle at 0.8 to 1.8 m/s, slows down by 0.1 to
+  0.3 m/s² and stays.
+- `crowded_aisle`: twelve pedestrians, none within 4 m at first.
 
 Movers on a script set out when a car comes near, whatever that car does. They go
 straight, and back if they return. Like pedestrians they never step into the stopping
@@ -303,7 +313,7 @@ def draw_case(number: int) -> dict[str, list[float]]:
     }
 
     def meet(depth: float) -> float:
-        """How far off a car is that comes at `PACE` as somebody reaches its way."""
+        """Distance of a car at `PACE` as a person reaches its way."""
         way = abs(edge + side * depth - pose[1])
         return TPCAP_CAR.length / 2 + PACE * way / script["speed"]
 

@@ -20,6 +20,7 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from carpark_mj.config.checks import counted
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before anything imports MuJoCo; jobs import this module first
@@ -71,7 +72,7 @@ def run_folder(sweep: Path, run: Run) -> Path:
 
 
 def open_sweep(folder: Path, plan: Plan, stochastic: bool) -> None:
-    """Makes the folder of a sweep, or checks that it holds runs of the same kind."""
+    """Makes the folder of a sweep, or checks that its runs fit."""
     definition = {**plan.definition, "stochastic": stochastic}
     path = folder / "sweep.json"
     if not path.exists():
@@ -161,7 +162,7 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) ->
         else:
             report(by_folder[folder], "done", "")
 
-    # Side by side they go on from the same checkpoint: a kill between two checkpoints
+    # Side by side they go on from one checkpoint: a kill between two checkpoints
     # leaves runs of a group with different ones.
     parts: dict[str, list[PPOConfig]] = {}
     for folder, run in by_folder.items():
@@ -259,7 +260,7 @@ def run_sweep(
     left = [run for run in runs if read_outcome(folder, run).status != "done"]
     say = Console(highlight=False, soft_wrap=True, markup=False).print
     done = len(runs) - len(left)
-    say(f"{folder}: {len(runs)} runs, {done} of them done")
+    say(f"{folder}: {counted(len(runs), 'run')}, {done} done")
     for run in left:
         write_outcome(folder, run, Outcome("waiting"))
     write_table(folder, runs)

@@ -121,7 +121,7 @@ class Run:
     name: str  # of its folder, made of what differs between runs
     base: str  # preset
     settings: tuple[tuple[str, str], ...]  # dotted names and values, of all axes
-    swept: tuple[str, ...]  # those of them that differ between runs
+    swept: tuple[str, ...]  # settings that differ between runs
     seed: int  # random seed
 
 
@@ -136,7 +136,7 @@ def runs(plan: Plan) -> Iterator[Run]:
         }
         for seed in range(plan.seed, plan.seed + plan.repeats):
             parts = {field.rpartition(".")[2]: settings[field] for field in swept}
-            if len(parts) < len(swept):  # two settings of the same last name
+            if len(parts) < len(swept):  # two settings with one last name
                 parts = {field: settings[field] for field in swept}
             words = [f"{key}={quote(value, safe='+,')}" for key, value in parts.items()]
             name = ",".join([*words, f"seed={seed}"])

@@ -14,7 +14,7 @@ import dataclasses
 import importlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from carpark_mj.cli.process import configure_jax, naming_extras
 from carpark_mj.rendering.gl import choose_gl
@@ -80,6 +80,9 @@ class Run:
         return load_policy(self.folder)
 
 
+AnyRun: TypeAlias = "Run | LoadedPolicy | str | Path"
+
+
 def train(config: "PPOConfig", callback: Callback | None = None) -> Run:
     """Trains a run, or continues `config.resume`.
 
@@ -109,28 +112,29 @@ def train(config: "PPOConfig", callback: Callback | None = None) -> Run:
     return Run(folder, outcome)
 
 
-def evaluate(run: Run, **settings: Any) -> "Evaluation":
-    """Evaluates a run on held-out seeds; prints the table and writes the files.
+def evaluate(run: AnyRun, **settings: Any) -> "Evaluation":
+    """Evaluates a policy on held-out seeds; prints the table and writes the files.
 
     Args:
-        run: to evaluate.
+        run: a `Run`, a run's folder or checkpoint, a loaded policy, or the name of a
+            policy: a pretrained one, `zero`, `random` or `planner`.
         **settings: of `carpark_mj.cli.evaluate.EvaluateConfig`.
 
     Raises:
         CheckpointError: the run cannot be read.
         ValueError: impossible settings.
+        ImportError: the packages of the extra `eval` are missing.
     """
     with naming_extras():
         from carpark_mj.cli.evaluate import EvaluateConfig, main
-        from carpark_mj.training.run_folder import argument
-    return main(EvaluateConfig(argument(run.folder), **settings))
+    return main(EvaluateConfig(_argument(run), **settings))
 
 
-def render(run: Run, out: str | Path, **settings: Any) -> Path:
-    """Renders a run's episodes to an `.mp4`, a `.gif`, or a `.png` of one moment.
+def render(run: AnyRun, out: str | Path, **settings: Any) -> Path:
+    """Renders a policy's episodes to an `.mp4`, a `.gif`, or a `.png` of one moment.
 
     Args:
-        run: to render.
+        run: what drives, as `evaluate` takes it.
         out: file to write.
         **settings: of `carpark_mj.cli.render.RenderConfig`.
 
@@ -138,8 +142,25 @@ def render(run: Run, out: str | Path, **settings: Any) -> Path:
         CheckpointError: the run cannot be read.
         RenderingError: OpenGL does not work here.
         ValueError: impossible settings.
+        ImportError: the packages of the extra `eval` are missing.
     """
     with naming_extras():
         from carpark_mj.cli.render import RenderConfig, main
-        from carpark_mj.training.run_folder import argument
-    return main(RenderConfig(argument(run.folder), out=str(out), **settings))
+    return main(RenderConfig(_argument(run), out=str(out), **settings))
+
+
+def _argument(run: AnyRun) -> str:
+    """What drives, as an argument of a command."""
+    if isinstance(run, str):
+        return run
+    from carpark_mj.policy.loading import LoadedPolicy, load_policy
+    from carpark_mj.training.run_folder import argument
+
+    if isinstance(run, LoadedPolicy):
+        if load_policy(run.path).env != run.env:
+            raise ValueError(
+                f"{run.path} was loaded with another environment: pass the path, and "
+                "what differs as settings"
+            )
+        return argument(run.path)
+    return argument(run.folder if isinstance(run, Run) else Path(run))

@@ -18,11 +18,13 @@ from jax.errors import JaxRuntimeError
 from carpark_mj.cli.process import USER_ERRORS
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive, require_seed
+from carpark_mj.extensions import table, unknown_name
 from carpark_mj.files import is_temporary, remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError, refused_as
-from carpark_mj.reading import read_object
+from carpark_mj.reading import parse_yaml, read_object, read_text
 from carpark_mj.training.hosts import take_flags
+from carpark_mj.training.loggers import logger_names
 
 LOCK = ".lock"
 MAX_SEEDS = 1024
@@ -41,6 +43,8 @@ class RunConfig(CheckedConfig):
         time_limit: time after which to save a checkpoint and stop [min]; 0 = no limit.
         seed: random seed.
         checkpoint_minutes: time between checkpoints [min].
+        logger: where metrics, settings and the video go besides the folder:
+            tensorboard, wandb, mlflow or a registered one; several with commas.
     """
 
     preset: str = ""
@@ -50,6 +54,7 @@ class RunConfig(CheckedConfig):
     time_limit: NonNegative = 0.0
     seed: int = 0
     checkpoint_minutes: Positive = 1.0
+    logger: str = "tensorboard"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,9 +85,11 @@ def open_run(config: RunConfig) -> Generator[Path]:
     name is free again.
 
     Raises:
-        ValueError: the given name is taken, or another process trains in the folder.
+        ValueError: the given name is taken, another process trains in the folder, or
+            an unknown logger.
         OSError: the folder cannot be written.
     """
+    logger_names(config.logger)  # refused before there is a folder
     folder = Path(config.resume) if config.resume else _new_folder(config)
     with (folder / LOCK).open("a") as lock:  # the lock of a killed process is released
         try:
@@ -207,7 +214,7 @@ def read_settings(
     short: Sequence[str],
     summaries: Mapping[str, str],
 ) -> Config:
-    """Reads the flags of a trainer.
+    """Reads the flags of a trainer, `--config FILE` among them.
 
     Args:
         default: preset taken if the flag `preset` names none of the presets.
@@ -225,11 +232,14 @@ def read_settings(
     from carpark_mj.cli.flags import read_flags  # tyro is of an extra
 
     arguments = sys.argv[1:] if arguments is None else arguments
-    # The preset is read first: settings may be valid only on top of the one named.
+    # These are read first: settings may be valid only on top of them.
+    file, arguments = take_flags(arguments, config={"default": ""})
     name = named(arguments, "preset")
     preset = default
     if name in presets:
         preset = presets[name]
+    if file["config"]:
+        preset = _read_file(Path(file["config"]), preset, presets, name)
     text = f"{description or ''}\nPresets:\n{_preset_table(presets, summaries)}\n"
     config = read_flags(type(default), arguments, preset, text, short)
     if config.preset not in ("", "auto", *presets):
@@ -243,6 +253,7 @@ def read_settings(
     if not config.resume:
         raise ValueError("resume must name the folder of a run, not ''")
     changed = [flag for flag in flags if flag not in (*RESUME_FLAGS, "--preset")]
+    changed += ["--config"] * bool(file["config"])
     kept = config if changed else read_config(type(default), Path(config.resume))
     if name not in ("", kept.preset):
         changed.append("--preset")
@@ -261,19 +272,51 @@ def named(arguments: Sequence[str], setting: str) -> str:
 
 def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> str:
     """A line per preset with its task."""
-    width = max(map(len, presets))
-    lines: list[str] = []
+    from carpark_mj.cli.listing import describe_environment
+
+    lines: dict[str, str] = {}
     for name, config in presets.items():
         env: EnvConfig | None = getattr(config, "env", None)  # None: no car park
-        task = ""
-        if env is not None:
-            goals = "dynamic" if env.goals.dynamic else "fixed"
-            task = (
-                f": {env.num_agents} {'agent' if env.num_agents == 1 else 'agents'}, "
-                f"{goals} goals, {env.layout} lot, {env.physics} physics"
-            )
-        lines.append(f"    {name:{width}}  {summaries[name]}{task}")
-    return "\n".join(lines)
+        task = f": {describe_environment(env)}" if env else ""
+        lines[name] = f"{summaries[name]}{task}"
+    return table(lines, indent=4)
+
+
+def _read_file(
+    path: Path, default: Config, presets: Mapping[str, Config], named: str
+) -> Config:
+    """The settings of a file: the `config.json` of a run, or some in YAML.
+
+    The others are of the preset `named` on the command line, or of its own.
+    """
+    from carpark_mj.cli.flags import as_flags, read_flags
+
+    if path.name == "config.json":
+        if named:
+            raise ValueError(f"{path} holds all settings of a run: drop --preset")
+        kept = read_config(type(default), path.parent)
+        return dataclasses.replace(kept, name="", resume="")
+    found = dict(_words(parse_yaml(read_text(path), str(path))))
+    name = found.pop("preset", "")
+    try:
+        if name and not named and name not in presets:
+            raise ValueError(unknown_name("preset", name, presets))
+        if "resume" in found:
+            raise ValueError("resume is a flag: a resumed run has its own settings")
+        base = presets[name] if name and not named else default
+        return read_flags(type(base), as_flags(found, base), base)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _words(settings: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Nested settings as words of a command line, each with its dotted name."""
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _words(value, f"{prefix}{key}.")
+        else:
+            parts = value if isinstance(value, list) else [value]
+            yield f"{prefix}{key}", " ".join(map(str, parts))
 
 
 def read_runs(

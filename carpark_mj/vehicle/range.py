@@ -79,7 +79,7 @@ def fleet_cars(names: Iterable[str]) -> tuple[tuple[str, VehicleParameters], ...
 
 @functools.cache
 def cars_in_range(number: int) -> tuple[VehicleParameters, ...]:
-    """Cars that cover the range evenly, always the same for a number.
+    """Cars that cover the range evenly, fixed for a number.
 
     Raises:
         ValueError: a number that is not within [1, `MAX_CARS`].

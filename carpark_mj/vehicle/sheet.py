@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from carpark_mj.config.checks import is_finite
-from carpark_mj.reading import parse_object, read_text
+from carpark_mj.reading import parse_object, parse_yaml, read_text
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import (
     LENGTHS,
@@ -417,7 +417,7 @@ def read_sheet(path: str) -> tuple[str, Sheet]:
         text = read_text(Path(path))
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    parse = parse_object if suffix == "json" else _parse_yaml
+    parse = parse_object if suffix == "json" else parse_yaml
     return _named(parse(text, path), path, Path(path).stem)
 
 
@@ -451,17 +451,3 @@ def _named(found: dict[str, Any], what: str, default: str) -> tuple[str, Sheet]:
         return name, car_of_sheet(found)
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from None
-
-
-def _parse_yaml(text: str, what: str) -> dict[str, Any]:
-    """Parses the YAML mapping of a file."""
-    import yaml  # only for such files; Flax brings it
-
-    try:
-        found = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        told = " ".join(str(error).split())
-        raise ValueError(f"{what}: not YAML ({told})") from None
-    if not isinstance(found, dict):
-        raise ValueError(f"{what} must have lines as 'length: 4.28', not {text[:40]!r}")
-    return found

@@ -25,7 +25,11 @@ from carpark_mj.rendering.gl import missing_display
 from carpark_mj.rendering.recording import Snapshot, snapshot_of
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.scene.camera_flags import camera_names
+from carpark_mj.scene.camera_flags import (
+    OFFSCREEN_HEIGHT,
+    OFFSCREEN_WIDTH,
+    camera_names,
+)
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
@@ -49,7 +53,7 @@ class Batch:
     def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
         """Takes an environment; it is compiled by the first calls.
 
-        `restart` tells whether a lot resets when all its agents have finished.
+        `restart` is whether a lot resets when all its agents have finished.
         """
         require_count("num_lots", num_lots, 1)
         self.env: Any = env  # adapters know of which kind
@@ -307,7 +311,11 @@ class Screen:
     """Shows lots of one environment; lots that look alike share a scene."""
 
     def __init__(
-        self, env: Any, camera: str = "topdown", num_cars: int | None = None
+        self,
+        env: Any,
+        camera: str = "topdown",
+        num_cars: int | None = None,
+        size: tuple[int, int] = SIZE,
     ) -> None:
         """Opens nothing yet.
 
@@ -315,9 +323,12 @@ class Screen:
             env: a `ParkingEnv`, or what a subclass draws.
             camera: see `carpark_mj.scene.camera_flags.camera_names`.
             num_cars: number of cars that cameras can follow; None = the agents.
+            size: width and height of pictures [pixels].
         """
+        require_count("width", size[0], 2, OFFSCREEN_WIDTH)
+        require_count("height", size[1], 2, OFFSCREEN_HEIGHT)
         camera_names(camera, env.num_agents if num_cars is None else num_cars)
-        self._env, self._camera = env, camera
+        self._env, self._camera, self._size = env, camera, size
         self._open_nothing()
 
     def _open_nothing(self) -> None:
@@ -328,7 +339,7 @@ class Screen:
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies open their own windows and renderers."""
-        return {"_env": self._env, "_camera": self._camera}
+        return {name: vars(self)[name] for name in ("_env", "_camera", "_size")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -341,7 +352,7 @@ class Screen:
         """Draws a lot of a batch, (height, width, 3) uint8; it needs OpenGL."""
         stage, seen = self._place(state, lot)
         if self._renderer is None:
-            self._renderer = LotRenderer(stage, self._camera, SIZE)
+            self._renderer = LotRenderer(stage, self._camera, self._size)
         self._renderer.show_lot(stage)
         draw, cameras = self._renderer.draw, self._renderer.cameras
         return np.concatenate([draw(seen, name) for name in cameras], axis=1)

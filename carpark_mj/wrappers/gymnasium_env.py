@@ -20,6 +20,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import (
     RENDER_MODES,
+    SIZE,
     NumpyBatch,
     Screen,
     Seeds,
@@ -65,11 +66,15 @@ class Parking:
         return observation_space(env.config)
 
     def _open(
-        self, env: ParkingEnv, render_mode: str | None, camera: str
+        self,
+        env: ParkingEnv,
+        render_mode: str | None,
+        camera: str,
+        size: tuple[int, int],
     ) -> dict[str, Any]:
         """Sets what draws; returns the metadata."""
         self.render_mode = render_mode
-        self._screen = Screen(share(ParkingEnv, env.config), camera)
+        self._screen = Screen(share(ParkingEnv, env.config), camera, size=size)
         metadata: Any = type(self).metadata  # pyright: ignore[reportAttributeAccessIssue]
         return {**metadata, "render_fps": round(1.0 / env.config.sim.ctrl_dt)}
 
@@ -77,11 +82,11 @@ class Parking:
 class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """One agent parks: `carpark_mj/Park-v0`.
 
-    - observation: (size,) float32, the fields of `docs/mdp.md`; with cameras a
-      dictionary, see `carpark_mj.observations.unpack`.
+    - observation: (size,) float32, the fields of `carpark_mj.observations.make_fields`;
+      with cameras a dictionary, see `carpark_mj.observations.unpack`.
     - action: (2,) float32, steer and pedal in [-1, 1]; numbers out of range are
       clipped. On the grid: indices of an acceleration and a turn.
-    - reward: the sum of the terms of `docs/mdp.md`.
+    - reward: the sum of the terms of `RewardConfig`.
     - end: terminated when parked or crashed, truncated when out of time; then `reset`
       draws the next lot.
     - info: `is_success` (parked) and `crashed`.
@@ -93,6 +98,8 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         self,
         render_mode: str | None = None,
         camera: str = "topdown",
+        width: int = SIZE[0],
+        height: int = SIZE[1],
         **options: Unpack[Options],
     ) -> None:
         """Makes the environment; it is compiled by the first reset and step.
@@ -100,6 +107,8 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         Args:
             render_mode: None, `human` or `rgb_array`.
             camera: of pictures, see `carpark_mj.scene.camera_flags.camera_names`.
+            width: of pictures [pixels].
+            height: of pictures [pixels].
             **options: see `Options`; there is always one agent.
 
         Raises:
@@ -111,7 +120,7 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
             options["max_episode_steps"] = steps
         env = self._make(options)
         self._batch = NumpyBatch(env, 1, restart=False)
-        self.metadata = self._open(env, render_mode, camera)
+        self.metadata = self._open(env, render_mode, camera, (width, height))
         self.observation_space = self._space(env)
         self.action_space = array_action_space(env.action_spec)
         self._running = False
@@ -219,6 +228,8 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         num_envs: int = 1,
         render_mode: str | None = None,
         camera: str = "topdown",
+        width: int = SIZE[0],
+        height: int = SIZE[1],
         **options: Unpack[Options],
     ) -> None:
         """Makes environments; see `ParkEnv`. The render mode is None or `rgb_array`."""
@@ -232,7 +243,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
             )
         self._batch = NumpyBatch(env, num_envs // env.num_agents)
         self.num_envs = num_envs
-        self.metadata = self._open(env, render_mode, camera)
+        self.metadata = self._open(env, render_mode, camera, (width, height))
         self.single_observation_space = self._space(env)
         self.single_action_space = array_action_space(env.action_spec)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

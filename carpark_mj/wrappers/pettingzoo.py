@@ -14,6 +14,7 @@ from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.wrappers.batch import (
     RENDER_MODES,
+    SIZE,
     NumpyBatch,
     Screen,
     require_render_mode,
@@ -38,7 +39,11 @@ Results = tuple[
 
 
 def parallel_env(
-    render_mode: str | None = None, camera: str = "topdown", **options: Unpack[Options]
+    render_mode: str | None = None,
+    camera: str = "topdown",
+    width: int = SIZE[0],
+    height: int = SIZE[1],
+    **options: Unpack[Options],
 ) -> "AgentsParallelEnv":
     """A lot with several agents, each with one episode.
 
@@ -49,6 +54,8 @@ def parallel_env(
     Args:
         render_mode: `rgb_array`, `human` (a window, drawn at every step) or None.
         camera: of `render`; `topdown`, `overview`, `chase:K`, `driver:K`, `split:K`.
+        width: of pictures [pixels].
+        height: of pictures [pixels].
         **options: see `carpark_mj.wrappers.options.Options`.
 
     Raises:
@@ -58,7 +65,7 @@ def parallel_env(
     config = configure(options)
     env = share(JointEnv, config)
     fps = 1 / config.sim.ctrl_dt
-    screen = Screen(env, camera)
+    screen = Screen(env, camera, size=(width, height))
     return AgentsParallelEnv(env, observation_space(config), screen, render_mode, fps)
 
 
@@ -103,7 +110,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         self.state_space = spaces.Box(low, high, dtype=box.dtype)
 
     def observation_space(self, agent: str) -> spaces.Box | spaces.Dict:
-        """The vector (observation_size,) float32 of `docs/mdp.md`, or with pictures."""
+        """The vector (observation_size,) float32, or with pictures a dictionary."""
         return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:

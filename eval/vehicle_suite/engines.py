@@ -60,7 +60,7 @@ def wander(params: VehicleParameters, side: float = 1.0) -> Run:
 
 
 def in_float64(bed: Testbed) -> Testbed:
-    """The same in float64, which C MuJoCo computes in anyway."""
+    """The run in float64, the precision of C MuJoCo."""
     return BrushTestbed(x64=True) if isinstance(bed, BrushTestbed) else bed
 
 

@@ -35,10 +35,10 @@ LOG_DT = 0.02  # s
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """A drive to record: the true parameters of a car, and the car in all else.
+    """A drive to record: true parameters of a car, which otherwise equals a preset.
 
     The seed is of the driver's amplitudes and the noise. The kinds `stops` and
-    `rolling` are those of `drive_single_track`.
+    `rolling` belong to `drive_single_track`.
     """
 
     true: Sought

@@ -168,17 +168,19 @@ def markdown(rows: Sequence[Row]) -> str:
     )
 
 
-def excerpt(report: Path) -> str:
-    """Rows of the compact car in a `report.csv` as markdown: those of `excerpt.txt`."""
+def excerpt(report: Path, preset: str = SHOWN) -> str:
+    """Rows of `excerpt.txt` of one preset in a `report.csv`, as markdown."""
     found = {
         (row["row"], row["tyres"]): row
         for row in read_table(report)
-        if row["preset"] == "compact"
+        if row["preset"] == preset
     }
     lines = []
     for name in (HERE / "excerpt.txt").read_text().splitlines():
         cells = {tyres: found.get((name, tyres)) for tyres in ("brush", "contact")}
         rows = [row for row in cells.values() if row]
+        if not rows:
+            continue
         numbers = dict.fromkeys(f"{float(row['expected']):.4g}" for row in rows)
         line = {"manoeuvre": name}
         line["expected"] = f"{', '.join(numbers)} {rows[0]['unit']}"
@@ -228,19 +230,18 @@ def write_report(
     shown = SHOWN if SHOWN in presets else presets[0]
     parts = [
         (HERE / "introduction.md").read_text().format(command=command),
-        f"{len(rows)} rows, {len(missed)} outside their tolerance. "
-        f"Below are those of `{shown}`; [report.csv](report.csv) has all.\n",
+        f"{len(rows)} rows, {len(missed)} outside their tolerance; "
+        "[report.csv](report.csv) has all with formula, tolerance and verdict.\n",
     ]
     if missed:
         parts.append(f"## Outside their tolerance\n\n{markdown(missed)}\n")
     for name, (title, *_) in FIGURES.items():
         if own := [curve for curve in curves if curve.figure == name]:
             draw(folder / f"{name}.png", name, own)
-            parts.append(f"![{title}]({name}.png)\n")
+            parts.append(f"![{title}]({name}.png)\n\n*{title}.*\n")
     models = list(dict.fromkeys(row.tyres for row in rows))
     if len(models) > 1:
         parts.append((HERE / "absent.md").read_text())
-    for tyres in models:
-        own = [row for row in rows if (row.preset, row.tyres) == (shown, tyres)]
-        parts.append(f"## {shown}, {tyres} tyres\n\n{markdown(own)}\n")
+    if table := excerpt(folder / "report.csv", shown):
+        parts.append(f"## Excerpt for `{shown}`\n\n{table}\n")
     write_text(folder / "report.md", "\n".join(parts))

@@ -165,7 +165,7 @@ def _move_unrolled(vehicle: Vehicle, qpos, qvel, forces: CarForces, ctrl, world)
 
 
 def _move_in_mjx() -> Any:
-    """The same in `mjx.step`."""
+    """`qpos` and `qvel` a substep of `mjx.step` later."""
     step = MjxStep(car_model(COMPACT, 0.01, (0.0, 0.0, -GRAVITY)), SimConfig())
 
     def move(vehicle: Vehicle, qpos, qvel, forces: CarForces, ctrl, world):

@@ -22,7 +22,7 @@ STEP_SPEEDS = (5.0, 10.0, 20.0)  # m/s, of step steer
 STEP = 1.0  # m/s^2, lateral acceleration that the step asks for
 DEGREES = math.degrees(GRAVITY)  # from rad s^2/m to deg/g
 
-# A preset's axles have the same stiffness per load, which makes linear theory neutral;
+# A preset's axles have equal stiffness per load, which makes linear theory neutral;
 # these factors make it 11 and 12.5 per rad of 12, a car that understeers.
 AXLES = {"preset": (1.0, 1.0), "axles at 11:12.5": (11 / 12, 12.5 / 12)}
 
@@ -73,7 +73,7 @@ def kerb_circle(track: Track) -> float:
 
 
 def locked_axle(study: Study) -> None:
-    """Radius and drag with the driven wheels coupled, against the same formulas.
+    """Radius and drag with the driven wheels coupled, against `turning`'s formulas.
 
     A car with all-wheel drive is driven by its front axle here.
     """

@@ -31,7 +31,7 @@ def park(scene_file: str, model_file: str, seconds: float = 60.0) -> dict[str, f
         yaw = np.arctan2(data.geom_xmat[of, 3], data.geom_xmat[of, 0])
         return np.c_[data.geom_xpos[of, :2], yaw], 2 * model.geom_size[of, :2]
 
-    def tell(**known):  # what is not told is 0, so that masks leave padding out
+    def fill(**known):  # other inputs are 0, so that masks leave padding out
         for name in known.keys() & inputs.keys():
             value = np.asarray(known[name])
             inputs[name][tuple(map(slice, value.shape))] = value
@@ -48,12 +48,12 @@ def park(scene_file: str, model_file: str, seconds: float = 60.0) -> dict[str, f
     way = np.linalg.norm(bays[:, :2] - own[:2], axis=1)
     goal = np.argmin(np.where(taken, np.inf, way))
     max_steering = model.actuator("agent0/steer").ctrlrange[1]
-    tell(goal_pose=bays[goal], goal_size=size[goal], size=own_size)
-    tell(max_speed=MAX_SPEED, max_steering=max_steering)
+    fill(goal_pose=bays[goal], goal_size=size[goal], size=own_size)
+    fill(max_speed=MAX_SPEED, max_steering=max_steering)
     for kind, end in (("parked", "/hull"), ("wall", "")):
         pose, size = boxes(kind, end)
         there = {"pose": pose, "size": size, "mask": np.full(len(pose), True)}
-        tell(**{f"{kind}_{name}": value for name, value in there.items()})
+        fill(**{f"{kind}_{name}": value for name, value in there.items()})
     steer, drive, brake = (
         data.actuator(f"agent0/{name}") for name in ("steer", "drive", "brake")
     )
@@ -63,7 +63,7 @@ def park(scene_file: str, model_file: str, seconds: float = 60.0) -> dict[str, f
         [own], _ = boxes("agent0/hull")
         gap = np.linalg.norm(own[:2] - bays[goal, :2])
         speed = root.qvel[:2] @ [np.cos(own[2]), np.sin(own[2])]
-        tell(pose=own, speed=speed, yaw_rate=root.qvel[5], steering=column.qpos[0])
+        fill(pose=own, speed=speed, yaw_rate=root.qvel[5], steering=column.qpos[0])
         turn, pedal = session.run(None, inputs)[0]
         opposed = pedal * speed < 0 and abs(speed) > 0.1
         stands = abs(pedal) < 0.05 and abs(speed) < 0.3

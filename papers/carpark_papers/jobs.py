@@ -28,7 +28,7 @@ def is_evaluated(folder: Path) -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A training with a seed; experiments with the same training share it."""
+    """A training with a seed; experiments with equal trainings share it."""
 
     program: str  # of `carpark_mj study`, which trains
     folder: Path  # of the run

@@ -71,7 +71,7 @@ def test_core_commands_on_these_pages_take_their_flags(page):
 
 
 def test_the_environments_of_papers_are_all_named():
-    page = (ROOT / "docs" / "mdp.md").read_text()
+    page = (ROOT / "docs" / "environments.md").read_text()
     ours, papers = (
         {row[0] for row in cells(page, name)}
         for name in ("environments", "environments of papers")
@@ -80,7 +80,8 @@ def test_the_environments_of_papers_are_all_named():
 
 
 def test_the_table_of_slots_layouts_is_that_of_the_code():
-    rows = cells((ROOT / "docs" / "layouts.md").read_text(), "layouts of papers")
+    page = (ROOT / "docs" / "environments" / "slots.md").read_text()
+    rows = cells(page, "layouts of papers")
     assert {row[0]: row[1:3] for row in rows} == {
         name: [type(config).__name__, str(config.min_bays)]
         for name, config in LAYOUTS.items()
@@ -89,13 +90,13 @@ def test_the_table_of_slots_layouts_is_that_of_the_code():
 
 
 def test_the_observation_table_of_tanner_is_the_generated_one():
-    page = (ROOT / "docs" / "mdp.md").read_text()
+    page = (ROOT / "docs" / "environments.md").read_text()
     expected = markdown_table(make_fields(TANNER_FIXED))
     assert section(page, "tanner observation table") == expected, expected
 
 
 def test_the_weights_of_tanner_s_reward_are_those_of_the_table():
-    page = (ROOT / "docs" / "mdp.md").read_text()
+    page = (ROOT / "docs" / "reward.md").read_text()
     found = {row[0]: row[2] for row in cells(page, "reward terms")}
     weights = {name: getattr(REWARDS["tanner"], name, 0) for name in found}
     weights |= REWARDS["tanner"].extra

@@ -68,6 +68,21 @@ def test_without_its_packages_every_command_says_what_to_install():
     assert said == "".join(f"{name}: {missing}" for name in names)
 
 
+@pytest.mark.parametrize("path", ["train/export.py", "eval/render.py"])
+def test_a_script_runs_its_checkout_and_no_installed_copy(path, tmp_path):
+    (tmp_path / "carpark_mj.py").write_text("raise ImportError('the copy')")
+    done = python(ROOT / path, "--no-such-flag", cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    assert done.returncode == 2, done.stderr
+
+
+def test_every_extra_that_commands_miss_can_be_named():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    named = {extra for extras in EXTRAS.values() for extra in extras.split(",")}
+    assert named >= {*project["optional-dependencies"]} - {
+        *("cuda", "dev", "docs", "peers")
+    }
+
+
 # A `sitecustomize.py`: Ctrl-C where a process imports JAX, or what reads its flags.
 INTERRUPT = """
 import signal, sys

@@ -63,6 +63,10 @@ BAD = {
         ["--counts", "3"],
         "Unrecognized options: --counts, 3; perhaps you meant --count",
     ),
+    "nearest of several": (
+        ["--siz", "3"],
+        "Unrecognized options: --siz, 3; perhaps you meant --size",
+    ),
     "wide": (["--eye.kind", WIDE], f"invalid choice '{WIDE}' for argument"),
 }
 

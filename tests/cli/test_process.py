@@ -91,6 +91,12 @@ def test_ctrl_c_ends_a_command_with_one_line(where, run):
     assert run(INTERRUPTED[where]) == (130, "job: interrupted\n")
 
 
+def test_ctrl_c_is_the_good_end_of_an_open_page(run):
+    start = "from carpark_mj.cli.clock import doing, wait_for_user\nwait_for_user()\n"
+    assert run(f"{start}interrupt(0.2)\ntime.sleep(60)") == (0, "")
+    assert run(f"{start}doing('more')\ninterrupt()")[0] == 130
+
+
 def test_ctrl_c_leaves_time_to_clean_up(run, tmp_path):
     body = "try:\n    interrupt()\nfinally:\n    write('cleaned')"
     assert run(body) == (130, "job: interrupted\n")

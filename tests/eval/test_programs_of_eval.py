@@ -1,6 +1,8 @@
 """The scripts: bad input ends each of them alike, and what they count and compare."""
 
+import shutil
 import types
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -8,6 +10,7 @@ import jax.numpy as jnp
 import pytest
 from helpers.transitions import no_events
 
+import figures
 import inhabited
 import physics_report
 import referee
@@ -164,3 +167,16 @@ def test_the_table_compares_the_best_and_gives_ranges():
         "| core | 1,024 | 100,000 |  |",
         "| torch | 1,024 | 90,000 | 0.9 (0.6 … 1.12) |",
     ]
+
+
+def test_every_figure_is_drawn_from_its_table(tmp_path, capsys):
+    docs = Path(__file__).parents[2] / "docs" / "results"
+    for table, *_ in figures.FIGURES.values():
+        shutil.copy(docs / table, tmp_path)
+    assert figures.main(["--tables", str(tmp_path)]) == 0
+    for name in figures.FIGURES:
+        text = (tmp_path / f"{name}.svg").read_text()
+        assert "<svg" in text
+        assert (docs / f"{name}.svg").is_file()
+    assert figures.main(["--tables", str(tmp_path / "none")]) != 0
+    assert "none" in capsys.readouterr().err

@@ -144,6 +144,18 @@ def test_the_file_names_the_policy_however_it_was_given(flag, everything, tmp_pa
     assert stored["settings"]["seed"] == 0
 
 
+@pytest.mark.parametrize("more", [0, 1])
+def test_episodes_beyond_those_asked_for_are_announced(
+    more, everything, tmp_path, capsys
+):
+    made = len(everything.episodes)
+    config, env = EvaluateConfig("runs/a", episodes=made - more), ParkingEnv(BICYCLES)
+    task = Task("runs/a", zero_policy(env.action_spec), env, tmp_path)
+    report(config, task, everything)
+    said = f"({made - more:,} asked for" in capsys.readouterr().out
+    assert said == bool(more)
+
+
 def test_an_evaluation_is_written_before_it_is_printed(
     everything, tmp_path, monkeypatch
 ):

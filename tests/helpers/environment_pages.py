@@ -83,15 +83,20 @@ def assert_generated(name, text, marker, expected):
     assert section(text, marker) == wanted, f"paste this:\n{wanted}"
 
 
+def arguments(text):
+    """The arguments on a page with their defaults."""
+    table = section(text, "arguments")
+    return dict(re.findall(r"^\| `(\w+)` \| `([^|]+)` \|", table, re.M))
+
+
 def assert_arguments(text, kind, defaults):
     """Asserts that a page lists a class's arguments and the options with defaults."""
-    found = re.findall(r"^\| `(\w+)` \| `([^|]+)` \|", section(text, "arguments"), re.M)
     own = {
         argument: repr(parameter.default)
         for argument, parameter in inspect.signature(kind).parameters.items()
         if argument not in ("options", "num_envs")
     }
-    assert dict(found) == own | defaults
+    assert arguments(text) == own | defaults
 
 
 def run_example(text):

@@ -6,8 +6,14 @@ import pytest
 from helpers.programs import exit_code
 
 from carpark_mj import __main__ as command
+from carpark_mj import __version__
+from carpark_mj.config import LAYOUTS
 from carpark_mj.extensions import Entry
+from carpark_mj.pretrained import pretrained_names
 from carpark_mj.programs import COMMANDS, STUDY_PROGRAMS, study
+from carpark_mj.registry import ENVIRONMENTS
+from carpark_mj.training.ppo.parts import PRESETS
+from carpark_mj.vehicle import VEHICLES
 
 
 @pytest.fixture
@@ -32,6 +38,43 @@ def test_the_help_lists_every_program(arguments, monkeypatch, capsys):
     assert not end.value.code
     printed = capsys.readouterr().out
     assert all(f"\n  {name} " in printed for name in COMMANDS)
+
+
+def test_the_version_is_that_of_the_package(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["carpark_mj", "--version"])
+    with pytest.raises(SystemExit) as end:
+        command.main()
+    assert not end.value.code
+    assert capsys.readouterr().out == f"carpark_mj {__version__}\n"
+
+
+def test_the_completion_knows_every_command(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["carpark_mj", "--completion"])
+    with pytest.raises(SystemExit):
+        command.main()
+    assert {*COMMANDS} <= {*capsys.readouterr().out.replace('"', " ").split()} | {
+        name for name in COMMANDS if " " in name
+    }
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        ("layouts", LAYOUTS),
+        ("environments", ENVIRONMENTS),
+        ("vehicles", VEHICLES),
+        ("policies", pretrained_names()),
+        ("presets", PRESETS),
+    ],
+)
+def test_all_names_of_a_kind_are_listed(kind, names, capsys):
+    assert exit_code("list", [kind]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split()[0] for line in lines} == {*names}
+    assert all(len(line.split()) > 1 for line in lines)
+    if kind in COMMANDS:  # without anything to do
+        assert exit_code(kind, []) == 0
+        assert capsys.readouterr().out.splitlines() == lines
 
 
 def test_an_unknown_program_is_refused_in_one_line(monkeypatch, capsys):

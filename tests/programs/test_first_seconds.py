@@ -45,6 +45,8 @@ for name, command in COMMANDS.items():
     except ValueError as error:
         said = str(error)
     seen[name] = [f"usage: carpark_mj {name}" in text.getvalue(), said]
+with contextlib.redirect_stdout(io.StringIO()):
+    run("list", ["policies"])
 loaded = [x for x in ("jax", "mujoco", "brax", "flax") if x in sys.modules]
 print(json.dumps([seen, missing == needed, loaded]))
 """

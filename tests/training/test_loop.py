@@ -7,19 +7,23 @@ import sys
 import numpy as np
 import pytest
 from helpers.mutating import damaged
+from helpers.registering import restore_after
 from rich import jupyter
 from rich.console import Console
 
 from carpark_mj.analysis import read_curve
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.rendering.video import write_video
 from carpark_mj.training import loop as loops
+from carpark_mj.training.loggers import LOGGERS
 from carpark_mj.training.loop import (
     MetricsLog,
     plot_learning_curve,
     read_metrics,
     smooth,
 )
-from carpark_mj.training.run_folder import RunConfig
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.run_folder import RunConfig, open_run
 
 
 def test_half_a_line_in_a_notebook_stops_no_training(monkeypatch):
@@ -55,6 +59,71 @@ def test_tensorboard_reads_what_is_logged(tmp_path):
     assert found == [(10 * update, update / 2) for update in range(1, 6)]
     rows = [(row["env_steps"], row["a"]) for row in read_metrics(tmp_path)]
     assert rows == found
+
+
+def test_tensorboard_has_the_settings_and_the_video(tmp_path):
+    accumulator = pytest.importorskip(
+        "tensorboard.backend.event_processing.event_accumulator"
+    )
+    write_video(tmp_path / "a.mp4", iter(np.zeros((4, 36, 64, 3), np.uint8)), 2.0)
+    with contextlib.closing(MetricsLog(tmp_path, 0, PPOConfig(seed=7))) as log:
+        log.write(row(1))
+        log.video(tmp_path / "a.mp4")
+    events = accumulator.EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    [image] = events.Images("video")
+    assert image.encoded_image_string[:3] == b"GIF"
+    assert image.width * 36 == image.height * 64
+    assert (
+        b"env.num_agents"
+        in events.PluginTagToContent("hparams")["_hparams_/session_start_info"]
+    )
+
+
+def test_an_extension_s_logger_gets_all_that_is_finite(tmp_path, monkeypatch):
+    restore_after(monkeypatch, LOGGERS)
+    told = []
+
+    class Mine:
+        def __init__(self, folder, step, settings):
+            told.append((folder, step, settings["seed"]))
+
+        def write(self, step, values):
+            told.append((step, values))
+
+        def video(self, step, path):
+            told.append((step, path))
+
+        def close(self):
+            told.append("closed")
+
+    LOGGERS.register("mine", Mine)
+    config = PPOConfig(seed=7, logger="mine")
+    with contextlib.closing(MetricsLog(tmp_path, 0, config)) as log:
+        log.write(row(1) | {"empty": float("nan")})
+        log.video(tmp_path)
+    first, *others = told
+    assert first == (tmp_path, 0, 7)
+    assert others == [(10, {"loss": 0.5}), (10, tmp_path), "closed"]
+    assert not (tmp_path / "tensorboard").exists()
+
+
+def test_a_logger_that_cannot_begin_is_one_sentence(tmp_path, monkeypatch):
+    def broken(*_):
+        raise RuntimeError("no\nserver")
+
+    restore_after(monkeypatch, LOGGERS)
+    LOGGERS.register("broken", broken)
+    with pytest.raises(ValueError, match="broken: no server"):
+        MetricsLog(tmp_path, 0, PPOConfig(logger="broken"))
+
+
+@pytest.mark.parametrize("name", ["mlfow", "wandb,none"])
+def test_an_unknown_logger_is_refused_before_there_is_a_folder(name, tmp_path):
+    config = PPOConfig(logger=name, runs_dir=str(tmp_path / "runs"))
+    with pytest.raises((ValueError, ModuleNotFoundError)), open_run(config):
+        pass
+    assert not (tmp_path / "runs").exists()
 
 
 def row(update):

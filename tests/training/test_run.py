@@ -1,9 +1,12 @@
 """Training from Python: the run, its callback, what is made of it."""
 
+import dataclasses
+
 import jax
 import pytest
 from helpers.sliding import POSES
 
+import carpark_mj
 from carpark_mj.cli import evaluate as evaluate_command
 from carpark_mj.config import EnvConfig
 from carpark_mj.policy.networks import NetworkConfig
@@ -50,8 +53,15 @@ def test_the_run_has_the_policy_and_can_be_evaluated(run, monkeypatch):
     assert run.policy.steps == TINY.num_steps
     asked = []
     monkeypatch.setattr(evaluate_command, "main", asked.append)
-    evaluate(run, episodes=8)
-    assert (asked[0].run, asked[0].episodes) == (str(run.folder), 8)
+    for given in (run, run.folder, str(run.folder)):
+        evaluate(given, episodes=8)
+    assert {(x.run, x.episodes) for x in asked} == {(str(run.folder), 8)}
+    evaluate(run.policy)
+    assert asked[-1].run == str(run.policy.path)
+    other = dataclasses.replace(run.policy, env=EnvConfig())
+    with pytest.raises(ValueError, match="another environment"):
+        carpark_mj.evaluate(other)
+    assert {"evaluate", "render", "ParkingEnv"} <= {*dir(carpark_mj)}
 
 
 @pytest.mark.slow

@@ -155,11 +155,66 @@ def test_a_preset_gives_the_defaults_and_flags_change_them():
     assert changed == dataclasses.replace(PRESETS["square"], seed=3, env=env)
 
 
+def test_a_file_gives_settings_and_flags_win(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        "preset: square\nlearning_rate: 1e-3\nhalf_precision: false\n"
+        "env: {num_agents: 6, occupancy: [0.2, 0.8]}\nenv.sim.steering_delay: 0.2\n"
+    )
+    flags = ("--config", str(file))
+    found = read(*flags, "--env.num-agents=5")
+    assert (found.preset, found.num_lots) == ("square", PRESETS["square"].num_lots)
+    assert (found.learning_rate, found.half_precision) == (1e-3, False)
+    assert (found.env.num_agents, found.env.occupancy) == (5, (0.2, 0.8))
+    assert found.env.sim.steering_delay == 0.2
+    named = read("--preset", "gpu", *flags)  # instead of the file's
+    assert (named.preset, named.minutes) == ("gpu", PRESETS["gpu"].minutes)
+
+
+def test_the_settings_of_a_run_are_a_file_for_another(tmp_path):
+    config = dataclasses.replace(PRESETS["dynamic"], seed=4, name="a")
+    write_json(tmp_path / "config.json", describe(config))
+    flags = ("--config", str(tmp_path / "config.json"))
+    assert read(*flags) == dataclasses.replace(config, name="")
+    assert read(*flags, "--seed", "5").seed == 5
+    with pytest.raises(ValueError, match="drop --preset"):
+        read(*flags, "--preset", "cpu")
+    with pytest.raises(ValueError, match="keeps its own settings: drop --config"):
+        read(*flags, "--resume", str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("- a", "must have lines"),
+        ("a: [", "not YAML"),
+        ("preset: cqu", "'cqu'"),
+        ("env: {num_agent: 3}", "num.agent"),
+        ("seed: x", "whole number"),
+        ("resume: runs/a", "resume"),
+        ("num_lots: 0", "num_lots"),
+    ],
+)
+def test_a_file_of_nonsense_is_refused_by_its_name(text, said, tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=said) as caught:
+        read("--config", str(file))
+    assert "mine.yaml" in str(caught.value)
+
+
 def test_settings_need_to_fit_the_named_preset_only():
     # 8192 lots x 7 agents divide by 28, the default's 128 x 2 do not.
     assert read("--preset", "square", "--num-minibatches", "28").num_lots == 8192
     with pytest.raises(ValueError, match="256 must be a multiple of"):
         read("--num-minibatches", "28")
+
+
+def test_curricula_of_a_preset_may_be_without_effect():
+    alone = read("--preset", "anywhere", "--env.num-agents=1", "--env.min-agents=None")
+    assert alone.curriculum == PRESETS["anywhere"].curriculum
+    fixed = read("--preset", "hope", "--env.layout", "tpcap_1", "--lot-life", "0")
+    assert fixed.curriculum.target_rate
 
 
 def test_the_whole_help_lists_every_setting(capsys):

@@ -1,12 +1,16 @@
 """The pages of the Gymnasium environments: tables of the code, snippets that run."""
 
+import inspect
+import re
+
+import gymnasium
 import pytest
 from helpers import environment_pages as pages
 from helpers.registering import restore_after
 
 from carpark_mj.config import PARKED_RULES, REWARDS, EnvConfig
 from carpark_mj.mdp.rewards import TERMS
-from carpark_mj.observations import markdown_table
+from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.tasks.goal_pose import FEATURES
 from carpark_mj.wrappers.goal import ParkGoalEnv, goal_config
@@ -48,8 +52,7 @@ def goal(name, env):
     ("name", "marker", "expected"),
     [
         *[(name, "summary", pages.summary) for name in PAGES],
-        *[(name, "actions", pages.actions) for name in PAGES],
-        *[(name, "observation", pages.observation) for name in PAGES],
+        ("carpark_mj/Park-v0", "actions", pages.actions),
         ("carpark_mj/Park-v0", "rewards", rewards),
         ("carpark_mj/ParkGoal-v0", "goal", goal),
         ("carpark_mj/ParkGoal-v0", "rewards", pages.pose),
@@ -59,14 +62,42 @@ def test_a_table_of_an_environment_is_the_generated_one(name, marker, expected):
     pages.assert_generated(name, TEXTS[name], marker, expected)
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_lists_all_arguments_with_their_defaults(name):
+@pytest.mark.parametrize("name", ["carpark_mj/Park-v0", "carpark_mj/ParkMany-v0"])
+def test_they_observe_the_fields_on_the_page_of_the_observation(name):
+    env = gymnasium.make_vec(name, num_envs=2).unwrapped
+    assert make_fields(env._batch.env.config) == make_fields(CONFIG)
+
+
+def test_the_page_of_park_goal_names_the_fields_it_leaves_out():
+    name = "carpark_mj/ParkGoal-v0"
+    fields = gymnasium.make_vec(name, num_envs=2).unwrapped._batch.env.fields
+    left = [field.name for field in make_fields(CONFIG) if field not in fields]
+    listed = pages.section(TEXTS[name], "left out")
+    assert left == re.findall(r"`(\w+)`", listed)
+    assert len(left) + len(fields) == len(make_fields(CONFIG))
+
+
+def test_the_page_of_park_lists_all_arguments_with_defaults():
+    listed = {option: repr(DEFAULTS.get(option)) for option in ONE_AGENT}
+    text = TEXTS["carpark_mj/Park-v0"]
+    pages.assert_arguments(text, ParkEnv, listed | {"config": "EnvConfig()"})
+
+
+@pytest.mark.parametrize("name", ["carpark_mj/ParkGoal-v0", "carpark_mj/ParkMany-v0"])
+def test_other_pages_list_the_arguments_that_differ(name):
     _, kind, options = PAGES[name]
     defaults = DEFAULTS
     if kind is ParkGoalEnv:
         defaults = {**DEFAULTS, "reward": "pose", "rule": RULE}
-    listed = {option: repr(defaults.get(option)) for option in options}
-    pages.assert_arguments(TEXTS[name], kind, listed | {"config": "EnvConfig()"})
+    differ = {
+        option: repr(defaults[option])
+        for option in options
+        if option != "config"
+        and (option not in ONE_AGENT or defaults[option] != DEFAULTS[option])
+    }
+    assert pages.arguments(TEXTS[name]) == differ
+    own = inspect.signature(ParkEnv).parameters.keys() - {"options"}
+    assert own <= inspect.signature(kind).parameters.keys()
 
 
 @pytest.mark.parametrize("name", PAGES)

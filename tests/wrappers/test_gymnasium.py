@@ -12,7 +12,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers import AddRenderObservation
+from gymnasium.wrappers import AddRenderObservation, RecordVideo
 from helpers.programs import python
 
 from carpark_mj.config import (
@@ -287,11 +287,30 @@ def test_the_first_picture_of_every_lot_is_as_the_next():
 
 
 def test_pictures_are_collected_in_a_list():
-    env = gymnasium.make(PARK, render_mode="rgb_array_list", config=SHORT)
+    size = {"width": 320, "height": 200}
+    env = gymnasium.make(PARK, render_mode="rgb_array_list", config=SHORT, **size)
     env.reset(seed=0)
     env.step(AHEAD)
-    assert [frame.shape for frame in env.render()] == [(540, 960, 3)] * 2
+    assert [frame.shape for frame in env.render()] == [(200, 320, 3)] * 2
     env.close()
+
+
+@pytest.mark.parametrize("size", [{"width": 0}, {"height": 5000}, {"width": 32.5}])
+def test_a_picture_of_an_impossible_size_is_refused(size):
+    [name] = size
+    with pytest.raises(ValueError, match=name):
+        make(config=SHORT, **size)
+
+
+def test_an_episode_is_recorded_by_gymnasium_s_wrapper(tmp_path):
+    pytest.importorskip("moviepy")
+    env = make(render_mode="rgb_array", config=SHORT, width=64, height=48)
+    env = RecordVideo(env, str(tmp_path / "videos"))
+    env.reset(seed=0)
+    while not any(env.step(AHEAD)[2:4]):
+        pass
+    env.close()
+    assert [path.suffix for path in tmp_path.rglob("*.mp4")] == [".mp4"]
 
 
 def test_each_lot_has_a_picture_of_a_scene_built_once(monkeypatch):

@@ -28,8 +28,23 @@ METRICS = ("parked", "crashed", "timed_out", "length")
 What = Literal["env", "ppo", "physics", "start"]
 Clock = Literal["wall", "cpu"]
 Cars = Literal["brush", "mjx.step", "contact"]
+Kind = Literal["all", "layouts", "environments", "vehicles", "policies", "presets"]
 Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
 Cluster = Literal["local", "debug", "slurm"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ListConfig:
+    """Lists names, also those of installed extensions.
+
+    carpark_mj list
+    carpark_mj list layouts
+
+    Attributes:
+        kind: what to list; everything if not given.
+    """
+
+    kind: Annotated[Kind, tyro.conf.Positional] = "all"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +77,7 @@ class IdentifyConfig(CheckedConfig):
     carpark_mj identify log.csv --vehicle data_sheet.yaml --out my_car.yaml
 
     Attributes:
-        log: table of the drive, see docs/identify.md.
+        log: table of the drive, see the documentation's page on identification.
         vehicle: preset or file of a car like this one.
         out: vehicle file to write.
         ahead: distance from the rear axle to the point whose x and y are logged,
@@ -91,7 +106,7 @@ class AnalysisConfig:
         runs: run folders and folders of sweeps.
         by: settings that group runs, by full name (`env.num_agents`); the first is the
             horizontal axis. Default: the settings that the sweeps vary.
-        metrics: metrics of the evaluations, see docs/metrics.md.
+        metrics: metrics of the evaluations, see the documentation's page on them.
         out: folder to write to; default: the sweep's if one is given, else
             `runs/analysis`.
     """
@@ -270,7 +285,7 @@ class SuiteConfig:
     carpark_mj suite planner hope --levels parkbench:rear_in --rule precise
     carpark_mj suite hope anywhere --levels tpcap metadrive san_jose busy sheets
 
-    The result is a table (Markdown, CSV, HTML). docs/hard_cases.md defines the cases
+    The result is a table (Markdown, CSV, HTML). The documentation defines the cases
     and the numbers.
 
     Attributes:
@@ -354,7 +369,8 @@ class LayoutsConfig(CheckedConfig):
     carpark_mj layouts edit lot.json
 
     Attributes:
-        layouts: names or layout files; all families if none.
+        layouts: names or layout files; all families if none. Without any flag the
+            names are listed.
         plot: picture to write, with two lots of each random layout named, or one of
             every family.
         check: number of lots of each layout to check.
@@ -384,7 +400,7 @@ class LayoutsConfig(CheckedConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_seed(self.seed)
-        if not (self.plot or self.check or self.run or self.save):
+        if self.layouts and not (self.plot or self.check or self.run or self.save):
             raise ValueError(
                 "nothing to do: give --plot FILE, --save FILE, --check N or --run N "
                 "(N > 0)"

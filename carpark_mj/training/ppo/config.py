@@ -44,10 +44,10 @@ class CurriculumConfig(CheckedConfig):
             or askew; 0 = as in the environment.
         target_rate: rate of parked episodes by whose shortfall half of a mixture's new
             lots are drawn (`lot_life`), and their numbers of agents with them; 0 = all
-            are drawn as the mixture says.
+            are drawn as the mixture says, as are one layout's, or without `lot_life`.
         neighbour_share: weight, at the end, of the mean advantage of the other agents
             within 15 m, which is added to an agent's own. 0 until progress 0.2, then
-            rising linearly until 0.6.
+            rising linearly until 0.6. One agent has no neighbours.
         teacher: policy whose actions are imitated where the agents get to, as a name, a
             run or a checkpoint; "" = none. It observes what it was trained on.
         teacher_cost: weight, at the start, of the squared distance to its actions.
@@ -79,6 +79,7 @@ RUN_SETTINGS = (
     "minutes",
     "num_lots",
     "checkpoint_minutes",
+    "logger",
     "eval_episodes",
     "video_seconds",
 )
@@ -175,13 +176,6 @@ class PPOConfig(RunConfig):
             raise ValueError("half_precision needs networks.encoder 'set'")
         if self.variant != BRAX:  # it is made for all settings, and takes a second
             VARIANTS[self.variant].check(self)
-        if self.curriculum.target_rate and not self.lot_life:
-            raise ValueError("curriculum.target_rate needs lot_life of at least 1")
-        if self.curriculum.neighbour_share and self.env.num_agents == 1:
-            raise ValueError(
-                "curriculum.neighbour_share needs env.num_agents of at least 2, not 1; "
-                "0 shares nothing"
-            )
         if self.critic_steps and self.critic_updates >= self.num_updates:
             raise ValueError(
                 f"critic_steps must leave the actor an update of num_steps "

@@ -27,7 +27,7 @@ ENV = "env."
 # What the program does not read.
 OUTSIDE = (
     *("warm_start", "preset", "name", "runs_dir", "resume", "seed"),
-    *("eval_episodes", "video_seconds"),
+    *("eval_episodes", "video_seconds", "logger"),
 )
 
 

@@ -47,7 +47,7 @@ SQUARE = PPOConfig(
     entropy_cost_end=3e-4,
     curriculum=_CURRICULUM,
     networks=NetworkConfig((256, 256), (256, 256), min_std=0.1),
-    # Who parks precisely parks strictly, too, and learns it in the same time.
+    # A policy that parks precisely parks strictly, too, after as many steps.
     env=dataclasses.replace(
         environment("square"), episode=EpisodeConfig(parked_rule="precise")
     ),
@@ -80,8 +80,8 @@ ANYWHERE = dataclasses.replace(
     networks=NetworkConfig((256, 256, 256), (256, 256, 256), min_std=0.1),
     env=environment("anywhere"),
 )
-# It parks from the start, and learns what to do about people. Where somebody is hit at
-# every other try, a high penalty would teach it to stay where it is.
+# It parks from the start, and learns to avoid people. Where every other episode hits a
+# person, a high penalty would teach it to stay where it is.
 CONSIDERATE = dataclasses.replace(
     ANYWHERE,
     preset="considerate",
@@ -101,7 +101,7 @@ CONSIDERATE = dataclasses.replace(
     env=environment("considerate"),
 )
 # Pictures take the time: fewer steps in an update, and as many in all as an H200 makes
-# in 21 minutes. Who knows where all is shows what to do.
+# in 21 minutes. The teacher knows all positions.
 SEES = dataclasses.replace(
     ANYWHERE,
     preset="sees",

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -55,10 +56,14 @@ def finish(config: PPOConfig, folder: Path, stochastic: bool = False) -> None:
     if config.video_seconds:
         from carpark_mj.cli import render
 
+        settings = render.RenderConfig(run=run, seconds=config.video_seconds)
         try:
-            render.main(render.RenderConfig(run=run, seconds=config.video_seconds))
+            video = render.main(settings)
         except render.RenderingError as error:
             print(f"no video: {error}", file=sys.stderr)
+            return
+        with contextlib.closing(MetricsLog(folder, math.inf, config)) as log:
+            log.video(video)
 
 
 def train_runs(
@@ -143,8 +148,9 @@ def train(
     with contextlib.ExitStack() as stack:
         stack.enter_context(loop.over(1.0, progress))
         logs = [
-            stack.enter_context(contextlib.closing(MetricsLog(folder, done)))
-            for folder in (folders if hosts.is_first() else ())
+            stack.enter_context(contextlib.closing(MetricsLog(folder, done, own)))
+            for folder, own in zip(folders, learner.configs, strict=True)
+            if hosts.is_first()
         ]
         while progress < 1.0 and not leaving and not diverged.all():
             state, metrics = update(state)

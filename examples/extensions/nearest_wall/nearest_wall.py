@@ -12,7 +12,7 @@ from carpark_mj.observations.fields import FAR, FARTHEST, far
 
 
 def distance(sight: ObservationInput) -> dict[str, jax.Array]:
-    """From the own centre, which the sensors tell, to the nearest wall."""
+    """From the own centre, as measured, to the nearest wall."""
     layout, own_xy = sight.layout, sight.motion.xy
     gap = point_box_distance(own_xy[:, None], layout.wall_pose, layout.wall_size)
     nearest = jnp.min(jnp.where(layout.wall_mask, gap, jnp.inf), axis=1, keepdims=True)
@@ -32,7 +32,7 @@ class NearestWallObservation(ContinuousObservation):
     encoding: str = "nearest_wall"
 
     def parts(self, env: EnvConfig) -> list[Part]:
-        """Those of the default encoder, and one more."""
+        """Parts of the default encoder, and one more."""
         return [*super().parts(env), NEAREST_WALL]
 
 

@@ -1,7 +1,7 @@
-"""A planner of one's own as a policy: pure pursuit of the middle line of the goal bay.
+"""A planner as a policy: pure pursuit of the middle line of the goal bay.
 
-A car looks `AHEAD` metres along the line on which it wants to stand, and steers on the
-arc through that point (Coulter 1992). It sees nobody: it parks where the way is free.
+A car aims `AHEAD` metres along this line and steers on the arc through that point
+(Coulter 1992). It ignores obstacles.
 """
 
 import jax.numpy as jnp

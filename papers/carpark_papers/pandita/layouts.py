@@ -1,8 +1,8 @@
 """Two rows of slots along a corridor: vertical, diagonal or parallel (Pandita 2022).
 
-Numbers are those of the thesis's program, a fork of highway-env. Its x axis points to
-the right and its y axis down on the screen, ours up: its pictures are ours mirrored,
-positions and headings are the same.
+Numbers follow the thesis's program, a fork of highway-env. Its x axis points to
+the right and its y axis down on the screen, ours up: its pictures are mirrored,
+positions and headings are equal.
 
 Slots 0 to n - 1 lie at y > 0, from left to right, slots n to 2 n - 1 at y < 0. A slot's
 centre line leads away from the corridor, in parallel slots along the row. The goal is

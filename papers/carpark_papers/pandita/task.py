@@ -1,12 +1,12 @@
 """The car, its physics, the task and the environments of Pandita 2022.
 
 The back end `highway` is the kinematic bicycle as highway-env's car integrates it. The
-equations are those of `bicycle`, but the axles stand at the bumpers, steering and
-acceleration are those asked for, forwards and backwards alike, and a substep is one of
-explicit Euler: everything moves on with the speed and heading at its start. Beyond a
+equations equal `bicycle`'s, but the axles stand at the bumpers, steering and
+acceleration follow the action at once, forwards and backwards alike, and a substep is
+explicit Euler: everything moves with the speed and heading at its start. Beyond a
 speed limit the car slows down by as many m/s^2 as it is too fast in m/s. It uses the
 footprint, `max_steering`, `max_acceleration` and the speed limits of a car's
-parameters; the preset `highway` has those of highway-env 1.12, `sim_dt` is 1 / 15 s.
+parameters; the preset `highway` has highway-env 1.12's, `sim_dt` is 1 / 15 s.
 
 Where the thesis and its program differ this is the program: the power of the norm is
 0.5 (2 in the text), the goal is reached below 0.08 (0.09 and 0.10), the penalty of a
@@ -138,7 +138,7 @@ GOAL_FEATURES = tuple(
 
 @dataclasses.dataclass(frozen=True)
 class PanditaObservation(ObservationConfig):
-    """Nothing but the features of the own car and those of its goal."""
+    """Features of the own car and of its goal."""
 
     encoding: str = "pandita"
 
@@ -176,7 +176,7 @@ PANDITA = EnvConfig(
     reward=REWARD,
     observation=PanditaObservation(),
 )
-# The same for real cars.
+# With physical cars.
 SLOTS = dataclasses.replace(PANDITA, vehicle="compact", physics="mjx", sim=SimConfig())
 
 ENVIRONMENTS.register("pandita", PANDITA)

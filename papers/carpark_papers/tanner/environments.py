@@ -1,6 +1,6 @@
 """The car, the reward and the environments of Tanner 2022 (arXiv 2206.13338).
 
-Tables are those of the appendix C of Tanner 2022. Where its text and the reference
+Tables follow appendix C of Tanner 2022. Where its text and the reference
 implementation disagree, or do not say, the choice is:
 
 - grid points per world unit: the position granularity squared, so 74 x 74 for 1.
@@ -15,8 +15,8 @@ implementation disagree, or do not say, the choice is:
   rule (approach below time), but only they give the returns it reports.
 - leaving the world counts as a crash: the outer walls are hit first.
 - when an agent parks, any parked car moves, at random, as in all published runs: the
-  implementation means to spare those that agents track, but compares ids that are never
-  equal. The text moves the one farthest from all agents, by which goals are lost half
+  implementation means to spare tracked cars, but compares ids that are never equal.
+  The text moves the one farthest from all agents, by which goals are lost half
   as often; `SpawnConfig.relocation` has all three.
 - an agent loses its goal when the bay is no longer among the num_tracked_bays nearest,
   not the n_track nearest (text). This has the reward of giving the goal up, and losing

@@ -27,7 +27,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 
 @dataclasses.dataclass(frozen=True)
 class GridConfig(PhysicsConfig):
-    """The velocity motion model on a grid; the defaults are those of the study's PPO.
+    """The velocity motion model on a grid; the defaults follow the study's PPO.
 
     Attributes:
         points: grid points per world unit, 0.5625 m: the study's position granularity

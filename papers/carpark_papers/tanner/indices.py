@@ -90,7 +90,7 @@ class IndexObservation(ObservationConfig):
 
     @property
     def circles(self) -> tuple[float, ...]:
-        """Those of the rings."""
+        """Diameters of the rings."""
         return self.rings.diameters
 
     def init_memory(self, env: EnvConfig) -> jax.Array | None:

@@ -48,7 +48,7 @@ def prepare_steps(
     """All steps (n, ...) of an update, as one dimension.
 
     Advantages are what their targets, with lambda from the first step on, exceed the
-    critic by; actor and critic are those before the update, the statistics those of the
+    critic by; actor and critic are from before the update, the statistics from its
     start.
     """
     distribution: Any = networks.parametric_action_distribution

@@ -163,7 +163,7 @@ class TannerShare(CheckedConfig):
 
 @dataclasses.dataclass(frozen=True)
 class TannerObservation(ObservationConfig):
-    """The vector of the study's PPO; the defaults are those of tables C.9 and C.10.
+    """The vector of the study's PPO; the defaults follow tables C.9 and C.10.
 
     Attributes:
         tracked_cars: number of nearest cars observed, agents and parked cars in one
@@ -264,7 +264,7 @@ class TannerObservation(ObservationConfig):
 
     @property
     def circles(self) -> tuple[float, ...]:
-        """Those of the rings."""
+        """Diameters of the rings."""
         return self.rings.diameters
 
     @property
@@ -273,12 +273,12 @@ class TannerObservation(ObservationConfig):
         return self.global_information
 
     def tracks_agents(self, state: State) -> jax.Array | None:
-        """Those among the nearest cars."""
+        """Tracked agents among the nearest cars."""
         num_agents = state.goal.shape[0]
         return self._tracks(state)[:, :num_agents] if self.tracked_cars else None
 
     def tracks_parked_cars(self, state: State) -> jax.Array | None:
-        """Those among the nearest cars."""
+        """Tracked parked cars among the nearest cars."""
         num_agents = state.goal.shape[0]
         return self._tracks(state)[:, num_agents:] if self.tracked_cars else None
 

@@ -157,7 +157,6 @@ DEFAULTS = {
     ("marker", "expected"),
     [
         ("summary", pages.summary),
-        ("actions", pages.actions),
         ("observation", pages.observation),
         ("rewards", pages.pose),
     ],

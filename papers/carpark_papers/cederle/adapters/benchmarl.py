@@ -72,5 +72,5 @@ class JunctionTask(Task):
         return JunctionTaskClass
 
     def get_from_yaml(self, path: str | None = None) -> TaskClass:
-        """The task with default options, or with those of a file."""
+        """The task with default options or the options of a file."""
         return super().get_from_yaml(path) if path else self.get_task(config={})

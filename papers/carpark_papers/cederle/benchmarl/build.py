@@ -68,7 +68,7 @@ class GreedyPolicy:
 
 
 class Evaluation:
-    """Evaluates policies, always in the same episodes."""
+    """Evaluates policies in fixed episodes."""
 
     def __init__(self, config: BenchMARLConfig) -> None:
         """Builds the programs."""
@@ -87,7 +87,7 @@ class Evaluation:
         return jax.device_get(episodes.outcomes)
 
 
-# Returns of `ippo` and `mappo` are divided by it: those of an agent come to 40 to 80,
+# Returns of `ippo` and `mappo` are divided by it: an agent's come to 40 to 80,
 # and critics that begin at 0 took 300,000 control steps to get there.
 REWARD_SCALE = 20.0
 
@@ -134,7 +134,7 @@ class ScaledJunctionTask(JunctionTaskClass):
 
 
 class ScaledRewardsTask(ScaledJunctionTask):
-    """The same with rewards that a critic learns within few updates."""
+    """A task with rewards that a critic learns within few updates."""
 
     def get_reward_sum_transform(self, env: EnvBase) -> Transform:
         """Sums rewards as they are, then divides them by `REWARD_SCALE`."""

@@ -34,7 +34,7 @@ class BenchMARLConfig(JunctionRunConfig):
         buffer_size: size of the buffer [transitions]; not of `ippo`, `mappo`.
         random_steps: random steps before learning begins; not of `ippo`, `mappo`.
         learning_rate: Adam's learning rate.
-        critic_learning_rate: that of MADDPG's critic.
+        critic_learning_rate: learning rate of MADDPG's critic.
         max_gradient: norm to which gradients are clipped.
         discount: discount factor per decision, of `repeat` control steps.
         gae_lambda: trade-off of bias and variance of advantages (`ippo`, `mappo`).
@@ -45,7 +45,7 @@ class BenchMARLConfig(JunctionRunConfig):
             `mappo`.
         epsilon_start: share of random actions, or of MADDPG the standard deviation of
             the noise, at the beginning; not of `ippo`, `mappo`.
-        epsilon_end: the same at the end of the decay.
+        epsilon_end: its value at the end of the decay.
         epsilon_steps: length of this linear decay.
         hidden: widths of the hidden layers.
         recurrent: units of a recurrent layer behind them; 0 = none.
@@ -140,8 +140,8 @@ class BenchMARLConfig(JunctionRunConfig):
         return -(-self.eval_period // self.frames)
 
 
-# Starts vary more than in evaluations, and who waits has the time to get through. Held
-# for 0.5 s, random actions brake for long enough to find out that waiting pays.
+# Starts vary more than in evaluations, and an agent that waits has the time to get
+# through. Random actions held for 0.5 s brake for long enough to discover waiting.
 PPO: dict[str, Any] = {
     "max_steps": 150,
     "jitter": 3.0,
@@ -162,7 +162,7 @@ OFF_POLICY: dict[str, Any] = {
 MADDPG: dict[str, Any] = {"action": "scalar", "shared": False}
 
 # Cederle 2023, section 5.3 and table 5.2, and, where the text is silent, its program.
-# Evaluations vary the starts, or all of their episodes would be the same.
+# Evaluations vary the starts, or all of their episodes would be equal.
 STUDY: dict[str, Any] = {
     "preset": "cederle",
     "end": "any",

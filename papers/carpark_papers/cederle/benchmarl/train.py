@@ -91,7 +91,9 @@ class Training(Experiment):
         self._loop = Loop(config.algorithm, config)
         with (
             self._loop.over(config.iterations * config.frames, self.env_steps),
-            contextlib.closing(MetricsLog(self._folder, self.n_iters_performed)) as log,
+            contextlib.closing(
+                MetricsLog(self._folder, self.n_iters_performed, config)
+            ) as log,
         ):
             self._log = log
             self._evaluate()

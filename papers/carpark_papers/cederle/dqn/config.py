@@ -97,7 +97,7 @@ class DQNConfig(JunctionRunConfig):
 _PRESETS: dict[str, DQNConfig] = {
     "parallel": DQNConfig(),
     # Cederle 2023, section 5.3 and, where the text is silent, its program. Evaluations
-    # vary the starts, or all of their episodes would be the same.
+    # vary the starts, or all of their episodes would be equal.
     "cederle": DQNConfig(
         preset="cederle",
         observation="image",

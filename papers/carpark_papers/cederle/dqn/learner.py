@@ -91,7 +91,7 @@ class Transition:
     action: jax.Array  # int32
     reward: jax.Array  # of the step
     discount: jax.Array  # of what follows; 0 behind the end of an episode
-    next_observation: jax.Array  # after the step, of the same episode
+    next_observation: jax.Array  # after the step, of this episode
     valid: jax.Array  # bool; not of agents that had finished before the step
 
 
@@ -133,9 +133,9 @@ def td_errors(
 ) -> jax.Array:
     """Temporal difference errors (batch,), targets taken as constants.
 
-    Values (batch, actions) are those of the online network before the step, of the
-    target network after it, and of the online network after it, which choose the action
-    of double Q-learning; None = plain Q-learning.
+    Values (batch, actions) come from the online network before the step, the target
+    network after it, and the online network after it, which choose the action of double
+    Q-learning; None = plain Q-learning.
     """
     taken = (values, batch.action, batch.reward, batch.discount, next_values)
     errors: Any = (

@@ -77,7 +77,7 @@ def train(config: DQNConfig, learner: DQNLearner, folder: Path) -> bool:
     finished = False
     with (
         loop.over(config.total_steps, _steps(config, run)),
-        contextlib.closing(MetricsLog(folder, run.chunks)) as log,
+        contextlib.closing(MetricsLog(folder, run.chunks, config)) as log,
     ):
         while True:
             finished = _steps(config, run) >= config.total_steps

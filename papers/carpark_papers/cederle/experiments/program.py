@@ -1,8 +1,8 @@
-"""Repeats tables 6.1 to 6.4 of Cederle 2023 over seeds, beside the thesis's results.
+"""Repeats tables 6.1 to 6.4 of Cederle 2023 over seeds and compares with the thesis.
 
     carpark_mj study junction_tables --list
     carpark_mj study junction_tables --table 6.1
-    carpark_mj study junction_tables --all --minutes 30     # the same command continues
+    carpark_mj study junction_tables --all --minutes 30     # continues when repeated
     carpark_mj study junction_tables --all --preset cederle # the thesis's settings
 
 Every training is a run of `carpark_mj study junction` in `runs/junction_study`, on its

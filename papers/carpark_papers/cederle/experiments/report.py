@@ -1,7 +1,7 @@
 """The junction's tables and curves: the thesis, our results, verdicts.
 
 `cederle_2023.csv` has the learning curves that M. Cederle's repository (mcederle99 on
-GitHub, `thesis`) keeps as arrays: return of all agents, single runs. Those of the
+GitHub, `thesis`) keeps as arrays: return of all agents, single runs. Returns of
 Q-learners are means of the last 100 training episodes, random actions included.
 """
 

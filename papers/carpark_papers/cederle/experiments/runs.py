@@ -115,7 +115,7 @@ class Outcome:
     """A finished run."""
 
     solved_at: float  # control steps; infinity = not solved
-    converged_at: float  # the same to convergence
+    converged_at: float  # control steps; infinity = not converged
     final_return: float  # mean over the last sixth of the steps
     unrest: float  # standard deviation of the return over the second half of the steps
     crashed: float  # share of the last evaluation's episodes in which an agent crashed

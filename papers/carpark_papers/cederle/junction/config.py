@@ -166,9 +166,9 @@ class JunctionConfig(CheckedConfig):
         scenario: `2av`, `2av-hd`, `3av` or `3av-hd`; from Python also a `Scenario`.
         cars: `path`: points on their routes. `bicycle`: kinematic cars that steer.
             `mjx`: rigid-body cars on tyres, of the batched physics.
-        vehicle: preset or file of the cars that steer; those on paths are SMARTS's box.
+        vehicle: preset or file of the cars that steer; cars on paths are SMARTS's box.
         observation: `vector`, or `image`, the bird's-eye view.
-        raster: of the image.
+        raster: settings of the image.
         action: `index` of one of the four, or a `scalar` in [-1, 1], four ranges of
             which stand for them: the study's MADDPG.
         rewards: what agents earn.
@@ -178,7 +178,7 @@ class JunctionConfig(CheckedConfig):
         shuffle: missions are dealt out to the agents at random.
         probe: episodes begin after one joint `slow_down`, as in the study's program.
         jitter: starts vary by up to this distance along their lanes [m].
-        respawn: whether episodes auto-reset in the same step.
+        respawn: whether episodes auto-reset within the step.
         sim: time steps of the cars' physics; its control step is the junction's.
     """
 

@@ -140,7 +140,7 @@ class JunctionEnv:
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         """Advances by one control step.
 
-        Actions are (num_agents,) or (num_agents, 1); those of finished agents are
+        Actions are (num_agents,) or (num_agents, 1); actions of finished agents are
         ignored.
         """
         config, before, n = self.config, state, self.num_agents

@@ -1,7 +1,7 @@
 """Whole episodes of a policy at a junction, for learners of any library.
 
-The return ends with the first agent that is done, as in the study, whatever ends the
-training's episodes. The cars drive on until all are done, to count how many arrive.
+The return ends with the first agent that is done, as in the study, for any end of
+the training's episodes. The cars drive on until all are done, to count how many arrive.
 """
 
 import dataclasses
@@ -97,7 +97,7 @@ def advance(env: JunctionEnv, episode: Episode, action: jax.Array) -> Episode:
         returns=out.returns + jnp.where(counts, earned, 0.0),
         length=out.length + counts,
         crashed=crashed,
-        # A car may reach its goal and another one in the same step.
+        # A car may reach its goal and hit another in one step.
         completed=arrived.all() & ~crashed,
         passed=jnp.minimum(out.passed, jnp.where(across, step, NEVER)),
     )
@@ -120,7 +120,7 @@ def evaluate(env: JunctionEnv, policy: Policy, keys: jax.Array) -> Outcomes:
 def car_names(traffic: Scenario) -> list[str]:
     """Names of cars in tables: the arms that agents come from, and `human`.
 
-    Several from the same arm are numbered.
+    Several from one arm are numbered.
     """
     names = [mission.route.start.split("-")[0] for mission in traffic.missions]
     names += ["human"] * len(traffic.human_cars)

@@ -101,7 +101,7 @@ CORNER_CENTRES = tuple(
 )
 
 # Paint: a line between the directions of every arm, and the main road's southern edge
-# broken at the arm. Widths are those of German markings (RMS-1), a broad 0.25 m stop
+# broken at the arm. Widths follow German markings (RMS-1), a broad 0.25 m stop
 # line and thin lines of 0.12 m.
 MOUTH = HALF_ROAD + CORNER  # where the arms begin
 LINE, STOP_LINE = 0.12, 0.25

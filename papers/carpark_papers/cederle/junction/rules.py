@@ -1,8 +1,8 @@
-"""State, actions, ends of episodes and rewards at the junction.
+"""State, actions, termination and rewards at the junction.
 
-Cars are the agents' first, then the human-driven ones. Frames and units are those of
+Cars are the agents' first, then the human-driven ones. Frames and units follow
 `carpark_mj.types`. With one lane per direction there is no lane to change to: actions
-are target speeds, and the two lane changes are one and the same.
+are target speeds, and the two lane changes are equal.
 
 Collisions are overlaps of the cars' boxes at the traced instants of the step. What
 counts as off road, on the shoulder, off route and wrong way follows SMARTS: the first
@@ -182,7 +182,7 @@ def pay_progress(unpaid: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def reward(rules: RewardRules, progress: jax.Array, events: Events) -> jax.Array:
-    """Rewards (num_agents,) of a step, given those for progress."""
+    """Rewards (num_agents,) of a step, given the rewards for progress."""
     failed = events.off_road | events.on_shoulder | events.wrong_way
     failed = failed | events.crashed | events.off_route
     cost = jnp.where(failed, -EVENT, 0.0)

@@ -124,7 +124,7 @@ class JunctionRunConfig(RunConfig):
     def evaluation_keys(self) -> jax.Array:
         """Keys of the episodes of an evaluation.
 
-        They are always the same, so that the curve shows the policy only.
+        They are fixed, so that the curve shows the policy only.
         """
         return jax.random.split(evaluation_key(self.seed), self.eval_episodes)
 

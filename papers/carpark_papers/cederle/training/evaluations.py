@@ -20,7 +20,7 @@ from carpark_papers.cederle.video import ENDS, Drive, write_drives
 
 Rows = Sequence[Mapping[str, Any]]
 
-WINDOW = 5  # evaluations whose mean return tells whether a training has converged
+WINDOW = 5  # evaluations whose mean return decides convergence
 
 
 def write_evaluations(folder: Path, config: JunctionRunConfig, rows: Rows) -> None:

@@ -1,8 +1,8 @@
-"""Repeats the experiments of Pandita 2022 over seeds, beside the thesis's results.
+"""Repeats the experiments of Pandita 2022 over seeds and compares with the thesis.
 
     carpark_mj study slots --list
     carpark_mj study slots --experiment 10
-    carpark_mj study slots --all --minutes 9      # continues with the same command
+    carpark_mj study slots --all --minutes 9      # continues when repeated
     carpark_mj study slots --all --preset pandita # the thesis's settings
 
 Every training is a run of `carpark_mj study sac` in `runs/slots_study`, on its own

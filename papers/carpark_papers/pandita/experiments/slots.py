@@ -1,4 +1,4 @@
-"""The experiments of Pandita 2022, and those beyond, with their trainings."""
+"""The experiments of Pandita 2022 and further ones, with their trainings."""
 
 import dataclasses
 from pathlib import Path

@@ -79,7 +79,7 @@ class PhasedHer(HerReplayBuffer):
 
 
 def _map(change: Callable[..., Any], *samples: Any) -> DictReplayBufferSamples:
-    """Changes tensor by tensor what samples hold at the same place."""
+    """Changes samples tensor by tensor."""
     return DictReplayBufferSamples(
         *(
             {name: change(*(part[name] for part in parts)) for name in parts[0]}

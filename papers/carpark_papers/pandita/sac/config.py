@@ -115,7 +115,7 @@ class SACConfig(RunConfig):
         phases: phases in order, `KINDS:STEPS` or `KINDS:COUNTepisodes`: names of
             layouts, with commas if they are interleaved, and the length.
         deploy: kinds of lots on which the policy is deployed after every phase.
-        goal_slot: number of the goal's slot; `random` = any, `own` = that of the kind.
+        goal_slot: number of the goal's slot; `random` = any, `own` = the kind's.
         half_corridor: `SlotsConfig.half_corridor` of all kinds [m].
         environment: `pandita`, highway-env's car, or `slots`, a rigid-body car.
         replay: `her`, `plain`, or `none`: a buffer of the latest transitions only.
@@ -129,7 +129,7 @@ class SACConfig(RunConfig):
         buffer_size: size of the buffer [transitions].
         random_steps: random steps of every car before the policy acts and learns.
         learning_rate: Adam's learning rate at the beginning of every phase.
-        learning_rate_end: that at the end of the phase; linear in between.
+        learning_rate_end: learning rate at the end of the phase; linear in between.
         discount: discount factor per control step.
         tau: share of the networks in the update of their targets.
         target_entropy: target entropy of the policy [nat].
@@ -199,7 +199,7 @@ class SACConfig(RunConfig):
         return dataclasses.replace(config, goal_slot=slot)
 
     def layout_of_phase(self, number: int) -> LayoutConfig:
-        """The lots of a phase, among them those of earlier ones for rehearsal."""
+        """The lots of a phase, with lots of earlier phases for rehearsal."""
         phases = self.schedule
         now = phases[number].kinds
         before = {kind for phase in phases[:number] for kind in phase.kinds}
@@ -234,8 +234,8 @@ SAC_PRESETS: dict[str, SACConfig] = {
         gradient_steps=8,
         learning_rate_end=1e-4,
     ),
-    # His hyperparameters; highway-env's example has the same. Of those that he leaves
-    # at the defaults of Stable-Baselines3: 100 random steps, one gradient step.
+    # The thesis's hyperparameters, as in highway-env's example. Defaults of
+    # Stable-Baselines3: 100 random steps, one gradient step.
     "pandita": SACConfig(
         preset="pandita",
         phases=("slots:15000",),

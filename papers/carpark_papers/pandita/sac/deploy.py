@@ -1,6 +1,6 @@
 """Whole episodes on every kind of lot after a phase; forgetting, transfer, pictures.
 
-Backward and forward transfer are those of Lopez-Paz & Ranzato 2017, "Gradient Episodic
+Backward and forward transfer follow Lopez-Paz & Ranzato 2017, "Gradient Episodic
 Memory for Continual Learning", section 2 (arXiv 1706.08840).
 """
 
@@ -172,8 +172,8 @@ def deploy(
 ) -> dict[str, Any]:
     """Rates with Wilson's intervals, mean steps and speed [m/s] on a kind of lot.
 
-    Episodes have keys that training never uses. Where start and goal are fixed, those
-    of the deterministic policy are all alike.
+    Episodes have keys that training never uses. With fixed start and goal all
+    episodes of the deterministic policy are alike.
     """
     env = share(GoalParking, config.env_of(config.layout(kind)))
     keys = jax.random.split(evaluation_key(config.seed), config.eval_episodes)

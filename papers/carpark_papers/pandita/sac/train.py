@@ -237,7 +237,7 @@ def train(config: SACConfig, folder: Path) -> Training | None:
     done = min(progress.phase, phases)
     with (
         loop.over(phases, done),
-        contextlib.closing(MetricsLog(folder, progress.row)) as log,
+        contextlib.closing(MetricsLog(folder, progress.row, config)) as log,
     ):
         while progress.phase < phases:
             watch = Watch(config, progress, loop, log, lambda: _ignore(training.save()))

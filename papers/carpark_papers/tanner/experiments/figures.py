@@ -6,7 +6,7 @@ per step became m/s (0.5625 m / 16 points in 0.2 s), levels of turning rad/s (15
 0.2 s), world units metres (0.5625 m). Runs without global information are labelled
 (L,L,.): their result file names no context, and they behave like (G,L,.).
 
-The values of the swept settings are those of the published runs, `tanner_2022.csv`.
+The values of the swept settings are taken from the published runs, `tanner_2022.csv`.
 """
 
 import csv
@@ -58,8 +58,8 @@ def _order(value: str) -> tuple[bool, float, str]:
         return True, 0.0, value
 
 
-# As many episodes as docs/study.md has always compared; the study counts some 60,000 in
-# the last fifth of a training.
+# Episodes of the comparisons in docs/study.md; the study counts some 60,000 in the last
+# fifth of a training.
 EVAL_EPISODES = "3584"
 _SCHEME, _GLOBAL = "env.giving_way.scheme", "env.observation.global_information"
 
@@ -236,8 +236,8 @@ def plan_of(
 ) -> Plan:
     """The sweep of an experiment.
 
-    `repeats` are those of every combination (0 = as many as are published), `seed` is
-    the first, `changes` replace the experiment's own settings.
+    `repeats` counts runs of every combination (0 = as many as published), `seed` is the
+    first seed, `changes` replace settings of the experiment.
     """
     changed = {field for axis in changes for field in axis.fields}
     fixed = {"eval_episodes": EVAL_EPISODES, **experiment.fixed}

@@ -1,12 +1,12 @@
-"""Repeats the experiments of Tanner 2022, beside the published numbers.
+"""Repeats the experiments of Tanner 2022 and compares with the published numbers.
 
     carpark_mj study tanner --list
     carpark_mj study tanner --figure 5.8                 # its sweep, table and plots
-    carpark_mj study tanner --all --minutes 60           # what fits, and what does not
+    carpark_mj study tanner --all --minutes 60           # what fits into an hour
     carpark_mj study tanner --figure 5.5 --cluster slurm
 
 Every figure has a folder below `runs/study`: a sweep (`carpark_mj sweep`),
-`report.html` with the published runs drawn in, and `verdicts.md`. The same command
+`report.html` with the published runs drawn in, and `verdicts.md`. Repeating the command
 continues.
 """
 
@@ -39,11 +39,11 @@ class StudyConfig(CheckedConfig):
 
     Attributes:
         figure: number of a figure, `5.8`.
-        all: all figures, those of the fewest programs first.
+        all: all figures, the fewest programs first.
         list: list the figures and train none.
         minutes: budget [min]; figures that do not fit are named and left out. 0 = no
             limit.
-        repeats: runs of every combination; 0 = as many as are published.
+        repeats: runs of every combination; 0 = as many as published.
         seed: first seed.
         set: settings of all runs instead of the study's, `FIELD=VALUE` as in
             `carpark_mj sweep`.
@@ -127,7 +127,7 @@ def measured_rate(sweeps: Sequence[tuple[Path, Sequence[Run]]]) -> float:
 def choose(
     costs: Sequence[Cost], minutes: float, at_once: int = 1
 ) -> tuple[list[Cost], list[Cost]]:
-    """Experiments that fit a budget, fewest programs first, and those left out.
+    """Experiments that fit a budget, fewest programs first, and the remaining ones.
 
     The budget is in minutes, 0 = no limit, for `at_once` runs at a time.
     """

@@ -36,8 +36,8 @@ RUN_SETTINGS = (
 class QLearningConfig(RunConfig):
     """Settings of `carpark_mj study q_learning`; every field is a flag.
 
-    The settings of `RunConfig` come first. The rates are those of Tanner 2022, section
-    5.1.1; names follow its table C.6.
+    The settings of `RunConfig` come first. Rates follow Tanner 2022, section 5.1.1,
+    names its table C.6.
 
     Attributes:
         preset: experiment that sets the defaults: `tanner-qlearning`, figure 5.1 by the

@@ -60,7 +60,7 @@ def make_table_policy(
 ) -> Policy:
     """A policy that takes the action of highest value, the first of equals.
 
-    `table` is (states, actions), `sizes` the `cardinalities`, `choices` those of
+    `table` is (states, actions), `sizes` the `cardinalities`, `choices` the choices of
     `ActionSpec`.
     """
     best = action_choices(jnp.argmax(table, axis=-1), choices)

@@ -1,7 +1,8 @@
-"""Formulas as MathML: a hook of mkdocs, so that no page needs a script for them."""
+"""Hooks of mkdocs: formulas as MathML, without a script, and a repository button."""
 
 import html
 import re
+from typing import Any
 
 from latex2mathml.converter import convert
 
@@ -9,6 +10,15 @@ from latex2mathml.converter import convert
 _FORMULA = re.compile(
     r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL
 )
+
+
+_REPOSITORY = "<!-- repository -->"  # where a page links to the configured one
+
+
+def on_page_markdown(markdown: str, config: Any, **_: object) -> str:
+    """Links to the repository where mkdocs.yml has its address."""
+    link = f"**[Repository]({config.repo_url})**" if config.repo_url else ""
+    return markdown.replace(_REPOSITORY, link)
 
 
 def on_page_content(content: str, **_: object) -> str:
