@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from faults import FAULTS
 from helpers.programs import python
 
 ROOT = Path(__file__).parents[1]
@@ -213,3 +214,11 @@ def test_the_suite_needs_no_optional_package():
     )
     done = python("-c", code)
     assert done.stdout.split() == ["1"], done.stderr
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_has_its_place_and_its_tests(name):
+    """`tests/faults.py` puts it in; that takes minutes."""
+    fault = FAULTS[name]
+    assert (ROOT / "carpark_mj" / fault.path).read_text().count(fault.right) == 1
+    assert all((ROOT / "tests" / file).exists() for file in fault.tests.split())

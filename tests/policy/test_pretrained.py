@@ -26,7 +26,7 @@ from carpark_mj.policy.runs import find_policy
 from carpark_mj.pretrained import pretrained_names
 from carpark_mj.training.ppo.train import save
 
-MAX_SIZE = 1e6  # bytes
+MAX_SIZE = 2.5e6  # bytes; three layers of 512 units
 
 
 def act(loaded, count=50):
