@@ -92,11 +92,11 @@ class EvaluateConfig(DriveSettings):
     carpark_mj evaluate --policy zero --environment square
 
     Attributes:
-        policy: the same as RUN.
-        episodes: least number of episodes, rounded up to the same number for every
+        policy: RUN, as a flag.
+        episodes: least number of episodes, rounded up to an equal number for every
             agent of every lot; 1,024 become 1,792 for seven agents in 128 lots.
         horizon: simulated time [s]; all episodes that begin within it count, instead of
-            the same number per agent, so that short episodes weigh more. `episodes`
+            an equal number per agent, so that short episodes weigh more. `episodes`
             then sets the number of lots.
         num_lots: lots simulated side by side, each with its own share of the episodes.
         rule: parked rule of the evaluation: tanner, strict, precise, metadrive, or a

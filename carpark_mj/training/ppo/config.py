@@ -48,8 +48,8 @@ class CurriculumConfig(CheckedConfig):
         neighbour_share: weight, at the end, of the mean advantage of the other agents
             within 15 m, which is added to an agent's own. 0 until progress 0.2, then
             rising linearly until 0.6. One agent has no neighbours.
-        teacher: policy whose actions are imitated where the agents get to, as a name, a
-            run or a checkpoint; "" = none. It observes what it was trained on.
+        teacher: policy to imitate at the states that the agents reach (DAgger): a name,
+            run or checkpoint; "" = none. It observes what it was trained on.
         teacher_cost: weight, at the start, of the squared distance to its actions.
         teacher_until: progress at which that weight, falling linearly, is 0.
     """
@@ -120,7 +120,7 @@ class PPOConfig(RunConfig):
         max_grad_norm: global norm to which gradients are clipped.
         half_precision: compute the networks' inner layers in bfloat16 in training; set
             encoder only.
-        variant: whose details: `brax`, or of a study, as `ml-agents`.
+        variant: details of the algorithm: `brax`, or of a study, as `ml-agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
         critic_steps: agent steps at the start in which only the critic learns, rounded
