@@ -1,4 +1,4 @@
-"""`python -m carpark_mj.play`: the same as `carpark_mj play`."""
+"""`python -m carpark_mj.play`, another name of `carpark_mj play`."""
 
 from carpark_mj.cli.process import enter
 
