@@ -205,10 +205,7 @@ def compare(config: PeersConfig) -> None:
         try:
             found = programs(config.lots, stack)
         except ModuleNotFoundError as error:
-            raise ValueError(
-                f"peer {config.peer} needs {error.name}: "
-                'pip install "carpark_mj[sb3,peers]"'
-            ) from None
+            raise ValueError(f'{error}: pip install -e ".[sb3,peers]"') from None
         print(comparison(take_turns(found, config.rounds)))
 
 

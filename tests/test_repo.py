@@ -81,9 +81,8 @@ def rooms_imported(path):
 
 
 def sources(rooms):
-    """Files of some rooms; a room's command line is a call of `cli` only."""
-    calls = {*LIBRARY.glob("*/__main__.py")}
-    return [path for path in FILES if part_of(path) in rooms and path not in calls]
+    """Files of some rooms."""
+    return [path for path in FILES if part_of(path) in rooms]
 
 
 def test_every_room_has_a_floor():
@@ -125,13 +124,6 @@ def test_task_and_geometry_do_not_import_mujoco(room):
         roots = {name.split(".")[0] for name in imports_of(path)}
         assert "mujoco" not in roots, path
         assert room == "types" or not rooms_imported(path) & AROUND_TASK, path
-
-
-def test_command_lines_of_rooms_only_call_cli():
-    files = [path for path in LIBRARY.glob("*/__main__.py")]
-    assert len(files) == 3
-    for path in files:
-        assert rooms_imported(path) == {"cli"}
 
 
 def test_the_library_never_imports_the_programs():
