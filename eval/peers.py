@@ -1,7 +1,7 @@
 """Compares adapters with the core, and highway-env with adapters, in one session.
 
     python eval/peers.py core --lots 1024 --rounds 8
-    python eval/peers.py highway-env --lots 1024    # pip install ".[sb3,peers]"
+    python eval/peers.py highway-env --lots 1024    # pip install -e ".[sb3,peers]"
 
 All programs are compiled first and then take turns, so that other work on the machine
 affects all alike; the best turn of each counts.

@@ -115,7 +115,7 @@ def _tensorboard(folder: Path, step: int, settings: Settings) -> Logger:
     add(step + 1, session_log=start)
     plain = (int, float, str)
     shown = {n: x if isinstance(x, plain) else str(x) for n, x in settings.items()}
-    for part in hparams(shown, dict.fromkeys(OUTCOMES, 0.0)) if shown else ():
+    for part in hparams(shown, dict.fromkeys(OUTCOMES, 0.0)):
         add(step + 1, summary=part)
     return Logger(write, video, close)
 
