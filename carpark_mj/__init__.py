@@ -14,7 +14,7 @@ register_environments()
 
 __version__ = "1.0.0"
 
-if TYPE_CHECKING:  # for editors; at run time names come from `_HOMES`
+if TYPE_CHECKING:  # for editors; at run time names come from `_NAMES`
     from carpark_mj.config import EnvConfig as EnvConfig
     from carpark_mj.config import EpisodeConfig as EpisodeConfig
     from carpark_mj.config import RewardConfig as RewardConfig
@@ -28,20 +28,16 @@ if TYPE_CHECKING:  # for editors; at run time names come from `_HOMES`
     from carpark_mj.training import render as render
     from carpark_mj.wrappers.pettingzoo import parallel_env as parallel_env
 
-_HOMES = {
-    "ContinuousObservation": "carpark_mj.observations",
-    "EnvConfig": "carpark_mj.config",
-    "EpisodeConfig": "carpark_mj.config",
-    "ParkingEnv": "carpark_mj.env",
-    "RewardConfig": "carpark_mj.config",
-    "SimConfig": "carpark_mj.config",
-    "SpawnConfig": "carpark_mj.config",
-    "evaluate": "carpark_mj.training",
-    "load_policy": "carpark_mj.policy.loading",
-    "make_layout": "carpark_mj.layouts",
-    "parallel_env": "carpark_mj.wrappers.pettingzoo",
-    "render": "carpark_mj.training",
+_NAMES = {
+    "config": "EnvConfig EpisodeConfig RewardConfig SimConfig SpawnConfig",
+    "env": "ParkingEnv",
+    "layouts": "make_layout",
+    "observations": "ContinuousObservation",
+    "policy.loading": "load_policy",
+    "training": "evaluate render",
+    "wrappers.pettingzoo": "parallel_env",
 }
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 __all__ = [*sorted(_HOMES), "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
@@ -49,10 +45,10 @@ __all__ = [*sorted(_HOMES), "__version__"]  # pyright: ignore[reportUnsupportedD
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'carpark_mj' has no attribute {name!r}")
-    from carpark_mj.cli.process import naming_extras
+    from carpark_mj.extensions import naming_extras
 
     with naming_extras():
-        return getattr(importlib.import_module(_HOMES[name]), name)
+        return getattr(importlib.import_module(f"carpark_mj.{_HOMES[name]}"), name)
 
 
 def __dir__() -> list[str]:

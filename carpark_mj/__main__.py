@@ -10,13 +10,17 @@ from carpark_mj.programs import COMMANDS
 
 # Completes names of commands, and flags by what tyro prints for each command.
 COMPLETION = """_carpark_mj() {
+  local command=${COMP_WORDS[1]}
   if [ "$COMP_CWORD" = 1 ]; then
     COMPREPLY=($(compgen -W "COMMANDS" -- "$2"))
     return
   fi
-  local flags=_tyro_carpark_mj_${COMP_WORDS[1]}
+  case "$command ${COMP_WORDS[2]}" in
+    NESTED) command+=" ${COMP_WORDS[2]}" ;;
+  esac
+  local flags=_tyro_carpark_mj_${command// /_}
   if ! declare -F "$flags" >/dev/null; then
-    eval "$(carpark_mj "${COMP_WORDS[1]}" --tyro-print-completion bash 2>/dev/null)"
+    eval "$(carpark_mj $command --tyro-print-completion bash 2>/dev/null)"
     complete -F _carpark_mj carpark_mj
   fi
   if declare -F "$flags" >/dev/null; then "$flags" "$@"; fi
@@ -32,12 +36,13 @@ def main() -> NoReturn:
         print(f"usage: carpark_mj COMMAND ...\n\n{table(summaries)}\n")
         print("carpark_mj COMMAND --help lists the settings of each.")
         print("carpark_mj --version prints the version, --completion a bash script.")
-        sys.exit(0)
     if name == "--version":
         print(f"carpark_mj {carpark_mj.__version__}")
-        sys.exit(0)
     if name == "--completion":
-        print(COMPLETION.replace("COMMANDS", " ".join(COMMANDS)))
+        nested = "|".join(f'"{name}"' for name in COMMANDS if " " in name)
+        top = " ".join(name for name in COMMANDS if " " not in name)
+        print(COMPLETION.replace("COMMANDS", top).replace("NESTED", nested))
+    if name in ("-h", "--help", "--version", "--completion"):
         sys.exit(0)
     if name not in COMMANDS:
         known = ", ".join(COMMANDS)

@@ -7,16 +7,20 @@ unregistered name imports the core's own parts, then the extensions:
 - the modules that installed packages name as entry points of `GROUP`;
 - the modules that the environment variable `VARIABLE` lists, separated by commas.
 
-The core imports none of them, and every program finds all of them.
+The core imports none of them, and every program finds all of them. Packages that the
+core does without come with extras, which messages name where one is missing.
 """
 
+import contextlib
 import dataclasses
 import difflib
 import functools
 import importlib
 import importlib.metadata
+import importlib.util
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 GROUP = "carpark_mj.extensions"
@@ -166,3 +170,52 @@ def _extensions(named: str) -> tuple[str, ...]:
     names += [point.module for point in importlib.metadata.entry_points(group=GROUP)]
     names += [name for name in named.split(",") if name]
     return tuple(dict.fromkeys(names))
+
+
+# Packages by the extras that install them.
+_PACKAGES = {
+    "train,eval": "tyro rich matplotlib tensorboardX imageio_ffmpeg scipy",
+    "maps": "ezdxf pyproj shapely",
+    "torchrl": "torchrl benchmarl",
+    "export": "onnx onnxruntime",
+    "web": "mjviser",
+    "video": "moviepy",
+    "planner": "ompl",
+    "sb3": "sbx stable_baselines3",
+    "sweep": "submitit",
+    "sb3,torchrl": "torch",
+    "test": "vehiclemodels",
+    **{name: name for name in ("jaxmarl", "mlflow", "pettingzoo", "wandb")},
+}
+EXTRAS = {name: extra for extra, names in _PACKAGES.items() for name in names.split()}
+
+
+def missing_extra(error: ModuleNotFoundError) -> str | None:
+    """The error with the command that installs the package, None if no extra has it."""
+    extra = EXTRAS.get((error.name or "").partition(".")[0])
+    if extra is None or "pip install" in str(error):
+        return extra and str(error)
+    clone = Path(__file__).resolve().parents[1]
+    if (clone / "pyproject.toml").exists():
+        return f'{error}: pip install -e "{clone}[{extra}]"'
+    return f'{error}: pip install "carpark_mj[{extra}]"'
+
+
+@contextlib.contextmanager
+def naming_extras() -> Generator[None]:
+    """Names the extra to install if an import inside misses a package of `EXTRAS`."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        message = missing_extra(error)
+        if message is None:
+            raise
+        raise ModuleNotFoundError(message, name=error.name) from None
+
+
+def require_packages(*names: str) -> None:
+    """Raises `ModuleNotFoundError` for the first package that is not installed."""
+    for name in names:
+        if importlib.util.find_spec(name) is None:
+            with naming_extras():
+                raise ModuleNotFoundError(f"No module named {name!r}", name=name)

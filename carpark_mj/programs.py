@@ -10,10 +10,9 @@ from carpark_mj.cli.process import (
     configure_jax,
     dispatch_synchronously,
     enable_output_fusion,
-    require_packages,
 )
 from carpark_mj.compilation import keep_compiled_programs
-from carpark_mj.extensions import Entry, Registry, table
+from carpark_mj.extensions import Entry, Registry, require_packages, table
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)

@@ -1,7 +1,7 @@
 """Compares adapters with the core, and highway-env with adapters, in one session.
 
     python eval/peers.py core --lots 1024 --rounds 8
-    python eval/peers.py highway-env --lots 1024    # pip install ".[sb3,peers]"
+    python eval/peers.py highway-env --lots 1024    # pip install -e ".[sb3,peers]"
 
 All programs are compiled first and then take turns, so that other work on the machine
 affects all alike; the best turn of each counts.
@@ -205,10 +205,7 @@ def compare(config: PeersConfig) -> None:
         try:
             found = programs(config.lots, stack)
         except ModuleNotFoundError as error:
-            raise ValueError(
-                f"peer {config.peer} needs {error.name}: "
-                'pip install "carpark_mj[sb3,peers]"'
-            ) from None
+            raise ValueError(f'{error}: pip install -e ".[sb3,peers]"') from None
         print(comparison(take_turns(found, config.rounds)))
 
 

@@ -1,6 +1,6 @@
 """BenchMARL's algorithms park four cars in one lot; one command each.
 
-pip install ".[torchrl,eval]"
+pip install -e ".[torchrl,eval]"
 python examples/benchmarl_parking.py --algorithm ippo
 python examples/benchmarl_parking.py --algorithm mappo
 

@@ -1,6 +1,6 @@
 """PPO in one file, after CleanRL's: torch learns from lots that JAX simulates.
 
-pip install ".[eval]" torch
+pip install -e ".[eval]" torch
 python examples/cleanrl_ppo.py
 
 Every agent of every lot is an environment; all share one policy. It prints and draws

@@ -1,6 +1,6 @@
 """Drives an exported scene with MuJoCo alone and prints measurements of the car.
 
-python -m carpark_mj.scene --num-agents 1 --num-parked-cars 0 --seed 11 --out scene.xml
+carpark_mj scene --num-agents 1 --num-parked-cars 0 --seed 11 --out scene.xml
 python examples/drive_scene.py scene.xml
 
 The car needs room for a circle to the left; exit code 2 means that it hit an obstacle.

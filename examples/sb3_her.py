@@ -1,6 +1,6 @@
 """Stable-Baselines3's SAC with hindsight replay (HER) learns to drive to a pose.
 
-pip install ".[sb3]" && python examples/sb3_her.py
+pip install -e ".[sb3]" && python examples/sb3_her.py
 
 It writes a learning curve and prints the rates of whole episodes on other seeds;
 success is that of highway-env's parking, see `carpark_mj.tasks.goal_pose`.

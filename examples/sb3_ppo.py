@@ -1,6 +1,6 @@
 """Stable-Baselines3's PPO learns to park one car among sixteen on two cores.
 
-pip install ".[sb3]" && python examples/sb3_ppo.py
+pip install -e ".[sb3]" && python examples/sb3_ppo.py
 
 It writes a learning curve and prints the rates of whole episodes on other seeds;
 success is `strict`: within the lines, straight and at rest. With `--cameras` the car

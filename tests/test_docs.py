@@ -172,7 +172,7 @@ def test_the_vehicle_presets_are_those_of_the_code():
 
 def test_the_test_command_is_where_ci_reads_it():
     block = README.split("<!-- test command -->\n")[1].split("```")[1]
-    assert block == 'bash\npip install ".[test]" && pytest\n'
+    assert block == 'bash\npip install -e ".[test]" && pytest\n'
 
 
 def test_the_image_installs_what_the_readme_says():

@@ -84,9 +84,8 @@ def packages_imported(path):
 
 
 def sources(packages):
-    """Files of packages; a package's command line is a call of `cli` only."""
-    calls = {*LIBRARY.glob("*/__main__.py")}
-    return [path for path in FILES if part_of(path) in packages and path not in calls]
+    """Files of packages."""
+    return [path for path in FILES if part_of(path) in packages]
 
 
 def test_every_package_has_a_layer():
@@ -130,13 +129,6 @@ def test_task_and_geometry_do_not_import_mujoco(package):
         roots = {name.split(".")[0] for name in imports_of(path)}
         assert "mujoco" not in roots, path
         assert package == "types" or not packages_imported(path) & AROUND_TASK, path
-
-
-def test_command_lines_of_packages_only_call_cli():
-    files = [path for path in LIBRARY.glob("*/__main__.py")]
-    assert len(files) == 3
-    for path in files:
-        assert packages_imported(path) == {"cli"}
 
 
 def test_the_library_never_imports_the_programs():

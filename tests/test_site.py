@@ -18,7 +18,7 @@ LEFT_AS_TEXT = re.compile(r"^(<p>)?(- |\|)", re.MULTILINE)
 
 
 def test_the_site_is_whole_and_asks_nobody(tmp_path):
-    pytest.importorskip("mkdocs", reason='pip install ".[docs]"')
+    pytest.importorskip("mkdocs", reason='pip install -e ".[docs]"')
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", tmp_path]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

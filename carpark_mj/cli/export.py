@@ -17,6 +17,7 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.evaluation.tables import print_rows
+from carpark_mj.extensions import require_packages
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
@@ -35,7 +36,6 @@ from carpark_mj.policy.onnx_export import (
     onnx_inputs,
     policy_actions,
     random_observations,
-    require_onnx,
     rounding_error,
     sensitivity,
 )
@@ -65,11 +65,12 @@ def main(config: ExportConfig) -> Path:
         CheckpointError: the run cannot be read.
         ValueError: the model differs from the policy, a car outside cannot make the
             policy's observation, or the lots have more rows than the counts.
-        OSError: the file cannot be written, or a package is missing.
+        OSError: the file cannot be written.
+        ModuleNotFoundError: a package is missing.
     """
     out = Path(config.out)
     if out.suffix != ".npz":
-        require_onnx()
+        require_packages("onnx", "onnxruntime")
     loaded = load_policy(config.run)
     if not config.out:
         name = "car.onnx" if config.from_state else "policy.onnx"

@@ -238,9 +238,6 @@ def _sentence(box: str) -> str:
         sentence = sentence.replace(words, plain)
     unknown = re.search(r"--[\w.-]+", sentence)
     meant = re.findall(r"^--\w[\w.-]*", "\n".join(lines), re.MULTILINE)
-    if not (unknown and meant):
-        return sentence
     # Tyro lists them in another order.
-    match = difflib.SequenceMatcher
-    nearest = max(meant, key=lambda flag: match(None, unknown[0], flag).ratio())
-    return f"{sentence}; perhaps you meant {nearest}"
+    near = unknown and difflib.get_close_matches(unknown[0], meant, 1, 0.0)
+    return f"{sentence}; perhaps you meant {near[0]}" if near else sentence

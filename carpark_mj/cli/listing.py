@@ -20,7 +20,8 @@ def describe_environment(config: Any) -> str:
     agents = counted(config.num_agents, "agent")
     goals = "dynamic" if config.goals.dynamic else "fixed"
     lot = config.layout if isinstance(config.layout, str) else config.layout.family
-    return f"{agents}, {goals} goals, {lot} lot, {config.physics} physics"
+    lots = f"layout{'s' * (',' in lot)} {lot.replace(',', ', ')}"
+    return f"{agents}, {goals} goals, {config.physics} physics, {lots}"
 
 
 def _policy(name: str) -> str:

@@ -10,8 +10,8 @@ from collections.abc import Generator
 from typing import Any
 
 from carpark_mj.cli.clock import CLOCK, PERIOD
-from carpark_mj.cli.process import require_packages
 from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig
+from carpark_mj.extensions import require_packages
 from carpark_mj.rendering.local_pages import HOST
 
 

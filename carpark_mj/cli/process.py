@@ -6,7 +6,7 @@ start.
 
 import contextlib
 import errno
-import importlib.util
+import importlib
 import io
 import os
 import signal
@@ -19,6 +19,7 @@ from typing import Any, NoReturn, cast
 
 from carpark_mj.cli.clock import CLOCK, LOADING
 from carpark_mj.compilation import EXTRA_OPTIONS, SHARE_LOOPS, SHARED_LOOPS
+from carpark_mj.extensions import missing_extra
 from carpark_mj.rendering.gl import check_gl
 
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
@@ -28,23 +29,6 @@ _EXHAUSTED = "RESOURCE_EXHAUSTED"  # in errors of XLA
 MAX_EPISODES = 1_000_000  # of an evaluation: some kilobytes each are held in memory
 MAX_SECONDS = 3600  # of a recording, or an evaluation's horizon, both held in memory
 OUTPUT_FUSION = f"{EXTRA_OPTIONS}xla_cpu_use_multi_output_fusion,{SHARED_LOOPS}"
-# What installs the packages that commands need beside the library's own.
-EXTRAS = {
-    **dict.fromkeys(("tyro", "rich", "matplotlib", "tensorboardX"), "train,eval"),
-    **dict.fromkeys(("imageio_ffmpeg", "scipy"), "train,eval"),
-    **dict.fromkeys(("ezdxf", "pyproj", "shapely"), "maps"),
-    **dict.fromkeys(("torchrl", "benchmarl"), "torchrl"),
-    **dict.fromkeys(("onnx", "onnxruntime"), "export"),
-    **{name: name for name in ("jaxmarl", "mlflow", "pettingzoo", "wandb")},
-    "mjviser": "web",
-    "moviepy": "video",
-    "ompl": "planner",
-    "sbx": "sb3",
-    "stable_baselines3": "sb3",
-    "submitit": "sweep",
-    "torch": "sb3,torchrl",
-    "vehiclemodels": "test",
-}
 
 
 def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
@@ -101,7 +85,7 @@ def run_command(program: str, command: Callable[[], object]) -> int:
     Args:
         program: name before the line.
         command: returns the exit code; any value but an int means 0. It imports
-            modules that need packages of `EXTRAS`, so that a missing package is such an
+            modules that need packages of extras, so that a missing package is such an
             error.
 
     Returns:
@@ -114,7 +98,7 @@ def run_command(program: str, command: Callable[[], object]) -> int:
         if isinstance(error, USER_ERRORS) or exhausted:
             message = one_line(error)
         elif isinstance(error, ModuleNotFoundError):
-            message = _missing_extra(error)
+            message = missing_extra(error)
         else:
             message = _missing_device()
         if message is None:
@@ -134,32 +118,6 @@ def one_line(error: BaseException) -> str:
         reason = str(error).partition("\n")[0] or "allocation failed"
         return f"not enough memory, choose smaller sizes: {reason}"
     return " ".join(str(error).split())
-
-
-def _missing_extra(error: ModuleNotFoundError) -> str | None:
-    extra = EXTRAS.get((error.name or "").partition(".")[0])
-    if extra is None or "pip install" in str(error):
-        return extra and str(error)
-    return f'{error}: pip install "carpark_mj[{extra}]"'
-
-
-def require_packages(*names: str) -> None:
-    """Raises `ModuleNotFoundError` for the first package that is not installed."""
-    for name in names:
-        if importlib.util.find_spec(name) is None:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-
-@contextlib.contextmanager
-def naming_extras() -> Generator[None]:
-    """Names the extra to install if an import inside misses a package of `EXTRAS`."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        message = _missing_extra(error)
-        if message is None:
-            raise
-        raise ModuleNotFoundError(message, name=error.name) from None
 
 
 def _missing_device() -> str | None:

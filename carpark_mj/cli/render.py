@@ -6,7 +6,7 @@ import functools
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -36,8 +36,6 @@ from carpark_mj.rendering.video import (
     frame_indices,
     write_video,
 )
-
-T = TypeVar("T")
 
 
 def main(config: RenderConfig) -> Path:
@@ -105,7 +103,7 @@ def _show(config: RenderConfig, env: EnvConfig) -> Show:
     return Show(tracked, rings)
 
 
-def _shown(things: Iterable[T]) -> Iterable[T]:
+def _shown(things: Iterable[Any]) -> Iterable[Any]:
     """Things under a progress bar, for which notebooks would need another package."""
     hidden = get_console().is_jupyter
     return track(things, "rendering", transient=True, disable=hidden)

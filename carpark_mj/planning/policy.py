@@ -18,6 +18,7 @@ import numpy as np
 from jax.experimental import io_callback
 
 from carpark_mj.env import ParkingEnv
+from carpark_mj.extensions import require_packages
 from carpark_mj.geometry.obstacles import Boxes, Group, by_shape
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.planning.obstacles import FreeSpace, Solids
@@ -36,7 +37,7 @@ from carpark_mj.planning.paths import (
     rear_axle,
     track,
 )
-from carpark_mj.planning.search import Search, SearchConfig, require_ompl, search
+from carpark_mj.planning.search import Search, SearchConfig, search
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import POLICIES
 from carpark_mj.types import State
@@ -285,7 +286,7 @@ def require_plannable(env: ParkingEnv) -> None:
         )
     if env.config.goals.dynamic:
         raise ValueError("the planner needs fixed goals, goals.dynamic = False")
-    require_ompl()
+    require_packages("ompl")
 
 
 def sights(state: State) -> list[list[Sight]]:

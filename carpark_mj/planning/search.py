@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from carpark_mj.extensions import require_packages
 from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.planning.obstacles import FreeSpace, Solids
 from carpark_mj.planning.paths import STEP, PlannedPath, centre, make_path, rear_axle
@@ -135,23 +136,10 @@ def _wrap(yaw: float) -> float:
 
 @functools.cache
 def _ompl() -> Any:
-    try:
-        from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise ValueError(
-            'the planner needs OMPL: pip install "carpark_mj[planner]"'
-        ) from None
+    from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]
+
     util.setLogLevel(util.LogLevel.LOG_NONE)
     return base, geometric, util
-
-
-def require_ompl() -> None:
-    """Refuses to plan without OMPL.
-
-    Raises:
-        ValueError: it is not installed.
-    """
-    _ompl()
 
 
 class _Counter:
@@ -273,9 +261,9 @@ def unreached(
         Indices of the bays that were tried, and of those without a path.
 
     Raises:
-        ValueError: OMPL is not installed.
+        ModuleNotFoundError: OMPL is not installed.
     """
-    require_ompl()
+    require_packages("ompl")
     bays = np.asarray(layout.bay_pose, float)
     ends = np.asarray(layout.bay_mask & (layout.bay_kind != BayKind.EXIT))
     tried = np.random.default_rng(seed).permutation(np.flatnonzero(ends))[:count]

@@ -11,7 +11,6 @@ batch.
 """
 
 import dataclasses
-import importlib.util
 import json
 from typing import Any
 
@@ -20,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig
+from carpark_mj.extensions import require_packages
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.observations import ContinuousObservation, Field, make_fields
 from carpark_mj.observations.compose import is_picture, join
@@ -95,17 +95,11 @@ def join_inputs(config: EnvConfig, *arrays: jax.Array) -> jax.Array:
     return jnp.concatenate(ordered, axis=-1)
 
 
-def require_onnx() -> None:
-    """Raises OSError unless the packages of the extra `export` are installed."""
-    if not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
-        raise OSError('ONNX export needs the extra: pip install "carpark_mj[export]"')
-
-
 def make_model(loaded: LoadedPolicy) -> Any:
     """The ONNX model (`onnx.ModelProto`) of a deterministic policy.
 
     Raises:
-        OSError: a package of the extra `export` is missing.
+        ModuleNotFoundError: a package of the extra `export` is missing.
         ValueError: it observes pictures.
     """
     pictures = [field.name for field in make_fields(loaded.env) if is_picture(field)]
@@ -114,7 +108,7 @@ def make_model(loaded: LoadedPolicy) -> Any:
             f"only policies without pictures become ONNX models, not one that observes "
             f"{', '.join(pictures)}"
         )
-    require_onnx()
+    require_packages("onnx", "onnxruntime")
     inputs = {entry.name: entry for entry in onnx_inputs(loaded.env)}
 
     def act(*arrays: jax.Array) -> dict[str, jax.Array]:

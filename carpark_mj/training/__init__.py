@@ -16,7 +16,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from carpark_mj.cli.process import configure_jax, naming_extras
+from carpark_mj.cli.process import configure_jax
+from carpark_mj.extensions import naming_extras
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before MuJoCo is imported, for `render`
@@ -153,14 +154,14 @@ def _argument(run: AnyRun) -> str:
     """What drives, as an argument of a command."""
     if isinstance(run, str):
         return run
-    from carpark_mj.policy.loading import LoadedPolicy, load_policy
+    from carpark_mj.policy.loading import load_policy
     from carpark_mj.training.run_folder import argument
 
-    if isinstance(run, LoadedPolicy):
-        if load_policy(run.path).env != run.env:
-            raise ValueError(
-                f"{run.path} was loaded with another environment: pass the path, and "
-                "what differs as settings"
-            )
-        return argument(run.path)
-    return argument(run.folder if isinstance(run, Run) else Path(run))
+    if isinstance(run, Run | Path):
+        return argument(run.folder if isinstance(run, Run) else run)
+    if load_policy(run.path).env != run.env:
+        raise ValueError(
+            f"{run.path} was loaded with another environment: pass the path, and what "
+            "differs as settings"
+        )
+    return argument(run.path)

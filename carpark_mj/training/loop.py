@@ -140,13 +140,8 @@ class MetricsLog:
     twice.
     """
 
-    def __init__(
-        self, folder: Path, resume_update: float, config: RunConfig | None = None
-    ) -> None:
-        """Opens the log of a run that stands at `resume_update` updates.
-
-        `config` names the loggers; without one there is TensorBoard alone.
-        """
+    def __init__(self, folder: Path, resume_update: float, config: RunConfig) -> None:
+        """Opens the log and loggers of a run that stands at `resume_update` updates."""
         self._path = folder / "metrics.csv"
         rows = [
             row.cells
@@ -156,9 +151,8 @@ class MetricsLog:
         self._columns = list(rows[0]) if rows else []
         write_csv(self._path, rows)
         self._step = int(float(rows[-1]["env_steps"])) if rows else 0
-        settings = dict(list_settings(config)) if config else {}
-        names = (config or RunConfig()).logger
-        self._loggers = open_loggers(names, folder, self._step, settings)
+        settings = dict(list_settings(config))
+        self._loggers = open_loggers(config.logger, folder, self._step, settings)
         self._file = self._path.open("a", newline="")
 
     def write(self, row: dict[str, float]) -> None:

@@ -173,13 +173,13 @@ def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, A
     return header
 
 
-def stored(folder: Path) -> dict[str, Any]:
-    """The settings of a run, as in its `config.json`.
+def stored(folder: Path, name: str = "config.json") -> dict[str, Any]:
+    """The settings of a run, as in a file of its folder.
 
     Raises:
         CheckpointError: the run does not exist, or another version wrote it.
     """
-    path = folder / "config.json"
+    path = folder / name
     if not path.exists():
         raise CheckpointError(f"no run at {folder} (no {path})")
     with refused_as(f"{path} is not the config of a run"):
@@ -188,10 +188,10 @@ def stored(folder: Path) -> dict[str, Any]:
     return described["config"]
 
 
-def read_config(cls: type[Config], folder: Path) -> Config:
+def read_config(cls: type[Config], folder: Path, name: str = "config.json") -> Config:
     """Reads the settings of a run, see `stored`."""
-    with refused_as(f"{folder / 'config.json'} is not the config of a run"):
-        return runs.from_dict(cls, stored(folder))
+    with refused_as(f"{folder / name} is not the config of a run"):
+        return runs.from_dict(cls, stored(folder, name))
 
 
 def list_settings(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -291,32 +291,37 @@ def _read_file(
     """
     from carpark_mj.cli.flags import as_flags, read_flags
 
-    if path.name == "config.json":
+    text = read_text(path)
+    if '"config_version"' in text:
         if named:
             raise ValueError(f"{path} holds all settings of a run: drop --preset")
-        kept = read_config(type(default), path.parent)
+        kept = read_config(type(default), path.parent, path.name)
         return dataclasses.replace(kept, name="", resume="")
-    found = dict(_words(parse_yaml(read_text(path), str(path))))
+    found = _words(parse_yaml(text, str(path)))
     name = found.pop("preset", "")
     try:
-        if name and not named and name not in presets:
-            raise ValueError(unknown_name("preset", name, presets))
         if "resume" in found:
             raise ValueError("resume is a flag: a resumed run has its own settings")
-        base = presets[name] if name and not named else default
-        return read_flags(type(base), as_flags(found, base), base)
+        if name and not named:
+            if name not in presets:
+                raise ValueError(unknown_name("preset", name, presets))
+            default = presets[name]
+        return read_flags(type(default), as_flags(found, default), default)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _words(settings: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Nested settings as words of a command line, each with its dotted name."""
+def _words(settings: Mapping[Any, Any]) -> dict[str, str]:
+    """Nested settings as words of a command line by dotted name."""
+    words: dict[str, str] = {}
     for key, value in settings.items():
         if isinstance(value, Mapping):
-            yield from _words(value, f"{prefix}{key}.")
+            words |= {f"{key}.{inner}": x for inner, x in _words(value).items()}
         else:
-            parts = value if isinstance(value, list) else [value]
-            yield f"{prefix}{key}", " ".join(map(str, parts))
+            words[key] = " ".join(
+                map(str, value if isinstance(value, list) else [value])
+            )
+    return words
 
 
 def read_runs(

@@ -25,11 +25,7 @@ from carpark_mj.rendering.gl import missing_display
 from carpark_mj.rendering.recording import Snapshot, snapshot_of
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
-from carpark_mj.scene.camera_flags import (
-    OFFSCREEN_HEIGHT,
-    OFFSCREEN_WIDTH,
-    camera_names,
-)
+from carpark_mj.scene import camera_flags
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
 from carpark_mj.types import State, TimeStep
@@ -303,7 +299,7 @@ def _seeds(seed: Seeds, num_lots: int) -> np.ndarray:
     return np.array([d if s is None else s for s, d in pairs], np.uint32)
 
 
-SIZE = 960, 540  # pixels
+WIDTH, HEIGHT = 960, 540  # pixels
 RENDER_MODES = ["human", "rgb_array"]
 
 
@@ -315,7 +311,8 @@ class Screen:
         env: Any,
         camera: str = "topdown",
         num_cars: int | None = None,
-        size: tuple[int, int] = SIZE,
+        width: int = WIDTH,
+        height: int = HEIGHT,
     ) -> None:
         """Opens nothing yet.
 
@@ -323,12 +320,14 @@ class Screen:
             env: a `ParkingEnv`, or what a subclass draws.
             camera: see `carpark_mj.scene.camera_flags.camera_names`.
             num_cars: number of cars that cameras can follow; None = the agents.
-            size: width and height of pictures [pixels].
+            width: of pictures [pixels].
+            height: of pictures [pixels].
         """
-        require_count("width", size[0], 2, OFFSCREEN_WIDTH)
-        require_count("height", size[1], 2, OFFSCREEN_HEIGHT)
-        camera_names(camera, env.num_agents if num_cars is None else num_cars)
-        self._env, self._camera, self._size = env, camera, size
+        require_count("width", width, 2, camera_flags.OFFSCREEN_WIDTH)
+        require_count("height", height, 2, camera_flags.OFFSCREEN_HEIGHT)
+        number = env.num_agents if num_cars is None else num_cars
+        camera_flags.camera_names(camera, number)
+        self._env, self._camera, self._size = env, camera, (width, height)
         self._open_nothing()
 
     def _open_nothing(self) -> None:

@@ -19,8 +19,9 @@ from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import (
+    HEIGHT,
     RENDER_MODES,
-    SIZE,
+    WIDTH,
     NumpyBatch,
     Screen,
     Seeds,
@@ -66,15 +67,11 @@ class Parking:
         return observation_space(env.config)
 
     def _open(
-        self,
-        env: ParkingEnv,
-        render_mode: str | None,
-        camera: str,
-        size: tuple[int, int],
+        self, env: ParkingEnv, render_mode: str | None, camera: str, *size: int
     ) -> dict[str, Any]:
         """Sets what draws; returns the metadata."""
         self.render_mode = render_mode
-        self._screen = Screen(share(ParkingEnv, env.config), camera, size=size)
+        self._screen = Screen(share(ParkingEnv, env.config), camera, None, *size)
         metadata: Any = type(self).metadata  # pyright: ignore[reportAttributeAccessIssue]
         return {**metadata, "render_fps": round(1.0 / env.config.sim.ctrl_dt)}
 
@@ -98,8 +95,8 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         self,
         render_mode: str | None = None,
         camera: str = "topdown",
-        width: int = SIZE[0],
-        height: int = SIZE[1],
+        width: int = WIDTH,
+        height: int = HEIGHT,
         **options: Unpack[Options],
     ) -> None:
         """Makes the environment; it is compiled by the first reset and step.
@@ -120,7 +117,7 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
             options["max_episode_steps"] = steps
         env = self._make(options)
         self._batch = NumpyBatch(env, 1, restart=False)
-        self.metadata = self._open(env, render_mode, camera, (width, height))
+        self.metadata = self._open(env, render_mode, camera, width, height)
         self.observation_space = self._space(env)
         self.action_space = array_action_space(env.action_spec)
         self._running = False
@@ -228,8 +225,8 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         num_envs: int = 1,
         render_mode: str | None = None,
         camera: str = "topdown",
-        width: int = SIZE[0],
-        height: int = SIZE[1],
+        width: int = WIDTH,
+        height: int = HEIGHT,
         **options: Unpack[Options],
     ) -> None:
         """Makes environments; see `ParkEnv`. The render mode is None or `rgb_array`."""
@@ -243,7 +240,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
             )
         self._batch = NumpyBatch(env, num_envs // env.num_agents)
         self.num_envs = num_envs
-        self.metadata = self._open(env, render_mode, camera, (width, height))
+        self.metadata = self._open(env, render_mode, camera, width, height)
         self.single_observation_space = self._space(env)
         self.single_action_space = array_action_space(env.action_spec)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -13,8 +13,9 @@ from carpark_mj.config.checks import require_kind
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.wrappers.batch import (
+    HEIGHT,
     RENDER_MODES,
-    SIZE,
+    WIDTH,
     NumpyBatch,
     Screen,
     require_render_mode,
@@ -41,8 +42,8 @@ Results = tuple[
 def parallel_env(
     render_mode: str | None = None,
     camera: str = "topdown",
-    width: int = SIZE[0],
-    height: int = SIZE[1],
+    width: int = WIDTH,
+    height: int = HEIGHT,
     **options: Unpack[Options],
 ) -> "AgentsParallelEnv":
     """A lot with several agents, each with one episode.
@@ -65,7 +66,7 @@ def parallel_env(
     config = configure(options)
     env = share(JointEnv, config)
     fps = 1 / config.sim.ctrl_dt
-    screen = Screen(env, camera, size=(width, height))
+    screen = Screen(env, camera, None, width, height)
     return AgentsParallelEnv(env, observation_space(config), screen, render_mode, fps)
 
 

@@ -13,8 +13,9 @@ from helpers.programs import assert_refused, python
 
 from carpark_mj.cli import evaluate, layouts, render
 from carpark_mj.cli.evaluate import EvaluateConfig
-from carpark_mj.cli.process import EXTRAS, USER_ERRORS, one_line, run_command
+from carpark_mj.cli.process import USER_ERRORS, one_line, run_command
 from carpark_mj.cli.render import RenderConfig
+from carpark_mj.extensions import EXTRAS
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.suite import evaluation as suite
 from carpark_mj.suite.evaluation import SuiteConfig
@@ -38,7 +39,7 @@ def test_errors_name_the_file_and_are_one_line(tmp_path):
 
 SCRIPTS = [*ROOT.glob("eval/*.py"), *ROOT.glob("train/*.py")]
 PROGRAMS = [script for script in SCRIPTS if "enter(" in script.read_text()]
-MODULES = ["layouts", "play", "scene"]
+COMMANDS = ["layouts", "play", "scene"]
 # Commands run without the packages of the extras; each prints its line and its code.
 WITHOUT = """
 import os, runpy, sys
@@ -50,21 +51,20 @@ class Missing:
 
 sys.meta_path.insert(0, Missing())
 for command in sys.argv[1:]:
-    run = runpy.run_path if command.endswith(".py") else runpy.run_module
     sys.argv, sys.path[0] = [command, "--help"], os.path.dirname(command)
     try:
-        run(command, run_name="__main__")
+        runpy.run_path(command, run_name="__main__")
     except SystemExit as end:
         print(end.code, file=sys.stderr)
 """
 
 
 def test_without_its_packages_every_command_says_what_to_install():
-    names = [*(path.stem for path in PROGRAMS), *MODULES]
-    done = python("-c", WITHOUT, *PROGRAMS, *(f"carpark_mj.{name}" for name in MODULES))
+    names = [path.stem for path in PROGRAMS]
+    done = python("-c", WITHOUT, *PROGRAMS)
     assert done.returncode == 0
     said = re.sub("'(matplotlib|tensorboardX)'", "'tyro'", done.stderr)
-    missing = "No module named 'tyro': pip install \"carpark_mj[train,eval]\"\n2\n"
+    missing = f"No module named 'tyro': pip install -e \"{ROOT}[train,eval]\"\n2\n"
     assert said == "".join(f"{name}: {missing}" for name in names)
 
 
@@ -101,7 +101,7 @@ def test_ctrl_c_while_a_command_imports_is_one_line(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPT)
     path = os.pathsep.join([str(tmp_path), str(ROOT)])
     commands = {program.stem: [program] for program in PROGRAMS}
-    commands |= {name: ["-m", "carpark_mj", name] for name in MODULES}
+    commands |= {name: ["-m", "carpark_mj", name] for name in COMMANDS}
     for name, command in commands.items():
         done = python(*command, PYTHONPATH=path)
         ended = done.returncode, done.stdout, done.stderr
@@ -115,7 +115,7 @@ def test_a_missing_package_is_in_the_extra_to_install(package, capsys):
 
     assert run_command("any", command) == 2
     told = capsys.readouterr().err
-    [extras] = re.findall(r"pip install \"carpark_mj\[(.+)\]\"", told)
+    [extras] = re.findall(r"pip install -e \".+\[(.+)\]\"", told)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = [project["optional-dependencies"][extra] for extra in extras.split(",")]
     installed = " ".join(itertools.chain(*wanted))

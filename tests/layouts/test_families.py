@@ -308,7 +308,7 @@ def test_every_garage_bay_has_a_wall_on_both_sides_and_one_opposite(name):
 
 @pytest.mark.parametrize("name", [*PLAIN, *HARD[1::2]])
 def test_scenes_run_without_a_warning(name):
-    """More keys: `python -m carpark_mj.layouts --run 20`."""
+    """More keys: `carpark_mj layouts --run 20`."""
     for layout in lots(name, 2):
         assert run_scene(layout) == []
 

@@ -1,5 +1,6 @@
 """The command `carpark_mj`: what it lists is there, what it does not know is said."""
 
+import re
 import sys
 
 import pytest
@@ -52,9 +53,11 @@ def test_the_completion_knows_every_command(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["carpark_mj", "--completion"])
     with pytest.raises(SystemExit):
         command.main()
-    assert {*COMMANDS} <= {*capsys.readouterr().out.replace('"', " ").split()} | {
-        name for name in COMMANDS if " " in name
-    }
+    printed = capsys.readouterr().out
+    offered = re.findall(r'-W "([^"]*)"', printed)[0].split()
+    nested = [name for name in COMMANDS if " " in name]
+    assert sorted([*offered, *nested]) == sorted(COMMANDS)
+    assert all(f'"{name}"' in printed for name in nested)
 
 
 @pytest.mark.parametrize(

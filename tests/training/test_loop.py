@@ -50,7 +50,7 @@ def test_tensorboard_reads_what_is_logged(tmp_path):
         "tensorboard.backend.event_processing.event_accumulator"
     )
     for begun in (0, 2):  # a run, then resumed after its second update
-        with contextlib.closing(MetricsLog(tmp_path, begun)) as log:
+        with contextlib.closing(MetricsLog(tmp_path, begun, RunConfig())) as log:
             for update in range(begun + 1, begun + 4):
                 log.write({"update": update, "env_steps": 10 * update, "a": update / 2})
     events = accumulator.EventAccumulator(str(tmp_path / "tensorboard"))
@@ -133,14 +133,14 @@ def row(update):
 @pytest.fixture
 def log(tmp_path):
     """A file of three updates."""
-    with contextlib.closing(MetricsLog(tmp_path, 0)) as opened:
+    with contextlib.closing(MetricsLog(tmp_path, 0, RunConfig())) as opened:
         for update in (1, 2, 3):
             opened.write(row(update))
     return tmp_path / "metrics.csv"
 
 
 def go_on(log, update):
-    with contextlib.closing(MetricsLog(log.parent, update)) as opened:
+    with contextlib.closing(MetricsLog(log.parent, update, RunConfig())) as opened:
         opened.write(row(update + 1))
     return [row["update"] for row in read_metrics(log.parent)]
 
@@ -167,7 +167,7 @@ def test_a_damaged_log_is_refused_and_stays_as_it_is(log, old, new, said):
     log.write_text(log.read_text().replace(old, new, 1))
     text = log.read_bytes()
     with pytest.raises(ValueError, match=rf"metrics\.csv.* {said}"):
-        MetricsLog(log.parent, 3)
+        MetricsLog(log.parent, 3, RunConfig())
     assert log.read_bytes() == text
 
 

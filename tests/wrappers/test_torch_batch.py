@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.sliding import MAX_STEPS, slide
 
-torch = pytest.importorskip("torch", reason='pip install ".[sb3]"')
+torch = pytest.importorskip("torch", reason='pip install -e ".[sb3]"')
 
 from carpark_mj.wrappers.batch import NumpyBatch  # noqa: E402
 from carpark_mj.wrappers.torch_batch import TorchBatch  # noqa: E402

@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-pytest.importorskip("benchmarl", reason='pip install ".[torchrl]"')
+pytest.importorskip("benchmarl", reason='pip install -e ".[torchrl]"')
 
 import jax
 import torch

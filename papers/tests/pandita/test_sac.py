@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.programs import exit_code
 
-pytest.importorskip("sbx", reason='pip install ".[sb3]"')
+pytest.importorskip("sbx", reason='pip install -e ".[sb3]"')
 
 import jax
 import jax.numpy as jnp

@@ -61,5 +61,5 @@ def train_run(config: JunctionRunConfig) -> tuple[Path, bool]:
     except ModuleNotFoundError as error:
         if error.name not in libraries:
             raise
-        raise ValueError(f'{error}: pip install "carpark_mj[{extra}]"') from None
+        raise ValueError(f'{error}: pip install "./papers[{extra}]"') from None
     return loop.train_run(config)

@@ -9,7 +9,7 @@
 
 Independent Q-learning (idqn, double, dueling, double-dueling) needs
 `pip install "./papers[junction]"`, the algorithms of BenchMARL (ippo, mappo, maddpg,
-vdn, qmix) `pip install ".[train,torchrl]"`. In `runs/<name>/` lie `config.json`,
+vdn, qmix) `pip install -e ".[train,torchrl]"`. In `runs/<name>/` lie `config.json`,
 checkpoints, `metrics.csv`, `evaluations.csv`, `evaluation.json`, `learning_curve.png`
 and `video.mp4`. Ctrl-C saves a checkpoint and stops; a second one stops at once.
 """

@@ -8,7 +8,7 @@
     carpark_mj study sac --resume runs/slots-0        # continues where it stopped
     carpark_mj study sac --help-all                   # every setting
 
-It needs `pip install "carpark_mj[train,sb3]"`. After every phase the policy is deployed
+It needs `pip install "./papers[sb3]"`. After every phase the policy is deployed
 on all kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at once.
 """
 
@@ -37,12 +37,8 @@ def run(arguments: Sequence[str] | None = None) -> None:
         RUN_SETTINGS,
         SAC_SUMMARIES,
     )
-    try:
-        from carpark_papers.pandita.sac.train import train_run
-    except ModuleNotFoundError as error:
-        if error.name not in ("sbx", "stable_baselines3", "torch"):
-            raise
-        raise ValueError(f'{error}: pip install "carpark_mj[sb3]"') from None
+    from carpark_papers.pandita.sac.train import train_run
+
     folder, done = train_run(config)
     if done:
         print(f"done: {folder}")
