@@ -73,10 +73,10 @@ class Lot:
 
 
 LOTS = {
+    "angled": Lot("Angled bays, three others", "angled", 4, 8, 0),
     "lot": Lot("Car park, four others", "lot", 5, 12, 0),
     "square": Lot("Square, seven others", "square", 8, 16, 0),
     "street": Lot("Street, three others", "street_parallel", 4, 8, 0),
-    "angled": Lot("Angled bays, three others", "angled", 4, 8, 0),
 }
 
 

@@ -37,7 +37,7 @@ function nextView() {
 const again = () => worker.postMessage({ again: true });
 const full = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
 const controls = new Controls(
-  { KeyC: nextView, KeyR: again, KeyP: () => setManual(!manual), KeyF: full },
+  { drive: () => demo.report && !manual && setManual(true), KeyC: nextView, KeyR: again, KeyP: () => setManual(!manual), KeyF: full },
   document.querySelectorAll("[data-hold]"),
 );
 for (const [kind, title] of Object.entries(VIEWS)) get("camera").add(new Option(title, kind));
@@ -46,6 +46,7 @@ get("again").onclick = again;
 get("full").onclick = full;
 get("full").hidden = !document.fullscreenEnabled;
 get("driver").onclick = () => setManual(!manual);
+if (self !== top) get("begin").lastElementChild.remove(); // in a frame keys come after a click
 get("begin").onclick = () => setManual(true);
 get("lot").onchange = get("car").onchange = load;
 // Keys drive, whatever was clicked before.
@@ -71,7 +72,7 @@ function choose(list, entries) {
 function toast(text) {
   get("toast").textContent = text;
   get("toast").hidden = false;
-  toastEnds = performance.now() + 2500;
+  toastEnds = performance.now() + 4000;
 }
 
 const average = (sum, count) => `${(sum / count).toFixed(0)} s`;
@@ -85,7 +86,8 @@ function tell({ kind, car, seconds }) {
 }
 
 // What a visitor who does not get on may miss; an empty text if nothing.
-function hintFor({ pose, speed, goal }) {
+function hintFor({ pose, speed, goal, outcome }) {
+  if (outcome) return "";
   const [bay, size] = [demo.lot.bay_pose[goal], demo.lot.bay_size[goal]];
   const [u, v] = local(bay, pose);
   if (Math.hypot(u, v) < size[0] / 3) {
