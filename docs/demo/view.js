@@ -25,7 +25,7 @@ export class View {
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(SKY);
     this.scene.fog = new THREE.Fog(SKY, 90, 260);
-    this.camera = new THREE.PerspectiveCamera(FIELD, 1, 0.3, 800);
+    this.camera = new THREE.PerspectiveCamera(FIELD, 1, 1, 800);
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.maxPolarAngle = 1.45;
     this.orbit.enableDamping = true;
@@ -100,7 +100,8 @@ export class View {
   look(kind) {
     this.kind = kind;
     this.orbit.enabled = kind === "overview";
-    this.camera.fov = kind === "driver" ? WIDE : FIELD;
+    const inside = kind === "driver";
+    Object.assign(this.camera, { fov: inside ? WIDE : FIELD, near: inside ? 0.4 : 1 });
     this.camera.updateProjectionMatrix();
     if (!this.lot || kind === "follow" || kind === "driver") return;
     const [x, y] = this.lot.extent;
