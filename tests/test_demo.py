@@ -149,7 +149,11 @@ def test_cars_park_within_a_minute_by_the_strict_rule(build, driven):
             trace_w=pose[None],
             finite=jnp.array(True),
         )
-        bay = [x[event["goal"]] for x in (state.layout.bay_pose, state.layout.bay_size)]
+        layout = state.layout
+        goal = np.flatnonzero(layout.bay_mask)[
+            event["goal"]
+        ]  # the page knows no others
+        bay = layout.bay_pose[goal], layout.bay_size[goal]
         assert is_parked("strict", motion, *bay)
 
 

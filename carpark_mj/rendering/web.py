@@ -159,7 +159,7 @@ class LiveLot:
         return iter(self._ended.items())
 
 
-DAYLIGHT = 0.15  # of the environment
+DAYLIGHT = 0.3  # of the environment
 GAMMA = 2.2  # of screens
 FIELD_OF_VIEW = math.radians(60.0)  # mjviser's
 _SLAB = 0.05  # m, thickness of the asphalt in the browser
