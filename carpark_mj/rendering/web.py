@@ -222,8 +222,13 @@ def make_viewer(
     return viewer
 
 
-def make_live_viewer(server: Any, lot: LiveLot) -> Any:
-    """Shows a lot in which a policy drives; see `make_viewer`."""
+def make_live_viewer(
+    server: Any, lot: LiveLot, before: Callable[[], None] = lambda: None
+) -> Any:
+    """Shows a lot in which a policy drives; see `make_viewer`.
+
+    `before` is called in every step.
+    """
     goals: list[Any] = []
     restarting = threading.Event()
 
@@ -240,6 +245,7 @@ def make_live_viewer(server: Any, lot: LiveLot) -> Any:
         tally.content = f"**{lot.seconds:.0f} s**: {words}\n\n{lot.note}"
 
     def step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        before()
         if restarting.is_set():
             restarting.clear()
             reset(model, data)
