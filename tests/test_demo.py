@@ -180,16 +180,6 @@ def test_the_first_decisions_are_those_of_python(build, driven):
         np.testing.assert_allclose(action, expected, atol=1e-4)
 
 
-def test_a_visitor_takes_the_wheel_and_gives_it_back(driven):
-    driven.keyboard.press("KeyR")
-    driven.keyboard.down("ArrowUp")
-    forwards = "demo.report.manual && demo.report.cars[0].speed > 0.5"
-    driven.wait_for_function(forwards, timeout=WAIT)
-    driven.keyboard.up("ArrowUp")
-    driven.keyboard.press("KeyP")
-    driven.wait_for_function("!demo.report.manual", timeout=WAIT)
-
-
 def towards(yaw):
     return np.array([math.cos(yaw), math.sin(yaw)])
 
@@ -228,7 +218,7 @@ def keys_for(way, car, rear, wheelbase):
     return turn | ({"ArrowUp"} if speed < min(1.2, 0.3 + 0.4 * rest) else set())
 
 
-def test_keys_park_the_first_car(driven, page):
+def test_keys_park_the_first_car_and_give_it_back(driven, page):
     driven.evaluate("demo.worker.postMessage({ paused: true })")
     page = page(driven.built.parent, "speed=0.5")  # for slow machines
     page.wait_for_function("demo.report", timeout=WAIT)
@@ -236,7 +226,9 @@ def test_keys_park_the_first_car(driven, page):
     rear, wheelbase = (lot["inputs"][name] for name in ("rear_axle", "wheelbase"))
     way = way_into(lot["start"][0], lot["bay_pose"][lot["goal"][0]], rear)
     page.keyboard.press("ArrowUp")  # begins the drive, from its start
-    page.wait_for_function("demo.report.manual && demo.report.cars[0].begun > 0")
+    page.wait_for_function(
+        "demo.report.manual && demo.report.cars[0].begun > 0", timeout=WAIT
+    )
     held, car, time = set(), {"outcome": None}, 0.0
     while car["outcome"] is None and time < MINUTE:
         time, car = page.evaluate("[demo.report.time, demo.report.cars[0]]")
@@ -248,6 +240,8 @@ def test_keys_park_the_first_car(driven, page):
         held = wanted
     assert car["outcome"] == "parked"
     assert page.evaluate("demo.report.counts.visitor") == 1
+    page.keyboard.press("KeyP")
+    page.wait_for_function("!demo.report.manual", timeout=WAIT)
     page.close()
     driven.evaluate("demo.worker.postMessage({ paused: false })")
 

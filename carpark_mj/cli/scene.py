@@ -176,8 +176,9 @@ def show_scene(
     _require_display(output)
     if output.view == "web":
         model = spec.compile()
-        offered = isinstance(output, ShownLot) and not output.out
-        chosen = offer(page, output) if offered else None
+        chosen = None
+        if isinstance(output, ShownLot) and not output.out:
+            chosen = offer(page, output)
 
         def step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             if chosen:
