@@ -378,7 +378,8 @@ class PlayConfig(ShownLot):
 
     Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the
     next one, Q ends. Gamepad: left stick, right trigger ahead, left trigger back.
-    Without a display a page is served instead, with a steering wheel and a pedal.
+    Without a display a page is served instead, where arrows or WASD move the steering
+    and the pedal step by step; left is positive.
 
     Attributes:
         policy: pretrained policy, run folder or checkpoint file that drives the other
