@@ -80,14 +80,14 @@ def _is_kept_checkpoint(config: EvaluateConfig) -> bool:
 def subfolder(config: EvaluateConfig) -> Path:
     """Subfolder of a run's folder for other evaluations, named by their flags."""
     changes = [
-        f"{field.name}-{value}"
+        f"{field.name}-{'+'.join(value) if isinstance(value, tuple) else value}"
         for field in dataclasses.fields(config)
         if (value := getattr(config, field.name)) != field.default
         and field.name not in UNNAMED
     ]
     if _is_kept_checkpoint(config):
         changes.insert(0, Path(config.run or config.policy).stem)
-    name = urllib.parse.quote("_".join(changes), safe=",")
+    name = urllib.parse.quote("_".join(changes), safe=",=+")
     if len(name) > MAX_NAME:
         digest = hashlib.sha256(name.encode()).hexdigest()[:8]
         name = f"{name[: MAX_NAME - 9]}-{digest}"
