@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from camera_reference import BlockStage, Renderer
 from carpark_mj import EnvConfig, ParkingEnv
@@ -51,6 +51,7 @@ from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import BayKind, layout_config, make_layout
 from carpark_mj.obstacles import Boxes, Discs, Group
 from carpark_mj.rendering.recording import snapshot_of
+from carpark_mj.rendering.video import font
 from carpark_mj.types import State
 from shell import command
 
@@ -192,6 +193,26 @@ def mosaic(layouts: Sequence[str]) -> np.ndarray:
         sheets.append(np.concatenate([rows, _framed(palette[above])[:-GAP]], axis=1))
         sheets.append(np.full((2 * GAP, sheets[0].shape[1], 3), 255, np.uint8))
     return np.concatenate(sheets[:-1])
+
+
+LEGEND_COLUMNS = 5
+
+
+def legend(width: int) -> np.ndarray:
+    """The classes and their colours, (rows, width, 3) uint8."""
+    pitch, letters = width // LEGEND_COLUMNS, width // 38
+    rows = -(-len(Seen) // LEGEND_COLUMNS)
+    image = Image.new("RGB", (width, rows * 2 * letters), "white")
+    draw = ImageDraw.Draw(image)
+    for k, kind in enumerate(Seen):
+        x, y = k % LEGEND_COLUMNS * pitch, k // LEGEND_COLUMNS * 2 * letters
+        colour = tuple(round(255 * c) for c in COLOURS[kind])
+        box = (x, y + letters // 2, x + letters, y + letters // 2 + letters)
+        draw.rectangle(box, fill=colour, outline="black")
+        words = kind.name.lower().replace("_", " ")
+        place = (x + 1.4 * letters, y + letters)
+        draw.text(place, words, "black", font=font(letters), anchor="lm")
+    return np.asarray(image)
 
 
 def _framed(*images: np.ndarray) -> np.ndarray:
@@ -359,7 +380,8 @@ def run(config: CamerasConfig) -> int:
         out = Path(config.out)
         require_writable(out)
         picture = mosaic(config.layouts or ("lot", "angled", "street"))
-        large = Image.fromarray(picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1))
+        large = picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1)
+        large = Image.fromarray(np.concatenate([large, legend(large.shape[1])]))
         write_atomically(out, lambda temporary: large.save(temporary, format="PNG"))
         print(f"wrote {out}")
     return 0

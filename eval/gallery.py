@@ -33,15 +33,16 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "gallery.md"
 # Clips of the mosaic and their captions, in rows of `COLUMNS`.
 MOSAIC = {
-    "parking.gif": "square: seven cars in one lot",
-    "gallery/lot.gif": "anywhere: a lot with aisles",
+    "parking.gif": "square: seven cars",
+    "gallery/lot.gif": "anywhere: aisles",
     "dead_end.gif": "anywhere: a dead end",
     "gallery/chase.gif": "square: behind a car",
     "gallery/street.gif": "anywhere: a street",
     "gallery/hope.gif": "hope: a tight bay",
 }
 COLUMNS = 3
-WIDTH, HEIGHT, CAPTION = 320, 240, 24  # pixels, of a tile and what is below it
+WIDTH, HEIGHT, CAPTION = 320, 240, 40  # pixels, of a tile and what is below it
+LETTERS = 27  # pixels: 11 where the mosaic is 390 wide, as on a phone
 GRASS = "#5e7150"  # beyond the lots
 SECONDS, FPS = 9, 5
 
@@ -90,7 +91,7 @@ def _tiles(clip: Path, caption: str) -> Iterator[Image.Image]:
             tile.paste(shown, (0, 0))
             place = (WIDTH / 2, HEIGHT + CAPTION / 2)
             draw = ImageDraw.Draw(tile)
-            draw.text(place, caption, "black", font=font(15), anchor="mm")
+            draw.text(place, caption, "black", font=font(LETTERS), anchor="mm")
             yield tile
 
 

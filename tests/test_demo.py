@@ -4,6 +4,7 @@ import functools
 import http.server
 import importlib.util
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -25,7 +26,7 @@ from carpark_mj.types import Motion
 pytestmark = pytest.mark.slow
 
 DEMO = Path(__file__).parents[1] / "docs" / "demo"
-LOT = "square"
+LOT = "angled"  # the page's first
 MINUTE = 60.0  # s of simulated time
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -102,7 +103,8 @@ def driven(build, page, tmp_path_factory):
         build.vendor(folder / "built")
     except subprocess.CalledProcessError:
         pytest.skip("npm cannot install the packages")
-    build.export(folder / "built", [LOT])
+    assert next(iter(build.LOTS)) == LOT
+    build.export(folder / "built", [LOT], build.CARS[:1])
     page = page(folder, "speed=9")
     page.built = folder / "built"
     page.wait_for_function(
@@ -147,7 +149,11 @@ def test_cars_park_within_a_minute_by_the_strict_rule(build, driven):
             trace_w=pose[None],
             finite=jnp.array(True),
         )
-        bay = [x[event["goal"]] for x in (state.layout.bay_pose, state.layout.bay_size)]
+        layout = state.layout
+        goal = np.flatnonzero(layout.bay_mask)[
+            event["goal"]
+        ]  # the page knows no others
+        bay = layout.bay_pose[goal], layout.bay_size[goal]
         assert is_parked("strict", motion, *bay)
 
 
@@ -174,14 +180,70 @@ def test_the_first_decisions_are_those_of_python(build, driven):
         np.testing.assert_allclose(action, expected, atol=1e-4)
 
 
-def test_a_visitor_takes_the_wheel_and_gives_it_back(driven):
-    driven.keyboard.press("KeyR")
-    driven.keyboard.down("ArrowUp")
-    forwards = "demo.report.manual && demo.report.cars[0].speed > 0.5"
-    driven.wait_for_function(forwards, timeout=WAIT)
-    driven.keyboard.up("ArrowUp")
-    driven.keyboard.press("KeyP")
-    driven.wait_for_function("!demo.report.manual", timeout=WAIT)
+def towards(yaw):
+    return np.array([math.cos(yaw), math.sin(yaw)])
+
+
+def way_into(start, bay, rear, radius=4.8):
+    """The rear axle's points (n, 2), 5 cm apart: ahead, one bend, into the bay."""
+    along, into, centre = towards(start[2]), towards(bay[2]), np.array(bay[:2])
+    begin = start[:2] - rear * along
+    into = into * np.sign(into @ (centre - begin))
+    ahead, _ = np.linalg.solve(np.stack([along, -into], axis=1), centre - begin)
+    bend = math.acos(along @ into)
+    left = np.array([-along[1], along[0]])
+    turned = np.linspace(0, bend, 20)[:, None]
+    arc = begin + (ahead - radius * math.tan(bend / 2)) * along
+    arc = arc + radius * np.sin(turned) * along
+    arc = arc + radius * (1 - np.cos(turned)) * left * np.sign(left @ into)
+    points = np.concatenate([[begin], arc, [centre - rear * into, centre]])
+    legs = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    far = np.concatenate([[0], np.cumsum(legs)])
+    at = np.arange(0, far[-1], 0.05)
+    return np.stack([np.interp(at, far, points[:, k]) for k in (0, 1)], axis=1)
+
+
+def keys_for(way, car, rear, wheelbase):
+    """Keys that a driver holds who looks 1.5 m ahead on a way."""
+    pose, speed, steering = (car[name] for name in ("pose", "speed", "steering"))
+    ahead, left = towards(pose[2]), towards(pose[2] + math.pi / 2)
+    axle = pose[:2] - rear * ahead
+    near = np.linalg.norm(way - axle, axis=1).argmin()
+    rest = 0.05 * (len(way) - 1 - near) - rear  # the way ends at the bay's centre
+    if rest < 0.1:
+        return {"Space"}
+    look = way[min(near + 30, len(way) - 1)] - axle
+    wheel = math.atan(2 * (look @ left) / (look @ look) * wheelbase) - steering
+    turn = {"ArrowLeft" if wheel > 0 else "ArrowRight"} if abs(wheel) > 0.03 else set()
+    return turn | ({"ArrowUp"} if speed < min(1.2, 0.3 + 0.4 * rest) else set())
+
+
+def test_keys_park_the_first_car_and_give_it_back(driven, page):
+    driven.evaluate("demo.worker.postMessage({ paused: true })")
+    page = page(driven.built.parent, "speed=0.5")  # for slow machines
+    page.wait_for_function("demo.report", timeout=WAIT)
+    lot = page.evaluate("demo.lot")
+    rear, wheelbase = (lot["inputs"][name] for name in ("rear_axle", "wheelbase"))
+    way = way_into(lot["start"][0], lot["bay_pose"][lot["goal"][0]], rear)
+    page.keyboard.press("ArrowUp")  # begins the drive, from its start
+    page.wait_for_function(
+        "demo.report.manual && demo.report.cars[0].begun > 0", timeout=WAIT
+    )
+    held, car, time = set(), {"outcome": None}, 0.0
+    while car["outcome"] is None and time < MINUTE:
+        time, car = page.evaluate("[demo.report.time, demo.report.cars[0]]")
+        wanted = keys_for(way, car, rear, wheelbase)
+        for key in held - wanted:
+            page.keyboard.up(key)
+        for key in wanted - held:
+            page.keyboard.down(key)
+        held = wanted
+    assert car["outcome"] == "parked"
+    assert page.evaluate("demo.report.counts.visitor") == 1
+    page.keyboard.press("KeyP")
+    page.wait_for_function("!demo.report.manual", timeout=WAIT)
+    page.close()
+    driven.evaluate("demo.worker.postMessage({ paused: false })")
 
 
 def test_the_scene_for_an_older_mujoco_drives_alike(build):

@@ -1,4 +1,4 @@
-"""The house: who may import whom, and what an import may cost."""
+"""Layers: which packages may import which, and what an import may cost."""
 
 import ast
 import graphlib
@@ -6,14 +6,15 @@ import json
 from pathlib import Path
 
 import pytest
+from faults import FAULTS
 from helpers.programs import python
 
 ROOT = Path(__file__).parents[1]
 LIBRARY = ROOT / "carpark_mj"
 FILES = sorted(LIBRARY.rglob("*.py"))
 
-# The floors of the house, from the ground: a room imports those below it only.
-FLOORS = (
+# The layers, lowest first: a package imports lower layers only.
+LAYERS = (
     ("extensions",),
     ("compilation", "pretrained", "precision", "pytrees", "config", "files", "reading"),
     ("geometry",),
@@ -40,8 +41,10 @@ FLOORS = (
     ("programs",),
     ("__main__",),
 )
-FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
-# No room of the task or below it knows MuJoCo, or the cars that need it.
+LAYER = {
+    package: number for number, packages in enumerate(LAYERS) for package in packages
+}
+# No package of the task or below it imports MuJoCo, or the cars that need it.
 WITHOUT_MUJOCO = ("precision", "config", "geometry", "layouts", "types", "obstacles")
 WITHOUT_MUJOCO += ("observations", "mdp")
 AROUND_TASK = {"vehicle", "scene", "physics"}
@@ -74,26 +77,26 @@ def part_of(path):
     return path.relative_to(LIBRARY).parts[0].removesuffix(".py")
 
 
-def rooms_imported(path):
+def packages_imported(path):
     names = [name.split(".") for name in imports_of(path)]
-    rooms = {name[1] for name in names if name[0] == "carpark_mj" and name[1:]}
-    return rooms - {part_of(path)}
+    packages = {name[1] for name in names if name[0] == "carpark_mj" and name[1:]}
+    return packages - {part_of(path)}
 
 
-def sources(rooms):
-    """Files of some rooms."""
-    return [path for path in FILES if part_of(path) in rooms]
+def sources(packages):
+    """Files of packages."""
+    return [path for path in FILES if part_of(path) in packages]
 
 
-def test_every_room_has_a_floor():
-    assert {part_of(path) for path in FILES} == {*FLOOR, "__init__"}
+def test_every_package_has_a_layer():
+    assert {part_of(path) for path in FILES} == {*LAYER, "__init__"}
 
 
-def test_the_picture_of_the_rooms_is_theirs():
+def test_the_architecture_page_shows_the_layers():
     page = (ROOT / "docs" / "architecture.md").read_text()
     picture = page.split("```text\n")[1].split("```")[0]
     lines = [line.split("  ")[0].split(", ") for line in picture.splitlines()]
-    assert [sorted(rooms) for rooms in reversed(lines)] == [*map(sorted, FLOORS)]
+    assert [sorted(packages) for packages in reversed(lines)] == [*map(sorted, LAYERS)]
 
 
 def test_no_two_test_files_have_the_same_name():
@@ -107,23 +110,25 @@ def test_few_files_stand_at_the_root_of_the_package():
     assert len(list(LIBRARY.glob("*.py"))) <= 16
 
 
-@pytest.mark.parametrize("room", sorted(FLOOR))
-def test_imports_point_down(room):
-    files = sources({room})
+@pytest.mark.parametrize("package", sorted(LAYER))
+def test_imports_point_down(package):
+    files = sources({package})
     assert files
     for path in files:
-        wrong = {other for other in rooms_imported(path) if FLOOR[other] >= FLOOR[room]}
-        if room == "types":  # what its annotations name is not loaded
+        wrong = {
+            other for other in packages_imported(path) if LAYER[other] >= LAYER[package]
+        }
+        if package == "types":  # what its annotations name is not loaded
             wrong -= {"vehicle"}
         assert wrong == set(), path
 
 
-@pytest.mark.parametrize("room", WITHOUT_MUJOCO)
-def test_task_and_geometry_do_not_import_mujoco(room):
-    for path in sources({room}):
+@pytest.mark.parametrize("package", WITHOUT_MUJOCO)
+def test_task_and_geometry_do_not_import_mujoco(package):
+    for path in sources({package}):
         roots = {name.split(".")[0] for name in imports_of(path)}
         assert "mujoco" not in roots, path
-        assert room == "types" or not rooms_imported(path) & AROUND_TASK, path
+        assert package == "types" or not packages_imported(path) & AROUND_TASK, path
 
 
 def test_the_library_never_imports_the_programs():
@@ -138,7 +143,7 @@ def test_the_library_never_imports_the_programs():
 # Rooms that a lot steps without.
 # What is imported, in this order in one process, and what may not be loaded by then.
 AROUND = ("cli.flags", "evaluation", "policy", "rendering.stage", "scene", "suite")
-AROUND_ENV = {f"carpark_mj.{room}" for room in (*AROUND, "training")}
+AROUND_ENV = {f"carpark_mj.{package}" for package in (*AROUND, "training")}
 # What is imported, in this order in one process, and what may not be loaded by then.
 HEAVY = {"OpenGL", "glfw", "matplotlib", "flask", "brax", "imageio", "tyro"}
 EXTRAS = {"tyro", "tensorboardX", "matplotlib", "imageio_ffmpeg"}
@@ -205,3 +210,11 @@ def test_the_suite_needs_no_optional_package():
     )
     done = python("-c", code)
     assert done.stdout.split() == ["1"], done.stderr
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_has_its_place_and_its_tests(name):
+    """`tests/faults.py` puts it in; that takes minutes."""
+    fault = FAULTS[name]
+    assert (ROOT / "carpark_mj" / fault.path).read_text().count(fault.right) == 1
+    assert all((ROOT / "tests" / file).exists() for file in fault.tests.split())

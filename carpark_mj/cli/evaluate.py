@@ -87,7 +87,7 @@ def subfolder(config: EvaluateConfig) -> Path:
     ]
     if _is_kept_checkpoint(config):
         changes.insert(0, Path(config.run or config.policy).stem)
-    name = urllib.parse.quote("_".join(changes), safe=",=+")
+    name = urllib.parse.quote("_".join(changes), safe=",:=+")
     if len(name) > MAX_NAME:
         digest = hashlib.sha256(name.encode()).hexdigest()[:8]
         name = f"{name[: MAX_NAME - 9]}-{digest}"

@@ -5,11 +5,13 @@ imported before it is open.
 """
 
 import contextlib
+import sys
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from carpark_mj.cli.clock import CLOCK, PERIOD
+from carpark_mj.cli.process import one_line
 from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig
 from carpark_mj.extensions import require_packages
 from carpark_mj.rendering.local_pages import HOST
@@ -46,18 +48,57 @@ def open_page(port: int, wanted: bool = True) -> Generator[Any]:
         server.stop()
 
 
+class Chosen(Exception):  # noqa: N818 - no error
+    """Another lot has been chosen on the page; `config` shows it."""
+
+    def __init__(self, config: Any) -> None:
+        """Another lot."""
+        super().__init__()
+        self.config = config
+
+
+def show_lots(config: Any, wanted: bool, show: Callable[[Any, Any], None]) -> None:
+    """Shows a lot, and each that is chosen on its page, for which browsers wait.
+
+    A lot that cannot be shown is reported, and the one before it is shown again.
+
+    Args:
+        config: of the first lot.
+        wanted: whether there are pages.
+        show: shows the lot of a config on a page; it raises `Chosen` for another one.
+    """
+    before = None
+    while True:
+        try:
+            with open_page(config.port, wanted) as page:
+                show(config, page)
+            return
+        except Chosen as chosen:
+            before, config = config, chosen.config
+        except (OSError, ValueError) as error:
+            if before is None:
+                raise
+            print(one_line(error), file=sys.stderr, flush=True)
+            before, config = None, before
+
+
 def scene(config: SceneConfig) -> None:
     """`carpark_mj scene`."""
-    with open_page(config.port, config.view == "web") as page:
+
+    def show(config: SceneConfig, page: Any) -> None:
         from carpark_mj.cli.scene import main
 
         main(config, page)
 
+    show_lots(config, config.view == "web", show)
+
 
 def play(config: PlayConfig) -> None:
     """`carpark_mj play`."""
-    wanted = config.shown_in == "web" and not config.video
-    with open_page(config.port, wanted) as page:
+
+    def show(config: PlayConfig, page: Any) -> None:
         from carpark_mj.cli.play import main
 
         main(config, page)
+
+    show_lots(config, config.shown_in == "web" and not config.video, show)

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import sys
 import time
 from collections.abc import Callable
@@ -20,7 +21,7 @@ if not has_display():
 from carpark_mj.cli.clock import COMPILING, PLACING, doing, wait_for_user
 from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.process import one_line, patient_interrupts
-from carpark_mj.cli.scene import default_env, run_live
+from carpark_mj.cli.scene import default_env, offer, run_live
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
@@ -38,9 +39,16 @@ from carpark_mj.play.driving import (
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
-from carpark_mj.rendering.web import make_live_viewer
+from carpark_mj.rendering.web import add_key, make_live_viewer
 
 COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
+# Keys of the page, each of which moves a slider by a step.
+STEPS = (
+    (("arrowleft", "A"), "Left", "steer", 0.2),
+    (("arrowright", "D"), "Right", "steer", -0.2),
+    (("arrowup", "W"), "Ahead", "pedal", 0.2),
+    (("arrowdown", "S"), "Back", "pedal", -0.2),
+)
 
 
 def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
@@ -155,21 +163,22 @@ def make_wheel(config: PlayConfig, page: Any) -> tuple[Any, DrivenLot, dict[str,
     """Shows a lot to drive in on a page.
 
     Returns:
-        The viewer, the lot, and the sliders `wheel` and `pedal`.
+        The viewer, the lot, and the sliders `steer` and `pedal`.
     """
     env, others = make_env(config)
     held: dict[str, Any] = {}
     folder = open_folder(config)
 
     def read(lot: DrivenLot) -> np.ndarray:
-        steer, pedal = (held[k].value if held else 0.0 for k in ("wheel", "pedal"))
-        return pad(Controls(-steer, pedal).action, env.action_spec.size)
+        steer, pedal = (held[k].value if held else 0.0 for k in ("steer", "pedal"))
+        return pad(Controls(steer, pedal).action, env.action_spec.size)
 
     lot = DrivenLot(env, others, config.seed, read, lambda lot: save(lot, folder))
-    viewer = make_live_viewer(page, lot)
+    viewer = make_live_viewer(page, lot, offer(page, config))
     gui = page.gui
     with gui.add_folder("Drive"):
-        held["wheel"] = gui.add_slider("Wheel, right > 0", -1.0, 1.0, 0.05, 0.0)
+        gui.add_markdown("Arrows or WASD: steer, drive. Space: brake. R: restart.")
+        held["steer"] = gui.add_slider("Steering, left > 0", -1.0, 1.0, 0.05, 0.0)
         held["pedal"] = gui.add_slider("Pedal, ahead > 0", -1.0, 1.0, 0.05, 0.0)
         straight = gui.add_button("Straight")
         brake = gui.add_button("Brake")
@@ -177,11 +186,19 @@ def make_wheel(config: PlayConfig, page: Any) -> tuple[Any, DrivenLot, dict[str,
 
     @straight.on_click
     def _(_: Any) -> None:
-        held["wheel"].value = 0.0
+        held["steer"].value = 0.0
 
-    @brake.on_click
-    def _(_: Any) -> None:
+    def press(name: str, by: float) -> None:
+        held[name].value = float(np.clip(held[name].value + by, -1.0, 1.0))
+
+    def halt() -> None:
         held["pedal"].value = stop(lot.speed)
+
+    for keys, label, name, by in STEPS:
+        for key in keys:
+            add_key(page, label, key, functools.partial(press, name, by))
+    add_key(page, "Brake", "space", halt)
+    brake.on_click(lambda _: halt())
 
     @saving.on_click
     def _(_: Any) -> None:

@@ -2,6 +2,7 @@
 
 import http
 import json
+import shlex
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -10,11 +11,13 @@ from typing import Any
 
 from carpark_mj.editor.document import Draft, Picture
 from carpark_mj.layouts.files import choices
+from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.reading import parse_object
 from carpark_mj.rendering.local_pages import HOST, NO_FRAMES, refusal
 
 PAGE = Path(__file__).parent / "page"
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+ALONE = "--env.num-agents 1 --env.num-parked-cars 1"  # fits in any lot of two bays
 MOST_BYTES = 2**23  # of a document
 # No foreign requests.
 POLICY = f"default-src 'self'; img-src 'self' data:; {NO_FRAMES}"
@@ -51,8 +54,14 @@ class EditorServer(ThreadingHTTPServer):
 
     def opened(self) -> dict[str, Any]:
         """What the page begins with."""
+        lot = shlex.quote(str(self.draft.out))
         return {
             "name": self.draft.out.name,
+            "car": DesignCar().size,
+            "commands": [
+                ("Drive here", f"carpark_mj play --layout {lot}"),
+                ("Train here", f"carpark_mj train --env.layout {lot} {ALONE}"),
+            ],
             "document": self.draft.document,
             "saved": self.draft.saved,
             "choices": choices(),

@@ -217,8 +217,8 @@ class RewardConfig(CheckedConfig):
             never.
         alignment: reward per radian of misalignment with the goal's axis removed,
             fading with the distance to the goal; negative when it grows.
-        closeness: penalty per step, times the share of 3 m by which the nearest other
-            agent is too close.
+        closeness: penalty per step, times 1 - clearance to the nearest other agent /
+            3 m, not below 0.
         extra: weights of terms in `REWARD_TERMS` by name, as in `{"haste": 0.01}`, and
             their parameters, as in `{"haste": 0.01, "haste.above": 2.0}`.
         goals: signed rewards for choosing and losing goals; dynamic goals only.

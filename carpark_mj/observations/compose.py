@@ -151,7 +151,7 @@ class EntitySet:
         start: index of the first entity's first number.
         count: number of entities, absent ones included.
         size: numbers of an entity.
-        mask: which of them says whether the entity is present; None = all always are.
+        mask: index of the number that marks present entities; None = all are present.
     """
 
     group: str

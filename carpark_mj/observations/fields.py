@@ -213,8 +213,8 @@ class ObservationConfig(CheckedConfig, abc.ABC):
     """An encoder of observations: a frozen dataclass of its settings.
 
     It lists the fields of the vector and fills them. The properties and methods below
-    tell the environment what else the encoder needs; a class overrides them where the
-    defaults are wrong.
+    declare what else the encoder needs; a class overrides them where the defaults are
+    wrong.
 
     Attributes:
         encoding: its name in `ENCODERS`, the default of each class and never another.

@@ -17,6 +17,7 @@ from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.rendering.video import draw_labelled, write_video
 from carpark_mj.rendering.web import LiveLot
+from carpark_mj.types import ENDINGS
 
 LEFT, RIGHT = ("LEFT", "A"), ("RIGHT", "D")
 AHEAD, BACK = ("UP", "W"), ("DOWN", "S")
@@ -26,6 +27,7 @@ KEYS = (*LEFT, *RIGHT, *AHEAD, *BACK, *BRAKE)
 # [est] By trial: as quick as a hand at a wheel, and gentle enough to park with.
 STEER_RATE = 2.0  # 1/s, while a key is held, and back to the middle without
 KEY_PEDAL = 0.6
+AGAIN = "It has started again elsewhere; R restarts the lot."
 DEADZONE = 0.1  # of a stick's travel
 STANDING = 0.1  # m/s, below which the brake key leaves the car to its brake
 
@@ -94,6 +96,7 @@ class DrivenLot(LiveLot):
     Attributes:
         speed: of agent 0 after the last control step [m/s].
         score: sum of its rewards.
+        note: how the agent's last episode has ended, and how to go on.
     """
 
     def __init__(
@@ -125,6 +128,7 @@ class DrivenLot(LiveLot):
         self._others, self._read, self._seed = as_argument(others), read, seed
         self._recorded: list[dict[str, np.ndarray]] = []
         self._keep = keep
+        self._after = AGAIN if env.config.episode.respawn else "R restarts the lot."
         self.speed = self.score = 0.0
         one = np.zeros((1, env.action_spec.size), np.float32)
         super().__init__(env, self._driven(one), seed)
@@ -135,6 +139,7 @@ class DrivenLot(LiveLot):
         super().reset()
         self._recorded = []
         self.speed = self.score = 0.0
+        self.note = ""
 
     def step(self) -> bool:
         """Advances by one traced pose; see `LiveLot.step`."""
@@ -146,6 +151,12 @@ class DrivenLot(LiveLot):
             self._recorded.append({name: self._seen[name] for name in STEPS})
             self.speed = float(self._seen["speed"])
             self.score += float(self._seen["rewards"][0])
+            for name in ENDINGS:
+                if self._seen[f"own {name}"]:
+                    self.note = (
+                        f"Your car {name.replace('_', ' ')} at {self.seconds:.0f} s. "
+                        f"{self._after}"
+                    )
         return begins
 
     def tally(self) -> Iterator[tuple[str, float]]:
@@ -168,7 +179,8 @@ class DrivenLot(LiveLot):
 
     def _record(self, step: Step) -> dict[str, jax.Array]:
         timestep = step.timestep
-        return {
+        own = {f"own {name}": getattr(timestep.events, name)[0] for name in ENDINGS}
+        return own | {
             "observations": step.observation,
             "actions": step.action,
             "rewards": timestep.reward,

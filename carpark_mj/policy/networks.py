@@ -108,7 +108,7 @@ def network_inputs(config: NetworkConfig, fields: Sequence[Field]) -> Observatio
 
 @dataclasses.dataclass(frozen=True)
 class Arithmetic:
-    """How networks with a set encoder are computed; their parameters do not tell."""
+    """Numerics of networks with a set encoder, which parameters do not show."""
 
     in_kernel: bool = False  # whether sets are encoded in a GPU kernel
     dtype: Any = jnp.float32  # of all layers but the sets' and the last

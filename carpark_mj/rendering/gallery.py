@@ -66,7 +66,7 @@ def contact_sheet(cells: Iterable[tuple[str, np.ndarray]]) -> Any:
 
     cells = list(cells)
     height, width = cells[0][1].shape[:2]
-    letters = max(10, round(height / 14))
+    letters = max(10, round(height / 10))
     strip = round(1.5 * letters)
     rows = -(-len(cells) // COLUMNS)
     across, down = width + GAP, height + strip + GAP

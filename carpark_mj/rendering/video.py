@@ -70,14 +70,14 @@ def draw_labels(
 
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")
-    radius = max(9, round(renderer.height / 55))
+    radius = max(9, round(max(frame.shape[:2]) / 80))
     large, small = font(round(radius * 1.5)), font(round(radius * 1.15))
+    pad, line = round(radius / 3), max(2, round(radius / 6))
 
     def tag(x: float, y: float, text: str, ink: Colour) -> None:
         box = draw.textbbox((x, y), text, font=small, anchor="mt")
-        draw.rounded_rectangle(
-            (box[0] - 3, box[1] - 2, box[2] + 3, box[3] + 2), 3, fill=BEHIND_TEXT
-        )
+        ground = (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad)
+        draw.rounded_rectangle(ground, pad, fill=BEHIND_TEXT)
         draw.text((x, y), text, ink, font=small, anchor="mt")
 
     for flash in seen.flashes:
@@ -99,10 +99,10 @@ def draw_labels(
                 continue
             x, y = pixel
             box = (x - radius, y - radius, x + radius, y + radius)
-            shape(box, fill=colour, outline=WHITE, width=2)
+            shape(box, fill=colour, outline=WHITE, width=line)
             draw.text((x, y), str(agent), _ink(colour), font=large, anchor="mm")
             if shape == draw.ellipse and state:
-                tag(x, y + radius + 3, state, WHITE)
+                tag(x, y + radius + pad, state, WHITE)
     return np.asarray(image)
 
 
@@ -112,7 +112,7 @@ def draw_status(frame: np.ndarray, seen: Snapshot) -> np.ndarray:
 
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")
-    size = max(12, round(frame.shape[0] / 40))
+    size = max(12, round(max(frame.shape[:2]) / 40))
     tallies = [f"{name.replace('_', ' ')} {n}" for name, n in seen.tally.items()]
     text = "\n".join([f"{seen.seconds:.1f} s", *tallies])
     corner = (size * 0.9, size * 0.7)

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -37,7 +38,10 @@ class LiveLot:
         goal_size: (agents, 2) sizes of goal bays [m]; NaN for agents that explore.
         seconds: simulated time since the start [s].
         traces: traced poses in a control step.
+        note: what has last happened, a sentence; empty at first.
     """
+
+    note = ""
 
     def __init__(self, env: ParkingEnv, policy: AnyPolicy, seed: int) -> None:
         """Starts a lot, of those for training; compiles the reset alone."""
@@ -155,7 +159,7 @@ class LiveLot:
         return iter(self._ended.items())
 
 
-DAYLIGHT = 0.5  # of the environment
+DAYLIGHT = 0.3  # of the environment
 GAMMA = 2.2  # of screens
 FIELD_OF_VIEW = math.radians(60.0)  # mjviser's
 _SLAB = 0.05  # m, thickness of the asphalt in the browser
@@ -218,9 +222,15 @@ def make_viewer(
     return viewer
 
 
-def make_live_viewer(server: Any, lot: LiveLot) -> Any:
-    """Shows a lot in which a policy drives; see `make_viewer`."""
+def make_live_viewer(
+    server: Any, lot: LiveLot, before: Callable[[], None] = lambda: None
+) -> Any:
+    """Shows a lot in which a policy drives; see `make_viewer`.
+
+    `before` is called in every step.
+    """
     goals: list[Any] = []
+    restarting = threading.Event()
 
     def show() -> None:
         marks = zip(goals, lot.goal_pose, lot.goal_size, strict=True)
@@ -232,10 +242,14 @@ def make_live_viewer(server: Any, lot: LiveLot) -> Any:
             goal.position = (float(pose[0]), float(pose[1]), 0.0)
             goal.wxyz = _turn(float(pose[2]))
         words = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in lot.tally())
-        tally.content = f"**{lot.seconds:.0f} s**: {words}"
+        tally.content = f"**{lot.seconds:.0f} s**: {words}\n\n{lot.note}"
 
     def step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        if lot.step():
+        before()
+        if restarting.is_set():
+            restarting.clear()
+            reset(model, data)
+        elif lot.step():
             show()
 
     def reset(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -249,8 +263,16 @@ def make_live_viewer(server: Any, lot: LiveLot) -> Any:
     agents = range(len(lot.goal_pose))
     goals += [add_box(f"/goals/{k}", _bytes(agent_colour(k))) for k in agents]
     tally = server.gui.add_markdown("")
+    add_key(server, "Restart", "R", restarting.set)
     show()
     return viewer
+
+
+def add_key(server: Any, label: str, key: str, act: Callable[[], None]) -> None:
+    """Lets a key do something on a page, where viser has keys."""
+    if hasattr(server.gui, "add_command"):
+        command = server.gui.add_command(f"{label} ({key})", hotkey=key)
+        command.on_trigger(lambda _: act())
 
 
 def _turn(yaw: float) -> tuple[float, float, float, float]:

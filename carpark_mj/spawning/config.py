@@ -95,8 +95,8 @@ class FleetConfig(CheckedConfig):
     Attributes:
         agents: presets of the agents, drawn at every spawn, each equally often.
         parked_cars: presets of the parked cars, drawn when the lot is reset.
-        snug: share of the agents' cars that are likelier the less room the bays leave;
-            the others are equally likely, which means mostly small cars in large bays.
+        snug: share of the agents' cars drawn with a preference for tight bays; the
+            others are uniform over those that fit, mostly small cars in large bays.
     """
 
     agents: tuple[str, ...] = ()

@@ -1,9 +1,9 @@
-"""The levels of the suite and their cases, the same for all users.
+"""The levels of the suite and their cases, equal for all users.
 
 HOPE's levels have 1,000 held-out cases each. The package stores them, drawn once by
 `HopeConfig` from lots of the test split (`carpark_mj.layouts.registry`), in whole
 millimetres and 1e-4 rad. Cases of `normal` and `complex` are perpendicular and parallel
-in turn, those of `extreme` are parallel. `write` draws the same bytes again.
+in turn, those of `extreme` are parallel. `write` draws equal bytes again.
 
 A package may register a `CaseLevel` of its own. The level may change the suite's
 environment, and say how its cases begin: with movers, given starts and goals.
@@ -303,7 +303,7 @@ def pick_cases(
     """Cases of a level that follow each other, with a moving car or without.
 
     Args:
-        level: whose.
+        level: name of the level.
         count: how many.
         first: how many of the level's are left out before them.
         with_moving_car: in HOPE's levels; ignored in others.

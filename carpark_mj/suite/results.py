@@ -254,7 +254,7 @@ class Result(CheckedConfig):
 
     Attributes:
         policy: its name.
-        level: whose cases.
+        level: name of the level.
         held_out: fingerprint of these.
         made_with: processor and versions of packages.
         rule: when the car counts as parked.

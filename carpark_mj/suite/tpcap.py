@@ -172,9 +172,9 @@ def case_layout(
     """The lot of one case: walls, and a bay around the goal.
 
     Args:
-        car: whose poses are given.
+        car: the car of the poses.
         start: (3,) pose of its rear axle.
-        goal: (3,) the same when parked.
+        goal: (3,) pose of its rear axle when parked.
         shapes: points (n, 2) of each obstacle.
         boxes_of: pose (3,) and size (2,) of each wall that represents an obstacle.
         margin: of the bay on every side of the car [m], less where walls are near.

@@ -33,6 +33,7 @@ from carpark_mj.types import State
 
 HERE = Path(__file__).parent
 POLICY = "anywhere"
+CARS = ("compact", "city", "van")  # that `anywhere` has driven, the first one first
 DRAWS = 12  # of starts for cars that begin again, a start for each car of a draw
 MARGIN = 0.4  # m between a start and parked cars
 MODULES = {
@@ -72,17 +73,17 @@ class Lot:
 
 
 LOTS = {
-    "square": Lot("Square, seven others", "square", 8, 16, 0),
-    "lot": Lot("Car park, four others", "lot", 5, 12, 0),
-    "street": Lot("Street, three others", "street_parallel", 4, 8, 0),
     "angled": Lot("Angled bays, three others", "angled", 4, 8, 0),
+    "lot": Lot("Car park, four others", "lot", 5, 12, 0),
+    "square": Lot("Square, seven others", "square", 8, 16, 0),
+    "street": Lot("Street, three others", "street_parallel", 4, 8, 0),
 }
 
 
 @functools.cache
-def begin(lot: Lot) -> tuple[ParkingEnv, State, np.ndarray]:
+def begin(lot: Lot, car: str = CARS[0]) -> tuple[ParkingEnv, State, np.ndarray]:
     """A lot as an episode begins in it, and poses (starts, 3) to begin again at."""
-    env = ParkingEnv(lot_config(lot))
+    env = ParkingEnv(lot_config(lot, car))
     key, *keys = jax.random.split(jax.random.key(lot.seed), 2 + DRAWS)
     layout = env.draw_layout(key)
     reset = jax.jit(jax.vmap(lambda key: env.reset_to_layout(layout, key)[0]))
@@ -96,11 +97,12 @@ def begin(lot: Lot) -> tuple[ParkingEnv, State, np.ndarray]:
     return env, state, np.asarray(starts)[np.asarray(clear)]
 
 
-def lot_config(lot: Lot) -> EnvConfig:
+def lot_config(lot: Lot, car: str = CARS[0]) -> EnvConfig:
     """The policy's environment with the cars of a lot, all alike and without noise."""
     return dataclasses.replace(
         load_policy(POLICY).env,
         layout=lot.layout,
+        vehicle=car,
         num_agents=lot.agents,
         min_agents=None,
         num_parked_cars=lot.parked,
@@ -111,12 +113,14 @@ def lot_config(lot: Lot) -> EnvConfig:
     )
 
 
-def describe(lot: Lot, rows: Rows, read: Iterable[str]) -> tuple[dict[str, Any], str]:
-    """What the page knows of a lot, and its scene as MJCF.
+def describe(
+    lot: Lot, kind: str, rows: Rows, read: Iterable[str]
+) -> tuple[dict[str, Any], str]:
+    """What the page knows of a lot with cars of a kind, and its scene as MJCF.
 
     `inputs` are those of the model that stay the same, the others' rows left out.
     """
-    env, state, starts = begin(lot)
+    env, state, starts = begin(lot, kind)
     layout, car = state.layout, env.vehicle
     bays = np.flatnonzero(np.asarray(layout.bay_mask))
     own = state.motion.size[0]
@@ -129,7 +133,6 @@ def describe(lot: Lot, rows: Rows, read: Iterable[str]) -> tuple[dict[str, Any],
         layout, car, np.asarray(motion), np.asarray(parked.pose_w)[parked.present]
     )
     about = {
-        "title": lot.title,
         "inputs": constant,
         "bay_pose": np.asarray(layout.bay_pose)[bays],
         "bay_size": np.asarray(layout.bay_size)[bays],
@@ -158,7 +161,7 @@ def for_older_mujoco(xml: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def export(out: Path, lots: Iterable[str] = LOTS) -> None:
+def export(out: Path, lots: Iterable[str] = LOTS, cars: Iterable[str] = CARS) -> None:
     """Writes the policy, some lots and what else the page reads into a folder."""
     out.mkdir(parents=True, exist_ok=True)
     loaded = load_policy(POLICY)
@@ -168,9 +171,12 @@ def export(out: Path, lots: Iterable[str] = LOTS) -> None:
     read = {entry.name: entry for entry in inputs_of(model)}
     described = {}
     for name in lots:
-        described[name], xml = describe(LOTS[name], rows, read)
-        (out / f"{name}.xml").write_text(xml)
-        print(f"{name}: {len(described[name]['starts'])} starts", flush=True)
+        described[name] = {"title": LOTS[name].title, "cars": {}}
+        for car in cars:
+            about, xml = describe(LOTS[name], car, rows, read)
+            described[name]["cars"][car] = about
+            (out / f"{name}-{car}.xml").write_text(xml)
+            print(f"{name}, {car}: {len(about['starts'])} starts", flush=True)
     rule = PARKED_RULES[loaded.env.episode.parked_rule]
     assert rule.inside_lines  # the page knows this and these limits
     control = loaded.env.sim.ctrl_dt

@@ -11,13 +11,14 @@ const COAST = 0.15; // pedal against the motion with nothing pressed
 const DEAD = 0.1; // of a stick
 
 export class Controls {
-  // `commands` are functions by key code; `buttons` have the attribute data-hold.
+  // `commands` are functions by key code, and `drive` of keys that drive; `buttons` have the attribute data-hold.
   constructor(commands, buttons) {
     this.held = new Set();
     addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
       if (event.code in KEYS) {
         this.held.add(KEYS[event.code]);
+        commands.drive();
         event.preventDefault();
       } else if (!event.repeat) commands[event.code]?.();
     });

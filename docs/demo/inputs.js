@@ -1,4 +1,4 @@
-// What a car tells the policy: the model's inputs by name, as flat arrays.
+// Inputs of the model by name, as flat arrays.
 
 const ARRAYS = { float32: Float32Array, int32: Int32Array, bool: Uint8Array };
 

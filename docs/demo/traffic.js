@@ -5,6 +5,7 @@ import { distance, isParked } from "./geometry.js";
 export const TICK = 0.01; // s between looks at contacts and bays
 const PAUSE = 2.5; // s that a car stands before it begins again
 const SPACING = 7.4; // m between a start and other cars, as the policy knows it
+const FREE = 5; // m to other cars, where a drive begins again
 const TAKEN = 1.5; // m from a bay's centre, a car within takes it
 
 // Numbers in [0, 1), the same in every visit (mulberry32).
@@ -27,7 +28,8 @@ export class Traffic {
     this.random = makeRandom(1);
     this.ticks = 0;
     this.manual = false; // whether the visitor drives car 0
-    this.counts = { parked: 0, crashed: 0, late: 0, visitor: 0 };
+    this.counts = { parked: 0, crashed: 0, late: 0, visitor: 0, bumps: 0 };
+    this.seconds = { parked: 0, visitor: 0 }; // of all drives that ended so
     this.events = [];
     this.cost = { steps: 0, physics: 0, decisions: 0, policy: 0 }; // counts and ms
     this.parkedPose = lot.inputs.parked_pose.filter((_, k) => lot.inputs.parked_mask[k]);
@@ -39,7 +41,7 @@ export class Traffic {
   }
 
   start(car, goal) {
-    Object.assign(car, { goal, begun: this.time, end: null, stopped: false });
+    Object.assign(car, { goal, begun: this.time, end: null, stopped: false, from: [...car.pose] });
   }
 
   async tick() {
@@ -84,7 +86,10 @@ export class Traffic {
   hit(car, other) {
     const byVisitor = this.manual && (car.number === 0 || other === 0);
     if (this.visits(car)) {
-      if (this.time - (car.bumped ?? -9) > PAUSE) this.tell("bumped", car);
+      if (this.time - (car.bumped ?? -9) > PAUSE) {
+        this.counts.bumps += 1;
+        this.tell("bumped", car);
+      }
       car.bumped = this.time;
     } else if (!car.end) {
       this.finish(car, byVisitor ? "hit" : "crashed");
@@ -96,6 +101,7 @@ export class Traffic {
     car.stopped = !this.visits(car);
     const counted = this.visits(car) && outcome === "parked" ? "visitor" : outcome;
     if (counted in this.counts) this.counts[counted] += 1;
+    if (counted in this.seconds) this.seconds[counted] += this.time - car.begun;
     this.tell(outcome, car);
   }
 
@@ -111,9 +117,22 @@ export class Traffic {
     this.start(car, this.newGoal(car));
   }
 
-  newStart(car) {
+  // A car begins its drive again, elsewhere if another car is in the way.
+  repeat(car) {
+    const [room, { from, goal }] = [this.room(car), car];
+    if (car.end || room(from) < FREE || room(this.lot.bay_pose[goal]) < TAKEN) return this.again(car, true);
+    this.physics.place(car, from);
+    this.physics.read();
+    this.start(car, goal);
+  }
+
+  room(car) {
     const others = this.cars.filter((other) => other !== car);
-    const room = (pose) => Math.min(...others.map((other) => distance(pose, other.pose)));
+    return (pose) => Math.min(...others.map((other) => distance(pose, other.pose)));
+  }
+
+  newStart(car) {
+    const room = this.room(car);
     const far = this.lot.starts.filter((pose) => room(pose) > SPACING);
     if (far.length) return this.pick(far);
     return this.lot.starts.reduce((a, b) => (room(a) > room(b) ? a : b));

@@ -1,13 +1,16 @@
-// Draws a lot: light, ground, cars, the bays that they head for, and three cameras.
+// Draws a lot: light, ground, cars, the bays that they head for, and the visitor's views.
 
 import * as THREE from "three";
 import { OrbitControls } from "./built/three/OrbitControls.js";
 import { Geoms } from "./geoms.js";
 import { ground } from "./ground.js";
 
-export const CAMERAS = ["overview", "follow", "plan"];
+export const VIEWS = { overview: "Overview", follow: "Behind the car", driver: "Driver's view", plan: "Top view" };
+const [FIELD, WIDE] = [40, 62]; // degrees, of a camera and of the driver
 const SKY = 0xb9cbd8;
 const COARSE = 0.6; // pixels for each of the screen's points on slow machines
+const POINTER = 0xffd21f; // of the visitor's arrow and goal
+const ARROW = [[-0.9, 0.25], [0.1, 0.25], [0.1, 0.7], [1, 0], [0.1, -0.7], [0.1, -0.25], [-0.9, -0.25]]; // m
 const MARK = 0.014; // m, height of a bay's mark above the ground
 
 THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
@@ -22,16 +25,18 @@ export class View {
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(SKY);
     this.scene.fog = new THREE.Fog(SKY, 90, 260);
-    this.camera = new THREE.PerspectiveCamera(40, 1, 1, 800);
+    this.camera = new THREE.PerspectiveCamera(FIELD, 1, 1, 800);
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.maxPolarAngle = 1.45;
     this.orbit.enableDamping = true;
-    this.kind = CAMERAS[0];
+    this.kind = "overview";
     this.addLight();
     this.scene.add(ground());
-    this.you = new THREE.Mesh(new THREE.ConeGeometry(0.55, 1.1, 4).rotateX(-Math.PI / 2),
-      new THREE.MeshBasicMaterial({ color: 0xffffff }));
-    this.scene.add(this.you);
+    this.pin = new THREE.Mesh(new THREE.ConeGeometry(0.6, 1.4, 4).rotateX(-Math.PI / 2), new THREE.MeshBasicMaterial({ color: POINTER }));
+    this.arrow = new THREE.Mesh(new THREE.ShapeGeometry(new THREE.Shape(ARROW.map(([x, y]) => new THREE.Vector2(x, y)))),
+      new THREE.MeshBasicMaterial({ color: POINTER, side: THREE.DoubleSide, depthTest: false }));
+    this.arrow.renderOrder = 1;
+    this.scene.add(this.pin, this.arrow);
   }
 
   addLight() {
@@ -80,9 +85,14 @@ export class View {
       this.marks[k].rotation.z = yaw;
       this.marks[k].scale.set(length - 0.3, width - 0.3, 1);
     });
-    const [x, y] = cars[0].pose;
-    this.you.position.set(x, y, 3 + 0.15 * Math.sin(4 * time));
-    this.you.rotation.z = time;
+    const [[x, y], [u, v]] = [cars[0].pose, this.lot.bay_pose[cars[0].goal]];
+    const [far, yaw] = [Math.hypot(u - x, v - y), Math.atan2(v - y, u - x)];
+    this.pin.position.set(u, v, 2.6 + 0.2 * Math.sin(4 * time));
+    this.pin.rotation.z = time;
+    const ahead = Math.min(4.4, far / 2);
+    this.arrow.position.set(x + ahead * Math.cos(yaw), y + ahead * Math.sin(yaw), 1);
+    this.arrow.rotation.z = yaw;
+    this.arrow.visible = far > 4;
     this.car = cars[0].pose;
   }
 
@@ -90,8 +100,10 @@ export class View {
   look(kind) {
     this.kind = kind;
     this.orbit.enabled = kind === "overview";
-    this.you.visible = kind !== "follow";
-    if (!this.lot || kind === "follow") return;
+    const inside = kind === "driver";
+    Object.assign(this.camera, { fov: inside ? WIDE : FIELD, near: inside ? 0.4 : 1 });
+    this.camera.updateProjectionMatrix();
+    if (!this.lot || kind === "follow" || kind === "driver") return;
     const [x, y] = this.lot.extent;
     const turned = x !== y && x > y !== this.camera.aspect > 1; // its long side along the screen's
     const [across, up] = turned ? [y, x] : [x, y];
@@ -108,6 +120,7 @@ export class View {
   draw(seconds) {
     if (!this.geoms || !this.car) return;
     if (this.kind === "follow") this.follow(1 - Math.exp(-3 * seconds));
+    else if (this.kind === "driver") this.sit();
     else if (this.kind === "overview") this.orbit.update();
     this.renderer.render(this.scene, this.camera);
   }
@@ -120,6 +133,15 @@ export class View {
     const wanted = new THREE.Vector3(x - back * c, y - back * s, 0.55 * back);
     this.camera.position.lerp(wanted, this.camera.position.distanceTo(wanted) > 40 ? 1 : share);
     this.camera.lookAt(x + 2.5 * c, y + 2.5 * s, 0.5);
+  }
+
+  // Puts the camera on the driver's seat.
+  sit() {
+    const [x, y, yaw] = this.car;
+    const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
+    const [a, b] = [x - 0.35 * s, y + 0.35 * c];
+    this.camera.position.set(a + 0.6 * c, b + 0.6 * s, 1.4);
+    this.camera.lookAt(a + 10 * c, b + 10 * s, 0.1);
   }
 
   // Draws less, for slow machines: first no finer than the screen's points, then without

@@ -31,10 +31,10 @@ async function decide(inputs) {
   return Array.from(action.data);
 }
 
-async function load(name) {
+async function load(name, car) {
   const own = ++run;
-  const lot = about.lots[name];
-  const xml = await fetch(new URL(`./built/${name}.xml`, import.meta.url)).then((x) => x.text());
+  const lot = about.lots[name].cars[car];
+  const xml = await fetch(new URL(`./built/${name}-${car}.xml`, import.meta.url)).then((x) => x.text());
   if (own !== run) return;
   const old = traffic;
   const physics = new Physics(mujoco, xml, lot);
@@ -42,7 +42,7 @@ async function load(name) {
   traffic.manual = manual;
   setTimeout(() => old?.physics.delete(), 1000); // once its last tick is over
   drawn = moving(physics);
-  postMessage({ look: look(physics), lot, name });
+  postMessage({ look: look(physics), lot, name, car });
   await loop(own, traffic);
 }
 
@@ -62,11 +62,11 @@ async function loop(own, traffic) {
   }
 }
 
-function report({ physics, cars, time, counts, cost, events, first, manual }) {
+function report({ physics, cars, time, counts, seconds, cost, events, first, manual }) {
   const places = physics.places(drawn);
-  const state = cars.map(({ pose, speed, steering, goal, end }) =>
-    ({ pose, speed, steering, goal, outcome: end?.outcome ?? null }));
-  postMessage({ places, cars: state, time, counts, cost, events, first, manual }, [places.buffer]);
+  const state = cars.map(({ pose, speed, steering, goal, end, begun, bumped }) =>
+    ({ pose, speed, steering, goal, begun, bumped, outcome: end?.outcome ?? null }));
+  postMessage({ places, cars: state, time, counts, seconds, cost, events, first, manual }, [places.buffer]);
   events.length = 0;
 }
 
@@ -74,14 +74,14 @@ onmessage = ({ data }) => {
   if ("speed" in data) speed = data.speed;
   if ("paused" in data) paused = data.paused;
   if ("manual" in data) manual = data.manual;
-  if ("load" in data) load(data.load).catch(fail); // once the page knows the lots
+  if ("load" in data) load(data.load, data.car).catch(fail); // once the page knows the lots
   else if (traffic) {
     const [car] = traffic.cars;
     if ("manual" in data) Object.assign(traffic, { manual }), (car.begun = traffic.time);
     if ("action" in data && manual) car.action = data.action;
-    if (data.again) traffic.again(car, true);
+    if (data.again) traffic.repeat(car);
   }
 };
 
 const fail = (error) => postMessage({ error: String(error?.message ?? error) });
-prepare().then(() => postMessage({ lots: Object.entries(about.lots).map(([name, { title }]) => [name, title]) }), fail);
+prepare().then(() => postMessage({ lots: Object.entries(about.lots).map(([name, { title, cars }]) => [name, title, Object.keys(cars)]) }), fail);

@@ -150,7 +150,7 @@ def test_two_sources_and_settings_that_are_words_can_be_drawn(tmp_path):
     assert (tmp_path / "parked.png").exists()
 
 
-def test_a_setting_has_one_colour_whoever_s_runs_they_are(tmp_path, monkeypatch):
+def test_a_setting_has_one_colour_in_all_runs(tmp_path, monkeypatch):
     lines: dict[str, tuple[str, str]] = {}
     plot = Axes.plot
 

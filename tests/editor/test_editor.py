@@ -259,7 +259,7 @@ def test_a_lot_is_drawn_mended_and_saved_in_a_browser(server):
         told("#faults", "there is no bay")
         draw("2", (-10, 4), (10, 4))  # a row of bays
         draw("4", (-10, 9.5), (10, 9.5))  # a wall
-        draw("8", (-6, 0), (6, 0))  # where cars start
+        draw("8", (-6, 1), (6, -1))  # where cars start, from corner to corner
         draw("3", (8, 6), (8, 3))  # a bay too many
         told("#words", "bays overlap")
         page.keyboard.press("Control+s")
@@ -269,6 +269,10 @@ def test_a_lot_is_drawn_mended_and_saved_in_a_browser(server):
         told("#faults", "No faults")
         page.keyboard.press("Control+s")
         told("#state", "Saved")
+        page.locator("#cars").check()
+        assert page.locator(".car").count() == 5  # every other bay, and the start
+        for command in page.locator("#next code").all_inner_texts():
+            assert str(server.draft.out) in command
         browser.close()
     layout = make_layout(str(server.draft.out))
     middle = [[-8.75 + 2.5 * k, 6.5] for k in range(8)]
@@ -276,6 +280,7 @@ def test_a_lot_is_drawn_mended_and_saved_in_a_browser(server):
     np.testing.assert_allclose(layout.bay_pose[:, 2], -np.pi / 2, atol=1e-5)
     np.testing.assert_allclose(layout.wall_pose, [[0, 9.5, 0]])
     np.testing.assert_allclose(layout.spawn_size, [[12, 2]])
+    np.testing.assert_allclose(layout.spawn_pose, [[0, 0, 0]], atol=1e-6)
     assert complaints == []
     own = f"http://localhost:{server.server_port}/"
     assert all(url.startswith((own, "data:")) for url in requests)

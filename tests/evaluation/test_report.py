@@ -177,7 +177,7 @@ def test_an_evaluation_is_written_before_it_is_printed(
         ),
         ({"episodes": 4096, "horizon": 100.0}, "episodes-4096_horizon-100.0"),
         ({"layout": "my-yard.json"}, "layout-my-yard.json"),
-        ({"set": ("a.b=1", "c=2 3")}, "set-a.b=1+c=2%203"),
+        ({"movers": ("cart", "drivers:number=4")}, "movers-cart+drivers:number=4"),
     ],
 )
 def test_results_of_other_tasks_are_in_folders_by_flags(flags, name):

@@ -60,7 +60,7 @@ def test_who_is_hit_is_reported_as_in_mjx_and_stops_the_car():
 
 @dataclasses.dataclass(frozen=True)
 class Roller(Mover):
-    """A box that rolls on at a speed whoever is in its way."""
+    """A box that rolls on at a speed and yields to nothing."""
 
     speed: float = 1.0
     mover: str = "roller"

@@ -281,7 +281,7 @@ def test_an_encoder_of_its_own_fills_the_vector_and_remembers():
     assert (speed > 0.0).all()
     np.testing.assert_array_equal(one.observation[:, 0], speed)
     np.testing.assert_array_equal(two.observation[:, 1], speed)
-    # Whoever begins a new episode has no past.
+    # An agent that begins a new episode has no past.
     late = jnp.array([config.episode.max_steps, 0], jnp.int32)
     _, timestep = step(state.replace(step=late), ahead)
     assert timestep.events.done.tolist() == [True, False]

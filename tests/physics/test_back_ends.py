@@ -1,4 +1,4 @@
-"""Traits of back ends are honoured by whoever asks, and what has none is refused."""
+"""Traits of back ends are honoured, and back ends without them refused."""
 
 import dataclasses
 import json

@@ -96,7 +96,7 @@ STANDING = (
 )
 
 
-def test_whoever_stands_stops_a_car_that_coasts_as_a_wall_does():
+def test_a_mover_at_rest_stops_a_coasting_car_as_a_wall_does():
     physics, steps = scene(), 8
     start = [FACE - NOSE - 0.3, 0.0, 0.0]
     lots = still(batch([movers(**who) for who in STANDING]), steps)

@@ -31,6 +31,7 @@ from carpark_mj.play.driving import (
     from_keys,
     stop,
 )
+from carpark_mj.types import ENDINGS
 
 STEPS_DRIVEN = 6
 
@@ -80,6 +81,17 @@ def test_everything_is_recorded(lot):
     assert lot.score == 0.0
 
 
+def test_the_end_of_the_drivers_episode_is_noted(lot):
+    lot.reset()
+    assert lot.note == ""
+    while not lot.note and lot.seconds < 60.0:  # the time is up before
+        lot.step()
+    ended = [x for x in ENDINGS if x.replace("_", " ") in lot.note]
+    assert dict(lot.tally())[ended[0]] >= 1
+    lot.reset()
+    assert lot.note == ""
+
+
 def test_a_saved_drive_is_the_same_when_replayed(lot, tmp_path):
     lot.reset()
     save(lot, tmp_path)  # nobody has driven
@@ -115,10 +127,10 @@ def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
         _, lot, held = make_wheel(config, page)
         for _ in range(lot.traces):
             lot.step()
-        held["wheel"].value, held["pedal"].value = 0.5, 1.0
+        held["steer"].value, held["pedal"].value = 0.5, 1.0
         for _ in range(lot.traces):
             lot.step()
-        np.testing.assert_allclose(lot.demonstration.actions[:, 0], [[0, 0], [-0.5, 1]])
+        np.testing.assert_allclose(lot.demonstration.actions[:, 0], [[0, 0], [0.5, 1]])
         for _ in range(2):  # nobody drives before the second
             lot.reset()
         (saved,) = tmp_path.iterdir()

@@ -76,15 +76,19 @@ def test_there_are_parameters_for_every_number_and_every_choice(spec, size):
     assert action_distribution(spec).param_size == size
 
 
+BOUNDS = [(0.001, 0.0), (0.1, 0.0), (0.1, 0.3)]
+
+
 @pytest.mark.parametrize("spec", [ActionSpec(2), MIXED, ActionSpec(1, (4, 4))])
-@pytest.mark.parametrize(("given", "least"), [({}, 0.001), ({"min_std": 0.1}, 0.1)])
-def test_numbers_vary_by_min_std_at_least(spec, given, least):
-    distribution, n = action_distribution(spec, **given), spec.continuous
+@pytest.mark.parametrize(("least", "most"), BOUNDS)
+def test_deviations_of_numbers_stay_in_their_bounds(spec, least, most):
+    distribution, n = action_distribution(spec, least, most), spec.continuous
     params = jnp.full((3, distribution.param_size), -100.0)
     params = params.at[1:, n : 2 * n].set(jnp.array([[0.0], [5.0]]))
     scale = distribution.create_dist(params).scale[:, :n]
     # Brax's softplus of the parameter, above the least.
     expected = least + np.log1p(np.exp([[-100.0], [0.0], [5.0]]))
+    expected = np.minimum(expected, most or np.inf)
     np.testing.assert_allclose(scale, np.broadcast_to(expected, (3, n)), rtol=1e-5)
 
 

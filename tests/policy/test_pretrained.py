@@ -26,7 +26,7 @@ from carpark_mj.policy.runs import find_policy
 from carpark_mj.pretrained import pretrained_names
 from carpark_mj.training.ppo.train import save
 
-MAX_SIZE = 1e6  # bytes
+MAX_SIZE = 2.5e6  # bytes; three layers of 512 units
 
 
 def act(loaded, count=50):
@@ -302,10 +302,11 @@ def test_every_policy_has_a_card_with_its_figures(shipped):
 
 
 def test_the_page_of_the_policies_shows_all_cards():
-    cards = [
+    """All lines of the cards, but those of the training."""
+    cards = "\n".join(
         (pretrained.FOLDER / f"{name}.md").read_text() for name in pretrained_names()
-    ]
+    )
+    expected = re.sub(r"^\| (training|steps|seed|device) \|.*\n", "", cards, flags=re.M)
     page = (DOCS / "policies.md").read_text()
     shown = page.split("<!-- cards -->\n")[1].split("\n<!-- end of cards -->")[0]
-    expected = "\n".join(cards).rstrip()
-    assert shown == expected, f"paste this:\n{expected}"
+    assert shown == expected.rstrip(), f"paste this:\n{expected}"

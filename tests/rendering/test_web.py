@@ -14,7 +14,8 @@ import urllib.request
 import numpy as np
 import pytest
 
-from carpark_mj.cli.pages import open_page
+from carpark_mj.cli.pages import Chosen, open_page, show_lots
+from carpark_mj.cli.scene import another
 from carpark_mj.cli.settings.driving import SceneConfig, complete
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
@@ -84,6 +85,27 @@ def test_view_alone_opens_a_window():
     assert complete(["--view", "web"]) == ["--view", "web"]
     with pytest.raises(ValueError, match="browser only"):
         SceneConfig(view="window", policy="runs/none")
+
+
+def test_lots_chosen_on_a_page_are_shown_in_turn(capsys):
+    first = SceneConfig(view="web")
+    wrong = another(first, "street", 3, "none")
+    shown = []
+
+    def show(config, page):
+        shown.append(config)
+        if len(shown) == 1:
+            raise Chosen(wrong)
+        if config is wrong:
+            raise ValueError("no such lot")
+
+    show_lots(first, False, show)
+    assert shown == [first, wrong, first]  # goes back to what it can show
+    assert capsys.readouterr().err.count("\n") == 1
+    assert (wrong.layout, wrong.seed, wrong.policy) == ("street", 3, "")
+    assert another(wrong, "default", 3, "square").layout is None
+    with pytest.raises(ValueError, match="no such lot"):
+        show_lots(wrong, False, show)
 
 
 @pytest.fixture(scope="module")

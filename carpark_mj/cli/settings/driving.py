@@ -65,9 +65,9 @@ class DriveSettings(LotSettings):
         run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
             `planner`.
         environment: name of an environment, see `carpark_mj.registry`; default: that of
-            the run. A run's policy observes in it what it was trained to.
-        movers: what else moves, with settings: `pedestrians:number=20`; default: as in
-            the run.
+            the run. A policy keeps the observation of its training.
+        movers: moving obstacles with settings, `pedestrians:number=20`; default: those
+            of the run.
         physics: back end; default: that of the run. In `scene`, crashes are contacts in
             one MuJoCo world.
     """
@@ -92,18 +92,18 @@ class EvaluateConfig(DriveSettings):
     carpark_mj evaluate --policy zero --environment square
 
     Attributes:
-        policy: the same as RUN.
-        episodes: least number of episodes, rounded up to the same number for every
+        policy: RUN, as a flag.
+        episodes: least number of episodes, rounded up to an equal number for every
             agent of every lot; 1,024 become 1,792 for seven agents in 128 lots.
         horizon: simulated time [s]; all episodes that begin within it count, instead of
-            the same number per agent, so that short episodes weigh more. `episodes`
+            an equal number per agent, so that short episodes weigh more. `episodes`
             then sets the number of lots.
         num_lots: lots simulated side by side, each with its own share of the episodes.
-        rule: parked rule of the evaluation: tanner, strict, precise, metadrive, or a
-            registered one; default: that of the run.
+        rule: parked rule of the evaluation: tanner, strict, precise, exact, metadrive,
+            or a registered one; default: that of the run.
         hitbox_scale: factor on the cars' lengths and widths in collision tests;
             default: that of the run's environment.
-        min_agents: least number of agents; lots have from here to `num_agents` agents,
+        min_agents: least number of agents; lots have `min_agents` to `num_agents`,
             each number equally often. Default: that of the run, or `num_agents` if that
             is given.
         set: any other settings of the environment, as in
@@ -228,7 +228,7 @@ class RenderConfig(DriveSettings):
 
 @dataclasses.dataclass(frozen=True)
 class OracleConfig(LotSettings):
-    """Says which agents of held-out lots can park within an episode.
+    """Finds which agents of held-out lots can park within an episode.
 
     A planner that sees and moves all cars answers for each lot at its start; what it
     does not solve may still be possible, unless it is counted as impossible.
@@ -298,7 +298,7 @@ class ExportConfig:
 
 @dataclasses.dataclass(frozen=True)
 class SceneOutput(CheckedConfig):
-    """Where a scene goes.
+    """Output of a scene.
 
     Attributes:
         out: MJCF file to write; it needs no other file and no carpark_mj.
@@ -322,7 +322,7 @@ class SceneOutput(CheckedConfig):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ShownLot(LotSettings):
-    """A lot to look at, or to drive in.
+    """A lot to view or to drive in.
 
     Attributes:
         layout: name of a lot or a family (`square`, `street`, `lot`...), or a layout
@@ -378,7 +378,8 @@ class PlayConfig(ShownLot):
 
     Keys: arrows or WASD steer and drive, space brakes, R restarts the lot, N takes the
     next one, Q ends. Gamepad: left stick, right trigger ahead, left trigger back.
-    Without a display a page is served instead, with a steering wheel and a pedal.
+    Without a display a page is served instead, where arrows or WASD move the steering
+    and the pedal step by step; left is positive.
 
     Attributes:
         policy: pretrained policy, run folder or checkpoint file that drives the other
@@ -391,7 +392,7 @@ class PlayConfig(ShownLot):
         camera: camera of the window or the video: `topdown`, `overview`, `chase:0`,
             `driver:0` or `split`.
         out: folder in which every drive is saved as drive-K.npz.
-        replay: a saved drive to look at instead.
+        replay: a saved drive to replay instead.
         video: `.mp4` or `.gif` to write the replay to.
         port: port of the page.
     """

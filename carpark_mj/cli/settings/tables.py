@@ -53,7 +53,7 @@ class VehiclesConfig:
 
     carpark_mj vehicles
     carpark_mj vehicles my_car.yaml
-    carpark_mj vehicles my_car.yaml --save all_of_it.json
+    carpark_mj vehicles my_car.yaml --save whole.json
 
     Attributes:
         vehicle: a vehicle file or a preset; without one the presets are listed.
@@ -195,15 +195,15 @@ class BenchmarkConfig(CheckedConfig):
 
 @dataclasses.dataclass(frozen=True)
 class SlurmConfig(CheckedConfig):
-    """What is asked of Slurm for every run.
+    """Resources of Slurm for every run.
 
     Attributes:
-        partition: where; empty = the cluster's default, as with the next three.
-        account: that pays.
+        partition: empty = the cluster's default, as for the next three.
+        account: account to charge.
         qos: quality of service.
         constraint: features that nodes must have.
-        time: after which a job is queued again, to go on from its checkpoint [min].
-        requeues: how often it may be.
+        time: time limit of a job [min], which is then queued again and resumes.
+        requeues: largest number of times that a job is queued again.
         gpus_per_node: number of GPUs.
         cpus_per_task: number of CPU cores.
         mem_gb: memory [GB]; 0 = the default.
@@ -293,15 +293,15 @@ class SuiteConfig:
             or `random`.
         levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
             TPCAP's 20 published cases; `parkbench:FOLDER`, the half of ParkBench's
-            files that is for work, and `parkbench:FOLDER:held_out`, the other, to be
-            looked at once; `busy`, where people, a cart or a car get in the way;
-            `metadrive`, `san_jose` and `dragon_lake`, lots that others drew; `sheets`,
+            files for development, and `parkbench:FOLDER:held_out`, the other, for
+            final results; `busy`, where people, a cart or a car get in the way;
+            `metadrive`, `san_jose` and `dragon_lake`, lots of other sources; `sheets`,
             twelve cars by data sheet; or registered ones.
         cases: number of cases of each level, all of levels with fewer; None = all from
             `first_case` on.
         first_case: first case of each level, from 0.
-        rule: when a car counts as parked: tanner, strict, precise, metadrive, or a
-            registered rule.
+        rule: when a car counts as parked: tanner, strict, precise, exact, metadrive, or
+            a registered rule.
         vehicle: preset or file of the car.
         moving_car: another car drives through the aisle of every case.
         seeds: of the planner's searches and of stochastic policies; each seed drives
@@ -478,8 +478,8 @@ class ImportConfig:
         out: layout file to write.
         crop: x and y of two opposite corners [m] of the part to take, in the frame of
             the whole lot.
-        level: of a car park with several, as the map names it; the one with most spots
-            by default.
+        level: level of a multi-storey car park, as named in the map; default: the one
+            with most spots.
         crs: coordinate reference system of a GeoJSON file that does not name its own,
             such as EPSG:25832.
         layer: of a drawing, WORD=TEXT: the layers whose names contain the text hold

@@ -176,6 +176,8 @@ TOOLS.forEach(({ name }, k) => {
   byId("tools").append(element("button", { onclick: () => choose(k) }, name, element("kbd", {}, k + 1)));
 });
 byId("grid").addEventListener("change", () => { editor.grid = Number(byId("grid").value); });
+byId("cars").addEventListener("change", () => { view.car = byId("cars").checked ? opened.car : null; draw(); });
+for (const [title, command] of opened.commands) byId("next").append(title, element("code", {}, command));
 new ResizeObserver(() => { view.show(view.box); draw(); }).observe(byId("plan"));
 say("Checking …");
 choose(0);

@@ -21,6 +21,14 @@ function strip(a, b, model) {
   return length(a, b) < LEAST ? [] : [like(model, [...middle, heading(a, b)], [length(a, b), model.size[1]])];
 }
 
+// A rectangle between two corners; cars start along its longer side, the way it was drawn.
+function corners(a, b, model) {
+  const [x, y] = [b[0] - a[0], b[1] - a[1]];
+  const sides = [x, y].map(Math.abs).sort((p, q) => q - p);
+  const yaw = Math.abs(x) >= Math.abs(y) ? heading([0, 0], [x, 0]) : heading([0, 0], [0, y]);
+  return sides[1] < LEAST ? [] : [like(model, [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2, yaw], sides)];
+}
+
 // A bay at a point, heading for another one, as the next bays will.
 function bay(a, b, model) {
   if (length(a, b) > LEAST) place(model, [0, 0, heading(a, b)]);
@@ -61,8 +69,8 @@ export const TOOLS = [
     fields: ["radius", "kind"], hint: "Click at the centre." },
   { name: "Lane", list: "lanes", make: strip, model: box([1, 6], { one_way: false }),
     fields: ["width", "one_way"], hint: "Drag along the centre line, in the direction of travel." },
-  { name: "Spawn region", list: "spawns", make: strip, model: box([1, 2], { spread: 0.1 }), fields: ["width", "spread"],
-    hint: "Drag in the direction of travel. Centres of cars start inside; keep half a car free around it." },
+  { name: "Spawn region", list: "spawns", make: corners, model: box([1, 2], { spread: 0.1 }), fields: ["spread"],
+    hint: "Drag from corner to corner. Centres of cars start inside, heading along the longer side; R turns it." },
 ];
 
 export class Pointers {
@@ -143,8 +151,11 @@ export class Pointers {
       let b = this.snap(event, point);
       if (event.shiftKey) b = world([length(a, b), 0], [...a, snapTo(heading(a, b), TURN)]);
       const pairs = (drag.pairs = this.made(a, b));
+      if (tool.point) return { pairs };
       const count = pairs.length === 1 ? "" : `${pairs.length} bays, `;
-      return tool.point ? { pairs } : { pairs, band: [a, b], label: `${count}${length(a, b).toFixed(2)} m`, at: b };
+      const size = tool.make === corners
+        ? [0, 1].map((k) => Math.abs(b[k] - a[k]).toFixed(2)).join(" × ") : `${count}${length(a, b).toFixed(2)}`;
+      return { pairs, band: [a, b], label: `${size} m`, at: b };
     };
     return drag;
   }

@@ -32,9 +32,17 @@ function shape(list, row, look) {
   return `<g transform="${frame}" ${classes}>${bar(row.size)}${arrows(list, row)}</g>`;
 }
 
+// A car in every other bay, and one in each spawn region.
+function cars({ bays, spawns }, size) {
+  const parked = bays.filter((_, k) => k % 2 === 0).map((row) => ["parked", row]);
+  return [...parked, ...spawns.map((row) => ["", row])].map(([look, { pose: [x, y, yaw] }]) =>
+    `<g transform="translate(${x} ${y}) rotate(${(yaw * 180) / Math.PI})">${bar(size, `rx="0.4" class="car ${look}"`)}</g>`);
+}
+
 export class View {
+  // `car` is the size of the cars to draw, null for none.
   constructor(svg, picture) {
-    Object.assign(this, { svg, picture });
+    Object.assign(this, { svg, picture, car: null });
     [this.ground, this.drawing, this.words] = ["ground", "drawing", "words"].map((id) => svg.getElementById(id));
   }
 
@@ -77,7 +85,7 @@ export class View {
     const sketch = pairs.map(([list, row]) => shape(list, row, "sketch"));
     sketch.push(`<polygon class="band" points="${band.join(" ")}"/>`);
     const knob = ({ at: [x, y] }) => `<circle class="handle" cx="${x}" cy="${y}" r="${KNOB / this.scale}"/>`;
-    this.drawing.innerHTML = [...rows, ...sketch, ...this.handles(lot).map(knob)].join("");
+    this.drawing.innerHTML = [...rows, ...(this.car ? cars(lot.document, this.car) : []), ...sketch, ...this.handles(lot).map(knob)].join("");
     const word = ([x, y], text, look) => `<text x="${x}" y="${-y}" class="${look}">${escaped(text)}</text>`;
     const words = labels.slice(0, MOST_LABELS).map(({ text, id, look }) => word(poseOf(lot.row(id)), text, look));
     this.words.innerHTML = words.join("") + (label ? word(at, label, "size") : "");

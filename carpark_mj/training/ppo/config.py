@@ -25,15 +25,15 @@ from carpark_mj.training.run_folder import RunConfig
 
 @dataclasses.dataclass(frozen=True)
 class CurriculumConfig(CheckedConfig):
-    """What is easier, or different, in training than in evaluation; all off by default.
+    """Settings of training that evaluations do not have; all off by default.
 
     Progress is the share of the training that is over.
 
     Attributes:
-        crash_scale: factor on the crash penalty, and on that of the term `person`, that
-            is reached, linearly from 1, at progress `crash_until`. A hard penalty from
-            the start teaches halting.
-        crash_until: progress at which the crash penalty has its full size.
+        crash_scale: factor on the penalties `crash` and `person`, which rises linearly
+            from 1 until progress `crash_until`. With the full penalty from the start
+            agents learn to stand still.
+        crash_until: progress at which the factor is reached.
         discount_end: discount factor at the end; 0 = that of the start. From progress
             0.3 to 0.8 the horizon, 1 / (1 - discount), changes linearly.
         conflict_ratio: share of spawns in conflict with another agent; 0 = as in the
@@ -42,14 +42,14 @@ class CurriculumConfig(CheckedConfig):
             in the environment.
         misaligned_ratio: share of starts in the goal bay, over its lines by centimetres
             or askew; 0 = as in the environment.
-        target_rate: rate of parked episodes by whose shortfall half of a mixture's new
-            lots are drawn (`lot_life`), and their numbers of agents with them; 0 = all
-            are drawn as the mixture says, as are one layout's, or without `lot_life`.
+        target_rate: success rate to reach in every family of a mixture: half of the new
+            lots (`lot_life`) favour families and numbers of agents far below it. 0 =
+            off; no effect on a single layout or without `lot_life`.
         neighbour_share: weight, at the end, of the mean advantage of the other agents
             within 15 m, which is added to an agent's own. 0 until progress 0.2, then
             rising linearly until 0.6. One agent has no neighbours.
-        teacher: policy whose actions are imitated where the agents get to, as a name, a
-            run or a checkpoint; "" = none. It observes what it was trained on.
+        teacher: policy to imitate at the states that the agents reach (DAgger): a name,
+            run or checkpoint; "" = none. It observes what it was trained on.
         teacher_cost: weight, at the start, of the squared distance to its actions.
         teacher_until: progress at which that weight, falling linearly, is 0.
     """
@@ -96,16 +96,16 @@ class PPOConfig(RunConfig):
             one, else `cpu`.
         warm_start: run whose networks the training starts from instead of random ones:
             folder, checkpoint, or name of a pretrained policy with `critic_steps`.
-        num_steps: agent steps to make in all, see `steps_per_update`.
-        minutes: time from the end of the first update, which compiles, after which
-            training ends before `num_steps` are made [min]; 0 = no limit. Schedules
-            then follow steps or time, whichever is further.
+        num_steps: total number of agent steps, see `steps_per_update`.
+        minutes: limit of the training time, from the end of the first update, which
+            compiles [min]; 0 = none. Schedules follow the share of steps or time,
+            whichever is larger.
         num_lots: number of lots simulated in parallel.
-        lot_life: most updates for which a random lot is kept; a few lots are drawn
-            anew after every update. 0 = never drawn anew; fixed lots never are.
-        stored_lots: lots that are drawn once, kept in the user's cache and picked from
-            (`carpark_mj.layouts.stored`), where a mixture takes long to compile; 0 =
-            lots are drawn all along. Evaluation draws its own.
+        lot_life: largest number of updates before a random lot is replaced; a few are
+            replaced after every update. 0 = never.
+        stored_lots: number of lots drawn once and kept in the user's cache
+            (`carpark_mj.layouts.stored`), for mixtures that take long to compile; 0 =
+            lots are drawn during the training. Evaluation draws its own.
         unroll_length: control steps between updates.
         num_minibatches: number of minibatches per epoch.
         num_epochs: passes over the data of an update.
@@ -120,14 +120,14 @@ class PPOConfig(RunConfig):
         max_grad_norm: global norm to which gradients are clipped.
         half_precision: compute the networks' inner layers in bfloat16 in training; set
             encoder only.
-        variant: whose details: `brax`, or of a study, as `ml-agents`.
+        variant: details of the algorithm: `brax`, or of a study, as `ml-agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
         critic_steps: agent steps at the start in which only the critic learns, rounded
             up to updates; for warm starts from a policy without a critic.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
         video_seconds: length of the video at the end [s]; 0 = none.
-        curriculum: what is easier, or different, in training than in evaluation.
+        curriculum: settings of training that evaluations do not have.
         networks: layers of actor and critic.
         env: the environment.
     """

@@ -171,7 +171,7 @@ def test_a_car_that_stands_lets_the_other_one_across():
 
 
 def test_who_gives_way_is_told_of_missions_whichever_agents_have_them():
-    """Whoever comes from the east stands; it may be either agent."""
+    """The car from the east stands; it may be either agent."""
     env = evaluation_env(JunctionConfig(shuffle=True), 0.0)
     keys = jax.random.split(jax.random.key(0), 8)
     state, _ = jax.jit(jax.vmap(env.reset))(keys)

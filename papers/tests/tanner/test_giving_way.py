@@ -138,7 +138,7 @@ def test_contexts_lie_within_each_other(found):
         ("untracked_any", "global_any"),
         ("untracked_same", "untracked_any"),
         ("untracked_other", "untracked_any"),
-        # With no tracked agent nearer, whoever is nearer is not tracked.
+        # With no tracked agent nearer, a nearer agent is not tracked.
         ("only_untracked_same", "untracked_same"),
         ("only_untracked_any", "untracked_any"),
         ("global_same_not_local_any", "only_untracked_same"),
