@@ -5,7 +5,7 @@ from typing import NoReturn
 
 import carpark_mj
 from carpark_mj.cli.process import enter
-from carpark_mj.extensions import table
+from carpark_mj.extensions import table, unknown_name
 from carpark_mj.programs import COMMANDS
 
 # Completes names of commands, and flags by what tyro prints for each command.
@@ -45,9 +45,7 @@ def main() -> NoReturn:
     if name in ("-h", "--help", "--version", "--completion"):
         sys.exit(0)
     if name not in COMMANDS:
-        known = ", ".join(COMMANDS)
-        reason = f"unknown command {name!r}; choose from {known}"
-        print(f"carpark_mj: {reason}", file=sys.stderr)
+        print(f"carpark_mj: {unknown_name('command', name, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
     words = sys.argv[2:]
     if words and f"{name} {words[0]}" in COMMANDS:

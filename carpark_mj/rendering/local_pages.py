@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 from carpark_mj.config.checks import Bounds
 
@@ -26,3 +26,12 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | 
     if [*origins] != [f"http://{hosts[0]}"] and (origins or not reads):
         return f"Origin must be http://{hosts[0]}, not {', '.join(origins) or 'absent'}"
     return None
+
+
+class Chosen(Exception):  # noqa: N818 - no error
+    """Another lot has been chosen on the page; `config` shows it."""
+
+    def __init__(self, config: Any) -> None:
+        """Another lot."""
+        super().__init__()
+        self.config = config
