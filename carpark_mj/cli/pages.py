@@ -13,7 +13,7 @@ from typing import Any
 from carpark_mj.cli.clock import CLOCK, PERIOD
 from carpark_mj.cli.process import one_line, require_packages
 from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig
-from carpark_mj.rendering.local_pages import HOST
+from carpark_mj.rendering.local_pages import HOST, Chosen
 
 
 @contextlib.contextmanager
@@ -45,15 +45,6 @@ def open_page(port: int, wanted: bool = True) -> Generator[Any]:
     finally:
         closed.set()
         server.stop()
-
-
-class Chosen(Exception):  # noqa: N818 - no error
-    """Another lot has been chosen on the page; `config` shows it."""
-
-    def __init__(self, config: Any) -> None:
-        """Another lot."""
-        super().__init__()
-        self.config = config
 
 
 def show_lots(config: Any, wanted: bool, show: Callable[[Any, Any], None]) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 
 from carpark_mj.cli.clock import COMPILING, PLACING, doing, wait_for_user
 from carpark_mj.cli.driver import adapted, find_driver
-from carpark_mj.cli.pages import Chosen
 from carpark_mj.cli.process import one_line
 from carpark_mj.cli.settings.driving import (
     LotSettings,
@@ -26,6 +25,7 @@ from carpark_mj.layouts import layout_config
 from carpark_mj.pretrained import pretrained_names
 from carpark_mj.registry import environment
 from carpark_mj.rendering.gl import missing_display
+from carpark_mj.rendering.local_pages import Chosen
 from carpark_mj.rendering.web import LiveLot, make_live_viewer, make_viewer
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.checks import has_exits

@@ -14,13 +14,13 @@ import urllib.request
 import numpy as np
 import pytest
 
-from carpark_mj.cli.pages import Chosen, open_page, show_lots
+from carpark_mj.cli.pages import open_page, show_lots
 from carpark_mj.cli.scene import another
 from carpark_mj.cli.settings.driving import SceneConfig, complete
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web
-from carpark_mj.rendering.local_pages import HOST
+from carpark_mj.rendering.local_pages import HOST, Chosen
 from carpark_mj.rendering.web import LiveLot
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
