@@ -1,4 +1,4 @@
-"""Pages for browsers on this machine: addresses and access."""
+"""Pages for browsers on this machine: addresses, access and choices."""
 
 import re
 from collections.abc import Sequence
@@ -12,6 +12,15 @@ HOST, PORT = "localhost", 8080
 # Bounded: viser would silently choose another one.
 Port = Annotated[int, Bounds(ge=1, le=65_535)]
 LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
+
+
+class Chosen(Exception):  # noqa: N818 - no error
+    """Another lot has been chosen on the page; `config` shows it."""
+
+    def __init__(self, config: Any) -> None:
+        """Another lot."""
+        super().__init__()
+        self.config = config
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | None:

@@ -5,7 +5,6 @@ import { distance, isParked } from "./geometry.js";
 export const TICK = 0.01; // s between looks at contacts and bays
 const PAUSE = 2.5; // s that a car stands before it begins again
 const SPACING = 7.4; // m between a start and other cars, as the policy knows it
-const FREE = 5; // m to other cars, where a drive begins again
 const TAKEN = 1.5; // m from a bay's centre, a car within takes it
 
 // Numbers in [0, 1), the same in every visit (mulberry32).
@@ -41,7 +40,7 @@ export class Traffic {
   }
 
   start(car, goal) {
-    Object.assign(car, { goal, begun: this.time, end: null, stopped: false, from: [...car.pose] });
+    Object.assign(car, { goal, begun: this.time, end: null, stopped: false });
   }
 
   async tick() {
@@ -117,22 +116,16 @@ export class Traffic {
     this.start(car, this.newGoal(car));
   }
 
-  // A car begins its drive again, elsewhere if another car is in the way.
-  repeat(car) {
-    const [room, { from, goal }] = [this.room(car), car];
-    if (car.end || room(from) < FREE || room(this.lot.bay_pose[goal]) < TAKEN) return this.again(car, true);
-    this.physics.place(car, from);
+  // All cars begin again as at first.
+  restart() {
+    this.cars.forEach((car, k) => this.physics.place(car, this.lot.start[k]));
     this.physics.read();
-    this.start(car, goal);
-  }
-
-  room(car) {
-    const others = this.cars.filter((other) => other !== car);
-    return (pose) => Math.min(...others.map((other) => distance(pose, other.pose)));
+    this.cars.forEach((car, k) => this.start(car, this.lot.goal[k]));
   }
 
   newStart(car) {
-    const room = this.room(car);
+    const others = this.cars.filter((other) => other !== car);
+    const room = (pose) => Math.min(...others.map((other) => distance(pose, other.pose)));
     const far = this.lot.starts.filter((pose) => room(pose) > SPACING);
     if (far.length) return this.pick(far);
     return this.lot.starts.reduce((a, b) => (room(a) > room(b) ? a : b));

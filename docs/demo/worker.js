@@ -79,7 +79,7 @@ onmessage = ({ data }) => {
     const [car] = traffic.cars;
     if ("manual" in data) Object.assign(traffic, { manual }), (car.begun = traffic.time);
     if ("action" in data && manual) car.action = data.action;
-    if (data.again) traffic.repeat(car);
+    if (data.again) traffic.restart();
   }
 };
 
