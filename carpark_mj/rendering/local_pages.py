@@ -35,12 +35,3 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | 
     if [*origins] != [f"http://{hosts[0]}"] and (origins or not reads):
         return f"Origin must be http://{hosts[0]}, not {', '.join(origins) or 'absent'}"
     return None
-
-
-class Chosen(Exception):  # noqa: N818 - no error
-    """Another lot has been chosen on the page; `config` shows it."""
-
-    def __init__(self, config: Any) -> None:
-        """Another lot."""
-        super().__init__()
-        self.config = config
