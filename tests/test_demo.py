@@ -248,6 +248,8 @@ def test_keys_park_the_first_car_and_give_it_back(driven, page):
             page.keyboard.press("KeyR")  # not within the lines: once more
     assert car["outcome"] == "parked"
     assert page.evaluate("demo.report.counts.visitor") == 1
+    for key in held:  # which would take the wheel again
+        page.keyboard.up(key)
     page.keyboard.press("KeyP")
     page.wait_for_function("!demo.report.manual", timeout=WAIT)
     page.close()
