@@ -70,26 +70,26 @@ COMMANDS = {
     ),
     "list": _command(
         "cli.listing:main", "list layouts, environments, vehicles, policies, presets",
-        "tables:ListConfig",
+        "lots:ListConfig",
     ),
     "layouts": _command(
         "cli.layouts:main", "draw, plot, check and save layouts",
-        "tables:LayoutsConfig", KEEPING,
+        "lots:LayoutsConfig", KEEPING,
     ),
     "layouts edit": _command(
-        "cli.layouts:edit", "draw a lot in the browser", "tables:EditConfig"
+        "cli.layouts:edit", "draw a lot in the browser", "lots:EditConfig"
     ),
     "layouts import": _command(
         "cli.layouts:import_layout", "make a layout of a map",
-        "tables:ImportConfig", needs=("shapely",),
+        "lots:ImportConfig", needs=("shapely",),
     ),
     "vehicles": _command(
         "cli.vehicles:show", "show a vehicle and its estimated parameters",
-        "tables:VehiclesConfig",
+        "lots:VehiclesConfig",
     ),
     "identify": _command(
         "cli.vehicles:fit", "find a car's parameters in the log of a drive",
-        "tables:IdentifyConfig", (enable_output_fusion, keep_compiled_programs),
+        "lots:IdentifyConfig", (enable_output_fusion, keep_compiled_programs),
     ),
     "oracle": _command(
         "cli.oracle:main", "say which agents of held-out lots can park",

@@ -9,7 +9,7 @@ import numpy as np
 
 from carpark_mj.cli.clock import wait_for_user
 from carpark_mj.cli.listing import listed
-from carpark_mj.cli.settings.tables import Crop, EditConfig, ImportConfig, LayoutsConfig
+from carpark_mj.cli.settings.lots import Crop, EditConfig, ImportConfig, LayoutsConfig
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import counted
 from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from carpark_mj.cli.settings.tables import ListConfig
+from carpark_mj.cli.settings.lots import ListConfig
 from carpark_mj.config.checks import counted
 from carpark_mj.extensions import Entry, table
 from carpark_mj.pretrained import FOLDER, pretrained_names

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.cli.listing import listed
-from carpark_mj.cli.settings.tables import IdentifyConfig, VehiclesConfig
+from carpark_mj.cli.settings.lots import IdentifyConfig, VehiclesConfig
 from carpark_mj.config.vehicles import is_name
 from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.extensions import table

@@ -129,6 +129,18 @@ def test_rounding_is_that_of_float32_and_small_for_small_sums():
     assert 2**-12 < lost <= 2**-11
 
 
+def test_rounding_counts_what_observations_cannot_hold():
+    env = ENVS["fixed"]
+    seen = np.maximum(np.abs(observations(env, 100)), 0.5)
+
+    def steep(observation, key):
+        # Exact in float32; it magnifies what float32 cannot hold of an observation.
+        return observation[:, :2] * 2.0**10, {}
+
+    lost = rounding_error(dataclasses.replace(untrained(env), policy=steep), seen)
+    assert lost == pytest.approx(np.abs(seen[:, :2]).max() * 2.0**-14, rel=1e-6)
+
+
 def test_another_policy_or_a_broken_one_is_a_difference():
     env = ENVS["fixed"]
     loaded, seen = untrained(env), observations(env, 100)

@@ -1,4 +1,4 @@
-"""Settings of the commands about cars, layouts, runs, the suite and speed."""
+"""Settings of the commands about runs, the suite and speed."""
 
 import dataclasses
 from typing import Annotated, Literal, get_args
@@ -6,92 +6,23 @@ from typing import Annotated, Literal, get_args
 import tyro
 
 from carpark_mj.config.checks import (
-    FARTHEST,
     Bounds,
     CheckedConfig,
     Count,
-    Finite,
     Natural,
     NonNegative,
     require_seed,
     require_unset,
 )
-from carpark_mj.files import require_suffix
-from carpark_mj.rendering.local_pages import PORT, Port
 
-Lots = Annotated[int, Bounds(ge=0, le=10_000_000)]  # so many take an hour or more
-Crop = tuple[float, float, float, float]  # x and y of two opposite corners [m]
-PICTURES = (".png", ".pdf", ".svg")
 WORST = 10  # cases of a policy and level of the suite that can be filmed
 DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "moving_car", "seeds")
 METRICS = ("parked", "crashed", "timed_out", "length")
 What = Literal["env", "ppo", "physics", "start"]
 Clock = Literal["wall", "cpu"]
 Cars = Literal["brush", "mjx.step", "contact"]
-Kind = Literal["all", "layouts", "environments", "vehicles", "policies", "presets"]
 Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
 Cluster = Literal["local", "debug", "slurm"]
-
-
-@dataclasses.dataclass(frozen=True)
-class ListConfig:
-    """Lists names, also those of installed extensions.
-
-    carpark_mj list
-    carpark_mj list layouts
-
-    Attributes:
-        kind: what to list; everything if not given.
-    """
-
-    kind: Annotated[Kind, tyro.conf.Positional] = "all"
-
-
-@dataclasses.dataclass(frozen=True)
-class VehiclesConfig:
-    """Shows cars: presets, and data sheets with their estimates.
-
-    carpark_mj vehicles
-    carpark_mj vehicles my_car.yaml
-    carpark_mj vehicles my_car.yaml --save whole.json
-
-    Attributes:
-        vehicle: a vehicle file or a preset; without one the presets are listed.
-        save: file to write all parameters of the vehicle to.
-    """
-
-    vehicle: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VEHICLE")] = ""
-    save: str = ""
-
-    def __post_init__(self) -> None:
-        require_suffix("save", self.save, ".json")
-        if self.save and not self.vehicle:
-            raise ValueError("--save writes one vehicle: name it")
-
-
-@dataclasses.dataclass(frozen=True)
-class IdentifyConfig(CheckedConfig):
-    """Identifies a car from the log of a test drive.
-
-    carpark_mj identify log.csv --vehicle compact
-    carpark_mj identify log.csv --vehicle data_sheet.yaml --out my_car.yaml
-
-    Attributes:
-        log: table of the drive, see the documentation's page on identification.
-        vehicle: preset or file of a car like this one.
-        out: vehicle file to write.
-        ahead: distance from the rear axle to the point whose x and y are logged,
-            forwards positive [m].
-    """
-
-    log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG.csv")]
-    vehicle: str
-    out: str = ""
-    ahead: Finite = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_suffix("out", self.out, ".yaml", ".yml")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -352,153 +283,3 @@ class SuiteConfig:
                 raise ValueError(f"{name} must not be empty")
         for seed in self.seeds:
             require_seed(seed)
-
-
-@dataclasses.dataclass(frozen=True)
-class LayoutsConfig(CheckedConfig):
-    """Inspects layouts: pictures, files, checks of their plans, runs of their scenes.
-
-    carpark_mj layouts --plot lots.png
-    carpark_mj layouts --check 1000 --run 20
-    carpark_mj layouts street my_lot.json --check 1000
-    carpark_mj layouts my_lot.json --check 1 --paths 20
-    carpark_mj layouts clutter_tight --check 200 --paths 1
-    carpark_mj layouts lot --seed 3 --save lot.json
-    carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
-    carpark_mj layouts import car_park.osm --out lot.json
-    carpark_mj layouts edit lot.json
-
-    Attributes:
-        layouts: names or layout files; all families if none. Without any flag the
-            names are listed.
-        plot: picture to write, with two lots of each random layout named, or one of
-            every family.
-        check: number of lots of each layout to check.
-        paths: number of bays of each checked lot, drawn at random, to which the planner
-            must find a path, with the rate of lots where it does and Wilson's interval
-            of 95 %; it needs the extra `planner`.
-        vehicle: preset or file of the car that must fit into bays and spawn regions of
-            the checked lots; by default their design car.
-        run: number of scenes of each layout to run.
-        save: layout file to write, with the first lot of one layout.
-        crop: x and y of two opposite corners [m] of the part to save.
-        seed: seed of the keys.
-    """
-
-    layouts: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")
-    ] = ()
-    plot: str = ""
-    check: Lots = 0
-    paths: Lots = 0
-    vehicle: str = ""
-    run: Lots = 0
-    save: str = ""
-    crop: Crop | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_seed(self.seed)
-        if self.layouts and not (self.plot or self.check or self.run or self.save):
-            raise ValueError(
-                "nothing to do: give --plot FILE, --save FILE, --check N or --run N "
-                "(N > 0)"
-            )
-        if not self.check:
-            require_unset(self, "without --check", "vehicle", "paths")
-        if not self.save:
-            require_unset(self, "without --save", "crop")
-        require_suffix("plot", self.plot, *PICTURES)
-        require_suffix("save", self.save, ".json")
-        if self.save and len(self.layouts) != 1:
-            raise ValueError(
-                "--save writes one lot of one layout, not of "
-                f"{', '.join(self.layouts) or 'all families'}"
-            )
-
-
-@dataclasses.dataclass(frozen=True)
-class EditConfig(CheckedConfig):
-    """Draws a lot in the browser and saves it as a layout file.
-
-    carpark_mj layouts edit --out my_lot.json
-    carpark_mj layouts edit my_lot.json
-    carpark_mj layouts edit --out my_lot.json --background plan.png --width 60
-
-    Attributes:
-        file: layout file (`.json`) to edit; an empty lot if not given.
-        out: layout file to save to; by default the edited one. Another one must be new.
-        background: picture under the drawing (`.png`, `.jpg`, `.webp`), its middle at
-            the origin.
-        scale: metres per pixel of the picture.
-        width: width of the picture [m], instead of `scale`.
-        port: port of the page on localhost.
-    """
-
-    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")] = ""
-    out: str = ""
-    background: str = ""
-    scale: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
-    width: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
-    port: Port = PORT
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.target:
-            raise ValueError("nothing to edit: give FILE.json, or --out for a new lot")
-        require_suffix("file", self.file, ".json")
-        require_suffix("out", self.out, ".json")
-        if not self.background:
-            require_unset(self, "without --background", "scale", "width")
-        elif bool(self.scale) == bool(self.width):
-            raise ValueError(
-                "--background takes either --scale in metres per pixel or --width in "
-                f"metres, not --scale {self.scale:g} and --width {self.width:g}"
-            )
-
-    @property
-    def target(self) -> str:
-        """The file to save to."""
-        return self.out or self.file
-
-
-@dataclasses.dataclass(frozen=True)
-class ImportConfig:
-    """Makes a layout file of a map of a car park; needs the extra `maps`.
-
-    carpark_mj layouts import car_park.osm --out lot.json
-    carpark_mj layouts import car_park.geojson --out part.json --crop -20 -10 20 10
-    carpark_mj layouts import plan.dxf --out lot.json --unit mm --layer stall=STELLPLATZ
-
-    Attributes:
-        map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), CommonRoad
-            (`.xml`), GeoJSON (`.geojson`, `.json`), a drawing (`.dxf`), or a case of
-            ParkBench (`.json`).
-        out: layout file to write.
-        crop: x and y of two opposite corners [m] of the part to take, in the frame of
-            the whole lot.
-        level: level of a multi-storey car park, as named in the map; default: the one
-            with most spots.
-        crs: coordinate reference system of a GeoJSON file that does not name its own,
-            such as EPSG:25832.
-        layer: of a drawing, WORD=TEXT: the layers whose names contain the text hold
-            stalls, aisles, walls, kerbs, columns, drivable ground or starts; may be
-            repeated.
-        unit: of a drawing without one, or with a wrong one: mm, cm, m, in or ft.
-    """
-
-    map: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    out: str
-    crop: Crop | None = None
-    level: str | None = None
-    crs: str | None = None
-    layer: Annotated[
-        tuple[str, ...],
-        tyro.conf.UseAppendAction,
-        tyro.conf.arg(metavar="WORD=TEXT"),
-    ] = ()
-    unit: str = ""
-
-    def __post_init__(self) -> None:
-        require_suffix("out", self.out, ".json")
