@@ -194,6 +194,7 @@ def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
     The largest difference of any number of an action; inf if one is not finite. It is
     the error of the actions, or what moving observations by half of float32's spacing
     changes in them: where that is much, another order of sums gives another error.
+    Whole numbers (flags, indices) are exact in float32 and are not moved.
     """
 
     def in_float64(leaf: Any) -> Any:
@@ -203,6 +204,7 @@ def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
     found, policy = policy_actions(loaded, observation), as_argument(loaded.policy)
     policy, observation = jax.tree.map(in_float64, (policy, observation))
     sign = np.random.default_rng(0).choice([-1.0, 1.0], (MOVES, *observation.shape))
+    sign *= observation != np.round(observation)
     with jax.enable_x64(True):
         exact = np.asarray(_actions(policy, observation))
         moved = [_actions(policy, observation * (1.0 + x * HALF_ULP)) for x in sign]

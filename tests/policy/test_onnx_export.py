@@ -139,6 +139,8 @@ def test_rounding_counts_what_observations_cannot_hold():
 
     lost = rounding_error(dataclasses.replace(untrained(env), policy=steep), seen)
     assert lost == pytest.approx(np.abs(seen[:, :2]).max() * 2.0**-14, rel=1e-6)
+    steep_policy = dataclasses.replace(untrained(env), policy=steep)
+    assert rounding_error(steep_policy, np.round(seen)) == 0.0  # flags and indices
 
 
 def test_another_policy_or_a_broken_one_is_a_difference():
