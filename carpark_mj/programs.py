@@ -100,6 +100,11 @@ COMMANDS = {
         "tables:SuiteConfig", (choose_gl, *ACTING), drives=True,
         needs=("matplotlib",),
     ),
+    "scenario": _command(
+        "suite.scenario:main", "test policies in a case of your own",
+        "tables:ScenarioConfig", (choose_gl, *ACTING), drives=True,
+        needs=("matplotlib",),
+    ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
     "export": _command(
         "cli.export:main", "export a policy as an ONNX model",

@@ -1,8 +1,9 @@
-"""The library's movers by name: people, drivers, things that move."""
+"""The library's movers by name: people, drivers, things that move, scripts."""
 
 from carpark_mj.movers.drivers import Drivers
 from carpark_mj.movers.pedestrians import Pedestrians
 from carpark_mj.movers.replay import Replay
+from carpark_mj.movers.scripted import ScriptedBox, ScriptedPerson
 from carpark_mj.movers.things import Barrier, Cart, Door
 
 __all__ = [
@@ -12,4 +13,6 @@ __all__ = [
     "Drivers",
     "Pedestrians",
     "Replay",
+    "ScriptedBox",
+    "ScriptedPerson",
 ]

@@ -3,6 +3,24 @@
 Importing the package registers their layouts, cars, movers, environments and levels.
 """
 
-from carpark_mj.suite import busy, environments, hope, lots, metadrive, parkbench, tpcap
+from carpark_mj.suite import (
+    busy,
+    environments,
+    hope,
+    lots,
+    metadrive,
+    parkbench,
+    scenario,
+    tpcap,
+)
 
-__all__ = ["busy", "environments", "hope", "lots", "metadrive", "parkbench", "tpcap"]
+__all__ = [
+    "busy",
+    "environments",
+    "hope",
+    "lots",
+    "metadrive",
+    "parkbench",
+    "scenario",
+    "tpcap",
+]

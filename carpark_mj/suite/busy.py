@@ -14,11 +14,7 @@ perpendicular bays. The package stores them in whole millimetres, 1e-4 rad, mm/s
   0.3 m/s² and stays.
 - `crowded_aisle`: twelve pedestrians, none within 4 m at first.
 
-Movers on a script set out when a car comes near, whatever that car does. They go
-straight, and back if they return. Like pedestrians they never step into the stopping
-zone of a car (`carpark_mj.movers.stopping`): they wait, so that every contact can be
-avoided. They pass a car that stands at a smaller distance, or both would wait for each
-other.
+Persons, carts and cars follow a script, `carpark_mj.movers.scripted`.
 """
 
 import dataclasses
@@ -30,12 +26,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
-from carpark_mj.config import MOVERS, EnvConfig, LayoutConfig, MetricsConfig, Mover
-from carpark_mj.config.checks import NonNegative, Positive
-from carpark_mj.geometry import box_distance, boxes_overlap, norm, rotate, to_local
-from carpark_mj.geometry.obstacles import ObstacleKind
+from carpark_mj.config import EnvConfig, LayoutConfig, MetricsConfig
+from carpark_mj.geometry import norm
 from carpark_mj.layouts.build import (
     assemble,
     bays,
@@ -47,8 +40,7 @@ from carpark_mj.layouts.build import (
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout, WallKind
 from carpark_mj.movers.pedestrians import Pedestrians
-from carpark_mj.movers.stopping import MARGIN, STILL, cars_of, stopping_zones
-from carpark_mj.obstacles import Boxes, Discs
+from carpark_mj.movers.scripted import ScriptedBox, ScriptedPerson
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.levels import (
     EXTRA_LEVELS,
@@ -59,154 +51,7 @@ from carpark_mj.suite.levels import (
     write_published,
 )
 from carpark_mj.suite.tpcap import TPCAP_CAR
-from carpark_mj.types import State
 
-WAITS = -1.0  # s, clock of one that has not set out
-AT_REST = 0.05  # m/s, a car that is slower stands
-PASSING = 0.1  # m, the margin of the zone of a car that stands, instead of `MARGIN`
-
-
-@struct.dataclass
-class Script:
-    """A script and how far it is.
-
-    Attributes:
-        start: (3,) pose at first [m, m, rad].
-        direction: () of travel [rad].
-        distance: () longest way [m].
-        speed: () at first [m/s].
-        slowing: () deceleration [m/s²].
-        pause: () at the end of the way, before the return [s].
-        returns: () bool.
-        trigger: () distance ahead of a car, along its axis, at which it sets out [m].
-        size: (2,) length and width [m]; of a person twice the radius.
-        present: () bool.
-        clock: () time since it set out, without the time it waited [s]; or `WAITS`.
-        velocity: (2,) [m/s].
-    """
-
-    start: jax.Array
-    direction: jax.Array
-    distance: jax.Array
-    speed: jax.Array
-    slowing: jax.Array
-    pause: jax.Array
-    returns: jax.Array
-    trigger: jax.Array
-    size: jax.Array
-    present: jax.Array
-    clock: jax.Array
-    velocity: jax.Array
-
-    @property
-    def pose(self) -> jax.Array:
-        """(3,) where it is at its clock."""
-        clock, speed = jnp.maximum(self.clock, 0.0), self.speed
-        way = jnp.minimum(self.distance, speed**2 / jnp.maximum(2 * self.slowing, 1e-6))
-        last = jnp.sqrt(jnp.maximum(speed**2 - 2 * self.slowing * way, 0.0))
-        there = 2 * way / (speed + last)  # s, the time of the way out
-        out = jnp.minimum(clock, there)
-        along = speed * out - self.slowing * out**2 / 2
-        back = speed * jnp.maximum(clock - there - self.pause, 0.0)
-        along = jnp.where(self.returns, jnp.maximum(along - back, 0.0), along)
-        move = rotate(jnp.stack([along, jnp.zeros_like(along)]), self.direction)
-        return self.start.at[:2].add(move)
-
-
-@dataclasses.dataclass(frozen=True)
-class Scripted(Mover):
-    """Base of movers on a script; see `Script`."""
-
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    direction: float = 0.0
-    distance: Positive = 5.0
-    speed: Positive = 1.0
-    slowing: NonNegative = 0.0
-    pause: NonNegative = 0.0
-    returns: bool = False
-    trigger: Positive = 6.0
-    size: tuple[float, float] = (0.6, 0.6)
-    mover: str = ""
-
-    def init(self, key: jax.Array, layout: Layout) -> Script:
-        """It waits at its start."""
-        del key, layout
-        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        del values["mover"]
-        arrays = {
-            name: jnp.asarray(value, bool if name == "returns" else jnp.float32)
-            for name, value in values.items()
-        }
-        still = {"clock": jnp.float32(WAITS), "velocity": jnp.zeros(2)}
-        return Script(present=jnp.array(True), **arrays, **still)
-
-    def step(self, key: jax.Array, state: Script, lot: State, dt: float) -> Script:
-        """It goes on unless it would come nearer to a car that cannot stop."""
-        del key
-        ahead = to_local(lot.motion.pose_w, state.start)[..., 0]
-        near = lot.active & (ahead > 0.0) & (ahead < state.trigger)
-        begins = (state.clock < 0.0) & near.any()
-        clock = jnp.where(begins, 0.0, state.clock)
-        clock = jnp.where(clock < 0.0, clock, clock + dt)
-        there = dataclasses.replace(state, clock=clock)
-        clock = jnp.where(_is_free(state, there, lot, dt), clock, state.clock)
-        after = dataclasses.replace(state, clock=clock)
-        velocity = (after.pose - state.pose)[:2] / dt
-        return dataclasses.replace(after, velocity=velocity)
-
-
-def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:
-    """() bool, whether it enters no stopping zone, nor nears a car whose zone it is in.
-
-    A zone is a box here, and a person one, too.
-    """
-    cars = cars_of(lot, dt)
-    zones, stands = stopping_zones(cars, dt), jnp.abs(cars.speed) < AT_REST
-    less = jnp.where(stands, MARGIN - PASSING, 0.0)
-    middle = jnp.stack([(zones.ahead - zones.behind) / 2, 0 * zones.aside], axis=-1)
-    yaw = zones.pose[:, 2]
-    xy = zones.pose[:, :2] + rotate(middle, yaw)
-    zone = jnp.concatenate([xy, yaw[:, None]], axis=-1)
-    size = jnp.stack([zones.ahead + zones.behind, 2 * zones.aside], axis=-1)
-    size = size - 2 * less[:, None]
-
-    def seen(script: Script) -> tuple[jax.Array, jax.Array]:
-        over = boxes_overlap(zone, size, script.pose, script.size)
-        gap = box_distance(zones.pose, 2 * zones.half, script.pose, script.size)
-        return over, gap
-
-    (was_in, gap), (enters, gap_after) = seen(now), seen(there)
-    leaves = was_in & (gap_after > gap - STILL)
-    return ~(enters & ~leaves).any()
-
-
-@dataclasses.dataclass(frozen=True)
-class ScriptedPerson(Scripted):
-    """A person on a script."""
-
-    mover: str = "scripted_person"
-    kind = ObstacleKind.PERSON
-
-    def obstacles(self, state: Script) -> list[Discs]:
-        """A disc."""
-        radius, there = state.size[:1] / 2, state.present[None]
-        return [Discs(state.pose[None, :2], radius, state.velocity[None], there)]
-
-
-@dataclasses.dataclass(frozen=True)
-class ScriptedBox(Scripted):
-    """A cart or a car on a script."""
-
-    mover: str = "scripted_box"
-
-    def obstacles(self, state: Script) -> list[Boxes]:
-        """A box."""
-        velocity, there = state.velocity[None], state.present[None]
-        return [Boxes(state.pose[None], state.size[None], velocity, there)]
-
-
-MOVERS.register("scripted_person", ScriptedPerson())
-MOVERS.register("scripted_box", ScriptedBox())
 COLUMNS = 10  # bays in a row
 WIDTH, LENGTH = 2.5, 5.0  # m, of a bay
 END = 4.5  # m of aisle beyond the rows
@@ -424,14 +269,13 @@ def _case(columns: Any, number: jax.Array, group: jax.Array) -> Any:
         for names in (BY_PERSON, BY_BOX, ("crowded_aisle",))
     ]
     names = ("direction", "distance", "speed", "slowing", "pause", "trigger")
-    script = Script(
+    script = dataclasses.replace(
+        PERSON.init(key, layout),
         start=case["start"],
         **{name: single(name) for name in names},
         returns=single("returns") > 0,
         size=case["size"],
         present=present[0],
-        clock=jnp.float32(WAITS),
-        velocity=jnp.zeros(2),
     )
     crowd = CROWD.init(jax.random.fold_in(key, 1), layout)
     away = norm(crowd.xy - case["pose"][:2]) > CLEAR

@@ -36,6 +36,7 @@ from carpark_mj.evaluation.evaluator import ended_episodes
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.files import require_writable
 from carpark_mj.layouts import Layout
+from carpark_mj.mdp.parked_cars import in_bays
 from carpark_mj.mdp.people import CLOSE_TIME
 from carpark_mj.observations import ContinuousObservation, observe
 from carpark_mj.obstacles import make_movers, place_movers, trace_still
@@ -48,6 +49,7 @@ from carpark_mj.policy.acting import (
     choose_actions,
     roll_out,
 )
+from carpark_mj.spawning.reset_options import check_starts
 from carpark_mj.suite.hope import HopeConfig
 from carpark_mj.suite.levels import (
     EXTRA_LEVELS,
@@ -76,6 +78,7 @@ from carpark_mj.suite.results import (
     VEHICLE,
     Drives,
     Key,
+    Scene,
     check_submission,
     key_of,
     leaderboard,
@@ -157,11 +160,11 @@ class CaseEvaluator:
     Equal numbers of cases of HOPE's levels have the same shape.
     """
 
-    def __init__(self, env: ParkingEnv) -> None:
-        """Takes the environment, one of `suite_env`."""
-        self.env = env
+    def __init__(self, env: ParkingEnv, filmed: bool = False) -> None:
+        """Takes the environment, one of `suite_env`, and whether films are made."""
+        self.env, self._filmed = env, filmed
         self._reset = jax.jit(jax.vmap(functools.partial(_reset, env)))
-        self._chunk = jax.jit(functools.partial(_chunk, env))
+        self._chunk = jax.jit(functools.partial(_chunk, env, filmed=filmed))
         self._choose_action = jax.jit(_choose_action)
 
     def drive(
@@ -181,8 +184,11 @@ class CaseEvaluator:
         reset_key, act_key = jax.random.split(evaluation_key(seed))
         keys = jax.random.split(reset_key, count)
         state, observation = self._reset(cases.layouts, keys, cases.start)
+        if cases.start is not None and cases.start.parked is not None:
+            # A user's scenario, whose start may be impossible.
+            check_starts(self.env.config, cases.start.options, state)
         carry = Carry(state, observation, init_progress(count) if moving else None)
-        policy, chunks = as_argument(policy), list[tuple[np.ndarray, ...]]()
+        policy, chunks = as_argument(policy), list[Any]()
 
         def chunk(carry: Carry, keys: jax.Array) -> Any:
             carry, (done, metrics, recorded) = self._chunk(policy, carry, keys)
@@ -192,8 +198,14 @@ class CaseEvaluator:
         quota = np.tile(np.arange(self.env.num_agents) == 0, (count, 1)).astype(int)
         ended = ended_episodes(chunk, carry, act_key, quota)
         values = {int(which["lot"]): row for which, row in ended}
-        parts = zip(*chunks, strict=True)
-        drives = Drives(*(np.concatenate(part).swapaxes(0, 1) for part in parts))
+        pose_w, steering, speed, movers = jax.tree.map(
+            lambda *parts: np.concatenate(parts).swapaxes(0, 1), *chunks
+        )
+        scene = None
+        if self._filmed:
+            goal, parked = jax.device_get((state.goal[:, 0], state.parked_cars))
+            scene = Scene(goal, parked, movers)
+        drives = Drives(pose_w, steering, speed, scene)
         rows: list[Row] = []
         for lot, (number, kind) in enumerate(
             zip(cases.number.tolist(), cases.kind.tolist(), strict=True)
@@ -228,6 +240,9 @@ def _reset(
             return reset_with_moving_car(env, layout, key)
         return env.reset_to_layout(layout, key)
     state, _ = env.reset_to_layout(layout, start.key, None, start.options)
+    if start.parked is not None:
+        cars = in_bays(layout, state.parked_cars, start.parked)
+        state = dataclasses.replace(state, parked_cars=cars)
     movers = place_movers(make_movers(env.config.movers), start.movers)
     movers = trace_still(movers, env.config.sim.num_traces)
     state = dataclasses.replace(state, movers=movers)
@@ -250,7 +265,9 @@ def _add_moving(row: Row, speed: np.ndarray) -> Row:
     }
 
 
-def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) -> Any:
+def _chunk(
+    env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array, filmed: bool
+) -> Any:
     """Makes a control step for every key; returns a report of each."""
     drive_on = functools.partial(drive_moving_car, ctrl_dt=env.config.sim.ctrl_dt)
 
@@ -263,7 +280,8 @@ def _chunk(env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array) ->
 
     def report(step: Step) -> Any:
         timestep, motion = step.timestep, step.timestep.motion
-        recorded = motion.trace_w, motion.steering, motion.speed
+        movers = step.after.movers.groups if filmed else ()
+        recorded = motion.trace_w, motion.steering, motion.speed, movers
         return timestep.events.done, timestep.metrics, recorded
 
     return roll_out(env, act, carry, keys, report)
@@ -287,8 +305,6 @@ def require_cases(config: SuiteConfig) -> None:
         raise ValueError(f"a moving car needs the vehicle {VEHICLE}, as it is one")
     _require_numbers(config)
     for level in config.levels:
-        if config.videos:
-            require_filmed(level)
         if config.moving_car:
             require_aisle(level)
 
@@ -329,12 +345,11 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     drawn: Drawn = []
     if config.combine:
         episodes, drives = read_runs([Path(name) for name in config.combine])
+        for level in {row["level"] for row in episodes} if config.videos else ():
+            require_filmed(level)
     else:
         doing(COMPILING)
         episodes, drives, drawn = _drive_all(config)
-    if config.videos:  # of combined folders
-        for level in {row["level"] for row in episodes}:
-            require_filmed(level)
     return write_report(folder, episodes, drives, drawn, config.videos)
 
 
@@ -350,7 +365,9 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
         for level in config.levels:
             env_config = envs[name, level] = find_level(level).env(base)
             if env_config not in evaluators:
-                evaluators[env_config] = CaseEvaluator(ParkingEnv(env_config))
+                evaluators[env_config] = CaseEvaluator(
+                    ParkingEnv(env_config), bool(config.videos)
+                )
             env = evaluators[env_config].env
             if (name, env_config) not in policies:
                 policies[name, env_config] = (
@@ -387,17 +404,19 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
             if seed == config.seeds[0]:
                 drawn += _drawn(planner, part)
             seconds = planner.seconds / planner.decisions
-        which = {"policy": name, "seed": seed, "rule": config.rule}
-        which |= {"held_out": find_level(part.level).fingerprint}
+        level = find_level(part.level)
+        vehicle = level.vehicle or config.vehicle
+        which = {"policy": name, "seed": seed, "rule": level.rule or config.rule}
+        which |= {"held_out": level.fingerprint}
         which |= {MOVING_CAR: 1} if config.moving_car else {}
-        which |= {CAR: config.vehicle} if config.vehicle != VEHICLE else {}
+        which |= {CAR: vehicle} if vehicle != VEHICLE else {}
         own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
         rows = [which | row | own for row in rows]
         episodes += rows
         numbers = {key_of(row): number for number, row in enumerate(rows)}
         for row in worst_first(rows)[:WORST]:
             number, length = numbers[key_of(row)], round(row["length"])
-            drives[key_of(row)] = Drives(*(x[[number], :length] for x in driven))
+            drives[key_of(row)] = driven.of(number, length)
     return episodes, drives, drawn
 
 

@@ -67,11 +67,13 @@ class CaseStart(NamedTuple):
         key: (n,) keys, each of a case: of what moves and where others park.
         options: (n, ...) starts and goals.
         movers: (n, ...) states of the environment's movers.
+        parked: (n, cars) int32 bays of the parked cars; None = drawn.
     """
 
     key: jax.Array
     options: ResetOptions
     movers: tuple[Any, ...]
+    parked: jax.Array | None = None
 
 
 class Cases(NamedTuple):
@@ -81,7 +83,8 @@ class Cases(NamedTuple):
         level: its name.
         number: (n,) which of the level's.
         kind: (n,) str, `parallel`, `perpendicular`, `published` of TPCAP's, `recorded`
-            of ParkBench's, `drawn` of whole lots, or the car of `sheets`.
+            of ParkBench's, `repeated` of scenarios, `drawn` of whole lots, or the car
+            of `sheets`.
         layouts: (n, ...) of the same shapes in all of HOPE's levels.
         start: how they begin; None = at the spawn region's middle.
     """
@@ -103,6 +106,8 @@ class CaseLevel:
         pick: its cases whose places in `numbers` are in a slice.
         env: its environment, from that of the suite.
         source: of its cases, for tables; empty = `Cases of` the level.
+        rule: parked rule of its environment; empty = the suite's.
+        vehicle: of its environment; empty = the suite's.
     """
 
     numbers: range
@@ -110,6 +115,8 @@ class CaseLevel:
     pick: Callable[[slice], Cases]
     env: Callable[[EnvConfig], EnvConfig] = lambda env: env
     source: str = ""
+    rule: str = ""
+    vehicle: str = ""
 
     @property
     def fingerprint(self) -> str:
@@ -284,10 +291,11 @@ def require_aisle(level: str) -> None:
 
 
 def require_filmed(level: str) -> None:
-    """Refuses films of levels whose movers and parked cars are not recorded."""
-    if level in EXTRA_LEVELS:
+    """Refuses films from files, which lack what moves and parks in some levels."""
+    if find_level(level).pick(slice(0, 1)).start is not None:
         raise ValueError(
-            f"videos show levels {', '.join((*LEVELS, *FILE_LEVELS))} only, not {level}"
+            f"files lack the movers and parked cars of level {level}: make its videos "
+            "with the command that drives it, without --combine"
         )
 
 

@@ -24,6 +24,7 @@ from carpark_mj.evaluation.tables import (
     write_page,
 )
 from carpark_mj.files import write_atomically, write_csv
+from carpark_mj.geometry.obstacles import take
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
@@ -45,8 +46,9 @@ from carpark_mj.suite.results import (
     write_run,
     write_submission,
 )
-from carpark_mj.types import ENDINGS, OUTCOMES
+from carpark_mj.types import ENDINGS, NO_BAY, OUTCOMES
 from carpark_mj.vehicle import preset
+from carpark_mj.vehicle.parameters import scaled
 
 PLANNER = "planner"
 # Columns on the screen; files have all.
@@ -139,7 +141,7 @@ def make_videos(
         level = quote(key.level, safe="")
         path = folder / FOLDER / f"{policy}-{level}-{key.seed}-{key.case}.mp4"
         path.parent.mkdir(exist_ok=True)
-        _write(path, recording_of(row, drives[key]), vehicle_of(row))
+        _write(path, recording_of(row, drives[key]), drives[key], vehicle_of(row))
         videos[key] = path
     return videos
 
@@ -155,22 +157,37 @@ def recording_of(row: Row, drive: Drives) -> Recording:
         name: first & (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
         for name in OUTCOMES
     }
+    goal, parked, movers = np.arange(agents), np.zeros((0, 3), np.float32), ()
+    if drive.scene is not None:
+        cars = drive.scene.parked_cars
+        goal[:1] = drive.scene.goal
+        parked = cars.pose_w[0][cars.bay[0] != NO_BAY]
+        movers = jax.tree.map(lambda x: x[0, :steps], drive.scene.movers)
     return Recording(
         layout=jax.tree.map(lambda x: np.asarray(x[0]), cases.layouts),
         ctrl_dt=EnvConfig().sim.ctrl_dt,
         pose_w=pose_w,
         steering=drive.steering[0, :steps],
         speed=drive.speed[0, :steps],
-        goal=np.broadcast_to(np.arange(agents), (steps, agents)),
-        parked_pose=np.zeros((*pose_w.shape[:2], 0, 3), np.float32),
+        goal=np.broadcast_to(goal, (steps, agents)),
+        parked_pose=np.broadcast_to(parked, (*pose_w.shape[:2], *parked.shape)),
         active=np.ones((steps, agents), bool),
         step=np.broadcast_to(np.arange(1, steps + 1)[:, None], (steps, agents)),
+        movers=movers,
         **ends,
     )
 
 
-def _write(path: Path, recording: Recording, vehicle: str) -> None:
-    stage = Stage(recording.layout, preset(vehicle), recording.speed.shape[1], 0)
+def _write(path: Path, recording: Recording, drive: Drives, vehicle: str) -> None:
+    car, cars = preset(vehicle), ()
+    if drive.scene is not None:
+        own = drive.scene.parked_cars
+        lengths = own.size[0][own.bay[0] != NO_BAY][:, 0]
+        cars = [scaled(car, float(length) / car.length) for length in lengths]
+    agents, parked = recording.speed.shape[1], recording.parked_pose.shape[2]
+    stage = Stage(
+        recording.layout, car, agents, parked, (), cars, take(recording.movers, 0)
+    )
     with contextlib.closing(LotRenderer(stage, "topdown", SIZE)) as renderer:
         indices, rate = frame_indices(recording, FPS, FASTER, HOLD)
         pictures = (draw_frame(recording, renderer, index) for index in indices)
@@ -194,15 +211,18 @@ def header(episodes: Sequence[Row]) -> list[str]:
     parts: dict[str, list[str]] = {}
     for level in in_order(row["level"] for row in episodes):
         about = find_level(level)
-        title = f"{about.source or f'Cases of {level}'} (SHA-256 {about.fingerprint})"
+        source = f"{about.source or f'Cases of {level}'} (SHA-256 {about.fingerprint})"
         found = {row["case"] for row in episodes if row["level"] == level}
-        counts = f"{len(found)} of {level} ({_ranges(found)})"
-        parts.setdefault(title, []).append(counts)
-    cases = "; ".join(f"{title}: {', '.join(found)}" for title, found in parts.items())
+        counts = f"{len(found)} of {_short(level)} ({_ranges(found)})"
+        parts.setdefault(source, []).append(counts)
+    cases = "; ".join(f"{x}: {', '.join(found)}" for x, found in parts.items())
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
     moving, car = has_moving_car(episodes), vehicle_of(episodes[0])
+    levels = {row["level"] for row in episodes}
+    one = len(levels) == 1 and find_level(*levels).rule  # brings its own
+    title = find_level(*levels).source if one else "Hard cases"
     return [
-        f"Hard cases, {', '.join(rules)} rule{', one moving car' if moving else ''}"
+        f"{title}, {', '.join(rules)} rule{', one moving car' if moving else ''}"
         f"{f', vehicle {car}' if car != VEHICLE else ''}",
         f"{cases}; seed{'s' * (len(seeds) > 1)} "
         f"{', '.join(map(str, seeds))}; on {'; '.join(sorted(made))}.",
@@ -275,6 +295,7 @@ def print_results(rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Prints the table; files have more columns."""
     cells = [
         {name: cell for name, cell in shown_cells(row).items() if name in PRINTED}
+        | {"level": _short(row["level"])}
         for row in rows
     ]
     print_rows(cells, title, left=2)

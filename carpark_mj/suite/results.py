@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from carpark_mj.config import find_rules
@@ -22,6 +23,7 @@ from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
 from carpark_mj.evaluation.catalogue import metrics
 from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import write_atomically, write_csv, write_json
+from carpark_mj.geometry.obstacles import Group
 from carpark_mj.reading import (
     TEXT,
     Archive,
@@ -36,10 +38,24 @@ from carpark_mj.suite.levels import (
     in_order,
     is_level,
 )
-from carpark_mj.types import ENDINGS
+from carpark_mj.types import ENDINGS, ParkedCars
 
 MOVING_CAR = "moving_car"  # column of episodes in which one drives through the aisle
 CAR, VEHICLE = "vehicle", "tpcap"  # column of episodes with another car than this
+
+
+class Scene(NamedTuple):
+    """What else a film of n cases shows; leaves have n in front.
+
+    Attributes:
+        goal: (n,) int32 bays.
+        parked_cars: as the cases began.
+        movers: obstacles that move by themselves, (n, t, ...).
+    """
+
+    goal: np.ndarray
+    parked_cars: ParkedCars
+    movers: tuple[Group, ...]
 
 
 class Drives(NamedTuple):
@@ -52,12 +68,26 @@ class Drives(NamedTuple):
         pose_w: (n, t, a, k, 3) footprint centres.
         steering: (n, t, a) bicycle angles at the end of the steps [rad].
         speed: (n, t, a) signed speeds at the end of the steps [m/s].
+        scene: of films; None where none is made. Files lack it.
     """
 
     pose_w: np.ndarray
     steering: np.ndarray
     speed: np.ndarray
+    scene: Scene | None = None
 
+    def of(self, case: int, length: int) -> "Drives":
+        """A case (1, ...) with its first control steps."""
+        scene = self.scene
+        if scene is not None:
+            goal, parked = jax.tree.map(lambda x: x[[case]], scene[:2])
+            movers = jax.tree.map(lambda x: x[[case], :length], scene.movers)
+            scene = Scene(goal, parked, movers)
+        paths = {name: getattr(self, name)[[case], :length] for name in PATHS}
+        return Drives(**paths, scene=scene)
+
+
+PATHS = ("pose_w", "steering", "speed")
 
 CASES_FILE, WORST_FILE = "cases.csv", "worst.npz"
 _TEXT = ("policy", "rule", "held_out", "made_with", "level", "kind")
@@ -109,10 +139,8 @@ def write_run(
     write_csv(cases, [{n: row.get(n, "") for n in columns} for row in episodes])
     length = max(drive.speed.shape[1] for drive in drives.values())
     arrays = {
-        name: np.concatenate([_pad(x, length) for x in parts])
-        for name, parts in zip(
-            Drives._fields, zip(*drives.values(), strict=True), strict=True
-        )
+        name: np.concatenate([_pad(getattr(x, name), length) for x in drives.values()])
+        for name in PATHS
     }
     keys = zip(Key._fields, zip(*drives, strict=True), strict=True)
     arrays |= {name: np.array(column) for name, column in keys}
@@ -224,7 +252,7 @@ def _read_worst(path: Path) -> dict[Key, Drives]:
         raise ValueError(f"{path} has no drives of the suite: {error}") from None
     keys = map(Key, *(data[name].tolist() for name in Key._fields))
     return {
-        key: Drives(*(data[name][[index]] for name in Drives._fields))
+        key: Drives(**{name: data[name][[index]] for name in PATHS}, scene=None)
         for index, key in enumerate(keys)
     }
 

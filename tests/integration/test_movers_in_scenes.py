@@ -10,8 +10,8 @@ import pytest
 from carpark_mj.config import EnvConfig, EpisodeConfig, Mover
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry.obstacles import Boxes
+from carpark_mj.movers.scripted import ScriptedBox, ScriptedPerson
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.suite.busy import ScriptedBox, ScriptedPerson
 from carpark_mj.vehicle import COMPACT
 
 

@@ -20,7 +20,7 @@ from carpark_mj.suite.evaluation import (
     require_cases,
     suite_env,
 )
-from carpark_mj.suite.levels import find_level, pick_cases
+from carpark_mj.suite.levels import find_level, pick_cases, require_filmed
 from carpark_mj.suite.lots import PARKED
 from carpark_mj.suite.report import by_level, same_columns, table_rows
 from carpark_mj.suite.results import Drives, key_of, read_runs, write_run
@@ -150,8 +150,8 @@ def test_levels_of_other_columns_are_read_and_shown_together(tmp_path):
         episode("y", "sheets", 0),
     ]
     shape = (1, 9, 1)
-    drive = Drives(np.zeros((*shape, 2, 3)), np.zeros(shape), np.zeros(shape))
-    drive = Drives(*(x.astype(np.float32) for x in drive))
+    paths = (*shape, 2, 3), shape, shape
+    drive = Drives(*(np.zeros(path, np.float32) for path in paths))
     write_run(tmp_path, rows, {key_of(rows[0]): drive})
     read, _ = read_runs([tmp_path])
     assert sorted(map(key_of, read)) == sorted(map(key_of, rows))
@@ -183,7 +183,13 @@ def test_levels_with_fewer_cases_are_driven_whole():
         ({"cases": 1001}, r"cases must be 1 to 1000 .*metadrive"),
         ({"levels": ("tpcap",), "cases": 21}, r"cases must be 1 to 20 .*tpcap"),
         ({"first_case": 20}, r"first_case must be 0 to 19"),
-        ({"videos": 1}, r"videos show levels"),
     ):
         with pytest.raises(ValueError, match=message):
             require_cases(dataclasses.replace(config, **changes))
+
+
+def test_files_cannot_be_filmed_where_something_moves_or_parks():
+    require_filmed("tpcap")
+    for level in ("busy", "san_jose"):
+        with pytest.raises(ValueError, match=level):
+            require_filmed(level)

@@ -283,3 +283,33 @@ class SuiteConfig:
                 raise ValueError(f"{name} must not be empty")
         for seed in self.seeds:
             require_seed(seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class ScenarioConfig:
+    """One case of your own, repeated with tolerances.
+
+    carpark_mj scenario child.yaml planner valet
+    carpark_mj scenario child.yaml valet --videos 3 --out runs/child
+
+    The documentation describes the file. The result is a table (Markdown, CSV, HTML)
+    with 95 % intervals, as of `carpark_mj suite`.
+
+    Attributes:
+        file: the scenario, .yaml or .json.
+        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
+            or `random`.
+        seeds: of the planner's searches and of stochastic policies; each seed drives
+            all repetitions.
+        videos: number of worst repetitions to film for every policy, at most 10; needs
+            off-screen OpenGL.
+        out: folder for the files.
+    """
+
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    policies: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
+    ]
+    seeds: tuple[int, ...] = (0,)
+    videos: int = 0
+    out: str = "runs/scenario"

@@ -1,0 +1,201 @@
+"""Persons, carts and cars that follow a script.
+
+A script begins when a car comes near or after some time, whatever that car does. Its
+mover goes straight, and back if it returns. One that yields never steps into the
+stopping zone of a car, as pedestrians (`carpark_mj.movers.stopping`): it waits, so that
+every contact can be avoided. It passes a car that stands at a smaller distance, or both
+would wait for each other.
+"""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from carpark_mj.config.checks import NonNegative, Positive
+from carpark_mj.geometry import box_distance, boxes_overlap, norm, rotate, to_local
+from carpark_mj.geometry.obstacles import Boxes, Discs, ObstacleKind
+from carpark_mj.layouts.types import Layout
+from carpark_mj.movers.stopping import MARGIN, STILL, cars_of, stopping_zones
+from carpark_mj.obstacles import MOVERS, Mover
+from carpark_mj.types import State
+
+WAITS = -1.0  # s, clock of one that has not set out
+AT_REST = 0.05  # m/s, a car that is slower stands
+PASSING = 0.1  # m, the margin of the zone of a car that stands, instead of `MARGIN`
+
+
+@struct.dataclass
+class Script:
+    """A script and how far it is.
+
+    Attributes:
+        start: (3,) pose at first [m, m, rad].
+        direction: () of travel [rad].
+        distance: () longest way [m].
+        speed: () at first [m/s].
+        slowing: () deceleration [m/s²].
+        pause: () at the end of the way, before the return [s].
+        returns: () bool.
+        trigger: () distance ahead of a car, along its axis, at which it sets out [m].
+        near: () distance between its centre and that of a car at which it sets out [m].
+        after: () time after which it sets out [s]; inf = never.
+        yields: () bool.
+        size: (2,) length and width [m]; of a person twice the radius.
+        present: () bool.
+        age: () time since the lot began [s].
+        clock: () time since it set out, without the time it waited [s]; or `WAITS`.
+        velocity: (2,) [m/s].
+    """
+
+    start: jax.Array
+    direction: jax.Array
+    distance: jax.Array
+    speed: jax.Array
+    slowing: jax.Array
+    pause: jax.Array
+    returns: jax.Array
+    trigger: jax.Array
+    near: jax.Array
+    after: jax.Array
+    yields: jax.Array
+    size: jax.Array
+    present: jax.Array
+    age: jax.Array
+    clock: jax.Array
+    velocity: jax.Array
+
+    @property
+    def pose(self) -> jax.Array:
+        """(3,) where it is at its clock."""
+        clock, speed = jnp.maximum(self.clock, 0.0), self.speed
+        way = jnp.minimum(self.distance, speed**2 / jnp.maximum(2 * self.slowing, 1e-6))
+        last = jnp.sqrt(jnp.maximum(speed**2 - 2 * self.slowing * way, 0.0))
+        there = 2 * way / (speed + last)  # s, the time of the way out
+        out = jnp.minimum(clock, there)
+        along = speed * out - self.slowing * out**2 / 2
+        back = speed * jnp.maximum(clock - there - self.pause, 0.0)
+        along = jnp.where(self.returns, jnp.maximum(along - back, 0.0), along)
+        move = rotate(jnp.stack([along, jnp.zeros_like(along)]), self.direction)
+        return self.start.at[:2].add(move)
+
+
+@dataclasses.dataclass(frozen=True)
+class Scripted(Mover):
+    """Base of movers on a script; the first of its triggers sets it out.
+
+    Attributes:
+        start: pose at first [m, m, rad].
+        direction: of travel [rad].
+        distance: longest way [m].
+        speed: at first [m/s].
+        slowing: deceleration [m/s²].
+        pause: at the end of the way, before the return [s].
+        returns: whether it goes back.
+        trigger: distance ahead of a car, along its axis [m]; 0 = never.
+        near: distance between the centres of it and a car [m]; 0 = never.
+        after: time since the lot began [s]; None = never.
+        yields: whether it waits for cars that cannot stop.
+        size: length and width [m]; of a person twice the radius.
+        mover: fixed.
+    """
+
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    direction: float = 0.0
+    distance: Positive = 5.0
+    speed: Positive = 1.0
+    slowing: NonNegative = 0.0
+    pause: NonNegative = 0.0
+    returns: bool = False
+    trigger: NonNegative = 6.0
+    near: NonNegative = 0.0
+    after: NonNegative | None = None
+    yields: bool = True
+    size: tuple[float, float] = (0.6, 0.6)
+    mover: str = ""
+
+    def init(self, key: jax.Array, layout: Layout) -> Script:
+        """It waits at its start."""
+        del key, layout
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        values |= {"after": math.inf if self.after is None else self.after}
+        del values["mover"]
+        arrays = {
+            name: jnp.asarray(value, bool if type(value) is bool else jnp.float32)
+            for name, value in values.items()
+        }
+        zero = jnp.float32(0.0)
+        still = {"clock": zero + WAITS, "velocity": jnp.zeros(2), "age": zero}
+        return Script(present=jnp.array(True), **arrays, **still)
+
+    def step(self, key: jax.Array, state: Script, lot: State, dt: float) -> Script:
+        """It goes on unless it would come nearer to a car that cannot stop."""
+        del key
+        local, age = to_local(lot.motion.pose_w, state.start), state.age + dt
+        meets = (local[..., 0] > 0.0) & (local[..., 0] < state.trigger)
+        meets = lot.active & (meets | (norm(local[..., :2]) < state.near))
+        begins = (state.clock < 0.0) & (meets.any() | (age > state.after))
+        clock = jnp.where(begins, 0.0, state.clock)
+        clock = jnp.where(clock < 0.0, clock, clock + dt)
+        there = dataclasses.replace(state, clock=clock)
+        goes = ~state.yields | _is_free(state, there, lot, dt)
+        clock = jnp.where(goes, clock, state.clock)
+        after = dataclasses.replace(state, clock=clock, age=age)
+        velocity = (after.pose - state.pose)[:2] / dt
+        return dataclasses.replace(after, velocity=velocity)
+
+
+def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:
+    """() bool, whether it enters no stopping zone, nor nears a car whose zone it is in.
+
+    A zone is a box here, and a person one, too.
+    """
+    cars = cars_of(lot, dt)
+    zones, stands = stopping_zones(cars, dt), jnp.abs(cars.speed) < AT_REST
+    less = jnp.where(stands, MARGIN - PASSING, 0.0)
+    middle = jnp.stack([(zones.ahead - zones.behind) / 2, 0 * zones.aside], axis=-1)
+    yaw = zones.pose[:, 2]
+    xy = zones.pose[:, :2] + rotate(middle, yaw)
+    zone = jnp.concatenate([xy, yaw[:, None]], axis=-1)
+    size = jnp.stack([zones.ahead + zones.behind, 2 * zones.aside], axis=-1)
+    size = size - 2 * less[:, None]
+
+    def seen(script: Script) -> tuple[jax.Array, jax.Array]:
+        over = boxes_overlap(zone, size, script.pose, script.size)
+        gap = box_distance(zones.pose, 2 * zones.half, script.pose, script.size)
+        return over, gap
+
+    (was_in, gap), (enters, gap_after) = seen(now), seen(there)
+    leaves = was_in & (gap_after > gap - STILL)
+    return ~(enters & ~leaves).any()
+
+
+@dataclasses.dataclass(frozen=True)
+class ScriptedPerson(Scripted):
+    """A person on a script."""
+
+    mover: str = "scripted_person"
+    kind = ObstacleKind.PERSON
+
+    def obstacles(self, state: Script) -> list[Discs]:
+        """A disc."""
+        radius, there = state.size[:1] / 2, state.present[None]
+        return [Discs(state.pose[None, :2], radius, state.velocity[None], there)]
+
+
+@dataclasses.dataclass(frozen=True)
+class ScriptedBox(Scripted):
+    """A cart or a car on a script."""
+
+    mover: str = "scripted_box"
+
+    def obstacles(self, state: Script) -> list[Boxes]:
+        """A box."""
+        velocity, there = state.velocity[None], state.present[None]
+        return [Boxes(state.pose[None], state.size[None], velocity, there)]
+
+
+MOVERS.register("scripted_person", ScriptedPerson())
+MOVERS.register("scripted_box", ScriptedBox())

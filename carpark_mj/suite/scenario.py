@@ -1,0 +1,538 @@
+"""Scenarios: a case of the user's own in a file, repeated with tolerances.
+
+    lot: square_compact             # name or file of a layout
+    vehicle: compact                # preset or data sheet
+    start: [-3.0, -2.0, 0.0]        # centre of the car, x, y [m], heading [rad]
+    goal: 7                         # a bay, or {pose: [x, y, heading], end: tail_first}
+    parked: [6, 8]                  # bays with parked cars
+    rule: precise                   # or {distance: 0.1, heading: 0.03, speed: 0.05}
+    seconds: 60
+    repetitions: 100
+    spread: {place: 0.1, heading: 0.02}
+    movers:
+      - {kind: person, between: [6, 7], speed: 1.5, near: 6.0, spread: {near: 1.0}}
+    settings: {sensors.pose_noise: 0.05}
+
+Movers are `carpark_mj.movers.scripted`. Repetition 0 is the scenario as it is written.
+The others draw every value with a spread uniformly between the value less and plus the
+spread. `carpark_mj scenario` drives a file; `scenario:FILE` is a level of the suite.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from carpark_mj.cli.driver import with_settings
+from carpark_mj.cli.settings.tables import ScenarioConfig, SuiteConfig
+from carpark_mj.config import (
+    PARKED_RULES,
+    EnvConfig,
+    FleetConfig,
+    MetricsConfig,
+    find_rules,
+)
+from carpark_mj.config.checks import (
+    FARTHEST,
+    Bounds,
+    CheckedConfig,
+    Count,
+    Natural,
+    NonNegative,
+    Positive,
+)
+from carpark_mj.layouts.registry import FixedLayoutConfig, make_layout
+from carpark_mj.layouts.standards import BAY_LENGTH, BAY_WIDTH
+from carpark_mj.layouts.types import (
+    BayEnd,
+    Layout,
+    layout_maxima,
+    pad_layout,
+)
+from carpark_mj.mdp.terminations import ParkedRule
+from carpark_mj.movers.scripted import Script, Scripted, ScriptedBox, ScriptedPerson
+from carpark_mj.policy.runs import from_dict
+from carpark_mj.reading import parse_object, parse_yaml, read_text
+from carpark_mj.spawning.reset_options import ResetOptions
+from carpark_mj.suite import evaluation
+from carpark_mj.suite.busy import EXTRA
+from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases, CaseStart
+from carpark_mj.vehicle import preset
+
+NAME = "scenario"
+KIND = "repeated"
+Pose = Annotated[tuple[float, float, float], Bounds(ge=-FARTHEST, le=FARTHEST)]
+Pair = tuple[float, float]  # of bounds that do not rise, see `_require_pair`
+PLACE = Bounds(ge=-FARTHEST, le=FARTHEST, unit="m")
+SIZE = Bounds(gt=0.0, le=50.0, unit="m")
+SIZES = {"person": (0.5, 0.5), "cart": (1.0, 0.6), "car": (4.5, 1.8)}  # m
+BEHIND = 0.5  # m behind the front of a row, where a mover between two bays waits
+ACROSS = 8.0  # m that it goes
+SLOWEST = 0.01  # m/s or m, least of what a spread makes of speeds and distances
+OWN, EACH = 4, 6  # numbers that are drawn for the car, and for each mover
+OWN_SETTINGS = {
+    *("layout", "vehicle", "num_agents", "num_parked_cars", "movers"),
+    *("episode.parked_rule", "episode.max_steps"),
+}
+NEEDED = ("lot", "start", "goal")
+
+
+@dataclasses.dataclass(frozen=True)
+class Spread(CheckedConfig):
+    """Largest deviations of repetitions, uniform.
+
+    Attributes:
+        place: of x and of y [m].
+        heading: of the start, and of a mover's direction [rad].
+        speed: [m/s].
+        near: of a mover's distance to a car at which it sets out [m].
+        after: of the time after which it sets out [s].
+    """
+
+    place: NonNegative = 0.0
+    heading: NonNegative = 0.0
+    speed: NonNegative = 0.0
+    near: NonNegative = 0.0
+    after: NonNegative = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Goal(CheckedConfig):
+    """A bay that the lot gets for the scenario.
+
+    Attributes:
+        pose: centre [m] and heading of a car parked nose out [rad].
+        size: length and width [m].
+        end: which end of the car goes in first.
+    """
+
+    pose: Pose
+    size: Pair = (BAY_LENGTH[0], BAY_WIDTH[0])
+    end: Literal["either", "nose_first", "tail_first"] = "either"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_heading("goal.pose", self.pose)
+        _require_pair("goal.size", self.size, SIZE)
+
+
+@dataclasses.dataclass(frozen=True)
+class Tolerance(CheckedConfig):
+    """When the car counts as parked.
+
+    Attributes:
+        distance: largest distance of the centres of car and bay [m].
+        heading: largest angle to the bay's axis [rad].
+        speed: highest speed [m/s].
+        inside_lines: whether the car must be within the bay's lines.
+    """
+
+    distance: Positive = 0.2
+    heading: Positive = 0.05
+    speed: Positive = 0.05
+    inside_lines: bool = False
+
+    @property
+    def rule(self) -> str:
+        """The parked rule of these limits, registered by their numbers."""
+        limits = dataclasses.asdict(self)
+        words = (f"{name}-{value:.6g}" for name, value in limits.items() if value)
+        name = "_".join(words).replace(".", "_")  # as names of rules must be
+        if name not in PARKED_RULES:
+            PARKED_RULES.register(name, ParkedRule(**limits))
+        return name
+
+
+@dataclasses.dataclass(frozen=True)
+class Actor(CheckedConfig):
+    """What moves in a scenario: straight on from its start, once it sets out.
+
+    Without a trigger it sets out at once; of several the first counts.
+
+    Attributes:
+        kind: a person is a disc, the others are boxes.
+        start: its centre [m].
+        to: where it goes [m].
+        between: two bays instead of `start` and `to`: it steps out between them.
+        size: length and width, of a person twice the diameter [m]; default: by kind.
+        speed: at first [m/s].
+        slowing: deceleration [m/s²].
+        pause: at the end of the way before it returns [s].
+        returns: whether it goes back.
+        backwards: whether its rear is ahead.
+        near: distance between its centre and the car's at which it sets out [m].
+        ahead: distance ahead of the car, along its axis, at which it sets out [m].
+        after: time after which it sets out [s].
+        yields: whether it waits for a car that cannot stop; otherwise some contacts
+            are unavoidable.
+        spread: of the repetitions.
+    """
+
+    kind: Literal["person", "cart", "car"] = "person"
+    start: Pair | None = None
+    to: Pair | None = None
+    between: tuple[Natural, Natural] | None = None
+    size: Pair | None = None
+    speed: Positive = 1.0
+    slowing: NonNegative = 0.0
+    pause: NonNegative = 0.0
+    returns: bool = False
+    backwards: bool = False
+    near: Positive | None = None
+    ahead: Positive | None = None
+    after: NonNegative | None = None
+    yields: bool = True
+    spread: Spread = dataclasses.field(default_factory=Spread)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, bounds in (("start", PLACE), ("to", PLACE), ("size", SIZE)):
+            _require_pair(name, getattr(self, name), bounds)
+        given = self.start is not None, self.to is not None
+        if any(given) == (self.between is not None) or any(given) != all(given):
+            raise ValueError("a mover needs start and to, or two bays in between")
+        if self.start == self.to is not None:
+            raise ValueError(f"start and to of a mover must differ, not {self.start}")
+
+    def script(self, layout: Layout) -> Scripted:
+        """The mover in a lot."""
+        if self.start is not None and self.to is not None:
+            start, way = np.array(self.start), np.subtract(self.to, self.start)
+        else:
+            assert self.between is not None
+            pair = np.array(self.between)
+            _require_bays("between", self.between, layout)
+            pose = np.asarray(layout.bay_pose)[pair]
+            out = pose[0, 2]
+            front = np.asarray(layout.bay_size)[pair[0], 0] / 2 - BEHIND
+            ahead = np.array([math.cos(out), math.sin(out)])
+            start = pose[:, :2].mean(axis=0) + front * ahead
+            way = ACROSS * ahead
+        direction = math.atan2(way[1], way[0])
+        heading = math.remainder(direction + math.pi * self.backwards, math.tau)
+        triggers = (self.near, self.ahead, self.after)
+        after = 0.0 if triggers == (None, None, None) else self.after
+        made = ScriptedPerson if self.kind == "person" else ScriptedBox
+        return made(
+            start=(float(start[0]), float(start[1]), heading),
+            direction=direction,
+            distance=math.hypot(*way),
+            speed=self.speed,
+            slowing=self.slowing,
+            pause=self.pause,
+            returns=self.returns,
+            trigger=self.ahead or 0.0,
+            near=self.near or 0.0,
+            after=after,
+            yields=self.yields,
+            size=self.size or SIZES[self.kind],
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Scenario(CheckedConfig):
+    """A case with its repetitions; the module shows a file.
+
+    Attributes:
+        lot: name or file of a layout.
+        vehicle: preset or data sheet of the car.
+        start: pose of the centre of its footprint [m, m, rad].
+        speed: at the start, forwards positive [m/s].
+        goal: a bay, a row of `Layout.bay_pose`, or a bay of its own.
+        parked: bays with parked cars, of the car's kind.
+        rule: when the car counts as parked: a parked rule or its limits.
+        seconds: of an episode.
+        repetitions: how many.
+        spread: of the repetitions' starts.
+        movers: what moves.
+        seed: of a random lot.
+        settings: further settings of the environment, by path.
+    """
+
+    lot: str
+    start: Pose
+    goal: int | Goal
+    vehicle: str = "compact"
+    speed: float = 0.0
+    parked: tuple[int, ...] = ()
+    rule: str | Tolerance = "precise"
+    seconds: Annotated[float, Bounds(gt=0.0, le=3600.0, unit="s")] = 60.0
+    repetitions: Count = 1
+    spread: Spread = dataclasses.field(default_factory=Spread)
+    movers: tuple[Actor, ...] = ()
+    seed: Natural = 0
+    settings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_heading("start", self.start)
+        find_rules(self.rule_name)
+        preset(self.vehicle)
+        layout = self.layout  # refuses unknown and random lots
+        _require_bays("goal", (self.goal_bay,), layout)
+        _require_bays("parked", self.parked, layout)
+        if self.goal_bay in self.parked or len({*self.parked}) < len(self.parked):
+            raise ValueError(
+                f"parked must be distinct bays other than the goal, not {self.parked}"
+            )
+        _ = self.scripts
+
+    @property
+    def rule_name(self) -> str:
+        """The parked rule by name."""
+        return self.rule.rule if isinstance(self.rule, Tolerance) else self.rule
+
+    @property
+    def goal_bay(self) -> int:
+        """The bay to park in; one of its own is the last."""
+        if isinstance(self.goal, Goal):
+            return self.layout.num_bays - 1
+        return self.goal
+
+    @functools.cached_property
+    def layout(self) -> Layout:
+        """The lot with the scenario's own bay, as numpy arrays."""
+        layout = jax.device_get(make_layout(self.lot, jax.random.key(self.seed)))
+        return _with_bay(layout, self.goal) if isinstance(self.goal, Goal) else layout
+
+    @functools.cached_property
+    def scripts(self) -> tuple[Scripted, ...]:
+        """The movers."""
+        return tuple(actor.script(self.layout) for actor in self.movers)
+
+    def env(self, env: EnvConfig) -> EnvConfig:
+        """The scenario's environment, from that of a policy in the suite."""
+        # A flag cannot name the lots of configs.
+        env = with_settings(dataclasses.replace(env, layout="square"), self.settings)
+        if self.parked and env.physics_config.contacts:
+            raise ValueError(
+                f"parked cars of a scenario need physics without contacts, not "
+                f"{env.physics_config.back_end}"
+            )
+        steps = max(round(self.seconds / env.sim.ctrl_dt), 1)
+        return dataclasses.replace(
+            env,
+            layout=ScenarioLot(self),
+            vehicle=self.vehicle,
+            num_parked_cars=len(self.parked),
+            fleet=FleetConfig(),
+            movers=self.scripts,
+            metrics=MetricsConfig(safety=True, extra=EXTRA)
+            if self.movers
+            else env.metrics,
+            episode=dataclasses.replace(
+                env.episode, parked_rule=self.rule_name, max_steps=steps
+            ),
+        )
+
+    def pick(self, which: slice, level: str = NAME) -> Cases:
+        """Repetitions that follow each other, under the name of their level."""
+        number = np.arange(self.repetitions)[which]
+        spread, chance = self.spread, self._chances[which].astype(np.float32)
+        reach = np.array([spread.place, spread.place, spread.heading], np.float32)
+        own, *others = np.split(chance, range(OWN, chance.shape[1], EACH), axis=1)
+        options = ResetOptions(
+            pose=jnp.asarray(self.start + own[:, :3] * reach)[:, None],
+            speed=jnp.asarray(self.speed + own[:, 3:] * spread.speed),
+            goal=jnp.full((len(number), 1), self.goal_bay, jnp.int32),
+        )
+        movers = tuple(
+            _varied(script.init(jax.random.key(0), self.layout), actor.spread, rows)
+            for script, actor, rows in zip(
+                self.scripts, self.movers, others, strict=True
+            )
+        )
+        keys = jax.vmap(jax.random.key)(number)
+        parked, layouts = _repeated(
+            (np.array(self.parked, np.int32), self.layout), len(number)
+        )
+        start = CaseStart(keys, options, movers, parked)
+        return Cases(level, number, np.full(len(number), KIND), layouts, start)
+
+    @property
+    def _chances(self) -> np.ndarray:
+        """(repetitions, numbers of each) uniform in [-1, 1); 0 in the first row."""
+        shape = self.repetitions, OWN + EACH * len(self.movers)
+        chances = np.random.default_rng(0).uniform(-1.0, 1.0, shape)
+        chances[0] = 0.0
+        return chances
+
+
+def _varied(script: Script, spread: Spread, chance: np.ndarray) -> Script:
+    """Scripts (n,) of one, by `chance` (n, EACH)."""
+    x, y, turn, faster, further, later = (column[:, None] for column in chance.T)
+    turn = turn * spread.heading
+    move = np.concatenate([x * spread.place, y * spread.place, turn], axis=1)
+
+    def moved(value: jax.Array, change: np.ndarray, least: float) -> jax.Array:
+        return jnp.where(value > 0.0, jnp.maximum(value + change[:, 0], least), value)
+
+    return dataclasses.replace(
+        _repeated(script, len(chance)),
+        start=script.start + move,
+        direction=script.direction + turn[:, 0],
+        speed=moved(script.speed, faster * spread.speed, SLOWEST),
+        trigger=moved(script.trigger, further * spread.near, SLOWEST),
+        near=moved(script.near, further * spread.near, SLOWEST),
+        after=jnp.maximum(script.after + later[:, 0] * spread.after, 0.0),
+    )
+
+
+def _repeated(tree: Any, count: int) -> Any:
+    """The arrays (...) of a tree as (count, ...)."""
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *np.shape(x))), tree)
+
+
+def _require_heading(name: str, pose: tuple[float, float, float]) -> None:
+    if abs(pose[2]) > math.tau:
+        raise ValueError(
+            f"{name} must have a heading within [-2 pi, 2 pi] rad, not {pose[2]}"
+        )
+
+
+def _require_pair(name: str, value: Pair | None, bounds: Bounds) -> None:
+    if value is not None and not bounds.admit(value):
+        raise ValueError(f"{name} must {bounds}, not {value}")
+
+
+def _require_bays(name: str, numbers: Iterable[int], layout: Layout) -> None:
+    known = np.flatnonzero(layout.bay_mask)
+    for number in numbers:
+        if number not in known:
+            raise ValueError(
+                f"{name} must be a bay of the lot, {known[0]} to {known[-1]}, not "
+                f"{number}"
+            )
+
+
+def _with_bay(layout: Layout, goal: Goal) -> Layout:
+    """A lot with one more bay, its last."""
+    maxima = layout_maxima([layout])
+    ends = [end.name.lower() for end in BayEnd]
+    end = ends.index(goal.end)
+    padded = pad_layout(
+        layout,
+        dataclasses.replace(
+            maxima, bays=maxima.bays + 1, bay_ends=maxima.bay_ends or bool(end)
+        ),
+    )
+    values = {
+        "bay_pose": goal.pose,
+        "bay_size": goal.size,
+        "bay_mask": True,
+        "bay_end": end,
+    }
+    return jax.device_get(
+        dataclasses.replace(
+            padded,
+            **{
+                name: column.at[-1].set(jnp.asarray(value, column.dtype))
+                for name, value in values.items()
+                if (column := getattr(padded, name)) is not None
+            },
+        )
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class ScenarioLot(FixedLayoutConfig):
+    """The lot of a scenario.
+
+    Attributes:
+        scenario: which.
+        family: fixed.
+    """
+
+    scenario: Scenario | None = None
+    family: str = NAME
+
+    @property
+    def layout(self) -> Layout:
+        """With the scenario's own bay."""
+        assert self.scenario is not None
+        return self.scenario.layout
+
+
+def read_scenario(path: Path) -> Scenario:
+    """Reads a scenario, YAML or JSON.
+
+    Raises:
+        ValueError: no such file, or a fault in it; one sentence says where.
+    """
+    try:
+        parse = parse_object if path.suffix == ".json" else parse_yaml
+        return make_scenario(parse(read_text(path), "the scenario"))
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def make_scenario(data: Mapping[str, Any]) -> Scenario:
+    """The scenario of a file's mapping.
+
+    Raises:
+        ValueError: an entry is unknown, missing or out of range.
+    """
+    found = dict(data)
+    movers, settings = found.pop("movers", []), found.pop("settings", {})
+    if not isinstance(movers, list):
+        raise ValueError(f"movers must be a list, not {movers!r}")
+    if not isinstance(settings, dict):
+        raise ValueError(f"settings must be names with values, not {settings!r}")
+    if missing := [name for name in NEEDED if name not in found]:
+        raise ValueError(f"the scenario lacks {', '.join(missing)}")
+    actors: list[Actor] = []
+    for place, mover in enumerate(movers):
+        try:
+            actors.append(from_dict(Actor, mover))
+        except ValueError as error:
+            raise ValueError(f"movers[{place}]: {error}") from None
+    if own := OWN_SETTINGS & settings.keys():
+        raise ValueError(f"settings must leave {min(own)} to the scenario's entries")
+    words = (f"{name}={value}" for name, value in settings.items())
+    return dataclasses.replace(
+        from_dict(Scenario, found), movers=tuple(actors), settings=tuple(words)
+    )
+
+
+@functools.cache
+def scenario_level(path: str) -> CaseLevel:
+    """The level of a scenario's file.
+
+    Raises:
+        ValueError: there is a fault in the file.
+    """
+    scenario = read_scenario(Path(path))
+    level, digest = f"{NAME}:{path}", hashlib.sha256(repr(scenario).encode())
+    for leaf in jax.tree.leaves(scenario.layout):
+        digest.update(np.ascontiguousarray(leaf).tobytes())
+    return CaseLevel(
+        range(scenario.repetitions),
+        digest.hexdigest(),
+        functools.partial(scenario.pick, level=level),
+        scenario.env,
+        f"Scenario {Path(path).name}",
+        scenario.rule_name,
+        scenario.vehicle,
+    )
+
+
+FILE_LEVELS[NAME] = scenario_level
+
+
+def main(config: ScenarioConfig) -> list[dict[str, Any]]:
+    """Drives all repetitions by all policies and writes the suite's files."""
+    level = f"{NAME}:{config.file}"
+    scenario_level(config.file)  # refused before anything is compiled
+    names = ("policies", "seeds", "videos", "out")
+    return evaluation.main(
+        SuiteConfig(levels=(level,), **{name: getattr(config, name) for name in names})
+    )

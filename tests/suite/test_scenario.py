@@ -1,0 +1,153 @@
+"""Scenarios: what the file says happens, repetitions keep to their spreads."""
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import yaml
+
+from carpark_mj.cli.settings.tables import ScenarioConfig
+from carpark_mj.geometry import to_local
+from carpark_mj.layouts import make_layout
+from carpark_mj.layouts.types import BayEnd
+from carpark_mj.suite import scenario
+from carpark_mj.suite.levels import pick_cases
+from carpark_mj.suite.scenario import make_scenario, read_scenario
+
+CHILD = Path(__file__).parents[2] / "examples" / "scenarios" / "child.yaml"
+LOT = "square_compact"
+LEAST = {"lot": LOT, "start": [0.0, 0.0, 0.0], "goal": 6}
+WALKER = {"kind": "person", "start": [0.0, 0.0], "to": [0.0, 5.0]}
+
+
+def test_repetitions_keep_to_their_spreads():
+    child = read_scenario(CHILD)
+    cases = child.pick(slice(None))
+    pose, (script,) = np.asarray(cases.start.options.pose)[:, 0], cases.start.movers
+    np.testing.assert_allclose(pose[0], child.start)
+    off = np.abs(pose - child.start)
+    assert (off[1:].max(axis=0) < [0.1001, 0.1001, 0.0201]).all()
+    assert (off[1:].max(axis=0) > [0.09, 0.09, 0.018]).all()  # all of the range
+    assert np.ptp(script.near) == pytest.approx(2.0, abs=0.1)
+    assert (script.near[0], script.speed[0]) == (6.0, 1.5)
+    assert np.ptp(script.start, axis=0).max() == 0.0  # has no spread
+    # The first repetitions do not depend on how many follow.
+    fewer = dataclasses.replace(child, repetitions=3).pick(slice(1, 3))
+    np.testing.assert_array_equal(fewer.start.options.pose[:, 0], pose[1:3])
+
+
+def test_a_mover_between_bays_walks_out_of_their_gap():
+    layout = make_layout(LOT)
+    data = LEAST | {"movers": [{"between": [3, 4], "speed": 2.0}]}
+    (walker,) = make_scenario(data).scripts
+    script = walker.init(jax.random.key(0), layout)
+    for bay, side in ((3, -1.0), (4, 1.0)):
+        local = np.asarray(to_local(layout.bay_pose[bay], script.start))
+        length, width = np.asarray(layout.bay_size[bay])
+        assert local[1] == pytest.approx(side * width / 2, abs=1e-4)
+        assert local[0] == pytest.approx(length / 2 - scenario.BEHIND, abs=1e-4)
+    moved = dataclasses.replace(script, clock=jnp.float32(1.0)).pose - script.start
+    out = layout.bay_pose[3, 2]
+    np.testing.assert_allclose(
+        moved[:2], 2.0 * np.array([np.cos(out), np.sin(out)]), atol=1e-5
+    )
+
+
+def test_a_goal_of_its_own_is_one_more_bay():
+    pose = [1.0, 2.0, 0.5]
+    made = make_scenario(LEAST | {"goal": {"pose": pose, "end": "tail_first"}})
+    before, after = make_layout(LOT), made.layout
+    assert made.goal_bay == before.num_bays
+    np.testing.assert_allclose(after.bay_pose[-1], pose)
+    assert after.bay_end[-1] == BayEnd.TAIL_FIRST
+    assert not after.bay_end[:-1].any()
+    np.testing.assert_array_equal(after.bay_pose[:-1], before.bay_pose)
+    assert after.goal_mask[-1]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"lot": "nowhere"},
+        {"goal": 99},
+        {"goal": {"pose": [0.0, 0.0, 90.0]}},
+        {"start": [0.0, 0.0, 90.0]},
+        {"parked": [6]},
+        {"parked": [1, 1]},
+        {"rule": "kind"},
+        {"rule": {"distance": -1.0}},
+        {"repetitions": 0},
+        {"weather": "rain"},
+        {"spread": {"place": -0.1}},
+        {"movers": [WALKER | {"between": [1, 2]}]},
+        {"movers": [{"kind": "person", "start": [0.0, 0.0]}]},
+        {"movers": [WALKER | {"to": [0.0, 0.0]}]},
+        {"movers": [WALKER | {"kind": "cloud"}]},
+        {"movers": [{"between": [1, 99]}]},
+        {"movers": [WALKER | {"size": [-1.0, 1.0]}]},
+        {"movers": WALKER},
+        {"settings": {"num_agents": 3}},
+    ],
+    ids=str,
+)
+def test_impossible_entries_are_refused(change, tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(yaml.safe_dump(LEAST | change))
+    with pytest.raises(ValueError, match=r"bad\.yaml"):
+        read_scenario(path)
+
+
+def test_a_scenario_is_driven_as_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ways = {"start": [-4.0, 4.0], "to": [4.0, 4.0], "speed": 2.0}
+    data = LEAST | {
+        "parked": [5, 7],
+        "rule": {"distance": 0.1},
+        "seconds": 4.0,
+        "repetitions": 2,
+        "movers": [WALKER | ways | {"yields": False, "after": 1.0}],
+        "settings": {"physics": "bicycle"},
+    }
+    Path("mine.yaml").write_text(yaml.safe_dump(data))
+    cases = pick_cases("scenario:mine.yaml", 2)
+    evaluators = []
+    made = scenario.evaluation.CaseEvaluator
+
+    def kept(*arguments):
+        evaluators.append(made(*arguments))
+        return evaluators[-1]
+
+    monkeypatch.setattr(scenario.evaluation, "CaseEvaluator", kept)
+    rows = scenario.main(ScenarioConfig("mine.yaml", ("zero",), videos=0, out="out"))
+    assert [(row["cases"], row["timed out"]) for row in rows] == [(2, 1.0)]  # it stands
+    (evaluator,) = evaluators
+    config = evaluator.env.config
+    assert config.physics_config.back_end == "bicycle"
+    assert config.episode.max_steps * config.sim.ctrl_dt == pytest.approx(4.0)
+    keys = jax.random.split(jax.random.key(0), 2)
+    state, _ = evaluator._reset(cases.layouts, keys, cases.start)
+    np.testing.assert_array_equal(state.parked_cars.bay, [[5, 7], [5, 7]])
+    layout = make_layout(LOT)
+    np.testing.assert_allclose(
+        state.parked_cars.pose_w[0], layout.parked_pose[np.array([5, 7])], atol=1e-6
+    )
+    np.testing.assert_allclose(state.motion.pose_w[0, 0], data["start"], atol=1e-5)
+    with Path("out/cases.csv").open() as file:
+        first = next(csv.DictReader(file))
+    assert first["vehicle"] == "compact"
+    assert "distance-0_1" in first["rule"]
+
+
+def test_a_start_in_a_wall_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    layout = make_layout(LOT)
+    wall = [float(x) for x in layout.wall_pose[0]]
+    Path("wall.yaml").write_text(
+        yaml.safe_dump(LEAST | {"start": wall, "settings": {"physics": "bicycle"}})
+    )
+    with pytest.raises(ValueError, match="agent 0"):
+        scenario.main(ScenarioConfig("wall.yaml", ("zero",), out="out"))
