@@ -34,12 +34,8 @@ from carpark_mj.observations import (
     sensors,
     unpack,
 )
-from carpark_mj.physics.base import (
-    Physics,
-    make_physics,
-    require_physics,
-    where_cars,
-)
+from carpark_mj.obstacles import step_movers
+from carpark_mj.physics.base import Physics, make_physics, require_physics, where_cars
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.spawning.checks import check_cars, check_exits, check_numbers
@@ -87,9 +83,7 @@ class ParkingEnv:
         physics: Physics | None = None,
         vehicle: VehicleParameters | None = None,
     ) -> None:
-        """Builds the constants; compiled programs are kept from now on.
-
-        See `carpark_mj.compilation`.
+        """Builds the constants; compiled programs are kept (`carpark_mj.compilation`).
 
         Args:
             config: the environment; defaults to `EnvConfig()`.
@@ -111,7 +105,7 @@ class ParkingEnv:
                 "`carpark_mj.registry.environment` returns the named ones"
             )
         require_kind("vehicle", vehicle, VehicleParameters | None)
-        config = config if config is not None else EnvConfig()
+        config = config or EnvConfig()
         if physics is not None:
             physics = require_physics(physics)
             if physics.config != config.physics_config:
@@ -138,13 +132,9 @@ class ParkingEnv:
     def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
         """The environment with some settings replaced by values, which may be traced.
 
-        Args:
-            values: by the path of the setting, as in `reward.park`: numbers that are
-                data (`carpark_mj.config.is_data`). They are not checked.
-
-        Raises:
-            ValueError: there is no such setting, or another environment must be built
-                for it.
+        They are by the path of the setting, as in `reward.park`, numbers that are data
+        (`carpark_mj.config.is_data`), and not checked. `ValueError` if there is no such
+        setting, or another environment must be built for it.
         """
         for path in values:
             if not is_data(self.config, path):
@@ -169,9 +159,7 @@ class ParkingEnv:
     def unpack(self, observation: jax.Array) -> Any:
         """Observations (..., observation_size) as adapters give them.
 
-        Returns:
-            A dictionary of arrays (...) if there are pictures, see
-            `carpark_mj.observations.unpack`; otherwise the observations.
+        A dictionary if there are pictures, see `carpark_mj.observations.unpack`.
         """
         return unpack(make_fields(self.config), observation)
 
@@ -327,7 +315,8 @@ class ParkingEnv:
             from carpark_mj.physics import emergency_brake  # only such cars load it
 
             controls = emergency_brake.override(config.sim, state, controls)
-        movers = self._spawner.step_movers(state, keys.movers)
+        ours, dt = self._spawner.movers, config.sim.ctrl_dt
+        movers = step_movers(ours, state, dt, keys.movers)
         groups = state.movers.groups, movers.groups
         physics = self.physics.step_among(state.physics, controls, *groups)
         motion = self.physics.read(physics)
@@ -376,11 +365,9 @@ def _freeze(
 ) -> tuple[PhysicsState, Motion]:
     """Keeps agents that are not active exactly where they stand, at rest."""
     physics = where_cars(state.active, physics, state.physics)
-    rest = dataclasses.replace(
-        state.motion,
-        velocity_b=jnp.zeros_like(state.motion.velocity_b),
-        yaw_rate=jnp.zeros_like(state.motion.yaw_rate),
-    )
+    still = state.motion
+    velocity_b, yaw_rate = map(jnp.zeros_like, (still.velocity_b, still.yaw_rate))
+    rest = dataclasses.replace(still, velocity_b=velocity_b, yaw_rate=yaw_rate)
     motion = where_cars(state.active, motion, rest)
     still = jnp.broadcast_to(motion.pose_w[:, None], motion.trace_w.shape)
     trace_w = where_cars(state.active, motion.trace_w, still)

@@ -49,15 +49,10 @@ def table(lines: Mapping[str, str], indent: int = 2) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A part that is imported on first use.
+    """A part that is imported on first use."""
 
-    Attributes:
-        home: `module:name` where it is.
-        summary: what it is, in a line.
-    """
-
-    home: str
-    summary: str = ""
+    home: str  # `module:name` where it is
+    summary: str = ""  # what it is, in a line
 
     def load(self) -> Any:
         """Imports it."""
@@ -79,12 +74,10 @@ class Registry(Mapping[str, T], Generic[T]):
     """
 
     def __init__(self, kind: str, *homes: str) -> None:
-        """An empty registry.
+        """An empty registry of parts of a kind, which messages name.
 
-        Args:
-            kind: what its parts are, for messages.
-            *homes: modules that register the core's own parts; a look-up imports them
-                in this order until one has registered the name.
+        Homes are modules that register the core's own parts; a look-up imports them in
+        this order until one has registered the name.
         """
         self._kind = kind
         self._homes = homes

@@ -10,30 +10,20 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any, NoReturn
 
-_ADAPTERS = "carpark_mj.wrappers"
+_PARK, _GOAL = "carpark_mj.wrappers.gymnasium_env", "carpark_mj.wrappers.goal"
 # Entry points of one environment and of many by id.
 ENTRY_POINTS: dict[str, tuple[str, str]] = {
-    "carpark_mj/Park-v0": (
-        f"{_ADAPTERS}.gymnasium_env:ParkEnv",
-        f"{_ADAPTERS}.gymnasium_env:ParkVectorEnv",
-    ),
-    "carpark_mj/ParkGoal-v0": (
-        f"{_ADAPTERS}.goal:ParkGoalEnv",
-        f"{_ADAPTERS}.goal:ParkGoalVectorEnv",
-    ),
+    "carpark_mj/Park-v0": (f"{_PARK}:ParkEnv", f"{_PARK}:ParkVectorEnv"),
+    "carpark_mj/ParkGoal-v0": (f"{_GOAL}:ParkGoalEnv", f"{_GOAL}:ParkGoalVectorEnv"),
     "carpark_mj/ParkMany-v0": (
         "carpark_mj.registration:refuse_single",
-        f"{_ADAPTERS}.gymnasium_env:ParkManyVectorEnv",
+        f"{_PARK}:ParkManyVectorEnv",
     ),
 }
 
 
 def refuse_single(**_: Any) -> NoReturn:
-    """There is no single ParkMany: its environments are agents that share lots.
-
-    Raises:
-        gymnasium.error.Error: always.
-    """
+    """There is no single ParkMany: its environments are agents that share lots."""
     from gymnasium.error import Error
 
     raise Error(
@@ -45,10 +35,7 @@ def refuse_single(**_: Any) -> NoReturn:
 def add_environment(name: str, single: str, vector: str) -> None:
     """Adds an id of another package, which Gymnasium knows from its import on.
 
-    Args:
-        name: the id.
-        single: entry point of one environment, `module:class`.
-        vector: entry point of many.
+    `single` is the entry point of one environment, `module:class`, `vector` of many.
     """
     ENTRY_POINTS[name] = single, vector
     if "gymnasium" in sys.modules:

@@ -106,14 +106,7 @@ class ParkedCars:
 
 @struct.dataclass
 class Reading:
-    """Measured motion of cars (...); frames and units of `Motion`.
-
-    Attributes:
-        pose_w: (..., 3).
-        velocity_b: (..., 2).
-        yaw_rate: (...).
-        steering: (...).
-    """
+    """Measured motion of cars (...): attributes of `Motion`."""
 
     pose_w: jax.Array
     velocity_b: jax.Array

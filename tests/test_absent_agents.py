@@ -24,9 +24,9 @@ from carpark_mj.config import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.collisions import HORIZON, RANGE
-from carpark_mj.mdp.parked_cars import BayFits
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.spawning import goals as fixed_goals
+from carpark_mj.spawning import special_starts
 from carpark_mj.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.types import NO_BAY, State, TimeStep
 
@@ -256,7 +256,7 @@ def test_no_start_is_on_course_to_an_absent_agent(monkeypatch):
         mask = targets.mask.astype(jnp.float32)
         return jnp.stack([mask.sum(), mask[0], mask[2:].sum()]), jnp.bool_(True)
 
-    monkeypatch.setattr(fixed_goals, "course_pose", count_targets)
+    monkeypatch.setattr(special_starts, "course_pose", count_targets)
     spawn = SpawnConfig(conflict_ratio=1.0, close_ratio=0.0)
     config = dataclasses.replace(FIXED, spawn=spawn)
     env = ParkingEnv(config)
@@ -264,7 +264,7 @@ def test_no_start_is_on_course_to_an_absent_agent(monkeypatch):
     waiting = jnp.arange(MOST) == 1
     bay = state.parked_cars.bay
     placing = start_placing(state.goal, bay, state.motion.pose_w, waiting)
-    inputs = SpawnInputs(state.layout, state.parked_cars, None, None, BayFits())
+    inputs = SpawnInputs(state.layout, state.parked_cars)
     place = jax.jit(functools.partial(fixed_goals.place_agent, config))
     placed = place(inputs, placing, jnp.int32(1), jax.random.key(1))
     assert placed.pose_w[1].tolist() == [2.0, 1.0, 1.0]  # agents 0 and 2

@@ -26,33 +26,25 @@ if TYPE_CHECKING:  # only `_NAMES` are there at run time
     from carpark_mj.spawning.config import *
 
 _NAMES = {
-    "config.checks": ("data",),
-    "config.env": ("EnvConfig", "insert", "is_data", "setting"),
-    "geometry.obstacles": ("ObstacleKind",),
-    "layouts.base": ("LAYOUTS", "LayoutChoice", "LayoutConfig", "register_layout"),
-    "mdp.goals": ("GivingWayConfig", "GoalConfig"),
-    "mdp.metrics": ("METRICS", "Metric", "MetricsConfig", "register_metric"),
-    "mdp.rewards": (
-        *("REWARDS", "REWARD_TERMS", "ExtraTerms", "GoalRewards", "RewardConfig"),
-        *("RewardTerm", "term_settings"),
-    ),
-    "mdp.terminations": (
-        *("PARKED_RULES", "WORLD_UNIT", "EpisodeConfig", "ParkedRule", "find_rules"),
-    ),
-    "observations.fields": ("ENCODERS", "ObservationConfig"),
-    "observations.ranges": ("RayConfig", "RingConfig", "UltrasoundConfig"),
-    "observations.sensors": ("SensorConfig",),
-    "observations.tracked": ("ShareConfig",),
-    "obstacles": ("MOVERS", "Mover"),
-    "physics.config": (
-        *("CONTACT_SIM_DT", "PHYSICS", "PhysicsChoice", "PhysicsConfig", "SimConfig"),
-        "Surface",
-    ),
-    "spawning.config": (
-        *("FleetConfig", "JitterConfig", "RandomizationConfig", "SpawnConfig"),
-    ),
+    "config.checks": "data",
+    "config.env": "EnvConfig insert is_data setting",
+    "geometry.obstacles": "ObstacleKind",
+    "layouts.base": "LAYOUTS LayoutChoice LayoutConfig register_layout",
+    "mdp.goals": "GivingWayConfig GoalConfig",
+    "mdp.metrics": "METRICS Metric MetricsConfig register_metric",
+    "mdp.rewards": "REWARDS REWARD_TERMS ExtraTerms GoalRewards RewardConfig "
+    "RewardTerm term_settings",
+    "mdp.terminations": "PARKED_RULES WORLD_UNIT EpisodeConfig ParkedRule find_rules",
+    "observations.fields": "ENCODERS ObservationConfig",
+    "observations.ranges": "RayConfig RingConfig UltrasoundConfig",
+    "observations.sensors": "SensorConfig",
+    "observations.tracked": "ShareConfig",
+    "obstacles": "MOVERS Mover",
+    "physics.config": "CONTACT_SIM_DT PHYSICS PhysicsChoice PhysicsConfig SimConfig "
+    "Surface",
+    "spawning.config": "FleetConfig JitterConfig RandomizationConfig SpawnConfig",
 }
-_HOMES = {name: home for home, names in _NAMES.items() for name in names}
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 __all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 

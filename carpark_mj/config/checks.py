@@ -34,20 +34,13 @@ class Bounds(NamedTuple):
     """Bounds of a field, in its annotation: `Annotated[float, Bounds(ge=0.0)]`.
 
     Every number of a tuple lies within them; `Range` and `IntRange` rise.
-
-    Attributes:
-        ge: least value.
-        gt: value that it must exceed.
-        le: greatest value.
-        lt: value that it must not reach.
-        unit: for messages.
     """
 
-    ge: float = -math.inf
-    gt: float = -math.inf
-    le: float = math.inf
-    lt: float = math.inf
-    unit: str = ""
+    ge: float = -math.inf  # least value
+    gt: float = -math.inf  # that it must exceed
+    le: float = math.inf  # greatest value
+    lt: float = math.inf  # that it must not reach
+    unit: str = ""  # for messages
 
     def admit(self, value: Any) -> bool:
         """Whether a number, or every number of a tuple, lies within the bounds."""
@@ -114,12 +107,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def require_seed(seed: int) -> None:
+def require_seed(seed: Any) -> None:
     """Refuses a seed that is negative, too large, or not a whole number."""
-    if type(seed) is bool or not isinstance(seed, numbers.Integral):
-        raise ValueError(f"seed must be a whole number, not {seed!r}")
-    if not 0 <= seed <= MAX_SEED:
-        raise ValueError(f"seed must lie in [0, {MAX_SEED}], not {seed}")
+    whole = type(seed) is not bool and isinstance(seed, numbers.Integral)
+    if not (whole and 0 <= int(seed) <= MAX_SEED):
+        raise ValueError(f"seed must lie in [0, {MAX_SEED}] and be whole, not {seed!r}")
 
 
 def require_kind(name: str, value: object, kind: Any) -> None:

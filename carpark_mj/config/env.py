@@ -112,12 +112,8 @@ class EnvConfig:
             raise ValueError(f"layout must be a name or a config, not {self.layout!r}")
         for name in self.layout.split(",") if isinstance(self.layout, str) else ():
             require_layout(name)
-        require_types(
-            self,
-            layout=LayoutConfig | str,
-            movers=tuple[Mover | str, ...],
-            physics=PhysicsConfig | str,
-        )
+        movers, physics = tuple[Mover | str, ...], PhysicsConfig | str
+        require_types(self, layout=LayoutConfig | str, movers=movers, physics=physics)
         require_bounds(self)
         object.__setattr__(self, "vehicle", with_parameters(self.vehicle))
         make_movers(self.movers)  # refuses unknown names
@@ -133,87 +129,57 @@ class EnvConfig:
         """Combinations that would compute nonsense: whether one holds, and why not."""
         goals, spawn, episode = self.goals, self.spawn, self.episode
         physics, scheme = self.physics_config, self.giving_way.scheme
-        yield (
-            (self.min_agents or 1) > self.num_agents,
-            f"min_agents must be at most num_agents {self.num_agents}, not "
-            f"{self.min_agents}",
-        )
-        yield (
-            goals.drive_out and goals.dynamic,
-            "goals.drive_out needs fixed goals, goals.dynamic = False",
-        )
-        yield (
-            goals.drive_out and any(spawn.ratios),
-            "goals.drive_out needs starts at random: spawn.close_ratio, "
-            "conflict_ratio, reverse_ratio and misaligned_ratio = 0",
-        )
-        yield (
-            goals.drive_out and bool(self.num_parked_cars or self.fleet.agents),
-            "goals.drive_out needs bays without parked cars that fit every agent: "
-            "num_parked_cars = 0 and no fleet.agents",
-        )
-        other = f"a physics other than {physics.back_end}"
+        most, least = self.num_agents, self.min_agents
+        too_many = (least or 1) > most
+        yield too_many, f"min_agents must be at most num_agents {most}, not {least}"
+        out, full = goals.drive_out, bool(self.num_parked_cars or self.fleet.agents)
+        yield out and goals.dynamic, "goals.drive_out needs goals.dynamic = False"
+        yield out and any(spawn.ratios), "goals.drive_out needs all ratios of spawn = 0"
+        yield out and full, "goals.drive_out needs num_parked_cars = 0 and no fleet"
+        back_end = physics.back_end
         only_fixed = goals.dynamic or not physics.steers
-        for name in ("reverse_ratio", "misaligned_ratio"):
-            yield (
-                bool(getattr(spawn, name)) and only_fixed,
-                f"spawn.{name} {getattr(spawn, name)} needs fixed goals and cars that "
-                f"steer: goals.dynamic = False, and {other}",
-            )
+        needs = "needs goals.dynamic = False and a physics whose cars steer; physics is"
+        for setting, value in (
+            ("spawn.reverse_ratio", spawn.reverse_ratio),
+            ("spawn.misaligned_ratio", spawn.misaligned_ratio),
+            ("reward.route or observation.route", self.follows_routes),
+        ):
+            yield bool(value) and only_fixed, f"{setting} {value} {needs} {back_end}"
         rules = find_rules(episode.parked_rule)
         yield (
             bool(spawn.misaligned_ratio) and not all(x.inside_lines for x in rules),
             f"spawn.misaligned_ratio {spawn.misaligned_ratio} needs a parked rule that "
             f"asks for the lines of the bay, as strict, not {episode.parked_rule}",
         )
-        yield (
-            self.randomization.is_on and not physics.randomized,
-            f"randomization has no effect in {physics.back_end} physics, whose cars "
-            "have no such parameters: leave it off, or use another physics",
-        )
-        yield (
-            self.follows_routes and only_fixed,
-            "reward.route and observation.route need fixed goals and cars that steer: "
-            f"goals.dynamic = False, and {other}",
-        )
+        varies = self.randomization.is_on
         reach, brake = self.reward.reeds_shepp_reach, self.sim.emergency_brake
+        for wrong, what in (
+            (
+                varies and not physics.randomized,
+                "randomization has no effect: leave it off",
+            ),
+            (reach and not physics.steers, f"reeds_shepp_reach must be 0, not {reach}"),
+            (brake and not physics.actuated, f"emergency_brake must be 0, not {brake}"),
+        ):
+            yield bool(wrong), f"in {back_end} physics {what}"
+        scale = episode.hitbox_scale
         yield (
-            bool(reach) and not physics.steers,
-            f"reward.reeds_shepp_reach {reach} needs cars that steer: {other}",
-        )
-        yield (
-            bool(brake) and not physics.actuated,
-            f"sim.emergency_brake {brake} needs cars that brake by a pedal: {other}",
-        )
-        yield (
-            episode.hitbox_scale != 1.0 and physics.contacts,
-            f"episode.hitbox_scale must be 1 in {physics.back_end} physics, where "
-            f"crashes are contacts, not {episode.hitbox_scale}",
+            scale != 1.0 and physics.contacts,
+            f"episode.hitbox_scale must be 1 in {back_end} physics, not {scale}",
         )
         observation = self.observation
-        yield (
-            bool(self.fleet.agents) and not observation.sees_own_car,
-            "fleet.agents needs observation.own_car = True of the encoding "
-            "'continuous': agents with different cars must observe their own car",
-        )
+        unaware = bool(self.fleet.agents) and not observation.sees_own_car
+        yield unaware, "fleet.agents needs observation.own_car = True"
         if scheme is None:
             return
-        yield (
-            not goals.dynamic,
-            f"giving_way.scheme {scheme!r} needs dynamic goals, goals.dynamic = True",
-        )
+        asks = f"giving_way.scheme {scheme!r}"
+        yield not goals.dynamic, f"{asks} needs dynamic goals, goals.dynamic = True"
         wanted, found = self.giving_way.global_information, observation.sees_everywhere
-        yield (
-            found != wanted,
-            f"giving_way.scheme {scheme!r} needs observation.global_information = "
-            f"{wanted}, not {found}",
-        )
-        tracked = observation.tracked.agents or observation.tracked.cars
-        yield (
-            (self.giving_way.context or "").startswith("local") and not tracked,
-            f"giving_way.scheme {scheme!r} is about tracked agents: observation must "
-            "track at least 1, not 0",
-        )
+        what = f"needs observation.global_information = {wanted}, not {found}"
+        yield found != wanted, f"{asks} {what}"
+        local = (self.giving_way.context or "").startswith("local")
+        blind = local and not (observation.tracked.agents or observation.tracked.cars)
+        yield blind, f"{asks} needs an observation that tracks at least 1 agent"
 
     @functools.cached_property
     def physics_config(self) -> PhysicsConfig:
@@ -241,9 +207,6 @@ def is_data(config: Any, path: str) -> bool:
     """Whether a setting, as `reward.park`, can have other values in one program.
 
     It must be a number: None and truth values decide what is computed.
-
-    Raises:
-        ValueError: there is no such setting.
     """
     value = setting(config, path)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -258,11 +221,7 @@ def is_data(config: Any, path: str) -> bool:
 
 
 def setting(config: Any, path: str) -> Any:
-    """The value of a setting by its path.
-
-    Raises:
-        ValueError: there is no such setting.
-    """
+    """The value of a setting by its path; `ValueError` if there is none."""
     if isinstance(config, ExtraTerms):
         return config[_require_setting(config, path)]
     name, dot, rest = path.partition(".")
@@ -271,11 +230,7 @@ def setting(config: Any, path: str) -> Any:
 
 
 def insert(config: Config, values: Mapping[str, Any]) -> Config:
-    """A config with other values, which may be traced and are not checked, by path.
-
-    Raises:
-        ValueError: there is no such setting.
-    """
+    """A config with other values, which may be traced and are not checked, by path."""
     new = copy.copy(config)
     own = getattr(new, "__dict__", {})
     for computed in own.keys() - {*_names(new)}:

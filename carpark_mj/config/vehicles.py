@@ -13,9 +13,5 @@ def is_name(vehicle: str) -> bool:
 
 
 def with_parameters(vehicle: str) -> str:
-    """A vehicle as configs store it: the parameters of a file, or a name unchanged.
-
-    Raises:
-        ValueError: no such file, or a fault in it.
-    """
+    """A vehicle as configs store it: the parameters of a file, or a name unchanged."""
     return vehicle if is_name(vehicle) else _TEXT.load()(vehicle)

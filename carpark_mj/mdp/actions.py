@@ -17,12 +17,11 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class ActionSpec:
-    """Parts of an agent's action: numbers in [-1, 1], then indices.
+    """Parts of an agent's action; of indices only it is int32, any other float32.
 
     Attributes:
         continuous: number of continuous entries, in [-1, 1], which come first.
-        choices: number of choices of each index that follows. An action of indices only
-            is int32, any other float32.
+        choices: number of choices of each index that follows.
     """
 
     continuous: int
@@ -94,10 +93,9 @@ def sanitize_numbers(numbers: jax.Array) -> tuple[jax.Array, jax.Array]:
 def sanitize_indices(
     indices: jax.Array, choices: tuple[int, ...]
 ) -> tuple[jax.Array, jax.Array]:
-    """Indices (..., k) int32 in the ranges of their branches of `choices`.
+    """Indices (..., k) int32 within `choices`, and (...) bool, whether any was not.
 
-    The middle one for NaN, the nearest for other invalid numbers; and (...) bool,
-    whether any was replaced.
+    NaN becomes the middle one, any other invalid number the nearest.
     """
     most = jnp.array(choices, jnp.float32) - 1
     value = indices.astype(jnp.float32)

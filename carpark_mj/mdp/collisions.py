@@ -70,14 +70,11 @@ _Hits = dict[ObstacleKind, jax.Array]
 def find_hits(
     state: State, hitbox_scale: jax.Array | float = 1.0
 ) -> dict[str, jax.Array]:
-    """What each agent touched during the step that led to a state.
+    """What agents touched in the step that led to a state, (num_agents,) bool by kind.
 
-    `hitbox_scale` () multiplies all cars' lengths and widths; it has no effect in
-    physics with contacts.
-
-    Returns:
-        (num_agents,) bool by the labels of `ObstacleKind`; in a collision of two agents
-        both are hit.
+    By the labels of `ObstacleKind`; in a collision of two agents both are hit.
+    `hitbox_scale` () multiplies all cars' sizes; in physics with contacts it has no
+    effect.
     """
     motion, parked_cars, movers = state.motion, state.parked_cars, state.movers
     if motion.touched is not None:
@@ -166,16 +163,10 @@ def find_hits_and_kerbs(config: EpisodeConfig, state: State) -> dict[str, jax.Ar
 def kerb_stops(
     config: EnvConfig, state: State, motion: Motion
 ) -> tuple[jax.Array, jax.Array]:
-    """Cars that a kerb stops in a step, and how.
+    """Cars that a kerb stops in a step, (num_agents,) bool: they touch one slowly.
 
-    Args:
-        config: the environment.
-        state: at the start of the step.
-        motion: of its cars at the end, as if there were no kerbs.
-
-    Returns:
-        (num_agents,) bool, those that touch one slowly, and their traces
-        (num_agents, k, 3), which end at the last instant before they touch.
+    `state` is at the start of the step, `motion` at its end as if there were no kerbs.
+    Their traces (num_agents, k, 3) end at the last instant before they touch.
     """
     trace_w = motion.trace_w
     count = trace_w.shape[1]
@@ -217,10 +208,7 @@ def low_obstacles(config: EpisodeConfig, layout: Layout) -> Boxes:
 def wheel_boxes(state: State, pose_w: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Rectangles about the tyres, at the height of a kerb, of cars at poses.
 
-    Poses (num_agents, ..., 3) are of the footprints' centres.
-
-    Returns:
-        Poses (num_agents, ..., 3) and sizes (num_agents, 2).
+    Poses (num_agents, ..., 3) are of centres; returns poses and sizes (num_agents, 2).
     """
     car = state.physics.vehicle
     # A wheel of radius r touches an edge at height h this far ahead of its hub.
@@ -233,9 +221,8 @@ def wheel_boxes(state: State, pose_w: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 def agent_clearance(motion: Motion) -> jax.Array:
     """Gap (num_agents,) [m] to the nearest other agent, as they stand; inf if alone."""
-    num_agents = motion.size.shape[0]
-    crowded = is_crowded(num_agents, num_agents)
-    find = _near_agent_gap if crowded else _agent_gap
+    count = motion.size.shape[0]
+    find = _near_agent_gap if is_crowded(count, count) else _agent_gap
     return find(motion.pose_w, motion.size)
 
 
@@ -286,8 +273,8 @@ def clearances(motion: Motion, obstacles: Sequence[Group]) -> dict[str, jax.Arra
             own_size = motion.size[:, None, None]
             return take(traced, index).distance(own[:, None], own_size).min(axis=-1)
 
-        counts = group.counts(motion.size.shape[0])
-        return least_near(jnp.where(counts, bound, jnp.inf), find, RANGE, NEAREST_CHUNK)
+        bound = jnp.where(group.counts(motion.size.shape[0]), bound, jnp.inf)
+        return least_near(bound, find, RANGE, NEAREST_CHUNK)
 
     return _least_by_kind(obstacles, clearance)
 
@@ -318,10 +305,8 @@ def collision_times(motion: Motion, obstacles: Sequence[Group]) -> dict[str, jax
         # inf where they keep their distance.
         free = gap - norm(motion.size)[:, None] / 2 - MARGIN
         bound = jnp.where(free > 0.0, free / norm(relative), 0.0)
-        counts = group.counts(motion.size.shape[0])
-        return least_near(
-            jnp.where(counts, bound, jnp.inf), find, HORIZON, NEAREST_CHUNK
-        )
+        bound = jnp.where(group.counts(motion.size.shape[0]), bound, jnp.inf)
+        return least_near(bound, find, HORIZON, NEAREST_CHUNK)
 
     return _least_by_kind(obstacles, contact_time)
 
@@ -330,12 +315,9 @@ def first_safety(kinds: Sequence[ObstacleKind]) -> dict[str, float]:
     """Names, and values at the start of an episode, of what agents can hit."""
     labels = [kind.label for kind in kinds]
     return {
-        "acceleration_sum": 0.0,
-        "jerk_sum": 0.0,
-        "peak_acceleration": 0.0,
-        "peak_jerk": 0.0,
-        "last_acceleration_x": 0.0,
-        "last_acceleration_y": 0.0,
+        **dict.fromkeys(("acceleration_sum", "jerk_sum"), 0.0),
+        **dict.fromkeys(("peak_acceleration", "peak_jerk"), 0.0),
+        **dict.fromkeys(("last_acceleration_x", "last_acceleration_y"), 0.0),
         **{f"min_clearance_{label}": RANGE for label in labels},
         **{f"min_collision_time_{label}": HORIZON for label in labels},
     }
@@ -347,23 +329,13 @@ def measure_safety(ctrl_dt: float, transition: Transition) -> dict[str, jax.Arra
     motion = after.motion
     there = lot_obstacles(after.layout, motion, after.parked_cars, after.movers)
     gaps, times = clearances(motion, there), collision_times(motion, there)
-    return {
-        **_smoothness(ctrl_dt, transition),
-        **{f"min_clearance_{kind}": gap for kind, gap in gaps.items()},
-        **{f"min_collision_time_{kind}": time for kind, time in times.items()},
-    }
-
-
-def _smoothness(ctrl_dt: float, transition: Transition) -> dict[str, jax.Array]:
-    """Acceleration and jerk of the rear axle: differences over control steps.
-
-    Both are vectors in the plane, so lateral acceleration counts as braking does.
-    """
 
     def velocity_w(motion: Motion) -> jax.Array:
         return rotate(motion.velocity_b, motion.pose_w[..., 2])
 
-    gained = velocity_w(transition.after.motion) - velocity_w(transition.before.motion)
+    # Of the rear axle: differences over control steps, as vectors in the plane, so that
+    # lateral acceleration counts as braking does.
+    gained = velocity_w(motion) - velocity_w(transition.before.motion)
     x, y = jnp.moveaxis(gained / ctrl_dt, -1, 0)
     last = transition.before.stats.tallies
     acceleration = jnp.hypot(x, y)
@@ -376,4 +348,6 @@ def _smoothness(ctrl_dt: float, transition: Transition) -> dict[str, jax.Array]:
         "peak_jerk": jerk,
         "last_acceleration_x": x,
         "last_acceleration_y": y,
+        **{f"min_clearance_{kind}": gap for kind, gap in gaps.items()},
+        **{f"min_collision_time_{kind}": time for kind, time in times.items()},
     }

@@ -1,25 +1,20 @@
-"""Goals: which bay an agent heads for.
+"""Goals: which bay an agent heads for; docs/dynamic_goals.md has more.
 
-Fixed goals are drawn by the environment for each episode (`carpark_mj.spawning.goals`)
-and last as long. Dynamic goals are chosen by the agents: at the start of every step to
-explore, or to head for a bay they track. The options of an agent do not depend on the
-choices of the others, so their order does not matter. At the end of the step agents
-lose goals in which another agent has parked, and goals that they no longer track.
+Fixed goals are drawn for each episode (`carpark_mj.spawning.goals`). Dynamic goals are
+chosen by the agents at the start of every step: to explore, or to head for a bay they
+track. At its end they lose goals in which another agent has parked, and goals that they
+no longer track.
 
 A bay is free if it holds no parked car, even if it is another agent's goal or an agent
 is in it (Tanner 2022). An agent tracks the nearest free bays. A bay keeps its slot for
-as long as it is tracked, as in the study's text, so that an index means one bay from
-step to step. With `GoalConfig.slots_by_distance` the bays are sorted
-by distance at every step, as in the study's program.
+as long as it is tracked, as in the study's text; with `GoalConfig.slots_by_distance`
+bays are sorted by distance at every step, as in the study's program.
 
 *Giving way*: an agent with a goal is in a context of `CONTEXTS` if another agent is
 strictly nearer to that goal (centres, world distance), and is tracked or has the same
-goal; docs/dynamic_goals.md has a table of them in the notation of Tanner 2022.
-
-The situation of a step is what agents observe when they choose: poses and tracked
-agents at its start. Agents choose in the order of their numbers, as in the study. Each
-sees the new goals of agents before it and the old goals of agents after it. All cars
-move after the last choice.
+goal. Poses and tracked agents are those at the start of the step. Agents choose in the
+order of their numbers, as in the study: each sees the new goals of agents before it and
+the old goals of agents after it. All cars move after the last choice.
 """
 
 from __future__ import annotations
@@ -41,16 +36,9 @@ if TYPE_CHECKING:
 
 Scheme = Literal["L,L,S", "L,L,A", "G,L,S", "G,L,A", "G,G,S", "G,G,A"]
 CONTEXTS = (
-    "local_same",
-    "local_any",
-    "global_same",
-    "global_any",
-    "untracked_same",
-    "untracked_any",
-    "untracked_other",
-    "only_untracked_same",
-    "only_untracked_any",
-    "global_same_not_local_any",
+    *("local_same", "local_any", "global_same", "global_any"),
+    *("untracked_same", "untracked_any", "untracked_other"),
+    *("only_untracked_same", "only_untracked_any", "global_same_not_local_any"),
 )
 
 
@@ -121,10 +109,8 @@ class GivingWayConfig(CheckedConfig):
 
 def init_tracked_bays(config: EnvConfig) -> jax.Array | None:
     """Empty slots (num_agents, num_tracked_bays) int32; None if goals are fixed."""
-    if not config.goals.dynamic:
-        return None
     shape = config.num_agents, config.goals.num_tracked_bays
-    return jnp.full(shape, NO_BAY, jnp.int32)
+    return jnp.full(shape, NO_BAY, jnp.int32) if config.goals.dynamic else None
 
 
 def choose_goals(config: EnvConfig, state: State, choice: jax.Array | None) -> State:
@@ -158,14 +144,9 @@ def target_bay(
 ) -> tuple[jax.Array, jax.Array]:
     """Each agent's goal or, while it explores, the nearest bay it tracks.
 
-    Args:
-        layout: the lot.
-        goal: (num_agents,) int32.
-        tracked_bays: (num_agents, num_tracked_bays) int32.
-        xy: (num_agents, 2) centres of the agents [m].
-
-    Returns:
-        (num_agents,) int32, and (num_agents,) bool, whether the bay exists.
+    Goals are (num_agents,) int32, tracked bays (num_agents, num_tracked_bays) int32,
+    and centres (num_agents, 2) [m]. Returns (num_agents,) int32, and (num_agents,)
+    bool, whether the bay exists.
     """
     rows = jnp.minimum(tracked_bays, layout.num_bays - 1)
     gap = norm(layout.bay_pose[rows, :2] - xy[:, None])
@@ -180,15 +161,9 @@ def update_goals(
 ) -> tuple[State, GoalEvents | None]:
     """Drops lost goals and updates tracked bays at the end of a step.
 
-    Args:
-        config: the environment.
-        before: at the start of the step, goals not chosen yet.
-        after: at its end, goals as chosen, parked cars relocated.
-        events: of the step.
-
-    Returns:
-        The state, and what happened to goals, all False for agents that had finished;
-        None if goals are fixed.
+    Goals are not chosen yet in `before`, and chosen in `after`, where parked cars are
+    relocated. Returns the state, and what happened to goals, all False for agents that
+    had finished; None if goals are fixed.
     """
     if not config.goals.dynamic:
         return after, None
@@ -198,9 +173,8 @@ def update_goals(
     # Where finished agents stay, those that have parked stand in their bays.
     respawn = config.episode.respawn
     leaves = events.done if respawn else events.done & ~events.parked
-    state = dataclasses.replace(
-        after, goal=jnp.where(taken | leaves, NO_BAY, after.goal)
-    )
+    kept = jnp.where(taken | leaves, NO_BAY, after.goal)
+    state = dataclasses.replace(after, goal=kept)
     tracking = track_bays(config, state)
     old, chosen, active = before.goal, after.goal, before.active
     had, has = active & (old != NO_BAY), active & (chosen != NO_BAY)
@@ -289,12 +263,8 @@ def find_contexts(
     """Contexts (num_agents,) bool of each agent by name, see `CONTEXTS`.
 
     Agents that have finished are in no context and cause none; one that explored is in
-    none.
-
-    Args:
-        before: at the start of the step, goals not chosen yet.
-        chosen: (num_agents,) int32 goals chosen.
-        tracked: (num_agents, num_agents) bool, [i, j] whether agent i tracks agent j.
+    none. In `before` goals are not chosen yet, `chosen` (num_agents,) int32 are, and
+    `tracked` are `tracks`.
     """
     goal, active = before.goal, before.active
     aim = before.layout.bay_pose[jnp.minimum(goal, before.layout.num_bays - 1), :2]

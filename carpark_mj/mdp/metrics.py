@@ -26,7 +26,7 @@ from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.progress import direction_of_travel, is_nearer
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.obstacles import hit_kinds
-from carpark_mj.types import NO_BAY, EpisodeStats, Events, State, Transition
+from carpark_mj.types import NO_BAY, EpisodeStats, State, Transition
 
 if TYPE_CHECKING:
     from carpark_mj.config import EnvConfig
@@ -104,11 +104,7 @@ METRICS: Registry[Metric] = Registry("metric", "carpark_mj.mdp.people")
 
 
 def register_metric(metric: Metric) -> None:
-    """Makes a metric known by its name.
-
-    Raises:
-        ValueError: the name is taken, or the metric has no value.
-    """
+    """Makes a metric known by its name; `ValueError` if taken, or without a value."""
     if metric.value is None:
         raise ValueError(f"metric {metric.name!r} needs a value, its number of a step")
     METRICS.register(metric.name, metric)
@@ -201,22 +197,13 @@ def episode_metrics(
     `stats` are of the episodes, the step included.
     """
     pose_w, target = transition.after.motion.pose_w, transition.target_pose
-    events = {
-        field.name: value
-        for field in dataclasses.fields(Events)
-        if (value := getattr(transition.events, field.name)) is not None
-    }
+    turned = pose_w[..., 2] - target[..., 2]
+    counts = ("episode_return", "length", "path", "gear_changes", "invalid_actions")
     metrics = {
-        **events,
-        "episode_return": stats.episode_return,
-        "length": stats.length,
-        "path": stats.path,
-        "gear_changes": stats.gear_changes,
-        "invalid_actions": stats.invalid_actions,
+        **{name: x for name, x in vars(transition.events).items() if x is not None},
+        **{name: getattr(stats, name) for name in counts},
         "final_distance": norm(pose_w[..., :2] - target[..., :2]),
-        "final_heading": heading_error(
-            pose_w[..., 2] - target[..., 2], transition.one_way
-        ),
+        "final_heading": heading_error(turned, transition.one_way),
         "final_speed": jnp.abs(transition.after.motion.speed),
     }
     if stats.wrong_way is not None:
@@ -248,26 +235,15 @@ def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
         if metric.tally in first:
             raise ValueError(f"there is a metric {metric.tally!r} already")
         first[metric.tally] = metric.first
-    return {
-        name: jnp.full(config.num_agents, value, jnp.float32)
-        for name, value in first.items()
-    }
+    return {k: jnp.full(config.num_agents, x, jnp.float32) for k, x in first.items()}
 
 
 def fold_tallies(
     tallies: dict[str, jax.Array], step: dict[str, jax.Array]
 ) -> dict[str, jax.Array]:
-    """Tallies (num_agents,) with a step's numbers of equal names folded in.
-
-    Raises:
-        ValueError: a name is only among the tallies or only in the step.
-    """
-    if tallies.keys() != step.keys():
-        raise ValueError(
-            "tallies and numbers of a step must have equal names, but "
-            f"{sorted(tallies.keys() - step.keys())} are only tallies and "
-            f"{sorted(step.keys() - tallies.keys())} only numbers of the step"
-        )
+    """Tallies (num_agents,) with a step's numbers of equal names folded in."""
+    if only := tallies.keys() ^ step.keys():
+        raise ValueError(f"{sorted(only)} are not both tallies and numbers of the step")
     folded: dict[str, jax.Array] = {}
     for name, old in tallies.items():
         new = step[name].astype(jnp.float32)
@@ -282,13 +258,8 @@ def fold_tallies(
 
 
 SUMS = (
-    "speed_sum",
-    "yaw_rate_sum",
-    "steering_rate_sum",
-    "goal_steps",
-    "towards_goal_steps",
-    "nearest_car_sum",
-    "nearest_car_steps",
+    *("speed_sum", "yaw_rate_sum", "steering_rate_sum"),
+    *("goal_steps", "towards_goal_steps", "nearest_car_sum", "nearest_car_steps"),
 )
 
 
@@ -317,11 +288,9 @@ def _nearest_car(state: State) -> dict[str, jax.Array]:
     mask = others & jnp.concatenate([agents, parked.present])
     distance = norm(own[:, None] - other)
     nearest = jnp.min(jnp.where(mask, distance, jnp.inf), axis=1)
-    is_any = jnp.isfinite(nearest)
-    return {
-        "nearest_car_sum": jnp.where(is_any, nearest, 0.0),
-        "nearest_car_steps": is_any,
-    }
+    known = jnp.isfinite(nearest)
+    nearest = jnp.where(known, nearest, 0.0)
+    return {"nearest_car_sum": nearest, "nearest_car_steps": known}
 
 
 CHANGES = ("stop_explore", "change_goal", "stop_goal", "lost_untracked", "lost_taken")

@@ -27,15 +27,10 @@ _QUEUE = 20.0  # m between them
 
 
 class BayFits(NamedTuple):
-    """Bays that cars of different sizes can use; None = all of them.
+    """Bays that cars of different sizes can use; None = all of them."""
 
-    Attributes:
-        agents: (num_agents, bays) bool, bays that can be an agent's goal.
-        parked_cars: (num_parked_cars, bays) bool, bays that a parked car can stand in.
-    """
-
-    agents: jax.Array | None = None
-    parked_cars: jax.Array | None = None
+    agents: jax.Array | None = None  # (num_agents, bays) bool, can be an agent's goal
+    parked_cars: jax.Array | None = None  # (num_parked_cars, bays) bool, can hold it
 
 
 def fits(bay_size: jax.Array, car_size: jax.Array, slack: float = 0.0) -> jax.Array:
@@ -170,9 +165,8 @@ def relocate_parked_cars(
             score = distance
         able = ~moved & (bay != NO_BAY)
         if movers := state.movers.groups:
-            there = poses_in_bays(
-                layout, dataclasses.replace(cars, bay=jnp.full_like(bay, goal))
-            )
+            inside = dataclasses.replace(cars, bay=jnp.full_like(bay, goal))
+            there = poses_in_bays(layout, inside)
             able = able & ~touches(there, cars.size, movers)
         if parked_fits is not None:
             able = able & parked_fits[:, goal]
@@ -183,9 +177,8 @@ def relocate_parked_cars(
         return jnp.where(moves, goal, bay), moved | moves, left
 
     # A loop over agents that have parked only: in most steps there are none.
-    bay, *_ = jax.lax.while_loop(
-        lambda carry: carry[2].any(), move, (cars.bay, none, events.parked)
-    )
+    start = cars.bay, none, events.parked
+    bay, *_ = jax.lax.while_loop(lambda carry: carry[2].any(), move, start)
     return in_bays(layout, cars, bay)
 
 
@@ -196,5 +189,5 @@ def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
     """
     found = config.observation.tracks_parked_cars(state)
     if found is None:
-        return jnp.zeros((state.goal.shape[0], state.parked_cars.bay.shape[0]), bool)
+        return jnp.zeros((*state.goal.shape, *state.parked_cars.bay.shape), bool)
     return found if state.present is None else found & state.present[:, None]

@@ -54,18 +54,16 @@ def _hit(transition: Transition) -> jax.Array:
     return jnp.zeros(transition.goal.shape) if hit is None else hit.astype(jnp.float32)
 
 
-def person(config: EnvConfig, transition: Transition) -> jax.Array:
+def person(_: EnvConfig, transition: Transition) -> jax.Array:
     """Penalty for a contact with a person, in addition to that of the crash."""
-    del config
     return _hit(transition)
 
 
-def comfort(config: EnvConfig, transition: Transition) -> jax.Array:
+def comfort(_: EnvConfig, transition: Transition) -> jax.Array:
     """Penalty per step for passing people fast: (share of 2 m missing, times m/s)².
 
     The square makes passing slowly cheaper than passing fast, which takes fewer steps.
     """
-    del config
     near = jnp.maximum(1.0 - _gap(transition.after) / COMFORT, 0.0)
     return jnp.square(near * _speed(transition.after))
 
@@ -80,9 +78,8 @@ def _is_near_miss(state: State) -> jax.Array:
     return soon | ((_gap(state) < CLOSE) & (_speed(state) > FAST))
 
 
-def near_misses(config: EnvConfig, transition: Transition) -> jax.Array:
+def near_misses(_: EnvConfig, transition: Transition) -> jax.Array:
     """1 in the step in which a near miss begins."""
-    del config
     began = _is_near_miss(transition.after) & ~_is_near_miss(transition.before)
     return began.astype(jnp.float32)
 
@@ -96,9 +93,8 @@ def speed_at_least_gap(config: EnvConfig, transition: Transition) -> jax.Array:
     return jnp.where(gap < tallies["min_person_gap"], change, 0.0)
 
 
-def contact_speed(config: EnvConfig, transition: Transition) -> jax.Array:
+def contact_speed(_: EnvConfig, transition: Transition) -> jax.Array:
     """Own speed at a contact with a person, before the step in which it happened."""
-    del config
     speed = jnp.maximum(_speed(transition.before), _speed(transition.after))
     return _hit(transition) * speed
 
@@ -116,39 +112,21 @@ def waiting(config: EnvConfig, transition: Transition) -> jax.Array:
     return (stands & near) * config.sim.ctrl_dt
 
 
-_METRICS: dict[str, tuple[str, str, Pool, Callable[..., jax.Array]]] = {
-    "near_misses": (
-        "",
-        f"near misses: time to collision with a person below {CLOSE_TIME:g} s, or a "
-        f"gap below {CLOSE:g} m at more than {FAST:g} m/s",
-        "mean",
-        near_misses,
-    ),
-    "min_person_gap": (
-        "m",
-        f"smallest gap to a person at the ends of steps; capped at {RANGE:g} m",
-        "least",
-        lambda config, step: _gap(step.after),
-    ),
-    "person_speed": ("m/s", "own speed at that gap", "mean", speed_at_least_gap),
-    "peak_contact_speed": (
-        "m/s",
-        "own speed at a contact with a person; 0 without one",
-        "most",
-        contact_speed,
-    ),
-    "hard_braking": (
-        "steps",
-        f"steps that brake by more than {HARD_BRAKING:g} m/s²",
-        "mean",
-        hard_braking,
-    ),
-    "waiting": (
-        "s",
-        f"time standing with a person within {WAITS_FOR:g} m",
-        "mean",
-        waiting,
-    ),
-}
-for _name, (_unit, _meaning, _pool, _value) in _METRICS.items():
+_MISSES = (
+    f"near misses: time to collision with a person below {CLOSE_TIME:g} s, or a gap "
+    f"below {CLOSE:g} m at more than {FAST:g} m/s"
+)
+_LEAST_GAP = f"smallest gap to a person at the ends of steps; capped at {RANGE:g} m"
+_CONTACT = "own speed at a contact with a person; 0 without one"
+_BRAKING = f"steps that brake by more than {HARD_BRAKING:g} m/s²"
+_WAITING = f"time standing with a person within {WAITS_FOR:g} m"
+_METRICS: tuple[tuple[str, str, Pool, Callable[..., jax.Array], str], ...] = (
+    ("near_misses", "", "mean", near_misses, _MISSES),
+    ("min_person_gap", "m", "least", lambda _, step: _gap(step.after), _LEAST_GAP),
+    ("person_speed", "m/s", "mean", speed_at_least_gap, "own speed at that gap"),
+    ("peak_contact_speed", "m/s", "most", contact_speed, _CONTACT),
+    ("hard_braking", "steps", "mean", hard_braking, _BRAKING),
+    ("waiting", "s", "mean", waiting, _WAITING),
+)
+for _name, _unit, _pool, _value, _meaning in _METRICS:
     register_metric(Metric(_name, _unit, _meaning, _pool, value=_value, kind=PERSON))

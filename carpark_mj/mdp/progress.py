@@ -99,10 +99,8 @@ def drives_wrong_way(layout: Layout, motion: Motion) -> jax.Array | None:
     direction of motion. The heading does not matter, so a reversing car counts by where
     it goes. A one-way lane allows directions within `AGAINST` of its own, any other
     lane all directions. The halves of a two-way street are one-way lanes
-    (`layouts.build.two_lanes`), so driving on the wrong side counts.
-
-    Returns:
-        (num_agents,) bool; None in lots that never have lanes.
+    (`layouts.build.two_lanes`), so driving on the wrong side counts. (num_agents,)
+    bool; None in lots that never have lanes.
     """
     if not layout.has_lanes:
         return None
@@ -115,15 +113,10 @@ def drives_wrong_way(layout: Layout, motion: Motion) -> jax.Array | None:
 
 
 class Effort(NamedTuple):
-    """Steering change and speed of a step, as shares of the most; (num_agents,) each.
+    """Steering change and speed (num_agents,) of a step, as shares of the most."""
 
-    Attributes:
-        turn: what `PhysicsConfig.turn` says, over the largest.
-        speed: absolute speed at the end of the step over the higher of both limits.
-    """
-
-    turn: jax.Array
-    speed: jax.Array
+    turn: jax.Array  # what `PhysicsConfig.turn` says, over the largest
+    speed: jax.Array  # absolute, at the end of the step, over the higher of both limits
 
 
 def effort(config: EnvConfig, transition: Transition) -> Effort:
@@ -133,7 +126,5 @@ def effort(config: EnvConfig, transition: Transition) -> Effort:
     physics = config.physics_config
     turn = physics.turn(before, after, ctrl_dt)
     top = physics.top_speed(vehicle, ctrl_dt)
-    return Effort(
-        turn=turn / physics.largest_turn(vehicle, ctrl_dt),
-        speed=jnp.abs(after.speed) / top,
-    )
+    share = turn / physics.largest_turn(vehicle, ctrl_dt)
+    return Effort(share, jnp.abs(after.speed) / top)

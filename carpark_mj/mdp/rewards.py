@@ -16,7 +16,15 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import CheckedConfig, Finite, NonNegative, data, is_finite
+from carpark_mj.config.checks import (
+    Bounds,
+    CheckedConfig,
+    Finite,
+    NonNegative,
+    data,
+    is_finite,
+    require_number,
+)
 from carpark_mj.extensions import Registry
 from carpark_mj.geometry import norm
 from carpark_mj.layouts.routes import route_to
@@ -129,11 +137,8 @@ class ExtraTerms(dict[str, float]):
                     f"reward term {name!r} has no parameter {parameter!r}: its "
                     f"settings are {', '.join(known)}"
                 )
-            if not is_finite(value) or (key == name and value < 0.0):
-                least = "at least 0.0" if key == name else "finite"
-                raise ValueError(f"{key} must be {least}, not {value!r}")
-            if key == name and value > (most := REWARD_TERMS[name].most):
-                raise ValueError(f"{key} must be at most {most}, not {value!r}")
+            weights = Bounds(ge=0.0, le=REWARD_TERMS[name].most)
+            require_number(key, value, weights if key == name else Bounds())
             if name not in self:
                 raise ValueError(f"{key} needs {name}, the weight of the term")
 
@@ -173,20 +178,16 @@ class GoalRewards(CheckedConfig):
 
         The study asks for a negative `change_goal`, but publishes a run with 0.
         """
-        if self.continue_explore >= 0.0:
+        explore, change = self.continue_explore, self.change_goal
+        if explore >= 0.0 or change > 0.0:
             raise ValueError(
-                "reward.goals.continue_explore must be negative with dynamic goals, "
-                f"not {self.continue_explore}"
+                "with dynamic goals reward.goals.continue_explore must be negative and "
+                f"change_goal at most 0, not {explore} and {change}"
             )
-        if self.change_goal > 0.0:
-            raise ValueError(
-                "reward.goals.change_goal must be at most 0 with dynamic goals, not "
-                f"{self.change_goal}"
-            )
-        if abs(self.stop + self.stop_explore - self.change_goal) > TOLERANCE:
+        if abs(self.stop + self.stop_explore - change) > TOLERANCE:
             raise ValueError(
                 "reward.goals must have change_goal = stop_goal + stop_explore, not "
-                f"{self.change_goal} = {self.stop} + {self.stop_explore}"
+                f"{change} = {self.stop} + {self.stop_explore}"
             )
 
 
@@ -239,20 +240,14 @@ class RewardConfig(CheckedConfig):
         if isinstance(self.extra, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]
             object.__setattr__(self, "extra", ExtraTerms(self.extra))
         super().__post_init__()
-        names = [
-            x.name
-            for x in (*dataclasses.fields(self), *dataclasses.fields(GoalRewards))
-        ]
-        ExtraTerms(self.extra).check({*names, "lost_goal", "bad_goal"})
+        own = (*dataclasses.fields(self), *dataclasses.fields(GoalRewards))
+        names = {field.name for field in own}
+        ExtraTerms(self.extra).check(names | {"lost_goal", "bad_goal"})
 
     def parameters(self, name: str) -> dict[str, float]:
         """Parameters of a term that `extra` gives other values than the defaults."""
-        start = f"{name}."
-        return {
-            key.removeprefix(start): value
-            for key, value in self.extra.items()
-            if key.startswith(start)
-        }
+        start, given = f"{name}.", self.extra.items()
+        return {k.removeprefix(start): x for k, x in given if k.startswith(start)}
 
 
 REWARDS: Registry[RewardConfig] = Registry("reward", "carpark_mj.tasks.goal_pose")
@@ -273,10 +268,9 @@ def term_weights(config: EnvConfig) -> dict[str, float]:
 def reward_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Array]:
     """The reward of a step, term by term.
 
-    Returns:
-        (num_agents,) float32 by the names of `term_weights`, weights and signs applied;
-        0 for agents that had finished before, or whose physics diverged. Terms whose
-        weights are known to be 0 are not computed.
+    (num_agents,) float32 by the names of `term_weights`, weights and signs applied; 0
+    for agents that had finished before, or whose physics diverged. Terms whose weights
+    are known to be 0 are not computed.
     """
     pays = transition.before.active & ~transition.events.diverged
 
@@ -302,16 +296,15 @@ def _potential(
 ) -> jax.Array:
     """Potential (num_agents,) of poses (num_agents, 3) for the goals of the step."""
     weights, state, target = config.reward, transition.after, transition.target_pose
+    reach, one_way = weights.reeds_shepp_reach, transition.one_way
     distance = norm(pose_w[:, :2] - target[:, :2])
     if weights.route:
         goal = transition.goal
         distance = route_to(state.routes, state.layout, pose_w[:, :2], goal).length
-    if not _is_off(weights.reeds_shepp_reach):
+    if not _is_off(reach):
         car = transition.before.physics.vehicle
-        distance = mix_in_maneuver(
-            weights.reeds_shepp_reach, distance, car, pose_w, target, transition.one_way
-        )
-    return goal_potential(weights, pose_w, target, distance, transition.one_way)
+        distance = mix_in_maneuver(reach, distance, car, pose_w, target, one_way)
+    return goal_potential(weights, pose_w, target, distance, one_way)
 
 
 def _progress(config: EnvConfig, transition: Transition) -> jax.Array:
@@ -348,9 +341,8 @@ def dynamic_progress(config: EnvConfig, transition: Transition) -> jax.Array:
         return goal_potential(weights, pose, layout.parked_pose[bay], one_way=only)
 
     # Of an explorer's nearest bay at the end: another may have become that.
-    ended = goal_potential(
-        weights, after_pose, transition.target_pose, one_way=transition.one_way
-    )
+    target, only = transition.target_pose, transition.one_way
+    ended = goal_potential(weights, after_pose, target, one_way=only)
     start = potential(pose, new)
     moved = jnp.where(exploring, ended, potential(after_pose, new)) - start
     moved = jnp.where(exploring, jnp.minimum(moved, 0.0), moved)
@@ -358,9 +350,8 @@ def dynamic_progress(config: EnvConfig, transition: Transition) -> jax.Array:
     return jnp.where(any_bay, moved + jnp.minimum(switched, 0.0), 0.0)
 
 
-def _closeness(config: EnvConfig, transition: Transition) -> jax.Array:
+def _closeness(_: EnvConfig, transition: Transition) -> jax.Array:
     """Share (num_agents,) of the range by which the nearest agent is too close."""
-    del config
     gap = agent_clearance(transition.after.motion) / CLOSENESS_RANGE
     return jnp.maximum(1.0 - gap, 0.0)
 
@@ -377,16 +368,10 @@ TERMS = {
 def goal_weights(config: EnvConfig) -> dict[str, float]:
     """Weights of `GOAL_TERMS`; `bad_goal` only where there are bad goals."""
     pay, scheme = config.reward.goals, config.giving_way
-    weights: dict[str, float] = {
-        "continue_explore": pay.continue_explore,
-        "stop_explore": pay.stop_explore,
-        "continue_goal": pay.continue_goal,
-        "change_goal": pay.change_goal,
-        "stop_goal": pay.stop,
-        "lost_goal": pay.stop,
-    }
+    names = ("continue_explore", "stop_explore", "continue_goal", "change_goal")
+    weights: dict[str, float] = {name: getattr(pay, name) for name in names}
     bad = {} if scheme.context is None else {"bad_goal": scheme.bad_goal}
-    return weights | bad
+    return weights | {"stop_goal": pay.stop, "lost_goal": pay.stop} | bad
 
 
 def _event(name: str) -> RewardTerm:
@@ -419,9 +404,8 @@ GOAL_TERMS = {
 }
 
 
-def _approach(config: EnvConfig, transition: Transition) -> jax.Array:
+def _approach(_: EnvConfig, transition: Transition) -> jax.Array:
     """Reward per step that ends nearer to the goal, penalty per step that does not."""
-    del config
     before, after = transition.before.motion, transition.after.motion
     nearer = is_nearer(before.xy, after.xy, transition.target_pose[:, :2])
     paid = jnp.where(nearer, 1.0, -1.0)
@@ -441,9 +425,8 @@ def _smoothness(
     return used.turn * used.speed if by_speed else used.turn
 
 
-def _reverse(config: EnvConfig, transition: Transition) -> jax.Array:
+def _reverse(_: EnvConfig, transition: Transition) -> jax.Array:
     """Penalty per step in reverse."""
-    del config
     return direction_of_travel(transition.after.motion) < 0.0
 
 
@@ -462,8 +445,7 @@ def _yielding(config: EnvConfig, transition: Transition) -> jax.Array:
 
 
 REWARD_TERMS.register("approach", RewardTerm(_approach, per_step=True))
-REWARD_TERMS.register(
-    "smoothness", RewardTerm(_smoothness, -1, per_step=True, fixed=("by_speed",))
-)
+_SMOOTHNESS = RewardTerm(_smoothness, -1, per_step=True, fixed=("by_speed",))
+REWARD_TERMS.register("smoothness", _SMOOTHNESS)
 REWARD_TERMS.register("reverse", RewardTerm(_reverse, -1, per_step=True))
 REWARD_TERMS.register("yielding", RewardTerm(_yielding, most=1.0))

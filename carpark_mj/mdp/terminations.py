@@ -64,28 +64,16 @@ PARKED_RULES: Registry[ParkedRule] = Registry(
     "parked rule", "carpark_mj.tasks.goal_pose"
 )
 # The reference implementation of Tanner 2022.
-PARKED_RULES.register(
-    "tanner", ParkedRule(offset=1.001 * WORLD_UNIT, before_crash=True)
-)
-PARKED_RULES.register(
-    "strict",
-    ParkedRule(inside_lines=True, heading=math.radians(5.0), speed=0.2, slack=0.1),
-)
+_TANNER = ParkedRule(offset=1.001 * WORLD_UNIT, before_crash=True)
+PARKED_RULES.register("tanner", _TANNER)
+_STRICT = ParkedRule(inside_lines=True, heading=math.radians(5.0), speed=0.2, slack=0.1)
+PARKED_RULES.register("strict", _STRICT)
 # ParkBench's 0.2 m and 3 degrees.
-PARKED_RULES.register(
-    "precise", ParkedRule(distance=0.2, heading=math.radians(3.0), speed=0.05)
-)
+_PRECISE = ParkedRule(distance=0.2, heading=math.radians(3.0), speed=0.05)
+PARKED_RULES.register("precise", _PRECISE)
 # What both ask for, to train for either.
-PARKED_RULES.register(
-    "exact",
-    ParkedRule(
-        inside_lines=True,
-        distance=0.2,
-        heading=math.radians(3.0),
-        speed=0.05,
-        slack=0.1,
-    ),
-)
+_EXACT = dataclasses.replace(_PRECISE, inside_lines=True, slack=0.1)
+PARKED_RULES.register("exact", _EXACT)
 # MetaDrive's arrival: 5 m about the end of the last lane.
 PARKED_RULES.register("metadrive", ParkedRule(from_end=5.0))
 
@@ -166,8 +154,7 @@ def is_parked(
         between = jnp.abs(own[..., 1]) <= bay_size[..., 1] / 2
         parked = parked & (along < limits.from_end) & between
     if limits.inside_lines:
-        inside = box_inside(motion.pose_w, motion.size, bay_pose, bay_size)
-        parked = parked & inside
+        parked = parked & box_inside(motion.pose_w, motion.size, bay_pose, bay_size)
     if limits.heading is not None:
         heading = axis_angle_error(motion.pose_w[..., 2] - bay_pose[..., 2])
         parked = parked & (heading < limits.heading)
@@ -199,12 +186,10 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
     hit = functools.reduce(jnp.logical_or, hits.values())
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite
-    bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
-    bay_end = None if layout.bay_end is None else layout.bay_end[goal]
-    holds = {
-        name: is_parked(name, motion, bay_pose, bay_size, bay_end)
-        for name in config.parked_rule.split(",")
-    }
+    bays = layout.bay_pose[goal], layout.bay_size[goal]
+    end = None if layout.bay_end is None else layout.bay_end[goal]
+    rules = config.parked_rule.split(",")
+    holds = {name: is_parked(name, motion, *bays, end) for name in rules}
     in_bay = functools.reduce(jnp.logical_or, holds.values())
     in_bay = in_bay & alive & (goal != NO_BAY)
     shared = jnp.tril(goal[:, None] == goal, k=-1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -50,22 +51,14 @@ def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.
     fields = make_fields(config)
     shapes = {field.name: (count, field.size) for field in fields}
     given = {name: jnp.shape(value) for name, value in values.items()}
-    wrong = ""
-    if len(shapes) < len(fields):
-        names = [field.name for field in fields]
-        wrong = f"declares {sorted({x for x in names if names.count(x) > 1})} twice"
-    elif missing := sorted(shapes.keys() - given.keys()):
-        wrong = f"does not fill {missing}, which it declares"
-    elif extra := sorted(given.keys() - shapes.keys()):
-        wrong = f"fills {extra}, which it does not declare"
-    elif bad := sorted(name for name in shapes if given[name] != shapes[name]):
-        wrong = (
-            f"fills {bad} with {[given[name] for name in bad]} numbers but declares "
-            f"{[shapes[name] for name in bad]}"
-        )
+    wrong = {x for x, n in Counter(field.name for field in fields).items() if n > 1}
+    wrong |= {x for x in shapes.keys() | given if shapes.get(x) != given.get(x)}
     if wrong:
-        encoding = config.observation.encoding
-        raise ValueError(f"the observation encoder {encoding!r} {wrong}")
+        each = (f"{x}: {shapes.get(x)}, {given.get(x)}" for x in sorted(wrong))
+        raise ValueError(
+            f"the observation encoder {config.observation.encoding!r} must declare "
+            f"each field once and fill it: its shapes and values' are {', '.join(each)}"
+        )
     # XLA would compute the values within the concatenation, some of them repeatedly.
     # Those of entities are pieces of arrays behind a barrier, see `repeated_values`.
     own = {field.name: values[field.name] for field in fields if not field.group}
@@ -77,11 +70,7 @@ def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.
 def unpack(
     fields: Sequence[Field], observation: jax.Array
 ) -> jax.Array | dict[str, jax.Array]:
-    """Takes the pictures out of observations, also under `jit`, `vmap` and in parts.
-
-    Args:
-        fields: of the observation, static.
-        observation: (..., size) float32.
+    """Takes the pictures out of observations (..., size), also under `jit` and `vmap`.
 
     Returns:
         `VECTOR` (..., numbers) float32 of all other fields, and each picture by its
@@ -224,15 +213,12 @@ class ObservationSets:
         own.append(observation[..., start:])
         parts = {OWN: jnp.concatenate(own, axis=-1)}
         for part in self.sets:
-            entities = observation[
-                ..., part.start : part.start + part.count * part.size
-            ]
+            end = part.start + part.count * part.size
+            entities = observation[..., part.start : end]
             parts[part.group] = entities.reshape(*lead, part.count, part.size)
         for part in self.pictures:
-            channels = [
-                observation[..., start : start + part.channel_size]
-                for start in part.starts
-            ]
+            size = part.channel_size
+            channels = [observation[..., start : start + size] for start in part.starts]
             pictures = jnp.stack(channels, axis=-1)
             parts[part.name] = pictures.reshape(*lead, *part.shape, -1)
         return parts
@@ -241,11 +227,11 @@ class ObservationSets:
         """Whether the entities in parts are there, (..., count) bool by group."""
         found = {}
         for part in self.sets:
-            entities = parts[part.group]
-            if part.mask is None:
-                found[part.group] = jnp.ones(entities.shape[:-1], bool)
+            numbers, mask = parts[part.group], part.mask
+            if mask is None:
+                found[part.group] = jnp.ones(numbers.shape[:-1], bool)
             else:
-                found[part.group] = entities[..., part.mask] > 0.5
+                found[part.group] = numbers[..., mask] > 0.5
         return found
 
 
@@ -279,17 +265,11 @@ def observation_sets(fields: Sequence[Field]) -> ObservationSets:
 
 
 def _picture_set(name: str, rows: list[tuple[int, Field]]) -> PictureSet:
-    *views, height, width = rows[0][1].shape
-    whole = [field.is_whole and field.low == 0.0 for _, field in rows]
-    return PictureSet(
-        name=name,
-        shape=(views[0] if views else 1, height, width),
-        starts=tuple(position for position, _ in rows),
-        kinds=tuple(
-            int(field.high) + 1 if has_kinds else 0
-            for (_, field), has_kinds in zip(rows, whole, strict=True)
-        ),
-    )
+    starts, fields = zip(*rows, strict=True)
+    kinds = (int(x.high) + 1 if x.is_whole and x.low == 0.0 else 0 for x in fields)
+    *views, height, width = fields[0].shape
+    shape = views[0] if views else 1, height, width
+    return PictureSet(name, shape, starts, tuple(kinds))
 
 
 def _entity_set(group: str, rows: list[tuple[int, Field]]) -> EntitySet:

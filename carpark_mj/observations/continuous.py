@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import jax
 
 from carpark_mj.config.checks import Natural
-from carpark_mj.observations import ego
+from carpark_mj.observations import ego, ranges, tracked
 from carpark_mj.observations.fields import (
     ENCODERS,
     Field,
@@ -17,23 +17,11 @@ from carpark_mj.observations.fields import (
     Part,
     Tracked,
 )
-from carpark_mj.observations.ranges import (
-    RayConfig,
-    RingConfig,
-    UltrasoundConfig,
-    init_history,
-    rays_part,
-    rings_part,
-    ultrasound_part,
-    update_history,
-)
+from carpark_mj.observations.ranges import RayConfig, RingConfig, UltrasoundConfig
 from carpark_mj.observations.sensors import observed
 from carpark_mj.observations.tracked import (
     ShareConfig,
-    agents_part,
     mark,
-    movers_part,
-    parked_cars_part,
     track_agents,
     track_parked_cars,
 )
@@ -96,28 +84,26 @@ class ContinuousObservation(ObservationConfig):
         if num_bays:
             parts.append(ego.choice_part(num_bays))
             parts.append(ego.bays_part(num_bays, self.global_information))
-        elif self.global_information:
-            parts.append(ego.RIVALS)
-        if self.lines:
-            parts.append(ego.LINES)
-        if self.route:
-            parts.append(ego.ROUTE)
-        if self.own_car:
-            parts.append(ego.CAR)
-        if self.own_response:
-            parts.append(ego.RESPONSE)
+        optional = (
+            (self.global_information and not num_bays, ego.RIVALS),
+            (self.lines, ego.LINES),
+            (self.route, ego.ROUTE),
+            (self.own_car, ego.CAR),
+            (self.own_response, ego.RESPONSE),
+        )
+        parts += [part for on, part in optional if on]
         if agents:
-            parts.append(agents_part(agents, self.share, num_bays))
+            parts.append(tracked.agents_part(agents, self.share, num_bays))
         if parked_cars:
-            parts.append(parked_cars_part(parked_cars))
+            parts.append(tracked.parked_cars_part(parked_cars))
         if self.tracked_movers:
-            parts.append(movers_part(self.tracked_movers))
+            parts.append(tracked.movers_part(self.tracked_movers))
         if self.rings.diameters:
-            parts.append(rings_part(self.rings))
+            parts.append(ranges.rings_part(self.rings))
         if self.rays.count:
-            parts.append(rays_part(self.rays))
+            parts.append(ranges.rays_part(self.rays))
         if self.ultrasound.on:
-            parts.append(ultrasound_part(self.ultrasound))
+            parts.append(ranges.ultrasound_part(self.ultrasound))
         return parts
 
     def fields(self, env: EnvConfig) -> list[Field]:
@@ -178,11 +164,11 @@ class ContinuousObservation(ObservationConfig):
 
     def init_memory(self, env: EnvConfig) -> jax.Array | None:
         """What the rings counted before: nothing."""
-        return init_history(self.rings, env.num_agents)
+        return ranges.init_history(self.rings, env.num_agents)
 
     def remember(self, state: State) -> jax.Array | None:
         """What the rings have counted."""
-        return update_history(self.rings, state)
+        return ranges.update_history(self.rings, state)
 
 
 ENCODERS.register("continuous", ContinuousObservation)

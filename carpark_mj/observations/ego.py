@@ -34,7 +34,15 @@ from carpark_mj.observations.fields import (
 )
 from carpark_mj.types import NO_BAY
 
-_GoalField = functools.partial(Field, reveals_goal=True)
+
+def _goal_field(name: str, size: int, meaning: str) -> Field:
+    """Numbers in [-1, 1] about the goal."""
+    return Field(name, size, -1.0, 1.0, meaning, reveals_goal=True)
+
+
+def _own(name: str, size: int, meaning: str, high: float = 2.0) -> Field:
+    """Positive numbers about the own car."""
+    return Field(name, size, 0.0, high, meaning)
 
 
 def _motion(sight: ObservationInput) -> dict[str, jax.Array]:
@@ -46,21 +54,12 @@ def _motion(sight: ObservationInput) -> dict[str, jax.Array]:
     }
 
 
+_FORWARD, _TURN = "own signed speed [forward limit]", "own yaw rate [rad/s], left > 0"
 MOTION = Part(
     (
-        Field(
-            "speed", 1, -1.5, 1.5, "own signed speed [forward limit]", speed=math.inf
-        ),
+        Field("speed", 1, -1.5, 1.5, _FORWARD, speed=math.inf),
         Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
-        Field(
-            "yaw_rate",
-            1,
-            -2.0,
-            2.0,
-            "own yaw rate [rad/s], left > 0",
-            speed=1.0,
-            is_yaw_rate=True,
-        ),
+        Field("yaw_rate", 1, -2.0, 2.0, _TURN, speed=1.0, is_yaw_rate=True),
     ),
     _motion,
 )
@@ -83,27 +82,15 @@ def _goal(sight: ObservationInput) -> dict[str, jax.Array]:
     return sight.with_goal(values)
 
 
+_SIZE = f"length and width of the goal bay less own [{LENGTH:g} m]"
 GOAL = Part(
     (
         position_field("goal_position", "goal centre", reveals_goal=True),
-        _GoalField(
-            "goal_near", 2, -1.0, 1.0, f"goal centre, body frame [{NEAR:g} m], clipped"
-        ),
-        _GoalField(
-            "goal_heading", 2, -1.0, 1.0, "cos and sin of goal heading minus own"
-        ),
+        _goal_field("goal_near", 2, f"goal centre, body frame [{NEAR:g} m], clipped"),
+        _goal_field("goal_heading", 2, "cos and sin of goal heading minus own"),
         distance_field("goal_distance", "to the goal centre", reveals_goal=True),
-        _GoalField(
-            "in_bay", 2, -1.0, 1.0, f"own centre, goal frame [{NEAR:g} m], clipped"
-        ),
-        _GoalField(
-            "goal_size",
-            2,
-            0.0,
-            2.0,
-            f"length and width of the goal bay less own [{LENGTH:g} m]",
-            metres=LENGTH,
-        ),
+        _goal_field("in_bay", 2, f"own centre, goal frame [{NEAR:g} m], clipped"),
+        Field("goal_size", 2, 0.0, 2.0, _SIZE, metres=LENGTH, reveals_goal=True),
     ),
     _goal,
 )
@@ -116,19 +103,11 @@ def _lines(sight: ObservationInput) -> dict[str, jax.Array]:
     return sight.with_goal({"line_room": jnp.clip(room / CLOSE, -1.0, 1.0)})
 
 
-LINES = Part(
-    (
-        _GoalField(
-            "line_room",
-            4,
-            -1.0,
-            1.0,
-            "room between the own outline and the goal bay's lines at +x, -x, +y, -y, "
-            f"goal frame [{CLOSE:g} m], clipped",
-        ),
-    ),
-    _lines,
+_ROOM = (
+    "room between the own outline and the goal bay's lines at +x, -x, +y, -y, goal "
+    f"frame [{CLOSE:g} m], clipped"
 )
+LINES = Part((_goal_field("line_room", 4, _ROOM),), _lines)
 
 
 def on_last_stretch(sight: ObservationInput) -> jax.Array:
@@ -147,11 +126,10 @@ def _route(sight: ObservationInput) -> dict[str, jax.Array]:
     return {"route_next": far(position), "route_length": far(route.length[..., None])}
 
 
+_NEXT = "where the route along the lanes turns next"
 ROUTE = Part(
     (
-        position_field(
-            "route_next", "where the route along the lanes turns next", True
-        ),
+        position_field("route_next", _NEXT, True),
         distance_field("route_length", "length of the route to the goal", True),
     ),
     _route,
@@ -171,18 +149,10 @@ def _car(sight: ObservationInput) -> dict[str, jax.Array]:
 
 CAR = Part(
     (
-        Field("own_size", 2, 0.0, 2.0, f"own length and width [{LENGTH:g} m]"),
-        Field("own_wheelbase", 1, 0.0, 1.0, f"own wheelbase [{LENGTH:g} m]"),
-        Field(
-            "own_rear_axle", 1, 0.0, 1.0, f"from rear axle to own centre [{LENGTH:g} m]"
-        ),
-        Field(
-            "own_turning_radius",
-            1,
-            0.0,
-            2.0,
-            f"of the rear axle, full lock [{LENGTH:g} m]",
-        ),
+        _own("own_size", 2, f"own length and width [{LENGTH:g} m]"),
+        _own("own_wheelbase", 1, f"own wheelbase [{LENGTH:g} m]", 1.0),
+        _own("own_rear_axle", 1, f"from rear axle to own centre [{LENGTH:g} m]", 1.0),
+        _own("own_turning_radius", 1, f"of the rear axle, full lock [{LENGTH:g} m]"),
     ),
     _car,
 )
@@ -210,49 +180,31 @@ def _response(sight: ObservationInput) -> dict[str, jax.Array]:
     return {name: jnp.clip(value, 0.0, 2.0) for name, value in values.items()}
 
 
+_LIMITS = f"own speed limits, forward and reverse [{SPEED:g} m/s]"
 RESPONSE = Part(
     (
-        Field("own_steering_rate", 1, 0.0, 2.0, f"own steering rate [{RATE:g} rad/s]"),
-        Field("own_lags", 2, 0.0, 2.0, f"of own steering and drive [{LAG:g} s]"),
-        Field(
-            "own_pedal",
-            2,
-            0.0,
-            2.0,
-            f"of own full pedal and brake [{ACCELERATION:g} m/s^2]",
-        ),
-        Field("own_mass", 1, 0.0, 2.0, f"own mass, unloaded [{MASS / 1000:g} t]"),
-        Field("own_front_drive", 1, 0.0, 1.0, "share of the drive in front"),
-        Field(
-            "own_speed_limits",
-            2,
-            0.0,
-            2.0,
-            f"own speed limits, forward and reverse [{SPEED:g} m/s]",
-        ),
+        _own("own_steering_rate", 1, f"own steering rate [{RATE:g} rad/s]"),
+        _own("own_lags", 2, f"of own steering and drive [{LAG:g} s]"),
+        _own("own_pedal", 2, f"of own full pedal and brake [{ACCELERATION:g} m/s^2]"),
+        _own("own_mass", 1, f"own mass, unloaded [{MASS / 1000:g} t]"),
+        _own("own_front_drive", 1, "share of the drive in front", 1.0),
+        _own("own_speed_limits", 2, _LIMITS),
     ),
     _response,
 )
 
 
+_ROOM_LEFT = f"length and width less own [{LENGTH:g} m]"
 _BAY_FIELDS = (
     mask_field("bay"),
     *POSE_FIELDS,
-    Field(
-        "size", 2, 0.0, 2.0, f"length and width less own [{LENGTH:g} m]", metres=LENGTH
-    ),
+    Field("size", 2, 0.0, 2.0, _ROOM_LEFT, metres=LENGTH),
     distance_field("distance", "to its centre"),
 )
+_CLAIM = f"1 and that of the nearest with this goal [{FAR:g} m]; 0"
 _RIVAL_FIELDS = (
     distance_field("nearest_agent", "from it to the nearest of all agents"),
-    Field(
-        "claim",
-        2,
-        0.0,
-        FARTHEST,
-        f"1 and that of the nearest with this goal [{FAR:g} m]; 0",
-        metres=FAR,
-    ),
+    Field("claim", 2, 0.0, FARTHEST, _CLAIM, metres=FAR),
 )
 
 
@@ -306,15 +258,9 @@ def rivals(
 ) -> tuple[jax.Array, jax.Array]:
     """How near agents are to bays: global information (Tanner 2022, eq. 3.7).
 
-    Args:
-        layout: the lot.
-        agent_xy: (num_agents, 2) centres [m], the observers' too.
-        goal: (num_agents,) bays.
-        bays: (num_agents, count) asked for.
-
-    Returns:
-        (num_agents, count) distances [m] to the bays' centres, of the nearest agent and
-        of the nearest that has the bay as goal, inf if none has.
+    Agents, the observers too, are at centres (num_agents, 2) [m] with goals
+    (num_agents,). Returns distances [m] to the centres of `bays` (num_agents, count),
+    of the nearest agent and of the nearest with the bay as goal, inf if none has.
     """
     gap = norm(layout.bay_pose[bays][..., None, :2] - agent_xy)
     wants = bays[..., None] == goal

@@ -89,10 +89,8 @@ class Field:
 
 def position_field(name: str, meaning: str, reveals_goal: bool = False) -> Field:
     """A point (2,) in the body frame in units of `FAR`, see `far`."""
-    meaning = f"{meaning}, body frame [{FAR:g} m]"
-    return Field(
-        *(name, 2, -FARTHEST, FARTHEST, meaning), metres=FAR, reveals_goal=reveals_goal
-    )
+    meaning, reach = f"{meaning}, body frame [{FAR:g} m]", FARTHEST
+    return Field(name, 2, -reach, reach, meaning, metres=FAR, reveals_goal=reveals_goal)
 
 
 def distance_field(name: str, meaning: str, reveals_goal: bool = False) -> Field:
@@ -120,13 +118,12 @@ def unit_vector(yaw: jax.Array) -> jax.Array:
 def repeated(group: str, count: int, fields: Iterable[Field]) -> list[Field]:
     """The fields of the first `count` entities of a group, one after the other."""
     fields = tuple(fields)
-    return [
-        dataclasses.replace(
-            field, name=f"{group}_{index}_{field.name}", group=group, index=index
-        )
-        for index in range(count)
-        for field in fields
-    ]
+
+    def of(index: int, field: Field) -> Field:
+        name = f"{group}_{index}_{field.name}"
+        return dataclasses.replace(field, name=name, group=group, index=index)
+
+    return [of(index, field) for index in range(count) for field in fields]
 
 
 def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
@@ -138,24 +135,16 @@ def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.A
     packed = jnp.concatenate([*values.values()], axis=-1)
     num_agents, count, _ = packed.shape
     packed = jax.lax.optimization_barrier(packed.reshape(num_agents, -1))
-    names = [(k, name) for k in range(count) for name in values]
-    ends = np.cumsum([values[name].shape[-1] for _, name in names])
+    names = [f"{group}_{k}_{name}" for k in range(count) for name in values]
+    ends = np.cumsum([value.shape[-1] for value in values.values()] * count)
     columns = jnp.split(packed, ends[:-1], axis=-1)
-    return {
-        f"{group}_{k}_{name}": column
-        for (k, name), column in zip(names, columns, strict=True)
-    }
+    return dict(zip(names, columns, strict=True))
 
 
+_NEAR = f"its centre, body frame [{NEAR * 2:g} m], clipped"
 POSE_FIELDS = (
     position_field("position", "its centre, x and y"),
-    Field(
-        "near_position",
-        2,
-        -1.0,
-        1.0,
-        f"its centre, body frame [{NEAR * 2:g} m], clipped",
-    ),
+    Field("near_position", 2, -1.0, 1.0, _NEAR),
     Field("heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
 )
 CAR_FIELDS = (
@@ -170,11 +159,8 @@ def localise(
 ) -> dict[str, jax.Array]:
     """`CAR_FIELDS` (num_agents, count, k) of tracked cars in the observers' frames.
 
-    Args:
-        own_pose: (num_agents, 3) observers.
-        pose: (num_agents, count, 3) tracked cars, world frame.
-        size: (num_agents, count, 2) [m].
-        present: (num_agents, count) bool; absent cars give zeros.
+    Of observers (num_agents, 3) and tracked cars (num_agents, count, ...) of poses
+    (3,), sizes (2,) [m] and presence (); absent cars give zeros.
     """
     local = to_local(own_pose[:, None], pose)
     xy = local[..., :2]
@@ -185,10 +171,7 @@ def localise(
         "heading": unit_vector(local[..., 2]),
         "size": size / LENGTH,
     }
-    return {
-        name: jnp.where(present[..., None], value, 0.0)
-        for name, value in values.items()
-    }
+    return {k: jnp.where(present[..., None], x, 0.0) for k, x in values.items()}
 
 
 Tree = TypeVar("Tree")
@@ -196,17 +179,11 @@ Tree = TypeVar("Tree")
 
 @dataclasses.dataclass(frozen=True)
 class Tracked:
-    """How many of the nearest cars an encoder tracks.
-
-    Attributes:
-        agents: other agents.
-        parked_cars: parked cars.
-        cars: agents and parked cars in one list.
-    """
+    """How many of the nearest other agents and parked cars an encoder tracks."""
 
     agents: int = 0
     parked_cars: int = 0
-    cars: int = 0
+    cars: int = 0  # of both, in one list
 
 
 class ObservationConfig(CheckedConfig, abc.ABC):
@@ -287,11 +264,8 @@ class ObservationConfig(CheckedConfig, abc.ABC):
         return state.memory
 
 
-ENCODERS: Registry[type[ObservationConfig]] = Registry(
-    "observation encoding",
-    "carpark_mj.observations.continuous",
-    "carpark_mj.cameras.encoder",
-)
+_HOMES = "carpark_mj.observations.continuous", "carpark_mj.cameras.encoder"
+ENCODERS: Registry[type[ObservationConfig]] = Registry("observation encoding", *_HOMES)
 
 
 @dataclasses.dataclass(frozen=True)

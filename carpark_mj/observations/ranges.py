@@ -128,14 +128,11 @@ def rays_part(config: RayConfig) -> Part:
         near = jnp.minimum(free * (config.reach / config.near), 1.0)
         return {RAYS: free, RAYS_NEAR: near}
 
-    meaning = (
-        f"free distance along bearings from ahead to the left [{config.reach:g} m]"
-    )
+    reach, near, free = config.reach, config.near, "free distance along"
+    meaning = f"{free} bearings from ahead to the left [{reach:g} m]"
     fields = (Field(RAYS, config.count, 0.0, 1.0, meaning),)
     if config.near:
-        meaning = (
-            f"free distance along the bearings of `rays` [{config.near:g} m], clipped"
-        )
+        meaning = f"{free} the bearings of `rays` [{near:g} m], clipped"
         fields += (Field(RAYS_NEAR, config.count, 0.0, 1.0, meaning),)
     return Part(fields, fill)
 

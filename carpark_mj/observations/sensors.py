@@ -64,10 +64,7 @@ class SensorConfig(CheckedConfig):
 def init_sensors(
     config: SensorConfig, motion: Motion, key: jax.Array
 ) -> Sensors | None:
-    """Sensors of cars (num_agents,) that spawn; None if they measure exactly.
-
-    `key` is consumed.
-    """
+    """Sensors of cars (num_agents,) that spawn, None if exact; `key` is consumed."""
     if not config.is_on:
         return None
     odometry = None
@@ -76,12 +73,9 @@ def init_sensors(
         odometry = begin_odometry(config, motion.pose_w, odometry_key)
     reading_key, delay_key = jax.random.split(key)
     reading = _read(config, motion, reading_key)
-    history = jax.tree.map(
-        lambda x: jnp.repeat(x[:, None], config.delay_max + 1, axis=1), reading
-    )
-    lowest, highest = config.delay_min, config.delay_max
-    count = motion.yaw_rate.shape
-    delay = jax.random.randint(delay_key, count, lowest, highest + 1, jnp.int32)
+    low, ends, count = config.delay_min, config.delay_max + 1, motion.yaw_rate.shape
+    history = jax.tree.map(lambda x: jnp.repeat(x[:, None], ends, axis=1), reading)
+    delay = jax.random.randint(delay_key, count, low, ends, jnp.int32)
     return Sensors(history=history, delay=delay, odometry=odometry)
 
 
@@ -101,11 +95,11 @@ def measure(
         odometry = reckon(sensors.odometry, before.motion.pose_w, motion.pose_w, offset)
         sensors = dataclasses.replace(sensors, odometry=odometry)
         motion = dataclasses.replace(motion, pose_w=odometry.pose_w)
-    history = jax.tree.map(
-        lambda new, old: jnp.concatenate([new[:, None], old[:, :-1]], axis=1),
-        _read(config, motion, key),
-        sensors.history,
-    )
+
+    def shift(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.concatenate([new[:, None], old[:, :-1]], axis=1)
+
+    history = jax.tree.map(shift, _read(config, motion, key), sensors.history)
     return dataclasses.replace(sensors, history=history)
 
 
@@ -122,13 +116,11 @@ def reset(
     """
     if sensors is None:
         return None
-    return jax.tree.map(
-        lambda new, old: jnp.where(
-            respawned.reshape(-1, *([1] * (old.ndim - 1))), new, old
-        ),
-        init_sensors(config, motion, key),
-        sensors,
-    )
+
+    def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(respawned.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+    return jax.tree.map(choose, init_sensors(config, motion, key), sensors)
 
 
 def observed(state: State) -> Motion:
@@ -138,29 +130,16 @@ def observed(state: State) -> Motion:
         return state.motion
     agents = jnp.arange(sensors.delay.shape[0])
     late = jax.tree.map(lambda x: x[agents, sensors.delay], sensors.history)
-    return dataclasses.replace(
-        state.motion,
-        pose_w=late.pose_w,
-        velocity_b=late.velocity_b,
-        yaw_rate=late.yaw_rate,
-        steering=late.steering,
-    )
+    return dataclasses.replace(state.motion, **vars(late))
 
 
 def _read(config: SensorConfig, motion: Motion, key: jax.Array) -> Reading:
     pose_key, speed_key = jax.random.split(key)
-    pose_noise = jnp.array(
-        [config.position_noise, config.position_noise, config.heading_noise],
-        motion.pose_w.dtype,
-    )
-    shape, speed = motion.pose_w.shape, motion.velocity_b
-    return Reading(
-        pose_w=motion.pose_w + pose_noise * jax.random.normal(pose_key, shape),
-        velocity_b=speed
-        + config.speed_noise * jax.random.normal(speed_key, speed.shape),
-        yaw_rate=motion.yaw_rate,
-        steering=motion.steering,
-    )
+    pose, speed, xy = motion.pose_w, motion.velocity_b, config.position_noise
+    noise = jnp.array([xy, xy, config.heading_noise], pose.dtype)
+    pose = pose + noise * jax.random.normal(pose_key, pose.shape)
+    speed = speed + config.speed_noise * jax.random.normal(speed_key, speed.shape)
+    return Reading(pose, speed, motion.yaw_rate, motion.steering)
 
 
 def begin_odometry(config: SensorConfig, pose_w: jax.Array, key: jax.Array) -> Odometry:
@@ -171,11 +150,9 @@ def begin_odometry(config: SensorConfig, pose_w: jax.Array, key: jax.Array) -> O
     size than assumed, of different sizes left and right, and another track width. They
     last an episode, at whose start the pose is known.
     """
-    spread = jnp.array(
-        [config.odometry_scale, config.odometry_veer, config.odometry_turn],
-        pose_w.dtype,
-    )
-    return Odometry(pose_w, spread * jax.random.normal(key, pose_w.shape))
+    spread = [config.odometry_scale, config.odometry_veer, config.odometry_turn]
+    error = jnp.array(spread, pose_w.dtype) * jax.random.normal(key, pose_w.shape)
+    return Odometry(pose_w, error)
 
 
 def reckon(

@@ -98,10 +98,8 @@ def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
     shared = _shared(share, num_tracked_bays)
 
     def fill(sight: ObservationInput) -> dict[str, jax.Array]:
-        agents, present = sight.agents, sight.state.present
-        index, present = track_agents(
-            count, agents.pose_w, present, sight.num_observers
-        )
+        agents, there, n = sight.agents, sight.state.present, sight.num_observers
+        index, present = track_agents(count, agents.pose_w, there, n)
         pose, size = agents.pose_w[index], agents.size[index]
         values = localise(sight.motion.pose_w, pose, size, present)
         for field, find in shared:
@@ -129,27 +127,26 @@ def parked_cars_part(count: int) -> Part:
     return Part(tuple(repeated("parked_car", count, CAR_FIELDS)), fill)
 
 
+_SPEED = "its signed speed [own forward limit]"
+_ANGLE = "its road-wheel angle [its limit], left > 0"
+_PLACE = "one-hot: it explores, its goal's place among the own bays, none"
+_BEFORE = "1 if its number in the lot is lower than the own, else 0"
+
+
 def _shared(share: ShareConfig, num_tracked_bays: int) -> list[tuple[Field, Shared]]:
     """What tracked agents share."""
-    shared: list[tuple[Field, Shared]] = []
-    if share.speeds:
-        meaning = "its signed speed [own forward limit]"
-        speed = Field("speed", 1, -1.5, 1.5, meaning, speed=math.inf)
-        shared.append((speed, _speed))
-    if share.goals and num_tracked_bays:
-        meaning = "one-hot: it explores, its goal's place among the own bays, none"
-        shared.append(
-            (Field("goal", num_tracked_bays + 2, 0, 1, meaning), _goal_choice)
-        )
-    elif share.goals:
-        shared.append((position_field("goal", "centre of its goal"), _shared_goal))
-    if share.steering:
-        meaning = "its road-wheel angle [its limit], left > 0"
-        shared.append((Field("steering", 1, -1.0, 1.0, meaning), _steering))
-    if share.priority:
-        meaning = "1 if its number in the lot is lower than the own, else 0"
-        shared.append((Field("priority", 1, 0.0, 1.0, meaning), _priority))
-    return shared
+    speed = Field("speed", 1, -1.5, 1.5, _SPEED, speed=math.inf)
+    steering = Field("steering", 1, -1.0, 1.0, _ANGLE)
+    goal = position_field("goal", "centre of its goal"), _shared_goal
+    if num_tracked_bays:
+        goal = Field("goal", num_tracked_bays + 2, 0, 1, _PLACE), _goal_choice
+    rows = (
+        (share.speeds, speed, _speed),
+        (share.goals, *goal),
+        (share.steering, steering, _steering),
+        (share.priority, Field("priority", 1, 0.0, 1.0, _BEFORE), _priority),
+    )
+    return [(field, find) for shares, field, find in rows if shares]
 
 
 def _speed(sight: ObservationInput, index: jax.Array) -> jax.Array:
@@ -183,11 +180,10 @@ def _priority(sight: ObservationInput, index: jax.Array) -> jax.Array:
 
 PACE = 2.0  # m/s, scale of their velocities
 STANDS = 0.05  # m/s, below which a velocity has no direction
+_VELOCITY = f"its velocity, body frame [{PACE:g} m/s]"
 _MOVER_FIELDS = (
     *CAR_FIELDS,
-    Field(
-        "velocity", 2, -3.0, 3.0, f"its velocity, body frame [{PACE:g} m/s]", speed=PACE
-    ),
+    Field("velocity", 2, -3.0, 3.0, _VELOCITY, speed=PACE),
     Field("person", 1, 0.0, 1.0, "1 if it is a person, else 0"),
 )
 

@@ -88,9 +88,6 @@ def check_cars(
     A single kind of car must fit into all bays of a fixed lot, each car of a fleet into
     at least one. Cars that do not steer need no room to turn into a bay. Of random
     lots, `layout` None, some are drawn until each car has a bay.
-
-    Raises:
-        ValueError: naming the car and what is allowed.
     """
     agents = list(zip(fleet.agent_names, fleet.agents, strict=True))
     for name, car in agents:
@@ -114,8 +111,7 @@ def check_cars(
         if layout is not None and most < goals:
             raise ValueError(
                 f"fleet.agents find goals in only {most} bays of this lot under the "
-                f"{config.episode.parked_rule} rule, fewer than the {goals} agents of "
-                "a lot"
+                f"{config.episode.parked_rule} rule, fewer than its {goals} agents"
             )
     else:  # drawn without regard to its size
         used = None if layout is None else _bays(layout)
@@ -240,18 +236,13 @@ def _count_bays(
 ) -> int:
     """Number of bays that a car fits into in the first lot with any; refuses none."""
     seen: list[np.ndarray] = []
-    count = 0
     for bays in lots:
         seen.append(bays)
-        count = int((size + slack <= bays).all(axis=1).sum())
-        if count:
-            break
-    else:
-        longest, widest = np.concatenate(seen).max(axis=0)
-        spare = f"with {slack:g} m to spare " if slack else ""
-        raise ValueError(
-            f"{kind}: the {name}, {size[0]:.2f} m x {size[1]:.2f} m, fits {spare}in no "
-            f"bay of the lot: these are up to {longest:.2f} m long and {widest:.2f} m "
-            "wide"
-        )
-    return count
+        if count := int((size + slack <= bays).all(axis=1).sum()):
+            return count
+    longest, widest = np.concatenate(seen).max(axis=0)
+    spare = f"with {slack:g} m to spare " if slack else ""
+    raise ValueError(
+        f"{kind}: the {name}, {size[0]:.2f} m x {size[1]:.2f} m, fits {spare}in no bay "
+        f"of the lot: these are up to {longest:.2f} m long and {widest:.2f} m wide"
+    )

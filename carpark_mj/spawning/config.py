@@ -77,12 +77,8 @@ class SpawnConfig(CheckedConfig):
     @functools.cached_property
     def ratios(self) -> tuple[float, float, float, float]:
         """Shares of spawns that are close, in conflict, reverse and misaligned."""
-        return (
-            self.close_ratio,
-            self.conflict_ratio,
-            self.reverse_ratio,
-            self.misaligned_ratio,
-        )
+        near = self.close_ratio, self.conflict_ratio
+        return (*near, self.reverse_ratio, self.misaligned_ratio)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -27,54 +27,38 @@ from carpark_mj.vehicle.range import cars_of, fleet_cars
 
 
 class Start(NamedTuple):
-    """The cars and goals of a lot that begins.
+    """The cars and goals of a lot that begins."""
 
-    Attributes:
-        goal: (num_agents,) int32 goals, `NO_BAY` where agents choose them.
-        parked_cars: the parked cars, in their bays.
-        vehicles: nominal parameters of the agents' cars (num_agents,).
-        kind: (num_agents,) int32 which of the fleet's kinds they are.
-    """
-
-    goal: jax.Array
-    parked_cars: ParkedCars
-    vehicles: Vehicle
-    kind: jax.Array
+    goal: jax.Array  # (num_agents,) int32, `NO_BAY` where agents choose them
+    parked_cars: ParkedCars  # in their bays
+    vehicles: Vehicle  # nominal parameters of the agents' cars (num_agents,)
+    kind: jax.Array  # (num_agents,) int32 which of the fleet's kinds they are
 
 
 class Fleet:
     """The presets that the cars of an environment are drawn from; constants only.
 
-    Attributes:
-        agent_names: presets of the kinds of cars that agents drive.
-        agents: their parameters.
-        parked_names: the same for parked cars.
-        parked_cars: their parameters.
-        mixed: whether agents drive cars of several kinds, drawn at every spawn.
+    `agent_names` and `agents` are the presets of cars that agents drive and their
+    parameters, `parked_names` and `parked_cars` those of parked cars. `mixed` is
+    whether agents drive cars of several kinds, drawn at every spawn.
     """
 
     def __init__(self, config: EnvConfig, vehicle: VehicleParameters) -> None:
-        """Looks the presets up; `vehicle` stands for an empty list.
-
-        Raises:
-            ValueError: an unknown preset; the message lists the known ones.
-        """
+        """Looks the presets up; `vehicle` stands for an empty list."""
         self._config = config
-        names = config.fleet
         [(own_name, own_car)] = cars_of(config.vehicle)
         if vehicle != own_car:
             own_name = VEHICLES.name_of(vehicle) or "custom car"
         own = ((own_name, vehicle),)
-        agents, parked = (
-            fleet_cars(each) or own for each in (names.agents, names.parked_cars)
-        )
+        agents = fleet_cars(config.fleet.agents) or own
+        parked = fleet_cars(config.fleet.parked_cars) or own
         self.agent_names, self.agents = zip(*agents, strict=True)
         self.parked_names, self.parked_cars = zip(*parked, strict=True)
-        self.mixed = bool(names.agents)
+        self.mixed = bool(config.fleet.agents)
         kinds = [make_vehicle(params) for params in self.agents]
-        self._kinds: Vehicle = jax.device_put(
-            jax.tree.map(lambda *x: np.stack(x), *kinds)  # JAX would compile programs
-        )
+        # Stacked by NumPy: JAX would compile programs.
+        stacked = jax.tree.map(lambda *x: np.stack(x), *kinds)
+        self._kinds: Vehicle = jax.device_put(stacked)
         self._only = kinds[0] if len(kinds) == 1 else None
         self._size = make_vehicle(vehicle).size
 
@@ -124,10 +108,7 @@ class Fleet:
         goal_key, count_key, scale_key, place_key, offset_key = jax.random.split(key, 5)
         goal_bays = layout.goal_mask[None]  # any is a goal for the one kind of car
         if self.mixed:
-            slack = config.episode.slack
-            goal_bays = (
-                fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
-            )
+            goal_bays = self._goal_bays(layout)
         shape = n, len(self.agents), layout.num_bays
         goal_bays = jnp.broadcast_to(goal_bays, shape)
         clear = jnp.zeros(layout.num_bays, bool)
@@ -188,11 +169,15 @@ class Fleet:
         key, kind_key = jax.random.split(key)
         logits = jnp.zeros(len(self.agents))
         if config.fleet.snug:
-            fit = fits(layout.bay_size, self._kinds.size, config.episode.slack)
-            fit = fit & layout.goal_mask
-            logits = kind_logits(fit, self._room(layout), config.fleet.snug)
+            fit, room = self._goal_bays(layout), self._room(layout)
+            logits = kind_logits(fit, room, config.fleet.snug)
         kind = jax.random.categorical(kind_key, logits, shape=shape)
         return kind.astype(jnp.int32), key
+
+    def _goal_bays(self, layout: Layout) -> jax.Array:
+        """(kinds, bays) bool, goals that cars of each kind fit into."""
+        slack = self._config.episode.slack
+        return fits(layout.bay_size, self._kinds.size, slack) & layout.goal_mask
 
     def _room(self, layout: Layout) -> jax.Array:
         """(kinds, bays) that bays leave in length and width together [m]."""
@@ -212,10 +197,8 @@ class Fleet:
         lengths = np.asarray(cars.size, float)[:, 0]
         kinds = [0] * len(lengths) if cars.kind is None else np.asarray(cars.kind)
         presets = [self.parked_cars[kind] for kind in kinds]
-        return [
-            scaled(car, length / car.length)
-            for car, length in zip(presets, lengths, strict=True)
-        ]
+        pairs = zip(presets, lengths, strict=True)
+        return [scaled(car, length / car.length) for car, length in pairs]
 
     def _num_parked_cars(self, layout: Layout, key: jax.Array) -> jax.Array:
         """How many parked cars the lot has; a whole number within the range."""
@@ -250,33 +233,22 @@ def shuffled_bays(layout: Layout, key: jax.Array) -> jax.Array:
 
 
 class Wanted(NamedTuple):
-    """Cars of several kinds that need bays.
+    """Cars of several kinds that need bays."""
 
-    Attributes:
-        fits: (cars, kinds, bays) bool.
-        cars: (cars,) bool, the cars that need one.
-        anywhere: whether a car that fits nowhere still gets a free bay.
-        snug: share of the kinds that are likelier the less room a bay leaves.
-        room: (kinds, bays) that a bay leaves in length and width together [m].
-    """
-
-    fits: jax.Array
-    cars: jax.Array
-    anywhere: bool
-    snug: float = 0.0
-    room: jax.Array | None = None
+    fits: jax.Array  # (cars, kinds, bays) bool
+    cars: jax.Array  # (cars,) bool, the cars that need one
+    anywhere: bool  # whether a car that fits nowhere still gets a free bay
+    snug: float = 0.0  # share of the kinds that are likelier the less room a bay leaves
+    room: jax.Array | None = None  # (kinds, bays), in length and width together [m]
 
 
 SNUG = 0.2  # m more room makes a kind less likely by a factor of e [est]
 
 
 def kind_logits(fit: jax.Array, room: jax.Array | None, snug: float) -> jax.Array:
-    """Logits (kinds,) of kinds of cars that fit into a bay; of all if none does.
+    """Logits (kinds,) of kinds that fit into a bay; of all if none does.
 
-    Args:
-        fit: (kinds, bays) bool.
-        room: see `Wanted`; unused without `snug`.
-        snug: see `FleetConfig.snug`.
+    `fit` is (kinds, bays) bool; without `snug`, see `Wanted`, the room is unused.
     """
     possible = fit.any(axis=1)
     possible = possible | ~possible.any()
@@ -294,11 +266,9 @@ def draw_bays(
 ) -> tuple[jax.Array, jax.Array]:
     """Draws kinds of cars and distinct bays for them, one car after the other.
 
-    A kind is drawn among those that fit into a bay of `free` (bays,) left,
-    and then one of these bays. `key` is consumed.
-
-    Returns:
-        (cars,) int32 kinds and (cars,) int32 bays, `NO_BAY` where there is none.
+    A kind is drawn among those that fit into a bay of `free` (bays,) left, and then one
+    of these bays. Returns both (cars,) int32, `NO_BAY` where there is none; `key` is
+    consumed.
     """
     num_bays = free.shape[0]
 

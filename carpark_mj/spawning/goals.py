@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -21,31 +21,11 @@ from carpark_mj.geometry.obstacles import touches
 from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.goals import track_bays
 from carpark_mj.mdp.parked_cars import marked
+from carpark_mj.spawning import special_starts as special
+from carpark_mj.spawning import starts
 from carpark_mj.spawning.config import SpawnConfig
 from carpark_mj.spawning.placing import Placing, SpawnInputs, Surroundings, surroundings
-from carpark_mj.spawning.special_starts import (
-    CourseDraws,
-    MisalignedDraws,
-    ReverseDraws,
-    Targets,
-    course_pose,
-    misaligned_pose,
-    reverse_pose,
-    special_shapes,
-)
-from carpark_mj.spawning.starts import (
-    SpawnDraws,
-    close_points,
-    draw_heading,
-    draw_kind,
-    draw_uniform,
-    pick,
-    random_pose,
-    redraw,
-    spawn_pose,
-    spawn_shapes,
-    walk_numbers,
-)
+from carpark_mj.spawning.starts import Draws, Shapes, pick
 from carpark_mj.types import NO_BAY, State
 
 if TYPE_CHECKING:
@@ -54,33 +34,18 @@ if TYPE_CHECKING:
 TAKES_CLOSE_BAY = 0.5  # probability that a close start has the bay for its goal
 
 
-class PlaceDraws(NamedTuple):
-    """Uniform numbers in [0, 1) for one start with a fixed goal.
-
-    Attributes:
-        goal: (2, bays) see `new_goal`.
-        start: for a random or close start.
-        course_goal: (attempts, 2, bays) the goals of attempts at a collision course.
-        course: for the attempts.
-        reverse: for a start on a path out of the goal's bay.
-        misaligned: for a start in the goal's bay.
-    """
-
-    goal: Any
-    start: SpawnDraws
-    course_goal: Any
-    course: CourseDraws
-    reverse: ReverseDraws
-    misaligned: MisalignedDraws
-
-
 @functools.cache
-def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> PlaceDraws:
-    """Shapes of the numbers of a start, for `draw_uniform`."""
-    course, reverse, misaligned = special_shapes(config, num_agents)
-    start, goal = spawn_shapes(config), (2, num_bays)
-    course_goal = (*course.target[:1], *goal)
-    return PlaceDraws(goal, start, course_goal, course, reverse, misaligned)
+def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> Shapes:
+    """The numbers of a start with a fixed goal, none for starts whose share is 0."""
+    tries, goal = special.ATTEMPTS if config.conflict_ratio else 0, (2, num_bays)
+    course = {"course_goal": goal, **special.course_shapes(num_agents)}
+    return {
+        "goal": goal,  # see `new_goal`
+        **starts.spawn_shapes(config),
+        **{name: (tries, *shape) for name, shape in course.items()},
+        **special.reverse_shapes(config.reverse_ratio > 0.0),
+        **special.misaligned_shapes(config.misaligned_ratio > 0.0),
+    }
 
 
 def place_agent(
@@ -104,11 +69,10 @@ def place_agent(
     if spawn.max_redraws:
         key, again = jax.random.split(key)
     shapes = place_shapes(spawn, placing.goal.shape[0], layout.num_bays)
-    draws = draw_uniform(shapes, key)
+    draws = starts.draw_uniform(shapes, key)
     # After a rejected try it is random, which can be anywhere: above all ratios.
-    number = jnp.where(placing.tries[agent] > 0, 2.0, draws.start.kind)
-    draws = draws._replace(start=draws.start._replace(kind=number))
-    kind = draw_kind(spawn, number)
+    number = jnp.where(placing.tries[agent] > 0, 2.0, draws["kind"])
+    draws["kind"], kind = number, starts.draw_kind(spawn, number)
     keeps_goal = inputs.first or drive_out
 
     def with_goal(scores: jax.Array) -> tuple[Placing, Surroundings]:
@@ -117,38 +81,42 @@ def place_agent(
             drawn = new_goal(config, inputs, placing, agent, scores)
         return drawn, surroundings(inputs, drawn, agent, placed_only=keeps_goal)
 
-    drawn, around = with_goal(draws.goal)
+    drawn, around = with_goal(draws["goal"])
     goal_pose = layout.bay_pose[drawn.goal[agent]]
-    pose = spawn_pose(spawn, layout, around, goal_pose, draws.start)
+    pose = starts.spawn_pose(spawn, layout, around, goal_pose, draws)
     if spawn.max_redraws:
-        pose = redraw(spawn, layout, around, pose, again)
+        pose = starts.redraw(spawn, layout, around, pose, again)
     if spawn.reverse_ratio:
-        out, found = reverse_pose(inputs, drawn, around, agent, draws.reverse)
+        out, found = special.reverse_pose(inputs, drawn, around, agent, draws)
         pose = jnp.where(kind.reverse & found, out, pose)
     if spawn.misaligned_ratio:
-        askew, found = misaligned_pose(inputs, drawn, around, agent, draws.misaligned)
+        askew, found = special.misaligned_pose(inputs, drawn, around, agent, draws)
         pose = jnp.where(kind.misaligned & found, askew, pose)
     drawn = drawn.set(agent, pose_w=pose)
     if drive_out:
-        return drawn.set(agent, goal=goal_of_start(layout, drawn, agent, draws.goal[0]))
+        goal = goal_of_start(layout, drawn, agent, draws["goal"][0])
+        return drawn.set(agent, goal=goal)
     if not spawn.conflict_ratio:
         return drawn
 
     # Agents that are absent have no goal.
     drives = (placing.goal != NO_BAY) & ~placing.waiting
 
-    def attempt(scores: jax.Array, course: CourseDraws) -> tuple[Placing, jax.Array]:
-        drawn, around = with_goal(scores)
+    def attempt(course: Draws) -> tuple[Placing, jax.Array]:
+        drawn, around = with_goal(course["course_goal"])
         goal_xy = layout.bay_pose[drawn.goal, :2]
-        targets = Targets(placing.xy, goal_xy, drives)
-        pose, good = course_pose(spawn, layout, around, goal_xy[agent], targets, course)
+        aims = goal_xy[agent], special.Targets(placing.xy, goal_xy, drives)
+        pose, good = special.course_pose(spawn, layout, around, *aims, course)
         return drawn.set(agent, pose_w=pose), good
 
-    tried, good = jax.vmap(attempt)(draws.course_goal, draws.course)
+    course = {name: draws[name] for name in ("course_goal", *special.course_shapes(0))}
+    tried, good = jax.vmap(attempt)(course)
     conflict = kind.conflict & good.any()
-    return jax.tree.map(
-        lambda new, old: jnp.where(conflict, new[jnp.argmax(good)], old), tried, drawn
-    )
+
+    def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(conflict, new[jnp.argmax(good)], old)
+
+    return jax.tree.map(choose, tried, drawn)
 
 
 def new_goal(
@@ -237,22 +205,6 @@ def goal_of_start(
     return pick(jnp.where(leaves, layout.bay_mask & is_exit, free), scores)
 
 
-class ExploringDraws(NamedTuple):
-    """Uniform numbers in [0, 1) for one start of an exploring agent.
-
-    Attributes:
-        start: for a random start.
-        walk: (bays, k) for a point close to every bay, see `close_points`.
-        heading: (bays,) see `draw_heading`.
-        order: (bays,) which bay.
-    """
-
-    start: SpawnDraws
-    walk: Any
-    heading: Any
-    order: Any
-
-
 def place_exploring(
     config: SpawnConfig,
     inputs: SpawnInputs,
@@ -274,33 +226,36 @@ def place_exploring(
     if config.max_redraws:
         key, again = jax.random.split(key)
     bays = 0 if only_random else layout.num_bays
-    walk = bays if config.close_ratio else 0, walk_numbers(config)
-    draws = draw_uniform(
-        ExploringDraws(spawn_shapes(config), walk, (bays,), (bays,)), key
-    )
-    pose = random_pose(config, layout, around, draws.start)
+    shapes = starts.spawn_shapes(config) | {
+        # Of a point close to every bay.
+        "bay_walk": (bays if config.close_ratio else 0, starts.walk_numbers(config)),
+        "bay_heading": (bays,),
+        "order": (bays,),  # which bay
+    }
+    draws = starts.draw_uniform(shapes, key)
+    pose = starts.random_pose(config, layout, around, draws)
     if config.max_redraws:
-        pose = redraw(config, layout, around, pose, again)
+        pose = starts.redraw(config, layout, around, pose, again)
     if only_random:
         return placing.set(agent, pose_w=pose)
-    number = jnp.where(placing.tries[agent] > 0, 2.0, draws.start.kind)
-    kind, bay = draw_kind(config, number), jnp.full((), NO_BAY, jnp.int32)
+    number = jnp.where(placing.tries[agent] > 0, 2.0, draws["kind"])
+    kind, bay = starts.draw_kind(config, number), jnp.full((), NO_BAY, jnp.int32)
     if config.close_ratio:
         others_goal = jnp.where(around.others, placing.goal, NO_BAY)
         taken = jnp.concatenate([placing.parked_bay, others_goal])
         free = layout.bay_mask & ~marked(layout, taken)
 
         def beside(bay_pose: jax.Array, walk: jax.Array):
-            xy, region = close_points(config, layout, bay_pose[:2], walk[None])
+            xy, region = starts.close_points(config, layout, bay_pose[:2], walk[None])
             return xy[0], region
 
-        xy, region = jax.vmap(beside)(layout.bay_pose, draws.walk)
-        yaw = draw_heading(layout, region, draws.heading)
+        xy, region = jax.vmap(beside)(layout.bay_pose, draws["bay_walk"])
+        yaw = starts.draw_heading(layout, region, draws["bay_heading"])
         poses = jnp.concatenate([xy, yaw[:, None]], axis=-1)
         good = free & (around.distance(xy) > config.min_distance)
         good = good & ~around.touches(poses)
         close = kind.close & good.any()
-        drawn = pick(good, draws.order)
+        drawn = pick(good, draws["order"])
         pose = jnp.where(close, poses[drawn], pose)
         bay = jnp.where(close, drawn, bay)
     return placing.set(agent, pose_w=pose, close_bay=bay, conflict=kind.conflict)

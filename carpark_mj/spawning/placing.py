@@ -30,64 +30,39 @@ from carpark_mj.types import NO_BAY, ParkedCars, Vehicle
 
 @struct.dataclass
 class SpawnInputs:
-    """Constants while the agents of a step are placed.
-
-    Attributes:
-        layout: the lot.
-        parked_cars: where they stood before the first is placed.
-        size: (num_agents, 2) footprints of the cars drawn for agents that begin [m];
-            None if spawn regions have room for them all.
-        old_size: the same of the cars they drove before.
-        fits: which cars fit into which bays.
-        cars: (num_agents,) parameters of the cars drawn for agents that begin; None =
-            only the centres of cars are known.
-        movers: where they are.
-        clear: whether only movers can be where an agent starts.
-        first: whether the lot begins: goals are given, and agents that have not been
-            placed yet are nowhere.
-    """
+    """Constants while the agents of a step are placed."""
 
     layout: Layout
-    parked_cars: ParkedCars
-    size: jax.Array | None
-    old_size: jax.Array | None
-    fits: BayFits
+    parked_cars: ParkedCars  # where they stood before the first is placed
+    # (num_agents, 2) footprints of the cars drawn for agents that begin [m], and of
+    # those they drove before; None if spawn regions have room for them all.
+    size: jax.Array | None = None
+    old_size: jax.Array | None = None
+    fits: BayFits = BayFits()
+    # (num_agents,) of the cars drawn; None = only the centres of cars are known.
     cars: Vehicle | None = None
     movers: Movers = NO_MOVERS
+    # Whether only movers can be where an agent starts.
     clear: bool = struct.field(pytree_node=False, default=False)
+    # Whether the lot begins: goals are given, and agents not placed yet are nowhere.
     first: bool = struct.field(pytree_node=False, default=False)
 
 
 @struct.dataclass
 class Placing:
-    """Agents while they are placed.
+    """Agents (num_agents,) while they are placed."""
 
-    Attributes:
-        goal: (num_agents,) int32, see `State.goal`.
-        parked_bay: (num_parked_cars,) int32, see `ParkedCars.bay`.
-        pose_w: (num_agents, 3).
-        waiting: (num_agents,) bool, still to be placed.
-        close_bay: (num_agents,) int32 free bay next to which an exploring agent starts,
-            else `NO_BAY`.
-        conflict: (num_agents,) bool, an exploring agent takes another agent's goal if
-            possible.
-        found: (num_agents,) bool, the agent gets the car drawn for it; if that fits
-            into no bay the agent keeps its goal and its car.
-        waited: (num_agents,) int32, see `State.waited`; the agent that has waited
-            longest is placed first.
-        tries: (num_agents,) int32 starts that were rejected; after the first rejection
-            starts are random.
-    """
-
-    goal: jax.Array
-    parked_bay: jax.Array
-    pose_w: jax.Array
-    waiting: jax.Array
-    close_bay: jax.Array
-    conflict: jax.Array
+    goal: jax.Array  # int32, see `State.goal`
+    parked_bay: jax.Array  # (num_parked_cars,) int32, see `ParkedCars.bay`
+    pose_w: jax.Array  # (num_agents, 3)
+    waiting: jax.Array  # bool, still to be placed
+    close_bay: jax.Array  # int32 free bay an exploring agent starts next to, or NO_BAY
+    conflict: jax.Array  # bool, an exploring agent takes another's goal if possible
+    # Bool, the agent gets the car drawn for it; if that fits into no bay it keeps its
+    # goal and its car.
     found: jax.Array
-    waited: jax.Array
-    tries: jax.Array
+    waited: jax.Array  # int32, see `State.waited`; who has waited longest comes first
+    tries: jax.Array  # int32 starts rejected; after the first, starts are random
 
     @property
     def xy(self) -> jax.Array:
@@ -129,28 +104,18 @@ def start_placing(
 
 @struct.dataclass
 class Surroundings:
-    """The obstacles of one agent's start pose.
+    """The obstacles of one agent's start pose."""
 
-    Attributes:
-        pose_w: (num_agents, 3) the agents.
-        others: (num_agents,) bool, the agents to keep away from.
-        outlines: (num_agents, 2) footprints of the cars that agents drive or are about
-            to drive, whichever is larger [m]; None = unknown.
-        agent: () int32 which agent it is.
-        size: (2,) footprint of the agent's car [m]; None if it fits wherever it can
-            spawn.
-        obstacles: all obstacles but the agents; starts do not overlap them.
-        movers: those of them that `min_distance` applies to, as to agents.
-        clear: whether only movers can be where an agent starts.
-    """
-
-    pose_w: jax.Array
-    others: jax.Array
+    pose_w: jax.Array  # (num_agents, 3) the agents
+    others: jax.Array  # (num_agents,) bool, the agents to keep away from
+    # (num_agents, 2) footprints of the cars that agents drive or are about to drive,
+    # whichever is larger [m]; None = unknown.
     outlines: jax.Array | None
-    agent: jax.Array
-    size: jax.Array | None
-    obstacles: tuple[Group, ...]
-    movers: tuple[Group, ...] = ()
+    agent: jax.Array  # () int32 which agent it is
+    size: jax.Array | None  # (2,) of its car [m]; None if it fits wherever it can spawn
+    obstacles: tuple[Group, ...]  # all but the agents; starts do not overlap them
+    movers: tuple[Group, ...] = ()  # of these; `min_distance` applies, as to agents
+    # Whether only movers can be where an agent starts.
     clear: bool = struct.field(pytree_node=False, default=False)
 
     def distance(self, xy: jax.Array) -> jax.Array:

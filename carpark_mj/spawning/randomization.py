@@ -85,9 +85,6 @@ def check_randomization(
 
     Each range has bounds of its own; together they must not overturn the car on ground
     of a grade (rise over run).
-
-    Raises:
-        ValueError: naming the parameter, its range and what is allowed.
     """
     unsprung = params.mass - chassis_inertial(params)[0]
     least_mass = 2 * unsprung / params.mass

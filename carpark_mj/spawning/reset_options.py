@@ -48,12 +48,7 @@ class ResetOptions:
 def read_reset_options(
     config: EnvConfig, options: ResetOptions | None
 ) -> ResetOptions | None:
-    """Options of one lot as float32 and int32; None if nothing is given.
-
-    Raises:
-        ValueError: an array has another shape, goals are dynamic, or there is no fleet
-            of agents to choose a car from.
-    """
+    """Options of one lot as float32 and int32; None if nothing is given."""
     if options is None or not jax.tree.leaves(options):
         return None
     if options.goal is not None and config.goals.dynamic:
@@ -65,22 +60,19 @@ def read_reset_options(
             "options.pose needs options.goal where goals follow from drawn starts, "
             "goals.drive_out = True"
         )
-    shapes = {"pose": (3,), "speed": (), "goal": (), "kind": ()}
-    whole = ("goal", "kind")
     given: dict[str, jax.Array] = {}
-    for name, shape in shapes.items():
-        value = getattr(options, name)
+    for name, value in vars(options).items():
         if value is None:
             continue
-        wanted = (config.num_agents, *shape)
+        wanted = (config.num_agents, 3) if name == "pose" else (config.num_agents,)
         if jnp.shape(value) != wanted:
             raise ValueError(
                 f"options.{name} must be of shape {wanted}, not {jnp.shape(value)}"
             )
-        is_whole = jnp.issubdtype(jnp.asarray(value).dtype, jnp.integer)
-        if name in whole and not is_whole:
+        whole = name in ("goal", "kind")
+        if whole and not jnp.issubdtype(jnp.asarray(value).dtype, jnp.integer):
             raise ValueError(f"options.{name} must be whole numbers, not {value}")
-        given[name] = jnp.asarray(value, jnp.int32 if name in whole else jnp.float32)
+        given[name] = jnp.asarray(value, jnp.int32 if whole else jnp.float32)
     return ResetOptions(**given)
 
 
@@ -117,15 +109,9 @@ def kept_clear(
 
 
 def check_starts(config: EnvConfig, options: ResetOptions, state: State) -> None:
-    """Refuses lots whose given starts are impossible.
+    """Refuses given starts of lots (lots, ...), or of one, that are impossible.
 
-    Args:
-        config: of the environment.
-        options: of lots (lots, ...), or of one.
-        state: with which they began.
-
-    Raises:
-        ValueError: naming the first agent with an impossible start, and the reason.
+    `state` is that with which they began. The `ValueError` names the first such agent.
     """
     many = state.goal.ndim > 1
     if not many:
@@ -162,44 +148,30 @@ def _faults(config: EnvConfig, options: ResetOptions, state: State) -> Iterator[
     yield stands & wrong, lambda i: f"no car can stand at {pose[i].tolist()} exactly"
 
     car = state.physics.vehicle
-    wrong = ~((-car.max_reverse_speed <= speed) & (speed <= car.max_speed))
-    yield (
-        rolls & wrong,
-        lambda i: (
-            f"speed must lie in [{-car.max_reverse_speed[i]:.4g}, "
-            f"{car.max_speed[i]:.4g}] m/s, not {speed[i]}"
-        ),
-    )
+    limits = np.stack([-car.max_reverse_speed, car.max_speed], axis=-1)
+    wrong = ~((limits[..., 0] <= speed) & (speed <= limits[..., 1]))
+    yield rolls & wrong, lambda i: f"speed must lie in {limits[i]} m/s, not {speed[i]}"
     wrong = np.abs(motion.speed - speed) > TOLERANCE
     yield rolls & wrong, lambda i: f"no car can have the speed {speed[i]} m/s exactly"
 
     bays, kinds = np.asarray(layout.bay_mask), np.asarray(layout.bay_kind)
-    row = np.clip(goal, 0, bays.shape[1] - 1)
+    row, last = np.clip(goal, 0, bays.shape[1] - 1), bays.sum(axis=1) - 1
     wrong = (row != goal) | ~np.take_along_axis(bays, row, axis=1)
-    yield (
-        aims & wrong,
-        lambda i: (
-            "goal must be a bay, a row of Layout.bay_pose from 0 to "
-            f"{np.flatnonzero(bays[i[0]])[-1]}, not {goal[i]}"
-        ),
-    )
+    yield aims & wrong, lambda i: f"no bay {goal[i]}: goals are from 0 to {last[i[0]]}"
     held = np.asarray(state.goal)
     twice = (held[:, :, None] == held[:, None]) & ~np.eye(shape[1], dtype=bool)
     wrong = twice.any(-1) & (np.take_along_axis(kinds, row, axis=1) != BayKind.EXIT)
     yield aims & wrong, lambda i: f"bay {goal[i]} is also another agent's goal"
-    fits = jax.vmap(lambda *x: bay_fits(config, *x).agents)(
-        layout, car.size, state.parked_cars.size
-    )
+    find = jax.vmap(lambda *x: bay_fits(config, *x).agents)
+    fits = find(layout, car.size, state.parked_cars.size)
     if fits is not None:
         wrong = ~np.take_along_axis(np.asarray(fits), row[..., None], axis=2)[..., 0]
         yield aims & wrong, lambda i: f"its car does not fit into bay {goal[i]}"
 
     if options.kind is not None:
-        kind, count = np.asarray(options.kind), len(fleet_cars(config.fleet.agents))
-        yield (
-            ~((kind >= -1) & (kind < count)),
-            lambda i: f"kind must be -1 or a car from 0 to {count - 1}, not {kind[i]}",
-        )
+        kind, most = np.asarray(options.kind), len(fleet_cars(config.fleet.agents)) - 1
+        wrong = ~((kind >= -1) & (kind <= most))
+        yield wrong, lambda i: f"kind must be from -1 to {most}, not {kind[i]}"
     boxes = dataclasses.replace(state, motion=dataclasses.replace(motion, touched=None))
     hits = _hits(boxes, config.episode.hitbox_scale)
     hit = functools.reduce(jnp.logical_or, hits.values())

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config import EnvConfig
-from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
+from carpark_mj.geometry.obstacles import NO_MOVERS
 from carpark_mj.layouts import Layout, layout_config
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp import metrics
@@ -25,13 +25,7 @@ from carpark_mj.mdp.parked_cars import (
     relocate_parked_cars,
 )
 from carpark_mj.observations import sensors
-from carpark_mj.obstacles import (
-    begin_movers,
-    lot_obstacles,
-    make_movers,
-    step_movers,
-    trace_still,
-)
+from carpark_mj.obstacles import begin_movers, lot_obstacles, make_movers, trace_still
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.spawning.checks import is_made_for
 from carpark_mj.spawning.fleet import Fleet
@@ -85,7 +79,7 @@ class Spawner:
     ) -> None:
         """Takes the parts of an environment; `layout` is None where it is random."""
         self._config, self._fleet, self._physics = config, fleet, physics
-        self._movers = make_movers(config.movers)
+        self.movers = make_movers(config.movers)
         lot = layout_config(config.layout)
         # Contacts can push parked cars into spawn regions, and movers can drive there.
         # Regions fit the car they are made for; the margin fits it at any heading.
@@ -95,24 +89,21 @@ class Spawner:
             for car in fleet.agents
             for part in lot.parts
         )
-        self._may_touch = bool(self._movers) or not clear
-        self._only_movers = clear and bool(self._movers) and not fleet.mixed
+        self._may_touch = bool(self.movers) or not clear
+        self._only_movers = clear and bool(self.movers) and not fleet.mixed
         room = False
         if layout is not None and not self._may_touch:
             length = max(car.length for car in fleet.agents)
             width = max(car.width for car in fleet.agents)
-            room = has_room(
-                layout, (length, width), config.num_agents, config.spawn.spacing
-            )
+            cars = (length, width), config.num_agents
+            room = has_room(layout, *cars, config.spawn.spacing)
         # A single agent never waits, unless it may get a car that has no room to start.
-        others = config.num_agents > 1 or bool(self._movers)
+        others = config.num_agents > 1 or bool(self.movers)
         varies = fleet.mixed and config.episode.respawn
         self._may_wait = (others or varies) and not room
         may_be_fewer = config.occupancy is not None and config.min_agents is not None
-        most = min(lot.min_bays // 2, lot.min_goals)
-        self._limits_agents = (
-            may_be_fewer and not config.goals.dynamic and config.num_agents > most
-        )
+        fewer = config.num_agents > min(lot.min_bays // 2, lot.min_goals)
+        self._limits_agents = may_be_fewer and not config.goals.dynamic and fewer
 
     def begin_lot(
         self,
@@ -121,19 +112,15 @@ class Spawner:
         num_present: jax.Array | None = None,
         options: ResetOptions | None = None,
     ) -> State:
-        """Begins a lot: parked cars, movers, goals and agents.
+        """Begins a lot: parked cars, movers, goals and agents; `key` is consumed.
 
-        Args:
-            layout: of the lot.
-            key: consumed.
-            num_present: () int32 how many agents it has, at least 1; drawn if None.
-            options: starts that are given.
+        `num_present` () int32 is how many agents it has, at least 1; drawn if None.
         """
         config, num_agents = self._config, self._config.num_agents
         key, present = self._draw_present(layout, key, num_present)
         key, car_key, sensor_key = self._split(key)
         mover_key = key
-        if self._movers:
+        if self.movers:
             key, mover_key = jax.random.split(key)
         key, lot_key, start_key = jax.random.split(key, 3)
         goal_key = None
@@ -141,9 +128,9 @@ class Spawner:
             start_key, goal_key = jax.random.split(start_key)
         drawn = self._fleet.start(layout, lot_key, present, options)
         movers = NO_MOVERS
-        if self._movers:
+        if self.movers:
             others = lot_obstacles(layout, None, drawn.parked_cars)
-            movers = begin_movers(self._movers, layout, mover_key, others)
+            movers = begin_movers(self.movers, layout, mover_key, others)
         goal, absent = drawn.goal, jnp.zeros(num_agents, bool)
         if present is not None:
             goal = jnp.where(present, goal, NO_BAY)
@@ -187,14 +174,9 @@ class Spawner:
     ) -> State:
         """New goals, cars and start poses of the agents in a mask, or that wait.
 
-        Agents for which there is no free start are absent and wait, `State.waited`.
-
-        Args:
-            state: at the end of a step, or of a lot in which no agent has begun.
-            mask: (num_agents,) bool, agents that begin an episode.
-            keys: consumed.
-            options: starts that are given.
-            first: whether the lot begins, so that cars and fixed goals are drawn.
+        Agents for which there is no free start are absent and wait, `State.waited`. The
+        state is at the end of a step or, `first`, of a lot in which no agent has begun
+        and cars and fixed goals are drawn already. `keys` are consumed.
         """
         config, layout, old = self._config, state.layout, state.physics.vehicle
         begun = mask if state.waited is None else mask | (state.waited > 0)
@@ -206,10 +188,8 @@ class Spawner:
         waiting, pose_w = begun, state.motion.pose_w
         if options is not None and options.pose is not None:
             given = begun & has_pose(options)
-            waiting, pose_w = (
-                begun & ~given,
-                jnp.where(given[:, None], options.pose, pose_w),
-            )
+            waiting = begun & ~given
+            pose_w = jnp.where(given[:, None], options.pose, pose_w)
         placing = self._place(state, pose_w, waiting, vehicles, keys.starts, first)
         goal, pose_w = placing.goal, placing.pose_w
         if options is not None and config.goals.drive_out:  # drawn after the starts
@@ -308,12 +288,6 @@ class Spawner:
         parked_cars = relocate_parked_cars(self._config, state, events, key)
         return dataclasses.replace(state, parked_cars=parked_cars)
 
-    def step_movers(self, state: State, key: jax.Array) -> Movers:
-        """The movers after a control step; `state` is before it."""
-        if not self._movers:
-            return NO_MOVERS
-        return step_movers(self._movers, state, self._config.sim.ctrl_dt, key)
-
     def _draw_present(
         self, layout: Layout, key: jax.Array, num_present: jax.Array | None
     ) -> tuple[jax.Array, jax.Array | None]:
@@ -350,7 +324,7 @@ class Spawner:
         if self._config.episode.respawn:
             key, starts, goals, relocate = jax.random.split(key, 4)
         movers = key
-        if self._movers:
+        if self.movers:
             key, movers = jax.random.split(key)
         spawn = SpawnKeys(cars, starts, goals, sensors)
         return StepKeys(key, reading, relocate, movers, spawn)

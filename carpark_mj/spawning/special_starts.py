@@ -11,7 +11,7 @@
 The numbers of a start are uniform in [0, 1), see `starts.draw_uniform`.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from carpark_mj.geometry import box_inside, norm, rotate, to_world, wrap_angle
 from carpark_mj.layouts.types import BayEnd, Layout
 from carpark_mj.spawning.config import SpawnConfig
 from carpark_mj.spawning.placing import Placing, SpawnInputs, Surroundings
-from carpark_mj.spawning.starts import draw_heading, on_grid, pick
+from carpark_mj.spawning.starts import Draws, Shapes, draw_heading, on_grid, pick
 from carpark_mj.types import Vehicle
 
 ATTEMPTS = 10  # at a collision course: new goal, new other agent; then at random
@@ -44,31 +44,20 @@ FARTHEST = (0.5, 0.4, 0.15)  # along the bay and across [m], and askew [rad]
 
 
 class Targets(NamedTuple):
-    """Agents that another can be set on a collision course with.
+    """Agents that another can be set on a collision course with."""
 
-    Attributes:
-        xy: (num_agents, 2) centres [m].
-        goal_xy: (num_agents, 2) centres of their goals [m].
-        mask: (num_agents,) bool, those that drive to a goal.
-    """
-
-    xy: jax.Array
-    goal_xy: jax.Array
-    mask: jax.Array
+    xy: jax.Array  # (num_agents, 2) centres [m]
+    goal_xy: jax.Array  # (num_agents, 2) centres of their goals [m]
+    mask: jax.Array  # (num_agents,) bool, those that drive to a goal
 
 
-class CourseDraws(NamedTuple):
-    """Numbers of one attempt; with a leading axis for several.
-
-    Attributes:
-        target: (num_agents,) which agent.
-        meeting: (MEETINGS,) where the two would meet.
-        heading: (MEETINGS,) see `draw_heading`.
-    """
-
-    target: Any
-    meeting: Any
-    heading: Any
+def course_shapes(num_agents: int) -> Shapes:
+    """The numbers of one attempt at a collision course."""
+    return {
+        "target": (num_agents,),  # which agent
+        "meeting": (MEETINGS,),  # where the two would meet
+        "course_heading": (MEETINGS,),  # see `draw_heading`
+    }
 
 
 def course_pose(
@@ -77,7 +66,7 @@ def course_pose(
     around: Surroundings,
     goal_xy: jax.Array,
     targets: Targets,
-    draws: CourseDraws,
+    draws: Draws,
 ) -> tuple[jax.Array, jax.Array]:
     """One attempt to start an agent, whose goal is at (2,), on a collision course.
 
@@ -93,19 +82,18 @@ def course_pose(
     """
     distances = norm(targets.xy - targets.goal_xy)
     able = targets.mask & (distances >= config.conflict_distance)
-    target = pick(able, draws.target)
+    target = pick(able, draws["target"])
     distance, end = distances[target], targets.goal_xy[target]
     longest = distance - config.min_distance
     found = able.any() & (longest >= config.conflict_distance)
 
-    rest = config.conflict_distance + draws.meeting * (
-        longest - config.conflict_distance
-    )
+    shortest = config.conflict_distance
+    rest = shortest + draws["meeting"] * (longest - shortest)
     meeting = end + rest[:, None] * _unit(targets.xy[target] - end)
     start = meeting - (distance - rest)[:, None] * _unit(goal_xy - meeting)
 
     start, region, inside = _into_region(config, layout, start)
-    yaw = draw_heading(layout, region, draws.heading)
+    yaw = draw_heading(layout, region, draws["course_heading"])
     pose = jnp.concatenate([start, yaw[:, None]], axis=-1)
     good = inside & (around.distance(start) > config.min_distance)
     good = good & ~around.touches(pose)
@@ -130,22 +118,16 @@ def _into_region(
     return point, region, inside.any(axis=-1)
 
 
-class ReverseDraws(NamedTuple):
-    """Numbers of one start, with n paths.
-
-    Attributes:
-        nose_out: (n,) which way round the car stands in the bay.
-        share: (n, ARCS) shares of the arcs in a path.
-        curvature: (n, ARCS) of the arcs, up to the car's sharpest to either side.
-        direction: (n, ARCS) whether it is driven forwards.
-        point: (POINTS,) which point of the path.
-    """
-
-    nose_out: Any
-    share: Any
-    curvature: Any
-    direction: Any
-    point: Any
+def reverse_shapes(on: bool = True) -> Shapes:
+    """The numbers of a reverse start; none if it is off."""
+    n, points = (PATHS, POINTS) if on else (0, 0)
+    return {
+        "nose_out": (n,),  # which way round the car stands in the bay
+        "share": (n, ARCS),  # of the arcs in a path
+        "curvature": (n, ARCS),  # of the arcs, up to the car's sharpest on either side
+        "direction": (n, ARCS),  # whether it is driven forwards
+        "path_point": (points,),  # which point of the path
+    }
 
 
 def reverse_pose(
@@ -153,7 +135,7 @@ def reverse_pose(
     placing: Placing,
     around: Surroundings,
     agent: jax.Array,
-    draws: ReverseDraws,
+    draws: Draws,
 ) -> tuple[jax.Array, jax.Array]:
     """Draws a start on a path out of the goal's bay for one agent ().
 
@@ -168,9 +150,8 @@ def reverse_pose(
     layout, goal = inputs.layout, placing.goal[agent]
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
     size = inputs.cars.size[agent]
-    nose_out = clamp_to_bay_end(layout, goal, draws.nose_out)
-    draws = draws._replace(nose_out=nose_out)
-    paths = paths_out(inputs.cars, agent, bay_pose, draws)
+    nose_out = clamp_to_bay_end(layout, goal, draws["nose_out"])
+    paths = paths_out(inputs.cars, agent, bay_pose, draws | {"nose_out": nose_out})
 
     blocked = around.blocks(paths.reshape(-1, 3), size + 2 * MARGIN)
     outside = jnp.abs(paths[..., :2]) > layout.extent  # not every lot has walls around
@@ -185,7 +166,7 @@ def reverse_pose(
     alone = around.room(path) > ROOM
     # Without a bay for the new car the old one is kept, whose size may be another.
     good = clear & out & alone & placing.found[agent]
-    return path[pick(good, draws.point)], good.any()
+    return path[pick(good, draws["path_point"])], good.any()
 
 
 def clamp_to_bay_end(layout: Layout, bay: jax.Array, nose_out: jax.Array) -> jax.Array:
@@ -201,7 +182,7 @@ def clamp_to_bay_end(layout: Layout, bay: jax.Array, nose_out: jax.Array) -> jax
 
 
 def paths_out(
-    cars: Vehicle, agent: jax.Array, bay_pose: jax.Array, draws: ReverseDraws
+    cars: Vehicle, agent: jax.Array, bay_pose: jax.Array, draws: Draws
 ) -> jax.Array:
     """Paths (n, POINTS, 3) out of a bay of one agent's car, points `SPACING` apart.
 
@@ -210,12 +191,12 @@ def paths_out(
     """
     ahead = cars.centre_offset[agent]  # of the rear axle
     sharpest = jnp.tan(cars.max_steering[agent]) / cars.wheelbase[agent]
-    curvature = (2.0 * draws.curvature - 1.0) * sharpest
-    direction = jnp.where(draws.direction < 0.5, -1.0, 1.0)
-    share = 1.0 - draws.share  # in (0, 1]
+    curvature = (2.0 * draws["curvature"] - 1.0) * sharpest
+    direction = jnp.where(draws["direction"] < 0.5, -1.0, 1.0)
+    share = 1.0 - draws["share"]  # in (0, 1]
     arcs = LONGEST * share / sum(share[:, k : k + 1] for k in range(ARCS))
 
-    turned = jnp.where(draws.nose_out < 0.5, jnp.pi, 0.0)
+    turned = jnp.where(draws["nose_out"] < 0.5, jnp.pi, 0.0)
     yaw = (bay_pose[2] + turned)[:, None]
     x = bay_pose[0] - ahead * jnp.cos(yaw)
     y = bay_pose[1] - ahead * jnp.sin(yaw)
@@ -232,30 +213,14 @@ def paths_out(
     return jnp.stack([x, y, wrap_angle(yaw)], axis=-1)
 
 
-class MisalignedDraws(NamedTuple):
-    """Numbers of one start, with n poses.
-
-    Attributes:
-        off: (n, 3) offset from the middle, along the bay and across, and heading.
-        nose_out: (n,) which way round the car stands.
-        score: (n,) of the free poses the largest wins.
-    """
-
-    off: Any
-    nose_out: Any
-    score: Any
-
-
-def special_shapes(
-    config: SpawnConfig, num_agents: int
-) -> tuple[CourseDraws, ReverseDraws, MisalignedDraws]:
-    """Shapes of the numbers of a start of each kind, without any if its share is 0."""
-    n = ATTEMPTS if config.conflict_ratio else 0
-    course = CourseDraws((n, num_agents), (n, MEETINGS), (n, MEETINGS))
-    n, points = (PATHS, POINTS) if config.reverse_ratio else (0, 0)
-    reverse = ReverseDraws((n,), (n, ARCS), (n, ARCS), (n, ARCS), (points,))
-    n = POSES if config.misaligned_ratio else 0
-    return course, reverse, MisalignedDraws((n, 3), (n,), (n,))
+def misaligned_shapes(on: bool = True) -> Shapes:
+    """The numbers of a misaligned start; none if it is off."""
+    n = POSES if on else 0
+    return {
+        "off": (n, 3),  # offset from the middle, along the bay and across, and heading
+        "way_round": (n,),  # of the car
+        "score": (n,),  # of the free poses the largest wins
+    }
 
 
 def misaligned_pose(
@@ -263,7 +228,7 @@ def misaligned_pose(
     placing: Placing,
     around: Surroundings,
     agent: jax.Array,
-    draws: MisalignedDraws,
+    draws: Draws,
 ) -> tuple[jax.Array, jax.Array]:
     """Draws a start in the goal bay of one agent, not within its lines.
 
@@ -274,10 +239,10 @@ def misaligned_pose(
     layout, goal = inputs.layout, placing.goal[agent]
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
     size = inputs.cars.size[agent]
-    off = (2.0 * draws.off - 1.0) * jnp.asarray(FARTHEST)
-    nose_out = clamp_to_bay_end(layout, goal, draws.nose_out)
+    off = (2.0 * draws["off"] - 1.0) * jnp.asarray(FARTHEST)
+    nose_out = clamp_to_bay_end(layout, goal, draws["way_round"])
     turned = jnp.where(nose_out < 0.5, jnp.pi, 0.0)
     pose = to_world(bay_pose, off.at[:, 2].add(turned))
     good = ~around.blocks(pose, size + 2 * MARGIN) & around.free(pose)
     good = good & ~box_inside(pose, size, bay_pose, bay_size) & placing.found[agent]
-    return pose[pick(good, draws.score)], good.any()
+    return pose[pick(good, draws["score"])], good.any()

@@ -1,13 +1,13 @@
 """Where an agent starts: at random in the spawn regions, or close to its goal.
 
 The random numbers of a start are drawn all at once, as one call of the generator is one
-loop: a start lists the shapes of its uniform numbers in [0, 1) as a tree. Other kinds
-of starts are in `special_starts`.
+loop: a start lists the shapes of its uniform numbers in [0, 1) by name. Other kinds of
+starts are in `special_starts`.
 """
 
 import itertools
 import math
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,19 +19,16 @@ from carpark_mj.mdp.terminations import WORLD_UNIT
 from carpark_mj.spawning.config import SpawnConfig
 from carpark_mj.spawning.placing import Surroundings
 
-Draws = TypeVar("Draws")
+Shapes = dict[str, tuple[int, ...]]
+Draws = dict[str, jax.Array]
 
 
-def draw_uniform(shapes: Draws, key: jax.Array) -> Draws:
-    """Independent uniform numbers in [0, 1), arrays in place of their shapes.
-
-    The leaves of the tree are plain tuples; `key` is consumed.
-    """
-    leaves, tree = jax.tree.flatten(shapes, is_leaf=lambda node: type(node) is tuple)
-    ends = np.cumsum([math.prod(shape) for shape in leaves])
+def draw_uniform(shapes: Shapes, key: jax.Array) -> Draws:
+    """Independent uniform numbers in [0, 1) of these shapes; `key` is consumed."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
     numbers = jnp.split(jax.random.uniform(key, (int(ends[-1]),)), ends[:-1])
-    parts = [x.reshape(shape) for x, shape in zip(numbers, leaves, strict=True)]
-    return jax.tree.unflatten(tree, parts)
+    pairs = zip(shapes.items(), numbers, strict=True)
+    return {name: x.reshape(shape) for (name, shape), x in pairs}
 
 
 def pick(mask: jax.Array, scores: jax.Array) -> jax.Array:
@@ -46,45 +43,25 @@ def pick_weighted(weights: jax.Array, number: jax.Array) -> jax.Array:
     return jnp.argmax(number[..., None] * ends[-1] < ends, axis=-1)
 
 
-class SpawnDraws(NamedTuple):
-    """Uniform numbers in [0, 1) for one start of n candidates and m walks.
-
-    Attributes:
-        kind: () see `draw_kind`.
-        region: (n,) which spawn region.
-        point: (n, 2) where in it.
-        heading: (n,) see `draw_heading`.
-        walk: (m, k) see `close_points`.
-    """
-
-    kind: Any
-    region: Any
-    point: Any
-    heading: Any
-    walk: Any
-
-
-def spawn_shapes(config: SpawnConfig) -> SpawnDraws:
-    """Shapes of the numbers of a start, for `draw_uniform`."""
+def spawn_shapes(config: SpawnConfig) -> Shapes:
+    """The numbers of a random or close start."""
     n = config.num_candidates
-    walks = 1 if config.spacing else n
-    return SpawnDraws((), (n,), (n, 2), (n,), (walks, walk_numbers(config)))
+    return {
+        "kind": (),  # see `draw_kind`
+        "region": (n,),  # which spawn region
+        "point": (n, 2),  # where in it
+        "heading": (n,),  # see `draw_heading`
+        "walk": (1 if config.spacing else n, walk_numbers(config)),  # `close_points`
+    }
 
 
 class SpawnKind(NamedTuple):
-    """Kind of a start; random if it is none of these. (...) bool each.
+    """Kind of a start, (...) bool each; random if it is none of these."""
 
-    Attributes:
-        close: close to a goal.
-        conflict: with another agent, on course for a collision or about a bay.
-        reverse: on a path out of the goal's bay.
-        misaligned: in the goal's bay.
-    """
-
-    close: jax.Array
-    conflict: jax.Array
-    reverse: jax.Array
-    misaligned: jax.Array
+    close: jax.Array  # to a goal
+    conflict: jax.Array  # on course for a collision, or about a bay
+    reverse: jax.Array  # on a path out of the goal's bay
+    misaligned: jax.Array  # in the goal's bay
 
 
 def draw_kind(config: SpawnConfig, number: jax.Array) -> SpawnKind:
@@ -99,7 +76,7 @@ def spawn_pose(
     layout: Layout,
     around: Surroundings,
     goal_pose: jax.Array,
-    draws: SpawnDraws,
+    draws: Draws,
 ) -> jax.Array:
     """Draws a start pose (3,) for one agent, random or close to the goal's pose (3,).
 
@@ -112,23 +89,23 @@ def spawn_pose(
     something are taken only if there is no other.
     """
     random_xy, random_region = _random_points(config, layout, draws)
-    close_xy, nearest = close_points(config, layout, goal_pose[:2], draws.walk)
+    close_xy, nearest = close_points(config, layout, goal_pose[:2], draws["walk"])
     # Close to the goal only if no other agent is, as in the study.
     free = (around.distance(close_xy) > config.min_distance).any()
-    close = draw_kind(config, draws.kind).close & free
+    close = draw_kind(config, draws["kind"]).close & free
     xy = jnp.where(close, close_xy, random_xy)
     region = jnp.where(close, nearest, random_region)
-    yaw = draw_heading(layout, region, draws.heading)
+    yaw = draw_heading(layout, region, draws["heading"])
     pose = jnp.concatenate([xy, yaw[:, None]], axis=-1)
     return _best(config, around, pose)
 
 
 def random_pose(
-    config: SpawnConfig, layout: Layout, around: Surroundings, draws: SpawnDraws
+    config: SpawnConfig, layout: Layout, around: Surroundings, draws: Draws
 ) -> jax.Array:
     """Draws a start pose (3,) at random; see `spawn_pose`."""
     xy, region = _random_points(config, layout, draws)
-    yaw = draw_heading(layout, region, draws.heading)
+    yaw = draw_heading(layout, region, draws["heading"])
     return _best(config, around, jnp.concatenate([xy, yaw[:, None]], axis=-1))
 
 
@@ -139,16 +116,16 @@ def redraw(
     pose: jax.Array,
     key: jax.Array,
 ) -> jax.Array:
-    """Draws a start pose (3,) again, at random, until it keeps `min_distance`.
+    """Draws a start pose (3,) again until it keeps `min_distance`; `key` is consumed.
 
-    After `max_redraws` rounds of `num_candidates` it may still be too near. `key` is
-    consumed.
+    After `max_redraws` rounds of `num_candidates` it may still be too near.
     """
-    shapes = spawn_shapes(config)._replace(walk=(0, 0))
+    shapes = spawn_shapes(config) | {"walk": (0, 0)}
 
     def goes_on(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
-        count, pose = carry
-        return (count < config.max_redraws) & ~_keeps(config, around, pose[None])[0]
+        count, pose = carry[0], carry[1][None]
+        keeps = ~around.touches(pose) & _is_far(config, around, pose)
+        return (count < config.max_redraws) & ~keeps[0]
 
     def again(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         count, _ = carry
@@ -159,15 +136,15 @@ def redraw(
 
 
 def _random_points(
-    config: SpawnConfig, layout: Layout, draws: SpawnDraws
+    config: SpawnConfig, layout: Layout, draws: Draws
 ) -> tuple[jax.Array, jax.Array]:
     """Points (num_candidates, 2) uniform over the spawn regions, and which region."""
     area = layout.spawn_size[:, 0] * layout.spawn_size[:, 1]
-    region = pick_weighted(jnp.where(layout.spawn_mask, area, 0.0), draws.region)
+    region = pick_weighted(jnp.where(layout.spawn_mask, area, 0.0), draws["region"])
     pose, size = layout.spawn_pose[region], layout.spawn_size[region]
     # local = U(-size / 2, size / 2) in the region's frame; with a spacing half of it
     # more on each side: points on the edge count fully.
-    local = (draws.point - 0.5) * (size + config.spacing)
+    local = (draws["point"] - 0.5) * (size + config.spacing)
     local = on_grid(config, local, size)
     return pose[:, :2] + rotate(local, pose[:, 2]), region
 
@@ -178,11 +155,6 @@ def _best(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Arr
     keeps = ~touches & _is_far(config, around, pose)
     room = jnp.where(touches, -1.0, around.room(pose))
     return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(room))]
-
-
-def _keeps(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
-    """(n,) bool, whether poses (n, 3) keep their distance and touch nothing."""
-    return ~around.touches(pose) & _is_far(config, around, pose)
 
 
 def _is_far(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from carpark_mj.config.checks import require_count
+from carpark_mj.config.checks import require_count, require_seed
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
@@ -47,10 +47,7 @@ class Batch:
     """
 
     def __init__(self, env: Environment, num_lots: int, restart: bool = True) -> None:
-        """Takes an environment; it is compiled by the first calls.
-
-        `restart` is whether a lot resets when all its agents have finished.
-        """
+        """With `restart` a lot resets when all its agents have finished."""
         require_count("num_lots", num_lots, 1)
         self.env: Any = env  # adapters know of which kind
         self.num_lots, self._restart = num_lots, restart
@@ -121,10 +118,9 @@ class Batch:
     def step(self, action: jax.Array | np.ndarray) -> TimeStep:
         """Advances all lots by a control step; actions are of `action_shape`.
 
-        Returns:
-            The time step, all (num_lots, num_agents, ...). Where an episode has begun,
-            `observation` is that of the new episode and `final_observation` the last of
-            the old one.
+        All of the time step is (num_lots, num_agents, ...). Where an episode has begun,
+        `observation` is that of the new episode and `final_observation` the last of
+        the old one.
         """
         require_shape("actions", action, self.action_shape)
         self._state, timestep = self._programs.step(self.state, action)
@@ -256,6 +252,9 @@ def _programs(env: Environment, restart: bool) -> _Programs:
     )
 
 
+_Lots = tuple[tuple[State, jax.Array], jax.Array]  # with observations; which are due
+
+
 def _restart(
     env: Environment, state: State, observation: jax.Array, due: jax.Array
 ) -> tuple[State, jax.Array]:
@@ -263,9 +262,7 @@ def _restart(
     num_lots = due.shape[0]
     count = max(1, round(num_lots * _GROUP))
 
-    def group(
-        carry: tuple[tuple[State, jax.Array], jax.Array],
-    ) -> tuple[tuple[State, jax.Array], jax.Array]:
+    def group(carry: _Lots) -> _Lots:
         old, due = carry
         (lots,) = jnp.nonzero(due, size=count, fill_value=num_lots)
         fresh = jax.vmap(env.reset)(old[0].key[jnp.minimum(lots, num_lots - 1)])
@@ -286,11 +283,8 @@ def _seeds(seed: Seeds, num_lots: int) -> np.ndarray:
         return drawn
     given = list(seed) if isinstance(seed, Sequence | np.ndarray) else [seed]
     for each in given:
-        whole = isinstance(each, int | np.integer) and type(each) is not bool
-        if each is not None and not (whole and 0 <= each < 2**32):
-            raise ValueError(
-                f"a seed must be a whole number in [0, 2**32), not {each!r}"
-            )
+        if each is not None:
+            require_seed(each)
     if isinstance(seed, int | np.integer):
         given = [(int(seed) + i) % 2**32 for i in range(num_lots)]
     if len(given) != num_lots:
@@ -314,14 +308,10 @@ class Screen:
         width: int = WIDTH,
         height: int = HEIGHT,
     ) -> None:
-        """Opens nothing yet.
+        """Opens nothing yet; the camera is one of `scene.camera_flags.camera_names`.
 
-        Args:
-            env: a `ParkingEnv`, or what a subclass draws.
-            camera: see `carpark_mj.scene.camera_flags.camera_names`.
-            num_cars: number of cars that cameras can follow; None = the agents.
-            width: of pictures [pixels].
-            height: of pictures [pixels].
+        `env` is a `ParkingEnv`, or what a subclass draws; `num_cars` cars can be
+        followed, None = the agents. Sizes are of pictures [pixels].
         """
         require_count("width", width, 2, camera_flags.OFFSCREEN_WIDTH)
         require_count("height", height, 2, camera_flags.OFFSCREEN_HEIGHT)

@@ -36,20 +36,14 @@ class BraxParking(Env):
         member: jax.Array | None = None,
         num_present: jax.Array | None = None,
     ) -> BraxState:
-        """Starts the lots, one per key.
+        """Starts the lots, one per key (num_lots,), which are consumed.
 
-        Args:
-            rng: (num_lots,) keys, consumed.
-            member: (num_lots,) int32 which member of a mixture each lot is of, kept in
-                `info`; drawn if None.
-            num_present: (num_lots,) int32 how many agents each is to have, kept in
-                `info` (some lots have room for fewer only); drawn if None.
+        `member` (num_lots,) int32 is which member of a mixture each lot is of,
+        `num_present` (num_lots,) int32 how many agents each is to have (some have room
+        for fewer only). Both are kept in `info`, and drawn if None.
         """
-        state, observation = jax.vmap(
-            lambda key, member, num_present: self.env.reset(
-                key, member=member, num_present=num_present
-            )
-        )(rng, member, num_present)
+        given: dict[str, Any] = {"member": member, "num_present": num_present}
+        state, observation = jax.vmap(self.env.reset)(rng, **given)
         observation = _flatten(observation)
         zero = jnp.zeros(observation.shape[:1], jnp.float32)
         spec = self.env.action_spec
@@ -57,19 +51,18 @@ class BraxParking(Env):
         lot = jax.eval_shape(
             lambda s: self.env.step(s, action)[1], jax.tree.map(lambda x: x[0], state)
         )
+        final = None if lot.final_observation is None else jnp.zeros_like(observation)
         info = {
             "truncation": zero,
             "present": _presence(state),
             "episode_done": zero,
             "episode_metrics": {name: zero for name in lot.metrics},
             "reward_terms": {name: zero for name in lot.reward_terms},
-            "final_observation": None,
+            "final_observation": final,
         }
-        if lot.final_observation is not None:
-            info["final_observation"] = jnp.zeros_like(observation)
-        for name, given in (("member", member), ("num_present", num_present)):
-            if given is not None:
-                info[name] = jnp.repeat(given, self.env.num_agents)
+        for name, value in given.items():
+            if value is not None:
+                info[name] = jnp.repeat(value, self.env.num_agents)
         return BraxState(
             pipeline_state=state,  # pyright: ignore[reportArgumentType]
             obs=observation,

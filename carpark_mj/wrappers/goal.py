@@ -43,11 +43,7 @@ class GoalParking(ParkingEnv):
     """
 
     def __init__(self, config: EnvConfig, physics: Physics | None = None) -> None:
-        """Builds the environment; see `ParkingEnv`.
-
-        Raises:
-            ValueError: settings under which goals cannot be relabelled.
-        """
+        """See `ParkingEnv`; refuses settings under which goals cannot be relabelled."""
         super().__init__(config, physics)
         config = self.config
         if config.num_agents != 1 or config.episode.respawn or config.goals.dynamic:

@@ -107,10 +107,6 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
             width: of pictures [pixels].
             height: of pictures [pixels].
             **options: see `Options`; there is always one agent.
-
-        Raises:
-            TypeError: an unknown option.
-            ValueError: an impossible one.
         """
         require_render_mode(render_mode, RENDER_MODES)
         if (steps := _asked_steps(inspect.currentframe())) is not None:
@@ -130,11 +126,8 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         Args:
             seed: in [0, 2**32); None = continue with the lot's own random numbers.
             options: `pose`, `speed` and `goal` of the start, drawn where left out; see
-                `carpark_mj.wrappers.options.as_reset_options`.
-
-        Raises:
-            ValueError: a seed out of range, an unknown option, or an impossible start,
-                such as an unknown bay or a pose on a wall.
+                `carpark_mj.wrappers.options.as_reset_options`. A `ValueError` refuses
+                impossible starts, such as an unknown bay or a pose on a wall.
         """
         super().reset(seed=seed)
         given = as_reset_options([options], (1, 1))
@@ -146,9 +139,8 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by a control step; see the class.
 
-        Raises:
-            ResetNeeded: before the first `reset`, or after the end of an episode.
-            ValueError: an action of another shape, or NaN.
+        `ResetNeeded` before the first `reset`, or after the end of an episode;
+        `ValueError` for an action of another shape, or NaN.
         """
         if not self._running:
             raise ResetNeeded("call reset before the first step of an episode")
@@ -200,9 +192,8 @@ def _asked_steps(frame: FrameType | None) -> int | None:
 
 def one_agent(config: EnvConfig) -> EnvConfig:
     """The config for one agent without respawn."""
-    episode = dataclasses.replace(
-        config.episode, respawn=False, final_observation=False
-    )
+    changes = {"respawn": False, "final_observation": False}
+    episode = dataclasses.replace(config.episode, **changes)
     return dataclasses.replace(config, num_agents=1, min_agents=None, episode=episode)
 
 
@@ -256,13 +247,10 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
     ) -> tuple[Any, dict[str, Any]]:
         """Begins an episode in every environment.
 
-        Args:
-            seed: lot i gets seed + i, or the i-th of a sequence; see `Batch.reset`.
-            options: see `ParkEnv.reset`; one dictionary for all environments, or one
-                for each. They apply to the episodes that begin now only.
-
-        Returns:
-            Observations (num_envs, ...), and infos as `step` returns them.
+        Lot i gets seed + i, or the i-th of a sequence; see `Batch.reset`. Options are
+        one dictionary for all environments, or one for each, see `ParkEnv.reset`, and
+        apply to the episodes that begin now only. Returns observations (num_envs, ...)
+        and infos as `step` does.
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
         given = self.read_options(options)
@@ -294,10 +282,8 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         infos = _infos(success & ~done, crashed & ~done, np.ones_like(done))
         if done.any():
             infos["final_info"] = _infos(success, crashed, done)
-            final, each = (
-                np.full(self.num_envs, None),
-                self._by_env(step.final_observation),
-            )
+            final = np.full(self.num_envs, None)
+            each = self._by_env(step.final_observation)
             for index in np.flatnonzero(done):
                 final[index] = jax.tree.map(lambda x: x[index], each)  # noqa: B023
             infos["final_obs"] = final
@@ -318,9 +304,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
 
     def _by_env(self, observation: Any) -> Any:
         """Observations (num_envs, ...) from those of agents in lots."""
-        return jax.tree.map(
-            lambda x: x.reshape(self.num_envs, *x.shape[2:]), observation
-        )
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), observation)
 
 
 def _infos(
@@ -347,9 +331,8 @@ class ParkManyVectorEnv(ParkVectorEnv):
                 "min_agents must be None, as every environment is an agent, not "
                 f"{config.min_agents}"
             )
-        episode = dataclasses.replace(
-            config.episode, respawn=True, final_observation=True
-        )
+        changes = {"respawn": True, "final_observation": True}
+        episode = dataclasses.replace(config.episode, **changes)
         # None and not that number: lots without room for all are refused.
         config = dataclasses.replace(config, episode=episode, min_agents=None)
         return share(ParkingEnv, config)

@@ -18,10 +18,9 @@ from carpark_mj.types import ENDINGS
 from carpark_mj.wrappers.batch import require_shape
 from carpark_mj.wrappers.options import (
     Options,
-    action_table,
     configure,
+    discrete_table,
     observation_space,
-    require_discrete,
     share,
 )
 
@@ -50,12 +49,10 @@ class JaxMarlAgents(MultiAgentEnv):
         """
         super().__init__(env.num_agents)
         self._env = env
-        spec = env.action_spec
-        require_discrete(spec, discrete)
-        self._table = jnp.asarray(action_table(spec)) if discrete else None
-        act = Box(-1.0, 1.0, (spec.size,))
-        if self._table is not None:
-            act = Discrete(len(self._table))
+        act, table = Box(-1.0, 1.0, (env.action_spec.size,)), None
+        if (rows := discrete_table(env.action_spec, discrete)) is not None:
+            act, table = Discrete(len(rows)), jnp.asarray(rows)
+        self._table = table
         self._action_shape = (self.num_agents, *act.shape)
         self.observation_spaces = dict.fromkeys(self.agents, _space(space))
         self.action_spaces = dict.fromkeys(self.agents, act)

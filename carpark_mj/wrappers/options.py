@@ -70,13 +70,9 @@ _EPISODE = {"rule": "parked_rule", "max_episode_steps": "max_steps"}
 
 
 def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig:
-    """The configuration from options.
+    """The configuration from options; `TypeError` of unknown ones.
 
     Configs may be dictionaries of their fields, as in the JSON of a Gymnasium spec.
-
-    Raises:
-        TypeError: unknown option.
-        ValueError: impossible value.
     """
     require_options(options, allowed)
     given = {name: from_json(_KINDS[name], x) for name, x in options.items()}
@@ -92,11 +88,11 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
     if "reward" in given:
         reward = given["reward"]
         changes["reward"] = REWARDS[reward] if isinstance(reward, str) else reward
-    config = dataclasses.replace(config, **changes)
-    if isinstance(config.layout, str) and "." in config.layout:
+    layout = changes.get("layout", config.layout)
+    if isinstance(layout, str) and "." in layout:
         # Parameters instead of the name: environments are shared.
-        config = dataclasses.replace(config, layout=layout_config(config.layout))
-    return config
+        changes["layout"] = layout_config(layout)
+    return dataclasses.replace(config, **changes)
 
 
 def require_options(options: Mapping[str, Any], allowed: Iterable[str]) -> None:
@@ -121,27 +117,22 @@ KEYS = ("pose", "speed", "goal")
 def as_reset_options(
     options: Sequence[Mapping[str, Any] | None], shape: tuple[int, int]
 ) -> ResetOptions | None:
-    """Options (*shape, ...) of those of single agents; None if all are empty.
+    """Options (lots, agents, ...) of those of single agents; None if all are empty.
 
-    Args:
-        options: of each agent of each lot: `pose`, start pose (x, y, yaw) of the
-            footprint's centre in the world frame [m, m, rad]; `speed`, forwards
-            positive [m/s]; `goal`, the index of a bay. Missing poses and goals are
-            drawn; a car without a speed begins at rest.
-        shape: lots and agents in a lot.
+    An agent's are `pose`, start pose (x, y, yaw) of the footprint's centre in the world
+    frame [m, m, rad]; `speed`, forwards positive [m/s]; `goal`, the index of a bay.
+    Missing poses and goals are drawn; a car without a speed begins at rest.
     """
     rows = [_checked(row) for row in options]
     if not any(rows):
         return None
     nothing = {"pose": (np.nan,) * 3, "speed": np.nan, "goal": NO_BAY}
-    given: dict[str, Any] = {
-        key: np.array([row.get(key, nothing[key]) for row in rows], dtype)
-        for key, dtype in zip(KEYS, (np.float32, np.float32, np.int32), strict=True)
-        if any(key in row for row in rows)
-    }
-    return ResetOptions(
-        **{key: x.reshape(*shape, *x.shape[1:]) for key, x in given.items()}
-    )
+    given: dict[str, Any] = {}
+    for key, dtype in zip(KEYS, (np.float32, np.float32, np.int32), strict=True):
+        if any(key in row for row in rows):
+            each = np.array([row.get(key, nothing[key]) for row in rows], dtype)
+            given[key] = each.reshape(*shape, *each.shape[1:])
+    return ResetOptions(**given)
 
 
 def _checked(options: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -173,10 +164,9 @@ def action_table(spec: ActionSpec) -> np.ndarray:
 
     On the grid, where all parts are choices, the list is complete.
     """
-    ends = (-1.0, 1.0)
-    parts = (np.linspace(*ends, STEERS), np.linspace(*ends, PEDALS))[: spec.continuous]
-    indices = tuple(np.arange(n) for n in spec.choices)
-    return np.array(list(itertools.product(*parts, *indices)), spec.dtype)
+    numbers = [np.linspace(-1.0, 1.0, n) for n in (STEERS, PEDALS)[: spec.continuous]]
+    indices = [np.arange(n) for n in spec.choices]
+    return np.array(list(itertools.product(*numbers, *indices)), spec.dtype)
 
 
 def observation_space(config: EnvConfig) -> spaces.Box | spaces.Dict:
@@ -264,13 +254,17 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
     return flat.astype(spec.dtype)
 
 
-def require_discrete(spec: ActionSpec, discrete: bool) -> None:
-    """Refuses continuous actions where some parts are indices."""
+def discrete_table(spec: ActionSpec, discrete: bool) -> np.ndarray | None:
+    """`action_table` of discrete actions, None of continuous ones.
+
+    Refuses continuous actions where some parts are indices.
+    """
     if spec.choices and not discrete:
         raise ValueError(
             "the grid and dynamic goals have actions that are indices: give "
             "discrete=True"
         )
+    return action_table(spec) if discrete else None
 
 
 def array_action_space(spec: ActionSpec) -> spaces.Space[Any]:

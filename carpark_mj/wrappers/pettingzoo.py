@@ -52,16 +52,8 @@ def parallel_env(
         >>> env = carpark_mj.parallel_env(layout="square_compact", agents=4)
         >>> observations, infos = env.reset(seed=0)
 
-    Args:
-        render_mode: `rgb_array`, `human` (a window, drawn at every step) or None.
-        camera: of `render`; `topdown`, `overview`, `chase:K`, `driver:K`, `split:K`.
-        width: of pictures [pixels].
-        height: of pictures [pixels].
-        **options: see `carpark_mj.wrappers.options.Options`.
-
-    Raises:
-        TypeError: unknown option.
-        ValueError: impossible value.
+    Pictures are those of `carpark_mj.wrappers.gymnasium_env.ParkEnv`, options those of
+    `carpark_mj.wrappers.options.Options`.
     """
     config = configure(options)
     env = share(JointEnv, config)
@@ -123,33 +115,27 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Resets the lot.
 
-        Args:
-            seed: of this and all later lots; None continues the random numbers of the
-                last seed, or of one from the operating system.
-            options: by the names of agents, each with `pose`, `speed` and `goal` of its
-                start, drawn where left out; see `carpark_mj.wrappers.options`.
+        The seed is that of this and all later lots; None continues the random numbers
+        of the last one, or of one from the operating system. Options are by the names
+        of agents, see `carpark_mj.wrappers.options.as_reset_options`.
         """
         given = self._read_options(options)
         observation = self._lots.reset_numpy(seed, given)
         self._observation = _in_a_row(observation)  # callers may change what they get
-        self.agents = self.possible_agents
-        active = self._by_agent(np.asarray(self._lots.state.active))
-        self.agents = [agent for agent, drives in active.items() if drives]
+        active = np.asarray(self._lots.state.active[0])
+        self.agents = [
+            a for a, x in zip(self.possible_agents, active, strict=True) if x
+        ]
         self._show()
-        nothing = {"is_success": False, "crashed": False}
-        infos = {agent: nothing.copy() for agent in self.agents}
+        infos = {a: {"is_success": False, "crashed": False} for a in self.agents}
         return self._by_agent(observation), infos
 
     def step(self, actions: dict[str, Any]) -> Results:
         """Steps all agents that are still driving.
 
-        Args:
-            actions: an element of `action_space` for each of `agents`; those of agents
-                that have left are ignored, because TorchRL sends them.
-
-        Raises:
-            AssertionError: a step before `reset`, a missing agent, a wrong shape, or
-                numbers that are not finite.
+        There is an element of `action_space` for each of `agents`; those of agents that
+        have left are ignored, because TorchRL sends them. `AssertionError` before
+        `reset`, or for a missing agent, a wrong shape or numbers that are not finite.
         """
         if self._observation is None:
             EnvLogger.error_step_before_reset()
@@ -172,10 +158,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
             {agent: value.item() for agent, value in self._by_agent(values).items()}
             for values in ends
         )
-        infos = {
-            agent: {"is_success": success[agent], "crashed": crashed[agent]}
-            for agent in self.agents
-        }
+        infos = {a: {"is_success": success[a], "crashed": crashed[a]} for a in success}
         observations = self._by_agent(step.observation)
         ended = {a for a in self.agents if terminations[a] or truncations[a]}
         self.agents = [agent for agent in self.agents if agent not in ended]
@@ -226,14 +209,10 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
     def _by_agent(self, values: Any) -> dict[str, Any]:
         """Values (1, num_agents, ...) of the agents that are driving, by name."""
         rows = {agent: self.possible_agents.index(agent) for agent in self.agents}
-        return {
-            agent: jax.tree.map(lambda x: x[0, row], values)  # noqa: B023
-            for agent, row in rows.items()
-        }
+        return {a: jax.tree.map(lambda x: x[0, k], values) for a, k in rows.items()}  # noqa: B023
 
 
 def _in_a_row(observation: Any) -> np.ndarray:
     """All numbers of a lot's observations (1, num_agents, ...), agent by agent."""
-    parts = jax.tree.leaves(observation)
-    rows = [part.reshape(part.shape[1], -1) for part in parts]
+    rows = [x.reshape(x.shape[1], -1) for x in jax.tree.leaves(observation)]
     return np.concatenate(rows, axis=1).flatten()

@@ -72,11 +72,10 @@ class ParkVecEnv(VecEnv):
         final = infos.get("final_info", infos)
         success = np.where(done, final["is_success"], infos["is_success"])
         crashed = np.where(done, final["crashed"], infos["crashed"])
+        columns = success.tolist(), crashed.tolist(), truncated.tolist()
         rows: list[dict[str, Any]] = [
             {"is_success": s, "crashed": c, "TimeLimit.truncated": t}
-            for s, c, t in zip(
-                success.tolist(), crashed.tolist(), truncated.tolist(), strict=True
-            )
+            for s, c, t in zip(*columns, strict=True)
         ]
         for index in np.flatnonzero(done):
             rows[index]["terminal_observation"] = infos["final_obs"][index]

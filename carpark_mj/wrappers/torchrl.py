@@ -16,10 +16,9 @@ from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.wrappers.batch import Screen
 from carpark_mj.wrappers.options import (
     Options,
-    action_table,
     configure,
+    discrete_table,
     observation_space,
-    require_discrete,
     share,
 )
 from carpark_mj.wrappers.torch_batch import TorchBatch
@@ -61,8 +60,7 @@ class TorchRLAgents(EnvBase):
         that); with `discrete` actions are rows of `action_table`, otherwise numbers in
         [-1, 1].
         """
-        spec = env.action_spec
-        require_discrete(spec, discrete)
+        table = discrete_table(env.action_spec, discrete)
         self._lots = TorchBatch(env, lots, restart=False)
         on = self._lots.device
         if device is not None and torch.empty(0, device=device).device != on:
@@ -72,24 +70,18 @@ class TorchRLAgents(EnvBase):
         super().__init__(device=on, batch_size=torch.Size([lots]))
         self.group_map = {GROUP: env.agents}
         self._env, self._seed, self._screen = env, None, screen
-        self._table = None
-        if discrete:
-            self._table = torch.from_numpy(action_table(spec)).to(on)
+        self._table = None if table is None else torch.from_numpy(table).to(on)
         self._make_specs(space)
 
     def _make_specs(self, space: spaces.Box | spaces.Dict) -> None:
         """Specs of one lot; those of the batch follow from them."""
         agents = (self._env.num_agents,)
-        action = (
-            Bounded(-1.0, 1.0, (*agents, self._env.action_spec.size))
-            if self._table is None
-            else Categorical(len(self._table), agents)
-        )
+        action = Bounded(-1.0, 1.0, (*agents, self._env.action_spec.size))
+        if self._table is not None:
+            action = Categorical(len(self._table), agents)
 
         def flags(names: tuple[str, ...], *shape: int) -> dict[str, Categorical]:
-            return {
-                name: Categorical(2, (*shape, 1), dtype=torch.bool) for name in names
-            }
+            return {k: Categorical(2, (*shape, 1), dtype=torch.bool) for k in names}
 
         def grouped(specs: dict[str, Any]) -> Composite:
             return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
@@ -180,10 +172,8 @@ def _spec(space: Any, agents: tuple[int]) -> Any:
     if isinstance(space, spaces.Dict):
         parts = {name: _spec(part, agents) for name, part in space.items()}
         return Composite(parts, shape=agents)
-    low, high = (
-        torch.tensor(bound).expand(*agents, *space.shape)
-        for bound in (space.low, space.high)
-    )
+    shape = (*agents, *space.shape)
+    low, high = (torch.tensor(x).expand(shape) for x in (space.low, space.high))
     # Samples of `Bounded` are not finite where a bound is infinite.
     if not (low.isfinite() & high.isfinite()).all():
         return Unbounded(low.shape, dtype=low.dtype)
@@ -202,15 +192,9 @@ class TorchRLParking(TorchRLAgents):
         discrete: bool = False,
         **options: Unpack[Options],
     ) -> None:
-        """Builds the environment.
+        """Builds the environment of `Options`; see `TorchRLAgents` for the others.
 
-        Args:
-            lots: number of lots.
-            device: must be JAX's; None = that.
-            seed: of lot 0; lot i uses seed + i. None = unpredictable.
-            discrete: actions are rows of `action_table`; otherwise steer and pedal in
-                [-1, 1].
-            **options: see `carpark_mj.wrappers.options.Options`.
+        Lot i uses `seed` + i; None = unpredictable.
         """
         config = configure(options)
         env, space = share(JointEnv, config), observation_space(config)

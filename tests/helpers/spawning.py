@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from helpers.states import parked_at
@@ -10,7 +11,26 @@ from helpers.states import parked_at
 from carpark_mj.config import SpawnConfig
 from carpark_mj.layouts import Layout
 from carpark_mj.obstacles import lot_obstacles
-from carpark_mj.spawning.placing import Surroundings
+from carpark_mj.spawning.placing import (
+    Placing,
+    SpawnInputs,
+    Surroundings,
+    start_placing,
+)
+
+
+def many(draw: Any, count: int, seed: int = 0) -> Any:
+    """What a function draws with each of many keys, as NumPy arrays."""
+    keys = jax.random.split(jax.random.key(seed), count)
+    return jax.device_get(jax.jit(jax.vmap(draw))(keys))
+
+
+def placing_one(inputs: SpawnInputs, goal: Any, pose: Any = (0.0,) * 3) -> Placing:
+    """The first of some agents about to be placed, () or (num_agents,) of goals."""
+    goal = jnp.atleast_1d(jnp.asarray(goal, jnp.int32))
+    pose = jnp.broadcast_to(jnp.asarray(pose, jnp.float32), (*goal.shape, 3))
+    waiting = jnp.arange(goal.shape[0]) == 0
+    return start_placing(goal, inputs.parked_cars.bay, pose, waiting)
 
 
 def surroundings_of(

@@ -1,6 +1,7 @@
 """Bays: who fits, which end goes in first, from file to parked car, and exits."""
 
 import dataclasses
+import functools
 import json
 import math
 
@@ -11,6 +12,7 @@ import pytest
 from helpers.observing import observed
 from helpers.rules import LIMITS
 from helpers.scenes import cars, lot
+from helpers.spawning import many, placing_one
 from helpers.states import hand_cars, parked_at, parked_in, state_of
 
 from carpark_mj.config import (
@@ -19,7 +21,6 @@ from carpark_mj.config import (
     FleetConfig,
     RayConfig,
     RewardConfig,
-    SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import boxes_overlap
@@ -51,8 +52,9 @@ from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
     clamp_to_bay_end,
     misaligned_pose,
+    misaligned_shapes,
     paths_out,
-    special_shapes,
+    reverse_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.suite.metadrive import METADRIVE
@@ -61,10 +63,6 @@ from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(4)])
-
-
-def keys(count, seed=0):
-    return jax.random.split(jax.random.key(seed), count)
 
 
 def test_a_bay_must_leave_the_slack_in_length_and_in_width():
@@ -106,7 +104,7 @@ def test_no_bay_marks_nothing_and_padding_is_never_free():
 
 def test_shuffled_bays_have_the_padding_last():
     layout = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
-    order = np.asarray(jax.vmap(lambda key: shuffled_bays(layout, key))(keys(3600)))
+    order = many(lambda key: shuffled_bays(layout, key), 3600)
     assert order.dtype == np.int32
     real, padding = np.sort(order[:, :36], axis=1), np.sort(order[:, 36:], axis=1)
     np.testing.assert_array_equal(real, [range(36)] * 3600)
@@ -119,8 +117,7 @@ def test_shuffled_bays_have_the_padding_last():
 
 
 def draw_many(wanted, free, count=4000):
-    draw = jax.jit(jax.vmap(lambda key: draw_bays(wanted, jnp.array(free), key)))
-    return map(np.asarray, draw(keys(count)))
+    return many(lambda key: draw_bays(wanted, jnp.array(free), key), count)
 
 
 def test_kinds_that_fit_are_drawn_equally_often():
@@ -241,39 +238,31 @@ def test_the_end_that_goes_in_is_everybody_s(layout):
 
 
 def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
-    shapes = special_shapes(SpawnConfig(close_ratio=0.0, reverse_ratio=1.0), 1)[1]
-    draws = draw_uniform(shapes, jax.random.key(0))
+    draws = draw_uniform(reverse_shapes(), jax.random.key(0))
+    drawn = draws["nose_out"]
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
-        nose_out = clamp_to_bay_end(layout, jnp.int32(end), draws.nose_out)
-        right = draws._replace(nose_out=nose_out)
+        right = {**draws, "nose_out": clamp_to_bay_end(layout, jnp.int32(end), drawn)}
         paths = paths_out(car, jnp.int32(0), jnp.zeros(3), right)
         assert set(np.round(np.cos(paths[:, 0, 2]), 5)) == facing
-    either = clamp_to_bay_end(layout, jnp.int32(BayEnd.EITHER), draws.nose_out)
-    np.testing.assert_array_equal(either, draws.nose_out)
+    either = clamp_to_bay_end(layout, jnp.int32(BayEnd.EITHER), drawn)
+    np.testing.assert_array_equal(either, drawn)
 
 
 def test_misaligned_starts_stand_as_the_car_must_park(layout):
-    spawn = SpawnConfig(close_ratio=0.0, misaligned_ratio=1.0)
-    shapes = special_shapes(spawn, 1)[2]
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
-    inputs = SpawnInputs(layout, parked_at(), None, None, BayFits(), car)
+    inputs = SpawnInputs(layout, parked_at(), cars=car)
 
     def start(goal, key):
-        alone = jnp.array([True])
-        placing = start_placing(goal[None], parked_at().bay, jnp.zeros((1, 3)), alone)
+        placing = placing_one(inputs, goal)
         around = surroundings(inputs, placing, jnp.array(0))
-        draws = draw_uniform(shapes, key)
+        draws = draw_uniform(misaligned_shapes(), key)
         return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
 
-    keys = jax.random.split(jax.random.key(0), 64)
-    every = jax.jit(jax.vmap(jax.vmap(start, (None, 0)), (0, None)))
-    pose, found = every(jnp.arange(3), keys)
-    assert found.all()
-    nose_in = np.cos(pose[..., 2]) < 0.0
-    assert 0.3 < nose_in[0].mean() < 0.7
-    assert nose_in[1].all()
-    assert not nose_in[2].any()
+    for goal, low, high in ((0, 0.3, 0.7), (1, 1.0, 1.0), (2, 0.0, 0.0)):
+        pose, found = many(functools.partial(start, goal), 64)
+        assert found.all()
+        assert low <= (np.cos(pose[:, 2]) < 0.0).mean() <= high  # with the nose in
 
 
 SHORT = dataclasses.replace(METADRIVE.episode, max_steps=2)
@@ -309,9 +298,7 @@ def test_cars_in_bays_drive_out_and_others_to_free_bays():
 def test_absent_agents_keep_no_bay_or_exit_from_others():
     config = dataclasses.replace(METADRIVE, episode=SHORT, min_agents=1)
     env = ParkingEnv(config)
-    reset = jax.jit(jax.vmap(lambda key: env.reset(key, num_present=3)))
-    state, _ = reset(jax.random.split(jax.random.key(0), 20))
-    goal = np.asarray(state.goal)
+    goal = many(lambda key: env.reset(key, num_present=3)[0].goal, 20)
     assert (goal[:, :3] != NO_BAY).all()
     assert (goal[:, 3:] == NO_BAY).all()
 

@@ -279,13 +279,9 @@ def test_invariants_when_many_park_start_close_and_share_goals():
 
 
 def test_agents_of_a_fleet_track_only_bays_they_fit_in():
-    config = dataclasses.replace(
-        CONFIG,
-        fleet=FleetConfig(agents=("city", "van")),
-        episode=EpisodeConfig(),
-        observation=ContinuousObservation(own_car=True),
-    )
-    env = ParkingEnv(config, SlidePhysics())
+    fleet, sight = FleetConfig(("city", "van")), ContinuousObservation(own_car=True)
+    changes = {"fleet": fleet, "observation": sight, "episode": EpisodeConfig()}
+    env = ParkingEnv(dataclasses.replace(CONFIG, **changes), SlidePhysics())
     layout = make_layout("square")
     short = jnp.arange(BAYS) % 3 > 0  # 4.95 m, the van is 4.90 m long, a city car 3.6
     size = layout.bay_size.at[:, 0].set(jnp.where(short, 4.95, layout.bay_size[:, 0]))

@@ -194,21 +194,16 @@ def tally(measured, states, parked=None, goal=0):
 
     @jax.jit
     def step(stats, before, after):
-        state = {
-            "stats": stats,
-            "parked_cars": parked_at() if parked is None else parked,
-        }
+        cars = parked_at() if parked is None else parked
+        state = {"stats": stats, "parked_cars": cars}
         happened = transition(config, plan, before, after, state, goal)
         return update_stats(config, happened, terms)
 
     stats = init_stats(config, plan)
     for before, after in itertools.pairwise(states):
         stats = step(stats, before, after)
-    return {
-        name: float(value[0])
-        for name, value in stats.tallies.items()
-        if not name.startswith("return_")
-    }
+    found = {name: float(value[0]) for name, value in stats.tallies.items()}
+    return {name: x for name, x in found.items() if not name.startswith("return_")}
 
 
 def test_braking_gives_hand_worked_deceleration_and_jerk():
@@ -331,9 +326,8 @@ def registered(monkeypatch):
     """Metrics of the signed speed, one for every way to add up."""
     monkeypatch.setattr(METRICS, "_parts", dict(METRICS._parts))
     for name, pool in POOLS.items():
-        register_metric(
-            Metric(name, "m/s", "speed", pool, value=lambda c, t: t.after.motion.speed)
-        )
+        value = lambda config, step: step.after.motion.speed  # noqa: E731
+        register_metric(Metric(name, "m/s", "speed", pool, value=value))
 
 
 def episode(extra):
@@ -363,10 +357,8 @@ def test_what_is_not_asked_for_is_not_measured(registered):
 
 def test_evaluations_have_it_in_their_rows_summaries_and_tables(registered, capsys):
     found = episode(tuple(POOLS))
-    rows = [
-        complete_row({name: value[k] for name, value in found.items()}, 0.2)
-        for k in range(2)
-    ]
+    each = ({name: value[k] for name, value in found.items()} for k in range(2))
+    rows = [complete_row(row, 0.2) for row in each]
     assert [row["pace"] for row in rows] == [2.0, -1.5]
     summary = summarize(rows)
     assert summary["pace"] == pytest.approx(0.25)

@@ -7,6 +7,7 @@ import pytest
 import shapely
 from helpers.scenes import cars, fields_of, lot, polygons
 from helpers.sliding import SlidePhysics, placed
+from helpers.spawning import many
 from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 
@@ -142,8 +143,7 @@ def relocated(config, state, parked, key=None):
 
 def relocations(config, state, parked, count=1000):
     """Bays of the parked cars after many draws (count, num_parked_cars)."""
-    draw = jax.jit(jax.vmap(lambda key: relocated(config, state, parked, key).bay))
-    return np.asarray(draw(jax.random.split(jax.random.key(0), count)))
+    return many(lambda key: relocated(config, state, parked, key).bay, count)
 
 
 def test_the_car_farthest_from_all_agents_moves_into_the_bay():
@@ -201,8 +201,6 @@ RULES = {
 def test_each_parked_agent_moves_one_parked_car(rule):
     layout, config, agents, num_cars = make_layout("square"), RULES[rule], 5, 12
 
-    @jax.jit
-    @jax.vmap
     def relocate(key):
         keys = jax.random.split(key, 4)
         order = shuffled_bays(layout, keys[0])
@@ -219,8 +217,7 @@ def test_each_parked_agent_moves_one_parked_car(rule):
         tracked = tracks_parked_cars(config, state).any(axis=0)
         return goal, parked, tracked, before, after
 
-    found = relocate(jax.random.split(jax.random.key(3), 500))
-    goal, parked, tracked, before, after = jax.device_get(found)
+    goal, parked, tracked, before, after = many(relocate, 500, 3)
     moved = before.bay != after.bay
     np.testing.assert_array_equal(moved.sum(axis=1), parked.sum(axis=1))
     assert (np.diff(np.sort(after.bay, axis=1), axis=1) > 0).all()
@@ -298,7 +295,7 @@ def test_no_bay_stays_occupied_for_ever_while_another_is_free(rule):
         start = order[:3], order[3:19]
         return jax.lax.scan(end, start, jax.random.split(key, ends))[1]
 
-    bay = np.asarray(jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), lots)))
+    bay = many(run, lots)
     assert bay.shape[2] == 16
     assert (np.diff(np.sort(bay, axis=2), axis=2) > 0).all()  # all there, all apart
     taken = (bay[..., None] == np.arange(36)).any(axis=2)

@@ -140,13 +140,17 @@ def goal_step(config, goals, tracked, before, after, **more):
     """A step in which goals (before, after) are chosen among tracked bays."""
     old, new = (jnp.asarray(goal, jnp.int32) for goal in goals)
     tracked = jnp.broadcast_to(jnp.array(tracked), (config.num_agents, len(tracked)))
-    aim = ROW.bay_pose[target_bay(ROW, new, tracked, after.xy)[0]]
-    made = transition(
-        config, ROW, before, after, {"tracked_bays": tracked}, target_pose=aim, **more
-    )
-    return made.replace(
-        before=made.before.replace(goal=old), after=made.after.replace(goal=new)
-    )
+    more["target_pose"] = ROW.bay_pose[target_bay(ROW, new, tracked, after.xy)[0]]
+    step = transition(config, ROW, before, after, {"tracked_bays": tracked}, **more)
+    before, after = step.before.replace(goal=old), step.after.replace(goal=new)
+    return step.replace(before=before, after=after)
+
+
+def standing(config, goal_events, tracked=(0,)):
+    """A step in which nobody moves and everybody has the goal 0."""
+    still, goals = cars(np.zeros((config.num_agents, 3))), [0] * config.num_agents
+    steps = (goals, goals), tracked, still, still
+    return goal_step(config, *steps, goal_events=goal_events)
 
 
 WAY = RewardConfig(progress=0.2, alignment=0.0)
@@ -157,10 +161,8 @@ def progress(poses, goals, tracked=(0, 4)):
     config = config_of(WAY)
     poses, goals = [cars([pose]) for pose in poses], [[goal] for goal in goals]
     steps = zip(itertools.pairwise(goals), itertools.pairwise(poses), strict=True)
-    return [
-        float(dynamic_progress(config, goal_step(config, chosen, tracked, *moved))[0])
-        for chosen, moved in steps
-    ]
+    made = (goal_step(config, chosen, tracked, *moved) for chosen, moved in steps)
+    return [float(dynamic_progress(config, step)[0]) for step in made]
 
 
 def test_progress_counts_towards_the_goal_chosen_in_the_step():
@@ -220,12 +222,7 @@ def test_what_becomes_of_goals_pays_its_weight_by_name():
         "lost_taken": [2],
     }
     flags = {name: np.isin(np.arange(6), who) for name, who in names.items()}
-    still = cars(np.zeros((6, 3)))
-    goals = no_goal_events(6, **flags)
-    happened = goal_step(
-        config, ([0] * 6, [0] * 6), (0, 4), still, still, goal_events=goals
-    )
-    got = reward_terms(config, happened)
+    got = reward_terms(config, standing(config, no_goal_events(6, **flags), (0, 4)))
     expected = {
         "park": [0] * 6,
         "crash": [0] * 6,
@@ -256,16 +253,11 @@ def bad_goals(scheme):
     kept = jnp.array([True, False, True, False])
     contexts = dict.fromkeys(("local_same", "local_any", "global_any"), met)
     events = no_goal_events(4, continue_goal=kept, change_goal=~kept, **contexts)
-    still = cars(np.zeros((4, 3)))
-    happened = goal_step(
-        config, ([0] * 4, [0] * 4), (0,), still, still, goal_events=events
-    )
-    terms = reward_terms(config, happened)
-    assert tuple(sorted(terms)) == tuple(sorted(term_weights(config)))
+    terms = reward_terms(config, standing(config, events))
+    assert sorted(terms) == sorted(term_weights(config))
     assert all(term.dtype == jnp.float32 for term in terms.values())
-    np.testing.assert_array_equal(
-        terms["change_goal"], np.float32([0, -0.05, 0, -0.05])
-    )
+    changed = np.float32([0, -0.05, 0, -0.05])
+    np.testing.assert_array_equal(terms["change_goal"], changed)
     return terms
 
 
@@ -284,18 +276,15 @@ def test_a_bad_goal_pays_its_own_reward_instead():
 
 @pytest.mark.parametrize("scheme", ["G,G,A", "G,G,S"])
 def test_only_the_enforced_context_makes_a_goal_bad(scheme):
-    observation = ContinuousObservation(global_information=True)
     config = EnvConfig(
         num_agents=1,
         goals=GoalConfig(dynamic=True),
         giving_way=GivingWayConfig(scheme, -0.1),
-        observation=observation,
+        observation=ContinuousObservation(global_information=True),
     )
-    still = cars([(0.0, 0.0, 0.0)])
     events = no_goal_events(1, continue_goal=[True], global_any=[True])
-    happened = goal_step(config, ([0], [0]), (0,), still, still, goal_events=events)
-    expected = -0.1 if scheme == "G,G,A" else 0.0
-    assert float(reward_terms(config, happened)["bad_goal"][0]) == np.float32(expected)
+    paid = reward_terms(config, standing(config, events))["bad_goal"]
+    assert paid[0] == np.float32(-0.1 if scheme == "G,G,A" else 0.0)
 
 
 def test_diverged_or_finished_agents_get_no_goal_rewards():

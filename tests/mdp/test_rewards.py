@@ -135,10 +135,8 @@ def test_progress_can_count_the_way_along_the_lanes():
     for route in (False, True):
         reward = RewardConfig(progress=0.5, alignment=0.0, route=route)
         config = EnvConfig(num_agents=1, reward=reward)
-        state = {
-            "physics": HandPhysics(hand_cars(before, **LIMITS)),
-            "routes": make_routes(layout),
-        }
+        physics = HandPhysics(hand_cars(before, **LIMITS))
+        state = {"physics": physics, "routes": make_routes(layout)}
         driven = transition(config, layout, before, after, state)
         got[route] = float(reward_terms(config, driven)["progress"][0])
     assert got[True] == pytest.approx(0.5 * 2.0, abs=1e-5)
@@ -323,9 +321,8 @@ PEOPLE_CONFIG = EnvConfig(
 def person(gap, speed=0.0):
     """A person so far before the bumper of a car of 4 m at the origin."""
     xy, away = jnp.array([[2.0 + gap + RADIUS, 0.0]]), jnp.array([[speed, 0.0]])
-    return Movers(
-        (), ((Discs(xy, jnp.array([RADIUS]), away, kind=ObstacleKind.PERSON),),)
-    )
+    disc = Discs(xy, jnp.array([RADIUS]), away, kind=ObstacleKind.PERSON)
+    return Movers((), ((disc,),))
 
 
 def made(was, now, stats=None, hit=False):
@@ -335,11 +332,8 @@ def made(was, now, stats=None, hit=False):
     events = no_events(1, crashed=[hit], hit_person=[hit])
     step = transition(PEOPLE_CONFIG, PEOPLE_LOT, before, after, events=events)
     stats = step.before.stats if stats is None else stats
-    return dataclasses.replace(
-        step,
-        before=dataclasses.replace(step.before, movers=person(was[0]), stats=stats),
-        after=dataclasses.replace(step.after, movers=person(now[0])),
-    )
+    before = step.before.replace(movers=person(was[0]), stats=stats)
+    return step.replace(before=before, after=step.after.replace(movers=person(now[0])))
 
 
 @jax.jit
@@ -352,8 +346,7 @@ def episode(*instants, hit=False):
     stats = init_stats(PEOPLE_CONFIG, PEOPLE_LOT)
     for k, (was, now) in enumerate(itertools.pairwise(instants)):
         last = k == len(instants) - 2
-        step = made(was, now, stats, hit and last)
-        stats = update(step)
+        stats = update(made(was, now, stats, hit and last))
     return {name: float(stats.tallies[name][0]) for name in PEOPLE_METRICS}
 
 

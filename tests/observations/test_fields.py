@@ -136,11 +136,9 @@ def test_entities_of_a_group_have_the_same_fields(config, num_tracked_bays):
     ],
 )
 def test_each_setting_adds_or_drops_its_numbers(change, numbers):
-    size, default = (
-        observation_size(config_of(ContinuousObservation(**settings)))
-        for settings in (change, {})
-    )
-    assert size - default == numbers
+    changed, default = ContinuousObservation(**change), ContinuousObservation()
+    size = observation_size(config_of(changed))
+    assert size - observation_size(config_of(default)) == numbers
 
 
 @pytest.mark.parametrize(
@@ -197,11 +195,8 @@ def test_every_number_goes_to_the_entity_that_its_field_names(name):
 def test_entities_are_present_where_their_mask_is_1():
     fields = make_fields(CONFIGS_OF_SETS["dynamic"])
     sets = observation_sets(fields)
-    assert [(part.group, part.count) for part in sets.sets] == [
-        ("bay", 3),
-        ("agent", 3),
-        ("parked_car", 4),
-    ]
+    counts = {part.group: part.count for part in sets.sets}
+    assert counts == {"bay": 3, "agent": 3, "parked_car": 4}
     masks, vector, start = {}, np.full(sets.size, 0.7, np.float32), 0
     for field in fields:
         if field.is_mask:
@@ -210,12 +205,9 @@ def test_entities_are_present_where_their_mask_is_1():
             vector[start] = bit
         start += field.size
     present = sets.present(sets.split(jnp.asarray(vector)))
-    found = {
-        (group, index): bool(bit)
-        for group, bits in present.items()
-        for index, bit in enumerate(bits)
-    }
-    assert found == masks
+    for (group, index), bit in masks.items():
+        assert present[group][index] == bit
+    assert sum(map(len, present.values())) == len(masks)
     assert 0 < sum(masks.values()) < len(masks)
 
 
@@ -223,10 +215,7 @@ def test_entities_without_a_mask_are_always_present():
     cars = [Field("car_x", 1, -1, 1, "", "car", index) for index in range(3)]
     sets = observation_sets([Field("speed", 1, -1, 1, ""), *cars])
     present = sets.present(sets.split(jnp.zeros((2, sets.size))))
-    assert {group: bits.shape for group, bits in present.items()} == {
-        part.group: (2, part.count) for part in sets.sets
-    }
-    assert jax.tree.all(jax.tree.map(lambda bits: bits.all(), present))
+    np.testing.assert_array_equal(present["car"], np.ones((2, 3), bool))
 
 
 LOT = lot([(0.0, 0.0, 0.0)])
@@ -332,19 +321,18 @@ def encoder(names, filled):
 @pytest.mark.parametrize(
     ("names", "filled", "message"),
     [
-        ("ab", {"a": (3, 1)}, r"'wrong' does not fill \['b'\]"),
-        ("a", {"a": (3, 1), "c": (3, 1)}, r"'wrong' fills \['c'\], which it does not"),
-        ("ab", {"a": (3,), "b": (3, 1)}, r"'wrong' fills \['a'\] with \[\(3,\)\]"),
-        ("ab", {"a": (3, 2), "b": (3, 1)}, r"\['a'\] with \[\(3, 2\)\] .*\(3, 1\)"),
-        ("aba", {"a": (3, 1), "b": (3, 1)}, r"'wrong' declares \['a'\] twice"),
+        ("ab", {"a": (3, 1)}, r"'wrong' must .* b: \(3, 1\), None"),
+        ("a", {"a": (3, 1), "c": (3, 1)}, r"'wrong' must .* c: None, \(3, 1\)"),
+        ("ab", {"a": (3,), "b": (3, 1)}, r"'wrong' must .* a: \(3, 1\), \(3,\)"),
+        ("ab", {"a": (3, 2), "b": (3, 1)}, r"'wrong' must .* a: \(3, 1\), \(3, 2\)"),
+        ("aba", {"a": (3, 1), "b": (3, 1)}, r"'wrong' must declare each field once"),
     ],
 )
 def test_values_that_are_not_those_of_the_fields_are_refused(names, filled, message):
     config = config_of(encoder(names, filled))
     state = state_of(LOT, cars(np.zeros((3, 3))), 0)
-    with pytest.raises(ValueError, match=message) as caught:
+    with pytest.raises(ValueError, match=message):
         jax.eval_shape(lambda state: observe(config, state), state)
-    assert "\n" not in str(caught.value)
 
 
 def test_fields_in_the_order_of_the_declaration():

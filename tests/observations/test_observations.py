@@ -87,15 +87,12 @@ def test_close_to_the_goal_the_near_fields_tell_the_offset():
     # The goal in the car's frame: turned back by 0.2 rad.
     ahead = 0.9 * math.cos(0.2) + 0.6 * math.sin(0.2)
     left = 0.6 * math.cos(0.2) - 0.9 * math.sin(0.2)
-    np.testing.assert_allclose(
-        named["goal_near"][0], [ahead / NEAR, left / NEAR], atol=1e-6
-    )
-    np.testing.assert_allclose(
-        named["goal_position"][0], [ahead / FAR, left / FAR], atol=1e-6
-    )
-    np.testing.assert_allclose(
-        named["goal_heading"][0], [math.cos(0.2), -math.sin(0.2)], atol=1e-6
-    )
+    near = [ahead / NEAR, left / NEAR]
+    np.testing.assert_allclose(named["goal_near"][0], near, atol=1e-6)
+    far = [ahead / FAR, left / FAR]
+    np.testing.assert_allclose(named["goal_position"][0], far, atol=1e-6)
+    heading = [math.cos(0.2), -math.sin(0.2)]
+    np.testing.assert_allclose(named["goal_heading"][0], heading, atol=1e-6)
 
 
 @pytest.mark.parametrize("padding", [False, True])

@@ -51,6 +51,9 @@ WIDE = dataclasses.replace(COMPACT, width=2.9, track_width=2.6)
 BAD_ENVIRONMENTS = [
     (fleet("lorry"), r"unknown vehicle 'lorry'; choose from \['city'"),
     ({"fleet": FleetConfig(parked_cars=("bus",))}, r"unknown vehicle 'bus'"),
+    ({"vehicle": "bus"}, r"unknown vehicle 'bus'"),
+    ({"num_agents": 2, "num_parked_cars": 35}, "num_parked_cars .* 34 .* not 35"),
+    ({"num_agents": 37, "num_parked_cars": 0}, "num_agents .*at most 36.* not 37"),
     (
         fleet("city", "van") | {"layout": "square_compact"},
         r"fleet.agents: the van, 4.90 m x 1.90 m, fits with 0.1 m to spare in no bay",
@@ -85,17 +88,14 @@ BAD_ENVIRONMENTS = [
 
 @pytest.mark.parametrize(("change", "message"), BAD_ENVIRONMENTS)
 def test_impossible_fleets_are_refused_at_construction(change, message):
-    with pytest.raises(ValueError, match=message) as refusal:
+    with pytest.raises(ValueError, match=message):
         ParkingEnv(EnvConfig(**change))
-    assert "\n" not in str(refusal.value)
 
 
 def test_wide_turning_car_is_refused_if_no_bay_can_be_entered():
-    def make(layout, vehicle="van", physics="mjx"):
-        config = EnvConfig(
-            layout=layout, num_parked_cars=4, physics=physics, vehicle=vehicle
-        )
-        return ParkingEnv(config, SlidePhysics() if physics == "mjx" else None)
+    def make(layout, vehicle="van"):
+        config = EnvConfig(layout=layout, num_parked_cars=4, vehicle=vehicle)
+        return ParkingEnv(config, SlidePhysics())
 
     with pytest.raises(ValueError, match="the van needs an aisle"):
         make(NARROW)
@@ -160,9 +160,8 @@ def test_cars_must_fit_into_the_bays_of_a_lot_drawn_by_hand(
     if message is None:
         assert make().num_agents == 1
         return
-    with pytest.raises(ValueError, match=message) as refusal:
+    with pytest.raises(ValueError, match=message):
         make()
-    assert "\n" not in str(refusal.value)
 
 
 def test_a_car_needs_a_start_at_which_it_touches_nothing(tmp_path):
@@ -198,9 +197,8 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
         )
         check_cars(config, Fleet(config, COMPACT), square, layout)
 
-    with pytest.raises(ValueError, match=r"only 2 bays .* the 4 agents of") as refusal:
+    with pytest.raises(ValueError, match=r"only 2 bays .* its 4 agents"):
         check(("van",), 4)
-    assert "\n" not in str(refusal.value)
     check(("van",), 2)
     check(("van", "city"), 4)
     check(("van",), 4, "precise")  # 4.90 m by 1.90 m without slack
@@ -208,8 +206,8 @@ def test_a_fleet_that_finds_too_few_goals_is_refused():
 
 def test_there_may_be_more_agents_than_free_bays():
     goals = GoalConfig(True, 1)
-    env = ParkingEnv(EnvConfig(num_agents=4, num_parked_cars=35, goals=goals))
-    assert env.num_agents == 4
+    assert ParkingEnv(EnvConfig(num_agents=4, num_parked_cars=35, goals=goals))
+    assert ParkingEnv(EnvConfig(num_agents=2, num_parked_cars=34))  # a full lot
     # Or than bays, with a fleet in a fixed lot.
     changes = {"layout": "square", "num_agents": 40, "num_parked_cars": 28}
     config = dataclasses.replace(CONFIG, **changes, **fleet("city", "van"))
@@ -298,7 +296,6 @@ def test_evaluation_counts_the_agents_that_lots_have(env):
 )
 def test_more_agents_than_bays_need_occupancy_and_min_agents(changes, message):
     config = dataclasses.replace(CONFIG, **changes)
-    with pytest.raises(ValueError, match=message) as refusal:
+    with pytest.raises(ValueError, match=message):
         check_numbers(config, layout_config(config.layout))
-    assert "\n" not in str(refusal.value)
     check_numbers(CONFIG, layout_config(CONFIG.layout))

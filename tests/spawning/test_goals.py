@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, check_occupancy, lot
-from helpers.spawning import walled
+from helpers.spawning import many, walled
 from helpers.states import parked_in, state_of
 from helpers.transitions import no_events
 
 from carpark_mj.config import WORLD_UNIT, EnvConfig, SpawnConfig
 from carpark_mj.layouts import BayKind, Maxima, make_layout, pad_layout
-from carpark_mj.mdp.parked_cars import BayFits, relocate_parked_cars
+from carpark_mj.mdp.parked_cars import relocate_parked_cars
 from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.spawning.goals import first_goals, new_goal, place_exploring
 from carpark_mj.spawning.placing import SpawnInputs, start_placing
@@ -38,7 +38,7 @@ def start_lot(layout, num_agents, num_parked_cars, key):
 def drawn_goal(layout, goal, parked_bay, agent, xy, key):
     """The lot when one agent has drawn a new goal; agents stand at xy."""
     pose = jnp.pad(xy, ((0, 0), (0, 1)))
-    inputs = SpawnInputs(layout, parked_in(layout, parked_bay), None, None, BayFits())
+    inputs = SpawnInputs(layout, parked_in(layout, parked_bay))
     waiting = jnp.arange(goal.shape[0]) == agent
     placing = start_placing(goal, parked_bay, pose, waiting)
     scores = jax.random.uniform(key, (2, layout.num_bays))
@@ -72,15 +72,12 @@ def history(layout, num_agents, num_parked_cars, num_steps, seed=0, reach=20.0):
         start = start_lot(layout, num_agents, num_parked_cars, start_key)
         return start, jax.lax.scan(end, start, jax.random.split(key, num_steps))[1]
 
-    keys = jax.random.split(jax.random.key(seed), LOTS)
-    return jax.device_get(jax.jit(jax.vmap(run))(keys))
+    return many(run, LOTS, seed)
 
 
 def test_initial_goals_and_parked_cars_are_spread_over_all_bays():
     layout = make_layout("square")
-    goal, bay = jax.vmap(lambda key: start_lot(layout, 2, 9, key))(
-        jax.random.split(jax.random.key(2), 3600)
-    )
+    goal, bay = many(lambda key: start_lot(layout, 2, 9, key), 3600, 2)
     goals = np.bincount(np.ravel(goal), minlength=36)
     parked = np.bincount(np.ravel(bay), minlength=36)
     # Binomial with means 200 and 900, deviations 14 and 26: five of them.
@@ -122,13 +119,8 @@ ROW = lot([(10.0 * k, 0.0, 0.0) for k in range(6)])
 
 def draws(goal, parked_bay, xy, count=400):
     """Many draws of a goal for agent 0 from one state of the row, as numpy."""
-    goal, parked_bay = jnp.array(goal, jnp.int32), jnp.array(parked_bay, jnp.int32)
-    keys = jax.random.split(jax.random.key(0), count)
-
-    def draw(key):
-        return drawn_goal(ROW, goal, parked_bay, 0, jnp.array(xy), key)
-
-    return jax.device_get(jax.jit(jax.vmap(draw))(keys))
+    lot = jnp.array(goal, jnp.int32), jnp.array(parked_bay, jnp.int32), 0, jnp.array(xy)
+    return many(lambda key: drawn_goal(ROW, *lot, key), count)
 
 
 def test_a_new_goal_is_uniform_over_bays_that_are_nobodys_goal():
@@ -200,9 +192,8 @@ def test_goals_take_reserved_bays_only_when_no_other_is_free(occupancy):
     count = 33 if occupancy is None else 36
     config = EnvConfig(num_agents=3, num_parked_cars=count, occupancy=occupancy)
     fleet = Fleet(config, COMPACT)
-    keys = jax.random.split(jax.random.key(0), 40)
-    start = jax.jit(jax.vmap(lambda key: fleet.start(layout, key)))(keys)
-    goals, bays = np.asarray(start.goal), np.asarray(start.parked_cars.bay)
+    start = many(lambda key: fleet.start(layout, key), 40)
+    goals, bays = start.goal, start.parked_cars.bay
     assert (np.isin(goals, [4, 20]).sum(axis=1) == 2).all()
     assert len(set(goals[~np.isin(goals, [4, 20])].tolist())) > 5
     assert not (goals[:, :, None] == bays[:, None]).any()
@@ -232,7 +223,7 @@ def starts(config, parked=PARKED, layout=LAYOUT, size=None, count=2000):
     """Poses of agent 0, bays next to which they are, whether it is in conflict."""
     cars = parked_in(layout, parked)
     sizes = None if size is None else jnp.broadcast_to(jnp.asarray(size), (3, 2))
-    inputs = SpawnInputs(layout, cars, sizes, sizes, BayFits())
+    inputs = SpawnInputs(layout, cars, sizes, sizes)
     placing = start_placing(GOAL, cars.bay, POSE, jnp.arange(3) == 0)
     keys = jax.random.split(jax.random.key(0), count)
     drawn = jax.device_get(draw(config, inputs, placing, keys))

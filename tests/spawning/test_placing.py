@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, check_occupancy, lot
-from helpers.spawning import meetings, meets
+from helpers.spawning import many, meetings, meets, placing_one
 from helpers.states import parked_at, parked_in, state_of
 
 from carpark_mj.config import WORLD_UNIT, EnvConfig, GoalConfig, SpawnConfig
@@ -52,18 +52,18 @@ def lots(count, seed=1):
 
 def alike(parked_cars, first=False):
     """What agents are placed in when all cars are of one size."""
-    return SpawnInputs(LAYOUT, parked_cars, None, None, BayFits(), first=first)
+    return SpawnInputs(LAYOUT, parked_cars, first=first)
 
 
-def placer(config):
-    return functools.partial(place_agent, config)
+def place_all(config, inputs, placing, key):
+    return place_waiting(functools.partial(place_agent, config), inputs, placing, key)
 
 
 @functools.partial(jax.jit, static_argnums=0)
 def place_lots(config, goal, parked_cars, pose, done, keys):
     def one(goal, parked_cars, pose, key):
         placing = start_placing(goal, parked_cars.bay, pose, done)
-        return place_waiting(placer(config), alike(parked_cars), placing, key)
+        return place_all(config, alike(parked_cars), placing, key)
 
     return jax.vmap(one)(goal, parked_cars, pose, keys)
 
@@ -93,12 +93,7 @@ def first_draws(spawn, key):
 
 def wanted(count=2000):
     """Lots in which agent 0 is to start close, and on a collision course."""
-    keys = jax.random.split(jax.random.key(2), count)
-
-    def kinds(key):
-        return draw_kind(MIXED, first_draws(MIXED, key).start.kind)
-
-    return np.asarray(jax.vmap(kinds)(keys))
+    return many(lambda key: draw_kind(MIXED, first_draws(MIXED, key)["kind"]), count, 2)
 
 
 def test_close_crash_and_random_starts_come_in_their_ratios():
@@ -150,12 +145,12 @@ def test_agents_that_end_together_are_no_targets():
 
 def test_reset_starts_are_on_course_for_earlier_agents():
     goal, parked_cars, _ = lots(300)
-    first, everybody = placer(config_of(CONFLICT)), jnp.ones(AGENTS, bool)
-    nowhere = jnp.zeros((AGENTS, 3))
+    everybody, nowhere = jnp.ones(AGENTS, bool), jnp.zeros((AGENTS, 3))
 
     def place(goal, parked_cars, key):
         placing = start_placing(goal, parked_cars.bay, nowhere, everybody)
-        return place_waiting(first, alike(parked_cars, True), placing, key)
+        inputs = alike(parked_cars, True)
+        return place_all(config_of(CONFLICT), inputs, placing, key)
 
     keys = jax.random.split(jax.random.key(5), 300)
     after = jax.device_get(jax.jit(jax.vmap(place))(goal, parked_cars, keys))
@@ -202,29 +197,21 @@ FITS = jnp.array([[True, True, True, False, False], [True] * 5])
 def in_row(agent_fits, parked_fits, parked_bay):
     """The row of bays, and who fits into which."""
     fits = BayFits(jnp.array([agent_fits]), parked_fits)
-    return SpawnInputs(ROW, parked_in(ROW, parked_bay), None, None, fits)
-
-
-def one_agent(goal, inputs, xy=(0.0, 0.0)):
-    """A single agent that begins an episode."""
-    pose = jnp.array([[*xy, 0.0]])
-    goal = jnp.array([goal], jnp.int32)
-    return start_placing(goal, inputs.parked_cars.bay, pose, jnp.ones(1, bool))
+    return SpawnInputs(ROW, parked_in(ROW, parked_bay), fits=fits)
 
 
 def test_a_new_goal_fits_and_cars_make_way_to_bays_they_fit_in():
     config = EnvConfig(spawn=SpawnConfig(min_distance=5.0))
-    keys = jax.random.split(jax.random.key(0), 300)
 
     def drawn(parked_bay, parked_fits):
         inputs = in_row([True, True, False, True, True], parked_fits, parked_bay)
-        placing = one_agent(4, inputs, (0.0, -30.0))
+        placing = placing_one(inputs, 4, (0.0, -30.0, 0.0))
 
         def draw(key):
             scores = jax.random.uniform(key, (2, 5))
             return new_goal(config, inputs, placing, jnp.array(0), scores)
 
-        after = jax.device_get(jax.jit(jax.vmap(draw))(keys))
+        after = many(draw, 300)
         assert after.found.all()
         return after.goal[:, 0], after.parked_bay
 
@@ -240,13 +227,11 @@ def test_a_new_goal_fits_and_cars_make_way_to_bays_they_fit_in():
 
 
 def test_agent_without_a_bay_for_its_new_car_keeps_its_goal():
-    place = placer(EnvConfig())
-
     @jax.jit
     def placed(agent_fits):
         inputs = in_row(agent_fits, FITS, [1, 2])
-        placing = one_agent(0, inputs)
-        return place_waiting(place, inputs, placing, jax.random.key(0))
+        placing = placing_one(inputs, 0)
+        return place_all(EnvConfig(), inputs, placing, jax.random.key(0))
 
     nowhere = placed([True, False, False, False, False])
     np.testing.assert_array_equal(nowhere.goal, [0])
@@ -263,15 +248,9 @@ def test_agent_without_a_bay_for_its_new_car_keeps_its_goal():
 def test_a_car_that_has_come_to_a_goal_that_is_kept_makes_way(parked_bay, bays):
     """To a bay that it fits into, or to any if it fits into none that is free."""
     fits = jnp.concatenate([FITS, FITS[1:]])[: len(parked_bay)]
-    only_old = [True, False, False, False, False]
-    inputs, how = in_row(only_old, fits, parked_bay), placer(EnvConfig())
-    placing = one_agent(0, inputs)
-
-    def place(key):
-        return place_waiting(how, inputs, placing, key)
-
-    keys = jax.random.split(jax.random.key(0), 100)
-    after = jax.device_get(jax.jit(jax.vmap(place))(keys))
+    inputs = in_row([True, False, False, False, False], fits, parked_bay)
+    placing = placing_one(inputs, 0)
+    after = many(lambda key: place_all(EnvConfig(), inputs, placing, key), 100)
     assert (after.goal == 0).all()
     assert not after.found.any()
     comes = parked_bay.index(0)
@@ -290,17 +269,13 @@ def test_a_start_keeps_off_walls_with_the_car_that_is_driven():
         build.spawns(jnp.zeros((1, 3)), (60.0, 0.2), np.pi),
     )
     size = jnp.array([[PRESETS["van"].length, PRESETS["van"].width]])
-    place, small = placer(EnvConfig()), jnp.array([[1.0, 1.0]])
+    small = jnp.array([[1.0, 1.0]])
 
     def share_touching(first, new, old, fits):
         inputs = SpawnInputs(layout, parked_at(), new, old, BayFits(fits), first=first)
-        placing = one_agent(0, inputs)
-
-        def start(key):
-            return place_waiting(place, inputs, placing, key).pose_w[0]
-
-        keys = jax.random.split(jax.random.key(0), 300)
-        x, y, yaw = np.asarray(jax.jit(jax.vmap(start))(keys)).T
+        placing = placing_one(inputs, 0)
+        after = many(lambda key: place_all(EnvConfig(), inputs, placing, key), 300)
+        x, y, yaw = after.pose_w[:, 0].T
         assert np.ptp(x) > 40
         length, width = np.asarray(size)[0]
         reach = (length * np.abs(np.sin(yaw)) + width * np.abs(np.cos(yaw))) / 2
@@ -339,7 +314,7 @@ def test_starts_touch_what_collisions_say():
     assert 100 < expected.sum() < 500
     before = parked_in(layout, [1, 0], parked_size)
     before = before.replace(pose_w=before.pose_w.at[0].set(pushed[0]))
-    inputs = SpawnInputs(layout, before, size, size, BayFits())
+    inputs = SpawnInputs(layout, before, size, size)
     placing = start_placing(jnp.array([0]), after.bay, jnp.zeros((1, 3)), FIRST[:1])
     around = surroundings(inputs, placing, jnp.array(0))
     np.testing.assert_array_equal(around.touches(jnp.asarray(pose)), expected)

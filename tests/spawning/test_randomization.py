@@ -153,9 +153,8 @@ def test_ranges_that_overturn_a_car_only_together_are_refused(name, change, grad
     if way is None:
         check()
         return
-    with pytest.raises(ValueError, match=f"overturn this car {way}") as refusal:
+    with pytest.raises(ValueError, match=f"overturn this car {way}"):
         check()
-    assert "\n" not in str(refusal.value)
 
 
 class Loaded(NamedTuple):

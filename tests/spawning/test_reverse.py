@@ -10,11 +10,12 @@ import pytest
 import shapely
 from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, polygons
+from helpers.spawning import many, placing_one
 from helpers.states import parked_at, parked_in
 
 from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.layouts import layout_config, layout_maxima, pad_layout
-from carpark_mj.mdp.parked_cars import BayFits, fits, poses_in_bays
+from carpark_mj.mdp.parked_cars import fits, poses_in_bays
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.spawning.fleet import shuffled_bays
 from carpark_mj.spawning.goals import place_agent
@@ -31,7 +32,7 @@ from carpark_mj.spawning.special_starts import (
     NEAREST,
     ROOM,
     reverse_pose,
-    special_shapes,
+    reverse_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.types import NO_BAY, ParkedCars
@@ -68,7 +69,7 @@ def maxima():
 
 
 def inputs_of(layout, parked, cars, old=None):
-    return SpawnInputs(layout, parked, old, old, BayFits(), cars)
+    return SpawnInputs(layout, parked, old, old, cars=cars)
 
 
 def keys_of(seed, count=LOTS):
@@ -93,7 +94,7 @@ def reverse_starts(layouts, cars, keys):
         inputs = inputs_of(layout, parked, cars)
         waiting = jnp.array([True, False])
         placing = start_placing(goal, bay, jnp.stack([pose, pose]), waiting)
-        draws = draw_uniform(special_shapes(REVERSE, 1)[1], draw_key)
+        draws = draw_uniform(reverse_shapes(), draw_key)
         around = surroundings(inputs, placing, jnp.array(0))
         start = reverse_pose(inputs, placing, around, jnp.array(0), draws)
         return start, draws, goal[0], pose, parked
@@ -119,13 +120,13 @@ def drive(pose, distance, curvature, ahead):
 
 def small_steps(draws, wheelbase, max_steering):
     """What the numbers mean: signed steps and curvatures (n, ways, LONGEST / STEP)."""
-    share = 1.0 - np.asarray(draws.share, np.float64)
+    share = 1.0 - np.asarray(draws["share"], np.float64)
     ends = LONGEST * np.cumsum(share, axis=-1) / share.sum(axis=-1, keepdims=True)
     way = (np.arange(round(LONGEST / STEP)) + 0.5) * STEP
     arc = np.minimum((way >= ends[..., None]).sum(axis=-2), ARCS - 1)
     sharpest = np.tan(max_steering) / wheelbase
-    curvature = (2.0 * np.asarray(draws.curvature) - 1.0) * sharpest[:, None, None]
-    forwards = np.where(np.asarray(draws.direction) < 0.5, -STEP, STEP)
+    curvature = (2.0 * np.asarray(draws["curvature"]) - 1.0) * sharpest[:, None, None]
+    forwards = np.where(np.asarray(draws["direction"]) < 0.5, -STEP, STEP)
     return (np.take_along_axis(x, arc, axis=-1) for x in (forwards, curvature))
 
 
@@ -137,7 +138,7 @@ def retrace(start, draws, bay_pose, vehicle):
     )
     step, curvature = small_steps(draws, wheelbase, limit)
     first = np.repeat(np.asarray(bay_pose, np.float64)[:, None], step.shape[1], axis=1)
-    first[..., 2] += np.where(np.asarray(draws.nose_out) < 0.5, np.pi, 0.0)
+    first[..., 2] += np.where(np.asarray(draws["nose_out"]) < 0.5, np.pi, 0.0)
     out = drive(first, step, curvature, np.repeat(ahead[:, None], step.shape[1], 1))
     turned = np.exp(1j * out[..., 2]) - np.exp(1j * start[:, None, None, 2])
     off = np.linalg.norm(out[..., :2] - start[:, None, None, :2], axis=-1) + abs(turned)
@@ -207,16 +208,14 @@ def ends_of(layout, spawn, agents=((0.0, 40.0, 0.0),), parked=None, count=1500):
     """Poses of agent 0, whose goal is bay 0, in a lot that begins around the others."""
     parked = parked_at() if parked is None else parked
     config = EnvConfig(spawn=spawn)
-    pose = jnp.asarray(agents, jnp.float32)
-    waiting = jnp.arange(len(agents)) == 0
     compact = vehicles(["compact"] * len(agents))
     inputs = inputs_of(layout, parked, compact).replace(first=True)
-    placing = start_placing(jnp.arange(len(agents)), parked.bay, pose, waiting)
+    placing = placing_one(inputs, range(len(agents)), agents)
 
     def one(key):
         return place_agent(config, inputs, placing, jnp.array(0), key).pose_w[0]
 
-    return np.asarray(jax.jit(jax.vmap(one))(keys_of(3, count)))
+    return many(one, count, 3)
 
 
 FAR = lot([(20.0, 0.0, np.pi), (20.0, 40.0, 0.0)], spawn_size=(1.0, 1.0))
@@ -245,12 +244,8 @@ def test_parked_cars_count_where_they_stand_after_the_draw():
     parked, compact = parked_in(layout, [1]), vehicles(["compact"])
     inputs, config = inputs_of(layout, parked, compact), EnvConfig(spawn=REVERSE)
     place = functools.partial(place_agent, config)
-    placing = start_placing(
-        jnp.array([0]), parked.bay, jnp.full((1, 3), 45.0), jnp.array([True])
-    )
-    after = jax.jit(jax.vmap(lambda key: place_waiting(place, inputs, placing, key)))(
-        keys_of(4, 500)
-    )
+    placing = placing_one(inputs, 0, 45.0)
+    after = many(lambda key: place_waiting(place, inputs, placing, key), 500, 4)
     assert (after.goal == 1).all()
     assert (after.parked_bay == 0).all()
     start = polygons(after.pose_w[:, 0], compact.size[0])

@@ -11,14 +11,13 @@ import pytest
 import shapely
 from helpers.scenes import lot, polygons
 from helpers.sliding import SlidePhysics
-from helpers.spawning import surroundings_of
+from helpers.spawning import many, surroundings_of
 from helpers.states import parked_at
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SpawnConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import SquareConfig, make_layout
 from carpark_mj.mdp.collisions import find_hits
-from carpark_mj.mdp.parked_cars import BayFits
 from carpark_mj.spawning.goals import place_agent
 from carpark_mj.spawning.placing import (
     FREE,
@@ -74,8 +73,7 @@ def crowd():
         first = state.replace(key=jnp.zeros(()), layout=None)
         return first, jax.lax.scan(step, state, jax.random.split(key, STEPS))[1]
 
-    keys = jax.random.split(jax.random.key(0), LOTS)
-    return jax.device_get(jax.jit(jax.vmap(run))(keys))
+    return many(run, LOTS)
 
 
 def test_nobody_starts_on_top_of_another(crowd):
@@ -169,7 +167,7 @@ def test_blocked_starts_wait_and_the_longest_wait_is_first():
     layout = lot([(0.0, 20.0, 0.0)], spawn_size=(40.0, 40.0))
     size = jnp.tile(jnp.array([SIZE]), (4, 1))
     cars = dataclasses.make_dataclass("Cars", ["size"])(size)
-    inputs = SpawnInputs(layout, parked_at(), None, None, BayFits(), cars)
+    inputs = SpawnInputs(layout, parked_at(), cars=cars)
     pose = jnp.array([[0.0, 0.0, 0.0]] * 4).at[:, 1].add(10.0 * jnp.arange(4) - 10.0)
     waiting = jnp.array([True, False, True, True])
 
@@ -183,12 +181,10 @@ def test_blocked_starts_wait_and_the_longest_wait_is_first():
 
     def placed(accept_last):
         waited = jnp.array([0, 0, 5, 2])
-        placing = start_placing(
-            jnp.arange(4), jnp.zeros(0, jnp.int32), pose, waiting, waited
-        )
-        return jax.device_get(
-            place_waiting(place, inputs, placing, jax.random.key(0), 3, accept_last)
-        )
+        nobody = jnp.zeros(0, jnp.int32)
+        placing = start_placing(jnp.arange(4), nobody, pose, waiting, waited)
+        how = jax.random.key(0), 3, accept_last
+        return jax.device_get(place_waiting(place, inputs, placing, *how))
 
     after = placed(accept_last=False)
     np.testing.assert_array_equal(after.waiting, [False, False, False, True])
@@ -210,14 +206,13 @@ def test_starts_after_a_first_try_are_random():
     def start(key):
         state, _ = env.reset(key)
         # Both head for one bay, so that a start close to it is taken.
-        rest = None, None, BayFits(), state.physics.vehicle
-        inputs = SpawnInputs(state.layout, state.parked_cars, *rest, first=True)
+        lot, car = (state.layout, state.parked_cars), state.physics.vehicle
+        inputs = SpawnInputs(*lot, cars=car, first=True)
         goal, bay = jnp.array([0, 0]), state.parked_cars.bay
         placing = start_placing(goal, bay, jnp.zeros((2, 3)), jnp.ones(2, bool))
         return place_waiting(place, inputs, placing, key)
 
-    keys = jax.random.split(jax.random.key(0), 20)
-    after = jax.device_get(jax.jit(jax.vmap(start))(keys))
+    after = many(start, 20)
     assert not after.waiting.any()
     assert (after.tries[:, 1] > 1).any()
     for pose in after.pose_w:
@@ -240,13 +235,11 @@ def test_crowded_lane_start_has_the_most_room():
         draws = draw_uniform(spawn_shapes(config), key)
         alone, tried = SpawnConfig(close_ratio=0.0, num_candidates=1), []
         for k in range(8):
-            rest = jax.tree.map(lambda x, k=k: x[k : k + 1], draws[1:])
-            one = type(draws)(draws[0], *rest)
+            one = {name: x[k : k + 1] for name, x in draws.items() if name != "kind"}
             tried.append(random_pose(alone, lane, around, one))
         return random_pose(config, lane, around, draws), jnp.stack(tried)
 
-    taken, tried = jax.jit(jax.vmap(start))(jax.random.split(jax.random.key(0), 200))
-    for pose, candidates in zip(np.asarray(taken), np.asarray(tried), strict=True):
+    for pose, candidates in zip(*many(start, 200), strict=True):
         own, *room = shapely.distance(polygons([pose, *candidates], outlines[0]), other)
         np.testing.assert_allclose(own, max(room), atol=1e-4)
 
@@ -271,7 +264,7 @@ def test_nobody_starts_on_people_or_on_what_stands(layout, parked, vehicle):
         size = state.motion.size[0]
         return {kind: hit & state.present for kind, hit in found.items()}, size
 
-    hit, size = jax.jit(jax.vmap(hits))(jax.random.split(jax.random.key(0), 250))
+    hit, size = many(hits, 250)
     np.testing.assert_allclose(size[0], [preset(vehicle).length, preset(vehicle).width])
     assert "person" in hit
     assert not any(one.any() for one in hit.values())

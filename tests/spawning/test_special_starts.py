@@ -10,23 +10,29 @@ import pytest
 import shapely
 from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, polygons
-from helpers.spawning import meetings, meets, surroundings_of, walled
+from helpers.spawning import (
+    many,
+    meetings,
+    meets,
+    placing_one,
+    surroundings_of,
+    walled,
+)
 from helpers.states import parked_at
 
 from carpark_mj.config import WORLD_UNIT, EnvConfig, SpawnConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.parked_cars import BayFits
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.spawning.goals import place_agent
-from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.spawning.placing import SpawnInputs, surroundings
 from carpark_mj.spawning.special_starts import (
     FARTHEST,
     MARGIN,
-    CourseDraws,
     Targets,
     course_pose,
+    course_shapes,
     misaligned_pose,
-    special_shapes,
+    misaligned_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.vehicle import COMPACT, make_vehicle
@@ -42,10 +48,8 @@ OTHERS = np.array([False, True, True, True])
 
 @functools.partial(jax.jit, static_argnums=0)
 def try_all(config, layout, around, goal_xy, targets, keys):
-    shapes = CourseDraws(*(shape[1:] for shape in special_shapes(config, 4)[0]))
-
     def attempt(key):
-        draws = draw_uniform(shapes, key)
+        draws = draw_uniform(course_shapes(4), key)
         return course_pose(config, layout, around, goal_xy, targets, draws)
 
     return jax.vmap(attempt)(keys)
@@ -167,17 +171,13 @@ def starts(layout, spawn=MISALIGNED, parked=None):
     parked = parked_at() if parked is None else parked
     config = EnvConfig(spawn=spawn)
     car = jax.tree.map(lambda x: jnp.asarray(x)[None], make_vehicle(COMPACT))
-    inputs = SpawnInputs(layout, parked, None, None, BayFits(), car, first=True)
-    placing = start_placing(
-        jnp.array([0]), parked.bay, jnp.zeros((1, 3)), jnp.array([True])
-    )
+    inputs = SpawnInputs(layout, parked, cars=car, first=True)
+    placing = placing_one(inputs, 0)
 
     def one(key):
         return place_agent(config, inputs, placing, jnp.array(0), key).pose_w[0]
 
-    return np.asarray(
-        jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(3), COUNT))
-    )
+    return many(one, COUNT, 3)
 
 
 def in_bay(pose, bay=BAY):
@@ -229,19 +229,17 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
     parked = parked_at(near[:1], SIZE)
     both = jax.tree.map(lambda x: jnp.stack([x, x]), make_vehicle(COMPACT))
     sizes = jnp.broadcast_to(jnp.array(SIZE), (2, 2))
-    inputs = SpawnInputs(TIGHT, parked, sizes, sizes, BayFits(), both)
-    pose = jnp.stack([jnp.zeros(3), jnp.asarray(near[1])])
-    waiting = jnp.array([True, False])
-    placing = start_placing(jnp.array([0, 1]), parked.bay, pose, waiting)
+    inputs = SpawnInputs(TIGHT, parked, sizes, sizes, cars=both)
+    placing = placing_one(inputs, [0, 1], [np.zeros(3), near[1]])
     around = surroundings(inputs, placing, jnp.array(0))
 
     def one(key):
-        draws = draw_uniform(special_shapes(MISALIGNED, 1)[2], key)
+        draws = draw_uniform(misaligned_shapes(), key)
         return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
 
-    pose, found = jax.vmap(one)(jax.random.split(jax.random.key(4), COUNT))
+    pose, found = many(one, COUNT, 4)
     assert found.mean() > 0.9
-    own = polygons(np.asarray(pose)[np.asarray(found)], SIZE)
+    own = polygons(pose[found], SIZE)
     cars_beside = polygons(near, SIZE)
     assert shapely.distance(cars_beside[0], own).min() > MARGIN - 1e-3
     assert 0.0 < shapely.distance(cars_beside[1], own).min() < MARGIN

@@ -127,13 +127,8 @@ def test_step_after_the_last_agent_has_left_does_nothing(env, caplog):
 def test_dynamic_goals_have_their_own_action_space():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        chosen = EnvConfig(
-            num_agents=2,
-            num_parked_cars=2,
-            physics="bicycle",
-            goals=GoalConfig(dynamic=True),
-        )
-        env = carpark_mj.parallel_env(config=chosen)
+        chosen = EnvConfig(goals=GoalConfig(dynamic=True))
+        env = carpark_mj.parallel_env(config=chosen, **SMALL)
         env.reset(seed=0)
         for _ in range(2):
             space = env.action_space("agent_0")

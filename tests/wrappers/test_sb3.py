@@ -14,11 +14,10 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import EnvConfig, EpisodeConfig, RayConfig, RingConfig
+from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.wrappers.sb3 import ParkVecEnv
 
-PARK, GOAL, MANY = (
-    f"carpark_mj/{name}-v0" for name in ("Park", "ParkGoal", "ParkMany")
-)
+PARK, GOAL, MANY, *_ = ENTRY_POINTS
 SHORT = EnvConfig(episode=EpisodeConfig(max_steps=5))
 
 

@@ -87,9 +87,8 @@ def test_agents_stay_done_observe_zeros_and_earn_nothing(rollout):
 
 def test_only_a_lot_whose_agents_are_all_done_is_reset(rollout):
     over = rollout["next", "done"][..., 0]
-    np.testing.assert_array_equal(
-        over, rollout["next", "agents", "done"].all(2)[..., 0]
-    )
+    done = rollout["next", "agents", "done"].all(2)[..., 0]
+    np.testing.assert_array_equal(over, done)
     steps = over.nonzero()[:, 1]
     assert len(steps.unique()) > 1  # not all at once
     first, following = rollout[:, :-1], rollout[:, 1:]
@@ -97,13 +96,9 @@ def test_only_a_lot_whose_agents_are_all_done_is_reset(rollout):
     # After the end agents are there again; elsewhere time goes on.
     assert not following["agents", "done"][over].any()
     assert following["agents", "observation"][over].any(dim=-1).all()
-    np.testing.assert_array_equal(
-        following["agents", "observation"][~over],
-        first["next", "agents", "observation"][~over],
-    )
-    np.testing.assert_array_equal(
-        following["agents", "done"][~over], first["next", "agents", "done"][~over]
-    )
+    for name in ("observation", "done"):
+        before, after = first["next", "agents", name], following["agents", name]
+        np.testing.assert_array_equal(after[~over], before[~over])
 
 
 def test_a_lot_cut_by_time_is_truncated_not_terminated(rollout):
@@ -123,9 +118,8 @@ def test_a_lot_cut_by_time_is_truncated_not_terminated(rollout):
 
 def test_the_same_seed_gives_the_same_lots(env, rollout):
     env.set_seed(0)
-    np.testing.assert_array_equal(
-        env.reset()["agents", "observation"], rollout["agents", "observation"][:, 0]
-    )
+    again, first = env.reset(), rollout["agents", "observation"][:, 0]
+    np.testing.assert_array_equal(again["agents", "observation"], first)
     assert (env.reset()["agents", "observation"] != 0).any()
 
 

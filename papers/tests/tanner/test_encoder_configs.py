@@ -74,7 +74,7 @@ def test_impossible_settings_are_refused_in_a_sentence(make, settings, message):
                 "goals": DYNAMIC,
                 "observation": TannerObservation(tracked_cars=0),
             },
-            "must track at least 1",
+            "tracks at least 1 agent",
         ),
     ],
 )

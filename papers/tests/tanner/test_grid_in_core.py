@@ -57,15 +57,18 @@ from carpark_papers.tanner.q_learning.tables import make_table_policy
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"sim": SimConfig(emergency_brake=0.3)}, "needs .* a physics other than grid"),
+        ({"sim": SimConfig(emergency_brake=0.3)}, "emergency_brake must be 0, not 0.3"),
         (
             {"randomization": RandomizationConfig(mass=(0.9, 1.1))},
-            "randomization has no effect in grid physics",
+            "in grid physics randomization has no effect",
         ),
-        ({"reward": RewardConfig(reeds_shepp_reach=8.0)}, "needs cars that steer"),
+        ({"reward": RewardConfig(reeds_shepp_reach=8.0)}, "reach must be 0, not 8"),
         ({"spawn": SpawnConfig(misaligned_ratio=0.1)}, "misaligned_ratio 0.1 needs"),
         ({"spawn": SpawnConfig(reverse_ratio=0.1)}, "reverse_ratio 0.1 needs"),
-        ({"reward": RewardConfig(route=True)}, "route need fixed goals"),
+        (
+            {"reward": RewardConfig(route=True)},
+            "route True needs goals.dynamic = False",
+        ),
     ],
 )
 def test_settings_of_cars_that_steer_are_refused(settings, message):
