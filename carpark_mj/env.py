@@ -35,7 +35,7 @@ from carpark_mj.observations import (
     unpack,
 )
 from carpark_mj.obstacles import step_movers
-from carpark_mj.physics.base import Physics, make_physics, require_physics, where_cars
+from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.spawning.checks import check_cars, check_exits, check_numbers
@@ -106,10 +106,9 @@ class ParkingEnv:
             )
         require_kind("vehicle", vehicle, VehicleParameters | None)
         config = config or EnvConfig()
-        if physics is not None:
-            physics = require_physics(physics)
-            if physics.config != config.physics_config:
-                config = dataclasses.replace(config, physics=physics.config)
+        require_kind("physics", physics, Physics | None)
+        if physics is not None and physics.config != config.physics_config:
+            config = dataclasses.replace(config, physics=physics.config)
         self.config = config
         self.vehicle = vehicle if vehicle is not None else preset(config.vehicle)
         self.fleet = Fleet(config, self.vehicle)
@@ -121,7 +120,8 @@ class ParkingEnv:
         check_numbers(config, self.layout_config)
         check_exits(config, self.layout_config)
         check_cars(config, self.fleet, self.layout_config, self._layout)
-        self.physics = physics or make_physics(config, self._layout, self.vehicle)
+        make = config.physics_config.make
+        self.physics: Physics = physics or make(config, self._layout, self.vehicle)
         if config.episode.kerb_speed and not self.physics.can_halt:
             raise ValueError(
                 "episode.kerb_speed needs physics whose cars a kerb can stop, mjx or "

@@ -65,10 +65,9 @@ def lot_blocks(
             continue
         if group.kind in (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR):
             boxes += [_car(block, group, state, heights) for block in of_cars]
-        elif type(group) is Boxes:
-            boxes.append(_solid(group, *_look(group, state.layout)))
         else:
-            cylinders.append(_solid(group, *_look(group, state.layout)))
+            kind = boxes if type(group) is Boxes else cylinders
+            kind.append(_solid(group, *_look(group, state.layout)))
     return _join(boxes), _join(cylinders)
 
 

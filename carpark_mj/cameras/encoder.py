@@ -84,28 +84,17 @@ class CameraObservation(ContinuousObservation):
         rig = self.cameras
         shape = (len(rig.cameras), rig.height, rig.width)
         size = math.prod(shape)
-        fields = {
-            "depth": Field(
-                "camera_depth",
-                size,
-                0.0,
-                1.0,
-                f"distance along the pixels' rays [{rig.reach:g} m]",
-                shape=shape,
-                gamma=0.5,  # centimetres near by, decimetres far off
-            ),
-            "seen": Field(
-                "camera_seen",
-                size,
-                0.0,
-                float(max(Seen)),
-                "what the pixels show, `Seen`",
-                is_whole=True,
-                reveals_goal=True,
-                shape=shape,
-            ),
-        }
-        heights = _heights(env)
+        far = f"distance along the pixels' rays [{rig.reach:g} m]"
+        show, most = "what the pixels show, `Seen`", float(max(Seen))
+        # Depths have centimetres near by, decimetres far off.
+        depth = Field("camera_depth", size, 0.0, 1.0, far, shape=shape, gamma=0.5)
+        seen = Field("camera_seen", size, 0.0, most, show, shape=shape)
+        seen = dataclasses.replace(seen, is_whole=True, reveals_goal=True)
+        fields = {"depth": depth, "seen": seen}
+        fleet = env.fleet
+        kinds = [fleet.agents or (env.vehicle,), fleet.parked_cars or (env.vehicle,)]
+        cars = [[car for _, car in fleet_cars(names)] for names in kinds]
+        heights = Heights(*(tuple(c.height / c.length for c in each) for each in cars))
 
         def fill(sight: ObservationInput) -> dict[str, jax.Array]:
             pictures = see(rig, sight.state, heights)
@@ -131,14 +120,6 @@ class CameraObservation(ContinuousObservation):
             for field in ego.ROUTE.fields:
                 values[field.name] = jnp.where(silent, 0.0, values[field.name])
         return values
-
-
-def _heights(env: EnvConfig) -> Heights:
-    """Heights of the presets that a config names."""
-    fleet = env.fleet
-    kinds = [fleet.agents or (env.vehicle,), fleet.parked_cars or (env.vehicle,)]
-    cars = [[car for _, car in fleet_cars(names)] for names in kinds]
-    return Heights(*(tuple(car.height / car.length for car in each) for each in cars))
 
 
 ENCODERS.register("cameras", CameraObservation)

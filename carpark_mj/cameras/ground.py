@@ -20,6 +20,7 @@ SEEN_BITS, SHADE_BITS = 4, 3
 SHADES = 2**SHADE_BITS - 1  # the brightest
 _LOW = 2 ** (SEEN_BITS + SHADE_BITS) - 1
 _INFINITY = 0x7F800000  # its bits
+SKY = _INFINITY | (SHADES << SEEN_BITS) | int(Seen.SKY)  # of a ray that meets nothing
 MISS = 2**31 - 1  # after all others
 CHUNK = 8  # things that a pass over the pixels meets
 
@@ -32,11 +33,6 @@ def encode(
     """Hits of distances [m], at least 0, of what is seen and shades up to `SHADES`."""
     bits = jax.lax.bitcast_convert_type(distance, jnp.int32)
     return (bits & ~_LOW) | (shade << SEEN_BITS) | seen
-
-
-def sky_hit(seen: int) -> int:
-    """The hit of a ray that meets nothing."""
-    return _INFINITY | (SHADES << SEEN_BITS) | seen
 
 
 def decode(hit: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -56,14 +52,9 @@ def fold(
 ) -> jax.Array:
     """Meets things one after the other, `CHUNK` of them in each pass over the pixels.
 
-    No array of pixels times things exists.
-
-    Args:
-        best: of the pixels, before.
-        things: pytree of arrays (n, ...); rows of index -1 pad and change nothing.
-        meet: `best` after a thing, arrays (...).
-        matters: (n,) bool, the things that can change something; passes over the others
-            are saved. None = all.
+    No array of pixels times things exists. Things are a pytree of arrays (n, ...); rows
+    of -1 pad and change nothing. Passes over those that `matters` (n,) bool excepts,
+    which can change nothing, are saved.
     """
     count = jax.tree.leaves(things)[0].shape[0]
     if not count:
@@ -126,16 +117,10 @@ def cover(
     line_width: float = LINE_WIDTH,
     reach: float | None = None,
 ) -> jax.Array:
-    """What covers points on the ground, int32 (...).
+    """What covers points x, y (...) ahead and left of a place [m], int32 (...).
 
-    Args:
-        layout: of the lot.
-        goal: () int32 the own bay.
-        place: about which the points are given.
-        x: (...) ahead of the place along the car's axis [m].
-        y: (...) to the left [m].
-        line_width: of bays [m].
-        reach: largest distance of points and lines from the place [m]; None = any.
+    `goal` is the own bay, () int32, `reach` the largest distance of points and lines
+    from the place [m]; None = any.
     """
     own = jnp.arange(layout.num_bays) == goal
     kinds = jnp.where(own, OWN_BAY, BAY)

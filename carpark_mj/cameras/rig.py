@@ -20,6 +20,7 @@ from carpark_mj.config.checks import (
     NonNegative,
     Positive,
     Range,
+    require_number,
 )
 from carpark_mj.geometry.se2 import norm
 
@@ -46,10 +47,8 @@ class Lens(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.projection == "pinhole" and self.fov >= math.pi:
-            raise ValueError(
-                f"fov of a pinhole camera must be less than pi rad, not {self.fov:g}"
-            )
+        if self.projection == "pinhole":
+            require_number("fov", self.fov, Bounds(lt=math.pi, unit="rad, a pinhole's"))
 
     def radius(self, angle: np.ndarray) -> np.ndarray:
         """Radii in the picture of rays at angles to the axis [rad], no unit."""
@@ -81,9 +80,8 @@ class Lens(CheckedConfig):
         if radius.max() > radii[known - 1]:
             degrees = 2.0 * math.degrees(angles[known - 1])
             raise ValueError(
-                f"fov {math.degrees(self.fov):g} degrees over {width} pixels and "
-                f"{height} of height reaches beyond {degrees:.0f} degrees in the "
-                "corners, where the lens shows nothing: choose a smaller one"
+                f"fov {math.degrees(self.fov):g} deg over {width} x {height} pixels "
+                f"reaches beyond {degrees:.0f} degrees, where the lens shows nothing"
             )
         low, high = np.zeros_like(radius), np.full_like(radius, angles[known - 1])
         for _ in range(60):
@@ -144,9 +142,8 @@ class Camera(CheckedConfig):
             raise ValueError(f"a camera must be above the ground, not at {x, y, z}")
         if max(abs(x), abs(y)) <= 1.0 and z <= BODY[-1]:
             raise ValueError(
-                f"position {self.position} lies inside the body, where a camera sees "
-                f"nothing: choose one beyond 1 half length or half width, or above "
-                f"{BODY[-1]} of the height"
+                f"position must be beyond 1 half length or half width, or above "
+                f"{BODY[-1]} of the height, not inside the body at {self.position}"
             )
 
     @functools.cached_property
@@ -181,11 +178,8 @@ class Rig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.width * self.height > MOST_PIXELS:
-            raise ValueError(
-                f"width x height must be at most {MOST_PIXELS} pixels, not "
-                f"{self.width} x {self.height}"
-            )
+        most = Bounds(le=MOST_PIXELS, unit="pixels")
+        require_number("width x height", self.width * self.height, most)
         if not self.cameras:
             raise ValueError("cameras must be at least one, not ()")
         _ = self.directions  # refuses lenses that have no ray for some pixels
@@ -193,28 +187,23 @@ class Rig(CheckedConfig):
     @functools.cached_property
     def directions(self) -> np.ndarray:
         """(cameras, height, width, 3) unit vectors of the rays in the body's frame."""
-        return np.stack(
-            [
-                camera.lens.directions(self.width, self.height) @ camera.axes.T
-                for camera in self.cameras
-            ]
-        ).astype(np.float32)
+        size = self.width, self.height
+        rays = [each.lens.directions(*size) @ each.axes.T for each in self.cameras]
+        return np.stack(rays).astype(np.float32)
 
 
-_FISHEYE = Lens("fisheye", math.radians(190.0))
+def _fisheye(x: float, y: float, z: float, yaw: float, pitch: float) -> Camera:
+    """With a view of 190 degrees; angles in degrees."""
+    lens = Lens("fisheye", math.radians(190.0))
+    return Camera((x, y, z), math.radians(yaw), math.radians(pitch), lens=lens)
 
 
-def _turned(yaw: float, pitch: float) -> dict[str, float]:
-    return {"yaw": math.radians(yaw), "pitch": math.radians(pitch)}
-
-
-FRONT = Camera((1.01, 0.0, 0.42), **_turned(0.0, 30.0), lens=_FISHEYE)
-REAR = Camera((-1.01, 0.0, 0.60), **_turned(180.0, 35.0), lens=_FISHEYE)
-LEFT = Camera((0.30, 1.12, 0.68), **_turned(90.0, 45.0), lens=_FISHEYE)
-RIGHT = Camera((0.30, -1.12, 0.68), **_turned(-90.0, 45.0), lens=_FISHEYE)
-WINDSCREEN = Camera(
-    (0.20, 0.0, 0.88), **_turned(0.0, 8.0), lens=Lens(fov=math.radians(100.0))
-)
+FRONT = _fisheye(1.01, 0.0, 0.42, yaw=0.0, pitch=30.0)
+REAR = _fisheye(-1.01, 0.0, 0.60, yaw=180.0, pitch=35.0)
+LEFT = _fisheye(0.30, 1.12, 0.68, yaw=90.0, pitch=45.0)
+RIGHT = _fisheye(0.30, -1.12, 0.68, yaw=-90.0, pitch=45.0)
+_WIDE = Lens(fov=math.radians(100.0))
+WINDSCREEN = Camera((0.20, 0.0, 0.88), pitch=math.radians(8.0), lens=_WIDE)
 
 RigName = Literal["surround", "rear", "windscreen"]
 RIGS: dict[str, Rig] = {
@@ -295,9 +284,8 @@ def is_dirty(rig: Rig, spots: jax.Array) -> jax.Array:
     row = (jnp.arange(rig.height) + 0.5)[:, None] / rig.height
     column = (jnp.arange(rig.width) + 0.5) / rig.height
     place = spots[..., None, None, :]
-    off = jnp.stack(
-        jnp.broadcast_arrays(row - place[..., 0], column - place[..., 1]), axis=-1
-    )
+    off = jnp.broadcast_arrays(row - place[..., 0], column - place[..., 1])
+    off = jnp.stack(off, axis=-1)
     return jnp.any(norm(off) < place[..., 2], axis=-3)
 
 
@@ -321,9 +309,7 @@ def car_cameras(camera: str, size: tuple[int, int]) -> Rig | None:
         cameras = (cameras[int(index)],)
     rows, columns = picture_grid(len(cameras))
     width, height = size[0] // columns, size[1] // rows
-    return dataclasses.replace(
-        rig, cameras=cameras, width=width, height=height, shaded=True
-    )
+    return Rig(cameras, width, height, rig.reach, shaded=True)
 
 
 def picture_grid(count: int) -> tuple[int, int]:

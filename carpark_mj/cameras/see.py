@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,6 @@ from carpark_mj.geometry.se2 import rotate
 from carpark_mj.layouts.types import LINE_WIDTH
 from carpark_mj.types import State
 
-_SKY = ground.sky_hit(int(Seen.SKY))
 _LEAST_DROP = 1e-6  # of a ray that meets the ground
 
 
@@ -27,12 +26,9 @@ _LEAST_DROP = 1e-6  # of a ray that meets the ground
 class Pictures:
     """Pictures of the cameras of cars, rows from the top (..., height, width)."""
 
-    # from the camera along the pixel's ray [m], at most the rig's reach
-    depth: jax.Array
+    depth: jax.Array  # along the pixel's ray [m], at most the rig's reach
     seen: jax.Array  # uint8, `Seen`
-    # uint8 brightness in [0, `SHADES`], equal for all unless the rig is
-    # `shaded`
-    shade: jax.Array
+    shade: jax.Array  # uint8 brightness in [0, `SHADES`], equal for all if not `shaded`
 
 
 def see(
@@ -44,14 +40,9 @@ def see(
 ) -> Pictures:
     """Pictures (viewers, cameras, height, width) of one lot.
 
-    Dirt hides what is behind it as the own car does, at a depth of 0.
-
-    Args:
-        rig: the cameras, static.
-        state: of the lot; cars are where they are, not where sensors measure them.
-        heights: of its cars, static.
-        faults: of the cameras; None = none.
-        viewers: how many agents see, the first; None = all.
+    Cars are where they are, not where sensors measure them. Rig and heights are static.
+    Dirt hides what is behind it as the own car does, at a depth of 0. `viewers` is how
+    many agents see, the first; None = all.
     """
     boxes, cylinders = lot_blocks(state, heights)
     rays = rig.directions.reshape(len(rig.cameras), -1, 3)
@@ -64,12 +55,10 @@ def see(
     mounts = jnp.array([camera.position for camera in rig.cameras])
     eyes = mounts * scale[:, None]  # (agents, cameras, 3)
 
-    def look(
-        agent: jax.Array, goal: jax.Array, pose_w: jax.Array, eye: jax.Array, rays
-    ):
+    def look(agent: Any, goal: Any, pose_w: Any, eye: Any, rays: Any) -> jax.Array:
         place = Place(pose_w[:2] + rotate(eye[:2], pose_w[2]), pose_w[2])
         hit = _ground_hits(state, goal, place, eye[2], rays[above:])
-        hit = jnp.concatenate([jnp.full(above, _SKY), hit])
+        hit = jnp.concatenate([jnp.full(above, ground.SKY), hit])
         around = [seat(each, agent, place, eye[2]) for each in (boxes, cylinders)]
         return trace(hit, rays, around[0], around[1], rig.shaded)
 
@@ -115,7 +104,7 @@ def _ground_hits(
     height = sum(jnp.where(kind == k, high, 0.0) for k, high in heights if high)
     shows = sum(jnp.where(kind == k, int(show), 0) for k, show in kinds if show)
     hit = encode(down_to(height), shows, FLAT)
-    return jnp.where(drop > _LEAST_DROP, hit, _SKY)
+    return jnp.where(drop > _LEAST_DROP, hit, ground.SKY)
 
 
 # RGB in [0, 1] in full light.

@@ -44,10 +44,9 @@ Beyond = tuple[jax.Array, jax.Array, jax.Array]
 
 
 def outlines(pose: jax.Array, size: jax.Array, mask: jax.Array) -> jax.Array:
-    """Boxes (n, 3), (n, 2), (n,) as (6, n).
+    """Boxes (n, 3), (n, 2), (n,) as rows (6, n), as loops over boxes want them.
 
-    X, y, cos, sin, half length and half width; each of them lies in one row, as loops
-    over boxes want it.
+    X, y, cos, sin, half length and half width.
     """
     x, y, yaw = jnp.unstack(pose, axis=-1)
     half_x, half_y = jnp.unstack(size / 2, axis=-1)
@@ -69,10 +68,7 @@ def group_outlines(groups: Sequence[Group]) -> jax.Array:
 
 
 def offsets(xy: jax.Array, boxes: jax.Array) -> Pair:
-    """X and y [m] from the nearest points of boxes (6, ...) to points (..., 2).
-
-    In the boxes' frames; 0 inside.
-    """
+    """From boxes (6, ...) to points (..., 2) [m], in the boxes' frames; 0 inside."""
     x, y, cos, sin, half_x, half_y = jnp.unstack(boxes)
     own_x, own_y = jnp.unstack(xy, axis=-1)
     x, y = own_x - x, own_y - y
@@ -100,8 +96,7 @@ def meet(start: jax.Array, end: jax.Array, boxes: jax.Array) -> jax.Array:
 def columns(x: jax.Array, y: jax.Array) -> jax.Array:
     """Vectors (n, 2) of x and y (n,): a stack that XLA computes once on a CPU.
 
-    Into one by `jnp.stack` it would fuse all that x and y are made of, which hinders
-    vectorisation.
+    Into `jnp.stack` it fuses all that x and y are made of, which is not vectorised.
     """
     return jnp.where(jnp.arange(2) == 0, x[:, None], y[:, None])
 
@@ -144,8 +139,8 @@ def room_to(xy: jax.Array, radius: jax.Array, boxes: jax.Array) -> Room:
 def go_round(rooms: Sequence[Room], move: jax.Array, aside: float) -> jax.Array:
     """Moves (n, 2) that end within the room, from the desired ones.
 
-    A stopped person turns aside as far as there is room, by at most `aside`. That is
-    `DODGE` over the time of the move, or walking would depend on how time is divided.
+    A stopped person turns aside as far as there is room, by at most `aside`, `DODGE`
+    over the time of the move.
     """
     beyond, x, y = functools.reduce(_further, (_nearest(room, move) for room in rooms))
     x, y = jnp.where(beyond > 0.0, x, 0.0), jnp.where(beyond > 0.0, y, 0.0)
@@ -215,17 +210,11 @@ def advance_people(
     borders: Sequence[jax.Array],
     dt: float,
 ) -> tuple[jax.Array, jax.Array]:
-    """Places (n, 2) [m] and velocities (n, 2) [m/s] after a control period.
+    """Places (n, 2) [m] and velocities (n, 2) [m/s] after a control period `dt` [s].
 
-    It is cut into equal substeps, so that crowds do not depend on it.
-
-    Args:
-        xy: before.
-        velocity: before.
-        aim: what they want in this period.
-        apart: x and y (n, n) [m] from the second people to the first, at places.
-        borders: `outlines` (6, n or 1, k).
-        dt: control period [s].
+    It is cut into equal substeps, so that crowds do not depend on it. `apart` has x and
+    y (n, n) [m] from the second people to the first, at places; `borders` are
+    `outlines` (6, n or 1, k).
     """
     steps = max(math.ceil(dt / SUBSTEP - 1e-6), 1)
     share = dt / steps
@@ -254,10 +243,8 @@ def advance_people(
 def push(offset: Pair, speed: jax.Array, heading: jax.Array) -> Pair:
     """Forces (n, n) of the second people on the first, equations 3, 4 and 8.
 
-    Args:
-        offset: x and y (n, n) from the second to the first [m].
-        speed: (n,) [m/s].
-        heading: (n, 2) unit vectors, of desired directions.
+    By offsets (n, n) from the second to the first [m], speeds (n,) [m/s] and desired
+    directions (n, 2).
     """
     x, y = offset
     stride = speed * STEP_TIME

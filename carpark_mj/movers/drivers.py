@@ -17,7 +17,8 @@ if the car sweeps no wall and no other bay on it, whether a car stands there or 
   4 m/s². Pure pursuit (Coulter 1992) aims 1.2 m and 0.3 s ahead. Speeds are at most
   1.5 m/s in arcs and 0.8 m/s in reverse, and lower while the wheels still turn.
 - *Distance*: the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000, Physical
-  Review E 62, 1805) with b = 1.67 m/s² and exponent 4 as published, s0 = 1 m instead of
+  Review E 62, 1805, "Congested traffic states in empirical observations and microscopic
+  simulations") with b = 1.67 m/s² and exponent 4 as published, s0 = 1 m instead of
   2 m and a = 1 to 2 m/s² instead of 0.73 m/s². The gap is the free part of the path, up
   to 10.5 m, past drivers, stopping ways of agents, and people at present and in 1 s.
 - *Right of way*: a car that backs out yields, then one that turns into a bay. Otherwise
@@ -49,21 +50,17 @@ from carpark_mj.movers.traffic import (
     NOSE,
     OFFSET,
     PARK,
-    RADIUS,
     SIZE,
     STAY,
-    Path,
     Traffic,
-    choose,
-    crossing,
+    arcs_into,
     make_tracks,
-    tangent,
     track_path,
 )
 from carpark_mj.obstacles import MOVERS, Mover
+from carpark_mj.physics.base import where_cars
 from carpark_mj.types import NO_BAY, State
 
-SHARP, OPPOSITE = 0.3, 2.6  # rad, least and largest change of direction
 EARLY = 10.0  # m before an arc, where a driver decides
 NOT_LATE = 0.8  # m before it, besides the way in which the car stops
 CROSSING = 5.5  # m from the end of a track to where another crosses it
@@ -97,10 +94,10 @@ def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic
     keys = jax.random.split(key, 5)
     parks = jax.random.uniform(keys[0]) < search
     turned, parked = _turn(keys[1], own), _park(keys[2], own, traffic, lot)
-    going_on = choose(parks & parked[1], parked, turned)
+    going_on = where_cars(parks & parked[1], parked, turned)
     backed = _back_out(keys[3], own, lot)
     stays = own.phase == STAY
-    new, good = choose(stays, backed, going_on)
+    new, good = where_cars(stays, backed, going_on)
     path = new.path
     begin = jnp.where(stays, 0.0, jnp.maximum(path.straight - 1.5, own.way))
     end = jnp.minimum(path.arc_end + 4.0, path.total)
@@ -110,10 +107,10 @@ def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic
     good = good & (undecided | stays)
     entered, enters = _enter(keys[4], own, traffic, lot)
     comes = (own.phase == AWAY) & (own.clock > ABSENCE) & enters
-    new = choose(comes, entered, new)
+    new = where_cars(comes, entered, new)
     row = (jnp.arange(n) == who) & (good | comes)
     changes = {
-        name: choose(row, getattr(new, name), getattr(traffic, name))
+        name: where_cars(row, getattr(new, name), getattr(traffic, name))
         for name in (*MOTION, *INTENT)
     }
     turn = (traffic.turn + 1) % n
@@ -138,19 +135,16 @@ def _pick(
 def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
     """A driver that turns into another track."""
     tracks = own.tracks
-    line, length = tracks.pose[own.track], tracks.length
+    length = tracks.length
     key, swing_key = jax.random.split(key)
     swing = jnp.where(jax.random.bernoulli(swing_key), SWING, 0.0)
     beside = to_world(tracks.pose, jnp.stack([0.0, swing, 0.0]))
-    along, beyond, bend = crossing(line, beside)
-    arc = tangent(bend)
-    start, leaves = along - arc, beyond + arc
-    good = tracks.mask & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
-    good = good & _begins_well(own, start) & (along < length[own.track] + CROSSING)
-    good = good & (beyond > -CROSSING) & (leaves < length - NOSE - 1.0)
-    index, found = _pick(key, jnp.zeros_like(start), good)
-    rest = length[index] - NOSE - leaves[index]
-    path = _arc_path(line, start[index], bend[index], rest, 1.0)
+    arcs = arcs_into(beside, tracks.pose[own.track])
+    good = tracks.mask & arcs.good & _begins_well(own, arcs.start)
+    good = good & (arcs.along < length[own.track] + CROSSING)
+    good = good & (arcs.beyond > -CROSSING) & (arcs.end < length - NOSE - 1.0)
+    index, found = _pick(key, jnp.zeros_like(arcs.start), good)
+    path = arcs.path(index, length[index] - NOSE - arcs.end[index], 1.0)
     return dataclasses.replace(own, path=path, next_track=index), found
 
 
@@ -158,29 +152,24 @@ def _park(
     key: jax.Array, own: Traffic, traffic: Traffic, lot: State
 ) -> tuple[Traffic, jax.Array]:
     """A driver that turns into a free bay."""
-    layout, line = lot.layout, own.tracks.pose[own.track]
+    layout = lot.layout
     pose = jnp.concatenate(
         [layout.bay_pose[:, :2], wrap_angle(layout.bay_pose[:, 2:] + jnp.pi)], axis=-1
     )
-    along, beyond, bend = crossing(line, pose)
-    arc = tangent(bend)
-    start, rest = along - arc, -OFFSET - (beyond + arc)
+    arcs = arcs_into(pose, own.tracks.pose[own.track])
+    rest = -OFFSET - arcs.end
     good = layout.bay_mask & (layout.bay_kind != BayKind.EXIT)
     if layout.bay_end is not None:
         good = good & (layout.bay_end != BayEnd.TAIL_FIRST)
-    good = good & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
-    good = good & _begins_well(own, start) & (rest > 0.0) & (beyond > -LONGEST)
-    index, found = _pick(key, jnp.zeros_like(start), good)
+    good = good & arcs.good & _begins_well(own, arcs.start)
+    good = good & (rest > 0.0) & (arcs.beyond > -LONGEST)
+    index, found = _pick(key, jnp.zeros_like(rest), good)
     # A free bay is neither occupied nor the goal of another car.
     found = found & ~(lot.parked_cars.bay == index).any() & ~(lot.goal == index).any()
     found = found & ~((traffic.bay == index) & traffic.present).any()
-    there = boxes_overlap(
-        layout.bay_pose[index],
-        layout.bay_size[index],
-        lot.motion.pose_w,
-        lot.motion.size,
-    )
-    path = _arc_path(line, start[index], bend[index], rest[index], 1.0)
+    bay = layout.bay_pose[index], layout.bay_size[index]
+    there = boxes_overlap(*bay, lot.motion.pose_w, lot.motion.size)
+    path = arcs.path(index, rest[index], 1.0)
     new = dataclasses.replace(own, path=path, phase=jnp.int32(PARK), bay=index)
     return new, found & ~there.any()
 
@@ -188,16 +177,13 @@ def _park(
 def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Array]:
     """A driver that backs out of a bay onto a track."""
     tracks = own.tracks
-    line = own.pose.at[2].add(jnp.pi)
     lanes = tracks.pose.at[:, 2].add(jnp.pi)
-    along, beyond, bend = crossing(line, lanes)
-    arc = tangent(bend)
-    start, place = along - arc, -(beyond + arc + BACK_ON)
-    good = tracks.mask & (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
-    good = good & (start > 0.1) & (along < LONGEST)
+    arcs = arcs_into(lanes, own.pose.at[2].add(jnp.pi))
+    place = -(arcs.end + BACK_ON)
+    good = tracks.mask & arcs.good & (arcs.start > 0.1) & (arcs.along < LONGEST)
     good = good & (place > 0.0) & (place < tracks.length - NOSE - 1.0)
-    index, found = _pick(key, along, good)
-    path = _arc_path(line, start[index], bend[index], jnp.float32(BACK_ON), -1.0)
+    index, found = _pick(key, arcs.along, good)
+    path = arcs.path(index, jnp.float32(BACK_ON), -1.0)
     # Somebody needs the bay: go.
     due = (own.clock > own.stay) | (lot.goal == own.bay).any()
     new = dataclasses.replace(
@@ -236,15 +222,6 @@ def _enter(
     return new, found & is_clear(traffic, lot, ahead, CLEAR)
 
 
-def _arc_path(
-    line: jax.Array, start: jax.Array, bend: jax.Array, rest: jax.Array, gear: float
-) -> Path:
-    total = start + RADIUS * jnp.abs(bend) + rest
-    return Path(
-        line[:2], line[2], start, bend, jnp.float32(RADIUS), total, jnp.float32(gear)
-    )
-
-
 def _is_free(layout: Layout, pose: jax.Array, bay: jax.Array) -> jax.Array:
     """() bool, whether a car with its rear axle at poses (k, 3) meets nothing."""
     pose = move_forward(pose, OFFSET)[:, None]
@@ -254,12 +231,9 @@ def _is_free(layout: Layout, pose: jax.Array, bay: jax.Array) -> jax.Array:
     bays, count = layout.bay_size - SLACK, layout.num_bays
     there = jnp.concatenate([layout.bay_pose, layout.wall_pose, disc])
     is_bay = (np.arange(there.shape[0]) < count)[:, None]
-    meets = boxes_overlap(
-        pose,
-        SIZE + 2 * np.where(is_bay, np.float32(ROOM), np.float32(ROOM_TO_WALLS)),
-        there,
-        jnp.concatenate([bays, layout.wall_size, discs]),
-    )
+    size = SIZE + 2 * np.where(is_bay, np.float32(ROOM), np.float32(ROOM_TO_WALLS))
+    sizes = jnp.concatenate([bays, layout.wall_size, discs])
+    meets = boxes_overlap(pose, size, there, sizes)
     mask = jnp.concatenate([others, layout.wall_mask, layout.disc_mask])
     return ~(meets & mask).any()
 
@@ -301,9 +275,8 @@ class Drivers(Mover):
         usable = jnp.where(tracks.mask, jnp.maximum(tracks.length - 2 * NOSE, 0.0), 0.0)
         odds = jnp.where(usable > 0.0, jnp.log(usable), -jnp.inf)
         shape = (n, TRIES)
-        track = jnp.argmax(
-            odds + jax.random.gumbel(keys[0], (*shape, odds.shape[0])), axis=-1
-        ).astype(jnp.int32)
+        luck = jax.random.gumbel(keys[0], (*shape, odds.shape[0]))
+        track = jnp.argmax(odds + luck, axis=-1).astype(jnp.int32)
         way = NOSE + jax.random.uniform(keys[1], shape) * usable[track]
         pose = move_forward(tracks.pose[track], way)
 
@@ -313,16 +286,13 @@ class Drivers(Mover):
         def place(taken: jax.Array, row: tuple[jax.Array, ...]):
             who, tried, free = row
             free = free & (norm(tried[:, None, :2] - taken) > APART).all(axis=-1)
-            which = jnp.argmax(free)
-            taken = jnp.where(
-                ((jnp.arange(n) == who) & free.any())[:, None], tried[which, :2], taken
-            )
+            which, own = jnp.argmax(free), (jnp.arange(n) == who) & free.any()
+            taken = jnp.where(own[:, None], tried[which, :2], taken)
             return taken, (which, free.any())
 
-        nowhere = jnp.full((n, 2), FAR)
-        rows = jnp.arange(n), pose, clear
-        _, (which, there) = jax.lax.scan(place, nowhere, rows)
         rows = jnp.arange(n)
+        nowhere = jnp.full((n, 2), FAR)
+        _, (which, there) = jax.lax.scan(place, nowhere, (rows, pose, clear))
         track, way, pose = track[rows, which], way[rows, which], pose[rows, which]
         low, high = self.aggressiveness
         level = jax.random.uniform(keys[2], minval=low, maxval=high)

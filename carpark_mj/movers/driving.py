@@ -6,12 +6,8 @@ distance, or farther ahead of a car with priority. The car that yields allows fo
 control step of acceleration of the other. So stopping distances never overlap, and
 attentive drivers never collide.
 
-Each is a kinematic bicycle of the back end `bicycle` (`physics.bicycle.advance`) with
-the steering of its car (`vehicle.drive.steer_towards`) and its limits of acceleration
-and braking. Pure pursuit (Coulter 1992) steers it along its path. Behind another it
-accelerates by the Intelligent Driver Model: Treiber, Hennecke and Helbing 2000,
-"Congested traffic states in empirical observations and microscopic simulations",
-Physical Review E 62, 1805, equations 2 and 3 with delta = 4:
+Behind another it accelerates by the Intelligent Driver Model, equations 2 and 3 of
+Treiber, Hennecke and Helbing 2000 with delta = 4 (see `carpark_mj.movers.drivers`):
 
     a (1 - (v / v0)^4 - (s* / s)^2),  s* = s0 + v T + v dv / (2 sqrt(a b)).
 """
@@ -33,10 +29,10 @@ from carpark_mj.movers.traffic import (
     SIZE,
     STAY,
     Traffic,
-    choose,
     track_path,
     turn_back,
 )
+from carpark_mj.physics.base import where_cars
 from carpark_mj.physics.bicycle import advance, slip_angle
 from carpark_mj.types import NO_BAY, State
 from carpark_mj.vehicle import make_vehicle
@@ -70,9 +66,7 @@ DECIDED = 0.3  # m behind an arc, where a driver is on the next track
 def goes_first(traffic: Traffic) -> jax.Array:
     """(n, n) bool, whether the second of a pair goes before the first; one of both.
 
-    A car that backs out yields, then one that turns into a bay. Otherwise the car from
-    the right goes first, and the oncoming before one that turns left. After a long wait
-    the longest wait goes first; ties go to the more aggressive.
+    Right of way is that of `carpark_mj.movers.drivers`; ties go to the more aggressive.
     """
     pose, phase = traffic.centre, traffic.phase
     local = to_local(pose[:, None], pose)
@@ -86,9 +80,8 @@ def goes_first(traffic: Traffic) -> jax.Array:
     wait = jnp.where(traffic.clock > PATIENCE, traffic.clock, 0.0)
     order = jnp.arange(rank.shape[0])
     pushes = traffic.aggressiveness
-    decisive = (pushes > pushes[:, None]) | (
-        (pushes == pushes[:, None]) & (order < order[:, None])
-    )
+    tie = (pushes == pushes[:, None]) & (order < order[:, None])
+    decisive = (pushes > pushes[:, None]) | tie
 
     def more(value: jax.Array, otherwise: jax.Array) -> jax.Array:
         return jnp.where(value == value[:, None], otherwise, value > value[:, None])
@@ -120,22 +113,18 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
     edges = jnp.array(EDGES)
     start, length = edges[:-1], jnp.diff(edges)
     way = traffic.way[:, None] + start + length / 2
-    sections = move_forward(
-        traffic.path.at(jnp.minimum(way, traffic.path.total[:, None])), OFFSET
-    )
+    way = jnp.minimum(way, traffic.path.total[:, None])
+    sections = move_forward(traffic.path.at(way), OFFSET)
     boxes = jnp.concatenate([traffic.centre[:, None], sections], axis=1)
     longer = jnp.concatenate([jnp.zeros(1), length])
     half = SIZE / 2 + jnp.stack([longer / 2, jnp.zeros_like(longer)], axis=-1)
     room = half + jnp.array([ALONG, ASIDE])
 
     count = boxes.shape[1]
-    shape = (n * count,)
     rows = _others(traffic, lot)
-    there = [boxes.reshape(-1, 3)]
-    halves = [jnp.broadcast_to(half, (n, count, 2)).reshape(-1, 2)]
-    if rows is not None:
-        there, halves = [*there, rows.pose], [*halves, rows.half]
-    meets, gap = _meet(boxes, room, gear, *map(jnp.concatenate, (there, halves)))
+    halves = jnp.broadcast_to(half, (n, count, 2)).reshape(-1, 2)
+    there = [boxes.reshape(-1, 3), rows.pose], [halves, rows.half]
+    meets, gap = _meet(boxes, room, gear, *map(jnp.concatenate, there))
     gap = gap + jnp.concatenate([jnp.zeros(1), start])[:, None]
     (meets, meets_others), (gap, gap_others) = (
         jnp.split(x, [n * count], axis=-1) for x in (meets, gap)
@@ -146,14 +135,12 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
     counts = (begins < limit[..., None]) & ~jnp.eye(n, dtype=bool)[..., None]
     counts = counts & traffic.present[:, None]
     meets = meets.reshape(n, count, -1) & counts.reshape(n, 1, -1)
-    velocity = jnp.repeat(traffic.velocity, count, axis=0).reshape(*shape, 2)
+    velocity = jnp.repeat(traffic.velocity, count, axis=0).reshape(n * count, 2)
     # The own box is for the right of way only.
     found = _first(boxes, gear, meets[:, 1:], gap[:, 1:], velocity)
-    if rows is not None:
-        meets = (meets_others & rows.seen[:, None])[:, 1:]
-        others = _first(boxes, gear, meets, gap_others[:, 1:], rows.velocity)
-        found = choose(others.gap < found.gap, others, found)
-    return found
+    meets = (meets_others & rows.seen[:, None])[:, 1:]
+    others = _first(boxes, gear, meets, gap_others[:, 1:], rows.velocity)
+    return where_cars(others.gap < found.gap, others, found)
 
 
 def _first(
@@ -218,12 +205,9 @@ def _limits(
     inside = (meets[:, 0] & wanted).any(axis=-1)
     wish = jnp.where(inside | _hidden(traffic, traffic.centre), 0.0, wish)
     limit = jnp.where(goes_first(traffic), jnp.maximum(soon, wish), stop)
-    return jnp.where(traffic.attentive[:, None], limit, _blind(traffic)[:, None])
-
-
-def _blind(traffic: Traffic) -> jax.Array:
-    """(n,) what inattentive drivers see: cars ahead, nothing behind."""
-    return jnp.where(traffic.path.gear > 0.0, 0.0, -2.0)
+    # Inattentive drivers see cars ahead, nothing behind.
+    blind = jnp.where(traffic.path.gear > 0.0, 0.0, -2.0)
+    return jnp.where(traffic.attentive[:, None], limit, blind[:, None])
 
 
 def _hidden(traffic: Traffic, pose: jax.Array) -> jax.Array:
@@ -237,18 +221,16 @@ def _hidden(traffic: Traffic, pose: jax.Array) -> jax.Array:
     return within[:, None] & (aside > SIGHT * jnp.maximum(behind, 0.0))
 
 
-def _others(traffic: Traffic, lot: State) -> Rows | None:
+def _others(traffic: Traffic, lot: State) -> Rows:
     """Agents with the ways in which they stop; people, here and where they will be."""
-    rows: list[tuple[jax.Array, ...]] = []
     motion = lot.motion
-    if motion.size.shape[0]:
-        yaw, along = motion.pose_w[:, 2], motion.speed
-        stop = along * jnp.abs(along) / (2.0 * HARD)
-        half = motion.size / 2
-        half = half + jnp.stack([jnp.abs(stop) / 2, jnp.zeros_like(stop)], axis=-1)
-        heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
-        pose = move_forward(motion.pose_w, stop / 2)
-        rows.append((pose, half, along[:, None] * heading, jnp.ones(yaw.shape, bool)))
+    yaw, along = motion.pose_w[:, 2], motion.speed
+    stop = along * jnp.abs(along) / (2.0 * HARD)
+    half = motion.size / 2
+    half = half + jnp.stack([jnp.abs(stop) / 2, jnp.zeros_like(stop)], axis=-1)
+    heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
+    pose = move_forward(motion.pose_w, stop / 2)
+    rows = [(pose, half, along[:, None] * heading, jnp.ones(yaw.shape, bool))]
     for group in lot.movers.groups:
         xy = group.pose_w[:, :2]
         still = jnp.zeros_like(xy)
@@ -261,12 +243,10 @@ def _others(traffic: Traffic, lot: State) -> Rows | None:
         for later in (0.0,) if is_car else (0.0, SOON):
             pose = jnp.concatenate([xy + later * velocity, yaw], axis=-1)
             rows.append((pose, half + (0.0 if is_car else PERSON), velocity, there))
-    if not rows:
-        return None
     pose, half, velocity, there = (
         jnp.concatenate(column) for column in zip(*rows, strict=True)
     )
-    blind = (_blind(traffic) < -1.0) & ~traffic.attentive
+    blind = (traffic.path.gear < 0.0) & ~traffic.attentive
     seen = there & ~_hidden(traffic, pose) & ~blind[:, None]
     return Rows(pose, half, velocity, seen)
 
@@ -291,13 +271,7 @@ def idm_acceleration(
 ) -> jax.Array:
     """Accelerations (...) [m/s²] of the Intelligent Driver Model.
 
-    Args:
-        speed: v [m/s].
-        wanted: v0 [m/s].
-        gap: s to the leader [m].
-        leader_speed: of the leader [m/s].
-        headway: T [s].
-        accel: a [m/s²].
+    With v [m/s], v0 [m/s], s [m] to the leader and its speed [m/s], T [s] and a [m/s²].
     """
     closing = speed * (speed - leader_speed) / (2.0 * jnp.sqrt(accel * BRAKING))
     desired = JAM_GAP + jnp.maximum(speed * headway + closing, 0.0)
@@ -423,11 +397,11 @@ def _go_on(key: jax.Array, traffic: Traffic, stays: tuple[float, float]) -> Traf
     shorter = jnp.where(to_track, path.straight - BEHIND, 0.0)
     back = dataclasses.replace(back, total=back.total - shorter)
     way = jnp.where(to_bay | to_track, path.total - traffic.way, traffic.way)
-    path = choose(to_bay | to_track, back, path)
+    path = where_cars(to_bay | to_track, back, path)
     changes = drops | to_bay | to_track
     joins = turned | backed | drops
     track = jnp.where(turned | backed, traffic.next_track, traffic.track)
-    path = choose(joins, track_path(traffic.tracks, track), path)
+    path = where_cars(joins, track_path(traffic.tracks, track), path)
     stay = jax.random.uniform(key, phase.shape, minval=stays[0], maxval=stays[1])
     phase = jnp.where(backed | drops, DRIVE, jnp.where(parked, STAY, phase))
     phase = jnp.where(to_bay, PARK, jnp.where(to_track, BACK_OUT, phase))

@@ -35,13 +35,7 @@ from carpark_mj.movers.bodies import (
     room_to,
 )
 from carpark_mj.movers.people import People, make_places
-from carpark_mj.movers.stopping import (
-    Cars,
-    Zones,
-    cars_of,
-    keep_off,
-    stopping_zones,
-)
+from carpark_mj.movers.stopping import Cars, Zones, cars_of, keep_off, stopping_zones
 from carpark_mj.obstacles import MOVERS, Mover
 from carpark_mj.types import State
 
@@ -127,18 +121,14 @@ def walk(key: jax.Array, people: People, lot: State, dt: float) -> People:
 def _waypoint(people: People) -> jax.Array:
     """(n, 2) where people head for [m]; followers do not enter bays."""
     places, alone = people.places, people.leader == jnp.arange(people.leader.shape[0])
-    goes_out = people.phase == OUT
-    at = jnp.where(goes_out, people.place, people.target)
+    at = jnp.where(people.phase == OUT, people.place, people.target)
     within = (people.phase == IN) | ((people.phase == REST) & people.inside)
     edge, inner = places.edge[at], places.inner[at]
     return jnp.where((within & alone)[:, None], inner, edge) + people.offset
 
 
 def _go_on(chance: jax.Array, people: People, arrived: jax.Array) -> People:
-    """People whose next phase begins if they have arrived; groups follow leaders.
-
-    `chance` (n,) are random numbers in [0, 1).
-    """
+    """People whose next phase begins if they have arrived; groups follow leaders."""
     phase, inside = people.phase, people.inside
     rest = -jnp.log1p(-chance) * jnp.where(people.stands, LONG_REST, RESTS)
     next_phase = jnp.where(phase == OUT, ACROSS, REST)
@@ -244,10 +234,7 @@ def _find_near(people: People, lot: State) -> People:
 
 
 def _apart(people: People, xy: jax.Array) -> Pair:
-    """X and y (n, n) [m] from the second people to the first.
-
-    Absent people and people themselves are far away.
-    """
+    """From the second people to the first (n, n) [m]; absent and own ones are far."""
     gone = jnp.where(people.present, 0.0, AWAY) + AWAY * jnp.eye(xy.shape[0])
     return xy[:, :1] - xy[:, 0] + gone, xy[:, 1:] - xy[:, 1]
 
@@ -347,9 +334,8 @@ class Pedestrians(Mover):
             wanted = jnp.round(density * area / 100.0).astype(jnp.int32)
         child = share(self.children)
         # Of two neighbours in the list the second follows, so no follower leads.
-        follows = (
-            share(2.0 * self.groups) & (rank % 2 == 1) & ~child & ~jnp.roll(child, 1)
-        )
+        follows = share(2.0 * self.groups) & (rank % 2 == 1)
+        follows = follows & ~child & ~jnp.roll(child, 1)
         angle = jax.random.uniform(next(keys), (TRIES, n), maxval=2 * jnp.pi)
         beside = 2.0 * room * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
         # Beside the leader, if there is room, clear of all others.
@@ -374,6 +360,7 @@ class Pedestrians(Mover):
         at = places.edge[start] + offset
         low, high = _bounds(self.attention)
         attention = jax.random.uniform(attention_key, minval=low, maxval=high)
+        nothing = jnp.array([AWAY, AWAY, 1.0, 0.0, 0.0, 0.0])
         return People(
             xy=at,
             velocity=jnp.zeros((n, 2)),
@@ -392,10 +379,7 @@ class Pedestrians(Mover):
             inside=jnp.zeros(n, bool),
             clock=-jax.random.uniform(next(keys), (n,), maxval=FIRST_REST)[leader],
             halted=jnp.zeros(n),
-            near=jnp.broadcast_to(
-                jnp.array([AWAY, AWAY, 1.0, 0.0, 0.0, 0.0])[:, None, None],
-                (6, n, NEAR),
-            ),
+            near=jnp.broadcast_to(nothing[:, None, None], (6, n, NEAR)),
             turn=jnp.int32(0),
             places=places,
         )

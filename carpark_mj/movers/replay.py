@@ -55,8 +55,8 @@ def read_drives(path: Path) -> Drives:
     first = min(time[0] for time, _, _ in cars)
     most = max(len(time) for time, _, _ in cars)
     time = np.stack([np.pad(t - first, (0, most - len(t)), "edge") for t, _, _ in cars])
-    pose = [np.pad(p, ((0, most - len(p)), (0, 0)), "edge") for _, p, _ in cars]
-    pose = np.stack(pose)
+    rows = [np.pad(p, ((0, most - len(p)), (0, 0)), "edge") for _, p, _ in cars]
+    pose = np.stack(rows)
     pose[..., 2] = np.unwrap(pose[..., 2], axis=1)
     size = np.array([size for _, _, size in cars])
     arrays = (time, pose, size, time[:, -1])
@@ -138,11 +138,7 @@ class Replay(Mover):
 
     @functools.cached_property
     def drives(self) -> Drives:
-        """What the file holds.
-
-        Raises:
-            ValueError: no file is named, it cannot be read, or it is malformed.
-        """
+        """What the file holds."""
         if not self.path:
             raise ValueError("the mover 'replay' needs a path, as in replay:path=a.csv")
         try:
@@ -152,7 +148,6 @@ class Replay(Mover):
 
     def init(self, key: jax.Array, layout: Layout) -> jax.Array:
         """The time in the recording [s]."""
-        del layout
         low, high = (0.0, self._period) if self.offset is None else self.offset
         start = jax.random.uniform(key, minval=low, maxval=high)
         return jnp.mod(start, self._period)
@@ -161,7 +156,6 @@ class Replay(Mover):
         self, key: jax.Array, state: jax.Array, lot: State, dt: float
     ) -> jax.Array:
         """Time goes on."""
-        del key, lot
         return jnp.mod(state + dt, self._period)
 
     def obstacles(self, state: jax.Array) -> list[Boxes]:

@@ -29,43 +29,27 @@ PASSING = 0.1  # m, the margin of the zone of a car that stands, instead of `MAR
 
 @struct.dataclass
 class Script:
-    """A script and how far it is.
+    """A script and how far it is."""
 
-    Attributes:
-        start: (3,) pose at first [m, m, rad].
-        direction: () of travel [rad].
-        distance: () longest way [m].
-        speed: () at first [m/s].
-        slowing: () deceleration [m/s²].
-        pause: () at the end of the way, before the return [s].
-        returns: () bool.
-        trigger: () distance ahead of a car, along its axis, at which it sets out [m].
-        near: () distance between its centre and that of a car at which it sets out [m].
-        after: () time after which it sets out [s]; inf = never.
-        yields: () bool.
-        size: (2,) length and width [m]; of a person twice the radius.
-        present: () bool.
-        age: () time since the lot began [s].
-        clock: () time since it set out, without the time it waited [s]; or `WAITS`.
-        velocity: (2,) [m/s].
-    """
-
-    start: jax.Array
-    direction: jax.Array
-    distance: jax.Array
-    speed: jax.Array
-    slowing: jax.Array
-    pause: jax.Array
-    returns: jax.Array
+    start: jax.Array  # (3,) pose at first [m, m, rad]
+    direction: jax.Array  # () of travel [rad]
+    distance: jax.Array  # () longest way [m]
+    speed: jax.Array  # () at first [m/s]
+    slowing: jax.Array  # () deceleration [m/s²]
+    pause: jax.Array  # () at the end of the way, before the return [s]
+    returns: jax.Array  # () bool
+    # () distance ahead of a car, along its axis, at which it sets out [m]
     trigger: jax.Array
+    # () distance between its centre and that of a car at which it sets out [m]
     near: jax.Array
-    after: jax.Array
-    yields: jax.Array
-    size: jax.Array
-    present: jax.Array
-    age: jax.Array
+    after: jax.Array  # () time after which it sets out [s]; inf = never
+    yields: jax.Array  # () bool
+    size: jax.Array  # (2,) length and width [m]; of a person twice the radius
+    present: jax.Array  # () bool
+    age: jax.Array  # () time since the lot began [s]
+    # () time since it set out, without the time it waited [s]; or `WAITS`
     clock: jax.Array
-    velocity: jax.Array
+    velocity: jax.Array  # (2,) [m/s]
 
     @property
     def pose(self) -> jax.Array:
@@ -118,7 +102,6 @@ class Scripted(Mover):
 
     def init(self, key: jax.Array, layout: Layout) -> Script:
         """It waits at its start."""
-        del key, layout
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         values |= {"after": math.inf if self.after is None else self.after}
         del values["mover"]
@@ -132,7 +115,6 @@ class Scripted(Mover):
 
     def step(self, key: jax.Array, state: Script, lot: State, dt: float) -> Script:
         """It goes on unless it would come nearer to a car that cannot stop."""
-        del key
         local, age = to_local(lot.motion.pose_w, state.start), state.age + dt
         meets = (local[..., 0] > 0.0) & (local[..., 0] < state.trigger)
         meets = lot.active & (meets | (norm(local[..., :2]) < state.near))

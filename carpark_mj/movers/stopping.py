@@ -19,6 +19,7 @@ from carpark_mj.vehicle.presets import CITY
 MARGIN = 0.3  # m on all sides: the steering may still turn, brakes build up
 STANDS = 1.0  # m, length of the zone of a car that stands, without the car
 STILL = 1e-4  # m, what rounding may change of a gap
+LIMITS = ("max_acceleration", "max_deceleration", "max_speed", "max_reverse_speed")
 
 
 class Cars(NamedTuple):
@@ -37,8 +38,7 @@ class Cars(NamedTuple):
 def cars_of(lot: State, dt: float) -> Cars:
     """The agents of a lot, and after them its drivers; `dt` is the control period."""
     motion, car = lot.motion, lot.physics.vehicle
-    limits = car.max_acceleration, car.max_deceleration
-    limits = *limits, car.max_speed, car.max_reverse_speed
+    limits = (getattr(car, name) for name in LIMITS)
     agents = Cars(motion.pose_w, motion.size, motion.speed, motion.yaw_rate, *limits)
     driven = [
         _driven(group, dt)
@@ -62,9 +62,8 @@ def _driven(group: Group, dt: float) -> Cars:
     if group.trace_w is not None and (steps := group.trace_w.shape[1]) > 1:
         turned = wrap_angle(group.trace_w[:, -1, 2] - group.trace_w[:, 0, 2])
         turn = turned * steps / ((steps - 1) * dt)
-    limits = CITY.max_acceleration, CITY.max_deceleration
-    limits = *limits, CITY.max_speed, CITY.max_reverse_speed
-    return Cars(pose, group.size, speed, turn, *(jnp.full_like(yaw, x) for x in limits))
+    limits = (jnp.full_like(yaw, getattr(CITY, name)) for name in LIMITS)
+    return Cars(pose, group.size, speed, turn, *limits)
 
 
 @struct.dataclass
@@ -96,28 +95,6 @@ class Zones:
         return jnp.stack(turned, axis=-1)
 
 
-def stopping_distance(
-    speed: jax.Array,
-    max_speed: jax.Array,
-    accel: jax.Array,
-    decel: jax.Array,
-    dt: float,
-) -> jax.Array:
-    """The way (...) [m] of a car that sees something and brakes.
-
-    It may speed up for a control step, at the end of which it sees, and then brakes.
-
-    Args:
-        speed: in the direction of travel [m/s], at least 0.
-        max_speed: of the pedal [m/s].
-        accel: at full pedal [m/s²].
-        decel: at full brake [m/s²].
-        dt: control period [s].
-    """
-    faster = jnp.maximum(speed, jnp.minimum(speed + accel * dt, max_speed))
-    return faster * dt + faster * faster / (2.0 * decel)
-
-
 def stopping_zones(cars: Cars, dt: float, headway: jax.Array | float = 0.0) -> Zones:
     """What the cars of a lot sweep until they stand, or in a time if that is longer.
 
@@ -128,7 +105,9 @@ def stopping_zones(cars: Cars, dt: float, headway: jax.Array | float = 0.0) -> Z
     # Forwards and backwards.
     both = jnp.maximum(jnp.stack([speed, -speed]), 0.0)
     most = jnp.stack([cars.max_speed, cars.max_reverse])
-    stop = stopping_distance(both, most, accel, decel, dt)
+    # It may speed up for a control step, at the end of which it sees, and then brakes.
+    faster = jnp.maximum(both, jnp.minimum(both + accel * dt, most))
+    stop = faster * dt + faster * faster / (2.0 * decel)
     extra = range(1, jnp.ndim(headway))
     both, stop = jnp.expand_dims(both, extra), jnp.expand_dims(stop, extra)
     way = half[:, 0] + jnp.maximum(stop, both * headway) + MARGIN
@@ -167,13 +146,8 @@ def keep_off(
     in a zone because a car came goes on, but where the car cannot stop neither nearer
     to the car nor to its path.
 
-    Args:
-        xy: (n, 2) centres [m].
-        move: (n, 2) as wanted [m].
-        goal: (n, 2) where they head for [m].
-        radius: (n,) [m].
-        enter: zones that are not entered, (n, cars).
-        stop: zones where cars cannot stop, within `enter`.
+    Discs (n, 2), (n,) [m] head for goals (n, 2) [m]. Within the zones (n, cars) that
+    they do not enter are those where cars cannot stop.
     """
     reach, here = radius[:, None], enter.local(xy)
     was_in, too_near = enter.hold(here, reach), stop.hold(here, reach)

@@ -50,6 +50,20 @@ class BarrierState(NamedTuple):
     is_open: jax.Array  # () share
     there: jax.Array  # () bool, whether the lot has a lane for it
 
+    @property
+    def beam(self) -> tuple[jax.Array, jax.Array]:
+        """Pose (3,) and size (2,): from the lane's right edge, shorter when raised."""
+        width = self.size[1]
+        length = width * jnp.maximum(1.0 - self.is_open, RAISED)
+        zero = jnp.zeros(())
+        local = jnp.stack([zero, (length - width) / 2, zero])
+        return to_world(self.pose, local), jnp.stack([zero + BEAM, length])
+
+    def meets(self, others: Sequence[Group]) -> jax.Array:
+        """() bool, whether the beam overlaps obstacles."""
+        pose, size = self.beam
+        return touches(pose[None], size, others)[0]
+
 
 @dataclasses.dataclass(frozen=True)
 class Barrier(Mover):
@@ -74,8 +88,7 @@ class Barrier(Mover):
         pose, size, there = draw_lane(key, layout)
         closed = BarrierState(pose, size, jnp.float32(0.0), there)
         # The ends of the beam may reach into walls and parked cars.
-        movers = [x for x in others if x.kind not in STANDING]
-        under = self._meets(closed, movers)
+        under = closed.meets([x for x in others if x.kind not in STANDING])
         return closed._replace(is_open=jnp.where(under, 1.0, closed.is_open))
 
     begin = init
@@ -84,33 +97,19 @@ class Barrier(Mover):
         self, key: jax.Array, state: BarrierState, lot: State, dt: float
     ) -> BarrierState:
         """It opens for a car, and closes behind the last."""
-        del key
-        closed = self._beam(state._replace(is_open=jnp.float32(0.0)))
+        closed = state._replace(is_open=jnp.float32(0.0))
         cars = cars_of(lot, dt)
-        gap = box_distance(cars.pose, cars.size, *closed)
+        gap = box_distance(cars.pose, cars.size, *closed.beam)
         change = jnp.where((gap < self.near).any(), dt, -dt) / self.duration
         after = state._replace(is_open=jnp.clip(state.is_open + change, 0.0, 1.0))
-        waits = (change < 0.0) & self._meets(after, lot.movers.groups)
+        waits = (change < 0.0) & after.meets(lot.movers.groups)
         return after._replace(is_open=jnp.where(waits, state.is_open, after.is_open))
 
     def obstacles(self, state: BarrierState) -> list[Boxes]:
         """The beam until it is open; drivers would wait for the rest of it."""
-        pose, size = self._beam(state)
+        pose, size = state.beam
         there = state.there & (state.is_open < 1.0)
         return [Boxes(pose[None], size[None], mask=there[None])]
-
-    def _meets(self, state: BarrierState, others: Sequence[Group]) -> jax.Array:
-        """() bool, whether the beam overlaps obstacles."""
-        pose, size = self._beam(state)
-        return touches(pose[None], size, others)[0]
-
-    def _beam(self, state: BarrierState) -> tuple[jax.Array, jax.Array]:
-        """Pose (3,) and size (2,): from the lane's right edge, shorter when raised."""
-        width = state.size[1]
-        length = width * jnp.maximum(1.0 - state.is_open, RAISED)
-        zero = jnp.zeros(())
-        local = jnp.stack([zero, (length - width) / 2, zero])
-        return to_world(state.pose, local), jnp.stack([zero + BEAM, length])
 
 
 class CartState(NamedTuple):
@@ -175,7 +174,9 @@ class Cart(Mover):
 
     def obstacles(self, state: CartState) -> list[Boxes]:
         """Its basket."""
-        return [_moving_box(state.pose, state.speed, CART)]
+        yaw = state.pose[2]
+        velocity = state.speed * jnp.stack([jnp.cos(yaw), jnp.sin(yaw)])
+        return [Boxes(state.pose[None], jnp.array([CART]), velocity[None])]
 
 
 class DoorState(NamedTuple):
@@ -204,7 +205,6 @@ class Door(Mover):
 
     def init(self, key: jax.Array, layout: Layout) -> DoorState:
         """All doors are closed."""
-        del key, layout
         zero = jnp.float32(0.0)
         return DoorState(jnp.int32(0), zero + 1.0, zero, zero - 1.0, jnp.zeros(3))
 
@@ -261,13 +261,6 @@ def _door_pose(
     hinge = jnp.stack([HINGE * size[0], side * size[1] / 2])
     middle = hinge + DOOR[0] / 2 * back
     return to_world(pose, jnp.append(middle, jnp.arctan2(back[1], back[0])))
-
-
-def _moving_box(pose: jax.Array, speed: jax.Array, size: tuple[float, float]) -> Boxes:
-    """A box (3,) that moves along its heading at a speed () [m/s]."""
-    yaw = pose[2]
-    velocity = speed * jnp.stack([jnp.cos(yaw), jnp.sin(yaw)])
-    return Boxes(pose[None], jnp.array([size]), velocity[None])
 
 
 MOVERS.register("barrier", Barrier())

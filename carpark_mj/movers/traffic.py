@@ -1,6 +1,6 @@
 """The drivers of a lot: where they are, the tracks of its lanes, and their paths."""
 
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +14,9 @@ from carpark_mj.vehicle.presets import CITY
 BORDER = 3.0  # m from the lot's border: where drivers come in
 RING = 1.5  # m, inset of a ring from the border of open ground
 SHORTEST = 9.0  # m, of a track on which a driver comes in
-Tree = TypeVar("Tree")
 # What a driver does.
 DRIVE, PARK, STAY, BACK_OUT, AWAY = range(5)
+SHARP, OPPOSITE = 0.3, 2.6  # rad, least and largest change of direction
 SIZE: Any = np.array([CITY.length, CITY.width], np.float32)
 OFFSET = CITY.centre_offset  # m, rear axle to footprint centre
 RADIUS = 3.5  # m, of arcs; the tightest of the rear axle is 3.2 m
@@ -71,17 +71,29 @@ def turn_back(path: Path) -> Path:
     return Path(end, yaw, straight, -path.bend, radius, total, gear)
 
 
-def crossing(
-    pose: jax.Array, other: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Where lines (..., 3) cross others (..., 3).
+class Arcs(NamedTuple):
+    """Arcs from a line (3,) into others (k,), not parallel ones."""
 
-    Returns:
-        Ways (...) along the first and along the second line [m], and the change of
-        direction [rad]; ways are meaningless where lines are parallel.
-    """
-    x, y, yaw = jnp.unstack(pose, axis=-1)
-    other_x, other_y, other_yaw = jnp.unstack(other, axis=-1)
+    line: jax.Array  # (3,)
+    along: jax.Array  # it, to where it crosses the others [m]
+    beyond: jax.Array  # along the others, to there [m]
+    bend: jax.Array  # change of direction [rad]
+    start: jax.Array  # along the line, where arcs begin [m]
+    end: jax.Array  # along the others, where they end [m]
+    good: jax.Array  # bool, turns neither too little nor too much
+
+    def path(self, index: jax.Array, rest: jax.Array | float, gear: float) -> Path:
+        """The path of one of them, and `rest` [m] after it."""
+        start, bend, radius = self.start[index], self.bend[index], jnp.float32(RADIUS)
+        total = start + RADIUS * jnp.abs(bend) + rest
+        begin = self.line[:2], self.line[2], start
+        return Path(*begin, bend, radius, total, jnp.float32(gear))
+
+
+def arcs_into(others: jax.Array, line: jax.Array) -> Arcs:
+    """The arcs into lines (k, 3) from another."""
+    x, y, yaw = jnp.unstack(line, axis=-1)
+    other_x, other_y, other_yaw = jnp.unstack(others, axis=-1)
     bend = other_yaw - yaw
     bend = jnp.arctan2(jnp.sin(bend), jnp.cos(bend))
     sine = jnp.sin(bend)
@@ -91,12 +103,11 @@ def crossing(
     def cross(yaw: jax.Array) -> jax.Array:
         return x * jnp.sin(yaw) - y * jnp.cos(yaw)
 
-    return cross(other_yaw) / sine, cross(yaw) / sine, bend
-
-
-def tangent(bend: jax.Array) -> jax.Array:
-    """Way (...) [m] from the end of an arc to where its tangents cross."""
-    return RADIUS * jnp.tan(jnp.minimum(jnp.abs(bend), 2.8) / 2.0)
+    along, beyond = cross(other_yaw) / sine, cross(yaw) / sine
+    # From the end of an arc to where its tangents cross.
+    tangent = RADIUS * jnp.tan(jnp.minimum(jnp.abs(bend), 2.8) / 2.0)
+    good = (jnp.abs(bend) > SHARP) & (jnp.abs(bend) < OPPOSITE)
+    return Arcs(line, along, beyond, bend, along - tangent, beyond + tangent, good)
 
 
 @struct.dataclass
@@ -110,12 +121,7 @@ class Tracks:
 
 
 def make_tracks(layout: Layout) -> Tracks:
-    """The tracks of a lot.
-
-    A one-way lane has one, its middle. Others have one in each direction, in the
-    middle of the right half. Lots without lanes have a ring inside the first spawn
-    region, counter-clockwise.
-    """
+    """The tracks of a lot; see `carpark_mj.movers.drivers`."""
     pose, size, mask = layout.lane_pose, layout.lane_size, layout.lane_mask
     both = ~layout.lane_one_way
     aside = jnp.where(both, size[:, 1] / 4, 0.0)
@@ -182,17 +188,6 @@ class Traffic:
         along = self.speed * self.path.gear
         yaw = self.pose[:, 2]
         return jnp.stack([along * jnp.cos(yaw), along * jnp.sin(yaw)], axis=-1)
-
-
-def choose(mask: jax.Array, new: Tree, old: Tree) -> Tree:
-    """Rows of one tree where the mask (n,) or () holds, elsewhere of another."""
-
-    def pick(a: jax.Array, b: jax.Array) -> jax.Array:
-        if a is b:  # what is alike in both
-            return a
-        return jnp.where(mask.reshape(*mask.shape, *[1] * (b.ndim - mask.ndim)), a, b)
-
-    return jax.tree.map(pick, new, old)
 
 
 def track_path(tracks: Tracks, track: jax.Array) -> Path:

@@ -13,6 +13,7 @@ both cars.
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +21,8 @@ from flax import struct
 
 from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
-from carpark_mj.layouts import Layout
 from carpark_mj.physics.base import (
-    FactoredPhysics,
+    Physics,
     contain_non_finite,
     require_plain_ground,
     run_substeps,
@@ -31,7 +31,6 @@ from carpark_mj.physics.base import (
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
-from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.vehicle import Vehicle
 
 Carry = tuple[jax.Array, jax.Array, drive.Actuators]  # pose_w, speed, actuators
@@ -43,33 +42,21 @@ class BicycleConfig(PhysicsConfig):
 
     back_end: str = "bicycle"
 
-    def make(
-        self, config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
-    ) -> "BicyclePhysics":
+    def make(self, config: EnvConfig, layout: Any, vehicle: Any) -> "BicyclePhysics":
         """Builds it; its ground is a plane."""
-        del layout, vehicle
         return BicyclePhysics(config.sim)
 
 
 @struct.dataclass
 class BicycleState:
-    """Physics state of cars; any leading batch shape.
+    """Physics state of cars; any leading batch shape."""
 
-    Attributes:
-        pose_w: (..., 3) pose of the middle between the axles.
-        speed: (...) of that point, forwards positive [m/s].
-        actuators: state of steering and drive.
-        vehicle: parameters.
-        trace_w: (..., k, 3) footprint poses within the last control step.
-        finite: (...) bool, see `Motion.finite`.
-    """
-
-    pose_w: jax.Array
-    speed: jax.Array
-    actuators: drive.Actuators
-    vehicle: Vehicle
-    trace_w: jax.Array
-    finite: jax.Array
+    pose_w: jax.Array  # (..., 3) pose of the middle between the axles
+    speed: jax.Array  # (...) of that point, forwards positive [m/s]
+    actuators: drive.Actuators  # state of steering and drive
+    vehicle: Vehicle  # parameters
+    trace_w: jax.Array  # (..., k, 3) footprint poses within the last control step
+    finite: jax.Array  # (...) bool, see `Motion.finite`
 
 
 def slip_angle(steering: jax.Array) -> jax.Array:
@@ -86,15 +73,8 @@ def advance(
 ) -> jax.Array:
     """Pose (..., 3) of the middle between the axles after `dt` [s].
 
-    Steering and speed are constant in between; the midpoint rule is exact in the
-    heading and of second order in the position.
-
-    Args:
-        pose_w: (..., 3).
-        speed: (...) [m/s].
-        steering: (...) bicycle angle [rad].
-        wheelbase: (...) [m].
-        dt: [s].
+    Speed (...) [m/s] and steering (...) [rad] are constant in between; the midpoint
+    rule is exact in the heading and of second order in the position.
     """
     slip = slip_angle(steering)
     turned = speed * jnp.sin(slip) / (wheelbase / 2) * dt
@@ -117,18 +97,13 @@ def accelerate(
     return jnp.sign(driven) * jnp.maximum(jnp.abs(driven) - brake / lever * dt, 0.0)
 
 
-class BicyclePhysics(FactoredPhysics[BicycleState]):
+class BicyclePhysics(Physics[BicycleState]):
     """The kinematic bicycle behind the `Physics` interface."""
 
     config = PHYSICS.register("bicycle", BicycleConfig())
 
     def __init__(self, sim: SimConfig) -> None:
-        """Takes the time steps.
-
-        Raises:
-            ValueError: a slope, a slippery surface or contact tyres, which would have
-                no effect.
-        """
+        """Takes the time steps; see `require_plain_ground` for what it refuses."""
         require_plain_ground(sim, self.config.back_end)
         self.sim = sim
 
@@ -201,22 +176,9 @@ class BicyclePhysics(FactoredPhysics[BicycleState]):
             (state.pose_w, state.speed, state.actuators),
             lambda carry: move_forward(carry[0], self.ahead(vehicle)),
         )
-        pose, speed, actuators = carry
-        stepped = dataclasses.replace(
-            state,
-            pose_w=pose,
-            speed=speed,
-            actuators=actuators,
-            trace_w=trace,
-            finite=jnp.ones((), bool),
-        )
-        at_rest = dataclasses.replace(
-            state,
-            speed=jnp.zeros_like(state.speed),
-            trace_w=jnp.broadcast_to(state.trace_w[-1], state.trace_w.shape),
-            finite=jnp.zeros((), bool),
-        )
-        return contain_non_finite((carry, trace), stepped, at_rest)
+        moved = dict(zip(("pose_w", "speed", "actuators"), carry, strict=True))
+        still = {"speed": jnp.zeros_like(state.speed)}
+        return contain_non_finite(state, {**moved, "trace_w": trace}, still)
 
     def ahead(self, vehicle: Vehicle) -> jax.Array:
         """Footprint's centre ahead of the middle between the axles (...) [m]."""

@@ -7,10 +7,15 @@ settings, and loaded when they are looked up; extensions register others.
 import abc
 import dataclasses
 import functools
-import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from carpark_mj.config.checks import Bounds, CheckedConfig, Positive
+from carpark_mj.config.checks import (
+    Bounds,
+    CheckedConfig,
+    Positive,
+    require_number,
+    require_unset,
+)
 from carpark_mj.extensions import Registry
 
 Surface = Literal["dry", "wet", "ice"]
@@ -62,7 +67,7 @@ class SimConfig(CheckedConfig):
     suspension: bool = False
     stepper: StepperName = "auto"
     surface: Surface = "dry"
-    ramp: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ramp: Annotated[tuple[float, float, float], Bounds()] = (0.0, 0.0, 0.0)
     steering_delay: Annotated[float, Bounds(ge=0.0, le=MAX_DELAY, unit="s")] = 0.0
     pedal_delay: Annotated[float, Bounds(ge=0.0, le=MAX_DELAY, unit="s")] = 0.0
     creep: Annotated[float, Bounds(ge=0.0, le=MAX_CREEP, unit="m/s^2")] = 0.0
@@ -70,60 +75,42 @@ class SimConfig(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        ratio = self.ctrl_dt / self.sim_dt
-        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+        for name in ("ctrl_dt", "steering_delay", "pedal_delay"):
+            substeps = getattr(self, name) / self.sim_dt
+            if abs(substeps - round(substeps)) > 1e-6:
+                raise ValueError(
+                    f"{name} must be a multiple of sim_dt {self.sim_dt} s, not "
+                    f"{getattr(self, name)}"
+                )
+        if not 1 <= self.num_substeps <= MAX_SUBSTEPS:
             raise ValueError(
-                f"ctrl_dt must be a multiple of sim_dt, not {self.ctrl_dt} s with a "
-                f"sim_dt of {self.sim_dt} s"
+                f"sim_dt must be between ctrl_dt / {MAX_SUBSTEPS} and ctrl_dt "
+                f"{self.ctrl_dt} s, not {self.sim_dt}"
             )
-        if self.num_substeps > MAX_SUBSTEPS:
-            raise ValueError(
-                f"sim_dt must be at least ctrl_dt / {MAX_SUBSTEPS}, "
-                f"{self.ctrl_dt / MAX_SUBSTEPS:g} s, not {self.sim_dt}"
-            )
-        if self.trace_dt < self.sim_dt:
-            raise ValueError(
-                f"trace_dt must be at least sim_dt {self.sim_dt} s, not {self.trace_dt}"
-            )
+        step = Bounds(ge=self.sim_dt, unit="s, the sim_dt")
+        require_number("trace_dt", self.trace_dt, step)
         if self.tyres == "contact":
             self.require_fine_steps()
-        if self.suspension and self.tyres != "contact":
-            raise ValueError(
-                f"suspension must be False with {self.tyres} tyres, whose vertical "
-                "spring is the suspension; it is for tyres='contact'"
+        else:
+            require_unset(
+                self, f"with {self.tyres} tyres, which have one", "suspension"
             )
         if self.stepper == "unrolled" and self.tyres != "brush":
             raise ValueError(
-                f"stepper must be 'auto' or 'mjx' with {self.tyres} tyres, whose "
-                "contacts need MuJoCo's solver, not 'unrolled'"
+                f"stepper must be 'auto' or 'mjx' with {self.tyres} tyres, not unrolled"
             )
-        for name in ("steering_delay", "pedal_delay"):
-            delay = getattr(self, name)
-            substeps = delay / self.sim_dt
-            if abs(substeps - round(substeps)) > 1e-6:
-                raise ValueError(
-                    f"{name} must be a multiple of sim_dt {self.sim_dt} s, not {delay}"
-                )
         start, end, grade = self.ramp
-        finite = all(map(math.isfinite, self.ramp))
-        if not (finite and start <= end and abs(self.grade_x + grade) < 1.0):
+        if start > end or abs(self.grade_x + grade) >= 1.0:
             raise ValueError(
                 "ramp must be a start, an end not before it and a slope that with "
                 f"grade_x lies within (-1, 1), not {self.ramp}"
             )
 
     def require_fine_steps(self) -> None:
-        """Refuses substeps with which the tyres are unstable.
-
-        Raises:
-            ValueError: naming the substep and the longest.
-        """
+        """Refuses substeps with which the tyres are unstable."""
         most = CONTACT_SIM_DT if self.tyres == "contact" else BRUSH_SIM_DT
-        if self.sim_dt > most:
-            raise ValueError(
-                f"{self.tyres} tyres need a sim_dt of at most {most} s, not "
-                f"{self.sim_dt}: cars would shake or be thrown"
-            )
+        bounds = Bounds(le=most, unit=f"s with {self.tyres} tyres")
+        require_number("sim_dt", self.sim_dt, bounds)
 
     @functools.cached_property
     def has_delays(self) -> bool:
@@ -184,26 +171,13 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
     randomized: bool = True
     keeps_ranges: bool = True
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        names = [field.name for field in dataclasses.fields(self)]  # pyright: ignore
-        if "back_end" not in names:
-            raise ValueError(
-                f"{type(self).__name__} lacks the field back_end, its name in PHYSICS"
-            )
-
     @property
     def choices(self) -> tuple[int, ...]:
         """Numbers of choices of the controls that are indices."""
         return ()
 
     def check(self, config: Any) -> None:
-        """Refuses settings of an `EnvConfig` that the back end does not support.
-
-        Raises:
-            ValueError: naming the setting and what is allowed.
-        """
-        del config
+        """Refuses settings of an `EnvConfig` that the back end does not support."""
 
     @abc.abstractmethod
     def make(self, config: Any, layout: Any, vehicle: Any) -> Any:
@@ -213,20 +187,13 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
             config: the environment, an `EnvConfig`.
             layout: its `Layout`; None if that is random.
             vehicle: `VehicleParameters` of the car that `config.vehicle` names.
-
-        Raises:
-            ValueError: the back end does not support other settings.
         """
 
     def turn(self, before: Any, after: Any, ctrl_dt: float) -> Any:
         """How far cars (...) turned their wheels in a step, or themselves [rad].
 
-        Args:
-            before: their `Motion` at the start.
-            after: at the end.
-            ctrl_dt: control period [s].
+        From their `Motion` before and after the control period [s].
         """
-        del ctrl_dt
         return abs(after.steering - before.steering)
 
     def largest_turn(self, vehicle: Any, ctrl_dt: float) -> Any:
@@ -235,20 +202,17 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
 
     def top_yaw_rate(self, ctrl_dt: float) -> float:
         """How fast it turns cars itself at most [rad/s]; 0 = it does not."""
-        del ctrl_dt
         return 0.0
 
     def top_speed(self, vehicle: Any, ctrl_dt: float) -> Any:
         """The highest speed of cars with parameters (...), either way [m/s]."""
         import jax.numpy as jnp
 
-        del ctrl_dt
         return jnp.maximum(vehicle.max_speed, vehicle.max_reverse_speed)
 
 
 PHYSICS: Registry[PhysicsConfig] = Registry(
-    "physics",
-    *(f"carpark_mj.physics.{name}" for name in ("bicycle", "mjx", "scene")),
+    "physics", *(f"carpark_mj.physics.{name}" for name in ("bicycle", "mjx", "scene"))
 )
 
 # tyro turns a union with dataclasses into subcommands; as a flag physics is its name.
@@ -259,13 +223,5 @@ else:
 
 
 def physics_config(physics: PhysicsChoice) -> PhysicsConfig:
-    """The config of a back end given by name, or as a config.
-
-    Raises:
-        ValueError: unknown name.
-        TypeError: the value is not a back end's config.
-    """
-    found = physics if isinstance(physics, PhysicsConfig) else PHYSICS[physics]
-    if not isinstance(found, PhysicsConfig):  # pyright: ignore
-        raise TypeError(f"physics {physics!r} must be a PhysicsConfig, not {found!r}")
-    return found
+    """The config of a back end given by name, or as a config."""
+    return physics if isinstance(physics, PhysicsConfig) else PHYSICS[physics]

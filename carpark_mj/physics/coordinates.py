@@ -56,18 +56,6 @@ def cross(a: Vector, b: Vector) -> Vector:
     )
 
 
-def rotation(q: Quaternion) -> Rotation:
-    """Rotation matrix, body to world, of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = q
-    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    wx, wy, wz = w * x, w * y, w * z
-    return (
-        (1 - 2 * (yy + zz), 2 * (xy - wz), 2 * (xz + wy)),
-        (2 * (xy + wz), 1 - 2 * (xx + zz), 2 * (yz - wx)),
-        (2 * (xz - wy), 2 * (yz + wx), 1 - 2 * (xx + yy)),
-    )
-
-
 def column(r: Rotation, k: int) -> Vector:
     """Body axis `k` in the world frame."""
     return r[0][k], r[1][k], r[2][k]
@@ -122,14 +110,7 @@ def rotate_by(q: Quaternion, angular: Vector, dt: float | jax.Array) -> Quaterni
 
 
 class CarIndex:
-    """Addresses of a car's joints in a model, looked up by name once.
-
-    Attributes:
-        root_qpos, root_dof: first of the free joint's in `qpos` and `qvel`.
-        steer_qpos, steer_dof: (2,) of the steered wheels.
-        spin_qpos, spin_dof: (4,) of the wheels.
-        nv: degrees of freedom of the model.
-    """
+    """Addresses of a car's joints in `qpos` and `qvel`, looked up by name once."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         """Looks up the joints of the model's car."""
@@ -138,7 +119,7 @@ class CarIndex:
             joints = [model.joint(f"{kind}_{n}").id for n in names]
             return getattr(model, table)[joints]
 
-        root = model.joint("root").id
+        root = model.joint("root").id  # its first of seven and six
         self.root_qpos = int(model.jnt_qposadr[root])
         self.root_dof = int(model.jnt_dofadr[root])
         self.steer_qpos = addresses("jnt_qposadr", "steer", STEERED)
@@ -150,17 +131,11 @@ class CarIndex:
 
 @struct.dataclass
 class TyreState:
-    """Bristle deflections of wheels; any shape, in `CarState` (..., 4).
+    """Bristle deflections of wheels; any shape, in `CarState` (..., 4)."""
 
-    Attributes:
-        longitudinal: u [m].
-        lateral: w [m].
-        twist: phi [rad].
-    """
-
-    longitudinal: jax.Array
-    lateral: jax.Array
-    twist: jax.Array
+    longitudinal: jax.Array  # u [m]
+    lateral: jax.Array  # w [m]
+    twist: jax.Array  # phi [rad]
 
 
 def init_tyres(dtype: jnp.dtype | None = None) -> TyreState:
@@ -170,62 +145,46 @@ def init_tyres(dtype: jnp.dtype | None = None) -> TyreState:
 
 
 class CarDynamics(NamedTuple):
-    """Variables of cars (...) that a substep changes, packed.
+    """Variables of cars (...) that a substep changes, packed."""
 
-    Attributes:
-        qpos: (..., nq) MuJoCo positions.
-        qvel: (..., nv) MuJoCo velocities.
-        tyres: bristle deflections (..., 4).
-        actuators: state of steering and drive.
-    """
-
-    qpos: jax.Array
-    qvel: jax.Array
-    tyres: TyreState
-    actuators: drive.Actuators
+    qpos: jax.Array  # (..., nq) MuJoCo positions
+    qvel: jax.Array  # (..., nv) MuJoCo velocities
+    tyres: TyreState  # bristle deflections (..., 4)
+    actuators: drive.Actuators  # state of steering and drive
 
 
 class Coordinates(NamedTuple):
-    """Positions and velocities of cars (...), an array (...) per component.
+    """Positions and velocities of cars (...), an array (...) per component."""
 
-    Attributes:
-        position: of the body frame's origin, world frame [m].
-        quaternion: orientation (w, x, y, z), body to world.
-        steer: angles of the front wheels, left positive [rad].
-        angle: of the four wheels about their axles [rad].
-        velocity: of the origin, world frame [m/s].
-        angular: angular velocity, body frame [rad/s].
-        steer_rate: of the front wheels [rad/s].
-        spin: of the four wheels relative to the car, forwards positive [rad/s].
-    """
-
-    position: Vector
-    quaternion: Quaternion
-    steer: tuple[jax.Array, ...]
-    angle: tuple[jax.Array, ...]
-    velocity: Vector
-    angular: Vector
-    steer_rate: tuple[jax.Array, ...]
+    position: Vector  # of the body frame's origin, world frame [m]
+    quaternion: Quaternion  # orientation (w, x, y, z), body to world
+    steer: tuple[jax.Array, ...]  # angles of the front wheels, left positive [rad]
+    angle: tuple[jax.Array, ...]  # of the four wheels about their axles [rad]
+    velocity: Vector  # of the origin, world frame [m/s]
+    angular: Vector  # angular velocity, body frame [rad/s]
+    steer_rate: tuple[jax.Array, ...]  # of the front wheels [rad/s]
+    # of the four wheels relative to the car, forwards positive [rad/s]
     spin: tuple[jax.Array, ...]
 
     @property
     def rotation(self) -> Rotation:
         """Rotation matrix, body to world."""
-        return rotation(self.quaternion)
+        w, x, y, z = self.quaternion
+        xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
+        wx, wy, wz = w * x, w * y, w * z
+        return (
+            (1 - 2 * (yy + zz), 2 * (xy - wz), 2 * (xz + wy)),
+            (2 * (xy + wz), 1 - 2 * (xx + zz), 2 * (yz - wx)),
+            (2 * (xz - wy), 2 * (yz + wx), 1 - 2 * (xx + yy)),
+        )
 
 
 class Car(NamedTuple):
-    """Variables of cars (...) that a substep changes: an array (...) per component.
+    """Variables of cars (...) that a substep changes: an array (...) per component."""
 
-    Attributes:
-        coordinates: positions and velocities.
-        tyres: bristle deflections of each wheel.
-        actuators: state of steering and drive.
-    """
-
-    coordinates: Coordinates
-    tyres: tuple[TyreState, ...]
-    actuators: drive.Actuators
+    coordinates: Coordinates  # positions and velocities
+    tyres: tuple[TyreState, ...]  # bristle deflections of each wheel
+    actuators: drive.Actuators  # state of steering and drive
 
 
 def unpack_coordinates(
@@ -255,14 +214,8 @@ def unpack_car(index: CarIndex, car: CarDynamics) -> Car:
     )
 
 
-def pack_car(index: CarIndex, car: Car) -> CarDynamics:
-    """Cars packed; the model must have the car's 12 degrees of freedom only."""
-    qpos, qvel = pack_coordinates(index, car.coordinates)
-    return CarDynamics(qpos, qvel, pack_tyres(car.tyres), car.actuators)
-
-
 def pack_coordinates(index: CarIndex, at: Coordinates) -> tuple[jax.Array, jax.Array]:
-    """MuJoCo's positions (..., 13) and velocities (..., 12) of cars."""
+    """MuJoCo's positions (..., 13) and velocities (..., 12) of cars alone."""
     q = dict(zip(index.steer_qpos, at.steer, strict=True))
     q |= zip(index.spin_qpos, at.angle, strict=True)
     v = dict(zip(index.steer_dof, at.steer_rate, strict=True))

@@ -1,6 +1,6 @@
 """Automatic emergency braking for people, as cars have it (UN R152).
 
-A car brakes fully in a step if obeying its driver would bring it so near to a person
+A car brakes fully if obeying its driver for a step would bring it so near to a person
 that it could not stop afterwards. True positions are read, as by a perfect sensor.
 
 The footprint is swept along the way that obeys the pedal for a step and then brakes
@@ -44,10 +44,8 @@ DRIFT = (SHARE + xlogy(1.0 - SHARE, 1.0 - SHARE)) / 4
 def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
     """Controls (num_agents, 2) that brake and hold the steering near people in danger.
 
-    Args:
-        sim: with a positive `emergency_brake`.
-        state: of the lot, at the start of the control step.
-        controls: steer and pedal in [-1, 1] that drivers command.
+    From the lot at the start of a control step and what drivers command, steer and
+    pedal in [-1, 1]. `sim` has a positive `emergency_brake`.
     """
     groups = [group for group in state.movers.groups if group.kind in PROTECTED]
     if not groups:
@@ -67,12 +65,9 @@ def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
 
 def sliding(car: Vehicle) -> jax.Array:
     """Whether full brakes lock the wheels of cars (...), which then slide."""
-    return car.max_deceleration * car.rated_mass / car.mass > _grip(car)
-
-
-def _grip(car: Vehicle) -> jax.Array:
-    """Deceleration (...) that tyres can give [m/s²]."""
-    return car.tyres.friction * GRAVITY
+    return (
+        car.max_deceleration * car.rated_mass / car.mass > car.tyres.friction * GRAVITY
+    )
 
 
 def stopping_way(
@@ -83,18 +78,14 @@ def stopping_way(
 ) -> tuple[jax.Array, jax.Array]:
     """Way (...) [m] and time (...) [s] of cars that obey for a step and then brake.
 
-    Args:
-        sim: time steps, delays and the gap to keep, which is part of the way of a car
-            that moves.
-        car: their parameters.
-        drive: speed in the direction looked at [m/s], where cars that move the other
-            way stand; pedal in [-1, 1], positive in that direction; speed up to which
-            it drives [m/s].
-        climb: acceleration of the slope in that direction [m/s²].
+    The gap to keep is part of the way of a car that moves. `drive` and `climb` are in
+    the direction looked at: speed [m/s], negative = stands, pedal in [-1, 1], and speed
+    up to which it drives [m/s]; acceleration of the slope [m/s²].
     """
     speed, pedal, limit = drive
     by_load = car.rated_mass / car.mass
-    decel = jnp.minimum(car.max_deceleration * by_load, _grip(car)) - climb
+    grip = car.tyres.friction * GRAVITY
+    decel = jnp.minimum(car.max_deceleration * by_load, grip) - climb
     decel = jnp.maximum(decel, LEAST)
     idle = 0.0 if car.creep is None else car.creep
     push = jnp.maximum(pedal * car.max_acceleration, idle) * by_load + climb
@@ -110,15 +101,11 @@ def stopping_way(
 def sweep(
     sim: SimConfig, car: Vehicle, motion: Motion, controls: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Where cars (n,) come until they stand, between two steering angles.
+    """Poses (n, k, 3) of cars' centres and times (n, k) [s] until they stand.
 
-    The angles are the present one and that of the next step, when the steering is held.
-    Cars drive on arcs. Wheels that lock do not steer: their cars slide straight on from
-    the velocity that their centre has, drift down the slope, and turn on or not.
-
-    Returns:
-        Poses (n, k, 3) of their centres and the times (n, k) at which they are there
-        [s].
+    On arcs between the present steering angle and that of the next step, when it is
+    held. Wheels that lock do not steer: their cars slide straight on from the velocity
+    of their centre, drift down the slope, and turn on or not.
     """
     steer, pedal = controls[:, 0], controls[:, 1]
     slides = sliding(car)
@@ -129,10 +116,8 @@ def sweep(
     grade = max(sim.grade_x, sim.grade_x + sim.ramp[2], key=abs)
     down = -GRAVITY * grade * jnp.cos(motion.pose_w[:, 2] + slip)
     # The way of a car that slides bends downhill: half of the steepest.
-    climb = [
-        jnp.where(slides, (GRAVITY * sim.steepest + x) / 2, GRAVITY * sim.steepest)
-        for x in (down, -down)
-    ]
+    most = GRAVITY * sim.steepest
+    climb = [jnp.where(slides, (most + x) / 2, most) for x in (down, -down)]
     ahead = stopping_way(sim, car, (speed, pedal, car.max_speed), climb[0])
     behind = stopping_way(sim, car, (-speed, -pedal, car.max_reverse_speed), climb[1])
     forwards = ahead[0] >= behind[0]
@@ -179,17 +164,15 @@ def endangered(
 ) -> jax.Array:
     """Whether cars (n,) bool would come within gaps `aside` (n,) [m] of one of a group.
 
-    Somebody is looked for where they are and where they will be at their velocity, at
-    the poses (n, k, 3) swept and the times (n, k) [s].
+    At the poses and times swept, where they are and where their velocity leads.
     """
     pose, time = swept
     here, size = motion.pose_w[:, None, None], motion.size[:, None, None]
 
     def near(others: Group) -> jax.Array:
         gap = others.distance(pose[:, :, None], size)
-        return (gap < aside[:, None, None]) & (
-            gap < NEARER * others.distance(here, size)
-        )
+        nearer = gap < NEARER * others.distance(here, size)
+        return (gap < aside[:, None, None]) & nearer
 
     found = near(group)
     if group.velocity_w is not None:

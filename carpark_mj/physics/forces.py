@@ -1,16 +1,13 @@
 r"""Forces on a car over a substep: gravity, brush tyres, driver.
 
-All integrators use this module: the unrolled step, `mjx.step`, C MuJoCo in the `scene`
-back end and in the tests. Functions are elementwise over cars of any shape.
+All integrators use this module. Functions are elementwise over cars of any shape.
 
-Gravity is tilted on sloping ground, which is level: a ramp is a band of the lot, seen
-from which it is tilted more. The whole car has the slope at its centre of gravity; x is
-measured along the ground.
+Sloping ground is level, and gravity tilted; on a ramp, a band of the lot, it is tilted
+more. The whole car has the slope at its centre of gravity; x is along the ground.
 
-Brush tyres have bristle states per wheel; their forces are `qfrc_applied`.
-The contact patch is one bristle per direction (a transient brush model: Fiala's
-steady state with relaxation). With the contact patch sliding at (v_x, v_y) in the
-wheel plane and the patch twisting at w_z,
+The contact patch of a brush tyre is one bristle per direction (a transient brush model:
+Fiala's steady state with relaxation). With the patch sliding at (v_x, v_y) in the wheel
+plane and twisting at w_z,
 
     du/dt   = v_x - |v_hub| u / sigma_x,     v_x = v_hub - omega r
     dw/dt   = v_y - |v_hub| w / sigma_y
@@ -21,7 +18,7 @@ wheel plane and the patch twisting at w_z,
 limited to mu F_z; s is held at 3, where the whole patch slides. k_y sigma_y is the
 cornering stiffness, k_x sigma_x the slip stiffness. At standstill the bristles are
 true springs: no creep, exact hold up to the friction limit. Vertically a spring and
-damper per corner carries the car. No contacts and no solver rows are involved.
+damper per corner carries the car.
 
 The wheel spin is integrated explicitly by MuJoCo, and dt^2 k_x r^2 / I_w is near 4 at
 10 ms for an ordinary wheel, the limit of stability. The longitudinal force is
@@ -95,42 +92,24 @@ _MIN_LOAD = 1.0  # N, keeps a lifted wheel's slip finite
 
 
 class WheelMotion(NamedTuple):
-    """Motion of wheels (...), the input of the tyre model.
+    """Motion of wheels (...), the input of the tyre model."""
 
-    Attributes:
-        forward: velocity of the contact point along the wheel's plane if the wheel did
-            not spin [m/s].
-        left: velocity of the contact point left of the wheel's plane [m/s].
-        yaw_rate: of the wheel about the vertical [rad/s].
-        spin: [rad/s], forwards positive.
-        sink: how far the hub is below its radius above the ground [m].
-        sink_rate: [m/s].
-    """
-
-    forward: jax.Array
-    left: jax.Array
-    yaw_rate: jax.Array
-    spin: jax.Array
-    sink: jax.Array
-    sink_rate: jax.Array
+    forward: jax.Array  # velocity of an unspun contact point along the plane [m/s]
+    left: jax.Array  # velocity of the contact point left of the wheel's plane [m/s]
+    yaw_rate: jax.Array  # of the wheel about the vertical [rad/s]
+    spin: jax.Array  # [rad/s], forwards positive
+    sink: jax.Array  # how far the hub is below its radius above the ground [m]
+    sink_rate: jax.Array  # [m/s]
 
 
 class TyreForces(NamedTuple):
-    """Forces of tyres (...) on the car in one substep.
+    """Forces of tyres (...) on the car in one substep."""
 
-    Attributes:
-        forward: force on the car along the wheel's plane [N].
-        left: force on the car left of the wheel's plane [N].
-        load: force on the car upwards [N].
-        aligning: torque about the vertical [N m].
-        spin: net torque on the wheel's spin, drive and brake included [N m].
-    """
-
-    forward: jax.Array
-    left: jax.Array
-    load: jax.Array
-    aligning: jax.Array
-    spin: jax.Array
+    forward: jax.Array  # force on the car along the wheel's plane [N]
+    left: jax.Array  # force on the car left of the wheel's plane [N]
+    load: jax.Array  # force on the car upwards [N]
+    aligning: jax.Array  # torque about the vertical [N m]
+    spin: jax.Array  # net torque on the wheel's spin, drive and brake included [N m]
 
 
 def tyre_forces(
@@ -140,17 +119,9 @@ def tyre_forces(
     torques: WheelTorques,
     dt: float | jax.Array,
 ) -> tuple[TyreForces, TyreState]:
-    """One substep of tyres; elementwise, for wheels of any shape.
+    """Forces of tyres over a substep of `dt` [s], and the bristles at its end.
 
-    Args:
-        wheel: parameters of the wheels.
-        motion: of the wheels at the start of the substep.
-        state: bristles at the start of the substep.
-        torques: of drive and brakes.
-        dt: substep [s].
-
-    Returns:
-        Forces over the substep and the bristles at its end.
+    Elementwise, for wheels of any shape, from motion and bristles at its start.
     """
     tyre, (drive, brake) = wheel.tyre, torques
     radius, inertia = wheel.radius, wheel.inertia
@@ -227,37 +198,13 @@ def _saturation(
 
 
 class CarForces(NamedTuple):
-    """Forces of tyres and driver on cars (...) over a substep.
+    """Forces of tyres and driver on cars (...) over a substep."""
 
-    Attributes:
-        force_w: of all tyres, world frame [N].
-        moment_b: of all tyres about the body frame's origin, body frame [N m].
-        aligning: torques of the tyres about the vertical, four [N m].
-        spin: net torques on the spins of the wheels, four [N m].
-        load: of the tyres, four [N].
-    """
-
-    force_w: Vector
-    moment_b: Vector
-    aligning: tuple[jax.Array, ...]
-    spin: tuple[jax.Array, ...]
-    load: tuple[jax.Array, ...]
-
-
-class Driven(NamedTuple):
-    """Result of a substep of driver and tyres for cars (...).
-
-    Attributes:
-        forces: on the car.
-        steering_targets: of the front wheels' servos [rad].
-        tyres: bristles of each wheel at the end of the substep.
-        actuators: at the end of the substep.
-    """
-
-    forces: CarForces
-    steering_targets: tuple[jax.Array, ...]
-    tyres: tuple[TyreState, ...]
-    actuators: drive.Actuators
+    force_w: Vector  # of all tyres, world frame [N]
+    moment_b: Vector  # of all tyres about the body frame's origin, body frame [N m]
+    aligning: tuple[jax.Array, ...]  # torques about the vertical, four [N m]
+    spin: tuple[jax.Array, ...]  # net torques on the spins of the wheels, four [N m]
+    load: tuple[jax.Array, ...]  # of the tyres, four [N]
 
 
 def drive_car(
@@ -266,8 +213,13 @@ def drive_car(
     car: Car,
     controls: tuple[jax.Array, jax.Array],
     dt: float | jax.Array,
-) -> Driven:
-    """A substep of `dt` [s] of driver and tyres under steer and pedal in [-1, 1]."""
+) -> tuple[CarForces, tuple[jax.Array, ...], tuple[TyreState, ...], drive.Actuators]:
+    """A substep of `dt` [s] of driver and tyres under steer and pedal in [-1, 1].
+
+    Returns:
+        Forces on cars (...), targets of the front wheels' servos [rad], and bristles of
+        each wheel and actuators at the end.
+    """
     at = car.coordinates
     speed = dot(column(at.rotation, 0), at.velocity)
     turning = sum(w.drive_share * s for w, s in zip(wheels, at.spin, strict=True))
@@ -281,7 +233,7 @@ def drive_car(
     ]
     with jax.named_scope("tyres"):
         forces, tyres = roll(wheels, at, car.tyres, torques, dt)
-    return Driven(forces, targets, tyres, actuators)
+    return forces, targets, tyres, actuators
 
 
 def roll(
@@ -350,31 +302,17 @@ def _wheel_motion(
 
 
 def substep_forces(
-    index: CarIndex,
-    vehicle: Vehicle,
-    car: CarDynamics,
-    controls: jax.Array,
-    dt: float,
+    index: CarIndex, vehicle: Vehicle, car: CarDynamics, controls: jax.Array, dt: float
 ) -> tuple[jax.Array, jax.Array, TyreState, drive.Actuators]:
-    """Forces of driver, servos and tyres on cars over one substep, for MuJoCo.
-
-    Args:
-        index: addresses of the car in `qpos` and `qvel`.
-        vehicle: parameters of the cars (...).
-        car: at the start of the substep.
-        controls: (..., 2) steer and pedal in [-1, 1].
-        dt: substep [s].
+    """Forces of driver, servos and tyres on cars (...) over one substep, for MuJoCo.
 
     Returns:
         `qfrc_applied` (..., nv), servo targets `ctrl` (..., 2) [rad], and bristles
-        (..., 4) and actuators at the end of the substep.
+        (..., 4) and actuators at the end of the substep of `dt` [s].
     """
+    pedals, wheels = (controls[..., 0], controls[..., 1]), wheels_of(vehicle)
     forces, targets, tyres, actuators = drive_car(
-        vehicle,
-        wheels_of(vehicle),
-        unpack_car(index, car),
-        (controls[..., 0], controls[..., 1]),
-        dt,
+        vehicle, wheels, unpack_car(index, car), pedals, dt
     )
     qfrc = generalized_forces(index, forces)
     return qfrc, jnp.stack(targets, -1), pack_tyres(tyres), actuators

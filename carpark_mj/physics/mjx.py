@@ -7,6 +7,7 @@ allows, otherwise `mjx.step` does; `SimConfig.stepper` can force either.
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +17,7 @@ from flax import struct
 from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
 from carpark_mj.extensions import Entry
 from carpark_mj.geometry import wrap_angle
-from carpark_mj.layouts import Layout
-from carpark_mj.physics.base import (
-    FactoredPhysics,
-    contain_non_finite,
-    where_cars,
-)
+from carpark_mj.physics.base import Physics, contain_non_finite, where_cars
 from carpark_mj.physics.coordinates import (
     CarDynamics,
     CarIndex,
@@ -37,7 +33,6 @@ from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
 from carpark_mj.vehicle.mjcf import car_model
-from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
@@ -46,7 +41,8 @@ _CONTACT = Entry("carpark_mj.physics.mjx_step:ContactPhysics")
 _STEP = Entry("carpark_mj.physics.mjx_step:MjxStep")
 LEAST_UP = 0.5  # cosine of the lean at which a car has overturned: 60 degrees
 
-Stepper = Callable[[Vehicle, CarDynamics, jax.Array], tuple[CarDynamics, jax.Array]]
+Step = Callable[[Vehicle, CarDynamics, jax.Array], tuple[CarDynamics, jax.Array]]
+Stepper = Callable[[mujoco.MjModel, SimConfig], Step]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,11 +55,8 @@ class MjxConfig(PhysicsConfig):
         """Refuses substeps too long for the tyres."""
         config.sim.require_fine_steps()
 
-    def make(
-        self, config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
-    ) -> "MjxPhysics":
+    def make(self, config: EnvConfig, layout: Any, vehicle: Any) -> "MjxPhysics":
         """Builds it with the tyres of `SimConfig.tyres`."""
-        del layout, vehicle
         if config.sim.tyres == "contact":
             return _CONTACT.load()(config.sim)
         return MjxPhysics(config.sim)
@@ -71,28 +64,19 @@ class MjxConfig(PhysicsConfig):
 
 @struct.dataclass
 class CarState:
-    """Physics state of cars; any leading batch shape.
+    """Physics state of cars; any leading batch shape."""
 
-    Attributes:
-        qpos: (..., 13) MuJoCo positions of the 12-dof car; 17 with a suspension.
-        qvel: (..., 12) MuJoCo velocities; 16 with a suspension.
-        tyres: bristle deflections (..., 4).
-        actuators: state of steering and drive.
-        vehicle: parameters.
-        trace_w: (..., k, 3) footprint poses within the last control step.
-        finite: (...) bool, see `Motion.finite`.
-    """
-
+    # (..., 13) MuJoCo positions of the 12-dof car; 17 with a suspension
     qpos: jax.Array
-    qvel: jax.Array
-    tyres: TyreState
-    actuators: drive.Actuators
-    vehicle: Vehicle
-    trace_w: jax.Array
-    finite: jax.Array
+    qvel: jax.Array  # (..., 12) MuJoCo velocities; 16 with a suspension
+    tyres: TyreState  # bristle deflections (..., 4)
+    actuators: drive.Actuators  # state of steering and drive
+    vehicle: Vehicle  # parameters
+    trace_w: jax.Array  # (..., k, 3) footprint poses within the last control step
+    finite: jax.Array  # (...) bool, see `Motion.finite`
 
 
-class MjxPhysics(FactoredPhysics[CarState]):
+class MjxPhysics(Physics[CarState]):
     """Cars on brush tyres behind the `Physics` interface."""
 
     config = PHYSICS.register("mjx", MjxConfig())
@@ -101,19 +85,15 @@ class MjxPhysics(FactoredPhysics[CarState]):
         """Compiles the car model for the given time steps, slope and surface."""
         sim.require_fine_steps()
         self.sim = sim
-        model = self._compile(sim)
+        model, make_stepper = self._compile(sim)
         self.index = CarIndex(model)
         self._nq, self._nv = model.nq, model.nv
-        self._step = self._make_stepper(model, sim)
+        self._step = make_stepper(model, sim)
 
-    def _compile(self, sim: SimConfig) -> mujoco.MjModel:
-        """The model of one car; per-car parameters are replaced in every step."""
-        return car_model(COMPACT, sim.sim_dt, gravity_vector(sim))
-
-    def _make_stepper(self, model: mujoco.MjModel, sim: SimConfig) -> Stepper:
-        if sim.stepper != "mjx":
-            return UnrolledStep(model, sim)
-        return _STEP.load()(model, sim)
+    def _compile(self, sim: SimConfig) -> tuple[mujoco.MjModel, Stepper]:
+        """The model of one car, whose parameters every step replaces, and its step."""
+        model = car_model(COMPACT, sim.sim_dt, gravity_vector(sim))
+        return model, UnrolledStep if sim.stepper != "mjx" else _STEP.load()
 
     @full_float32
     def init(self, pose_w: jax.Array, vehicle: Vehicle) -> CarState:
@@ -175,11 +155,7 @@ class MjxPhysics(FactoredPhysics[CarState]):
 
     @full_float32
     def step(self, state: CarState, controls: jax.Array) -> CarState:
-        """Advances by one control step; see `Physics.step`.
-
-        A car with a non-finite number in its state, or on its side, is flagged and put
-        back at rest to its pose before the step.
-        """
+        """Advances by one control step; see `Physics.step` and `contain_cars`."""
         with jax.named_scope("physics"):
             vehicle = in_conditions(state.vehicle, self.sim)
             car = started(self.sim, state, controls)
@@ -213,18 +189,12 @@ def started(sim: SimConfig, state: CarState, controls: jax.Array) -> CarDynamics
 def contain_cars(before: CarState, car: CarDynamics, trace_w: jax.Array) -> CarState:
     """Cars (...) after a step with poses `trace_w` (..., k, 3) within it.
 
-    Diverged ones are reset to rest before it: a number of their state is not finite, or
-    they lie on their side, where no tyre model holds.
+    Put back at rest: those with a number that is not finite, or on their side, where no
+    tyre model holds.
     """
-    at_rest = dataclasses.replace(
-        before,
-        qvel=jnp.zeros_like(before.qvel),
-        trace_w=jnp.broadcast_to(before.trace_w[..., -1:, :], before.trace_w.shape),
-        finite=jnp.zeros_like(before.finite),
-    )
-    stepped = dataclasses.replace(
-        before, **car._asdict(), trace_w=trace_w, finite=jnp.ones_like(before.finite)
-    )
     # The z axis of the body, turned by the quaternion (w, x, y, z), along the world's.
     up = 1.0 - 2.0 * (jnp.square(car.qpos[..., 4]) + jnp.square(car.qpos[..., 5]))
-    return contain_non_finite((car, trace_w), stepped, at_rest, up > LEAST_UP)
+    moved, still = car._asdict(), {"qvel": jnp.zeros_like(before.qvel)}
+    return contain_non_finite(
+        before, {**moved, "trace_w": trace_w}, still, up > LEAST_UP
+    )

@@ -32,7 +32,7 @@ from carpark_mj.vehicle.contact_wheels import add_contact_wheels, set_contact_op
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS, add_car, spring_reference
 from carpark_mj.vehicle.parameters import VehicleParameters
 from carpark_mj.vehicle.presets import COMPACT
-from carpark_mj.vehicle.vehicle import Vehicle
+from carpark_mj.vehicle.vehicle import BODIES, Vehicle
 
 with contextlib.redirect_stdout(io.StringIO()):
     # It prints that NVIDIA Warp, which it does not need, is missing.
@@ -43,11 +43,7 @@ class MjxStep:
     """The control step of cars of any leading shape, in MJX, on brush tyres."""
 
     def __init__(self, model: mujoco.MjModel, sim: SimConfig) -> None:
-        """Takes the model of a car; `__call__` replaces per-car parameters.
-
-        Raises:
-            ValueError: under flags with which XLA cannot compile MJX.
-        """
+        """Takes the model of a car; `__call__` replaces per-car parameters."""
         _require_plain_fusion()
         self.index = CarIndex(model)
         self.sim = sim
@@ -78,11 +74,7 @@ class MjxStep:
         return run_substeps(self.sim, substep, car, pose)
 
     def substep(
-        self,
-        model: mjx.Model,
-        vehicle: Vehicle,
-        controls: jax.Array,
-        car: CarDynamics,
+        self, model: mjx.Model, vehicle: Vehicle, controls: jax.Array, car: CarDynamics
     ) -> CarDynamics:
         """Advances one car by one substep."""
         qfrc, ctrl, tyres, actuators = substep_forces(
@@ -116,13 +108,10 @@ class MjxStep:
 
 
 def _require_plain_fusion() -> None:
-    """Checks that XLA on a CPU may compile MJX.
+    """Refuses flags under which XLA 0.10 aborts the process on a CPU.
 
-    Its scatters share their indices, and where XLA 0.10 fuses such into one loop it
-    aborts the process: "Check failed: GetNumDims() == other.GetNumResults()".
-
-    Raises:
-        ValueError: the flags ask for such fusions.
+    MJX's scatters share their indices; where XLA fuses such into one loop: "Check
+    failed: GetNumDims() == other.GetNumResults()".
     """
     fused = "xla_cpu_use_multi_output_fusion" in os.environ.get("XLA_FLAGS", "")
     if fused and jax.default_backend() == "cpu":
@@ -135,14 +124,7 @@ def _require_plain_fusion() -> None:
 
 def with_masses(model: mjx.Model, vehicle: Vehicle) -> mjx.Model:
     """The model with one vehicle's masses and wheel places."""
-    return model.tree_replace(
-        {
-            "body_mass": vehicle.body_mass,
-            "body_inertia": vehicle.body_inertia,
-            "body_ipos": vehicle.body_ipos,
-            "body_pos": vehicle.body_pos,
-        }
-    )
+    return model.tree_replace({name: getattr(vehicle, name) for name in BODIES})
 
 
 IMPRATIO = 1.0
@@ -204,10 +186,8 @@ def with_wheels(
     size = model.geom_size.at[wheels.tyres, 0].set(vehicle.wheel_radius)
     change = {"dof_frictionloss": loss, "pair_friction": grip, "geom_size": size}
     if wheels.travel.size:
-        stiffness, damping = (
-            vehicle.tyres.vertical_stiffness,
-            vehicle.tyres.vertical_damping,
-        )
+        stiffness = vehicle.tyres.vertical_stiffness
+        damping = vehicle.tyres.vertical_damping
         unsprung = vehicle.body_mass[wheels.bodies]
         unsprung = unsprung.at[:2].add(vehicle.body_mass[wheels.knuckles])
         rest = spring_reference(vehicle.tyres.static_load, unsprung, stiffness)
@@ -228,11 +208,7 @@ class ContactStep(MjxStep):
         self._wheels = WheelIndex(model)
 
     def substep(
-        self,
-        model: mjx.Model,
-        vehicle: Vehicle,
-        controls: jax.Array,
-        car: CarDynamics,
+        self, model: mjx.Model, vehicle: Vehicle, controls: jax.Array, car: CarDynamics
     ) -> CarDynamics:
         """Advances one car by one substep."""
         index = self.index
@@ -259,8 +235,5 @@ class ContactStep(MjxStep):
 class ContactPhysics(MjxPhysics):
     """MJX with contact wheels behind the `Physics` interface."""
 
-    def _compile(self, sim: SimConfig) -> mujoco.MjModel:
-        return contact_car_model(COMPACT, sim)
-
-    def _make_stepper(self, model: mujoco.MjModel, sim: SimConfig) -> Stepper:
-        return ContactStep(model, sim)
+    def _compile(self, sim: SimConfig) -> tuple[mujoco.MjModel, Stepper]:
+        return contact_car_model(COMPACT, sim), ContactStep

@@ -1,21 +1,12 @@
-r"""Newton-Euler equations of the car, steering and wheel spin eliminated by hand.
+"""Newton-Euler equations of the car, steering and wheel spin eliminated by hand.
 
-The equations equal MuJoCo's for the model of `carpark_mj.vehicle.mjcf`, term by term
-(docs/physics/equations.md derives them). Two properties shorten them: knuckles and
-wheels are balanced about their hinges, so the common centre of mass c is fixed in the
-body; and a wheel is symmetric about its axle, so its angle does not enter. With the
-body's angular velocity w and acceleration a, a front corner's steering angle d, and for
-each wheel the axle n, the spin p and its momentum H = I_s (p + n.w):
-
-    wheel     dH/dt = spin torque
-    corner    A_z (a_z + d'') + gyro_z = aligning + servo - friction d' - armature d''
-    car       J a + w x J w + sum over wheels (dH/dt n + H w x n)
-                  + sum over corners (A d(w)/dt + w x A w) = moment about c
-    origin    m (v' - g + R (a x c + w x (w x c))) = force
-
-The first two are solved for dH/dt and d'' and put into the third, a symmetric 3 x 3
-system for a. The steering is integrated implicitly in its damping, as `implicitfast`
-does, also while the servo is at its limit.
+They equal MuJoCo's for the model of `carpark_mj.vehicle.mjcf`, term by term;
+docs/physics/equations.md derives them. Knuckles and wheels are balanced about their
+hinges, so the common centre of mass is fixed in the body; a wheel is symmetric about
+its axle, so its angle does not enter. The equations of wheels and front corners are
+solved for the rates of their momentum and steering and put into the car's, a symmetric
+3 x 3 system for its angular acceleration. The steering is integrated implicitly in its
+damping, as `implicitfast` does, also while the servo is at its limit.
 """
 
 from collections.abc import Sequence
@@ -40,15 +31,8 @@ from carpark_mj.physics.coordinates import (
     to_world,
 )
 from carpark_mj.physics.forces import CarForces
-from carpark_mj.vehicle.mjcf import (
-    STEER_ARMATURE,
-    STEER_DAMPING,
-    STEER_FRICTION_DAMPING,
-    STEER_STIFFNESS,
-    STEER_TORQUE,
-    STEERED,
-    WHEELS,
-)
+from carpark_mj.vehicle import mjcf
+from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.vehicle import Vehicle
 
 # Bodies of the car's model, `mjcf.add_car`.
@@ -57,23 +41,17 @@ _CHASSIS, _KNUCKLES, _FRONT_WHEELS, _REAR_WHEELS = 1, (2, 4), (3, 5), (6, 7)
 
 @struct.dataclass
 class MassProperties:
-    """Mass properties of cars (...).
+    """Mass properties of cars (...)."""
 
-    Attributes:
-        mass: of the whole car [kg].
-        com: common centre of mass, body frame [m].
-        body_inertia: about it, of all parts that do not steer: chassis, the masses of
-            the corners as points, rear wheels without their spin [kg m^2].
-        corner_inertia: of each front corner, knuckle and wheel, about the wheel's
-            (longitudinal, axle, vertical) axes, without the spin [kg m^2].
-        spin_inertia: of each wheel about its axle [kg m^2].
-    """
-
-    mass: jax.Array
-    com: Vector
+    mass: jax.Array  # of the whole car [kg]
+    com: Vector  # common centre of mass, body frame [m]
+    # about it, of all parts that do not steer: chassis, the masses of the corners as
+    # points, rear wheels without their spin [kg m^2]
     body_inertia: Symmetric
+    # of each front corner, knuckle and wheel, about the wheel's (longitudinal, axle,
+    # vertical) axes, without the spin [kg m^2]
     corner_inertia: tuple[Vector, Vector]
-    spin_inertia: tuple[jax.Array, ...]
+    spin_inertia: tuple[jax.Array, ...]  # of each wheel about its axle [kg m^2]
 
 
 def mass_properties(vehicle: Vehicle) -> MassProperties:
@@ -133,15 +111,10 @@ def advance(
     gravity: Vector,
     dt: float | jax.Array,
 ) -> Coordinates:
-    """Coordinates of cars (...) a substep later, as `mjx.step` would have them.
+    """Coordinates of cars (...) a substep of `dt` [s] later, as by `mjx.step`.
 
-    Args:
-        masses: of the cars.
-        at: coordinates at the start of the substep.
-        forces: on the cars.
-        steering_targets: of the front wheels' servos [rad].
-        gravity: world frame [m/s^2].
-        dt: substep [s].
+    Steering targets are those of the servos [rad], gravity is in the world frame
+    [m/s^2].
     """
     with jax.named_scope("newton_euler"):
         w, rotation = at.angular, at.rotation
@@ -179,23 +152,17 @@ def advance(
 
 
 class _Corner(NamedTuple):
-    """A front corner's part in the car's equation, its steering eliminated.
+    """A front corner's part in the car's equation, its steering eliminated."""
 
-    Attributes:
-        inertia: xx, yy, zz, xy to add to the body's [kg m^2].
-        reaction: moment that the body must give it, without the body's angular
-            acceleration [N m].
-        free: acceleration of the steering if the body had none [rad/s^2].
-        yaw_share: how much of the body's yaw acceleration the steering lags behind.
-        axle: (x, y) of the wheel's axle in the body frame.
-        axle_turning: what steering adds to the angular acceleration about the axle.
-    """
-
+    # xx, yy, zz, xy to add to the body's [kg m^2]
     inertia: tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+    # moment that the body must give it, without the body's angular acceleration [N m]
     reaction: Vector
-    free: jax.Array
+    free: jax.Array  # acceleration of the steering if the body had none [rad/s^2]
+    # how much of the body's yaw acceleration the steering lags behind
     yaw_share: jax.Array
-    axle: tuple[jax.Array, jax.Array]
+    axle: tuple[jax.Array, jax.Array]  # (x, y) of the wheel's axle in the body frame
+    # what steering adds to the angular acceleration about the axle
     axle_turning: jax.Array
 
     def about_axle(self, turning: Vector) -> jax.Array:
@@ -223,14 +190,14 @@ def _front_corner(
         -across * rate * ahead + (along - vertical) * up * ahead + forces.spin[i]
     )
     gyro_up = (across - along) * ahead * axle + momentum * ahead
-    servo = STEER_STIFFNESS * (target - at.steer[i]) - STEER_DAMPING * rate
+    servo = mjcf.STEER_STIFFNESS * (target - at.steer[i]) - mjcf.STEER_DAMPING * rate
     torque = (
         forces.aligning[i]
-        + jnp.clip(servo, -STEER_TORQUE, STEER_TORQUE)
-        - STEER_FRICTION_DAMPING * rate
+        + jnp.clip(servo, -mjcf.STEER_TORQUE, mjcf.STEER_TORQUE)
+        - mjcf.STEER_FRICTION_DAMPING * rate
     )
-    damping = STEER_DAMPING + STEER_FRICTION_DAMPING
-    resisting = 1.0 / (vertical + STEER_ARMATURE + dt * damping)
+    damping = mjcf.STEER_DAMPING + mjcf.STEER_FRICTION_DAMPING
+    resisting = 1.0 / (vertical + mjcf.STEER_ARMATURE + dt * damping)
     free, yaw_share = (torque - gyro_up) * resisting, vertical * resisting
     return _Corner(
         inertia=(
@@ -259,11 +226,7 @@ def _integrate(
     spinning: Sequence[jax.Array],
     dt: float | jax.Array,
 ) -> Coordinates:
-    """Semi-implicit Euler: velocities first, then positions from the new velocities.
-
-    Accelerations are of the origin (world frame), the body (body frame), the front
-    wheels' angles and the wheels' spins.
-    """
+    """Semi-implicit Euler, by accelerations of origin (world), body, angles, spins."""
 
     def later(now: Sequence[jax.Array], rates: Sequence[jax.Array]) -> Any:
         return tuple(x + dt * v for x, v in zip(now, rates, strict=True))

@@ -3,16 +3,14 @@
 Agents' cars on brush tyres (the same code as `carpark_mj.physics.mjx`), parked cars
 that can be pushed, walls; all hulls collide. Movers are bodies that stop and push
 agents' cars. JAX computes the tyres of all cars, a host callback per substep steps the
-scenes. It is slow and serves to check the factored physics, to evaluate by contacts and
-to render crashes.
-
-Every car follows its own `Vehicle`, as in `mjx`, except for wheelbase, track and hull:
-they are those of the parameters from which the model was built.
+scenes: slow, to check the factored physics, evaluate by contacts and render crashes.
+Wheelbase, track and hull are those of the parameters from which the model was built.
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -56,37 +54,27 @@ class SceneConfig(PhysicsConfig):
         if config.sim.tyres == "contact":
             raise ValueError("scene physics has brush tyres only, not contact")
         if config.sim.has_ramp:
-            raise ValueError(
-                "scene physics has one gravity for the whole lot: sim.ramp must have "
-                f"slope 0, not {config.sim.ramp[2]}; use mjx"
-            )
+            slope = config.sim.ramp[2]
+            raise ValueError(f"scene physics has one gravity, no ramp of slope {slope}")
         if config.sim.creep and not config.episode.respawn:
             raise ValueError(
-                "scene physics goes on moving cars that have finished, which would "
-                "creep away: sim.creep needs episode.respawn = True there"
+                "sim.creep needs episode.respawn in scene physics, where finished cars "
+                "would creep away"
             )
         if config.fleet.is_on or config.jitter.scale != (1.0, 1.0):
             raise ValueError(
-                "scene physics has cars of one kind and size only, no fleet and no "
-                "jitter.scale: use mjx"
+                "scene physics has cars of one kind and size, no fleet or jitter.scale"
             )
 
-    def make(
-        self, config: EnvConfig, layout: Layout | None, vehicle: VehicleParameters
-    ) -> "ScenePhysics":
+    def make(self, config: EnvConfig, layout: Any, vehicle: Any) -> "ScenePhysics":
         """Compiles the scene of the lot."""
         if layout is None:
             raise ValueError(
                 f"scene physics needs the same lot for every key, not {config.layout!r}"
             )
-        return ScenePhysics(
-            config.sim,
-            layout,
-            vehicle,
-            config.num_agents,
-            config.num_parked_cars,
-            mover_shapes(make_movers(config.movers), layout),
-        )
+        movers = mover_shapes(make_movers(config.movers), layout)
+        cars = config.num_agents, config.num_parked_cars
+        return ScenePhysics(config.sim, layout, vehicle, *cars, movers)
 
 
 # Agents' cars, parked_qpos, parked_qvel, touched, number of the substep.
@@ -95,21 +83,14 @@ _Carry = tuple[CarDynamics, jax.Array, jax.Array, jax.Array, jax.Array]
 
 @struct.dataclass
 class SceneState:
-    """Physics state of one lot; leading dimensions of a batch before all of these.
+    """Physics state of one lot; leading dimensions of a batch before all of these."""
 
-    Attributes:
-        cars: the agents' cars, (num_agents,).
-        parked_set: (num_parked_cars, 3) footprint poses, as last set.
-        parked_qpos: (num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad].
-        parked_qvel: (num_parked_cars, 3) their rates.
-        touched: (num_agents, k) bool, see `Motion.touched`.
-    """
-
-    cars: CarState
-    parked_set: jax.Array
+    cars: CarState  # the agents' cars, (num_agents,)
+    parked_set: jax.Array  # (num_parked_cars, 3) footprint poses, as last set
+    # (num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad]
     parked_qpos: jax.Array
-    parked_qvel: jax.Array
-    touched: jax.Array
+    parked_qvel: jax.Array  # (num_parked_cars, 3) their rates
+    touched: jax.Array  # (num_agents, k) bool, see `Motion.touched`
 
     @property
     def vehicle(self) -> Vehicle:
@@ -131,19 +112,12 @@ class ScenePhysics(Physics[SceneState]):
         num_parked_cars: int,
         movers: Sequence[Group] = (),
     ) -> None:
-        """Compiles the model of a lot.
+        """Compiles the model of a lot, which all lots of a batch have.
 
-        Args:
-            sim: time steps and slope.
-            layout: the lot; all lots of a batch have this one.
-            params: the vehicle of all cars.
-            num_agents: agents.
-            num_parked_cars: parked cars.
-            movers: the groups of obstacles that move by themselves, or their shapes.
+        `movers` are groups of obstacles that move by themselves, or their shapes.
         """
         self.sim = sim
         self._single = MjxPhysics(sim)
-        self._num_agents = num_agents
         self._num_parked_cars = num_parked_cars
         self._centre_offset = params.centre_offset
         self._counts = [group.count for group in movers]
@@ -167,9 +141,8 @@ class ScenePhysics(Physics[SceneState]):
 
     def set_speed(self, state: SceneState, speed: jax.Array) -> SceneState:
         """Agents' cars (...) rolling straight on at speeds (...) [m/s]."""
-        return dataclasses.replace(
-            state, cars=self._single.set_speed(state.cars, speed)
-        )
+        cars = self._single.set_speed(state.cars, speed)
+        return dataclasses.replace(state, cars=cars)
 
     def place(
         self, state: SceneState, mask: jax.Array, pose_w: jax.Array, vehicle: Vehicle
@@ -195,7 +168,6 @@ class ScenePhysics(Physics[SceneState]):
 
     def parked_poses(self, state: SceneState, intended: jax.Array) -> jax.Array:
         """Poses (..., num_parked_cars, 3) of the footprints, pushed or not."""
-        del intended
         centre = move_forward(state.parked_qpos, self._centre_offset)
         return centre.at[..., 2].set(wrap_angle(centre[..., 2]))
 
@@ -222,16 +194,11 @@ class ScenePhysics(Physics[SceneState]):
         before: Sequence[Group],
         after: Sequence[Group],
     ) -> SceneState:
-        """Advances one lot among movers; see `Physics.step_among`.
-
-        Raises:
-            ValueError: there are other numbers of movers than the scene was made for.
-        """
+        """Advances one lot among movers; see `Physics.step_among`."""
         counts = [group.count for group in after]
         if counts != self._counts:
             raise ValueError(
-                f"the lot has groups of {counts} movers, scene physics was made for "
-                f"{self._counts}: give ScenePhysics those of the lot"
+                f"scene physics was made for {self._counts} movers, not {counts}"
             )
         with jax.named_scope("physics"):
             size = state.vehicle.size
@@ -246,11 +213,8 @@ class ScenePhysics(Physics[SceneState]):
     ) -> SceneState:
         """Advances one lot.
 
-        Args:
-            state: current state.
-            controls: of the cars.
-            movers: when a share () of the step is left and cars are at poses
-                (num_agents, 3).
+        `movers` are told the share () of the step that is left and the poses
+        (num_agents, 3) of cars.
         """
         cars = state.cars
         vehicle = in_conditions(state.vehicle, self.sim)
@@ -280,25 +244,16 @@ class ScenePhysics(Physics[SceneState]):
             car = CarDynamics(qpos, qvel, tyres, actuators)
             return car, parked_qpos, parked_qvel, touched | hit, number + 1
 
-        carry, trace = run_substeps(
-            self.sim,
-            substep,
-            (
-                started(self.sim, cars, controls),
-                state.parked_qpos,
-                state.parked_qvel,
-                jnp.zeros_like(state.touched),
-                jnp.int32(0),
-            ),
-            poses,
-        )
+        car = started(self.sim, cars, controls)
+        nothing = jnp.zeros_like(state.touched), jnp.int32(0)
+        carry = car, state.parked_qpos, state.parked_qvel, *nothing
+        carry, trace = run_substeps(self.sim, substep, carry, poses)
         car, parked_qpos, parked_qvel, touched, _ = carry
+        finite = jnp.isfinite(parked_qpos)
         return SceneState(
             cars=contain_cars(cars, car, jnp.moveaxis(trace, 0, 1)),
             parked_set=state.parked_set,
-            parked_qpos=jnp.where(
-                jnp.isfinite(parked_qpos), parked_qpos, state.parked_qpos
-            ),
+            parked_qpos=jnp.where(finite, parked_qpos, state.parked_qpos),
             parked_qvel=jnp.where(jnp.isfinite(parked_qvel), parked_qvel, 0.0),
             touched=touched,
         )

@@ -10,6 +10,7 @@ import copy
 import dataclasses
 import math
 import os
+import re
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -29,6 +30,7 @@ from carpark_mj.physics.forces import gravity_vector
 from carpark_mj.scene.build import build_scene
 from carpark_mj.scene.movers import add_solids
 from carpark_mj.scene.parts import HIDDEN
+from carpark_mj.vehicle.mjcf import STEERED
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 # m; hulls crush that far at 14 m/s. What is deeper inside a car has appeared there.
@@ -36,17 +38,11 @@ DEEPEST = 0.3
 
 
 class Solids(NamedTuple):
-    """Movers of a batch of scenes of shape `(...)` in a substep.
+    """Movers of a batch of scenes of shape `(...)` in a substep."""
 
-    Attributes:
-        position: (..., n, 3) of their feet [m], far below the ground if absent.
-        yaw: (..., n) [rad].
-        size: (..., n, 3) `geom_size` of MuJoCo [m].
-    """
-
-    position: ArrayLike
-    yaw: ArrayLike
-    size: ArrayLike
+    position: ArrayLike  # (..., n, 3) of their feet [m], far below the ground if absent
+    yaw: ArrayLike  # (..., n) [rad]
+    size: ArrayLike  # (..., n, 3) `geom_size` of MuJoCo [m]
 
 
 def absent(count: int) -> Solids:
@@ -86,80 +82,29 @@ def solids_within(
     return Solids(*map(jnp.concatenate, zip(*rows, strict=True)))
 
 
-class MoverBodies:
-    """Where the bodies of `carpark_mj.scene.movers.add_solids` are in a model.
-
-    Attributes:
-        count: of movers.
-        geoms: (count,) their geoms.
-        kinds: (count,) `ObstacleKind` of each.
-    """
-
-    def __init__(self, model: mujoco.MjModel, groups: Sequence[Group]) -> None:
-        """Looks them up; `groups` as in `add_solids`."""
-        self.count = sum(group.count for group in groups)
-        names = [f"mover{number}" for number in range(self.count)]
-        self.geoms = np.array([model.geom(name).id for name in names], int)
-        self.kinds = np.array([g.kind for g in groups for _ in range(g.count)], int)
-        bodies = model.geom_bodyid[self.geoms]
-        self._mocap = model.body_mocapid[bodies]
-
-    def place(self, model: mujoco.MjModel, data: mujoco.MjData, solids: Solids) -> None:
-        """Puts the bodies of one scene where `solids` are, and of their sizes."""
-        position, yaw, size = (np.asarray(x, float) for x in solids)
-        data.mocap_pos[self._mocap] = position
-        still = np.zeros_like(yaw)
-        quat = np.stack([np.cos(yaw / 2), still, still, np.sin(yaw / 2)], axis=-1)
-        data.mocap_quat[self._mocap] = quat
-        model.geom_size[self.geoms] = size
-        # Of a box and of a cylinder; pairs of geoms read no other bound.
-        model.geom_rbound[self.geoms] = np.linalg.norm(size, axis=-1)
-
-
 CAR_NQ, CAR_NV, CAR_BODIES = 13, 12, 7
 
 
 class Moving(NamedTuple):
-    """Variables that a substep changes, of a batch of scenes of shape `(...)`.
+    """Variables that a substep changes, of a batch of scenes of shape `(...)`."""
 
-    Attributes:
-        qpos: (..., num_agents, 13) MuJoCo positions of the agents' cars.
-        qvel: (..., num_agents, 12) MuJoCo velocities.
-        parked_qpos: (..., num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad].
-        parked_qvel: (..., num_parked_cars, 3) their rates.
-    """
-
-    qpos: ArrayLike
-    qvel: ArrayLike
+    qpos: ArrayLike  # (..., num_agents, 13) MuJoCo positions of the agents' cars
+    qvel: ArrayLike  # (..., num_agents, 12) MuJoCo velocities
+    # (..., num_parked_cars, 3) rear axles' centres: x, y [m], yaw [rad]
     parked_qpos: ArrayLike
-    parked_qvel: ArrayLike
+    parked_qvel: ArrayLike  # (..., num_parked_cars, 3) their rates
 
 
 class Masses(NamedTuple):
-    """Fields of the model of each agent's car alone, whose first body is the world.
+    """Fields of the model of each agent's car alone, whose first body is the world."""
 
-    Attributes:
-        body_mass: (..., num_agents, 8) [kg].
-        body_inertia: (..., num_agents, 8, 3) [kg m^2].
-        body_ipos: (..., num_agents, 8, 3) [m].
-    """
-
-    body_mass: ArrayLike
-    body_inertia: ArrayLike
-    body_ipos: ArrayLike
+    body_mass: ArrayLike  # (..., num_agents, 8) [kg]
+    body_inertia: ArrayLike  # (..., num_agents, 8, 3) [kg m^2]
+    body_ipos: ArrayLike  # (..., num_agents, 8, 3) [m]
 
 
 class SceneModel:
-    """The compiled scene of a lot with brush-tyre cars, hull contacts on.
-
-    Attributes:
-        model: the MuJoCo model.
-        qpos_address: where the agents' blocks of 13 and then the parked cars' (x, y,
-            yaw) lie in `qpos`.
-        qvel_address: the same for blocks of 12 in `qvel`.
-        movers: their bodies.
-        num_kinds: of obstacles, columns of `Motion.touched`.
-    """
+    """The compiled scene of a lot with brush-tyre cars, hull contacts on."""
 
     def __init__(
         self,
@@ -182,25 +127,24 @@ class SceneModel:
         # A blown-up car must stay visible as non-finite, not be put back silently.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = spec.compile()
-        self.movers = MoverBodies(self.model, movers)
+        kinds = np.array([g.kind for g in movers for _ in range(g.count)], int)
+        solids = [self.model.geom(f"mover{k}").id for k in range(len(kinds))]
+        self._movers = np.array(solids, int)
+        self._mocap = self.model.body_mocapid[self.model.geom_bodyid[self._movers]]
         self._kind, self._agent = _classify_geoms(self.model)
-        self._kind[self.movers.geoms] = self.movers.kinds
-        self.num_kinds = 1 + max([ObstacleKind.WALL, *self.movers.kinds])
+        self._kind[self._movers] = kinds
+        # Of obstacles, columns of `Motion.touched`.
+        self.num_kinds = 1 + max([ObstacleKind.WALL, *kinds])
         self.qpos_address = self._addresses("jnt_qposadr", CAR_NQ)
         self.qvel_address = self._addresses("jnt_dofadr", CAR_NV)
+        agents = [f"agent{k}" for k in range(num_agents)]
+        servos = [[f"{a}/steer_{w}" for w in STEERED] for a in agents]
         self._ctrl = np.array(
-            [
-                [self.model.actuator(f"agent{k}/steer_{w}").id for w in ("fl", "fr")]
-                for k in range(num_agents)
-            ]
+            [[self.model.actuator(name).id for name in pair] for pair in servos]
         )
         # A car's bodies follow each other as in the car's own model.
-        self._bodies = np.array(
-            [
-                self.model.body(f"agent{k}/car").id + np.arange(CAR_BODIES)
-                for k in range(num_agents)
-            ]
-        )
+        first = np.array([self.model.body(f"{a}/car").id for a in agents], int)
+        self._bodies = np.add.outer(first, np.arange(CAR_BODIES))
         self._start_workers()
 
     def _start_workers(self) -> None:
@@ -215,20 +159,18 @@ class SceneModel:
         self._start_workers()
 
     def _addresses(self, field: str, car_size: int) -> np.ndarray:
-        """Where the agents' blocks and then the parked cars' lie in qpos or qvel."""
+        """Where agents' blocks, then (x, y, yaw) of parked cars lie in qpos or qvel."""
         table = getattr(self.model, field)
         # The dofs of a car follow each other as in the car's own model.
-        starts = [
-            table[self.model.joint(f"agent{k}/root").id]
-            for k in range(self._num_agents)
-        ]
-        cars = [np.arange(start, start + car_size) for start in starts]
+        roots = [f"agent{k}/root" for k in range(self._num_agents)]
+        starts = table[[self.model.joint(name).id for name in roots]]
         parked = [
             table[self.model.joint(f"parked{k}/{axis}").id]
             for k in range(self._num_parked_cars)
             for axis in ("x", "y", "yaw")
         ]
-        return np.concatenate([*cars, np.array(parked, int)])
+        cars = np.add.outer(starts, np.arange(car_size)).ravel()
+        return np.append(cars, np.array(parked, int))
 
     def advance(
         self,
@@ -240,12 +182,8 @@ class SceneModel:
     ) -> tuple[Moving, np.ndarray]:
         """Steps a batch of scenes by one substep; any leading shape `(...)`.
 
-        Args:
-            moving: positions and velocities.
-            qfrc: (..., num_agents, 12) forces applied.
-            ctrl: (..., num_agents, 2) steering servo targets [rad].
-            masses: of the agents' cars.
-            solids: the movers.
+        Under forces `qfrc` (..., num_agents, 12) and steering servo targets `ctrl`
+        (..., num_agents, 2) [rad].
 
         Returns:
             Positions and velocities after the substep, and contacts of each agent
@@ -282,11 +220,23 @@ class SceneModel:
             data.qacc_warmstart[:] = 0.0  # the result depends on the state alone
             for field, value in zip(Masses._fields, masses, strict=True):
                 getattr(model, field)[self._bodies] = value[k, :, 1:]
-            self.movers.place(model, data, Solids(*(x[k] for x in solids)))
+            self.place_movers(model, data, Solids(*(x[k] for x in solids)))
             mujoco.mj_step(model, data)
             _read_back(data.qpos, self.qpos_address, qpos[k], parked_qpos[k])
             _read_back(data.qvel, self.qvel_address, qvel[k], parked_qvel[k])
             self.find_touches(data, touched[k])
+
+    def place_movers(
+        self, model: mujoco.MjModel, data: mujoco.MjData, solids: Solids
+    ) -> None:
+        """Puts the movers' bodies of one scene where `solids` are, and sizes them."""
+        position, yaw, size = (np.asarray(x, float) for x in solids)
+        still = np.zeros_like(yaw)
+        quat = np.stack([np.cos(yaw / 2), still, still, np.sin(yaw / 2)], axis=-1)
+        data.mocap_pos[self._mocap], data.mocap_quat[self._mocap] = position, quat
+        model.geom_size[self._movers] = size
+        # Of a box and of a cylinder; pairs of geoms read no other bound.
+        model.geom_rbound[self._movers] = np.linalg.norm(size, axis=-1)
 
     def find_touches(self, data: mujoco.MjData, touched: np.ndarray) -> None:
         """Marks contacts of agents (num_agents, num_kinds) from those in `data`."""
@@ -312,13 +262,10 @@ def _classify_geoms(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     agent = np.full(model.ngeom, -1)
     for geom in range(model.ngeom):
         name = model.geom(geom).name
-        if name.endswith("/hull"):
-            owner = name.removesuffix("/hull")
-            if owner.startswith("agent"):
-                kind[geom] = ObstacleKind.AGENT
-                agent[geom] = int(owner.removeprefix("agent"))
-            else:
-                kind[geom] = ObstacleKind.PARKED_CAR
+        if found := re.fullmatch(r"agent(\d+)/hull", name):
+            kind[geom], agent[geom] = ObstacleKind.AGENT, int(found[1])
+        elif name.endswith("/hull"):
+            kind[geom] = ObstacleKind.PARKED_CAR
         elif name.startswith(("wall", "disc")):
             kind[geom] = ObstacleKind.WALL
     return kind, agent

@@ -2,8 +2,7 @@
 
 `mjx.step` handles any tree of bodies with small matrices, in some hundred kernels per
 substep. `carpark_mj.physics.newton_euler` writes the same equations out for this car,
-elementwise over the batch. MJX's model and state are unchanged. Tests
-compare them with `mjx.step` and with C MuJoCo.
+elementwise over the batch.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,9 +20,9 @@ from carpark_mj.physics.coordinates import (
     Car,
     CarDynamics,
     CarIndex,
-    Vector,
     centre_pose,
-    pack_car,
+    pack_coordinates,
+    pack_tyres,
     unpack_car,
     unpacked_centre_pose,
 )
@@ -43,21 +42,11 @@ def on_cuda(
 ) -> Tree:
     """Runs `run` in programs for CUDA GPUs that Triton supports, else `otherwise`.
 
-    Gradients are always those of `otherwise`.
+    Gradients are always those of `otherwise`. Shared leaves of `args` stay shared:
+    loading the wheels' common parameters four times would be a fifth slower.
     """
     if not has_triton():
         return otherwise(*args)
-    return _on_either(run, otherwise, args)
-
-
-def _on_either(
-    run: Callable[..., Tree], otherwise: Callable[..., Tree], args: Any
-) -> Tree:
-    """`on_cuda` where there may be a GPU; shared leaves of `args` stay shared.
-
-    Otherwise the kernel would load parameters common to the wheels four times and run a
-    fifth slower.
-    """
     rows, restore = _share(args)
 
     def cuda(*rows: jax.Array) -> Tree:
@@ -88,12 +77,9 @@ def run_in_kernel(
 ) -> Tree:
     """Evaluates an elementwise function in one kernel, also under `jax.vmap`.
 
-    There are no gradients; see `on_cuda`.
-
-    Args:
-        function: from a tree to a tree of floats; may loop, must not index.
-        args: tree of arrays of one shape.
-        interpret: run on any device, slowly, for tests.
+    It maps a tree of arrays of one shape to a tree of floats; it may loop, must not
+    index, and has no gradients, see `on_cuda`. `interpret` runs it on any device,
+    slowly, for tests.
     """
     shared, restore = _share(args)
     results, result_tree = jax.tree.flatten(jax.eval_shape(function, args))
@@ -190,15 +176,9 @@ class UnrolledStep:
     def __call__(
         self, vehicle: Vehicle, car: CarDynamics, controls: jax.Array
     ) -> tuple[CarDynamics, jax.Array]:
-        """Advances cars (...) by one control step.
+        """Cars (...) after a control step, and poses (..., num_traces, 3) within it.
 
-        Args:
-            vehicle: parameters of the cars, grip of the ground included.
-            car: at the start of the step.
-            controls: (..., 2) steer and pedal in [-1, 1].
-
-        Returns:
-            The cars at its end, and poses (..., num_traces, 3) within the step.
+        The grip of `vehicle` is that of the ground.
         """
         lead = controls.ndim - 1
         fixed = _Fixed(
@@ -210,7 +190,9 @@ class UnrolledStep:
         )
         start = unpack_car(self._index, car)
         end, trace = on_cuda(self._run_kernel, self._run_loop, fixed, start)
-        return pack_car(self._index, end), jnp.moveaxis(trace, 0, -2)
+        moved = pack_coordinates(self._index, end.coordinates)
+        end = CarDynamics(*moved, pack_tyres(end.tyres), end.actuators)
+        return end, jnp.moveaxis(trace, 0, -2)
 
     def _run_loop(self, fixed: _Fixed, car: Car) -> tuple[Car, jax.Array]:
         return run_substeps(
@@ -244,16 +226,12 @@ class UnrolledStep:
 
     def _substep(self, fixed: _Fixed, car: Car) -> Car:
         dt = self._sim.sim_dt
-        gravity = self._gravity(fixed, car)
-        driven = drive_car(fixed.vehicle, fixed.wheels, car, fixed.pedals, dt)
-        at, targets = car.coordinates, driven.steering_targets
-        at = advance(fixed.masses, at, driven.forces, targets, gravity, dt)
-        return Car(at, driven.tyres, driven.actuators)
-
-    def _gravity(self, fixed: _Fixed, car: Car) -> Vector:
-        """Gravity at the cars' centres of gravity [m/s^2]."""
-        at = car.coordinates
-        x = at.position[0]
+        x = car.coordinates.position[0]  # of the centre of gravity, on a ramp
         if self._sim.has_ramp:
-            x = x + at.rotation[0][0] * fixed.masses.com[0]
-        return gravity_at(self._sim, x)
+            x = x + car.coordinates.rotation[0][0] * fixed.masses.com[0]
+        gravity = gravity_at(self._sim, x)
+        forces, targets, tyres, actuators = drive_car(
+            fixed.vehicle, fixed.wheels, car, fixed.pedals, dt
+        )
+        at = advance(fixed.masses, car.coordinates, forces, targets, gravity, dt)
+        return Car(at, tyres, actuators)

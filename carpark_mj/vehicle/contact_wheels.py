@@ -2,9 +2,8 @@
 
 Tyres are spheres on explicit pairs with the ground (one contact point each, so no
 scrub couple), elliptic cone, torque through open differentials. The wheels roll
-without slip up to the friction limit; scrub torque, relaxation and exact hold belong
-to the brush tyres of `carpark_mj.physics.forces`. The car stands on them rigidly, or on
-the springs of `carpark_mj.vehicle.mjcf`.
+without slip up to the friction limit. The car stands on them rigidly, or on the springs
+of `carpark_mj.vehicle.mjcf`.
 
 Controls of a car, one actuator each:
 
@@ -13,32 +12,36 @@ Controls of a car, one actuator each:
   wheels by the Ackermann condition.
 - `drive` in [-1, 1]: motor torque with engine braking, so that the driven wheels
   settle at `drive` times the speed limit less `rolling_loss`.
-- `brake` in [0, 1]: disc brakes, which lock the
-  wheels before it is full.
+- `brake` in [0, 1]: disc brakes, which lock the wheels before it is full.
 
-Disc brakes: a pad on each wheel, all pressed by one slider. It slides along the axle in
-the wheel's carrier and rubs on a disc of the wheel: dry friction, which stops a wheel
-and holds it but never turns it backwards, as a torque shared between the wheels would.
-The contacts are explicit pairs; nothing else touches pads or discs. A tendon presses
-the pads in the brakes' shares. With a suspension the pads travel with their wheels:
-those in front in the knuckles, the others beside their wheels, to whose travel they are
-tied.
+Disc brakes: a pad on each wheel, pressed by one tendon in the brakes' shares, slides
+along the axle in the wheel's carrier and rubs on a disc of the wheel: dry friction,
+which stops and holds a wheel but never turns it backwards. Nothing else touches pads or
+discs. With a suspension the pads travel with their wheels: in front in the knuckles,
+the others tied to the wheels' travel.
 
 Locked tyres, for a car that moves in the plane: dry friction is a vector of one length
 against the slip of a tyre; MuJoCo has it for single coordinates only, or in contacts,
-which hop when they slide. So the contact patch of each tyre hangs on `LINES` tendons,
-which end in points so far away that their directions never change, and each tendon has
-a share of the friction: a polygon of twice as many sides instead of a circle, 1.7 % off
-at most.
+which hop when they slide. So the contact patch of each tyre hangs on `LINES` tendons
+that end far away, each with a share of the friction: a polygon of twice as many sides
+instead of a circle, 1.7 % off at most.
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from carpark_mj.vehicle.mjcf import SOLIMP as SUSPENDED_SOLIMP
-from carpark_mj.vehicle.mjcf import STEERED, WHEELS, hub_positions, per_wheel
+from carpark_mj.vehicle.mjcf import (
+    STEERED,
+    WHEELS,
+    hub_positions,
+    per_wheel,
+    set_inertial,
+)
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 # Full brake over the torque of the tyres' grip. The front axle, which has 0.68 of the
@@ -59,26 +62,15 @@ PAD_SOLREF = (0.02, 1.0)
 # A pad creeps over its disc by the force it holds. A car on a slope of 20 % rolled by 1
 # to 5 mm/s at MuJoCo's usual 0.95 and the contact's own time constant.
 PAD_SOLREF_FRICTION, PAD_SOLIMP = (0.004, 1.0), (0.999, 0.999, 0.001, 0.5, 2.0)
+UNTOUCHED = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 3}  # but by pairs
 CALIPER_ARMATURE = 1.0  # kg, of a pad's travel
 PAD_SOLREF_TRAVEL, PAD_SOLIMP_TRAVEL = (0.004, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
-
-
-def full_brake_torque(params: VehicleParameters) -> float:
-    """Brake torque of all wheels together at full brake [N m]."""
-    grip = params.tyre.friction * params.mass * GRAVITY
-    return FULL_BRAKE * grip * params.wheel_radius
 
 
 def add_disc_brakes(
     spec: mujoco.MjSpec, params: VehicleParameters, prefix: str
 ) -> None:
-    """Adds discs, pads and the actuator `brake` in [0, 1] to a car.
-
-    Args:
-        spec: the model with the car of `mjcf.add_car` in it.
-        params: the vehicle.
-        prefix: of the car's names.
-    """
+    """Adds discs, pads and the actuator `brake` in [0, 1] to the car of a prefix."""
     name = f"{prefix}brake"
     tendon = spec.add_tendon(name=name)
     shares = per_wheel(params.front_brake)
@@ -98,7 +90,9 @@ def add_disc_brakes(
         name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_TENDON
     )
     press.set_to_motor()
-    press.gear[0] = full_brake_torque(params) / (PAD_FRICTION * LEVER)
+    grip = params.tyre.friction * params.mass * GRAVITY
+    full = FULL_BRAKE * grip * params.wheel_radius  # N m, of all wheels together
+    press.gear[0] = full / (PAD_FRICTION * LEVER)
     press.ctrllimited = True
     press.ctrlrange = [0.0, 1.0]
 
@@ -107,13 +101,18 @@ def _add_pad(
     spec: mujoco.MjSpec, pad: mujoco.MjsBody, wheel: mujoco.MjsBody, outwards: float
 ) -> None:
     """A pad's joint and geom, its disc, and the contact of both."""
-    pad.mass = PAD_MASS
-    pad.ipos = [0.0, 0.0, 0.0]  # unset, it would be lost when written as XML
-    pad.inertia = [PAD_INERTIA] * 3
-    pad.explicitinertial = True
+    set_inertial(pad, PAD_MASS, [PAD_INERTIA] * 3)
     travel = wheel.name.replace("wheel_", "travel_")
     if pad.parent.name.endswith("car") and spec.joint(travel) is not None:
-        _travel_with(spec, pad, travel)
+        with_it = f"{pad.name}_travel"  # up and down
+        pad.add_joint(
+            name=with_it,
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=[0, 0, 1],
+            armature=CALIPER_ARMATURE,
+        )
+        hard = {"solref": PAD_SOLREF_TRAVEL, "solimp": PAD_SOLIMP_TRAVEL}
+        couple(spec, with_it, with_it, travel, [0.0, 1.0, 0.0, 0.0, 0.0], **hard)
     pad.add_joint(
         name=pad.name,
         type=mujoco.mjtJoint.mjJNT_SLIDE,
@@ -122,12 +121,11 @@ def _add_pad(
         damping=[PAD_DAMPING, 0, 0],
         armature=PAD_ARMATURE,
     )
-    unseen = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 3}
     pad.add_geom(
         name=pad.name,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[PAD_RADIUS, 0.0, 0.0],
-        **unseen,
+        **UNTOUCHED,
     )
     disc = pad.name.replace("pad_", "brake_disc_")
     wheel.add_geom(
@@ -135,7 +133,7 @@ def _add_pad(
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
         size=[DISC_RADIUS, DISC_THICKNESS / 2, 0.0],
         quat=[math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0],  # its axis along the axle
-        **unseen,
+        **UNTOUCHED,
     )
     spec.add_pair(
         name=pad.name,
@@ -149,47 +147,41 @@ def _add_pad(
     )
 
 
-def _travel_with(spec: mujoco.MjSpec, pad: mujoco.MjsBody, travel: str) -> None:
-    """Lets a pad move up and down with the joint of a wheel's travel."""
-    name = f"{pad.name}_travel"
-    pad.add_joint(
-        name=name,
-        type=mujoco.mjtJoint.mjJNT_SLIDE,
-        axis=[0, 0, 1],
-        armature=CALIPER_ARMATURE,
-    )
+def couple(
+    spec: mujoco.MjSpec,
+    name: str,
+    follower: str,
+    leader: str,
+    polynomial: Sequence[float],
+    **solver: Any,
+) -> None:
+    """Adds an equality by which one joint follows a quartic of another."""
     equality = spec.add_equality(
         name=name,
         type=mujoco.mjtEq.mjEQ_JOINT,
         objtype=mujoco.mjtObj.mjOBJ_JOINT,
-        name1=name,
-        name2=travel,
-        solref=PAD_SOLREF_TRAVEL,
-        solimp=PAD_SOLIMP_TRAVEL,
+        name1=follower,
+        name2=leader,
+        **solver,
     )
-    equality.data[:5] = [0.0, 1.0, 0.0, 0.0, 0.0]
+    equality.data[:5] = polynomial
 
 
 LINES = 6
 FAR = 1e6  # m; a car that slides 100 m turns a tendon by 1e-4 rad
 # One over the sum of |cos| over all lines, its mean over the directions of slip.
 SHARE = math.pi / (2 * LINES)
-LOCKED_SOLREF, LOCKED_SOLIMP = (
-    (0.005, 1.0),
-    (0.999, 0.999, 0.001, 0.5, 2.0),
-)  # hard enough to hold
+# Hard enough to hold.
+LOCKED_SOLREF, LOCKED_SOLIMP = (0.005, 1.0), (0.999, 0.999, 0.001, 0.5, 2.0)
 UNSEEN = 5  # group
 
 
 def add_locked_tyres(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, params: VehicleParameters
 ) -> None:
-    """Adds the tyres' friction to a car; their loads are those at rest on level ground.
+    """Adds the tyres' friction to a car, by their loads at rest on level ground.
 
-    Args:
-        spec: the model of the car.
-        body: the car, whose frame is the rear axle's on the ground.
-        params: the vehicle.
+    The frame of `body` is the rear axle's on the ground.
     """
     wheels = zip(WHEELS, hub_positions(params), params.static_loads, strict=True)
     for wheel, (x, y, _), load in wheels:
@@ -200,10 +192,8 @@ def add_locked_tyres(
             tendon.wrap_site(patch)
             tendon.wrap_site(_far_point(spec, line))
             tendon.frictionloss = SHARE * params.tyre.friction * load
-            tendon.solref_friction, tendon.solimp_friction = (
-                LOCKED_SOLREF,
-                LOCKED_SOLIMP,
-            )
+            tendon.solref_friction = LOCKED_SOLREF
+            tendon.solimp_friction = LOCKED_SOLIMP
 
 
 def _far_point(spec: mujoco.MjSpec, line: int) -> str:
@@ -239,11 +229,10 @@ SOLIMP_STEER = (0.999, 0.999, 0.001)
 
 
 def steering_polynomials(params: VehicleParameters) -> np.ndarray:
-    """Quartics (2, 5) for the left and right wheel angle over the bicycle angle.
+    """Quartics (2, 5) for the left and right wheel angle over the bicycle angle [rad].
 
-    Coefficients of ascending powers [rad], zero first, fitted to the Ackermann
-    condition so that the largest error over the steering range is small (below 0.03
-    deg up to 36 deg; a Taylor series would be off by half a degree).
+    Of ascending powers, zero first. Fitted to the Ackermann condition, they err by less
+    than 0.03 deg up to 36 deg; a Taylor series would by half a degree.
     """
     limit = params.max_steering
     # Chebyshev nodes make least squares nearly minimax; no constant term keeps
@@ -285,15 +274,7 @@ def add_contact_wheels(
     ground: str,
     suspension: bool = False,
 ) -> None:
-    """Adds tyres to a car's wheels that collide with the geom `ground`, a plane.
-
-    Args:
-        spec: the model with the car of `mjcf.add_car` in it.
-        params: the vehicle.
-        prefix: of the car's names.
-        ground: name of the geom.
-        suspension: whether the car has one.
-    """
+    """Adds tyres to the car of a prefix, which touch the geom `ground`, a plane."""
     friction = params.tyre.friction
     solimp = SUSPENDED_SOLIMP if suspension else SOLIMP
     for name, wheel_load in zip(WHEELS, params.static_loads, strict=True):
@@ -302,10 +283,7 @@ def add_contact_wheels(
             name=tyre,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[params.wheel_radius, 0, 0],
-            mass=0.0,
-            contype=0,
-            conaffinity=0,
-            group=3,
+            **UNTOUCHED,
         )
         spec.add_pair(
             name=tyre,
@@ -337,9 +315,13 @@ def add_controls(spec: mujoco.MjSpec, params: VehicleParameters, prefix: str) ->
     """Adds the actuators `steer`, `drive` and `brake` of a car without servos."""
     _add_steering(spec, params, prefix)
     torque = params.max_acceleration * params.mass * params.wheel_radius
-    axle = _add_axle(spec, f"{prefix}drive", prefix, per_wheel(params.front_drive))
+    name = f"{prefix}drive"
+    axle = spec.add_tendon(name=name)  # fixed shares, as of open differentials
+    for wheel, share in zip(WHEELS, per_wheel(params.front_drive), strict=True):
+        if share:
+            axle.wrap_joint(f"{prefix}spin_{wheel}", share)
     drive = spec.add_actuator(
-        name=f"{prefix}drive", target=axle, trntype=mujoco.mjtTrn.mjTRN_TENDON
+        name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_TENDON
     )
     engine_brake = torque / (params.max_speed / params.wheel_radius)
     drive.gaintype = mujoco.mjtGain.mjGAIN_FIXED
@@ -355,10 +337,7 @@ def _add_steering(spec: mujoco.MjSpec, params: VehicleParameters, prefix: str) -
     column = spec.body(f"{prefix}car").add_body(
         name=f"{prefix}column", pos=[params.wheelbase, 0.0, params.wheel_radius]
     )
-    column.mass = COLUMN_MASS
-    column.ipos = [0.0, 0.0, 0.0]  # unset, it would be lost when written as XML
-    column.inertia = [COLUMN_INERTIA] * 3
-    column.explicitinertial = True
+    set_inertial(column, COLUMN_MASS, [COLUMN_INERTIA] * 3)
     name = f"{prefix}steer"
     column.add_joint(
         name=name,
@@ -367,29 +346,13 @@ def _add_steering(spec: mujoco.MjSpec, params: VehicleParameters, prefix: str) -
         armature=COLUMN_ARMATURE,
         damping=[COLUMN_TORQUE / params.steering_rate, 0, 0],
     )
+    hard = {"solref": SOLREF_STEER, "solimp": [*SOLIMP_STEER, 0.5, 2.0]}
     for wheel, polynomial in zip(STEERED, steering_polynomials(params), strict=True):
-        equality = spec.add_equality(
-            name=f"{prefix}ackermann_{wheel}",
-            type=mujoco.mjtEq.mjEQ_JOINT,
-            objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            name1=f"{prefix}steer_{wheel}",
-            name2=name,
-            solref=SOLREF_STEER,
-            solimp=[*SOLIMP_STEER, 0.5, 2.0],
-        )
-        equality.data[:5] = polynomial
+        own = f"{prefix}steer_{wheel}"
+        couple(spec, f"{prefix}ackermann_{wheel}", own, name, polynomial, **hard)
     servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.set_to_position(kp=COLUMN_STIFFNESS)
     servo.forcelimited = True
     servo.forcerange = [-COLUMN_TORQUE, COLUMN_TORQUE]
     servo.ctrllimited = True
     servo.ctrlrange = [-params.max_steering, params.max_steering]
-
-
-def _add_axle(spec: mujoco.MjSpec, name: str, prefix: str, shares: list[float]) -> str:
-    """A fixed tendon that splits torque in fixed shares, as open differentials do."""
-    tendon = spec.add_tendon(name=name)
-    for wheel, share in zip(WHEELS, shares, strict=True):
-        if share:
-            tendon.wrap_joint(f"{prefix}spin_{wheel}", share)
-    return name

@@ -13,10 +13,10 @@ the shortest drive ends on a hold that closes anew. It closes gradually and ease
 the car comes to rest, as a driver stops a car: without a jerk, and without rocking on
 the tyres. From `SWITCH_SPEED` up, a stronger pedal against the motion always brakes at
 least as hard. A released pedal does not close it where `Vehicle.creep` is given: that
-car creeps until a pedal against the motion brakes it. Steering and drive may follow
-late and with a first-order lag: steering and pedal have lines of their own, on which
-commands travel for a whole number of substeps; a line exists only where there is a
-delay. All functions are elementwise, for cars of any shape.
+car creeps until a pedal against the motion brakes it.
+
+Steering and drive may follow with a first-order lag, and late: commands travel on lines
+for a whole number of substeps. All functions are elementwise, for cars of any shape.
 """
 
 import dataclasses
@@ -51,15 +51,11 @@ _quotient = finite_slope(jnp.divide)  # by a speed or lag of 0 it is infinite
 
 @struct.dataclass
 class Line:
-    """Commands of one control on their way to cars (...).
+    """Commands of one control on their way to cars (...)."""
 
-    Attributes:
-        sent: values (...), the newest first. The last acts now, the one before it next.
-        wait: (...) time until that one arrives [s].
-    """
-
+    # values (...), the newest first. The last acts now, the one before it next.
     sent: tuple[jax.Array, ...]
-    wait: jax.Array
+    wait: jax.Array  # (...) time until that one arrives [s]
 
 
 class Lines(NamedTuple):
@@ -96,9 +92,7 @@ def send(sim: SimConfig, lines: Lines, controls: jax.Array) -> Lines:
 
 
 def receive(
-    lines: Lines,
-    controls: tuple[jax.Array, jax.Array],
-    dt: float | jax.Array,
+    lines: Lines, controls: tuple[jax.Array, jax.Array], dt: float | jax.Array
 ) -> tuple[Lines, tuple[jax.Array, jax.Array]]:
     """The lines after a substep of `dt` [s], and steer and pedal that act during it."""
     after: list[Line | None] = []
@@ -120,32 +114,22 @@ def _whole_steps(sim: SimConfig, delay: float) -> int:
 
 @struct.dataclass
 class Actuators:
-    """State of steering and drive; any leading batch shape.
+    """State of steering and drive; any leading batch shape."""
 
-    Attributes:
-        steering: (...) bicycle angle [rad], left positive, without `steering_offset`.
-        drive: (...) drive torque, all driven wheels together [N m].
-        hold: (...) how far the holding brake has closed, as the deceleration with
-            which it holds a standing car [m/s^2]; 0 is open.
-        lines: commands under way; None where they arrive at once.
-    """
-
+    # (...) bicycle angle [rad], left positive, without `steering_offset`
     steering: jax.Array
-    drive: jax.Array
+    drive: jax.Array  # (...) drive torque, all driven wheels together [N m]
+    # (...) how far the holding brake has closed, as the deceleration with which it
+    # holds a standing car [m/s^2]; 0 is open
     hold: jax.Array
-    lines: Lines | None = None
+    lines: Lines | None = None  # commands under way; None where they arrive at once
 
 
 class WheelTorques(NamedTuple):
-    """Torques (...) [N m] of wheels.
+    """Torques (...) [N m] of wheels."""
 
-    Attributes:
-        drive: forwards positive.
-        brake: >= 0, opposes the wheel's rotation.
-    """
-
-    drive: jax.Array
-    brake: jax.Array
+    drive: jax.Array  # forwards positive
+    brake: jax.Array  # >= 0, opposes the wheel's rotation
 
 
 def init_actuators(vehicle: Vehicle) -> Actuators:
@@ -156,9 +140,8 @@ def init_actuators(vehicle: Vehicle) -> Actuators:
 
 def roll_freely(actuators: Actuators, speed: jax.Array) -> Actuators:
     """The actuators of cars (...) that begin at speeds [m/s]: no hold but at rest."""
-    return dataclasses.replace(
-        actuators, hold=jnp.where(speed == 0.0, actuators.hold, 0.0)
-    )
+    hold = jnp.where(speed == 0.0, actuators.hold, 0.0)
+    return dataclasses.replace(actuators, hold=hold)
 
 
 def approach(
@@ -232,22 +215,12 @@ def demanded_torques(
     speed: jax.Array,
     wheel_speed: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Drive and brake torques that the pedal demands.
+    """Drive and brake torques (...) [N m] of all wheels that the pedal demands.
 
     The drive gives at most `max_drive_torque` and `max_power`. It fades out towards
     the speed limit, by the speed of the driven wheels where these spin, or it would
-    diverge on ice. Beyond the limit the brakes slow the car down.
-
-    Args:
-        vehicle: one car.
-        pedal: () in [-1, 1].
-        hold: () state of the holding brake, see `Actuators.hold` [m/s^2].
-        speed: () forward speed of the rear axle [m/s].
-        wheel_speed: () mean circumferential speed of the driven wheels [m/s].
-
-    Returns:
-        Drive torque () [N m] of all driven wheels, positive forwards, and brake torque
-        () [N m] of all wheels, >= 0, which opposes their rotation.
+    diverge on ice. Beyond the limit the brakes slow the car down. See `actuate` for the
+    arguments, and `Actuators.hold`.
     """
     pedal = jnp.clip(pedal, -1.0, 1.0)
     strength = jnp.abs(pedal)
@@ -295,9 +268,8 @@ def add_creep(
     """Drive torque (...) [N m] of an automatic, at least that of its idling engine.
 
     It acts the way of the pedal, or that of the last drive, while no brake is pressed,
-    and falls to none at `CREEP_SPEED`, as that of a converter does. Without `creep` the
-    demanded `drive` stays what it is; the actuators have the hold after the substep and
-    the drive before it.
+    and falls to none at `CREEP_SPEED`, as that of a converter does. The actuators have
+    the hold after the substep and the drive before it.
     """
     if vehicle.creep is None:
         return drive
@@ -318,11 +290,10 @@ def press_pedal(
     wheel_speed: jax.Array,
     dt: float | jax.Array,
 ) -> tuple[Actuators, jax.Array]:
-    """One substep of drive and brakes; see `actuate` for the arguments.
+    """One substep of drive and brakes; see `actuate`.
 
     Returns:
-        The actuators, their steering as before, and the brake torque (...) of all
-        wheels together [N m].
+        The actuators, their steering as before, and the brake torque (...) [N m].
     """
     hold = close_hold(vehicle, actuators.hold, pedal, speed, dt)
     drive, brake = demanded_torques(vehicle, pedal, hold, speed, wheel_speed)
@@ -346,14 +317,14 @@ def actuate(
         vehicle: cars (...).
         actuators: at the start of the substep.
         controls: steer and pedal (...) in [-1, 1], before their delay.
-        speed: (...) forward speed of the rear axle [m/s].
+        speed: (...) of the rear axle, forwards positive [m/s].
         wheel_speed: (...) mean circumferential speed of the driven wheels [m/s].
         dt: substep [s].
 
     Returns:
-        The actuators at its end, with the drive torque of all wheels together; target
-        angles (...) of the left and right front wheels [rad]; the brake torque (...)
-        of all wheels together [N m].
+        The actuators at its end; target angles (...) of the left and right front wheels
+        [rad]; the brake torque (...) of all wheels together, which opposes their
+        rotation, >= 0 [N m].
     """
     lines = actuators.lines
     if lines is not None:

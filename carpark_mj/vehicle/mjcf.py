@@ -8,16 +8,16 @@ before it gets there. The model has no contacts: tyre forces come from
 `carpark_mj.physics.forces`.
 
 Brush tyres stand on a spring and damper per corner, suspension and tyre in series.
-Contact wheels are rigid; their suspension gives them the same rates
-(`TyreParameters.vertical_stiffness` and `vertical_damping`) by one vertical slide joint
-per wheel, so that both cars heave, pitch and roll alike. With the presets' rates k and
-c the ride frequency sqrt(4 k / m) / 2 pi is 1.36 to 1.46 Hz and the damping ratio
+The suspension of contact wheels, which are rigid, has the same rates k and c, by one
+vertical slide joint per wheel: both cars heave, pitch and roll alike. The presets' ride
+frequency sqrt(4 k / m) / 2 pi is 1.36 to 1.46 Hz, their damping ratio
 4 c / (2 sqrt(4 k m)) about 0.35, within the 1 to 1.5 Hz and 0.2 to 0.4 of passenger
 cars (Gillespie, Fundamentals of Vehicle Dynamics, ch. 5). There is no anti-roll bar: a
 car rolls 7 to 9 deg/g, more than most. The slides are square to the body: no anti-dive,
 roll centre on the ground.
 """
 
+from collections.abc import Sequence
 from typing import TypeVar
 
 import jax
@@ -39,10 +39,8 @@ SOLIMP = (0.994, 0.994, 0.001)
 def spring_reference(load: Number, unsprung_mass: Number, stiffness: Number) -> Number:
     """Where a corner's spring would rest without its load [m], below the wheel's place.
 
-    Args:
-        load: on the tyre at rest [N].
-        unsprung_mass: wheel and knuckle, which the spring does not carry [kg].
-        stiffness: of the spring [N/m].
+    From the tyre's load at rest [N], the mass of wheel and knuckle, which the spring
+    does not carry [kg], and its stiffness [N/m].
     """
     return -(load - unsprung_mass * GRAVITY) / stiffness
 
@@ -56,12 +54,8 @@ def add_travel(
 ) -> None:
     """Lets a wheel or knuckle, which has no joint yet, move up and down in the car.
 
-    Args:
-        body: what moves.
-        params: the vehicle.
-        name: of the joint; up is positive, zero at rest.
-        load: on the tyre at rest [N].
-        unsprung_mass: that moves with the joint [kg].
+    The joint is zero at rest, where the tyre bears a load [N]; up is positive. An
+    unsprung mass [kg] moves with it.
     """
     joint = body.add_joint(
         name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], limited=True
@@ -102,9 +96,7 @@ def hub_positions(params: VehicleParameters) -> np.ndarray:
     return np.array([[x, y, z], [x, -y, z], [0.0, y, z], [0.0, -y, z]])
 
 
-def chassis_inertial(
-    params: VehicleParameters,
-) -> tuple[float, np.ndarray, np.ndarray]:
+def chassis_inertial(params: VehicleParameters) -> tuple[float, np.ndarray, np.ndarray]:
     """What remains of the car's mass properties without wheels and knuckles.
 
     Returns:
@@ -112,8 +104,7 @@ def chassis_inertial(
         [kg m^2] about it. Products of inertia are neglected.
 
     Raises:
-        ValueError: the remainder is not a rigid body (negative, or it violates the
-            triangle inequality of inertias).
+        ValueError: the remainder is no rigid body.
     """
     hubs = hub_positions(params)
     masses = np.full(4, params.wheel_mass)
@@ -153,19 +144,14 @@ def add_car(
 ) -> mujoco.MjsBody:
     """Adds a car as a free body of `parent`; every name starts with `prefix`.
 
-    Args:
-        parent: body to add it to.
-        spec: the model of `parent`.
-        params: the vehicle.
-        prefix: of all names.
-        servos: whether each front wheel gets a steering servo.
-        suspension: whether the wheels move up and down on springs, four degrees of
-            freedom more (`travel_fl`...), each before the joints of its body.
+    With `servos` each front wheel gets a steering servo. With a `suspension` the wheels
+    move up and down on springs, four degrees of freedom more (`travel_fl`...), each
+    before the joints of its body.
     """
     mass, com, inertia = chassis_inertial(params)
     car = parent.add_body(name=f"{prefix}car")
     car.add_freejoint(name=f"{prefix}root")
-    _set_inertial(car, mass, com, inertia)
+    set_inertial(car, mass, inertia, com)
     tilt, spin = params.wheel_tilt_inertia, params.wheel_inertia
     hubs, loads = hub_positions(params), params.static_loads
     for name, hub, load in zip(WHEELS, hubs, loads, strict=True):
@@ -173,12 +159,7 @@ def add_car(
         carrier, position = car, hub
         if name in STEERED:
             carrier = car.add_body(name=f"{prefix}knuckle_{name}", pos=hub)
-            _set_inertial(
-                carrier,
-                params.knuckle_mass,
-                np.zeros(3),
-                np.full(3, params.knuckle_inertia),
-            )
+            set_inertial(carrier, params.knuckle_mass, [params.knuckle_inertia] * 3)
             if suspension:
                 unsprung = params.knuckle_mass + params.wheel_mass
                 add_travel(carrier, params, travel, load, unsprung)
@@ -191,11 +172,16 @@ def add_car(
             )
             position = np.zeros(3)
             if servos:
-                _add_servo(spec, f"{prefix}steer_{name}")
+                servo = spec.add_actuator(
+                    name=f"{prefix}steer_{name}",
+                    target=f"{prefix}steer_{name}",
+                    trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                )
+                servo.set_to_position(kp=STEER_STIFFNESS, kv=STEER_DAMPING)
+                servo.forcelimited = True
+                servo.forcerange = [-STEER_TORQUE, STEER_TORQUE]
         wheel = carrier.add_body(name=f"{prefix}wheel_{name}", pos=position)
-        _set_inertial(
-            wheel, params.wheel_mass, np.zeros(3), np.array([tilt, spin, tilt])
-        )
+        set_inertial(wheel, params.wheel_mass, [tilt, spin, tilt])
         if suspension and name not in STEERED:
             add_travel(wheel, params, travel, load, params.wheel_mass)
         wheel.add_joint(
@@ -206,35 +192,25 @@ def add_car(
     return car
 
 
-def _add_servo(spec: mujoco.MjSpec, joint: str) -> None:
-    servo = spec.add_actuator(
-        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
-    )
-    servo.set_to_position(kp=STEER_STIFFNESS, kv=STEER_DAMPING)
-    servo.forcelimited = True
-    servo.forcerange = [-STEER_TORQUE, STEER_TORQUE]
-
-
-def _set_inertial(
-    body: mujoco.MjsBody, mass: float, com: np.ndarray, inertia: np.ndarray
+def set_inertial(
+    body: mujoco.MjsBody,
+    mass: float,
+    inertia: Sequence[float] | np.ndarray,
+    com: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
 ) -> None:
+    """Gives a body its mass [kg], principal inertia [kg m^2] and centre of mass [m]."""
     body.mass = mass
-    body.ipos = com
+    body.ipos = com  # unset, it would be lost when written as XML
     body.inertia = inertia
     body.explicitinertial = True
 
 
 def car_model(
-    params: VehicleParameters,
-    sim_dt: float,
-    gravity: tuple[float, float, float],
+    params: VehicleParameters, sim_dt: float, gravity: tuple[float, float, float]
 ) -> mujoco.MjModel:
     """Compiles the car alone in its world, without ground or contacts.
 
-    Args:
-        params: the vehicle.
-        sim_dt: physics time step [s].
-        gravity: (3,) [m/s^2]; tilt it for a slope.
+    For a time step [s] and gravity (3,) [m/s^2], which is tilted on a slope.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "car"

@@ -20,7 +20,14 @@ import dataclasses
 import math
 from typing import Annotated
 
-from carpark_mj.config.checks import Bounds, CheckedConfig, NonNegative, Positive, Ratio
+from carpark_mj.config.checks import (
+    Bounds,
+    CheckedConfig,
+    NonNegative,
+    Positive,
+    Ratio,
+    require_number,
+)
 
 GRAVITY = 9.81  # m/s^2
 _MAX_LOCK = math.pi / 3  # beyond 60 deg no steering linkage works
@@ -68,10 +75,7 @@ class TyreParameters(CheckedConfig):
 
 
 def kerb_to_kerb(
-    wheelbase: Annotated[float, Bounds(ge=0.5, le=20.0, unit="m")],
-    track_width: float,
-    tyre_width: float,
-    steering: float,
+    wheelbase: float, track_width: float, tyre_width: float, steering: float
 ) -> float:
     """Turning circle [m] swept by the outer front tyre at a bicycle angle [rad].
 
@@ -83,10 +87,7 @@ def kerb_to_kerb(
 
 
 def steering_for_circle(
-    wheelbase: Annotated[float, Bounds(ge=0.5, le=20.0, unit="m")],
-    track_width: float,
-    tyre_width: float,
-    turning_circle: float,
+    wheelbase: float, track_width: float, tyre_width: float, turning_circle: float
 ) -> float:
     """Bicycle angle [rad] of a kerb-to-kerb circle [m]; `kerb_to_kerb` inverted.
 
@@ -190,56 +191,25 @@ class VehicleParameters(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_body()
-        self._check_masses()
-        _ = self.max_steering  # refuses an impossible turning circle
-
-    def _check_body(self) -> None:
-        """The wheels lie within the body."""
-        for name in ("front_overhang", "rear_overhang"):
-            overhang = getattr(self, name)
-            if overhang < self.wheel_radius:
-                raise ValueError(
-                    f"the {name.replace('_', ' ')} must cover a wheel's radius of "
-                    f"{self.wheel_radius} m, not {overhang:.3f} m (length "
-                    f"{self.length}, wheelbase {self.wheelbase}, rear_overhang "
-                    f"{self.rear_overhang})"
-                )
-        across = self.track_width + self.tyre_width
-        if across > self.width:
-            raise ValueError(
-                f"track_width {self.track_width} m and tyre_width {self.tyre_width} m "
-                f"put the wheels outside a width of {self.width} m"
-            )
-        if 2 * self.wheel_radius >= self.height:
-            raise ValueError(
-                f"wheel_radius must be less than half the height {self.height} m, not "
-                f"{self.wheel_radius}"
-            )
-
-    def _check_masses(self) -> None:
-        """The centre of gravity lies in the car; its inertias can be a body's."""
-        if self.cg_to_front_axle >= self.wheelbase:
-            raise ValueError(
-                f"cg_to_front_axle must be less than the wheelbase "
-                f"{self.wheelbase} m, not {self.cg_to_front_axle}"
-            )
-        if self.cg_height >= self.height:
-            raise ValueError(
-                f"cg_height must be less than the height {self.height} m, not "
-                f"{self.cg_height}"
-            )
+        wheel = Bounds(ge=self.wheel_radius, unit="m, a wheel's radius")
+        limits = {
+            "front_overhang": wheel,
+            "rear_overhang": wheel,
+            "track_width": Bounds(le=self.width - self.tyre_width, unit="m"),
+            "wheel_radius": Bounds(lt=self.height / 2, unit="m, half the height"),
+            "cg_height": Bounds(lt=self.height, unit="m, the height"),
+            "cg_to_front_axle": Bounds(lt=self.wheelbase, unit="m, the wheelbase"),
+            "wheel_inertia": Bounds(le=2 * self.wheel_tilt_inertia, unit="kg m^2"),
+        }
+        for name, bounds in limits.items():
+            require_number(name, getattr(self, name), bounds)
         inertias = (self.roll_inertia, self.pitch_inertia, self.yaw_inertia)
         if 2 * max(inertias) > sum(inertias):
             raise ValueError(
                 f"roll_inertia, pitch_inertia and yaw_inertia must obey the triangle "
                 f"inequality, none above the sum of the others, not {inertias} kg m^2"
             )
-        if self.wheel_inertia > 2 * self.wheel_tilt_inertia:
-            raise ValueError(
-                f"wheel_inertia must be at most twice the wheel_tilt_inertia "
-                f"{self.wheel_tilt_inertia} kg m^2, not {self.wheel_inertia}"
-            )
+        _ = self.max_steering  # refuses an impossible turning circle
 
     @property
     def max_steering(self) -> float:

@@ -26,30 +26,19 @@ from typing import Any
 
 from carpark_mj.config.vehicles import READ, is_name
 from carpark_mj.extensions import Registry
-from carpark_mj.vehicle.parameters import (
-    TyreParameters,
-    VehicleParameters,
-)
+from carpark_mj.vehicle.parameters import TyreParameters, VehicleParameters
 from carpark_mj.vehicle.sheet import car_of_sheet
 
 VEHICLES: Registry[VehicleParameters] = Registry("vehicle")
 
 
 def register_vehicle(name: str, params: VehicleParameters) -> VehicleParameters:
-    """Names a car for `EnvConfig.vehicle`, fleets and flags.
-
-    Raises:
-        ValueError: the name is another car's.
-    """
+    """Names a car for `EnvConfig.vehicle`, fleets and flags."""
     return VEHICLES.register(name, params)
 
 
 def preset(name: str) -> VehicleParameters:
-    """Looks a vehicle up by name, or reads it from a file (`carpark_mj.vehicle.sheet`).
-
-    Raises:
-        ValueError: unknown name, the message lists the known ones; or a bad file.
-    """
+    """The vehicle of a name, or of a file (`carpark_mj.vehicle.sheet`)."""
     return VEHICLES[name] if is_name(name) else READ.load()(name)[1]
 
 
@@ -205,14 +194,7 @@ VAN = VehicleParameters(
 # Cars with their own looks, to which estimates are fitted. Cars of data sheets, papers
 # and other packages are registered too.
 PRESETS = MappingProxyType(
-    {
-        "city": CITY,
-        "compact": COMPACT,
-        "sedan": SEDAN,
-        "sedan_fwd": SEDAN_FWD,
-        "suv": SUV,
-        "van": VAN,
-    }
+    dict(city=CITY, compact=COMPACT, sedan=SEDAN, sedan_fwd=SEDAN_FWD, suv=SUV, van=VAN)
 )
 for name, params in PRESETS.items():
     register_vehicle(name, params)

@@ -11,6 +11,7 @@ x 1.85 m, 2.77 m), Mercedes S-Class long (5.29 m x 1.95 m, 3.22 m), Ford Transit
 m). What data sheets do not say is [est].
 """
 
+import dataclasses
 import functools
 import math
 from collections.abc import Iterable, Mapping
@@ -23,6 +24,7 @@ from carpark_mj.vehicle.parameters import VehicleParameters, kerb_to_kerb
 from carpark_mj.vehicle.presets import preset
 from carpark_mj.vehicle.sheet import car_of_sheet
 
+_PARAMETERS = [field.name for field in dataclasses.fields(VehicleParameters)]
 PREFIX = "range:"  # of a fleet's entry, before the number of cars
 MAX_CARS = 1024
 LONG = 4.8  # m, from where rear axles may steer
@@ -46,24 +48,10 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "max_speed": (2.0, 3.5),  # m/s [est] of drivers who park
     "max_reverse_speed": (1.5, 2.5),  # m/s [est]
 }
-# Of these, parameters of cars that are taken as they are drawn.
-_DRIVEN = (
-    "steering_rate",
-    "steering_lag",
-    "drive_lag",
-    "max_acceleration",
-    "max_speed",
-    "max_reverse_speed",
-)
 
 
 def cars_of(name: str) -> tuple[tuple[str, VehicleParameters], ...]:
-    """The cars that an entry of a fleet stands for, each with its name.
-
-    Raises:
-        ValueError: an unknown preset, the message lists the known ones; a bad file or
-            number.
-    """
+    """The cars that an entry of a fleet stands for, each with its name."""
     if name.startswith(PREFIX):
         number = name.removeprefix(PREFIX)
         if not number.isdecimal():
@@ -79,20 +67,12 @@ def fleet_cars(names: Iterable[str]) -> tuple[tuple[str, VehicleParameters], ...
 
 @functools.cache
 def cars_in_range(number: int) -> tuple[VehicleParameters, ...]:
-    """Cars that cover the range evenly, fixed for a number.
-
-    Raises:
-        ValueError: a number that is not within [1, `MAX_CARS`].
-    """
+    """Cars that cover the range evenly, fixed for a number, at most `MAX_CARS`."""
     require_number("the number of a range's cars", number, Bounds(ge=1, le=MAX_CARS))
-    return tuple(_car(dict(zip(RANGES, row, strict=True))) for row in _evenly(number))
-
-
-def _evenly(number: int) -> np.ndarray:
-    """A Latin hypercube (number, ranges) in (0, 1)."""
-    draw = np.random.default_rng(0)
+    draw = np.random.default_rng(0)  # of a Latin hypercube in (0, 1)
     columns = [(draw.permutation(number) + 0.5) / number for _ in RANGES]
-    return np.stack(columns, axis=1)
+    rows = np.stack(columns, axis=1)
+    return tuple(_car(dict(zip(RANGES, row, strict=True))) for row in rows)
 
 
 def usual_width(length: float) -> float:
@@ -110,7 +90,6 @@ def _car(chance: Mapping[str, float]) -> VehicleParameters:
     length = drawn("length")
     width = min(usual_width(length) + drawn("width"), 2.1)
     wheelbase = min(drawn("wheelbase") * length, LONGEST_WHEELBASE)
-    front_drive = math.floor(3 * chance["front_drive"]) / 2
     quantities = {
         "length": length,
         "width": width,
@@ -119,15 +98,16 @@ def _car(chance: Mapping[str, float]) -> VehicleParameters:
         "rear_overhang": drawn("rear_overhang") * (length - wheelbase),
         "mass": drawn("mass") * length * width,
         "wheel_radius": 0.24 + 0.016 * length,
-        "front_drive": front_drive,
+        "front_drive": math.floor(3 * chance["front_drive"]) / 2,
         "tyre_width": 0.14 + 0.013 * length,
     }
     quantities["track_width"] = width - quantities["tyre_width"] - 0.06
     quantities["turning_circle"] = kerb_to_kerb(
         wheelbase, quantities["track_width"], quantities["tyre_width"], drawn("lock")
     )
-    for name in _DRIVEN:
-        quantities[name] = drawn(name)
+    # Parameters that are taken as they are drawn.
+    others = {*_PARAMETERS} & {*RANGES} - {*quantities}
+    quantities |= {name: drawn(name) for name in others}
     # The first quarter of its range is stretched over all of it.
     steers = chance["rear_steering"] / REAR_STEERING
     if length > LONG and steers < 1.0:

@@ -22,15 +22,14 @@ checkpoints and run folders do not need the file.
 """
 
 import dataclasses
-import difflib
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from carpark_mj.config.checks import is_finite
+from carpark_mj.config.checks import Bounds, is_finite, require_name, require_number
 from carpark_mj.reading import parse_object, parse_yaml, read_text
 from carpark_mj.vehicle.mjcf import chassis_inertial
 from carpark_mj.vehicle.parameters import (
@@ -78,10 +77,7 @@ _UNITS = (
     ),
     ({"W": 1.0, "kW": 1e3, "PS": 735.5, "hp": 745.7}, ("power", "max_power")),
     ({"N m": 1.0, "Nm": 1.0}, ("max_drive_torque",)),
-    (
-        {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704},
-        ("max_speed", "max_reverse_speed"),
-    ),
+    ({"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}, ("max_speed", "max_reverse_speed")),
     ({"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}, ("rear_steering",)),
 )
 # A number and a unit; "150 kW (204 PS)" says it twice.
@@ -119,24 +115,19 @@ _TYRE_ESTIMATES: dict[str, Callable[[Mapping[str, float]], float]] = {
 
 
 class Sheet(NamedTuple):
-    """A car of a data sheet.
+    """A car of a data sheet."""
 
-    Attributes:
-        params: its parameters.
-        estimated: names of parameters estimated from the sheet's quantities. Parameters
-            that are neither here nor in the sheet have the default of all cars.
-    """
-
-    params: VehicleParameters
+    params: VehicleParameters  # its parameters
+    # names of parameters estimated from the sheet's quantities. Parameters that are
+    # neither here nor in the sheet have the default of all cars.
     estimated: tuple[str, ...]
 
 
 def car_of_sheet(quantities: Mapping[str, Any]) -> Sheet:
     """The car of a data sheet.
 
-    Args:
-        quantities: by name, see `SHEET` and `VehicleParameters`; `tyre` is a mapping of
-            `TyreParameters`.
+    Quantities are those of `SHEET` and `VehicleParameters`; `tyre` is a mapping of
+    `TyreParameters`.
 
     Raises:
         ValueError: a quantity is missing, unknown, impossible or contradicts another.
@@ -165,7 +156,8 @@ def car_of_sheet(quantities: Mapping[str, Any]) -> Sheet:
 
 
 def _checked(given: dict[str, Any]) -> dict[str, Any]:
-    _refuse_unknown(given, (*_PARAMETERS, *SHEET), "a car")
+    for name in given:
+        require_name("quantity of a car", str(name), (*_PARAMETERS, *SHEET))
     if missing := [name for name in REQUIRED if name not in given]:
         raise ValueError(
             f"{', '.join(missing)} missing: a car needs {', '.join(REQUIRED)}"
@@ -173,31 +165,18 @@ def _checked(given: dict[str, Any]) -> dict[str, Any]:
     tyre = given.pop("tyre", {})
     if not isinstance(tyre, dict):
         raise ValueError(f"tyre must be an object of {[*_TYRE]}, not {tyre!r}")
-    _refuse_unknown(tyre, _TYRE, "a tyre")
+    for name in tyre:
+        require_name("quantity of a tyre", str(name), _TYRE)
     tyre = {name: _number(f"tyre.{name}", value) for name, value in tyre.items()}
     for name, value in given.items():
         if name not in _TEXTS:
             given[name] = _number(name, value, name in _MAY_BE_ZERO)
         elif not isinstance(value, str):
             raise ValueError(f"{name} must be text ({SHEET[name]}), not {value!r}")
-    if not given["wheelbase"] < given["length"]:
-        raise ValueError(
-            f"wheelbase must be less than the length {given['length']:g} m, not "
-            f"{given['wheelbase']:g}"
-        )
+    require_number(
+        "wheelbase", given["wheelbase"], Bounds(lt=given["length"], unit="m")
+    )
     return {**given, "tyre": tyre}
-
-
-def _refuse_unknown(given: Mapping[str, Any], known: Sequence[str], what: str) -> None:
-    """Names the known keys that come nearest, or all."""
-    if unknown := sorted(str(name) for name in given if name not in known):
-        near = dict.fromkeys(
-            key
-            for name in unknown
-            for key in difflib.get_close_matches(name.lower(), known, cutoff=0.5)
-        )
-        has = f"perhaps {', '.join(near)}" if near else f"{what} has {sorted(known)}"
-        raise ValueError(f"unknown {unknown} of {what}; {has}")
 
 
 def _number(name: str, value: Any, zero: bool = False) -> float:
@@ -233,27 +212,26 @@ def _agree(name: str, value: float, other: float, within: float, told: str) -> N
         )
 
 
+def _refuse_repeat(given: Mapping[str, Any], name: str, other: str) -> None:
+    if name in given:
+        raise ValueError(f"{name} {given[name]} repeats {other}: leave one of them out")
+
+
 def _overhangs(given: dict[str, Any]) -> None:
     front = given.pop("front_overhang", None)
     if front is None:
         return
-    rear = given.setdefault(
-        "rear_overhang", given["length"] - given["wheelbase"] - front
-    )
-    if rear <= 0:
-        raise ValueError(
-            f"front_overhang must be less than length - wheelbase = "
-            f"{given['length'] - given['wheelbase']:.3f} m, not {front:g}"
-        )
+    both = given["length"] - given["wheelbase"]
+    rear = given.setdefault("rear_overhang", both - front)
+    require_number("front_overhang", front, Bounds(lt=both, unit="m"))
     whole = given["wheelbase"] + front + rear
     _agree("length", given["length"], whole, 0.01, "wheelbase and overhangs")
 
 
 def _track(given: dict[str, Any]) -> None:
     """One track for both axles: their mean."""
-    tracks = [
-        given.pop(name) for name in ("track_front", "track_rear") if name in given
-    ]
+    both = ("track_front", "track_rear")
+    tracks = [given.pop(name) for name in both if name in given]
     if tracks:
         mean = sum(tracks) / len(tracks)
         track = given.setdefault("track_width", mean)
@@ -262,17 +240,12 @@ def _track(given: dict[str, Any]) -> None:
 
 def _masses(given: dict[str, Any]) -> None:
     kerb = given.pop("kerb_weight", None)
-    if kerb is None:
-        return _axle_loads(given)
-    if "mass" in given:
-        raise ValueError(
-            f"mass {given['mass']:g}, which is with a driver, repeats kerb_weight: "
-            "leave one of them out"
-        )
-    given["mass"] = kerb
+    if kerb is not None:
+        _refuse_repeat(given, "mass", "kerb_weight")
+        given["mass"] = kerb
     _axle_loads(given)
-    given["mass"] += DRIVER
-    return None
+    if kerb is not None:
+        given["mass"] += DRIVER
 
 
 def _axle_loads(given: dict[str, Any]) -> None:
@@ -280,33 +253,25 @@ def _axle_loads(given: dict[str, Any]) -> None:
     rear = given.pop("rear_axle_load", None)
     if front is None and rear is None:
         return
-    if "cg_to_front_axle" in given:
-        raise ValueError(
-            f"cg_to_front_axle {given['cg_to_front_axle']:g} repeats the axle loads: "
-            "leave one of them out"
-        )
+    _refuse_repeat(given, "cg_to_front_axle", "the axle loads")
     if front is not None and rear is not None:
         mass = given.setdefault("mass", front + rear)
         _agree("mass", mass, front + rear, 0.02, "axle loads")
     elif "mass" not in given:
         raise ValueError("an axle load needs mass, or the load of the other axle")
     else:
-        name, load = ("front", front) if rear is None else ("rear", rear)
-        if not load < given["mass"]:
-            raise ValueError(
-                f"{name}_axle_load must be less than the mass {given['mass']:g} kg, "
-                f"not {load:g}"
-            )
-        rear = given["mass"] - load if rear is None else rear
-        front = given["mass"] - rear
+        mass, load = given["mass"], rear if front is None else front
+        require_number("an axle load", load, Bounds(lt=mass, unit="kg"))
+        rear = mass - load if rear is None else rear
+        front = mass - rear
     given["cg_to_front_axle"] = given["wheelbase"] * rear / (front + rear)
 
 
 def _tyre_sizes(given: dict[str, Any]) -> None:
     """One radius and width for all wheels: the mean of those of both axles."""
     names = [n for n in ("tyre_size", "tyre_front", "tyre_rear") if n in given]
-    if "tyre_size" in names and len(names) > 1:
-        raise ValueError(f"tyre_size repeats {names[1]}: leave one of them out")
+    if len(names) > 1:
+        _refuse_repeat(given, "tyre_size", names[1])
     sizes = [_tyre_size(name, given.pop(name)) for name in names]
     if not sizes:
         return
@@ -333,17 +298,10 @@ def _power(given: dict[str, Any]) -> None:
 
 
 def _drive(given: dict[str, Any]) -> None:
-    drive = given.pop("drive", None)
-    if drive is None:
-        return
-    if drive not in DRIVES:
-        raise ValueError(f"unknown drive {drive!r}; choose from {[*DRIVES]}")
-    if "front_drive" in given:
-        raise ValueError(
-            f"front_drive {given['front_drive']:g} repeats drive {drive!r}: "
-            "leave one of them out"
-        )
-    given["front_drive"] = DRIVES[drive]
+    if (drive := given.pop("drive", None)) is not None:
+        require_name("drive", drive, DRIVES)
+        _refuse_repeat(given, "front_drive", "drive")
+        given["front_drive"] = DRIVES[drive]
 
 
 def _circle(values: Mapping[str, float], steering: float) -> float:
@@ -366,12 +324,8 @@ def _steering(
     if steering_turns is None:
         return
     lock = math.pi * steering_turns / steering_ratio
-    if not lock < math.pi / 3:
-        raise ValueError(
-            f"steering_turns must be less than {steering_ratio / 3:.3g} at a "
-            f"steering_ratio of {steering_ratio:g}, which is a lock of 60 deg, not "
-            f"{steering_turns:g}"
-        )
+    most = Bounds(lt=steering_ratio / 3, unit="turns, a lock of 60 deg")
+    require_number("steering_turns", steering_turns, most)
     circle = _circle(values, lock)
     given = values.setdefault("turning_circle", circle)
     _agree("turning_circle", given, circle, 0.15, "steering ratio and turns")
@@ -400,7 +354,7 @@ def _steer_rear(values: dict[str, Any], rear: float, unpublished: bool) -> None:
     values["rear_overhang"] += ahead
 
 
-FORMATS = ("json", "yaml", "yml")
+FORMATS = (".json", ".yaml", ".yml")
 
 
 def read_sheet(path: str) -> tuple[str, Sheet]:
@@ -409,24 +363,22 @@ def read_sheet(path: str) -> tuple[str, Sheet]:
     Raises:
         ValueError: no such file, or a fault in it.
     """
-    suffix = path.rpartition(".")[2].lower()
+    suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
-        known = ", ".join(f".{known}" for known in FORMATS)
-        raise ValueError(f"a vehicle file must end in one of {known}, not {path!r}")
+        raise ValueError(
+            f"a vehicle file must end in one of {', '.join(FORMATS)}, not {path!r}"
+        )
     try:
         text = read_text(Path(path))
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    parse = parse_object if suffix == "json" else parse_yaml
+    parse = parse_object if suffix == ".json" else parse_yaml
     return _named(parse(text, path), path, Path(path).stem)
 
 
 def read_as_text(vehicle: str) -> str:
     """The parameters of a file as a JSON object; a JSON object unchanged."""
-    if vehicle.startswith("{"):
-        return vehicle
-    name, sheet = read_sheet(vehicle)
-    return parameters_text(name, sheet.params)
+    return vehicle if vehicle[0] == "{" else parameters_text(*read_vehicle(vehicle))
 
 
 def parameters_text(name: str, params: VehicleParameters) -> str:

@@ -14,118 +14,70 @@ from carpark_mj.config import SimConfig, Surface
 from carpark_mj.vehicle.mjcf import CHASSIS, WHEELS, car_model, hub_positions, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, TyreParameters, VehicleParameters
 
+STIFFNESSES = ("longitudinal_stiffness", "lateral_stiffness", "torsion_stiffness")
 BODIES = ("body_mass", "body_inertia", "body_ipos", "body_pos")  # of MuJoCo's model
 
 
 @struct.dataclass
 class Tyres:
-    """Brush tyre coefficients of one car; wheels in the order of `mjcf.WHEELS`.
+    """Brush tyre coefficients of one car; wheels in the order of `mjcf.WHEELS`."""
 
-    Attributes:
-        static_load: (..., 4) vertical load at rest on level ground [N].
-        friction: (...) friction coefficient.
-        longitudinal_stiffness: (..., 4) bristle stiffness [N/m].
-        lateral_stiffness: (..., 4) bristle stiffness [N/m].
-        torsion_stiffness: (..., 4) scrub torque per twist at static load [N m/rad].
-        torsion_yield: (...) twist at which the patch slips [rad].
-        longitudinal_relaxation: (...) [m].
-        lateral_relaxation: (...) [m].
-        torsion_relaxation: (...) [m].
-        longitudinal_damping: (...) [N s/m].
-        lateral_damping: (...) [N s/m].
-        rolling_resistance: (...) force per load.
-        vertical_stiffness: (...) [N/m].
-        vertical_damping: (...) [N s/m].
-    """
-
-    static_load: jax.Array
-    friction: jax.Array
-    longitudinal_stiffness: jax.Array
-    lateral_stiffness: jax.Array
+    static_load: jax.Array  # (..., 4) vertical load at rest on level ground [N]
+    friction: jax.Array  # (...) friction coefficient
+    longitudinal_stiffness: jax.Array  # (..., 4) bristle stiffness [N/m]
+    lateral_stiffness: jax.Array  # (..., 4) bristle stiffness [N/m]
+    # (..., 4) scrub torque per twist at static load [N m/rad]
     torsion_stiffness: jax.Array
-    torsion_yield: jax.Array
-    longitudinal_relaxation: jax.Array
-    lateral_relaxation: jax.Array
-    torsion_relaxation: jax.Array
-    longitudinal_damping: jax.Array
-    lateral_damping: jax.Array
-    rolling_resistance: jax.Array
-    vertical_stiffness: jax.Array
-    vertical_damping: jax.Array
+    torsion_yield: jax.Array  # (...) twist at which the patch slips [rad]
+    longitudinal_relaxation: jax.Array  # (...) [m]
+    lateral_relaxation: jax.Array  # (...) [m]
+    torsion_relaxation: jax.Array  # (...) [m]
+    longitudinal_damping: jax.Array  # (...) [N s/m]
+    lateral_damping: jax.Array  # (...) [N s/m]
+    rolling_resistance: jax.Array  # (...) force per load
+    vertical_stiffness: jax.Array  # (...) [N/m]
+    vertical_damping: jax.Array  # (...) [N s/m]
 
 
 @struct.dataclass
 class Vehicle:
-    """Parameters of one car as the physics uses them.
+    """Parameters of one car as the physics uses them."""
 
-    Attributes:
-        size: (..., 2) length and width of the footprint [m].
-        centre_offset: (...) rear axle to footprint centre [m].
-        wheelbase: (...) [m].
-        track_width: (...) [m].
-        hub: (..., 4, 2) wheel centres in the body frame [m].
-        wheel_radius: (...) [m].
-        wheel_inertia: (...) [kg m^2].
-        mass: (...) whole car [kg].
-        rated_mass: (...) mass [kg] for which the pedal asks its acceleration; the
-            torques do not change with the load.
-        cg: (..., 3) centre of gravity of the whole car in the body frame [m].
-        ackermann: (...) Ackermann fraction.
-        max_steering: (...) [rad].
-        steering_rate: (...) [rad/s].
-        steering_lag: (...) [s].
-        steering_offset: (...) angle that is steered but not commanded [rad].
-        max_acceleration: (...) [m/s^2].
-        max_drive_torque: (...) all driven wheels together [N m].
-        max_power: (...) [W].
-        drive_lag: (...) [s].
-        max_deceleration: (...) [m/s^2].
-        hold_deceleration: (...) [m/s^2].
-        max_speed: (...) [m/s].
-        max_reverse_speed: (...) [m/s].
-        speed_limit_time: (...) [s].
-        drive_share: (..., 4) share of the drive torque per wheel; sums to 1.
-        brake_share: (..., 4) share of the brake torque per wheel; sums to 1.
-        tyres: tyre coefficients.
-        body_mass: (..., 8) mass of each MuJoCo body [kg].
-        body_inertia: (..., 8, 3) principal inertias [kg m^2].
-        body_ipos: (..., 8, 3) centres of mass in the body frames [m].
-        body_pos: (..., 8, 3) body frames in their parents [m].
-        creep: (...) acceleration of an automatic whose engine idles, at rest [m/s^2];
-            None = it does not creep. The back end sets it, see `SimConfig.creep`.
-    """
-
-    size: jax.Array
-    centre_offset: jax.Array
-    wheelbase: jax.Array
-    track_width: jax.Array
-    hub: jax.Array
-    wheel_radius: jax.Array
-    wheel_inertia: jax.Array
-    mass: jax.Array
+    size: jax.Array  # (..., 2) length and width of the footprint [m]
+    centre_offset: jax.Array  # (...) rear axle to footprint centre [m]
+    wheelbase: jax.Array  # (...) [m]
+    track_width: jax.Array  # (...) [m]
+    hub: jax.Array  # (..., 4, 2) wheel centres in the body frame [m]
+    wheel_radius: jax.Array  # (...) [m]
+    wheel_inertia: jax.Array  # (...) [kg m^2]
+    mass: jax.Array  # (...) whole car [kg]
+    # (...) mass [kg] for which the pedal asks its acceleration; the torques do not
+    # change with the load
     rated_mass: jax.Array
-    cg: jax.Array
-    ackermann: jax.Array
-    max_steering: jax.Array
-    steering_rate: jax.Array
-    steering_lag: jax.Array
-    steering_offset: jax.Array
-    max_acceleration: jax.Array
-    max_drive_torque: jax.Array
-    max_power: jax.Array
-    drive_lag: jax.Array
-    max_deceleration: jax.Array
-    hold_deceleration: jax.Array
-    max_speed: jax.Array
-    max_reverse_speed: jax.Array
-    speed_limit_time: jax.Array
-    drive_share: jax.Array
-    brake_share: jax.Array
-    tyres: Tyres
-    body_mass: jax.Array
-    body_inertia: jax.Array
-    body_ipos: jax.Array
-    body_pos: jax.Array
+    cg: jax.Array  # (..., 3) centre of gravity of the whole car in the body frame [m]
+    ackermann: jax.Array  # (...) Ackermann fraction
+    max_steering: jax.Array  # (...) [rad]
+    steering_rate: jax.Array  # (...) [rad/s]
+    steering_lag: jax.Array  # (...) [s]
+    steering_offset: jax.Array  # (...) angle that is steered but not commanded [rad]
+    max_acceleration: jax.Array  # (...) [m/s^2]
+    max_drive_torque: jax.Array  # (...) all driven wheels together [N m]
+    max_power: jax.Array  # (...) [W]
+    drive_lag: jax.Array  # (...) [s]
+    max_deceleration: jax.Array  # (...) [m/s^2]
+    hold_deceleration: jax.Array  # (...) [m/s^2]
+    max_speed: jax.Array  # (...) [m/s]
+    max_reverse_speed: jax.Array  # (...) [m/s]
+    speed_limit_time: jax.Array  # (...) [s]
+    drive_share: jax.Array  # (..., 4) share of the drive torque per wheel; sums to 1
+    brake_share: jax.Array  # (..., 4) share of the brake torque per wheel; sums to 1
+    tyres: Tyres  # tyre coefficients
+    body_mass: jax.Array  # (..., 8) mass of each MuJoCo body [kg]
+    body_inertia: jax.Array  # (..., 8, 3) principal inertias [kg m^2]
+    body_ipos: jax.Array  # (..., 8, 3) centres of mass in the body frames [m]
+    body_pos: jax.Array  # (..., 8, 3) body frames in their parents [m]
+    # (...) acceleration of an automatic whose engine idles, at rest [m/s^2]; None = it
+    # does not creep. The back end sets it, see `SimConfig.creep`.
     creep: jax.Array | None = None
 
     @property
@@ -140,10 +92,7 @@ class Vehicle:
 
 
 def make_vehicle(params: VehicleParameters) -> Vehicle:
-    """Turns a parameter set into the arrays of one car (no batch dimension).
-
-    NumPy computes them, as JAX would compile programs.
-    """
+    """The arrays of one car, by NumPy, as JAX would compile programs."""
     model = car_model(params, sim_dt=0.01, gravity=(0.0, 0.0, -GRAVITY))
     vehicle = Vehicle(
         size=_array([params.length, params.width]),
@@ -191,35 +140,20 @@ def _array(value: ArrayLike | Sequence[float]) -> Any:
 
 @struct.dataclass
 class Wheel:
-    """Parameters of a wheel; all leaves have the leading shape of the cars.
+    """Parameters of a wheel; all leaves have the leading shape of the cars."""
 
-    Attributes:
-        hub: (x, y) of its centre in the body frame [m].
-        radius: [m].
-        inertia: about its axle [kg m^2].
-        drive_share: of the drive torque.
-        brake_share: of the brake torque.
-        tyre: coefficients of its tyre.
-    """
-
-    hub: tuple[jax.Array, jax.Array]
-    radius: jax.Array
-    inertia: jax.Array
-    drive_share: jax.Array
-    brake_share: jax.Array
-    tyre: Tyres
+    hub: tuple[jax.Array, jax.Array]  # (x, y) of its centre in the body frame [m]
+    radius: jax.Array  # [m]
+    inertia: jax.Array  # about its axle [kg m^2]
+    drive_share: jax.Array  # of the drive torque
+    brake_share: jax.Array  # of the brake torque
+    tyre: Tyres  # coefficients of its tyre
 
 
 def wheels_of(vehicle: Vehicle) -> tuple[Wheel, ...]:
     """The wheels of cars (...), in the order of `mjcf.WHEELS`."""
-    tyres = vehicle.tyres
-    varied = {
-        name: jnp.unstack(getattr(tyres, name), axis=-1)
-        for name in (
-            *("static_load", "longitudinal_stiffness"),
-            *("lateral_stiffness", "torsion_stiffness"),
-        )
-    }
+    tyres, names = vehicle.tyres, ("static_load", *STIFFNESSES)
+    varied = {name: jnp.unstack(getattr(tyres, name), axis=-1) for name in names}
     hub_x, hub_y = (
         jnp.unstack(column, axis=-1) for column in jnp.unstack(vehicle.hub, axis=-1)[:2]
     )
@@ -241,19 +175,13 @@ def wheels_of(vehicle: Vehicle) -> tuple[Wheel, ...]:
 
 
 def with_mass(vehicle: Vehicle, mass: jax.Array, cg: jax.Array) -> Vehicle:
-    """One car whose chassis has another mass and centre of gravity.
+    """One car with a load: another mass () [kg] and centre of gravity (3,) [m].
 
-    It models load: passengers, luggage, an empty tank.
-
-    Wheels and knuckles do not change; the chassis' inertia about its own centre
-    grows with its mass. Static tyre loads follow, so that the car rests at the same
-    height (level control), and with them the stiffness of the tyres, which is
-    proportional to load. The pedal's torques stay (`rated_mass`).
-
-    Args:
-        vehicle: one car.
-        mass: () of the whole car [kg].
-        cg: (3,) its centre of gravity in the body frame [m], between the axles.
+    Both are of the whole car, in the body frame. Wheels and knuckles do not change; the
+    chassis' inertia about its own centre grows with its mass. Static tyre loads follow,
+    so that the car rests at the same height (level control), and with them the
+    stiffness of the tyres, which is proportional to load. The pedal's torques stay
+    (`rated_mass`).
     """
     before = vehicle.body_mass[CHASSIS]
     chassis = before + mass - vehicle.mass
@@ -265,9 +193,7 @@ def with_mass(vehicle: Vehicle, mass: jax.Array, cg: jax.Array) -> Vehicle:
     tyres = dataclasses.replace(
         vehicle.tyres,
         static_load=load,
-        longitudinal_stiffness=vehicle.tyres.longitudinal_stiffness * ratio,
-        lateral_stiffness=vehicle.tyres.lateral_stiffness * ratio,
-        torsion_stiffness=vehicle.tyres.torsion_stiffness * ratio,
+        **{name: getattr(vehicle.tyres, name) * ratio for name in STIFFNESSES},
     )
     return dataclasses.replace(
         vehicle,
@@ -288,18 +214,12 @@ SURFACES: dict[Surface, float] = {"dry": 0.9, "wet": 0.55, "ice": 0.12}
 
 def in_conditions(vehicle: Vehicle, sim: SimConfig) -> Vehicle:
     """Cars (...) as the settings have them; the defaults change nothing."""
-    vehicle = on_surface(vehicle, sim.surface)
+    if sim.surface != "dry":
+        vehicle = with_grip(vehicle, SURFACES[sim.surface] / SURFACES["dry"])
     if sim.creep:
         creep = jnp.full_like(vehicle.mass, sim.creep)
         vehicle = dataclasses.replace(vehicle, creep=creep)
     return vehicle
-
-
-def on_surface(vehicle: Vehicle, surface: Surface) -> Vehicle:
-    """Cars (...) with the grip they have on a surface; `dry` changes nothing."""
-    if surface == "dry":
-        return vehicle
-    return with_grip(vehicle, SURFACES[surface] / SURFACES["dry"])
 
 
 def with_grip(vehicle: Vehicle, factor: float | jax.Array) -> Vehicle:

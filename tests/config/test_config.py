@@ -205,7 +205,7 @@ def test_traces_are_the_fewest_that_respect_their_longest_time(
 def test_only_tyres_need_fine_substeps():
     coarse = SimConfig(sim_dt=0.04, trace_dt=0.05)
     for physics in ("mjx", "scene"):
-        with pytest.raises(ValueError, match=r"brush tyres .* most 0.02 s, not 0.04"):
+        with pytest.raises(ValueError, match=r"at most 0\.02 s with brush"):
             EnvConfig(sim=coarse, physics=physics)
         assert EnvConfig(sim=SimConfig(sim_dt=0.02), physics=physics)
     with pytest.raises(ValueError, match=r"at most 0\.02 s"):

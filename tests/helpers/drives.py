@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Callable
 
 import jax
@@ -41,7 +40,6 @@ STOP_AND_GO: list[Segment] = [
     (0.45, 0.0, 1.0),
     HOLD,
 ]
-LIMITED = dataclasses.replace(COMPACT, max_speed=1.0, max_reverse_speed=1.0)
 VAN = dataclasses.replace(
     COMPACT,
     wheelbase=3.2,
@@ -55,7 +53,6 @@ VAN = dataclasses.replace(
     front_drive=0.0,
     tyre=dataclasses.replace(COMPACT.tyre, friction=0.7),
 )
-TURN_ANGLES = (10.0, 20.0, 30.0, 34.2)  # degrees
 WHEEL_INERTIAS = (0.4, 0.5, 1.0, 2.0)  # kg m^2
 STIFFENINGS = (0.5, 1.0, 1.5, 2.0)  # of the slip stiffness
 
@@ -89,12 +86,6 @@ class Track:
         return self.velocity[:, 0]
 
 
-def turn(params: VehicleParameters, degrees: float, way: int) -> Drive:
-    """Turns the wheels at rest, then drives a circle at the car's speed limit."""
-    steer = math.radians(degrees) / params.max_steering
-    return Drive(params, ORIGIN, [(2.0, steer, 0.0), (10.0, steer, way)])
-
-
 def with_wheels(inertia: float, stiffer: float) -> VehicleParameters:
     tyre = dataclasses.replace(
         COMPACT.tyre, slip_stiffness=stiffer * COMPACT.tyre.slip_stiffness
@@ -107,11 +98,6 @@ def with_wheels(inertia: float, stiffer: float) -> VehicleParameters:
 def all_drives() -> dict[object, Drive]:
     drives: dict[object, Drive] = {
         "stand": Drive(COMPACT, ORIGIN, [HOLD]),
-        "stand, wheels turned": Drive(COMPACT, ORIGIN, [(12.0, 1.0, 0.0)]),
-        "stop": Drive(COMPACT, ORIGIN, [(4, 0, 1), (0.7, 0, -1), HOLD]),
-        "stop at 45 deg": Drive(
-            COMPACT, (0, 0, math.pi / 4), [(4, 0, 1), (0.7, 0, -1), HOLD]
-        ),
         "full speed": Drive(COMPACT, ORIGIN, [(12, 0, 1)]),
         "full reverse": Drive(COMPACT, ORIGIN, [(12, 0, -1)]),
         "wander": Drive(COMPACT, ORIGIN, WANDER),
@@ -119,8 +105,6 @@ def all_drives() -> dict[object, Drive]:
         "wander mirrored": Drive(COMPACT, ORIGIN, [(d, -s, p) for d, s, p in WANDER]),
         "wander in a van": Drive(VAN, ORIGIN, WANDER),
     }
-    for degrees, way in itertools.product(TURN_ANGLES, (1, -1)):
-        drives["left", degrees, way] = turn(LIMITED, degrees, way)
     for inertia, stiffer in itertools.product(WHEEL_INERTIAS, STIFFENINGS):
         drives["wheels", inertia, stiffer] = Drive(
             with_wheels(inertia, stiffer), ORIGIN, STOP_AND_GO

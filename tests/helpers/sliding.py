@@ -11,7 +11,7 @@ from flax import struct
 from carpark_mj.config import PHYSICS, EnvConfig, EpisodeConfig, RayConfig, RingConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.physics.base import FactoredPhysics
+from carpark_mj.physics.base import Physics
 from carpark_mj.types import Motion, State
 from carpark_mj.vehicle import Vehicle
 
@@ -56,7 +56,7 @@ class SlideState:
     vehicle: Vehicle
 
 
-class SlidePhysics(FactoredPhysics[SlideState]):
+class SlidePhysics(Physics[SlideState]):
     """A stand-in back end for hand-worked steps: turn on the spot, then slide ahead.
 
     `controls` (1, 1) turns 0.2 rad and slides 0.5 m in a step of 0.2 s; a car whose

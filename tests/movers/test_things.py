@@ -239,16 +239,11 @@ def test_what_play_saves_moves_a_car_for_each_episode(tmp_path):
 
 
 def test_no_such_files(tmp_path):
-    write(tmp_path, GOOD, "drives.txt")
-    for name, sentence in {
-        "drives.txt": "ends in .csv or .npz, not 'drives.txt'",
-        "none.csv": "cannot read.*none.csv: No such file",
-    }.items():
-        with pytest.raises(ValueError, match=sentence):
+    for name in ("drives.txt", "none.csv", "drives.npz"):
+        if name != "none.csv":
+            write(tmp_path, GOOD, name)
+        with pytest.raises(ValueError, match=name):
             Replay(str(tmp_path / name))
-    write(tmp_path, GOOD, "drives.npz")
-    with pytest.raises(ValueError, match="another kind of file"):
-        Replay(str(tmp_path / "drives.npz"))
     with pytest.raises(ValueError, match="'config' of dict"):
         Replay(archive(tmp_path, np.zeros((3, 1, 3)), config=1))
     with pytest.raises(ValueError, match="not finite"):

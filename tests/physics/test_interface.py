@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import EnvConfig, SimConfig
-from carpark_mj.physics.base import make_physics
 from carpark_mj.physics.mjx_step import ContactPhysics
 from carpark_mj.vehicle import COMPACT, make_vehicle, preset
 
@@ -24,7 +23,8 @@ def vehicles(*params):
 def physics(request):
     sim = SimConfig(tyres=TYRES[request.param], sim_dt=0.004, ctrl_dt=0.2)
     name = "mjx" if request.param == "contact" else request.param
-    made = make_physics(EnvConfig(physics=name, sim=sim), None, COMPACT)
+    config = EnvConfig(physics=name, sim=sim)
+    made = config.physics_config.make(config, None, COMPACT)
     assert isinstance(made, ContactPhysics) == (request.param == "contact")
     return made
 

@@ -262,7 +262,7 @@ def test_bodies_are_where_pictures_show_them():
     data = mujoco.MjData(world.model)
     car = jnp.array([[0.0, -9.0, 0.0]]), jnp.array([[4.0, 2.0]])
     solids = solids_within(there, there, jnp.float32(0.0), *car)
-    world.movers.place(copy.copy(world.model), data, solids)
+    world.place_movers(copy.copy(world.model), data, solids)
     mujoco.mj_kinematics(world.model, data)
     for number, here in enumerate((True, True, False)):
         own, seen = (d.geom(f"mover{number}") for d in (data, stage.data))

@@ -21,7 +21,7 @@ from carpark_mj.spawning.randomization import check_randomization, randomize
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
-from carpark_mj.vehicle.vehicle import SURFACES, on_surface, with_mass
+from carpark_mj.vehicle.vehicle import SURFACES, in_conditions, with_mass
 
 EVERYTHING = RandomizationConfig(
     mass=(0.8, 1.2),
@@ -119,11 +119,11 @@ def test_a_loaded_car_has_the_mass_properties_of_one_built_so(params):
 
 
 def test_surfaces_scale_grip_and_scrub_alike(compact: Vehicle):
-    assert same(on_surface(compact, "dry"), compact)
+    assert same(in_conditions(compact, SimConfig()), compact)
     for name, friction in SURFACES.items():
         tyre = dataclasses.replace(COMPACT.tyre, friction=friction)
         built = make_vehicle(dataclasses.replace(COMPACT, tyre=tyre))
-        both = leaves(on_surface(compact, name)), leaves(built)
+        both = leaves(in_conditions(compact, SimConfig(surface=name))), leaves(built)
         for got, expected in zip(*both, strict=True):
             np.testing.assert_allclose(got, expected, rtol=1e-6)
 

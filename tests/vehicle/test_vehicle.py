@@ -11,13 +11,7 @@ import pytest
 from helpers.cars import ROAD_CARS
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.vehicle import (
-    COMPACT,
-    PRESETS,
-    VEHICLES,
-    VehicleParameters,
-    make_vehicle,
-)
+from carpark_mj.vehicle import PRESETS, VEHICLES, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
 from carpark_mj.vehicle.parameters import (
     GRAVITY,
@@ -26,6 +20,7 @@ from carpark_mj.vehicle.parameters import (
     scaled,
     steering_for_circle,
 )
+from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import wheels_of
 
 LIGHT = dataclasses.replace(
@@ -39,7 +34,7 @@ LIGHT = dataclasses.replace(
     wheel_inertia=0.7,
     wheel_mass=14.0,
 )
-CARS = [pytest.param(COMPACT, id="compact"), pytest.param(LIGHT, id="light")]
+CARS = [pytest.param(car, id=name) for name, car in {**ROAD_CARS, "-": LIGHT}.items()]
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +61,8 @@ def test_chassis_and_wheels_recombine_to_the_whole_car(params: VehicleParameters
     assert np.diag(inertia) == pytest.approx(expected, rel=1e-9)
     # What is left for the chassis is a possible rigid body.
     mass, com, inertia = chassis_inertial(params)
-    assert 0 < mass < params.mass
+    assert 0.8 * params.mass < mass < params.mass
+    assert 0.0 < com[0] < params.wheelbase
     assert com[1] == pytest.approx(0.0, abs=1e-12)  # measured 0
     assert inertia.max() <= inertia.sum() - inertia.max()
 
@@ -84,28 +80,11 @@ def test_static_axle_loads_follow_from_the_lever_arms(params: VehicleParameters)
     assert load[2] == load[3]
 
 
-CENTIMETRES = {
-    field.name: 100.0 * getattr(COMPACT, field.name)
-    for field in dataclasses.fields(COMPACT)
-    if field.name in LENGTHS
-}
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (CENTIMETRES, r"length must lie in \[1, 25\] m, not 425.5"),
-        ({"mass": 1.38}, r"mass must .* kg, not 1.38"),
-        ({"mass": 1.38e6}, r"mass must .* kg"),
-        ({"max_speed": 300.0}, r"max_speed .* m/s, not 300"),
-        ({"max_deceleration": 400.0}, r"max_deceleration .* m/s\^2, not 400"),
-        ({"turning_circle": 1040.0}, r"turning_circle .* m, not 1040"),
-    ],
-)
-def test_parameters_in_other_units_are_refused(change: dict, message: str):
-    with pytest.raises(ValueError, match=message) as refusal:
-        dataclasses.replace(COMPACT, **change)
-    assert "\n" not in str(refusal.value)
+def test_parameters_in_other_units_are_refused():
+    centimetres = {name: 100.0 * getattr(COMPACT, name) for name in LENGTHS}
+    for change in (centimetres, {"mass": 1.38}, {"max_speed": 300.0}):
+        with pytest.raises(ValueError, match=r"must lie in \[.*\]"):
+            dataclasses.replace(COMPACT, **change)
     for params in VEHICLES.values():
         for factor in (0.5, 2.0):  # as far as parked cars are scaled
             scaled(params, factor)
@@ -120,9 +99,8 @@ def test_parameters_in_other_units_are_refused(change: dict, message: str):
     ],
 )
 def test_mass_properties_that_leave_no_chassis_are_refused(change: dict):
-    with pytest.raises(ValueError, match="leave no possible chassis") as refusal:
+    with pytest.raises(ValueError, match="leave no possible chassis"):
         make_vehicle(dataclasses.replace(COMPACT, **change))
-    assert "\n" not in str(refusal.value)
 
 
 def test_the_model_has_12_dofs_no_constraints_and_steers_left(model):
@@ -182,28 +160,19 @@ def test_bristle_stiffness_times_relaxation_is_the_slip_stiffness():
     assert scrub == pytest.approx(expected, rel=1e-6)
 
 
-ALL_CARS = [pytest.param(params, id=name) for name, params in ROAD_CARS.items()]
 # Bicycle angles at full lock, from shop manuals' and published circles by hand:
 # d_o = asin(L / (D/2 - w/2)), cot d = cot d_o - T / 2L.
-LOCKS = {
-    "city": 35.5,
-    "compact": 34.2,
-    "sedan": 35.5,
-    "sedan_fwd": 35.1,
-    "suv": 33.5,
-    "van": 35.5,
-}
+LOCKS = dict(city=35.5, compact=34.2, sedan=35.5, sedan_fwd=35.1, suv=33.5, van=35.5)
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_full_lock_is_that_of_the_published_turning_circle(name: str):
     # One decimal is what the hand calculation was rounded to.
-    assert math.degrees(PRESETS[name].max_steering) == pytest.approx(
-        LOCKS[name], abs=0.06
-    )
+    lock = math.degrees(PRESETS[name].max_steering)
+    assert lock == pytest.approx(LOCKS[name], abs=0.06)
 
 
-@pytest.mark.parametrize("params", ALL_CARS)
+@pytest.mark.parametrize("params", CARS[:-1])
 def test_turning_circle_and_steering_invert_each_other(params: VehicleParameters):
     shape = (params.wheelbase, params.track_width, params.tyre_width)
     circle = kerb_to_kerb(*shape, params.max_steering)
@@ -218,19 +187,7 @@ def test_turning_circle_and_steering_invert_each_other(params: VehicleParameters
         assert back == pytest.approx(steering, rel=1e-9)
 
 
-@pytest.mark.parametrize("params", ALL_CARS)
-def test_the_chassis_is_possible_and_the_wheels_bear_the_car(params):
-    mass, com, _ = chassis_inertial(params)
-    assert 0.8 * params.mass < mass < params.mass
-    assert 0.0 < com[0] < params.wheelbase
-    vehicle = make_vehicle(params)
-    assert np.isfinite(vehicle.body_inertia).all()
-    assert vehicle.tyres.static_load.sum() == pytest.approx(
-        params.mass * GRAVITY, rel=1e-6
-    )
-
-
-@pytest.mark.parametrize("params", ALL_CARS)
+@pytest.mark.parametrize("params", CARS[:-1])
 def test_inertias_and_springs_follow_the_rules_of_thumb(params: VehicleParameters):
     # openpilot: I_zz = 0.2346 m L^2 within 2 %; m a b agrees within 10 % (measured
     # 0.4 to 9 %); I_xx close to that of a block of the car's width and height.
@@ -249,9 +206,7 @@ def test_inertias_and_springs_follow_the_rules_of_thumb(params: VehicleParameter
 
 
 def test_a_custom_car_takes_one_call_and_drives_in_the_environment():
-    taxi = dataclasses.replace(
-        COMPACT, length=4.4, wheelbase=2.7, mass=1500.0, turning_circle=11.2
-    )
+    taxi = dataclasses.replace(COMPACT, length=4.4, wheelbase=2.7, turning_circle=11.2)
     env = ParkingEnv(vehicle=taxi)
     assert env.vehicle is taxi
     assert ParkingEnv().vehicle is COMPACT

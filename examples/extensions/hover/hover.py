@@ -8,7 +8,7 @@ from flax import struct
 
 from carpark_mj.config import PHYSICS, PhysicsConfig
 from carpark_mj.geometry import rotate, wrap_angle
-from carpark_mj.physics.base import FactoredPhysics, require_plain_ground
+from carpark_mj.physics.base import Physics, require_plain_ground
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import Vehicle
 
@@ -62,7 +62,7 @@ class HoverState:
     vehicle: Vehicle
 
 
-class HoverPhysics(FactoredPhysics[HoverState]):
+class HoverPhysics(Physics[HoverState]):
     """Velocities follow the controls as first-order lags."""
 
     def __init__(self, config, sim):

@@ -20,7 +20,7 @@ from flax import struct
 
 from carpark_mj.config import PHYSICS, WORLD_UNIT, EnvConfig, PhysicsConfig, SimConfig
 from carpark_mj.config.checks import Count
-from carpark_mj.physics.base import FactoredPhysics, require_plain_ground
+from carpark_mj.physics.base import Physics, require_plain_ground
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.vehicle import Vehicle
 
@@ -161,7 +161,7 @@ class GridState:
     vehicle: Vehicle  # parameters, of which only the size has an effect
 
 
-class GridPhysics(FactoredPhysics[GridState]):
+class GridPhysics(Physics[GridState]):
     """Grid dynamics behind the `Physics` interface; controls are indices.
 
     `step` takes (..., 2) int32: an acceleration and a turn out of `GridConfig.choices`,

@@ -157,7 +157,7 @@ def test_impossible_parts_are_one_sentence():
     with pytest.raises(ValueError, match="unknown vehicle 'tank'"):
         JunctionEnv(JunctionConfig(cars="mjx", vehicle="tank"))
     icy = SimConfig(ctrl_dt=0.1, surface="ice")
-    with pytest.raises(ValueError, match="bicycle physics has no tyres"):
+    with pytest.raises(ValueError, match="bicycle physics, which has no tyres"):
         JunctionEnv(JunctionConfig(cars="bicycle", sim=icy))
 
 

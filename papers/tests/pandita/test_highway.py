@@ -152,5 +152,5 @@ def test_the_task_runs_on_it():
     state, _ = jax.jit(env.reset)(jax.random.key(0))
     _, timestep = jax.jit(env.step)(state, jnp.ones((1, 2)))
     assert timestep.motion.speed[0] == pytest.approx(1.0, abs=1e-5)
-    with pytest.raises(ValueError, match="highway physics has no tyres"):
+    with pytest.raises(ValueError, match="highway physics, which has no tyres"):
         HighwayPhysics(SimConfig(surface="ice"))

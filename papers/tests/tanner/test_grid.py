@@ -302,17 +302,15 @@ def test_impossible_grids_and_grounds_are_refused_in_a_sentence():
         GridConfig(turn_at_rest=2)  # pyright: ignore
     with pytest.raises(ValueError, match=r"max_turn must be less than half of 8 .* 4"):
         GridConfig(headings=8, max_turn=4)
-    with pytest.raises(ValueError, match=r"no ground: grade_x must stay 0.0, not 0.1"):
+    with pytest.raises(ValueError, match=r"grade_x 0.1 has no effect in grid physics"):
         GridPhysics(FINE, SimConfig(grade_x=0.1))
-    with pytest.raises(ValueError, match="surface must stay 'dry', not 'ice'"):
-        ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(surface="ice")))
-    with pytest.raises(ValueError, match=r"pedal_delay must stay 0.0, not 0.1"):
-        ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(pedal_delay=0.1)))
-    with pytest.raises(ValueError, match=r"creep must stay 0.0, not 0.4"):
-        ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(creep=0.4)))
-    with pytest.raises(ValueError, match=r"ramp must stay \(0.0, 0.0, 0.0\), not"):
+    for setting, value in (("surface", "ice"), ("pedal_delay", 0.1), ("creep", 0.4)):
+        sim = SimConfig(**{setting: value})  # pyright: ignore
+        with pytest.raises(ValueError, match=f"{setting} .* in bicycle physics"):
+            ParkingEnv(EnvConfig(physics="bicycle", sim=sim))
+    with pytest.raises(ValueError, match=r"ramp .* has no effect in bicycle"):
         ParkingEnv(EnvConfig(physics="bicycle", sim=SimConfig(ramp=(0.0, 9.0, 0.1))))
-    with pytest.raises(ValueError, match=r"scene physics has one gravity .* not 0.1"):
+    with pytest.raises(ValueError, match=r"scene physics has one gravity.* 0.1"):
         EnvConfig(physics="scene", sim=SimConfig(ramp=(0.0, 9.0, 0.1)))
     with pytest.raises(ValueError, match=r"kerb_speed needs .* bicycle, not grid"):
         ParkingEnv(EnvConfig(physics="grid", episode=EpisodeConfig(kerb_speed=0.5)))
