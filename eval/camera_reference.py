@@ -103,7 +103,7 @@ class Renderer:
         self._layout = jax.tree.map(np.asarray, state.layout)
         self._state = state
         self._stage = BlockStage.of(env, state)
-        snapshot_of(state).place(self._stage)
+        self._stage.place(snapshot_of(state))
         self._heights = [
             env.fleet.agents[0 if state.kind is None else int(state.kind[k])].height
             for k in range(env.config.num_agents)

@@ -285,7 +285,7 @@ def _clock() -> Callable[[], float]:
 def _mujoco_seconds(env: ParkingEnv, state: Any, rig: Rig) -> float:
     """Seconds that MuJoCo needs for depth and segmentation of as many images."""
     stage = BlockStage.of(env, state)
-    snapshot_of(state).place(stage)
+    stage.place(snapshot_of(state))
     renderer = mujoco.Renderer(stage.model, rig.height, rig.width)
 
     def draw() -> None:

@@ -65,7 +65,7 @@ def show_lots(config: Any, wanted: bool, show: Callable[[Any, Any], None]) -> No
                 show(config, page)
             return
         except Chosen as chosen:
-            before, config = config, chosen.config
+            before, config = config, chosen.args[0]
         except (OSError, ValueError) as error:
             if before is None:
                 raise

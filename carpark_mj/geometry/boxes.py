@@ -1,8 +1,8 @@
 """Oriented boxes and discs in the plane: overlap, distance, rays and contact times.
 
-A box is a pose (its centre and heading) with a size `(length, width)` [m], length along
-the heading. A disc is a centre `(x, y)` with a radius [m]. Every function broadcasts
-over leading dimensions and is exact (no sampling).
+A box is a pose (..., 3), its centre and heading [m, m, rad], with a size (..., 2),
+length along the heading and width [m]. A disc is a centre (..., 2) with a radius (...)
+[m]. Every function broadcasts over leading dimensions and is exact (no sampling).
 """
 
 import functools
@@ -16,6 +16,7 @@ from carpark_mj.geometry.se2 import finite_slope, norm, rotate, sqrt, to_local
 
 # Signs of the four corners in the box frame, counter-clockwise from front left.
 _CORNER_SIGNS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+_Two = tuple[jax.Array, jax.Array]  # as x and y, (...) each
 
 
 def box_corners(pose: jax.Array, size: jax.Array) -> jax.Array:
@@ -31,10 +32,10 @@ class _Pair(NamedTuple):
     By coordinates, which vectorises on a CPU; so does all that is made of them.
     """
 
-    b_in_a: tuple[jax.Array, jax.Array]  # x and y of b's centre in a's frame [m]
-    a_in_b: tuple[jax.Array, jax.Array]  # x and y of a's centre in b's frame [m]
-    half_a: tuple[jax.Array, jax.Array]  # half length and half width [m]
-    half_b: tuple[jax.Array, jax.Array]
+    b_in_a: _Two  # b's centre in a's frame [m]
+    a_in_b: _Two  # a's centre in b's frame [m]
+    half_a: _Two  # half length and half width [m]
+    half_b: _Two
     cos: jax.Array  # of b's heading in a's frame
     sin: jax.Array
 
@@ -59,7 +60,7 @@ class _Pair(NamedTuple):
 def _relate(
     pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
 ) -> _Pair:
-    """Boxes (..., 3), (..., 2) as a pair: sines of every box, not of every pair."""
+    """Boxes as a pair: sines of every box, not of every pair."""
 
     def columns(pose: jax.Array, size: jax.Array) -> list[jax.Array]:
         x, y, yaw = jnp.unstack(pose, axis=-1)
@@ -82,11 +83,9 @@ def _relate(
 def boxes_overlap(
     pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
 ) -> jax.Array:
-    """Whether the interiors of oriented boxes intersect (separating axis theorem).
+    """Whether the interiors of boxes intersect (separating axis theorem).
 
-    Poses (..., 3) [m, m, rad] are those of the centres, sizes (..., 2) lengths and
-    widths [m]; all broadcast. Boxes that only touch do not overlap. Any NaN gives
-    False.
+    Boxes that only touch do not overlap. Any NaN gives False.
     """
     return _relate(pose_a, size_a, pose_b, size_b).overlap()
 
@@ -94,7 +93,7 @@ def boxes_overlap(
 def box_inside(
     pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
 ) -> jax.Array:
-    """Whether box a lies wholly within box b (edges may touch); shapes as above."""
+    """Whether box a lies wholly within box b (edges may touch)."""
     offset, reach = _extent(pose_a, size_a, pose_b)
     return jnp.all(jnp.abs(offset) + reach <= 0.5 * size_b, axis=-1)
 
@@ -104,18 +103,15 @@ def box_room(
 ) -> jax.Array:
     """Room (..., 4) between box a and the edges of b [m], negative if a is beyond.
 
-    Of the edges at +x, -x, +y, -y in the frame of b; shapes as above.
+    Of the edges at +x, -x, +y, -y in the frame of b.
     """
     offset, reach = _extent(pose_a, size_a, pose_b)
     both = 0.5 * size_b - reach
-    return jnp.stack([both - offset, both + offset], axis=-1).reshape(
-        *offset.shape[:-1], 4
-    )
+    room = jnp.stack([both - offset, both + offset], axis=-1)
+    return room.reshape(*offset.shape[:-1], 4)
 
 
-def _extent(
-    pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _extent(pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array) -> _Two:
     """Centre of box a in the frame of b, and how far a reaches about it; (..., 2)."""
     local = to_local(pose_b, pose_a)
     cos, sin = jnp.abs(jnp.cos(local[..., 2])), jnp.abs(jnp.sin(local[..., 2]))
@@ -124,10 +120,8 @@ def _extent(
 
 
 def point_box_distance(point: jax.Array, pose: jax.Array, size: jax.Array) -> jax.Array:
-    """Distance [m] from points (..., 2) to boxes; 0 inside.
-
-    By coordinates, which vectorises on a CPU.
-    """
+    """Distance [m] from points (..., 2) to boxes; 0 inside."""
+    # By coordinates, which vectorises on a CPU.
     box_x, box_y, yaw = jnp.unstack(pose, axis=-1)
     half_x, half_y = jnp.unstack(0.5 * size, axis=-1)
     point_x, point_y = jnp.unstack(point, axis=-1)
@@ -142,7 +136,7 @@ def point_box_distance(point: jax.Array, pose: jax.Array, size: jax.Array) -> ja
 def box_distance(
     pose_a: jax.Array, size_a: jax.Array, pose_b: jax.Array, size_b: jax.Array
 ) -> jax.Array:
-    """Clearance [m] between boxes (..., 3) and (..., 2); 0 where they overlap.
+    """Clearance [m] between boxes; 0 where they overlap.
 
     Two disjoint convex polygons are closest at a vertex of one of them, so the eight
     corner-to-box distances suffice.
@@ -155,11 +149,7 @@ def box_distance(
 
 
 def _least_gap(
-    centre: tuple[jax.Array, jax.Array],
-    half: tuple[jax.Array, jax.Array],
-    own_half: tuple[jax.Array, jax.Array],
-    cos: jax.Array,
-    sin: jax.Array,
+    centre: _Two, half: _Two, own_half: _Two, cos: jax.Array, sin: jax.Array
 ) -> jax.Array:
     """Squared distance (...) [m^2] from a box to the nearest corner of another.
 
@@ -177,7 +167,7 @@ def _least_gap(
         (front_x + left_x, front_y - left_y),
     )
 
-    def gap(corner: tuple[jax.Array, jax.Array]) -> jax.Array:
+    def gap(corner: _Two) -> jax.Array:
         x = jnp.maximum(jnp.abs(corner[0]) - own_half[0], 0.0)
         y = jnp.maximum(jnp.abs(corner[1]) - own_half[1], 0.0)
         return x * x + y * y
@@ -195,11 +185,7 @@ def box_disc_distance(
 def box_disc_overlap(
     pose: jax.Array, size: jax.Array, centre: jax.Array, radius: jax.Array
 ) -> jax.Array:
-    """Whether the interiors of boxes (..., 3), (..., 2) and discs intersect.
-
-    Discs have centres (..., 2) and radii (...) [m]. What only touches does not overlap.
-    Any NaN gives False.
-    """
+    """Whether the interiors of boxes and discs intersect; as `boxes_overlap`."""
     return point_box_distance(centre, pose, size) < radius
 
 
@@ -212,14 +198,8 @@ def box_passes_disc(
     In the frame of the box discs move straight between instants, and before the first
     with the change of velocity that they have after it.
 
-    Args:
-        pose: (..., k, 3) centre poses of the boxes at instants [m, m, rad].
-        size: (..., 1, 2) length and width [m].
-        centre: (..., k or 1, 2) of the discs [m]; broadcastable against `pose`.
-        radius: (..., 1) [m].
-
-    Returns:
-        (..., k) bool; all false for one instant.
+    Boxes (..., k, 3), (..., 1, 2) and discs (..., k or 1, 2), (..., 1) at k instants
+    give (..., k) bool; all false for one instant.
     """
     # Once for a box, not for each of the discs. By coordinates, and corner by corner: a
     # short last axis costs ten times as much on CPUs.
@@ -255,9 +235,7 @@ def _ways(there: jax.Array) -> jax.Array:
     return jnp.concatenate([first, way], axis=-1)
 
 
-def _slab(
-    end: jax.Array, way: jax.Array, half: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _slab(end: jax.Array, way: jax.Array, half: jax.Array) -> _Two:
     """Shares of ways, backwards from their ends, at which they cross a slab."""
     way = jnp.where(jnp.abs(way) < 1e-9, 1e-9, way)
     middle, reach = end / way, jnp.abs(half / way)
@@ -267,7 +245,7 @@ def _slab(
 def ray_box_distance(
     origin: jax.Array, direction: jax.Array, pose: jax.Array, size: jax.Array
 ) -> jax.Array:
-    """Distance (...) [m] along rays to boxes (..., 3), (..., 2): the slab test.
+    """Distance (...) [m] along rays to boxes: the slab test.
 
     Rays start at `origin` (..., 2) [m] along unit vectors (..., 2). 0 from inside, inf
     without a hit; a ray along an edge misses.
@@ -276,13 +254,11 @@ def ray_box_distance(
     # Once for a box, not for each of its rays, which XLA would do to save memory.
     cos, sin = optimization_barrier((jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])))
 
-    def along(vector: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def along(vector: jax.Array) -> _Two:
         x, y = vector[..., 0], vector[..., 1]
         return cos * x + sin * y, cos * y - sin * x
 
-    def slab(
-        start: jax.Array, speed: jax.Array, size: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
+    def slab(start: jax.Array, speed: jax.Array, size: jax.Array) -> _Two:
         # A ray along a slab gives +-inf, the right ends of its interval; on the edge
         # 0 / 0, and NaN fails the comparison.
         one, other = _time(-0.5 * size - start, speed), _time(0.5 * size - start, speed)
@@ -387,12 +363,7 @@ def box_disc_contact_time(
 
 
 def swept_half_size(size: jax.Array, spread: jax.Array) -> jax.Array:
-    """Half length and half width (..., 2) [m] that enclose a box of varying heading.
-
-    Args:
-        size: (..., 2) length and width of the box [m].
-        spread: (...) largest deviation of its heading to either side [rad].
-    """
+    """Half sizes (..., 2) [m] around boxes that turn by up to `spread` (...) [rad]."""
     # l cos + w sin is largest at atan(w / l) and monotonic up to there.
     half = 0.5 * size
     other = half[..., ::-1]

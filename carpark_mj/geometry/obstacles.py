@@ -46,16 +46,13 @@ class ObstacleKind(enum.IntEnum):
 class Group:
     """Obstacles of a shape and a kind, (n,) in a lot; world frame."""
 
-    # (..., 3) centres and headings of boxes, (..., 2) centres of discs
-    pose_w: jax.Array
+    pose_w: jax.Array  # (..., 3) centres and headings of boxes, (..., 2) of discs
     size: jax.Array  # (..., 2) lengths and widths of boxes, (...) radii of discs [m]
-    # (..., 2) of the centres [m/s]; None = they stand still
-    velocity_w: jax.Array | None = None
+    velocity_w: jax.Array | None = None  # (..., 2) [m/s]; None = they stand still
     mask: jax.Array | None = None  # (...) bool, which of them there are; None = all
     # (n, k, 3 or 2) `pose_w` at the traced instants of the last control step, see
     # `Motion.trace_w`; None = they stood still
     trace_w: jax.Array | None = None
-    # what they are
     kind: ObstacleKind = struct.field(pytree_node=False, default=ObstacleKind.MOVER)
 
     # Of boxes (pose, size) with this shape (pose_w, size).
@@ -109,10 +106,7 @@ class Group:
         return self._overlap(pose, size, self.pose_w, self.size)
 
     def hit(self, trace: jax.Array, size: jax.Array) -> jax.Array:
-        """Whether boxes (..., k, 3), (..., 1, 2) hit these, traced, at k instants.
-
-        Boxes meet each other where they overlap at an instant, discs also in between.
-        """
+        """Whether boxes (..., k, 3), (..., 1, 2) hit these, traced, at k instants."""
         return self.overlap(trace, size)
 
     def distance(self, pose: jax.Array, size: jax.Array) -> jax.Array:
@@ -128,10 +122,8 @@ class Group:
     def ray_distance(self, origin: jax.Array, direction: jax.Array) -> jax.Array:
         """Distances (..., rays) [m] along rays (..., rays, 2) to each of them."""
         axis = self.pose_w.ndim - 1
-        pose = jnp.expand_dims(self.pose_w, axis)
-        return self._ray_distance(
-            origin, direction, pose, jnp.expand_dims(self.size, axis)
-        )
+        there = (jnp.expand_dims(x, axis) for x in (self.pose_w, self.size))
+        return self._ray_distance(origin, direction, *there)
 
 
 @struct.dataclass
@@ -204,15 +196,12 @@ class Merged(NamedTuple):
 
 def merge(groups: Sequence[Group], num_agents: int) -> Merged:
     """Groups of one shape, at least one, as one."""
-    num_traces = max(group.traced.pose_w.shape[1] for group in groups)
-
-    def trace(group: Group) -> jax.Array:
-        pose = group.traced.pose_w
-        return jnp.broadcast_to(pose, (group.count, num_traces, pose.shape[-1]))
-
+    traces = [group.traced.pose_w for group in groups]
+    most = max(trace.shape[1] for trace in traces)
+    traces = [jnp.broadcast_to(x, (len(x), most, x.shape[-1])) for x in traces]
     group, counts = joined(groups, num_agents)
     return Merged(
-        dataclasses.replace(group, trace_w=jnp.concatenate([*map(trace, groups)])),
+        dataclasses.replace(group, trace_w=jnp.concatenate(traces)),
         counts=counts,
         excursion=jnp.concatenate([group.excursion for group in groups]),
         kind=np.repeat([g.kind for g in groups], [g.count for g in groups]),
@@ -269,11 +258,8 @@ def visit_near(
         limit: of a carry, (num_agents,) [m]; it may shrink as the carry improves.
         visit: `(carry, index, valid) -> carry` with (num_agents, k) indices below n,
             each given once; those not valid must change nothing.
-        carry: the first.
+        carry: the first; the last is returned.
         chunk: how many to visit per agent at a time, k = min(chunk, n).
-
-    Returns:
-        The last carry.
     """
     chunk = min(chunk, bound.shape[1])
     rows = jnp.arange(bound.shape[0])[:, None]

@@ -16,10 +16,7 @@ Tree = TypeVar("Tree")
 def with_gradient(
     function: Callable[..., Tree], like: Callable[..., Tree]
 ) -> Callable[..., Tree]:
-    """The function, with the gradients of an equal function.
-
-    A loop of data-dependent length, for one, has no gradient in reverse mode.
-    """
+    """The function with the gradients of an equal one: some loops have none."""
     wrapped = jax.custom_jvp(function)
     wrapped.defjvp(lambda args, tangents: jax.jvp(like, args, tangents))
     return wrapped
@@ -108,20 +105,15 @@ def to_world(frame: jax.Array, pose: jax.Array) -> jax.Array:
 
 
 def axis_angle_error(yaw: jax.Array) -> jax.Array:
-    """Angle [rad] in [0, pi/2] between two undirected axes at a heading difference.
-
-    A car parked nose in and one parked nose out are both aligned with their bay.
-    """
+    """Angle [rad] in [0, pi/2] between undirected axes: nose in or out is alike."""
     return jnp.abs(wrap_angle(2.0 * yaw)) / 2.0
 
 
 def heading_error(turn: jax.Array, one_way: jax.Array | None) -> jax.Array:
     """Angle [rad] by which headings are off, given their differences (...) [rad].
 
-    Args:
-        turn: a heading less the wanted one.
-        one_way: (...) bool, whether the opposite heading is wrong: then the angle is in
-            [0, pi], otherwise that of the axes; None = nowhere.
+    `one_way` (...) says whether the opposite heading is wrong: then it is in [0, pi],
+    otherwise that of the axes; None = nowhere.
     """
     along = axis_angle_error(turn)
     if one_way is None:
@@ -132,19 +124,13 @@ def heading_error(turn: jax.Array, one_way: jax.Array | None) -> jax.Array:
 def nearest(
     own_xy: jax.Array, xy: jax.Array, mask: jax.Array, count: int
 ) -> tuple[jax.Array, jax.Array]:
-    """Indices of the nearest points, nearest first.
+    """Indices (num_agents, count) of the nearest points, nearest first.
 
-    Args:
-        own_xy: (num_agents, 2) observers.
-        xy: (n, 2) candidates.
-        mask: (num_agents, n) bool, candidates that count.
-        count: how many to return; padded where there are fewer.
-
-    Returns:
-        (num_agents, count) int indices, and bool whether present.
+    Observers are (num_agents, 2), candidates (n, 2), those that count a mask
+    (num_agents, n). Where there are fewer, indices are padded: also returns whether
+    each is present.
     """
-    distance = norm(own_xy[:, None] - xy)
-    distance = jnp.where(mask, distance, jnp.inf)
+    distance = jnp.where(mask, norm(own_xy[:, None] - xy), jnp.inf)
     missing = max(count - distance.shape[1], 0)
     distance = jnp.pad(distance, ((0, 0), (0, missing)), constant_values=jnp.inf)
     # A few rounds of argmin are cheaper than sorting when few cars are tracked.

@@ -1,64 +1,30 @@
 """Layouts of lots and the families of generators that make them."""
 
-from carpark_mj.layouts.car_park import CarParkConfig
-from carpark_mj.layouts.clutter import ClutterConfig
-from carpark_mj.layouts.files import FromFileConfig
-from carpark_mj.layouts.lot import AngledConfig, LotConfig
-from carpark_mj.layouts.registry import (
-    MixtureConfig,
-    layout_config,
-    make_layout,
-    member_shares,
-    mixture,
-)
-from carpark_mj.layouts.schematics import (
-    SQUARE_COMPACT,
-    SquareConfig,
-    StreetConfig,
-    StreetParallelConfig,
-)
-from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.stored import ScaledConfig, StoredConfig
-from carpark_mj.layouts.tight import DeadEndConfig, GarageRowConfig
-from carpark_mj.layouts.types import (
-    ROWS,
-    BayEnd,
-    BayKind,
-    DiscKind,
-    Layout,
-    Maxima,
-    WallKind,
-    layout_maxima,
-    pad_layout,
-)
-
-__all__ = [
-    "ROWS",
-    "SQUARE_COMPACT",
-    "AngledConfig",
-    "BayEnd",
-    "BayKind",
-    "CarParkConfig",
-    "ClutterConfig",
-    "DeadEndConfig",
-    "DesignCar",
-    "DiscKind",
-    "FromFileConfig",
-    "GarageRowConfig",
-    "Layout",
-    "LotConfig",
-    "Maxima",
-    "MixtureConfig",
-    "ScaledConfig",
-    "SquareConfig",
-    "StoredConfig",
-    "StreetConfig",
-    "StreetParallelConfig",
-    "WallKind",
-    "layout_config",
-    "layout_maxima",
-    "make_layout",
-    "member_shares",
-    "mixture",
-    "pad_layout",
-]
+from carpark_mj.layouts.car_park import CarParkConfig as CarParkConfig
+from carpark_mj.layouts.clutter import ClutterConfig as ClutterConfig
+from carpark_mj.layouts.files import FromFileConfig as FromFileConfig
+from carpark_mj.layouts.lot import AngledConfig as AngledConfig
+from carpark_mj.layouts.lot import LotConfig as LotConfig
+from carpark_mj.layouts.registry import MixtureConfig as MixtureConfig
+from carpark_mj.layouts.registry import layout_config as layout_config
+from carpark_mj.layouts.registry import make_layout as make_layout
+from carpark_mj.layouts.registry import member_shares as member_shares
+from carpark_mj.layouts.registry import mixture as mixture
+from carpark_mj.layouts.schematics import SQUARE_COMPACT as SQUARE_COMPACT
+from carpark_mj.layouts.schematics import SquareConfig as SquareConfig
+from carpark_mj.layouts.schematics import StreetConfig as StreetConfig
+from carpark_mj.layouts.schematics import StreetParallelConfig as StreetParallelConfig
+from carpark_mj.layouts.standards import DesignCar as DesignCar
+from carpark_mj.layouts.stored import ScaledConfig as ScaledConfig
+from carpark_mj.layouts.stored import StoredConfig as StoredConfig
+from carpark_mj.layouts.tight import DeadEndConfig as DeadEndConfig
+from carpark_mj.layouts.tight import GarageRowConfig as GarageRowConfig
+from carpark_mj.layouts.types import ROWS as ROWS
+from carpark_mj.layouts.types import BayEnd as BayEnd
+from carpark_mj.layouts.types import BayKind as BayKind
+from carpark_mj.layouts.types import DiscKind as DiscKind
+from carpark_mj.layouts.types import Layout as Layout
+from carpark_mj.layouts.types import Maxima as Maxima
+from carpark_mj.layouts.types import WallKind as WallKind
+from carpark_mj.layouts.types import layout_maxima as layout_maxima
+from carpark_mj.layouts.types import pad_layout as pad_layout

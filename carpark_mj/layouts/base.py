@@ -73,11 +73,7 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """The widest entries into bays.
-
-        A car that fits through none of these cannot enter any bay of this config's
-        lots; empty if unknown.
-        """
+        """The widest entries: who fits through none enters no bay; empty if unknown."""
         return ()
 
 
@@ -92,11 +88,7 @@ LAYOUT_FORMATS: Registry[Callable[[Path], Layout]] = Registry(
 
 
 def register_layout(name: str, config: Config) -> Config:
-    """Names a layout, and makes its family known.
-
-    Raises:
-        ValueError: the name is another layout's, or the family another class's.
-    """
+    """Names a layout and its family; `ValueError` if either is another one's."""
     FAMILIES.register(config.family, type(config))
     LAYOUTS.register(name, config)
     return config
@@ -108,11 +100,7 @@ def layout_format(name: str) -> str:
 
 
 def require_layout(name: str) -> None:
-    """Refuses what is neither the name of a layout nor that of a layout file.
-
-    Raises:
-        ValueError: with the known names or formats.
-    """
+    """Refuses what is neither the name of a layout nor that of a layout file."""
     suffix = layout_format(name)
     _ = LAYOUT_FORMATS[suffix] if suffix else LAYOUTS[name]
 

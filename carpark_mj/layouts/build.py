@@ -36,10 +36,7 @@ PARTS: dict[str, tuple[tuple[int, ...], Any]] = {
 
 
 def chances(key: jax.Array, count: int) -> jax.Array:
-    """(count,) float32 uniform in [0, 1), one for each draw.
-
-    One call of the generator for a whole lot: each call costs compilation time.
-    """
+    """(count,) uniform in [0, 1), for all of a lot: each call costs compile time."""
     return jax.random.uniform(key, (count,), jnp.float32)
 
 
@@ -59,9 +56,8 @@ def draw_int(chance: jax.Array, bounds: IntRange) -> jax.Array:
 def require_least(config: Any, least: float, name: str) -> None:
     """Refuses a range of a config that reaches below what its car needs [m]."""
     if (value := getattr(config, name))[0] < least:
-        raise ValueError(
-            f"{name} must be at least {least:.2f} m for the car, not {value}"
-        )
+        needed = f"at least {least:.2f} m for the car"
+        raise ValueError(f"{name} must be {needed}, not {value}")
 
 
 def require_aisle(aisle: float, least: float) -> None:
@@ -83,11 +79,8 @@ def cell_poses(
 ) -> jax.Array:
     """Poses (..., 3) of cells whose headings point out into the aisle.
 
-    Args:
-        offset: (...) where each cell's near line meets the aisle's edge [m].
-        width: (...) of each cell, across its heading [m].
-        length: () of the cells [m].
-        angle: () between the aisle and the cells [rad], in (0, pi / 2].
+    Their near lines meet the aisle's edge at `offset` (...) [m]; their angle to it is
+    in (0, pi / 2] rad.
     """
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     # The corner at the far line touches the aisle's edge; from there to the centre it
@@ -119,8 +112,7 @@ def _rows(row: str, mask: Any, **values: Any) -> Group:
     group = {}
     for part, value in (values | {"mask": mask}).items():
         trailing, dtype = PARTS[part]
-        known = part == "mask" and not isinstance(value, jax.Array)
-        use: Any = np if known else jnp
+        use: Any = jnp if part != "mask" or isinstance(value, jax.Array) else np
         value = use.broadcast_to(use.asarray(value, dtype), (*lead, *trailing))
         group[f"{row}_{part}"] = value.reshape(-1, *trailing)
     return group
@@ -163,10 +155,7 @@ def spawns(pose: Any, size: Any, spread: Any, mask: Any = True) -> Group:
 
 
 def spawns_in(car: DesignCar, pose: Any, size: Any, mask: Any = True) -> Group:
-    """Spawn regions that keep a car within free rectangles (..., 3), (..., 2).
-
-    Headings deviate from the rectangles' by at most `LANE_SPREAD`.
-    """
+    """Spawn regions in which a car stays within rectangles (..., 3), (..., 2)."""
     reach = swept_half_size(jnp.array(car.size), jnp.array(LANE_SPREAD))
     return spawns(pose, jnp.asarray(size) - 2 * reach, LANE_SPREAD, mask)
 
@@ -193,8 +182,7 @@ def least_lane(car: DesignCar) -> float:
 def two_lanes(pose: Any, size: Any) -> tuple[jax.Array, jax.Array]:
     """Splits two-way aisles (..., 3), (..., 2) into lanes (..., 2, 3), (..., 2, 2).
 
-    Traffic keeps to the right: the first lane runs along the aisle's heading, on its
-    right half, the second against it.
+    Traffic keeps to the right; the first lane runs along the aisle's heading.
     """
     pose, size = jnp.asarray(pose, jnp.float32), jnp.asarray(size, jnp.float32)
     x, y, yaw = pose[..., 0], pose[..., 1], pose[..., 2]
@@ -218,11 +206,9 @@ def boundary(half_x: Any, half_y: Any, thickness: float, kind: WallKind) -> Grou
 
 
 def assemble(extent: Any, *groups: Group) -> Layout:
-    """Joins groups of rows into a layout.
+    """Joins groups of rows into a layout with an extent (2,) [m].
 
-    Args:
-        extent: (2,) half widths of the lot in x and y [m].
-        groups: in any order; rows of a kind keep the order of their groups.
+    Rows of a kind keep the order of their groups.
     """
     columns: dict[str, list[Any]] = {}
     ends = any("bay_end" in group for group in groups)
@@ -260,15 +246,7 @@ def assemble(extent: Any, *groups: Group) -> Layout:
 
 @jax.jit  # many small operations would each be compiled on their own
 def from_columns(extent: Any, columns: dict[str, dict[str, Any]]) -> Layout:
-    """Makes a layout of the columns of its rows.
-
-    Args:
-        extent: see `assemble`.
-        columns: arguments of `bays`, `walls`, `discs`, `lanes` and `spawns` by name.
-    """
-    groups = [
-        make(**columns[make.__name__])
-        for make in (bays, walls, discs, lanes, spawns)
-        if make.__name__ in columns
-    ]
+    """Makes a layout of arguments of `bays`, `walls`, `discs`, `lanes` and `spawns`."""
+    makers = {make.__name__: make for make in (bays, walls, discs, lanes, spawns)}
+    groups = [make(**columns[x]) for x, make in makers.items() if x in columns]
     return assemble(extent, *groups)

@@ -1,5 +1,6 @@
 """Real car parks by name, and parts of lots."""
 
+import contextlib
 import dataclasses
 import functools
 import math
@@ -44,18 +45,12 @@ WIDTH = 6.0  # m of an aisle; the rows leave 6.1 m and more between them
 DRAWS = 100  # of parts, for each that is found
 
 
-def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
-    """The part of a lot between two corners, its middle at the origin.
+def crop(layout: Layout, corners: tuple[float, ...]) -> Layout:
+    """The part of a lot between two corners, x, y, x and y [m], about its middle.
 
     Bays and discs are kept whole or not at all, bays only with the lane in front of
     them; walls, lanes and spawn regions end where their centre lines leave the part.
-
-    Args:
-        layout: no batch dimension.
-        corners: x and y of one corner, x and y of the opposite one [m].
-
-    Returns:
-        Numpy arrays.
+    The arrays, without a batch dimension, become numpy's.
 
     Raises:
         ValueError: the part has no bay, or no spawn region.
@@ -64,16 +59,11 @@ def crop(layout: Layout, corners: tuple[float, float, float, float]) -> Layout:
     middle, half = (low + high) / 2, (high - low) / 2
     plan: Any = jax.device_get(layout)
     fields: dict[str, Any] = {
-        field.name: np.array(getattr(plan, field.name))
-        for field in dataclasses.fields(plan)
-        if getattr(plan, field.name) is not None
+        name: np.array(array) for name, array in vars(plan).items() if array is not None
     }
+    bays = np.asarray(box_corners(plan.bay_pose, plan.bay_size))
     masks = {
-        "bay": np.all(
-            np.abs(np.asarray(box_corners(plan.bay_pose, plan.bay_size)) - middle)
-            <= half,
-            axis=(-2, -1),
-        ),
+        "bay": (np.abs(bays - middle) <= half).all(axis=(-2, -1)),
         "disc": (np.abs(plan.disc_centre - middle) <= half).all(axis=-1),
     }
     for row, least in (("wall", THINNEST), ("lane", SHORTEST), ("spawn", THINNEST)):
@@ -144,8 +134,8 @@ def dragon_lake() -> Layout:
             # The aisle is above the upper of two rows; one row faces the middle.
             up = row == 0 if rows == 2 else y < SIZE[1] / 2
             for bay in range(count):
-                yaw = math.pi / 2 if up else -math.pi / 2
-                poses.append((left + (bay + 0.5) * width, y, yaw))
+                x, yaw = left + (bay + 0.5) * width, math.pi / 2 if up else -math.pi / 2
+                poses.append((x, y, yaw))
                 sizes.append((length, width))
     east = ROWS_OF_BAYS[0][1][0]
     aisles = [(east / 2, y, 0.0) for y in AISLES_Y]
@@ -176,7 +166,6 @@ class CarParkConfig(FixedLayoutConfig):
         name: `dragon_lake` or `san_jose`.
         corners: x and y of two opposite corners of the part to take [m], in the frame
             of the whole; empty = all of it.
-        family: fixed.
     """
 
     name: str = "dragon_lake"
@@ -206,10 +195,7 @@ def _made(name: str, corners: tuple[float, ...]) -> Layout:
     """The lot of a config, made once."""
     with jax.ensure_compile_time_eval():  # may be called by a function that is traced
         whole = jax.device_get(CAR_PARKS[name]())
-        if not corners:
-            return whole
-        x, y, other_x, other_y = corners
-        return crop(whole, (x, y, other_x, other_y))
+        return crop(whole, corners) if corners else whole
 
 
 def random_parts(
@@ -217,15 +203,8 @@ def random_parts(
 ) -> list[CarParkConfig]:
     """Draws parts of a car park in which every bay has a route from every lane.
 
-    Args:
-        name: of the car park.
-        size: of each part in x and y [m].
-        count: how many.
-        seed: of the draws.
-        min_bays: that each has at least.
-
-    Raises:
-        ValueError: an unknown car park, or hardly any such part in it.
+    Each has a size in x and y [m] and at least `min_bays`. `ValueError` if there are
+    hardly any such parts.
     """
     config, generator = CarParkConfig(name), np.random.default_rng(seed)
     whole, found, half = config.layout, [], np.array(size) / 2
@@ -233,14 +212,11 @@ def random_parts(
     for _ in range(DRAWS * count if (room > 0).all() else 0):
         middle = generator.uniform(-room, room)
         corners = (*(middle - half), *(middle + half))
-        part = config.crop(*map(float, corners))
-        try:
+        part = dataclasses.replace(config, corners=tuple(map(float, corners)))
+        with contextlib.suppress(ValueError):  # no bay or nowhere to start
             enough = part.min_bays >= min_bays
-        except ValueError:  # no bay or nowhere to start
-            continue
-        lot = part.layout
-        if enough and lot is not None and _all_reached(pad_layout(lot, maxima)):
-            found.append(part)
+            if enough and _all_reached(pad_layout(part.layout, maxima)):
+                found.append(part)
         if len(found) == count:
             return found
     raise ValueError(

@@ -31,15 +31,11 @@ _SUBJECTS = {"bays": "bay", "lanes": "lane", "cars": "spawn"}
 
 
 def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
-    """Faults of one layout whose shapes and dtypes are right.
+    """Faults of one layout (no batch dimension) whose shapes and dtypes are right.
 
-    Args:
-        layout: no batch dimension.
-        car_size: (2,) length and width of the largest car [m].
-
-    Returns:
-        Bool arrays, True = fault, by the text of its message; one dimension per kind
-        of row it concerns, none for the lot as a whole.
+    `car_size` (2,) is the length and width of the largest car [m]. Returns bool arrays,
+    True = fault, by the text of its message; one dimension per kind of row it concerns,
+    none for the lot as a whole.
     """
     bay = (layout.bay_pose, layout.bay_size - ROUNDING, layout.bay_mask)
     is_exit = layout.bay_mask & (layout.bay_kind == BayKind.EXIT)
@@ -65,26 +61,22 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
             layout.bay_mask & odd & ~is_exit
         ),
         "bays are smaller than the car": layout.bay_mask & small,
-        "bays overlap": jnp.triu(_boxes_meet(bay, bay), 1),
-        "bays meet walls": _boxes_meet(bay, wall),
-        "bays meet discs": _discs_meet(bay, disc),
-        "lanes meet bays": _boxes_meet(lane, off_lane),
-        "lanes meet walls": _boxes_meet(lane, wall),
-        "lanes meet discs": _discs_meet(lane, disc),
-        "cars spawning in spawn regions meet walls": _boxes_meet(swept, wall),
-        "cars spawning in spawn regions meet discs": _discs_meet(swept, disc),
-        "cars spawning in spawn regions meet bays": _boxes_meet(swept, no_start),
+        "bays overlap": jnp.triu(_meet(bay, bay), 1),
+        "bays meet walls": _meet(bay, wall),
+        "bays meet discs": _meet(bay, disc),
+        "lanes meet bays": _meet(lane, off_lane),
+        "lanes meet walls": _meet(lane, wall),
+        "lanes meet discs": _meet(lane, disc),
+        "cars spawning in spawn regions meet walls": _meet(swept, wall),
+        "cars spawning in spawn regions meet discs": _meet(swept, disc),
+        "cars spawning in spawn regions meet bays": _meet(swept, no_start),
     }
 
 
-def _boxes_meet(a: _Rows, b: _Rows) -> jax.Array:
-    hit = boxes_overlap(a[0][:, None], a[1][:, None], b[0], b[1])
-    return hit & a[2][:, None] & b[2]
-
-
-def _discs_meet(box: _Rows, disc: _Rows) -> jax.Array:
-    hit = box_disc_overlap(box[0][:, None], box[1][:, None], disc[0], disc[1])
-    return hit & box[2][:, None] & disc[2]
+def _meet(a: _Rows, b: _Rows) -> jax.Array:
+    """Which boxes overlap which boxes or discs: poses or centres, sizes, masks."""
+    overlap = boxes_overlap if b[0].shape[-1] == 3 else box_disc_overlap
+    return overlap(a[0][:, None], a[1][:, None], *b[:2]) & a[2][:, None] & b[2]
 
 
 class Fault(NamedTuple):
@@ -97,16 +89,10 @@ class Fault(NamedTuple):
 
 
 def list_faults(layout: Layout, car_size: tuple[float, float]) -> list[Fault]:
-    """Faults of one layout whose shapes, dtypes and numbers are right, on the host.
-
-    Args:
-        layout: no batch dimension.
-        car_size: length and width of the largest car [m].
-    """
+    """Faults of one layout whose shapes, dtypes and numbers are right, on the host."""
     found: list[Fault] = []
-    size = jnp.array(car_size, jnp.float32)
-    faults = jax.device_get(_find_faults(_padded(layout), size))
-    for message, fault in faults.items():
+    faults = _find_faults(_padded(layout), jnp.array(car_size, jnp.float32))
+    for message, fault in jax.device_get(faults).items():
         if fault.any():
             subject, *_, other = message.split()
             kind, met = _SUBJECTS.get(subject, ""), other.removesuffix("s")
@@ -127,16 +113,10 @@ def describe_faults(
     touches no wall, disc or bay. Exits may lie on lanes; in a lot with exits cars may
     spawn in the other bays.
 
-    Args:
-        layout: no batch dimension.
-        car_size: length and width of the largest car [m]; the design car's if None,
-            `ANY_CAR` for what does not depend on cars.
-
-    Returns:
-        Empty if the layout is valid.
+    The layout has no batch dimension; the largest car has a length and a width [m],
+    those of the design car if None, `ANY_CAR` for what does not depend on cars.
     """
-    found = _malformed(layout)
-    if found:
+    if found := _malformed(layout):
         return found
     for message, kinds, places in list_faults(layout, car_size or DesignCar().size):
         rows = places[:3, 0] if len(kinds) == 1 else places[:3]
@@ -150,13 +130,10 @@ _find_faults = jax.jit(find_faults)
 def _padded(layout: Layout) -> Layout:
     """The layout with 64, 128, 256... rows of a kind: few shapes, so few programs."""
     changes: dict[str, Any] = {}
-    for field in dataclasses.fields(layout):
-        array = getattr(layout, field.name)
-        if field.name.split("_")[0] in ROWS and array is not None:
-            count = len(array)
-            extra = max(64, 1 << (count - 1).bit_length()) - count
-            ends = [(0, extra)] + [(0, 0)] * (array.ndim - 1)
-            changes[field.name] = np.pad(array, ends)
+    for name, array in vars(layout).items():
+        if name.split("_")[0] in ROWS and array is not None:
+            extra = max(64, 1 << (len(array) - 1).bit_length()) - len(array)
+            changes[name] = np.pad(array, [(0, extra)] + [(0, 0)] * (array.ndim - 1))
     return dataclasses.replace(layout, **changes)
 
 
@@ -172,12 +149,11 @@ def _malformed(layout: Layout) -> list[str]:
             given = getattr(layout, f"{kind}_{part}", None)
             if given is None:
                 continue
-            name, array, shape = f"{kind}_{part}", np.asarray(given), mask.shape
-            if array.shape != (*shape, *trailing) or array.dtype != dtype:
-                found.append(
-                    f"{name} must be {jnp.dtype(dtype)}{[*shape, *trailing]}, not "
-                    f"{array.dtype}{[*array.shape]}"
-                )
+            name, array = f"{kind}_{part}", np.asarray(given)
+            shape = (*mask.shape, *trailing)
+            if array.shape != shape or array.dtype != dtype:
+                wanted, had = f"{jnp.dtype(dtype)}{[*shape]}", [*array.shape]
+                found.append(f"{name} must be {wanted}, not {array.dtype}{had}")
             elif not np.isfinite(array).all():
                 found.append(f"{name} holds a non-finite number")
             elif part in ("size", "radius") and (array[mask] <= 0).any():

@@ -68,7 +68,6 @@ class ClutterConfig(LayoutConfig):
         nose_first: share of the bays that a car must enter with its nose first.
         tail_first: share of the bays that a car must enter with its tail first; the
             other bays allow either end.
-        family: fixed.
     """
 
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
@@ -104,10 +103,8 @@ class ClutterConfig(LayoutConfig):
         counts = (11, 6 * STARTS, 4 * DISCS, 6 * _WALLS)
         ends = [sum(counts[:k]) for k in range(1, 5)]
         chance, *chances = jnp.split(build.chances(key, ends[-1]), ends[:-1])
-        starts, discs, walls = (
-            x.reshape(-1, n)
-            for x, n in zip(chances, (STARTS, DISCS, _WALLS), strict=True)
-        )
+        numbers = zip(chances, (STARTS, DISCS, _WALLS), strict=True)
+        starts, discs, walls = (x.reshape(-1, n) for x, n in numbers)
         slot = _draw_slot(self, chance)
         room = slot.car + 2.0 * CLEAR + START
         start = _draw_starts(slot, room, starts)
@@ -125,11 +122,10 @@ class ClutterConfig(LayoutConfig):
         taken = taken[FREE - 1 : -2] | boxes_overlap(start, room, slot.pose, largest)
         most = (self.largest or self.car).length
         shift = jnp.array([0.0, 0.5 * most, 0.0])
+        bay = (slot.pose - shift)[None], slot.car + 2.0 * margin
         return build.assemble(
             jnp.array(HALF_EXTENT) * most,
-            build.bays(
-                (slot.pose - shift)[None], slot.car + 2.0 * margin, end=slot.end
-            ),
+            build.bays(*bay, end=slot.end),
             build.walls(pose - shift, wall_size, mask=wall),
             build.discs(centre - shift[:2], radius, mask=disc),
             build.spawns(start - shift, (START, START), 0.0, mask=~taken),
@@ -137,27 +133,16 @@ class ClutterConfig(LayoutConfig):
 
 
 class _Slot(NamedTuple):
-    """What a lot is drawn around.
+    """What a lot is drawn around."""
 
-    Attributes:
-        car: (2,) length and width of the car [m].
-        pose: (3,) of the bay.
-        end: () int32, a `BayEnd`.
-        out: (2,) unit vector out of the bay into the aisle.
-        half: (2,) half extents of the parked car along `out` and across [m].
-        gaps: (3,) from it to what stands on its left, on its right and behind it [m].
-        aisle: () width [m].
-        density: () share of places that are taken.
-    """
-
-    car: jax.Array
-    pose: jax.Array
-    end: jax.Array
-    out: jax.Array
-    half: jax.Array
-    gaps: jax.Array
-    aisle: jax.Array
-    density: jax.Array
+    car: jax.Array  # (2,) length and width of the car [m]
+    pose: jax.Array  # (3,) of the bay
+    end: jax.Array  # () int32, a `BayEnd`
+    out: jax.Array  # (2,) unit vector out of the bay into the aisle
+    half: jax.Array  # (2,) half extents of the parked car along `out` and across [m]
+    gaps: jax.Array  # (3,) from it to what stands on its left, right and behind it [m]
+    aisle: jax.Array  # () width [m]
+    density: jax.Array  # () share of places that are taken
 
     @property
     def right(self) -> jax.Array:
@@ -273,10 +258,8 @@ def _draw_walls(
     parts = [jnp.broadcast_arrays(*group) for group in groups]
     x, y, yaw, length, likely = map(jnp.concatenate, zip(*parts, strict=True))
     taken = chance[4] < likely
-    width = build.draw(chance[5], THICKNESS)
-    width = jnp.where(
-        jnp.arange(_WALLS) < _WALLS - BOXES, width, build.draw(chance[5], BOX)
-    )
+    thin, box = build.draw(chance[5], THICKNESS), build.draw(chance[5], BOX)
+    width = jnp.where(jnp.arange(_WALLS) < _WALLS - BOXES, thin, box)
     x, y = x + length / 2 * jnp.cos(yaw), y + length / 2 * jnp.sin(yaw)
     mask = taken & (slot.density >= OPEN)
     return build.stacked(x, y, yaw), build.stacked(length, width), mask
@@ -309,11 +292,8 @@ def _behind(slot: _Slot, chance: jax.Array) -> list[_Group]:
     """A wall behind the bay, by numbers (4, 1)."""
     length = build.draw(chance[0], EDGE)
     tilt = _stray(chance[1], TILT)
-    x, y = (
-        slot.pose[:2]
-        - (slot.half[0] + slot.gaps[2]) * slot.out
-        - slot.half[1] * slot.right
-    )
+    back = slot.pose[:2] - (slot.half[0] + slot.gaps[2]) * slot.out
+    x, y = back - slot.half[1] * slot.right
     yaw = jnp.arctan2(slot.right[1], slot.right[0]) + tilt
     return [(x, y, yaw, length, BEHIND * slot.density)]
 

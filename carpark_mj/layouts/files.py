@@ -30,7 +30,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from carpark_mj.config.checks import FARTHEST
+from carpark_mj.config.checks import FARTHEST, require_name
 from carpark_mj.extensions import unknown_name
 from carpark_mj.layouts import build
 from carpark_mj.layouts.base import FAMILIES, LAYOUT_FORMATS, layout_format
@@ -56,11 +56,7 @@ _NEEDED = ("format", "bays", "spawns", "extent")
 
 
 def read_json(path: Path) -> Layout:
-    """Reads a layout.
-
-    Raises:
-        ValueError: no such file, or a fault in it; the message names the row.
-    """
+    """Reads a layout; `ValueError` with the row if it has a fault."""
     layout = read_unchecked(path)
     # Which cars there will be only an environment knows.
     if faults := describe_faults(layout, ANY_CAR):
@@ -69,11 +65,7 @@ def read_json(path: Path) -> Layout:
 
 
 def read_unchecked(path: Path) -> Layout:
-    """Reads a layout, which may have faults.
-
-    Raises:
-        ValueError: no such file, or one of another format; the message names the row.
-    """
+    """Reads a layout, which may have faults; `ValueError` if it is none."""
     try:
         return parse_layout(parse_object(read_text(path), "the layout"))
     except OSError as error:
@@ -86,25 +78,17 @@ LAYOUT_FORMATS.register("json", read_json)
 
 
 def layout_text(layout: Layout) -> str:
-    """The file of one layout, as text; padding is left out.
-
-    Args:
-        layout: without batch dimensions.
-    """
+    """The file of one layout (no batch dimension), as text; padding is left out."""
     document: dict[str, Any] = {"extent": np.asarray(layout.extent).tolist()}
     for rows, schema in _SCHEMA.items():
-        row = rows.removesuffix("s")
-        mask = np.asarray(getattr(layout, f"{row}_mask"))
-        columns: dict[str, list[Any]] = {}
+        kind = rows.removesuffix("s")
+        mask = np.asarray(getattr(layout, f"{kind}_mask"))
+        document[rows] = [{} for _ in range(mask.sum())]
         for part, form in schema.items():
-            if (column := getattr(layout, f"{row}_{part}")) is not None:
-                values = np.asarray(column)[mask].tolist()
-                names = _names(form)
-                columns[part] = [names[x] for x in values] if names else values
-        document[rows] = [
-            dict(zip(columns, values, strict=True))
-            for values in zip(*columns.values(), strict=True)
-        ]
+            if (column := getattr(layout, f"{kind}_{part}")) is not None:
+                names, values = _names(form), np.asarray(column)[mask].tolist()
+                for row, value in zip(document[rows], values, strict=True):
+                    row[part] = names[value] if names else value
     return document_text(document)
 
 
@@ -148,11 +132,7 @@ def _default(part: str, form: Any) -> Any:
 
 
 def parse_layout(data: Mapping[str, Any]) -> Layout:
-    """The layout of a file's object, which may have faults.
-
-    Raises:
-        ValueError: not of the format; the message names the row.
-    """
+    """The layout of a file's object, see `read_unchecked`."""
     if data.get("format") != FORMAT:
         raise ValueError(f"format must be {FORMAT!r}, not {data.get('format')!r}")
     if missing := [name for name in _NEEDED if name not in data]:
@@ -182,47 +162,44 @@ def _columns(
         if unknown := sorted(set(row) - set(schema)):
             raise ValueError(unknown_name(f"entry of {what}", unknown[0], schema))
         for part, form in schema.items():
-            columns[part].append(_value(f"{what}.{part}", part, form, row))
+            given = row.get(part, _default(part, form))
+            columns[part].append(_value(f"{what}.{part}", form, given))
     return {part: np.array(values) for part, values in columns.items()}
 
 
-def _value(what: str, part: str, form: Any, row: dict[str, Any]) -> Any:
+def _value(what: str, form: Any, value: Any) -> Any:
     """The value of a field of a row: numbers, a flag, or the number of a kind."""
-    if part not in row:
-        if isinstance(form, int) and part not in _DEFAULTS:
-            raise ValueError(f"{what} is missing")
-        return _DEFAULTS.get(part, 0)
-    value = row[part]
+    if value is None:
+        raise ValueError(f"{what} is missing")
     if isinstance(form, int):
         return _number(what, value, form)
-    if form is bool:
-        if not isinstance(value, bool):
-            raise ValueError(f"{what} must be true or false, not {value!r}")
-        return value
-    if value not in (names := _names(form)):
-        raise ValueError(unknown_name(what, value, names))
-    return names.index(value)
+    if form is not bool:
+        require_name(what, value, _names(form))
+        return _names(form).index(value)
+    if not isinstance(value, bool):
+        raise ValueError(f"{what} must be true or false, not {value!r}")
+    return value
 
 
 def _number(what: str, value: Any, count: int) -> Any:
-    """A finite number, or a list of so many."""
+    """A number within bounds, or a list of so many."""
     values = [value] if count == 1 else value
-    good = isinstance(values, list) and len(values) == count
-    if not good or not all(
-        isinstance(x, int | float) and not isinstance(x, bool) and x == x
-        for x in values
+    if (
+        not (isinstance(values, list) and len(values) == count)
+        or {type(x) for x in values} - {int, float}
+        or any(x != x for x in values)
     ):
         wanted = "a number" if count == 1 else f"{count} numbers"
         raise ValueError(f"{what} must be {wanted}, not {value!r}")
-    if max(map(abs, values)) > FARTHEST:
+    part, least, most = what.rsplit(".", 1)[-1], min(values), max(values)
+    if max(most, -least) > FARTHEST:
         raise ValueError(f"{what} must be at most {FARTHEST:g}, not {value!r}")
-    if what.endswith(".pose") and abs(values[2]) > 2 * math.pi + 1e-3:
+    if part == "pose" and abs(values[2]) > 2 * math.pi + 1e-3:
         raise ValueError(
             f"{what} must have a heading within [-2 pi, 2 pi] rad, not {values[2]}: "
             "headings are in radians"
         )
-    part = what.rsplit(".", 1)[-1]
-    if part in _POSITIVE and min(values) <= 0:
+    if part in _POSITIVE and least <= 0:
         raise ValueError(f"{what} must be positive, not {value!r}")
     if part == "spread" and not 0 <= value <= _HALF_TURN:
         raise ValueError(f"{what} must lie in [0, {math.pi:.4g}], not {value!r}")
@@ -239,7 +216,6 @@ class FromFileConfig(FixedLayoutConfig):
     Attributes:
         path: of the file; its suffix says the format: `.json`, in which a car park can
             be drawn by hand (`carpark_mj.layouts.files`), or that of an extension.
-        family: fixed.
     """
 
     path: str = ""

@@ -53,7 +53,6 @@ class LotConfig(LayoutConfig):
         boundary: what surrounds the lot.
         wall_thickness: of the boundary.
         car: the car the lot is drawn for.
-        family: fixed.
     """
 
     num_aisles: standards.Counts = (2, 3)
@@ -88,9 +87,8 @@ class LotConfig(LayoutConfig):
         row = self.bays_per_row[0] * self.bay_width[0]
         if self._wide > row:
             raise ValueError(
-                f"num_accessible {self.num_accessible} and num_family "
-                f"{self.num_family} need {self._wide} m, a row may have no more than "
-                f"{row:.2f} m"
+                f"num_accessible and num_family need {self._wide} m, a row may have no "
+                f"more than {row:.2f} m"
             )
         lane = build.least_lane(self.car) * (2 if self.two_way else 1)
         for entry in self._entries(self.extra_aisle[0], self.bay_width[0]):
@@ -101,8 +99,8 @@ class LotConfig(LayoutConfig):
         """The fewest bays that any key gives."""
         low, width = self.bays_per_row[0], self.bay_width[0]
         kept = math.floor((low * width - self._wide) / width + 1e-6)
-        first = self.num_accessible + self.num_family + kept
-        return first + (2 * self.num_aisles[0] - 1) * low
+        wide = self.num_accessible + self.num_family
+        return wide + kept + (2 * self.num_aisles[0] - 1) * low
 
     @property
     def _wide(self) -> float:
@@ -117,10 +115,9 @@ class LotConfig(LayoutConfig):
 
     def _entries(self, extra_aisle: float, bay_width: float) -> tuple[Entry, ...]:
         # Neither the standard nor the least aisle is monotonic between the ends.
-        angles = [float(angle) for angle in np.linspace(*self.angle, 25)]
+        angles, standard = np.linspace(*self.angle, 25), standards.one_way_aisle
         return tuple(
-            Entry(standards.one_way_aisle(a) + extra_aisle, bay_width, a)
-            for a in angles
+            Entry(standard(a) + extra_aisle, bay_width, a) for a in angles.tolist()
         )
 
     def generate(self, key: jax.Array) -> Layout:
@@ -253,14 +250,10 @@ def _rows(config: LotConfig, plan: _Plan) -> list[build.Group]:
     bay_size = build.stacked(plan.bay_length, width)
     groups = [build.bays(bay_pose, bay_size, kind, mask)]
     if every:
-        gap = jnp.full(shape, PILLAR_GAP)
-        setback = (
-            plan.bay_length / 2 - standards.PILLAR_SETBACK - standards.PILLAR_RADIUS
-        )
+        gap, radius = jnp.full(shape, PILLAR_GAP), standards.PILLAR_RADIUS
+        setback = plan.bay_length / 2 - standards.PILLAR_SETBACK - radius
         centre = move_forward(place(far - width - gap, gap), setback)[..., :2]
-        groups.append(
-            build.discs(centre, standards.PILLAR_RADIUS, DiscKind.PILLAR, mask & pillar)
-        )
+        groups.append(build.discs(centre, radius, DiscKind.PILLAR, mask & pillar))
     if config.row_ends != "open":
         # The strip fills what wide bays leave of their row, if it stays within the row.
         rest = jnp.minimum(plan.end + plan.row - last, plan.bay_width)
@@ -274,56 +267,47 @@ def _strips(
     config: LotConfig, plan: _Plan, pose: jax.Array, width: jax.Array
 ) -> build.Group:
     """Islands or pairs of bollards at the ends of the rows (aisles, 2 sides, 2)."""
-    mask = plan.aisle_mask[:, None, None]
+    mask, radius = plan.aisle_mask[:, None, None], standards.BOLLARD_RADIUS
     if config.row_ends == "islands":
         size = build.stacked(plan.bay_length, width)
         return build.walls(pose, size, WallKind.ISLAND, mask)
     reach = plan.bay_length / 2 - BOLLARD_INSET
-    centre = jnp.stack(
-        [move_forward(pose, reach), move_forward(pose, -reach)], axis=-2
-    )[..., :2]
-    return build.discs(
-        centre, standards.BOLLARD_RADIUS, DiscKind.BOLLARD, mask[..., None]
-    )
+    both = [move_forward(pose, reach), move_forward(pose, -reach)]
+    centre = jnp.stack(both, axis=-2)[..., :2]
+    return build.discs(centre, radius, DiscKind.BOLLARD, mask[..., None])
 
 
 def _lanes(config: LotConfig, plan: _Plan) -> list[build.Group]:
     """Lanes of aisles, cross aisles and entrances, and spawn regions in them."""
-    num_aisles = config.num_aisles[1]
-    pose = build.stacked(0.0, plan.aisle_y, 0.0)
+    pose, mask = build.stacked(0.0, plan.aisle_y, 0.0), plan.aisle_mask
     size = jnp.stack([plan.field, plan.aisle])
     if config.two_way:
-        pose, size = build.two_lanes(pose, jnp.broadcast_to(size, (num_aisles, 2)))
-        mask = jnp.stack([plan.aisle_mask] * 2, axis=-1)
+        (pose, size), mask = build.two_lanes(pose, size), mask[:, None]
     else:
-        backwards = (jnp.arange(num_aisles) % 2 == 1) != config.back_in
+        backwards = (jnp.arange(len(mask)) % 2 == 1) != config.back_in
         pose = pose.at[:, 2].set(jnp.where(backwards, jnp.pi, 0.0))
-        mask = plan.aisle_mask
     groups = [*build.driven_lanes(config.car, pose, size, mask)]
 
     side = jnp.array([-1.0, 1.0])
-    x = side * (plan.field + plan.cross) / 2
-    pose = build.stacked(x, 0.0, jnp.pi / 2)
-    size = jnp.broadcast_to(jnp.stack([plan.cross, 2 * plan.half[1]])[::-1], (2, 2))
+    pose = build.stacked(side * (plan.field + plan.cross) / 2, 0.0, jnp.pi / 2)
+    size = jnp.stack([2 * plan.half[1], plan.cross])
     groups += build.driven_lanes(config.car, *build.two_lanes(pose, size))
 
     x = side * (plan.half[0] + ENTRANCE_LENGTH / 2)
-    inwards = jnp.array([0.0, jnp.pi])
-    pose = build.stacked(x, plan.entrance_y, inwards)
-    size = jnp.broadcast_to(jnp.array([ENTRANCE_LENGTH, ENTRANCE_WIDTH]), (2, 2))
+    pose = build.stacked(x, plan.entrance_y, jnp.array([0.0, jnp.pi]))
+    size = jnp.array([ENTRANCE_LENGTH, ENTRANCE_WIDTH])
     pose, size = build.two_lanes(pose, size)
     groups.append(build.lanes(pose, size, mask=plan.entrance_mask[:, None]))
     # Only on the way in: no car starts at a closed gate and heads for it.
-    pose, size = pose[:, 0], size[:, 0]
-    return [*groups, build.spawns_in(config.car, pose, size, plan.entrance_mask)]
+    inwards = pose[:, 0], size[0]
+    return [*groups, build.spawns_in(config.car, *inwards, plan.entrance_mask)]
 
 
 def _outer_walls(config: LotConfig, plan: _Plan) -> list[build.Group]:
     """Walls around the lot with openings at the entrances, and the gates in them."""
-    thick = jnp.float32(config.wall_thickness)
+    thick, side = jnp.float32(config.wall_thickness), jnp.array([-1.0, 1.0])
     kind = WallKind.WALL if config.boundary == "wall" else WallKind.KERB
-    half_x, half_y = plan.half[0], plan.half[1]
-    side = jnp.array([-1.0, 1.0])
+    half_x, half_y = plan.half
     pose = build.stacked(0.0, side * (half_y + thick / 2), 0.0)
     ends = build.walls(pose, build.stacked(2 * (half_x + thick), thick), kind)
     # Two pieces on each side, which meet at the entrance's middle if there is none.

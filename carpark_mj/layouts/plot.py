@@ -64,8 +64,8 @@ def draw_layout(axes: Any, layout: Layout) -> None:
         boxes("wall", mask, fc=colour, ec=colour, lw=WALL)
     for row in np.flatnonzero(plan.disc_mask):
         colour = DISC_COLOURS[DiscKind(int(plan.disc_kind[row]))]
-        centre, radius = plan.disc_centre[row], plan.disc_radius[row]
-        axes.add_patch(Circle(centre, radius, fc=colour, ec="none"))
+        disc = plan.disc_centre[row], plan.disc_radius[row]
+        axes.add_patch(Circle(*disc, fc=colour, ec="none"))
     one_way = plan.bay_mask & (False if plan.bay_end is None else plan.bay_end > 0)
     parked_pose = np.asarray(layout.parked_pose)
     for bay in np.flatnonzero(plan.bay_mask):
@@ -87,16 +87,8 @@ def draw_layout(axes: Any, layout: Layout) -> None:
 
 
 def _arrow(axes: Any, x: float, y: float, yaw: float, size: float, colour: str) -> None:
-    axes.arrow(
-        x,
-        y,
-        size * np.cos(yaw),
-        size * np.sin(yaw),
-        color=colour,
-        head_width=0.5,
-        length_includes_head=True,
-        lw=0.6,
-    )
+    style: dict[str, Any] = {"head_width": 0.5, "length_includes_head": True, "lw": 0.6}
+    axes.arrow(x, y, size * np.cos(yaw), size * np.sin(yaw), color=colour, **style)
 
 
 def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
@@ -121,9 +113,8 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
     foot = 5 * LINE
     figure = Figure(figsize=(SHEET, high + foot))
     FigureCanvasAgg(figure)
-    for (_, layout), size, title, (x, y) in zip(
-        layouts, sizes, lines, places, strict=True
-    ):
+    shown = zip(layouts, sizes, lines, places, strict=True)
+    for (_, layout), size, title, (x, y) in shown:
         width, height = size * metre
         top = 1 - y / (high + foot)
         text: dict[str, Any] = {"fontsize": FONT, "va": "top", "linespacing": 1.1}
@@ -131,7 +122,7 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
         low = top - (height + LINE * len(title)) / (high + foot)
         box = (x / SHEET, low, width / SHEET, height / (high + foot))
         draw_layout(figure.add_axes(box), layout)
-    _legend(figure, layouts, metre)
+    _legend(figure, [layout for _, layout in layouts], metre)
     write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI))
     return path
 
@@ -150,43 +141,34 @@ def _pack(
     return places, y + tall + gap
 
 
-def _legend(figure: Any, layouts: Sequence[tuple[str, Layout]], metre: float) -> None:
+def _legend(figure: Any, lots: Sequence[Layout], metre: float) -> None:
     """Draws the legend of these layouts' colours, and a bar of 10 m."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
+    colours = {"bay": BAY_COLOURS, "wall": WALL_COLOURS, "disc": DISC_COLOURS}
     entries: list[Any] = []
-    for part, colours in (
-        ("bay", BAY_COLOURS),
-        ("wall", WALL_COLOURS),
-        ("disc", DISC_COLOURS),
-    ):
+    for part, kinds in colours.items():
+        rows = [(getattr(x, f"{part}_kind"), getattr(x, f"{part}_mask")) for x in lots]
         found = {
-            int(kind)
-            for _, layout in layouts
-            for kind in np.asarray(getattr(layout, f"{part}_kind"))[
-                np.asarray(getattr(layout, f"{part}_mask"))
-            ]
+            int(x) for kind, mask in rows for x in np.asarray(kind)[np.asarray(mask)]
         }
-        for kind, colour in colours.items():
+        for kind, colour in kinds.items():
             if int(kind) in found:
                 name = kind.name.lower() + " bay" * (part == "bay")
                 entries.append(Patch(fc=colour, ec="#444444", lw=0.6, label=name))
     arrow: dict[str, Any] = {"marker": ">", "lw": 0.8, "ms": 3}
-    if any(np.any(layout.spawn_mask) for _, layout in layouts):
+    if any(np.any(layout.spawn_mask) for layout in lots):
         start: dict[str, Any] = {"fc": "#2e86c1", "ec": "#1b4f72", "alpha": 0.25}
         entries.append(Patch(**start, label="start region"))
-    if any(np.any(layout.lane_mask) for _, layout in layouts):
+    arrows = {"#888888": "parked heading"}
+    if any(np.any(layout.lane_mask) for layout in lots):
         entries.append(Patch(fc="#d9d9d9", label="lane"))
-        entries.append(
-            Line2D([], [], color="#b9770e", label="driving direction", **arrow)
-        )
-    entries.append(Line2D([], [], color="#888888", label="parked heading", **arrow))
-    high = figure.get_figheight()
-    y = 4.2 * LINE / high
+        arrows = {"#b9770e": "driving direction", **arrows}
+    entries += [Line2D([], [], color=c, label=x, **arrow) for c, x in arrows.items()]
+    y = 4.2 * LINE / figure.get_figheight()
     bar = [GAP, GAP + 10 * metre / SHEET]
     figure.add_artist(Line2D(bar, [y, y], color="black", lw=2))
     figure.text(bar[1] + 0.01, y, "10 m", fontsize=FONT, va="center")
-    figure.legend(
-        handles=entries, loc="lower center", ncols=5, fontsize=FONT, frameon=False
-    )
+    style: dict[str, Any] = {"loc": "lower center", "ncols": 5, "frameon": False}
+    figure.legend(handles=entries, fontsize=FONT, **style)

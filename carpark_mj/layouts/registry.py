@@ -48,7 +48,6 @@ class MixtureConfig(LayoutConfig):
     Attributes:
         members: configs of the families.
         weights: how often each is drawn, in proportion; empty = equally often.
-        family: fixed.
     """
 
     members: tuple[LayoutConfig, ...] = (
@@ -78,9 +77,12 @@ class MixtureConfig(LayoutConfig):
     @property
     def shares(self) -> tuple[tuple[LayoutConfig, float], ...]:
         """The members, each with its share of the lots."""
-        weights = self.weights or (1.0,) * len(self.members)
-        shares = [weight / sum(weights) for weight in weights]
-        return tuple(zip(self.members, shares, strict=True))
+        total, pairs = sum(self._weights), zip(self.members, self._weights, strict=True)
+        return tuple((member, weight / total) for member, weight in pairs)
+
+    @property
+    def _weights(self) -> tuple[float, ...]:
+        return self.weights or (1.0,) * len(self.members)
 
     @property
     def is_enclosed(self) -> bool:
@@ -105,7 +107,7 @@ class MixtureConfig(LayoutConfig):
 
     def generate(self, key: jax.Array) -> Layout:
         """Draws a family, then a lot of it."""
-        weights = jnp.array(self.weights or (1.0,) * len(self.members), jnp.float32)
+        weights = jnp.array(self._weights, jnp.float32)
         pick_key, lot_key = jax.random.split(key)
         pick = jax.random.categorical(pick_key, jnp.log(weights))
         return self.generate_member(pick, lot_key)
@@ -155,11 +157,9 @@ class FixedLayoutConfig(LayoutConfig):
 
 
 def layout_config(layout: LayoutConfig | str) -> LayoutConfig:
-    """The config of a layout given by name, by file or as a config.
+    """The config of a name, of a layout file, or of several with commas: a mixture.
 
-    Args:
-        layout: a name, a layout file, several of them separated by commas for their
-            mixture, or a config.
+    A config is returned as it is.
 
     Raises:
         ValueError: unknown name (the message lists the known ones), or a bad file.
@@ -184,10 +184,9 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
     """
     shares: dict[str, float] = {}
     for member, share in config.shares:
-        changed = getattr(member, "lots", member)  # has the name of its lots
-        name = LAYOUTS.name_of(member) or LAYOUTS.name_of(changed)
-        first = name = name or member.family
-        number = 2
+        lots = getattr(member, "lots", member)  # whose name changed ones have, too
+        name = LAYOUTS.name_of(member) or LAYOUTS.name_of(lots) or member.family
+        first, number = name, 2
         while name in shares:
             name, number = f"{first} {number}", number + 1
         shares[name] = share
@@ -195,15 +194,7 @@ def member_shares(config: LayoutConfig) -> dict[str, float]:
 
 
 def make_layout(layout: LayoutConfig | str, key: jax.Array | None = None) -> Layout:
-    """Builds a layout from a name, a file or a config.
-
-    Args:
-        layout: see `layout_config`.
-        key: of the lot; `jax.random.key(0)` if None.
-
-    Raises:
-        ValueError: unknown name; the message lists the known ones.
-    """
+    """Draws a lot of a layout, see `layout_config`; with `key(0)` if it is None."""
     key = jax.random.key(0) if key is None else key
     return _compiled(layout_config(layout), key)
 
@@ -211,27 +202,14 @@ def make_layout(layout: LayoutConfig | str, key: jax.Array | None = None) -> Lay
 def mixture(
     members: Sequence[LayoutConfig | str], weights: Sequence[float] = ()
 ) -> LayoutConfig:
-    """A mixture of layouts, each a name, a file or a config.
-
-    Args:
-        members: what to mix.
-        weights: how often each is drawn, in proportion; empty = equally often.
-
-    Raises:
-        ValueError: unknown names, or weights that do not fit.
-        TypeError: `members` is not a list.
-    """
+    """A mixture of names, files or configs; see `MixtureConfig` and `layout_config`."""
     require_kind("members", members, list | tuple)
     configs = tuple(layout_config(member) for member in members)
     return MixtureConfig(configs, tuple(weights))
 
 
 def lot_number(split: Split, key: jax.Array) -> jax.Array:
-    """Draws the number of a lot, uint32 (), uniform over a split.
-
-    Raises:
-        ValueError: unknown split.
-    """
+    """Draws the number of a lot, uint32 (), uniform over a split."""
     require_choice("split", split, Split)
     first = TRAIN.start if split == "train" else TEST.start
     return jnp.uint32(first) + (jax.random.bits(key, (), jnp.uint32) >> 1)

@@ -21,13 +21,9 @@ INSIDE = 0.1  # m, a car this close to its nearest lane is in it
 
 
 def lane_distance(layout: Layout, pose_w: jax.Array) -> jax.Array:
-    """(num_agents, lanes) distance of centres of cars (num_agents, 3) to lanes [m].
-
-    0 inside, inf for padding.
-    """
-    distance = point_box_distance(
-        pose_w[:, None, :2], layout.lane_pose, layout.lane_size
-    )
+    """Distances (num_agents, lanes) of cars (num_agents, 3) [m]; inf for padding."""
+    lane = layout.lane_pose, layout.lane_size
+    distance = point_box_distance(pose_w[:, None, :2], *lane)
     return jnp.where(layout.lane_mask, distance, jnp.inf)
 
 
@@ -35,10 +31,8 @@ def lane_distance(layout: Layout, pose_w: jax.Array) -> jax.Array:
 class Routes:
     """Routes from every lane of a lot to every bay."""
 
-    # (lanes, lanes) bool, whether a car can turn from one into the other
-    turns: jax.Array
-    # (lanes, lanes, 2) where the centre lines of two lanes cross [m]
-    crossing: jax.Array
+    turns: jax.Array  # (lanes, lanes) bool, whether a car can turn into the other
+    crossing: jax.Array  # (lanes, lanes, 2) where centre lines cross [m]
     # (lanes, lanes, bays) length of the route from there to the bay along the second
     # lane [m]; inf where that leads nowhere
     remaining: jax.Array
@@ -49,8 +43,7 @@ class RouteLeft(NamedTuple):
     """Remaining routes of cars (...)."""
 
     length: jax.Array  # (...) [m]
-    # (..., 2) where the route turns next, the bay's centre at the end [m]
-    next_xy: jax.Array
+    next_xy: jax.Array  # (..., 2) where it turns next, at the end the bay's centre [m]
 
 
 def make_routes(layout: Layout) -> Routes:
@@ -91,14 +84,7 @@ def make_routes(layout: Layout) -> Routes:
 def route_to(
     routes: Routes | None, layout: Layout, xy: jax.Array, bay: jax.Array
 ) -> RouteLeft:
-    """Remaining routes of cars to their bays.
-
-    Args:
-        routes: of the lot; None = routes are straight lines.
-        layout: of the lot.
-        xy: (cars, 2) centres of the cars [m].
-        bay: (cars,) int32.
-    """
+    """Remaining routes of cars at `xy` (cars, 2) to bays (cars,); None = straight."""
     goal_xy = layout.bay_pose[bay, :2]
     direct = norm(xy - goal_xy)
     if routes is None or not layout.lane_mask.shape[0]:

@@ -35,7 +35,6 @@ class StreetConfig(LayoutConfig):
         end_length: free street between the last bay and the wall across the street.
         wall_thickness: of the walls around.
         car: the car the street is drawn for.
-        family: fixed.
     """
 
     parallel: ClassVar[bool] = False
@@ -52,10 +51,8 @@ class StreetConfig(LayoutConfig):
         super().__post_init__()
         build.require_least(self, self.car.width, "bay_width")
         build.require_least(self, self.car.length, "bay_length")
-        least = self._entry(0).least(self.car)
-        build.require_aisle(
-            self.aisle_width[0], max(least, 2 * build.least_lane(self.car))
-        )
+        least = max(self._entry(0).least(self.car), 2 * build.least_lane(self.car))
+        build.require_aisle(self.aisle_width[0], least)
 
     @property
     def min_bays(self) -> int:
@@ -92,9 +89,8 @@ class StreetConfig(LayoutConfig):
         yaws = (jnp.pi, 0.0) if self.parallel else (-jnp.pi / 2, jnp.pi / 2)
         side, yaw = jnp.array([[1.0], [-1.0]]), jnp.array(yaws)[:, None]
         pose = build.stacked(x, side * y, yaw)
-        half = jnp.stack(
-            [count * along / 2 + end, aisle / 2 + across + standards.WALL_GAP]
-        )
+        half_x, half_y = count * along / 2 + end, aisle / 2 + across
+        half = jnp.stack([half_x, half_y + standards.WALL_GAP])
         lanes = build.two_lanes(jnp.zeros(3), jnp.stack([2 * half[0], aisle]))
         kind = WallKind.KERB if self.parallel else WallKind.WALL
         return build.assemble(
@@ -129,7 +125,6 @@ class SquareConfig(LayoutConfig):
             towards the outer walls' corner.
         wall_thickness: of the outer walls.
         spawn_margin: between the open square's edge and the spawn region.
-        family: fixed.
     """
 
     bays_per_side: Count = 9
@@ -150,17 +145,11 @@ class SquareConfig(LayoutConfig):
                 f"{car.length} m, not {self.bay_width} m x {self.bay_length} m"
             )
         (entry,) = self.entries
-        least = entry.least(car)
-        if entry.aisle < least:
-            raise ValueError(
-                f"bays_per_side {self.bays_per_side} and bay_width {self.bay_width} m "
-                f"leave a square of {entry.aisle:.2f} m, the "
-                f"car needs {least:.2f} m to turn into a bay (layouts.standards)"
-            )
-        if 2 * self.spawn_margin >= self.bays_per_side * self.bay_width:
+        build.require_aisle(entry.aisle, entry.least(car))
+        if 2 * self.spawn_margin >= entry.aisle:
             raise ValueError(
                 f"spawn_margin {self.spawn_margin} m leaves no spawn region in a "
-                f"square of {self.bays_per_side * self.bay_width} m"
+                f"square of {entry.aisle} m"
             )
 
     @property
@@ -186,25 +175,20 @@ class SquareConfig(LayoutConfig):
         along = (np.arange(self.bays_per_side) + 0.5) * self.bay_width - half
         row = half + depth / 2
         # Bottom, right, top, left; parked cars point at the centre of the lot.
-        bay_poses = [
-            *[(s, -row, math.pi / 2) for s in along],
-            *[(row, s, -math.pi) for s in along],
-            *[(s, row, -math.pi / 2) for s in along],
-            *[(-row, s, 0.0) for s in along],
-        ]
-        block = depth - 2 * self.block_inset
+        bay_poses = [(s, -row, math.pi / 2) for s in along]
+        bay_poses += [(row, s, -math.pi) for s in along]
+        bay_poses += [(s, row, -math.pi / 2) for s in along]
+        bay_poses += [(-row, s, 0.0) for s in along]
+        thick, block = self.wall_thickness, depth - 2 * self.block_inset
         corner = half + self.block_inset + block / 2
         face = half + depth + self.wall_gap
-        middle = face + self.wall_thickness / 2
-        span = 2 * (face + self.wall_thickness)
-        wall_poses = [
-            (sx * corner, sy * corner, 0.0) for sx in (-1, 1) for sy in (-1, 1)
-        ]
+        middle, span = face + thick / 2, 2 * (face + thick)
+        signs = (-1, 1)
+        wall_poses = [(x * corner, y * corner, 0.0) for x in signs for y in signs]
+        wall_poses += [(0.0, s * middle, 0.0) for s in signs]
+        wall_poses += [(s * middle, 0.0, math.pi / 2) for s in signs]
         wall_sizes = [(block, block)] * 4
-        wall_poses += [(0.0, s * middle, 0.0) for s in (-1, 1)]
-        wall_poses += [(s * middle, 0.0, math.pi / 2) for s in (-1, 1)]
-        wall_sizes += [(span, self.wall_thickness)] * 2
-        wall_sizes += [(2 * face, self.wall_thickness)] * 2
+        wall_sizes += [(span, thick)] * 2 + [(2 * face, thick)] * 2
         side = 2 * (half - self.spawn_margin)
         return build.assemble(
             (face, face),
@@ -219,14 +203,8 @@ register_layout("square", SquareConfig())
 SQUARE_COMPACT = register_layout(
     "square_compact",
     SquareConfig(
-        bay_width=2.5,
-        bay_length=5.0,
-        wall_gap=0.3,
-        block_inset=0.2,
-        wall_thickness=2.0,
-        spawn_margin=2.6,
+        bay_width=2.5, bay_length=5.0, wall_gap=0.3, block_inset=0.2, spawn_margin=2.6
     ),
 )
-
 register_layout("street", StreetConfig())
 register_layout("street_parallel", StreetParallelConfig())

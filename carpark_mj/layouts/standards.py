@@ -26,7 +26,14 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
-from carpark_mj.config.checks import Bounds, CheckedConfig, IntRange, Positive, Range
+from carpark_mj.config.checks import (
+    Bounds,
+    CheckedConfig,
+    IntRange,
+    Positive,
+    Range,
+    require_name,
+)
 
 FOOT = 0.3048  # m
 # Of any bay, in length and width [m]: for a motorcycle and for a lorry with a trailer.
@@ -122,27 +129,20 @@ class TightBay(NamedTuple):
 
 
 def tight_bay(orientation: Orientation, level: Level, car: DesignCar) -> TightBay:
-    """The room of a level of difficulty after [hope].
-
-    Raises:
-        ValueError: the orientation has no such level.
-    """
+    """The room of a level of difficulty after [hope]."""
+    quarter = 0.25 * car.length
     levels: dict[str, dict[str, TightBay]] = {
         "perpendicular": {
             "normal": TightBay((0.85, 1.2), 7.0),
             "complex": TightBay((0.4, 0.85), 6.0),
         },
         "parallel": {
-            "normal": TightBay((0.25 * car.length, 0.25 * car.length + 0.5), 4.5),
-            "complex": TightBay((0.9, 0.25 * car.length), 4.0),
+            "normal": TightBay((quarter, quarter + 0.5), 4.5),
+            "complex": TightBay((0.9, quarter), 4.0),
             "extreme": TightBay((0.6, 0.9), 3.5),
         },
     }
-    if level not in levels[orientation]:
-        raise ValueError(
-            f"unknown level {level!r} of {orientation} bays; choose from "
-            f"{sorted(levels[orientation])}"
-        )
+    require_name(f"level of {orientation} bays", level, levels[orientation])
     return levels[orientation][level]
 
 
@@ -158,15 +158,9 @@ def least_aisle(car: DesignCar, angle: float, bay_width: float, walled: bool) ->
     outer rear corner then sweeps Rr - (end sin(angle) + R cos(angle)) of the aisle; in
     reverse the front corner sweeps Ro - q.
 
-    Args:
-        car: which car.
-        angle: between aisle and bay [deg], in (0, 90].
-        bay_width: [m].
-        walled: walls stand on the bay's lines; otherwise parked cars of the same size
-            stand in the middle of the neighbouring bays, at the aisle's edge.
-
-    Returns:
-        The width, or infinity where the car does not fit between the neighbours.
+    The angle between aisle and bay is in (0, 90] deg. If `walled`, walls stand on the
+    bay's lines; otherwise parked cars of the same size stand in the middle of the
+    neighbouring bays, at the aisle's edge. Infinity where the car does not fit between.
     """
     radius, half_width = car.turning_radius, car.width / 2
     beside = bay_width / 2 if walled else bay_width - half_width
@@ -193,19 +187,14 @@ def least_aisle(car: DesignCar, angle: float, bay_width: float, walled: bool) ->
 
 @dataclasses.dataclass(frozen=True)
 class Entry(CheckedConfig):
-    """An entry from an aisle into a bay.
+    """An entry from an aisle into a bay."""
 
-    Attributes:
-        aisle: its width [m].
-        bay_width: across a parked car [m].
-        angle: between aisle and bay [deg], in (0, 90]; 0 = parallel.
-        walled: see `least_aisle`.
-    """
-
-    aisle: float
-    bay_width: Annotated[float, Bounds(ge=1.0, le=30.0, unit="m")]
-    angle: float = 90.0
-    walled: bool = False
+    aisle: float  # its width [m]
+    bay_width: Annotated[
+        float, Bounds(ge=1.0, le=30.0, unit="m")
+    ]  # across a parked car
+    angle: float = 90.0  # between aisle and bay [deg], in (0, 90]; 0 = parallel
+    walled: bool = False  # see `least_aisle`
 
     def least(self, car: DesignCar) -> float:
         """Narrowest aisle [m] from which a car can enter the bay."""
@@ -215,9 +204,9 @@ class Entry(CheckedConfig):
 
 
 def least_parallel_aisle(car: DesignCar) -> float:
-    """Narrowest aisle [m] beside parallel bays.
+    """Narrowest aisle [m] beside parallel bays, into which a car backs.
 
-    Backing in, the front swings out by Ro - (R + w/2) beyond the car's own width.
+    Its front swings out by Ro - (R + w/2) beyond the car's own width.
     """
     side = car.turning_radius + car.width / 2
     return car.width + math.hypot(side, car.front_reach) - side

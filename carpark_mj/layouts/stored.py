@@ -25,7 +25,6 @@ from carpark_mj.layouts.schematics import SQUARE_COMPACT
 from carpark_mj.layouts.standards import Entry
 from carpark_mj.layouts.types import (
     Layout,
-    Maxima,
     enlarge,
     layout_maxima,
     mirror,
@@ -68,7 +67,6 @@ class ScaledConfig(ChangedConfig):
 
     Attributes:
         scale: range of the factor, drawn for every lot.
-        family: fixed.
     """
 
     scale: Annotated[Range, Bounds(ge=0.5, le=2.0)] = (1.0, 1.0)
@@ -91,7 +89,6 @@ class StoredConfig(ChangedConfig):
 
     Attributes:
         number: of lots that are kept, by their shares of a mixture.
-        family: fixed.
     """
 
     number: Count = 8192
@@ -150,8 +147,8 @@ def stored_lots(config: StoredConfig) -> Layout:
     They are read from `lots-*.npz` beside the folder of kept programs, or drawn and
     written there.
     """
-    told = repr((VERSION, config.lots, config.number))
-    name = f"lots-{hashlib.sha256(told.encode()).hexdigest()[:16]}.npz"
+    told = repr((VERSION, config.lots, config.number)).encode()
+    name = f"lots-{hashlib.sha256(told).hexdigest()[:16]}.npz"
     try:
         file: Path | None = cache_folder().parent / name
     except RuntimeError:  # no home
@@ -171,29 +168,25 @@ def stored_lots(config: StoredConfig) -> Layout:
 
 
 def _draw(config: StoredConfig) -> Layout:
-    """Draws all lots; mixtures' members one after the other."""
+    """Draws all lots, of the split `train`; mixtures' members one after the other."""
     members: list[LayoutConfig] = [
         lots.lots if isinstance(lots, ScaledConfig) else lots
         for lots, _ in config.shares
     ]
     key = jax.random.key(0)
     maxima = layout_maxima(jax.eval_shape(lots.generate, key) for lots in members)
-    counts = zip(members, config.counts, strict=True)
-    drawn = [_draw_member(*pair, maxima, k) for k, pair in enumerate(counts)]
-    return jax.tree.map(lambda *x: np.concatenate(x), *drawn)
 
-
-def _draw_member(lots: LayoutConfig, count: int, maxima: Maxima, seed: int) -> Layout:
-    """Lots (count, ...) of the split `train`, padded to `maxima`."""
-
-    @jax.jit
-    def draw(keys: jax.Array) -> Layout:
+    @functools.partial(jax.jit, static_argnums=0)
+    def draw(lots: LayoutConfig, keys: jax.Array) -> Layout:
         keys = jax.vmap(lambda key: lot_key(lot_number("train", key)))(keys)
         return jax.vmap(lambda key: pad_layout(lots.generate(key), maxima))(keys)
 
-    keys = jax.random.split(jax.random.key(seed), -(-count // CHUNK) * CHUNK)
-    chunks = [jax.device_get(draw(each)) for each in keys.reshape(-1, CHUNK)]
-    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *chunks)
+    drawn = list[Layout]()
+    for seed, (lots, count) in enumerate(zip(members, config.counts, strict=True)):
+        keys = jax.random.split(jax.random.key(seed), -(-count // CHUNK) * CHUNK)
+        chunks = [jax.device_get(draw(lots, x)) for x in keys.reshape(-1, CHUNK)]
+        drawn.append(jax.tree.map(lambda *x, n=count: np.concatenate(x)[:n], *chunks))
+    return jax.tree.map(lambda *x: np.concatenate(x), *drawn)
 
 
 for _family in (ScaledConfig, StoredConfig):

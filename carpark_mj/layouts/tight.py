@@ -11,14 +11,7 @@ import jax.numpy as jnp
 
 from carpark_mj.layouts import build, standards
 from carpark_mj.layouts.base import LayoutConfig, register_layout
-from carpark_mj.layouts.standards import (
-    DesignCar,
-    Entry,
-    Level,
-    Orientation,
-    TightBay,
-    tight_bay,
-)
+from carpark_mj.layouts.standards import DesignCar, Entry, Level, Orientation, TightBay
 from carpark_mj.layouts.types import Layout, WallKind
 
 
@@ -46,7 +39,7 @@ class TightConfig(LayoutConfig):
     @property
     def room(self) -> TightBay:
         """The room that the level leaves."""
-        return tight_bay(self.orientation, self.level, self.car)
+        return standards.tight_bay(self.orientation, self.level, self.car)
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -66,9 +59,8 @@ def draw_tight_bay(
 ) -> tuple[jax.Array, jax.Array, float]:
     """Draws the size of the tight bays of a lot from uniform numbers (2,).
 
-    Returns:
-        (2,) length and width, (2,) extent along and across the aisle [m], and the
-        heading of bays on the left of an aisle along +x [rad].
+    Returns (2,) length and width, (2,) extent along and across the aisle [m], and the
+    heading of bays on the left of an aisle along +x [rad].
     """
     excess = build.draw(chance[0], config.room.excess)
     if config.orientation == "parallel":
@@ -100,7 +92,6 @@ class DeadEndConfig(TightConfig):
         bays_per_side: bays on each side of the aisle.
         approach: aisle between solid blocks, before the first bay.
         end_length: aisle beyond the last bay, up to the wall across it.
-        family: fixed.
     """
 
     bays_per_side: standards.Counts = (2, 4)
@@ -128,16 +119,13 @@ class DeadEndConfig(TightConfig):
         depth = cell[1] + standards.WALL_GAP
         half_x = (approach + count * cell[0] + end) / 2
         half_y = aisle / 2 + depth
-        row = jnp.arange(self.bays_per_side[1])
+        row, side = jnp.arange(self.bays_per_side[1]), jnp.array([1.0, -1.0])
         x = approach - half_x + (row + 0.5) * cell[0]
         y = (aisle + cell[1]) / 2
         turn = 0.0 if self.orientation == "perpendicular" else jnp.pi
-        side = jnp.array([1.0, -1.0])
         yaw = jnp.array([[yaw + turn], [-yaw]])
         bay_pose = build.stacked(x, side[:, None] * y, yaw)
-        block_y = (aisle + depth) / 2
-        block_x = approach / 2 - half_x
-        block = build.stacked(block_x, side * block_y, 0.0)
+        block = build.stacked(approach / 2 - half_x, side * (aisle + depth) / 2, 0.0)
         return build.assemble(
             jnp.stack([half_x, half_y]),
             build.bays(bay_pose, size, mask=row < count),
@@ -156,7 +144,6 @@ class GarageRowConfig(TightConfig):
     Attributes:
         num_bays: range of the number of bays.
         end_length: aisle beyond the last bay on either side.
-        family: fixed.
     """
 
     num_bays: standards.Counts = (4, 7)
@@ -175,12 +162,9 @@ class GarageRowConfig(TightConfig):
         count = build.draw_int(chance[0], self.num_bays)
         size, cell, yaw = draw_tight_bay(self, chance[1:3])
         end = build.draw(chance[3], self.end_length)
-        aisle = self.room.aisle
-        pitch = cell[0] + thickness
-        row = jnp.arange(most)
-        bay_x = (row + 0.5 - count / 2) * pitch
-        post = jnp.arange(most + 1)
-        post_x = (post - count / 2) * pitch
+        aisle, pitch = self.room.aisle, cell[0] + thickness
+        row, post = jnp.arange(most), jnp.arange(most + 1)
+        bay_x, post_x = (row + 0.5 - count / 2) * pitch, (post - count / 2) * pitch
         half_x = (count * pitch + thickness) / 2 + end
         # The aisle lies below the bays, and the lot about the origin.
         depth = cell[1] + standards.WALL_GAP

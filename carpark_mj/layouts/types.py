@@ -7,6 +7,7 @@ one batch. Padding rows hold finite numbers (zeros).
 import dataclasses
 import enum
 from collections.abc import Iterable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -69,33 +70,28 @@ class DiscKind(enum.IntEnum):
 class Layout:
     """The plan of a lot; world frame, SI units.
 
+    Rows of a kind have leading dimensions (..., n); bool masks say which of them count.
+    Poses (..., n, 3) are centres and headings [m, m, rad], sizes (..., n, 2) lengths
+    along the headings and widths [m].
+
     Attributes:
-        bay_pose: (..., bays, 3) centre and heading of each bay [m, m, rad]; the
-            heading is that of parked cars: out into the aisle, or along the street
-            in a parallel bay.
-        bay_size: (..., bays, 2) length along the heading and width [m].
-        bay_kind: (..., bays) int32, `BayKind`.
-        bay_mask: (..., bays) bool.
-        wall_pose: (..., walls, 3) centre and heading of each wall, block, island...
-        wall_size: (..., walls, 2) length and width [m].
-        wall_kind: (..., walls) int32, `WallKind`.
-        wall_mask: (..., walls) bool.
+        bay_pose: the heading is that of parked cars: out into the aisle, or along the
+            street in a parallel bay.
+        bay_kind: int32, `BayKind`.
+        wall_pose: of walls, blocks, islands...
+        wall_kind: int32, `WallKind`.
         disc_centre: (..., discs, 2) of each pillar or bollard [m].
         disc_radius: (..., discs) [m].
-        disc_kind: (..., discs) int32, `DiscKind`.
-        disc_mask: (..., discs) bool.
-        lane_pose: (..., lanes, 3) centre of each lane and its direction of travel.
-        lane_size: (..., lanes, 2) length along the direction and width [m].
-        lane_one_way: (..., lanes) bool; False where both directions are allowed.
-        lane_mask: (..., lanes) bool.
-        spawn_pose: (..., regions, 3) rectangles in which car centres may spawn.
-        spawn_size: (..., regions, 2) [m]; a region is drawn in proportion to its area.
-        spawn_spread: (..., regions) largest deviation of a spawning car's heading from
-            the region's [rad]; pi = any heading.
-        spawn_mask: (..., regions) bool.
+        disc_kind: int32, `DiscKind`.
+        lane_pose: the heading is the direction of travel.
+        lane_one_way: bool; False where both directions are allowed.
+        spawn_pose: of regions, rectangles in which car centres may spawn; a region is
+            drawn in proportion to its area.
+        spawn_spread: largest deviation of a spawning car's heading from the region's
+            [rad]; pi = any heading.
         extent: (..., 2) half width in x and half width in y of the whole lot, about
             the origin [m].
-        bay_end: (..., bays) int32, `BayEnd`; None = either end in every bay.
+        bay_end: int32, `BayEnd`; None = either end in every bay.
     """
 
     bay_pose: jax.Array
@@ -133,16 +129,12 @@ class Layout:
 
     @property
     def parked_pose(self) -> jax.Array:
-        """(..., bays, 3) pose of a car in the middle of each bay.
-
-        It is `bay_pose`, with the tail at the bay's far end; turned by 180 degrees
-        where the nose must go in first.
-        """
+        """(..., bays, 3) `bay_pose`, turned where a car's nose must go in first."""
         if self.bay_end is None:
             return self.bay_pose
         yaw = self.bay_pose[..., 2]
-        turned = wrap_angle(yaw + jnp.pi)
-        yaw = jnp.where(self.bay_end == BayEnd.NOSE_FIRST, turned, yaw)
+        turns = self.bay_end == BayEnd.NOSE_FIRST
+        yaw = jnp.where(turns, wrap_angle(yaw + jnp.pi), yaw)
         return jnp.asarray(self.bay_pose).at[..., 2].set(yaw)
 
     @property
@@ -152,10 +144,7 @@ class Layout:
 
     @property
     def one_way(self) -> jax.Array | None:
-        """(..., bays) bool, whether cars must stand as `parked_pose`; None = nowhere.
-
-        In other bays they may also stand the other way round.
-        """
+        """(..., bays) bool, whether cars stand only as `parked_pose`; None = none."""
         return None if self.bay_end is None else self.bay_end != BayEnd.EITHER
 
 
@@ -173,39 +162,25 @@ class Maxima:
 
 def layout_maxima(layouts: Iterable[Layout]) -> Maxima:
     """The fewest rows that hold every one of the layouts (arrays or their shapes)."""
-    counts = [
-        (
-            *(getattr(layout, f"{kind}_mask").shape[-1] for kind in ROWS),
-            layout.bay_end is not None,
-        )
-        for layout in layouts
-    ]
-    return Maxima(*(max(column) for column in zip(*counts, strict=True)))
+    layouts = list(layouts)
+    return Maxima(
+        *(max(getattr(x, f"{kind}_mask").shape[-1] for x in layouts) for kind in ROWS),
+        bay_ends=any(x.bay_end is not None for x in layouts),
+    )
 
 
 def pad_layout(layout: Layout, maxima: Maxima) -> Layout:
-    """Pads one layout (no batch dimension) to the given numbers of rows.
-
-    Raises:
-        ValueError: the layout has more rows than that.
-    """
+    """Pads one layout (no batch dimension) to as many rows or more."""
     rows = {kind: getattr(maxima, f"{kind}s") for kind in ROWS}
     if maxima.bay_ends and layout.bay_end is None:
         either = jnp.full(layout.bay_mask.shape, BayEnd.EITHER, jnp.int32)
         layout = dataclasses.replace(layout, bay_end=either)
     changes = {}
     for field in dataclasses.fields(layout):
-        kind = field.name.split("_")[0]
-        array = getattr(layout, field.name)
+        kind, array = field.name.split("_")[0], getattr(layout, field.name)
         if kind not in rows or array is None:
             continue
-        extra = rows[kind] - array.shape[0]
-        if extra < 0:
-            raise ValueError(
-                f"a layout with {array.shape[0]} {kind} rows cannot be padded to "
-                f"{rows[kind]}"
-            )
-        if extra:
+        if extra := rows[kind] - array.shape[0]:
             rest = jnp.zeros((extra, *array.shape[1:]), array.dtype)
             changes[field.name] = jnp.concatenate([array, rest])
     return dataclasses.replace(layout, **changes)
@@ -213,24 +188,23 @@ def pad_layout(layout: Layout, maxima: Maxima) -> Layout:
 
 def enlarge(layout: Layout, factor: jax.Array | float) -> Layout:
     """A lot of which all lengths are larger by a factor; headings stay."""
-    scale = jnp.stack([factor, factor, 1.0]).astype(jnp.float32)
-    scales = {"pose": scale, "centre": factor, "size": factor, "radius": factor}
-    changes = {
-        field.name: getattr(layout, field.name) * scales[part]
-        for field in dataclasses.fields(layout)
-        if (part := field.name.partition("_")[2]) in scales
-    }
-    return dataclasses.replace(layout, **changes, extent=layout.extent * factor)
+    pose = jnp.stack([factor, factor, 1.0]).astype(jnp.float32)
+    larger = _times(layout, pose=pose, centre=factor, size=factor, radius=factor)
+    return dataclasses.replace(larger, extent=layout.extent * factor)
 
 
 def mirror(layout: Layout) -> Layout:
     """A lot whose left is right: y and headings have the other sign."""
-    pose, point = jnp.array([1.0, -1.0, -1.0]), jnp.array([1.0, -1.0])
-    signs = {"pose": pose, "centre": point}
+    pose, centre = jnp.array([1.0, -1.0, -1.0]), jnp.array([1.0, -1.0])
+    return _times(layout, pose=pose, centre=centre)
+
+
+def _times(layout: Layout, **factors: Any) -> Layout:
+    """A lot whose fields are multiplied, all that have a part, as `bay_size` `size`."""
     changes = {
-        field.name: getattr(layout, field.name) * signs[part]
+        field.name: getattr(layout, field.name) * factors[part]
         for field in dataclasses.fields(layout)
-        if (part := field.name.partition("_")[2]) in signs
+        if (part := field.name.partition("_")[2]) in factors
     }
     return dataclasses.replace(layout, **changes)
 

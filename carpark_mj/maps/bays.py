@@ -9,13 +9,7 @@ import numpy as np
 import shapely
 
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import (
-    Feature,
-    Plan,
-    first_names,
-    on_same_level,
-    tagged,
-)
+from carpark_mj.maps.features import Feature, Plan, first_names, on_same_level, tagged
 from carpark_mj.maps.fit import Box, around, leaning, parallelogram
 
 # Sizes [m] of bays between lines, a wider range than `layouts.standards` has. Twice the
@@ -51,24 +45,14 @@ def bays_between(lines: Sequence[Any], taken: Sequence[Any] = ()) -> list[Any]:
 
     Cells that lines enclose are bays as they are. Elsewhere a bay lies between two
     parallel lines beside each other. Lines twice as long as a bay divide two rows of
-    them, back to back.
-
-    Args:
-        lines: shapely lines [m].
-        taken: polygons of bays known otherwise.
-
-    Returns:
-        Polygons that overlap neither each other nor `taken`.
+    them, back to back. Bays (polygons) overlap neither each other nor those of `taken`.
     """
     drawn = _segments(lines)
     if len(drawn) > MOST_LINES:
         raise ValueError(f"{len(drawn)} lines divide bays; at most {MOST_LINES}")
     net = shapely.union_all(drawn)
-    cells = [
-        cell
-        for cell in shapely.get_parts(shapely.polygonize([net]))
-        if is_bay_sized(cell) and around(cell).width >= WIDTHS[0]
-    ]
+    cells = filter(is_bay_sized, shapely.get_parts(shapely.polygonize([net])))
+    cells = [cell for cell in cells if around(cell).width >= WIDTHS[0]]
     # Lines may end where others cross them, as the middle line of two rows.
     found = _between(np.concatenate([drawn, _segments([net])]), LENGTHS, WIDTHS)
     # The ends of closed bays on either side of an aisle are no bays along it.
@@ -98,9 +82,7 @@ def _between(
     """
     length = shapely.length(lines)
     lines = lines[(length >= side[0]) & (length <= 2 * side[1])]
-    low_x, low_y, high_x, high_y = shapely.bounds(lines).T
-    far = apart[1]
-    near = shapely.box(low_x - far, low_y - far, high_x + far, high_y + far)
+    near = shapely.box(*(shapely.bounds(lines) + np.repeat([-apart[1], apart[1]], 2)).T)
     first, second = shapely.STRtree(lines).query(near)
     first, second = np.stack([first, second])[:, first < second]
     ends = shapely.get_coordinates(lines).reshape(-1, 2, 2)
@@ -125,10 +107,8 @@ def _between(
     found: list[Any] = []
     for pair in order[kept[order]]:
         a, b = first[pair], second[pair]
-        x, y = (float(value) for value in (middle[a] + middle[b]) / 2)
-        box = Box(
-            x, y, float(yaw[a] + turn[pair] / 2), float(long[pair]), float(width[pair])
-        )
+        pose = *(middle[a] + middle[b]) / 2, yaw[a] + turn[pair] / 2
+        box = Box(*map(float, (*pose, long[pair], width[pair])))
         half, double = box.length / 2, box.length > side[1]
         parts = [box.part(-half, 0.0), box.part(0.0, half)] if double else [box]
         found += [part.shape for part in parts]
@@ -141,9 +121,8 @@ def _apart(shapes: list[Any], taken: Sequence[Any]) -> list[Any]:
     later, earlier = shapely.STRtree(every).query(every, "intersects")
     later, earlier = np.stack([later, earlier])[:, earlier < later]
     common = shapely.area(shapely.intersection(every[later], every[earlier]))
-    over = common > OVERLAP * np.minimum(
-        shapely.area(every[later]), shapely.area(every[earlier])
-    )
+    area = shapely.area(every)
+    over = common > OVERLAP * np.minimum(area[later], area[earlier])
     kept = np.full(len(every), True)
     # Rows of pairs are in the order of the later shape.
     for late, early in np.stack([later, earlier], axis=-1)[over]:
@@ -152,11 +131,9 @@ def _apart(shapes: list[Any], taken: Sequence[Any]) -> list[Any]:
 
 
 def lay_out(plan: Plan) -> Plan:
-    """Turns spots without outlines into bays; notes say what was assumed.
+    """Turns spots without outlines into bays, see `maps`; notes say what was assumed.
 
-    A point becomes a bay across the nearest road, a row is divided into its number of
-    spots, and in the rest of a car park bays stand on both sides of its aisles. Spots
-    drawn inside a group stay, and are all of it if it has no number.
+    Spots drawn inside a group stay, and are all of it if it has no number.
     """
     groups, report = tagged(plan.features, "spots"), plan.report
     features = [one for one in plan.features if one.tag != "spots"]
@@ -196,31 +173,24 @@ def lay_out(plan: Plan) -> Plan:
             if group.orientation == "diagonal":
                 askew.append(group.name)
         elif not (pieces or inside) and (group.count or group.is_row):
-            count = group.count or "?"
-            report.lost[group.name] = (
-                f"an area without a row or aisles for its spots: {count}"
-            )
-    beside = _across_roads(points, roads)
-    for group, shape in zip(points, beside, strict=True):
-        if shape is None or group.count > 1:
-            report.lost[group.name] = (
-                f"a point for several spots: {group.count}"
-                if group.count > 1
-                else f"a point, more than {NEAREST_ROAD:g} m from a road"
-            )
+            why = "an area without a row or aisles for its spots"
+            report.lost[group.name] = f"{why}: {group.count or '?'}"
+    for group, shape in zip(points, _across_roads(points, roads), strict=True):
+        if group.count > 1:
+            report.lost[group.name] = f"a point for several spots: {group.count}"
+        elif shape is None:
+            far = f"a point, more than {NEAREST_ROAD:g} m from a road"
+            report.lost[group.name] = far
         else:
             features.append(_bay(group, shape, 0))
     if laid:
         report.notes.append(f"spots laid out that are not drawn: {first_names(laid)}")
     if askew:
-        report.notes.append(
-            "diagonal spots laid out as their outline leans, for the map has no angle: "
-            f"{first_names(askew)}"
-        )
+        why = "diagonal spots laid out as their outline leans, for the map has no angle"
+        report.notes.append(f"{why}: {first_names(askew)}")
     if points:
-        report.notes.append(
-            f"{len(points)} spots are points: bays across the nearest road"
-        )
+        told = f"{len(points)} spots are points: bays across the nearest road"
+        report.notes.append(told)
     return Plan(features, report)
 
 
@@ -268,8 +238,8 @@ def _bent(shape: Any) -> tuple[np.ndarray, np.ndarray] | None:
     box = around(shape)
     if shape.area < FILLED * box.length * box.width:
         return None
-    ahead = np.array([math.cos(box.yaw), math.sin(box.yaw)])
-    return box.length * ahead, box.width * np.array([-ahead[1], ahead[0]])
+    cos, sin = math.cos(box.yaw), math.sin(box.yaw)
+    return box.length * np.array([cos, sin]), box.width * np.array([-sin, cos])
 
 
 def _has_room(spot: Any, others: list[Any]) -> bool:
@@ -312,14 +282,13 @@ def _across_roads(points: list[Feature], roads: list[Feature]) -> list[Any]:
         if road is None or road.shape.distance(spot) > NEAREST_ROAD:
             found.append(None)
             continue
-        length, width = ALONG if group.orientation == "parallel" else ACROSS
-        gaps = tree.query_nearest(
-            spot, exclusive=True, return_distance=True, max_distance=width
-        )[1]
+        parallel = group.orientation == "parallel"
+        length, width = ALONG if parallel else ACROSS
         # Points are no surveyed middles: neighbours closer than a bay share the room.
-        width = min([width, *(gap for gap in gaps if gap > DesignCar().width)])
+        near: dict[str, Any] = {"exclusive": True, "return_distance": True}
+        gaps = tree.query_nearest(spot, max_distance=width, **near)[1]
+        width = min([width, *gaps[gaps > DesignCar().width]])
         start, end = np.asarray(road.shape.coords)[[0, -1]]
-        yaw = math.atan2(*(end - start)[::-1])
-        yaw += 0.0 if group.orientation == "parallel" else math.pi / 2
+        yaw = math.atan2(*(end - start)[::-1]) + (0.0 if parallel else math.pi / 2)
         found.append(Box(spot.x, spot.y, yaw, length, width).shape)
     return found

@@ -18,7 +18,7 @@ from ezdxf.enums import InsertUnits
 from ezdxf.path import from_hatch, make_path
 
 from carpark_mj.maps.bays import bays_between, is_bay_sized
-from carpark_mj.maps.features import Feature, Plan, Tag, commonest, require_near
+from carpark_mj.maps.features import Feature, Plan, Tag, centred, commonest
 from carpark_mj.maps.tagged import add_tagged
 from carpark_mj.reading import read_bytes
 
@@ -55,11 +55,8 @@ _TagOf = Callable[[str], Tag | None]
 def dxf_features(path: Path, layers: Sequence[str] = (), unit: str = "") -> Plan:
     """Reads the model space of a drawing, blocks resolved.
 
-    Args:
-        path: of the file.
-        layers: `WORD=TEXT`, a word of `WORDS` for the layers whose names contain the
-            text.
-        unit: of the drawing, in the place of its own.
+    `layers` are `WORD=TEXT`, a word of `WORDS` for the layers whose names contain the
+    text; `unit` is that of the drawing, in the place of its own.
 
     Raises:
         ValueError: it is no DXF, has no unit, or is too large.
@@ -87,26 +84,24 @@ def dxf_features(path: Path, layers: Sequence[str] = (), unit: str = "") -> Plan
         )
     if len(found) == MOST_SHAPES:
         raise ValueError(f"the drawing has {MOST_SHAPES} shapes or more")
-    points = np.concatenate([points for _, points, _ in found])
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
     try:
-        require_near(points - middle)
+        every = centred(np.concatenate([points for _, points, _ in found]))
     except ValueError as error:
         raise ValueError(f"{error}, or give its --unit") from None
     dividers: list[Any] = []
     grounds: dict[tuple[Tag, bool], list[Any]] = {}
     drawn: set[Any] = set()
-    for name, points, tags in found:
+    ends = np.cumsum([len(points) for _, points, _ in found])[:-1]
+    for (name, _, tags), points in zip(found, np.split(every, ends), strict=True):
         # A hatch has its outline beside it.
-        corners = frozenset(map(tuple, np.round(points - middle, 2).tolist()))
+        corners = frozenset(map(tuple, np.round(points, 2).tolist()))
         if (tags["tag"], corners) in drawn:
             continue
         drawn.add((tags["tag"], corners))
         closed = len(points) > 3 and np.ptp(points[[0, -1]], axis=0).max() < 1e-3
-        kind = shapely.Polygon if closed else shapely.LineString
-        shape = kind(points - middle)
+        shape = (shapely.Polygon if closed else shapely.LineString)(points)
         if tags["tag"] == "bay" and not (shape.area and is_bay_sized(shape)):
-            dividers.append(shapely.LineString(points - middle))
+            dividers.append(shapely.LineString(points))
         elif tags["tag"] in ("lane", "drivable") and shape.area:
             key = tags["tag"], tags["one_way"]
             grounds.setdefault(key, []).append(shapely.make_valid(shape))
@@ -141,10 +136,8 @@ def _add_bays(plan: Plan, dividers: list[Any]) -> None:
     found = bays_between(dividers, drawn)
     for number, shape in enumerate(found):
         plan.features.append(Feature("bay", shape, f"between lines {number + 1}"))
-    if idle := sum(
-        not shapely.dwithin(line, np.array([*drawn, *found], object), 0.1).any()
-        for line in dividers
-    ):
+    bays = np.array([*drawn, *found], object)
+    if idle := sum(not shapely.dwithin(line, bays, 0.1).any() for line in dividers):
         plan.report.unknown["lines of bays between which there is none"] += idle
 
 
@@ -216,9 +209,8 @@ def _entities(
     def walk(group: Any, layer: str) -> Iterator[tuple[Any, str]]:
         for entity in group:
             if next(seen) >= MOST_ENTITIES:
-                raise _UnusableError(
-                    f"its blocks have more than {MOST_ENTITIES} entities"
-                )
+                told = f"its blocks have more than {MOST_ENTITIES} entities"
+                raise _UnusableError(told)
             own = _layer(entity, layer)
             if entity.dxftype() == "INSERT":
                 if not is_useful(str(entity.dxf.name), own):

@@ -25,12 +25,8 @@ LINE_THICKNESS = 0.2  # m of walls and kerbs drawn as lines
 def to_metres(coordinates: np.ndarray, system: str = WGS84) -> np.ndarray:
     """Projects coordinates onto a plane that touches the earth in their middle.
 
-    Args:
-        coordinates: (n, 2) in the order longitude, latitude, or east, north.
-        system: the coordinate reference system, in any form that PROJ knows.
-
-    Returns:
-        (n, 2) east and north of the middle [m].
+    They are (n, 2) longitude and latitude, or east and north, in a coordinate reference
+    system in any form that PROJ knows. Returns (n, 2) east and north of the middle [m].
 
     Raises:
         ValueError: unknown system, points that it does not have, or too far apart.
@@ -53,23 +49,16 @@ def to_metres(coordinates: np.ndarray, system: str = WGS84) -> np.ndarray:
         xy = np.stack(project.transform(*coordinates.T, errcheck=True), axis=-1)
     except ProjError as error:
         raise ValueError(f"coordinate reference system {system!r}: {error}") from None
-    require_near(xy)
-    return xy
+    return _checked(xy)
 
 
 def centred(xy: np.ndarray) -> np.ndarray:
-    """Coordinates (n, 2) [m] from their middle.
-
-    Raises:
-        ValueError: they are more than 2 km apart.
-    """
-    xy = xy - (xy.min(axis=0) + xy.max(axis=0)) / 2
-    require_near(xy)
-    return xy
+    """Coordinates (n, 2) [m] from their middle; `ValueError` beyond 2 km."""
+    return _checked(xy - (xy.min(axis=0) + xy.max(axis=0)) / 2)
 
 
-def require_near(xy: np.ndarray) -> None:
-    """Refuses maps of more than 2 km."""
+def _checked(xy: np.ndarray) -> np.ndarray:
+    """The coordinates, if they are finite and not more than 2 km apart."""
     if not np.isfinite(xy).all():
         raise ValueError("coordinates must be finite")
     size = np.ptp(xy, axis=0)
@@ -78,64 +67,44 @@ def require_near(xy: np.ndarray) -> None:
             f"the map is {size[0] / 1e3:.3g} x {size[1] / 1e3:.3g} km; at most "
             f"{2 * FARTHEST / 1e3:g} km: cut one car park out of it"
         )
+    return xy
 
 
 @dataclasses.dataclass(frozen=True)
 class Feature:
-    """One shape of a map.
+    """One shape of a map."""
 
-    Attributes:
-        tag: its meaning; `spots` are bays without outlines of their own.
-        shape: a shapely polygon, of a lane the centre line in its direction [m]; of
-            spots around all of them and maybe their aisles, or the point of one.
-        name: its name in the map.
-        kind: of a bay, or of spots.
-        level: floors that it belongs to, separated by semicolons; all if empty.
-        count: of spots; 0 if the map does not say.
-        orientation: of spots to the road: `parallel`, `perpendicular`, `diagonal`, or
-            empty.
-        is_row: whether the polygon holds spots alone, without an aisle.
-        width: of a lane [m].
-        one_way: whether a lane is driven along its line only.
-        yaw: heading of a start that has one [rad].
-    """
-
-    tag: Tag | Literal["spots"]
+    tag: Tag | Literal["spots"]  # bays without outlines of their own
+    # A shapely polygon, of a lane the centre line in its direction [m]; of spots around
+    # all of them and maybe their aisles, or the point of one.
     shape: Any
-    name: str
-    kind: BayKind = BayKind.STANDARD
-    level: str = ""
-    count: int = 0
-    orientation: str = ""
-    is_row: bool = False
-    width: float = 0.0
-    one_way: bool = False
-    yaw: float | None = None
+    name: str  # in the map
+    kind: BayKind = BayKind.STANDARD  # of a bay, or of spots
+    level: str = ""  # floors that it belongs to, separated by semicolons; all if empty
+    count: int = 0  # of spots; 0 if the map does not say
+    orientation: str = ""  # of spots: `parallel`, `perpendicular`, `diagonal`, or empty
+    is_row: bool = False  # whether the polygon holds spots alone, without an aisle
+    width: float = 0.0  # of a lane [m]
+    one_way: bool = False  # whether a lane is driven along its line only
+    yaw: float | None = None  # heading of a start that has one [rad]
 
 
 @dataclasses.dataclass
 class Report:
-    """Report of an import, to which every step adds.
+    """Report of an import, to which every step adds."""
 
-    Attributes:
-        spots: number of spots in the map.
-        lost: spots without a bay, with the reason, by their names.
-        unknown: numbers of unknown elements by kind.
-        outside: shapes left out because they lie outside the drivable part, by tag.
-        errors: between the outlines of spots and of their bays [m].
-        stretched: names of spots lengthened into the aisle to hold the car, and left to
-            parked cars.
-        turned: angle by which the map was turned to the rows of its bays [rad].
-        notes: sentences on what was assumed.
-    """
-
-    spots: int = 0
+    spots: int = 0  # in the map
+    # Why spots have no bay, by their names.
     lost: dict[str, str] = dataclasses.field(default_factory=dict)
+    # Numbers of elements: unknown ones by kind, those outside the drivable part by tag.
     unknown: Counter[str] = dataclasses.field(default_factory=Counter)
     outside: Counter[str] = dataclasses.field(default_factory=Counter)
+    # Between the outlines of spots and of their bays [m].
     errors: list[float] = dataclasses.field(default_factory=list)
+    # Names of spots lengthened into the aisle to hold the car, and left to parked cars.
     stretched: list[str] = dataclasses.field(default_factory=list)
-    turned: float = 0.0
+    turned: float = 0.0  # angle by which the map was turned to the rows of bays [rad]
+    # Sentences on what was assumed.
     notes: list[str] = dataclasses.field(default_factory=list)
 
     def __str__(self) -> str:
@@ -161,12 +130,10 @@ class Report:
                 f"the aisle to hold the car, for parked cars only: "
                 f"{', '.join(self.stretched)}"
             )
-        for what, counts in (
-            ("outside the drivable part", self.outside),
-            ("not understood", self.unknown),
-        ):
-            if counts:
-                lines.append(f"{what}: {commonest(counts)}")
+        if self.outside:
+            lines.append(f"outside the drivable part: {commonest(self.outside)}")
+        if self.unknown:
+            lines.append(f"not understood: {commonest(self.unknown)}")
         return "\n".join(lines)
 
 
@@ -199,16 +166,12 @@ def on_level(plan: Plan, level: str | None = None) -> Plan:
     """The part of a plan on one level: by default the one with most spots.
 
     Spots without a level are on the ground, level 0; all else without one is on every
-    level.
-
-    Raises:
-        ValueError: no spot is on the level.
+    level. `ValueError` if no spot is on the level.
     """
     counts, report = Counter[str](), plan.report
-    for tag in ("bay", "spots"):
-        for one in tagged(plan.features, tag):
-            for found in _levels(one, "0"):
-                counts[found] += max(one.count, 1)
+    for one in [*tagged(plan.features, "bay"), *tagged(plan.features, "spots")]:
+        for found in _levels(one, "0"):
+            counts[found] += max(one.count, 1)
     if level is not None and counts and level not in counts:
         raise ValueError(
             f"no spot is on level {level}; there are {', '.join(sorted(counts))}"

@@ -48,22 +48,19 @@ class Box:
     @property
     def shape(self) -> Any:
         """As a shapely polygon."""
-        box = shapely.box(
-            -self.length / 2, -self.width / 2, self.length / 2, self.width / 2
-        )
-        turned = affinity.rotate(box, self.yaw, origin=(0, 0), use_radians=True)
-        return affinity.translate(turned, self.x, self.y)
+        x, y = self.length / 2, self.width / 2
+        box = affinity.rotate(shapely.box(-x, -y, x, y), self.yaw, (0, 0), True)
+        return affinity.translate(box, self.x, self.y)
 
     def turned(self) -> "Box":
         """The rectangle, heading the other way."""
-        return dataclasses.replace(
-            self, yaw=math.remainder(self.yaw + math.pi, math.tau)
-        )
+        yaw = math.remainder(self.yaw + math.pi, math.tau)
+        return dataclasses.replace(self, yaw=yaw)
 
     def local(self, shape: Any) -> Any:
         """A shape in the rectangle's own frame."""
         moved = affinity.translate(shape, -self.x, -self.y)
-        return affinity.rotate(moved, -self.yaw, origin=(0, 0), use_radians=True)
+        return affinity.rotate(moved, -self.yaw, (0, 0), use_radians=True)
 
     def part(
         self,
@@ -77,27 +74,20 @@ class Box:
         left = self.width / 2 if left is None else left
         along, aside = (back + front) / 2, (right + left) / 2
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
-        return Box(
-            self.x + along * cosine - aside * sine,
-            self.y + along * sine + aside * cosine,
-            self.yaw,
-            front - back,
-            left - right,
-        )
+        x = self.x + along * cosine - aside * sine
+        y = self.y + along * sine + aside * cosine
+        return Box(x, y, self.yaw, front - back, left - right)
 
 
 def around(polygon: Any) -> Box:
     """The smallest rectangle around a polygon, its length the longer side."""
     hull = shapely.minimum_rotated_rectangle(polygon)
-    corners = np.asarray(hull.exterior.coords)
-    first, second = corners[1] - corners[0], corners[2] - corners[1]
-    length, width = np.hypot(*first), np.hypot(*second)
-    ahead = first
-    if width > length:
-        length, width, ahead = width, length, second
-    x, y = hull.centroid.coords[0]
-    yaw = math.atan2(ahead[1], ahead[0])
-    return Box(x, y, yaw, float(length), float(width))
+    sides = np.diff(np.asarray(hull.exterior.coords)[:3], axis=0)
+    if np.hypot(*sides[1]) > np.hypot(*sides[0]):
+        sides = sides[::-1]
+    (x, y), length = hull.centroid.coords[0], np.hypot(*sides[0])
+    yaw = math.atan2(sides[0, 1], sides[0, 0])
+    return Box(x, y, yaw, float(length), float(np.hypot(*sides[1])))
 
 
 def opened(shape: Any, width: float) -> Any:
@@ -119,18 +109,16 @@ def parallelogram(polygon: Any) -> tuple[np.ndarray, np.ndarray] | None:
     corners = np.asarray(ring.coords)[:-1]
     if len(corners) != 4:
         return None
-    one, two = corners[1] - corners[0], corners[2] - corners[1]
-    sides = (one + corners[2] - corners[3]) / 2, (two + corners[3] - corners[0]) / 2
+    one, two, three, four = corners
+    sides = (two - one + three - four) / 2, (three - two + four - one) / 2
     long, short = sorted(sides, key=lambda side: -float(np.hypot(*side)))
     return long, short
 
 
 def leaning(centre: Any, along: np.ndarray, aside: np.ndarray) -> Any:
     """The parallelogram with a centre (2,) and two sides (2,) [m]."""
-    corners = [
-        np.asarray(centre) + (a * along + b * aside) / 2
-        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    ]
+    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    corners = [np.asarray(centre) + (a * along + b * aside) / 2 for a, b in signs]
     return shapely.Polygon(corners)
 
 
@@ -167,8 +155,7 @@ def _between(centre: Any, along: np.ndarray, aside: np.ndarray) -> Box:
     side = float(np.hypot(*along))
     ahead = along / side
     width = abs(float(ahead[0] * aside[1] - ahead[1] * aside[0]))
-    within = side - abs(float(ahead @ aside))
-    length = max(within, min(side, STALL))
+    length = max(side - abs(float(ahead @ aside)), min(side, STALL))
     x, y = centre
     return Box(x, y, math.atan2(ahead[1], ahead[0]), length, width)
 
@@ -267,18 +254,14 @@ def _cut_each(box: Box, others: list[Any], gap: float) -> Box | None:
             continue
         low_x, low_y, high_x, high_y = hit.bounds
         length, width = front - back, left - right
-        # What is lost of the front, the back, the left or the right.
-        ahead, behind = (front - low_x) * width, (high_x - back) * width
-        on_left, on_right = (left - low_y) * length, (high_y - right) * length
-        least = min(ahead, behind, on_left, on_right)
-        if ahead == least:
-            front = low_x - gap
-        elif behind == least:
-            back = high_x + gap
-        elif on_left == least:
-            left = low_y - gap
-        else:
-            right = high_y + gap
+        # What is lost of the front, the back, the left or the right, and what is kept.
+        cuts = (
+            ((front - low_x) * width, (back, low_x - gap, right, left)),
+            ((high_x - back) * width, (high_x + gap, front, right, left)),
+            ((left - low_y) * length, (back, front, right, low_y - gap)),
+            ((high_y - right) * length, (back, front, high_y + gap, left)),
+        )
+        back, front, right, left = min(cuts, key=lambda cut: cut[0])[1]
         if front <= back or left <= right:
             return None
     return box.part(back, front, right, left)
@@ -320,10 +303,9 @@ def joined_lanes(features: list[Feature]) -> list[tuple[Box, bool]]:
             joined |= more
             back, front = low[joined].min(), high[joined].max()
         free &= ~joined
-        mean = float(np.average(width[joined], weights=length[joined]))
-        x, y = (float(value) for value in middle[first])
-        whole = Box(x, y, float(yaw[first]), float(length[first]), mean)
-        lanes.append(whole.part(float(back), float(front)))
+        mean = np.average(width[joined], weights=length[joined])
+        whole = [*middle[first], yaw[first], length[first], mean]
+        lanes.append(Box(*map(float, whole)).part(float(back), float(front)))
         with_it = np.cos(yaw[joined] - yaw[first]) >= 0
         one_way.append(bool((only[joined] & with_it).all()))
     return list(zip(_reaching(lanes), one_way, strict=True))

@@ -83,9 +83,13 @@ def import_map(
         ValueError: no such map, or no valid lot in it; the message names the file.
     """
     try:
-        flags = {"--level": level, "--crs": crs, "--layer": layers, "--unit": unit}
-        if case := _recorded_case(path, [name for name, x in flags.items() if x]):
-            return case
+        if path.suffix.lower() == ".json":
+            data = parse_object(read_text(path), "the map")
+            if key := next((key for key in data if key in RECORDED_CASES), None):
+                if level or crs or layers or unit:
+                    flags = "--level, --crs, --layer and --unit"
+                    raise ValueError(f"a recorded case does not take {flags}")
+                return _recorded_case(key, data)
         plan = read_plan(path, crs=crs, layers=layers, unit=unit)
         return assemble(lay_out(on_level(plan, level)))
     except OSError as error:
@@ -94,16 +98,7 @@ def import_map(
         raise ValueError(f"{path}: {error}") from None
 
 
-def _recorded_case(path: Path, flags: Sequence[str]) -> tuple[Layout, Report] | None:
-    """The lot of a recorded case, which takes no flags; None of maps."""
-    if path.suffix.lower() != ".json":
-        return None
-    data = parse_object(read_text(path), "the map")
-    key = next((key for key in data if key in RECORDED_CASES), None)
-    if key is None:
-        return None
-    if flags:
-        raise ValueError(f"a recorded case takes no {' and no '.join(flags)}")
+def _recorded_case(key: str, data: Any) -> tuple[Layout, Report]:
     read, car = RECORDED_CASES[key]
     layout = read(data)
     notes = [f"a recorded case: {int(layout.wall_mask.sum())} pieces are walls"]
@@ -115,12 +110,7 @@ def _recorded_case(path: Path, flags: Sequence[str]) -> tuple[Layout, Report] | 
 def read_plan(
     path: Path, *, crs: str | None = None, layers: Sequence[str] = (), unit: str = ""
 ) -> Plan:
-    """The features of a map.
-
-    Raises:
-        ValueError: no such map.
-        OSError: the file cannot be read.
-    """
+    """The features of a map; see `import_map`, but errors do not name the file."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"a map must end in one of {', '.join(FORMATS)}")
@@ -263,47 +253,41 @@ def _bays(
     taken: list[Any] = []
     for one in spots:
         fits = best_fits(one.shape)
-        if (error := fits[0][1]) > WORST_FIT:
-            report.lost[one.name] = f"no rectangle: {error:.2f} m off the best one"
-            continue
-        box = _facing([box for box, _ in fits], goals, found[-1][0].yaw if found else 0)
+        ahead = found[-1][0].yaw if found else 0
+        box = _facing([box for box, _ in fits], goals, ahead)
         short = box.length < least[0] < box.length + STRETCH
         if short:  # what stands behind it stays
             back = -box.length / 2
             box = box.part(back, back + least[0] + 0.01)
-        if not one.shape.intersects(near):
-            report.lost[one.name] = f"more than {NEAR:g} m from what can be driven on"
-            continue
         others = [other for other in taken if other.intersects(box.shape)]
-        if any(
-            other.intersection(box.shape).area > TWICE * one.shape.area
-            for other in others
-        ):
-            report.lost[one.name] = "covered by another spot"
-            continue
+        common = [other.intersection(box.shape).area for other in others]
         free = cut_free(box, others)
-        met = [shapes[k] for k in tree.query(box.shape)]
-        met = [shape for shape in met if shape is not one.shape]
         if box.shape.difference(one.shape).area > LEANING * box.shape.area:
             # It leans: it ends at the spots behind it, and a car's nose stands out.
+            met = [shapes[k] for k in tree.query(box.shape)]
+            met = [shape for shape in met if shape is not one.shape]
             free = _led_out(cut_free(box, [*met, *others]), box, others)
-        size = free.size if free else (0.0, 0.0)
-        if free is None or size[0] < least[0] or size[1] < least[1]:
-            report.lost[one.name] = (
-                f"smaller than the car of {least[0]:g} x {least[1]:g} m: "
-                f"{size[0]:.2f} x {size[1]:.2f} m"
-            )
+        long, wide = free.size if free else (0.0, 0.0)
+        if (error := fits[0][1]) > WORST_FIT:
+            lost = f"no rectangle: {error:.2f} m off the best one"
+        elif not one.shape.intersects(near):
+            lost = f"more than {NEAR:g} m from what can be driven on"
+        elif max(common, default=0.0) > TWICE * one.shape.area:
+            lost = "covered by another spot"
+        elif free is None or long < least[0] or wide < least[1]:
+            car = f"{least[0]:g} x {least[1]:g} m"
+            lost = f"smaller than the car of {car}: {long:.2f} x {wide:.2f} m"
+        elif max(long, wide) > PLAUSIBLE_BAY[1]:
+            lost = f"longer than {PLAUSIBLE_BAY[1]:g} m: {long:.1f} m"
+        else:
+            error = shapely.hausdorff_distance(one.shape, free.shape)
+            report.errors.append(float(error))
+            if short:
+                report.stretched.append(one.name)
+            taken.append(free.shape)
+            found.append((free, BayKind.RESERVED if short else one.kind))
             continue
-        if max(size) > PLAUSIBLE_BAY[1]:
-            report.lost[one.name] = (
-                f"longer than {PLAUSIBLE_BAY[1]:g} m: {size[0]:.1f} m"
-            )
-            continue
-        report.errors.append(float(shapely.hausdorff_distance(one.shape, free.shape)))
-        if short:
-            report.stretched.append(one.name)
-        taken.append(free.shape)
-        found.append((free, BayKind.RESERVED if short else one.kind))
+        report.lost[one.name] = lost
     return found
 
 
@@ -391,25 +375,25 @@ def _layout(
     middle = np.array([(left + right) / 2, (low + high) / 2, 0.0])
     extent = np.array([right - left, high - low]) / 2 + MARGIN
 
-    def rows(found: Sequence[Box], **others: Any) -> dict[str, Any]:
-        pose = np.array([box.pose for box in found]).reshape(-1, 3) - middle
-        size = np.array([box.size for box in found]).reshape(-1, 2)
-        return {"pose": pose, "size": size, **others}
+    def rows(found: Any, part: str, dtype: type) -> dict[str, np.ndarray]:
+        pose = np.array([box.pose for box, _ in found]).reshape(-1, 3) - middle
+        size = np.array([box.size for box, _ in found]).reshape(-1, 2)
+        return {
+            "pose": pose,
+            "size": size,
+            part: np.array([x for _, x in found], dtype),
+        }
 
-    def tagged_rows(found: list[tuple[Box, Any]], part: str, dtype: type) -> Any:
-        values = np.array([value for _, value in found], dtype)
-        return rows([box for box, _ in found], **{part: values})
-
-    room = np.array([_room(box) for box in starts])
+    regions = rows([(box, build.LANE_SPREAD) for box in starts], "spread", float)
     columns = np.array(discs).reshape(-1, 3)
     return build.from_columns(
         extent,
         {
-            "bays": tagged_rows(bays, "kind", int),
-            "walls": tagged_rows(solids, "kind", int),
+            "bays": rows(bays, "kind", int),
+            "walls": rows(solids, "kind", int),
             "discs": {"centre": columns[:, :2] - middle[:2], "radius": columns[:, 2]},
-            "lanes": tagged_rows(lanes, "one_way", bool),
-            "spawns": rows(starts) | {"size": room, "spread": build.LANE_SPREAD},
+            "lanes": rows(lanes, "one_way", bool),
+            "spawns": regions | {"size": np.array([_room(box) for box in starts])},
         },
     )
 
@@ -422,10 +406,10 @@ def free_starts(ground: Any, taken: Sequence[Any]) -> list[Box]:
     free = ground.difference(shapely.union_all(taken)).buffer(-NARROW)
     tree, found = shapely.STRtree(taken), []
     for box in boxes(free):
-        if (clear := cut_free(box, _met(tree, box))) and clear.length >= clear.width:
-            found.append(clear)
-        elif clear:
-            found.append(Box(*clear.pose[:2], clear.yaw + np.pi / 2, *clear.size[::-1]))
+        if clear := cut_free(box, _met(tree, box)):
+            x, y, yaw = clear.pose
+            across = Box(x, y, yaw + np.pi / 2, clear.width, clear.length)
+            found.append(clear if clear.length >= clear.width else across)
     return found
 
 

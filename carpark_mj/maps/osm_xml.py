@@ -1,6 +1,5 @@
 """OSM XML: maps of OpenStreetMap, and of Lanelet2 with its lanelets and spots."""
 
-import dataclasses
 import itertools
 from collections import Counter
 from collections.abc import Mapping
@@ -81,12 +80,7 @@ class OsmXml(NamedTuple):
 
 
 def read_xml(path: Path) -> Any:
-    """Reads the outermost element of an XML file; entities are refused.
-
-    Raises:
-        ValueError: not XML.
-        OSError: the file cannot be read.
-    """
+    """Reads the outermost element of an XML file; entities are refused."""
     data = read_bytes(path)
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise ValueError("maps in XML have no document type")
@@ -148,15 +142,12 @@ def _places(nodes: list[tuple[str, Any, Tags]]) -> np.ndarray:
         source: Any = tags if local else element
         pair = [source.get(part) for part in names]
         try:
-            row = [float(number) for number in pair]
+            rows.append([float(number) for number in pair])
         except (TypeError, ValueError):
-            row = [np.nan]
-        if not np.isfinite(row).all():
+            places = " and ".join(map(str, pair))
             raise ValueError(
-                f"node {name} must have two numbers as its place, not "
-                f"{pair[0]} and {pair[1]}"
-            )
-        rows.append(row)
+                f"node {name} must have two numbers as its place, not {places}"
+            ) from None
     return centred(np.array(rows)) if local else to_metres(np.array(rows))
 
 
@@ -172,17 +163,14 @@ def joined(pieces: list[Any]) -> Any:
 
 
 def osm_features(root: Any) -> Plan:
-    """The features of an element `osm`: of a Lanelet2 map, or one of OpenStreetMap.
-
-    Raises:
-        ValueError: invalid coordinates.
-    """
+    """The features of an element `osm`: of a Lanelet2 map, or one of OpenStreetMap."""
     plan = Plan()
     osm = _read(root, plan.report.unknown)
+    tags = [one.tags for one in (*osm.relations.values(), *osm.ways.values())]
     is_lanelet2 = any(
-        element.tags.get("type") == "lanelet" or _tag(element.tags) == "bay"
-        for element in (*osm.relations.values(), *osm.ways.values())
-        if "amenity" not in element.tags
+        one.get("type") == "lanelet" or _tag(one) == "bay"
+        for one in tags
+        if "amenity" not in one
     )
     (_add_lanelet2 if is_lanelet2 else _add_openstreetmap)(plan, osm)
     return plan
@@ -246,15 +234,15 @@ def _add(plan: Plan, name: str, tags: Tags, shape: Any) -> None:
 
 def _shape(way: Way) -> Any:
     """The polygon of a way; a line has its own width, or that of a wall."""
-    tag, shape = _tag(way.tags), way.shape
+    is_line, shape = _tag(way.tags) in ("wall", "kerb"), way.shape
     if way.closed:
-        if tag not in ("wall", "kerb") or way.tags.get("type", "area") == "area":
+        if not is_line or way.tags.get("type", "area") == "area":
             return shape
         shape = shape.exterior  # a closed line surrounds its ground
     try:
         width = float(way.tags["width"])
     except (KeyError, ValueError):
-        if tag not in ("wall", "kerb"):
+        if not is_line:
             return None
         width = LINE_THICKNESS
     width = width if 0 < width < 100 else LINE_THICKNESS
@@ -272,40 +260,29 @@ def add_lanelet(
 
     Its borders are points (n, 2) of `left` and `right` [m], two at least.
     """
-    found = _lanelet(name, borders, one_way) if {"left", "right"} <= {*borders} else []
-    plan.features.extend(dataclasses.replace(one, level=level) for one in found)
-    if not found:
-        plan.report.unknown["lanelet without two borders"] += 1
-
-
-def _lanelet(
-    name: str, borders: Mapping[str, np.ndarray], one_way: bool
-) -> list[Feature]:
-    """Features of a lanelet; none if its borders cover no ground."""
-    left, right = (borders[side] for side in ("left", "right"))
-    ends = [shapely.LineString([left[i], right[i]]) for i in (0, -1)]
-    if ends[0].intersects(ends[1]):
-        right = right[::-1]
-    ground = shapely.LinearRing(np.concatenate([left, right[::-1]]))
-    if ground.is_ccw:  # drawn against the direction of travel
-        left, right = left[::-1], right[::-1]
-    ground = shapely.make_valid(shapely.Polygon(ground))
+    ground: Any = shapely.Polygon()
+    left, right = (borders.get(side, np.zeros((0, 2))) for side in ("left", "right"))
+    if len(left) and len(right):
+        ends = [shapely.LineString([left[i], right[i]]) for i in (0, -1)]
+        if ends[0].intersects(ends[1]):
+            right = right[::-1]
+        ground = shapely.LinearRing(np.concatenate([left, right[::-1]]))
+        if ground.is_ccw:  # drawn against the direction of travel
+            left, right = left[::-1], right[::-1]
+        ground = shapely.make_valid(shapely.Polygon(ground))
     if not ground.area:
-        return []
-    features = [Feature("drivable", ground, name)]
+        plan.report.unknown["lanelet without two borders"] += 1
+        return
+    plan.features.append(Feature("drivable", ground, name, level=level))
     line = (_sampled(left) + _sampled(right)) / 2
     steps = np.diff(line, axis=0)
     turned = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
     length = float(np.hypot(*steps.T).sum())
-    if np.ptp(turned) > TURN and length < SHORT:
-        return features
-    width = min(
-        ground.area / max(length, 1e-6),
-        shapely.LineString(left).distance(shapely.LineString(right)),
-    )
-    if width <= 0:
-        return features
-    return features + lane_features(name, shapely.LineString(line), width, one_way)
+    apart = shapely.LineString(left).distance(shapely.LineString(right))
+    width = min(ground.area / max(length, 1e-6), apart)
+    if width > 0 and not (np.ptp(turned) > TURN and length < SHORT):
+        line = shapely.LineString(line)
+        plan.features.extend(lane_features(name, line, width, one_way, level))
 
 
 def _sampled(points: np.ndarray) -> np.ndarray:

@@ -44,6 +44,7 @@ _ROADS = ("service", "residential", "unclassified", "living_street", "track")
 _ROWS = ("street_side", "lane", "on_kerb", "half_on_kerb", "shoulder")
 _COVERED = ("underground", "multi-storey", "rooftop", "sheds", "garage_boxes")
 _PLAIN = {"source", "name", "note", "created_by", "ref", "layer", "level", "type"}
+_WGS84 = {"properties": {"name": WGS84}}
 NARROW = 2.0  # m, less of an aisle is no lane
 DETAIL = 0.25  # m, smaller bends of an aisle are straightened
 
@@ -97,10 +98,11 @@ def _add_parking(
     orientation = tags.get("orientation") or tags.get("parking:orientation") or ""
     if shape.area:
         shape = shapely.make_valid(shape)
-    elif shape.length or not is_spot:
-        if is_spot:
-            plan.report.lost[name] = _no_area(shape)
-        elif count:
+    elif is_spot and shape.length:
+        plan.report.lost[name] = _no_area(shape)
+        return
+    elif not is_spot:
+        if count:
             plan.report.lost[name] = f"a point for several spots: {count}"
         return
     if is_spot and shape.area and count <= 1:
@@ -138,8 +140,7 @@ def add_tagged(
 ) -> None:
     """Adds a shape by its `tag`, or by the tags of OpenStreetMap if it has none.
 
-    A `tag` is one of `features.Tag`; lanes have `width` [m] and `one_way` too. `word`
-    is the map's own for the tag, which the report uses.
+    `word` is the map's own for the tag, which the report uses.
     """
     tag = tags.get("tag")
     if tag is None:
@@ -184,66 +185,44 @@ def _add_aisle(plan: Plan, name: str, ground: Any, one_way: bool) -> None:
 def geojson_features(path: Path, crs: str | None = None) -> Plan:
     """Reads a file: a collection, one feature, or a bare geometry.
 
-    Args:
-        path: of the file.
-        crs: the coordinate reference system, instead of the one in the file.
+    `crs` is the coordinate reference system, instead of the one in the file.
 
     Raises:
         ValueError: not GeoJSON, or invalid coordinates.
         OSError: the file cannot be read.
     """
     data = parse_object(read_text(path), "the GeoJSON")
+    rows = data.get("features")
+    if not isinstance(rows, list):
+        rows = [data if data.get("type") == "Feature" else {"geometry": data}]
     plan, shapes, names, properties = Plan(), [], [], []
-    for index, row in enumerate(_rows(data)):
-        if not isinstance(row, dict) or not isinstance(
-            row.get("properties") or {}, dict
-        ):
-            raise ValueError(f"features[{index}] must be an object with properties")
-        geometry = row.get("geometry")
-        if geometry is None:  # RFC 7946, section 3.2: a feature without a place
+    for index, row in enumerate(rows):
+        try:
+            tags = dict(row.get("properties") or {})
+            geometry = row.get("geometry")  # RFC 7946, section 3.2: None has no place
+            shape = geometry is not None and shapely.from_geojson(json.dumps(geometry))
+        except (ShapelyError, AttributeError, ValueError, TypeError):
+            raise ValueError(
+                f"features[{index}] must have a geometry, and an object as properties, "
+                f"not {str(row)[:60]}"
+            ) from None
+        if not shape:
             plan.report.unknown["feature without a geometry"] += 1
             continue
-        try:
-            shape = shapely.from_geojson(json.dumps(geometry))
-        except (ShapelyError, ValueError, TypeError):
-            raise ValueError(
-                f"features[{index}] must have a geometry, not {str(geometry)[:60]}"
-            ) from None
-        if shape.is_empty:
-            plan.report.unknown["feature without a geometry"] += 1
         for part in shapely.get_parts(shape):
             shapes.append(shapely.force_2d(part))
             names.append(str(row.get("id", index)))
-            properties.append(row.get("properties") or {})
+            properties.append(tags)
     if not shapes:
         raise ValueError("the GeoJSON has no feature with a geometry")
-    placed = shapely.set_coordinates(
-        np.array(shapes), to_metres(shapely.get_coordinates(shapes), _system(data, crs))
-    )
+    try:
+        system = crs or str((data.get("crs") or _WGS84)["properties"]["name"])
+    except (TypeError, KeyError):
+        raise ValueError(
+            f"crs must have properties with a name, not {data['crs']}"
+        ) from None
+    xy = to_metres(shapely.get_coordinates(shapes), system)
+    placed = shapely.set_coordinates(np.array(shapes), xy)
     for name, shape, tags in zip(names, placed, properties, strict=True):
         add_tagged(plan, name, shape, tags)
     return plan
-
-
-def _rows(data: dict[str, Any]) -> list[Any]:
-    """The features of a collection, a feature, or a geometry."""
-    if isinstance(data.get("features"), list):
-        return data["features"]
-    if data.get("type") == "Feature":
-        return [data]
-    if "coordinates" in data or "geometries" in data:
-        return [{"geometry": data}]
-    raise ValueError("the GeoJSON must have features, a geometry or coordinates")
-
-
-def _system(data: dict[str, Any], given: str | None) -> str:
-    """The name of the coordinate reference system."""
-    if given is not None:
-        return given
-    crs = data.get("crs")
-    if crs is None:
-        return WGS84
-    try:
-        return str(crs["properties"]["name"])
-    except (TypeError, KeyError):
-        raise ValueError(f"crs must have properties with a name, not {crs}") from None

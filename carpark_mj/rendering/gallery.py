@@ -1,5 +1,6 @@
 """A contact sheet of lots: two of each of `FAMILIES`, each with its name."""
 
+import contextlib
 import dataclasses
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -49,12 +50,10 @@ def draw_lots(
         state, _ = reset(evaluation_key(number))
         no_lines = np.zeros(NUM_AGENTS, bool)  # to the goals
         seen = dataclasses.replace(snapshot_of(state), active=no_lines)
-        renderer = LotRenderer(Stage.of(env, state), "overview", size)
-        try:
+        stage = Stage.of(env, state)
+        with contextlib.closing(LotRenderer(stage, "overview", size)) as renderer:
             renderer.place(seen)
-            yield f"{family}, seed {number}", renderer.draw(seen, renderer.cameras[0])
-        finally:
-            renderer.close()
+            yield f"{family}, seed {number}", renderer.draw(seen, "overview")
 
 
 def contact_sheet(cells: Iterable[tuple[str, np.ndarray]]) -> Any:

@@ -14,12 +14,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-MISSING_GL = (
-    "off-screen OpenGL is not available: install the system package libegl1 with a "
-    "driver (Debian, Ubuntu: apt install libegl1 libgl1-mesa-dri)"
-)
 _MISSING = {
-    "egl": MISSING_GL,
+    "egl": "off-screen OpenGL is not available: install the system package libegl1 "
+    "with a driver (Debian, Ubuntu: apt install libegl1 libgl1-mesa-dri)",
     "osmesa": "off-screen OpenGL through OSMesa is not available: install the system "
     "package libosmesa6, or unset MUJOCO_GL",
 }
@@ -42,7 +39,7 @@ def check_gl() -> None:
         return
     if wanted not in _LIBRARIES:
         raise ValueError(f"MUJOCO_GL must be egl, osmesa or glfw, not {wanted!r}")
-    if not _loads(_LIBRARIES[wanted]):
+    if not _loads(wanted):
         raise ValueError(f"{_MISSING[wanted]} (MUJOCO_GL={wanted})")
 
 
@@ -60,18 +57,17 @@ def choose_gl() -> str | None:
         return None  # macOS and Windows have one OpenGL each
     if wanted not in ("", *_LIBRARIES):
         return _without_off_screen(wanted)
-    for name in [wanted] if wanted else _LIBRARIES:
-        if _loads(_LIBRARIES[name]):
-            os.environ["MUJOCO_GL"] = name
-            return None
+    if name := next(filter(_loads, [wanted] if wanted else _LIBRARIES), None):
+        os.environ["MUJOCO_GL"] = name
+        return None
     os.environ.pop("MUJOCO_GL", None)
-    return f"{_MISSING[wanted]} (MUJOCO_GL={wanted})" if wanted else MISSING_GL
+    return _MISSING[wanted or "egl"] + (wanted and f" (MUJOCO_GL={wanted})")
 
 
 def why_nothing_is_drawn(error: Exception) -> str:
     """A sentence on MuJoCo's failure to open OpenGL."""
     wanted = _wanted()
-    advice = _MISSING.get(wanted) or _without_off_screen(wanted) or MISSING_GL
+    advice = _MISSING.get(wanted) or _without_off_screen(wanted) or _MISSING["egl"]
     return f"{advice}; the error was: {' '.join(str(error).split())}"
 
 
@@ -87,15 +83,13 @@ def _without_off_screen(wanted: str) -> str | None:
     return None
 
 
-def _loads(library: str) -> bool:
+def _loads(back_end: str) -> bool:
     try:
-        ctypes.CDLL(library)
+        return bool(ctypes.CDLL(_LIBRARIES[back_end]))
     except OSError:
         return False
-    return True
 
 
-NO_DISPLAY = "no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset)"
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -107,15 +101,14 @@ def has_display() -> bool:
 def missing_display() -> str | None:
     """Why no window can be opened; None if one can."""
     if not has_display():
-        return NO_DISPLAY
+        return "no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset)"
     import glfw
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what the sentence says
         if glfw.init():
             return None
-    names = (name for name in _DISPLAYS if os.environ.get(name))
-    shown = ", ".join(f"{name}={os.environ[name]}" for name in names)
+    shown = ", ".join(f"{x}={os.environ[x]}" for x in _DISPLAYS if os.environ.get(x))
     return f"no window can be opened on the display{shown and f' ({shown})'}"
 
 
@@ -151,12 +144,9 @@ class Window:
 
     def held(self, names: tuple[str, ...]) -> set[str]:
         """Which of some keys are held, by GLFW's names without `KEY_`."""
-        glfw = self._glfw
-        return {
-            name
-            for name in names
-            if glfw.get_key(self._window, getattr(glfw, f"KEY_{name}")) == glfw.PRESS
-        }
+        glfw, window = self._glfw, self._window
+        keys = {name: getattr(glfw, f"KEY_{name}") for name in names}
+        return {x for x, key in keys.items() if glfw.get_key(window, key) == glfw.PRESS}
 
     def gamepad(self) -> tuple[list[float], list[int]] | None:
         """Axes and buttons of the first gamepad in GLFW's order; None without one."""

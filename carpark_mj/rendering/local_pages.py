@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 from carpark_mj.config.checks import Bounds
 
@@ -15,12 +15,7 @@ LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
 
 
 class Chosen(Exception):  # noqa: N818 - no error
-    """Another lot has been chosen on the page; `config` shows it."""
-
-    def __init__(self, config: Any) -> None:
-        """Another lot."""
-        super().__init__()
-        self.config = config
+    """Another lot has been chosen on the page; its argument is the config of it."""
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | None:

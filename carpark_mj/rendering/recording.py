@@ -1,7 +1,6 @@
 """Records a policy in one lot, and what is visible at one instant of that."""
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -16,7 +15,7 @@ from carpark_mj.geometry.obstacles import Group, take
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import Tracked
 from carpark_mj.policy.acting import AnyPolicy, Carry, Step, acts, as_argument, roll_out
-from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.stage import Flash, Snapshot, Stage
 from carpark_mj.types import NO_BAY, OUTCOMES, Motion, ParkedCars, State
 
 
@@ -27,32 +26,25 @@ class Recording:
     Absent agents and parked cars are left out.
     """
 
-    layout: Layout  # the lot
+    layout: Layout
     ctrl_dt: float  # control period [s]
-    # (t, k, agents, 3) footprint centres; the last of each step is the pose at
-    # its end, before any respawn
+    # (t, k, agents, 3) footprint centres; the last of a step are before any respawn
     pose_w: np.ndarray
     steering: np.ndarray  # (t, agents) bicycle angles at the end of the steps [rad]
     speed: np.ndarray  # (t, agents) signed speeds at the end of the steps [m/s]
-    # (t, agents) goals during the steps, `NO_BAY` of agents that explore
-    goal: np.ndarray
-    # (t, k, parked cars, 3) centres of the parked cars, see `parked_trace`
-    parked_pose: np.ndarray
+    goal: np.ndarray  # (t, agents) during the steps, `NO_BAY` of agents that explore
+    parked_pose: np.ndarray  # (t, k, parked cars, 3) centres, see `parked_trace`
     active: np.ndarray  # (t, agents) bool
     parked: np.ndarray  # (t, agents) bool, the agent parked in this step
-    crashed: np.ndarray  # (t, agents) bool, the agent crashed in this step
-    timed_out: np.ndarray  # (t, agents) bool, the agent timed out in this step
+    crashed: np.ndarray  # the same of crashes
+    timed_out: np.ndarray  # and of time-outs
     step: np.ndarray  # (t, agents) control steps made in the episode, this one included
-    # (t, agents) which of the fleet's kinds of cars they drive; None if it has
-    # one
-    kind: np.ndarray | None = None
-    # (parked cars,) as the lot began; None if all are alike
-    parked_cars: ParkedCars | None = None
+    kind: np.ndarray | None = None  # (t, agents) kinds of a fleet; None if it has one
+    parked_cars: ParkedCars | None = None  # as the lot began; None if all are alike
     # (t, agents, slots) bays tracked during the steps, `NO_BAY` in empty slots;
     # None while goals are fixed
     tracked_bays: np.ndarray | None = None
-    # obstacles that move by themselves, (t, ...) in front
-    movers: tuple[Group, ...] = ()
+    movers: tuple[Group, ...] = ()  # (t, ...) in front
 
 
 def recording_stage(env: ParkingEnv, recording: Recording) -> Stage:
@@ -108,11 +100,8 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
             "step": before.step + 1,
             "movers": step.after.movers.groups,
         }
-        if before.kind is not None:
-            frame["kind"] = before.kind
-        if before.tracked_bays is not None:
-            frame["tracked_bays"] = before.tracked_bays
-        return frame
+        fleet = {"kind": before.kind, "tracked_bays": before.tracked_bays}
+        return frame | {name: x for name, x in fleet.items() if x is not None}
 
     run = jax.jit(
         lambda policy, carry, keys: roll_out(env, acts(policy), carry, keys, report)
@@ -124,12 +113,9 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
         chunks.append(jax.device_get(frames))
     frames = jax.tree.map(lambda *xs: np.concatenate(xs)[:num_steps], *chunks)
     movers = frames.pop("movers")
-    # A lot keeps its parked cars: an absent one never comes.
-    here = np.asarray(state.parked_cars.present)
-    frames["parked_pose"] = frames["parked_pose"][:, :, here]
-    # So do agents, except waiting ones.
-    mine = np.flatnonzero(state.takes_part)
-    own = {"pose_w": np.s_[:, :, mine], "parked_pose": np.s_[:]}
+    # A lot keeps its parked cars and agents, except waiting ones: others never come.
+    here, mine = np.asarray(state.parked_cars.present), np.flatnonzero(state.takes_part)
+    own = {"pose_w": np.s_[:, :, mine], "parked_pose": np.s_[:, :, here]}
     frames = {n: x[own.get(n, np.s_[:, mine])] for n, x in frames.items()}
     return Recording(
         layout=state.layout,
@@ -142,47 +128,6 @@ def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Rec
 
 FLASH_SECONDS = 0.8  # how long an ended episode flashes
 STANDING = 0.1  # m/s, slower cars stand
-
-
-@dataclasses.dataclass(frozen=True)
-class Flash:
-    """An episode that has just ended."""
-
-    pose_w: np.ndarray  # (3,) where the car was
-    agent: int  # whose it was
-    outcome: str  # one of `OUTCOMES`
-    age: float  # 0 when it ended, 1 when the flash is over
-
-
-@dataclasses.dataclass(frozen=True)
-class Snapshot:
-    """One instant."""
-
-    pose_w: np.ndarray  # (agents, 3) footprint centres
-    steering: np.ndarray  # (agents,) bicycle angles [rad]
-    goal_pose: np.ndarray  # (agents, 3) goal bays; NaN for agents that explore
-    # (agents, 2) sizes of goal bays [m]; NaN for agents that explore
-    goal_size: np.ndarray
-    parked_pose: np.ndarray  # (parked cars, 3) footprint centres
-    active: np.ndarray  # (agents,) bool, the agent's episode is running
-    seconds: float = 0.0  # since the start
-    # a word or two per agent: what it does, or how its episode ended
-    state: tuple[str, ...] = ()
-    # numbers to show by name: episodes ended so far, by outcome
-    tally: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    flashes: tuple[Flash, ...] = ()  # episodes that ended a moment ago
-    # (agents,) which of the fleet's kinds of cars they drive; None if it has one
-    kind: np.ndarray | None = None
-    # (agents, slots, 2) centres of tracked bays, NaN in empty slots; None while
-    # goals are fixed
-    tracked_bay_xy: np.ndarray | None = None
-    movers: tuple[Group, ...] = ()  # obstacles that move by themselves
-
-    def place(self, stage: Stage) -> None:
-        """Places all cars and movers; wheels roll by the distance since the last."""
-        stage.place(
-            self.pose_w, self.steering, self.parked_pose, self.kind, self.movers
-        )
 
 
 def snapshot_of(state: State) -> Snapshot:
@@ -215,10 +160,9 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
     traces = recording.pose_w.shape[1]
     step, trace = divmod(index, traces)
     goal_pose, goal_size = aimed_at(recording.layout, recording.goal[step])
-    bay_xy, bays = None, recording.tracked_bays
-    if bays is not None:
-        pose, _ = aimed_at(recording.layout, bays[step].reshape(-1))
-        bay_xy = pose[:, :2].reshape(*bays.shape[1:], 2)
+    bay_xy = None
+    if recording.tracked_bays is not None:
+        bay_xy = aimed_at(recording.layout, recording.tracked_bays[step])[0][..., :2]
     # What happens in a step is known when it is over.
     over = (index + 1) // traces
     ended = {name: getattr(recording, name) for name in OUTCOMES}
@@ -248,8 +192,8 @@ def snapshot(recording: Recording, index: int) -> Snapshot:
 
 
 def aimed_at(layout: Layout, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (agents, 3) and sizes (agents, 2) of goals (agents,); NaN of `NO_BAY`."""
-    has_goal = (goal != NO_BAY)[:, None]
+    """Poses (..., 3) and sizes (..., 2) of goals (...); NaN of `NO_BAY`."""
+    has_goal = (goal != NO_BAY)[..., None]
     bay = np.minimum(goal, layout.num_bays - 1)
     pose, size = np.asarray(layout.bay_pose)[bay], np.asarray(layout.bay_size)[bay]
     return np.where(has_goal, pose, np.nan), np.where(has_goal, size, np.nan)
@@ -264,10 +208,9 @@ def _state(recording: Recording, step: int, agent: int) -> str:
                 return name.replace("_", " ")
         return "diverged"
     speed = recording.speed[step, agent]
-    moving = "drives" if speed > 0 else "reverses"
-    state = "stands" if abs(speed) < STANDING else moving
-    exploring = recording.goal[step, agent] == NO_BAY
-    return f"{state}, explores" if exploring else state
+    state = "drives" if speed > 0 else "reverses"
+    state = "stands" if abs(speed) < STANDING else state
+    return state + ", explores" * bool(recording.goal[step, agent] == NO_BAY)
 
 
 def tracked_points(snapshot: Snapshot, tracked: Tracked) -> list[tuple[int, Any]]:
@@ -287,15 +230,9 @@ def tracked_points(snapshot: Snapshot, tracked: Tracked) -> list[tuple[int, Any]
         index, present = nearest(
             jnp.asarray(agents), jnp.asarray(points), jnp.asarray(mask), count
         )
-        pairs += [
-            (int(agent), points[int(index[agent, slot])])
-            for agent, slot in np.argwhere(np.asarray(present))
-        ]
-    if snapshot.tracked_bay_xy is not None:
-        pairs += [
-            (agent, point)
-            for agent, points in enumerate(snapshot.tracked_bay_xy)
-            for point in points
-            if not np.isnan(point).any()
-        ]
+        where = np.argwhere(np.asarray(present)).tolist()
+        pairs += [(agent, points[int(index[agent, slot])]) for agent, slot in where]
+    if (bays := snapshot.tracked_bay_xy) is not None:
+        where = np.argwhere(~np.isnan(bays).any(axis=-1)).tolist()
+        pairs += [(agent, bays[agent, slot]) for agent, slot in where]
     return pairs

@@ -12,8 +12,8 @@ import numpy as np
 
 from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.gl import why_nothing_is_drawn
-from carpark_mj.rendering.recording import Snapshot, tracked_points
-from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.recording import tracked_points
+from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.scene.camera_flags import LOT_CAMERAS, camera_names, followed_agents
 from carpark_mj.scene.looks import agent_colour
 from carpark_mj.scene.parts import HULL_GROUP, cabin_geoms
@@ -33,8 +33,6 @@ class Markers:
 
     def _add(self, kind: Any, rgba: Rgba, position: Sequence[float]) -> Any:
         scene = self._scene
-        if scene.ngeom >= scene.maxgeom:
-            raise RuntimeError(f"the scene is full: {scene.maxgeom} geoms")
         geom = scene.geoms[scene.ngeom]
         place = np.array(position, float)
         mujoco.mjv_initGeom(
@@ -126,22 +124,12 @@ class _Renderer(mujoco.Renderer):
         """Uploads meshes and textures of another model in place of the last one's."""
         self._gl_context.make_current()
         self._mjr_context.free()
-        self._mjr_context = mujoco.MjrContext(
-            model, mujoco.mjtFontScale.mjFONTSCALE_100
-        )
+        scale = mujoco.mjtFontScale.mjFONTSCALE_100
+        self._mjr_context = mujoco.MjrContext(model, scale)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr_context)
         self._scene = mujoco.MjvScene(model, self._scene.maxgeom)
         self._model = model
         self._release()
-
-
-def _mujoco_renderer(model: mujoco.MjModel, width: int, height: int) -> _Renderer:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW says in several what fails
-            return _Renderer(model, width, height)
-    except Exception as error:  # PyOpenGL and MuJoCo raise many kinds
-        raise RenderingError(why_nothing_is_drawn(error)) from None
 
 
 class LotRenderer:
@@ -154,20 +142,21 @@ class LotRenderer:
         size: tuple[int, int] = (1280, 720),
         show: Show | None = None,
     ) -> None:
-        """Opens a GL context.
+        """Opens a GL context for frames of a size, width and height [pixels].
 
-        Args:
-            stage: the compiled scene.
-            camera: see `camera_names`.
-            size: width and height of a frame [pixels].
-            show: extras to draw.
+        `camera` is one of `camera_names`.
         """
         self._show = show or Show()
         self.cameras = camera_names(camera, stage.num_agents)
         self._observers = followed_agents(self.cameras) or range(stage.num_agents)
         self.width, self.height = size[0] // len(self.cameras), size[1]
         self._take(stage)
-        self._renderer = _mujoco_renderer(self.model, self.width, self.height)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # GLFW says in several what fails
+                self._renderer = _Renderer(self.model, self.width, self.height)
+        except Exception as error:  # PyOpenGL and MuJoCo raise many kinds
+            raise RenderingError(why_nothing_is_drawn(error)) from None
 
     def show_lot(self, stage: Stage) -> None:
         """Draws another lot with as many agents from now on; its cars stay."""
@@ -185,7 +174,7 @@ class LotRenderer:
 
     def place(self, seen: Snapshot) -> None:
         """Places all cars; wheels roll by the distance since the last call."""
-        seen.place(self._stage)
+        self._stage.place(seen)
 
     def draw(self, seen: Snapshot, camera: str) -> np.ndarray:
         """Draws the placed cars, (height, width, 3) uint8, by one of `cameras`."""
@@ -196,10 +185,10 @@ class LotRenderer:
         for k in range(self._stage.num_agents):
             rgb = agent_colour(k)[:3]
             goal, here = seen.goal_pose[k], seen.pose_w[k]
-            aims = not np.isnan(goal).any()
-            if aims:
-                markers.bay(goal, seen.goal_size[k], (*rgb, 0.45))
-            if aims and seen.active[k]:
+            if np.isnan(goal).any():
+                continue
+            markers.bay(goal, seen.goal_size[k], (*rgb, 0.45))
+            if seen.active[k]:
                 markers.line(here, goal, (*rgb, 0.9), 0.07, 0.05)
         self._draw_extras(markers, seen)
         for flash in seen.flashes:
@@ -226,15 +215,14 @@ class LotRenderer:
     def _draw_extras(self, markers: Markers, seen: Snapshot) -> None:
         """Rings and links of the observers."""
         for agent in self._observers:
-            rgb = agent_colour(agent)[:3]
+            rgba = (*agent_colour(agent)[:3], 0.5)
             for diameter in self._show.rings:
-                markers.circle(seen.pose_w[agent], diameter / 2, (*rgb, 0.5), 0.05)
-        if self._show.tracked is None:
-            return
-        for agent, point in tracked_points(seen, self._show.tracked):
+                markers.circle(seen.pose_w[agent], diameter / 2, rgba, 0.05)
+        tracked = self._show.tracked
+        for agent, point in tracked_points(seen, tracked) if tracked else ():
             if agent in self._observers:
-                rgb = agent_colour(agent)[:3]
-                markers.line(seen.pose_w[agent], point, (*rgb, 0.6), 0.025, 0.04)
+                rgba = (*agent_colour(agent)[:3], 0.6)
+                markers.line(seen.pose_w[agent], point, rgba, 0.025, 0.04)
 
     def project(self, point: np.ndarray, camera: str) -> tuple[float, float] | None:
         """Pixel (x, y) of a world point (3,) seen by a camera; None behind it."""

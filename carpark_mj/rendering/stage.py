@@ -1,7 +1,8 @@
-"""The scene of a lot with its cars in their places; it does not need OpenGL."""
+"""Instants in a lot, and its scene with all in their places; it needs no OpenGL."""
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import mujoco
@@ -13,9 +14,43 @@ from carpark_mj.scene.build import build_scene
 from carpark_mj.scene.camera_flags import LOT_CAMERAS
 from carpark_mj.scene.cameras import frame_lot
 from carpark_mj.scene.movers import Walkers
-from carpark_mj.scene.parts import HIDDEN, car_prefix
+from carpark_mj.scene.parts import HIDDEN, car_prefix, rear_axle, yaw_quat
 from carpark_mj.vehicle.mjcf import STEERED, WHEELS
 from carpark_mj.vehicle.parameters import VehicleParameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Flash:
+    """An episode that has just ended."""
+
+    pose_w: np.ndarray  # (3,) where the car was
+    agent: int  # whose it was
+    outcome: str  # one of `OUTCOMES`
+    age: float  # 0 when it ended, 1 when the flash is over
+
+
+@dataclasses.dataclass(frozen=True)
+class Snapshot:
+    """One instant."""
+
+    pose_w: np.ndarray  # (agents, 3) footprint centres
+    steering: np.ndarray  # (agents,) bicycle angles [rad]
+    goal_pose: np.ndarray  # (agents, 3) goal bays; NaN for agents that explore
+    goal_size: np.ndarray  # (agents, 2) of goal bays [m]; NaN likewise
+    parked_pose: np.ndarray  # (parked cars, 3) footprint centres
+    active: np.ndarray  # (agents,) bool, the agent's episode is running
+    seconds: float = 0.0  # since the start
+    # a word or two per agent: what it does, or how its episode ended
+    state: tuple[str, ...] = ()
+    # numbers to show by name: episodes ended so far, by outcome
+    tally: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    flashes: tuple[Flash, ...] = ()  # episodes that ended a moment ago
+    # (agents,) which of the fleet's kinds of cars they drive; None if it has one
+    kind: np.ndarray | None = None
+    # (agents, slots, 2) centres of tracked bays, NaN in empty slots; None while
+    # goals are fixed
+    tracked_bay_xy: np.ndarray | None = None
+    movers: tuple[Group, ...] = ()  # obstacles that move by themselves
 
 
 class Stage:
@@ -33,14 +68,9 @@ class Stage:
     ) -> None:
         """Compiles the scene.
 
-        Args:
-            layout: the lot.
-            params: vehicle of all cars, unless the following say otherwise.
-            num_agents: agents.
-            num_parked_cars: parked cars.
-            agent_kinds: vehicles that agents may drive.
-            parked_cars: vehicles of the parked cars, one each.
-            movers: obstacles that move by themselves, anywhere, of their final sizes.
+        All cars are vehicles of `params`, unless `agent_kinds` are those that agents
+        may drive, and `parked_cars` those of the parked cars, one each. Movers may be
+        anywhere, but have their final sizes.
         """
         self.layout, self.params, self.num_agents = layout, params, num_agents
         self._kinds = tuple(agent_kinds) or (params,)
@@ -85,36 +115,22 @@ class Stage:
         self._spin = np.zeros(num_agents)
         self._last = np.full((num_agents, 3), np.nan)
 
-    def place(
-        self,
-        pose_w: np.ndarray,
-        steering: np.ndarray,
-        parked_pose: np.ndarray,
-        kind: np.ndarray | None = None,
-        movers: Sequence[Group] = (),
-    ) -> None:
-        """Places all cars; wheels roll by the distance since the last call.
-
-        Args:
-            pose_w: (agents, 3) footprint centres.
-            steering: (agents,) bicycle angles [rad].
-            parked_pose: (parked cars, 3) footprint centres.
-            kind: (agents,) which of the kinds of cars they drive; None if there is one.
-            movers: as many as the scene was made for.
-        """
-        if kind is not None:
-            self._kind = np.asarray(kind)
-        self._roll(pose_w)
+    def place(self, seen: Snapshot) -> None:
+        """Places all cars and movers; wheels roll by the distance since the last."""
+        if seen.kind is not None:
+            self._kind = np.asarray(seen.kind)
+        self._roll(seen.pose_w)
         for agent, shown in enumerate(self._kind):
             for each in range(len(self._kinds)):
                 root = self.data.joint(f"{car_prefix(agent, each)}root")
                 root.qpos = [0.0, 0.0, HIDDEN, 1.0, 0.0, 0.0, 0.0]
-            self._place_agent(agent, int(shown), pose_w[agent], float(steering[agent]))
+            steering = float(seen.steering[agent])
+            self._place_agent(agent, int(shown), seen.pose_w[agent], steering)
         for address, pose, params in zip(
-            self._parked, parked_pose, self._parked_cars, strict=True
+            self._parked, seen.parked_pose, self._parked_cars, strict=True
         ):
-            self.data.qpos[address : address + 3] = _rear_axle(params, pose)
-        for name, (pos, quat) in self._walkers.places(movers).items():
+            self.data.qpos[address : address + 3] = rear_axle(params, pose)
+        for name, (pos, quat) in self._walkers.places(seen.movers).items():
             mocap = self.model.body(name).mocapid[0]
             self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = pos, quat
         self._update()
@@ -153,9 +169,8 @@ class Stage:
         self, agent: int, kind: int, centre: np.ndarray, steering: float
     ) -> None:
         params, prefix = self._kinds[kind], car_prefix(agent, kind)
-        x, y, yaw = _rear_axle(params, centre)
-        turn = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
-        self.data.joint(f"{prefix}root").qpos = [x, y, 0.0, *turn]
+        x, y, yaw = rear_axle(params, centre)
+        self.data.joint(f"{prefix}root").qpos = [x, y, 0.0, *yaw_quat(yaw)]
         tan = math.tan(steering)
         skew = params.track_width / (2 * params.wheelbase) * tan
         for name, sign in zip(STEERED, (-1.0, 1.0), strict=True):
@@ -163,11 +178,3 @@ class Stage:
             self.data.joint(f"{prefix}steer_{name}").qpos = angle
         for name in WHEELS:
             self.data.joint(f"{prefix}spin_{name}").qpos = self._spin[agent]
-
-
-def _rear_axle(
-    params: VehicleParameters, centre: np.ndarray
-) -> tuple[float, float, float]:
-    x, y, yaw = centre
-    offset = params.centre_offset
-    return x - offset * math.cos(yaw), y - offset * math.sin(yaw), yaw

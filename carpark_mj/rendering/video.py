@@ -2,10 +2,10 @@
 
 import contextlib
 import dataclasses
-import re
+import itertools
 import subprocess
-import warnings
 from collections.abc import Iterator
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -21,13 +21,13 @@ from carpark_mj.files import write_atomically
 from carpark_mj.geometry.obstacles import Movers, take
 from carpark_mj.rendering.recording import (
     Recording,
-    Snapshot,
     frames_per_second,
     num_frames,
     snapshot,
 )
 from carpark_mj.rendering.renderer import FLASH_COLOURS, LotRenderer
-from carpark_mj.scene.looks import agent_colour
+from carpark_mj.rendering.stage import Snapshot
+from carpark_mj.scene.looks import agent_colour, rgb
 from carpark_mj.types import Motion, State
 
 Colour = tuple[int, int, int]
@@ -44,11 +44,6 @@ def font(pixels: int) -> Any:
     from PIL import ImageFont
 
     return ImageFont.load_default(pixels)
-
-
-def _rgb(colour: tuple[float, ...]) -> Colour:
-    r, g, b = (round(255 * c) for c in colour[:3])
-    return r, g, b
 
 
 def _ink(colour: Colour) -> Colour:
@@ -75,19 +70,16 @@ def draw_labels(
     pad, line = round(radius / 3), max(2, round(radius / 6))
 
     def tag(x: float, y: float, text: str, ink: Colour) -> None:
-        box = draw.textbbox((x, y), text, font=small, anchor="mt")
-        ground = (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad)
-        draw.rounded_rectangle(ground, pad, fill=BEHIND_TEXT)
-        draw.text((x, y), text, ink, font=small, anchor="mt")
+        _write(draw, (x, y), text, ink, pad, font=small, anchor="mt")
 
     for flash in seen.flashes:
         pixel = renderer.project(np.array([*flash.pose_w[:2], LABEL_HEIGHT]), camera)
         if pixel is not None:
             text = f"{flash.agent} {flash.outcome.replace('_', ' ')}"
-            colour = _rgb(FLASH_COLOURS[flash.outcome])
+            colour = rgb(FLASH_COLOURS[flash.outcome])
             tag(pixel[0], pixel[1] - 3 * radius, text, colour)
     for agent, state in enumerate(seen.state):
-        colour = _rgb(agent_colour(agent))
+        colour = rgb(agent_colour(agent))
         for pose, height, shape in (
             (seen.goal_pose[agent], 0.0, draw.rectangle),
             (seen.pose_w[agent], LABEL_HEIGHT, draw.ellipse),
@@ -116,12 +108,18 @@ def draw_status(frame: np.ndarray, seen: Snapshot) -> np.ndarray:
     tallies = [f"{name.replace('_', ' ')} {n}" for name, n in seen.tally.items()]
     text = "\n".join([f"{seen.seconds:.1f} s", *tallies])
     corner = (size * 0.9, size * 0.7)
-    box = draw.multiline_textbbox(corner, text, font=font(size))
-    pad = size * 0.4
-    ground = (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad)
-    draw.rounded_rectangle(ground, pad, fill=BEHIND_TEXT)
-    draw.multiline_text(corner, text, WHITE, font=font(size))
+    _write(draw, corner, text, WHITE, size * 0.4, font=font(size))
     return np.asarray(image)
+
+
+def _write(
+    draw: Any, at: tuple[float, float], text: str, ink: Colour, pad: float, **style: Any
+) -> None:
+    """Writes lines on a dark ground that is wider than these by `pad`."""
+    left, top, right, low = draw.textbbox(at, text, **style)
+    ground = (left - pad, top - pad, right + pad, low + pad)
+    draw.rounded_rectangle(ground, pad, fill=BEHIND_TEXT)
+    draw.text(at, text, ink, **style)
 
 
 class CarCameras:
@@ -148,9 +146,8 @@ class CarCameras:
 
     def draw(self, index: int) -> np.ndarray:
         """The recorded instant `index`: all pictures in a grid, (height, width, 3)."""
-        pictures = np.asarray(
-            self._draw(_camera_state(self._recording, self._sizes, index))
-        )
+        state = _camera_state(self._recording, self._sizes, index)
+        pictures = np.asarray(self._draw(state))
         _, columns = picture_grid(len(pictures))
         height, width = pictures.shape[1:3]
         frame = np.zeros((*self._size[::-1], 3), np.uint8)
@@ -221,10 +218,7 @@ def draw_labelled(seen: Snapshot, renderer: LotRenderer) -> np.ndarray:
 
 
 def frame_stride(recording: Recording, fps: float) -> int:
-    """Every how many frames to draw to come closest to a wanted rate.
-
-    No more than there are: the shortest video is one frame.
-    """
+    """Every how many frames to draw for a rate; the shortest video is one frame."""
     wanted = round(frames_per_second(recording) / fps)
     return min(max(1, wanted), num_frames(recording))
 
@@ -232,13 +226,9 @@ def frame_stride(recording: Recording, fps: float) -> int:
 def frame_indices(
     recording: Recording, fps: float, faster: float = 1.0, hold: int = 0
 ) -> tuple[list[int], float]:
-    """Which recorded instants a video shows, and its frames per second.
+    """Which recorded instants a video shows, and its frames per second, as near `fps`.
 
-    Args:
-        recording: to show.
-        fps: frames per second; the nearest that the recording allows.
-        faster: times as fast as driven.
-        hold: how many frames longer the last instant is shown.
+    It plays `faster` times as fast as driven; its end is shown `hold` frames longer.
     """
     stride = frame_stride(recording, fps / faster)
     last = num_frames(recording) - 1
@@ -247,86 +237,56 @@ def frame_indices(
 
 
 def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
-    """Writes frames as `.mp4` or `.gif` by the path's suffix; returns their number.
-
-    The file is written atomically.
+    """Writes frames, atomically, as `.mp4` or `.gif`; returns their number.
 
     Raises:
         OSError: the file cannot be written, or FFmpeg refuses the frame rate.
     """
-    if path.suffix == ".mp4":
-        return _write_mp4(path, pictures, fps)
-    if path.suffix == ".gif":
-        return _write_gif(path, pictures, fps)
-    raise ValueError(f"a video ends in .mp4 or .gif, not {path.name!r}")
+    writers = {".mp4": _write_mp4, ".gif": _write_gif}
+    if path.suffix not in writers:
+        raise ValueError(f"a video ends in .mp4 or .gif, not {path.name!r}")
+    return writers[path.suffix](path, pictures, fps)
 
 
 def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
-    """Encodes frames as H.264."""
+    """Encodes frames as H.264, which takes even widths and heights only."""
     import imageio_ffmpeg
 
-    first = next(pictures)
-    count = 1
-    stopped = (
-        f"FFmpeg stopped while it wrote {path} at {fps:g} frames per second; "
-        "is the disk full, or this rate impossible?"
-    )
-
-    def send(writer: Any, picture: np.ndarray) -> None:
-        try:
-            writer.send(np.ascontiguousarray(picture))
-        except OSError as error:  # it quotes FFmpeg's whole command line
-            raise OSError(stopped) from error
+    first, count = next(pictures), 0
+    height, width = first.shape[:2]
+    rate = str(Fraction(fps).limit_denominator())
+    given = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -"
+    even = f"-vf scale={width + width % 2}:{height + height % 2} -pix_fmt yuv420p"
+    coded = f"{even} -c:v libx264 -crf 23 -preset veryfast -v quiet -y"
+    program = [imageio_ffmpeg.get_ffmpeg_exe(), *given.split(), *coded.split()]
 
     def write(temporary: Path) -> None:
         nonlocal count
-        writer = imageio_ffmpeg.write_frames(
-            str(temporary),
-            (first.shape[1], first.shape[0]),
-            fps=fps,  # pyright: ignore[reportArgumentType]
-            codec="libx264",
-            quality=None,  # pyright: ignore[reportArgumentType]
-            output_params=["-crf", "23", "-preset", "veryfast"],
-            macro_block_size=2,
-            ffmpeg_log_level="quiet",  # errors are reported below
+        encoder = subprocess.Popen(
+            [*program, str(temporary)],
+            stdin=subprocess.PIPE,
+            process_group=0,  # Ctrl-C is for us
         )
-        writer.send(None)
+        assert encoder.stdin is not None
         try:
-            send(writer, first)
-            for picture in pictures:
-                send(writer, picture)
-                count += 1
-        except KeyboardInterrupt as error:  # do not wait for FFmpeg
-            with contextlib.suppress(KeyboardInterrupt):
-                writer.throw(error)
+            # Of a pipe that breaks the exit status tells.
+            with contextlib.suppress(BrokenPipeError), encoder.stdin:
+                for picture in itertools.chain([first], pictures):
+                    encoder.stdin.write(np.ascontiguousarray(picture).data)
+                    count += 1
+        except BaseException:  # do not wait for FFmpeg
+            encoder.kill()
             raise
         finally:
-            writer.close()
-        if _num_encoded(temporary) != count:  # its exit code is not ours to see
-            raise OSError(stopped)
+            failed = encoder.wait()
+        if failed:
+            raise OSError(
+                f"FFmpeg stopped while it wrote {path} at {fps:g} frames per second; "
+                "is the disk full, or this rate impossible?"
+            )
 
-    with warnings.catch_warnings():
-        # JAX warns of forks; the encoder is another program and touches no JAX.
-        warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called")
-        write_atomically(path, write)
+    write_atomically(path, write)
     return count
-
-
-def _num_encoded(path: Path) -> int:
-    """How many frames a video has; 0 where there is none."""
-    import imageio_ffmpeg
-
-    program = imageio_ffmpeg.get_ffmpeg_exe()
-    copy = ("-map", "0:v:0", "-c", "copy", "-f", "null", "-")
-    copied = subprocess.run(
-        [program, "-nostdin", "-i", str(path), *copy],
-        capture_output=True,
-        text=True,
-        errors="replace",
-        check=False,
-    )
-    counts = re.findall(r"frame= *(\d+)", copied.stderr)
-    return int(counts[-1]) if counts else 0
 
 
 def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
@@ -339,13 +299,9 @@ def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE)
         for f in frames
     ]
-    duration = round(1000 / fps)  # ms per frame; GIF counts in hundredths of a second
-    options: dict[str, Any] = {
-        "append_images": flat[1:],
-        "duration": duration,
-        "loop": 0,
-    }
-    options |= {"format": "GIF", "save_all": True, "optimize": True}
+    options: dict[str, Any] = {"format": "GIF", "save_all": True, "optimize": True}
+    # In milliseconds a frame; the file counts in hundredths of a second.
+    options |= {"append_images": flat[1:], "duration": round(1000 / fps), "loop": 0}
     write_atomically(path, lambda temporary: flat[0].save(temporary, **options))
     return len(flat)
 

@@ -1,5 +1,6 @@
 """A lot in the browser, through mjviser: driven by sliders, or live by a policy."""
 
+import dataclasses
 import functools
 import math
 import threading
@@ -22,11 +23,11 @@ from carpark_mj.policy.acting import (
     as_argument,
     control_step,
 )
-from carpark_mj.rendering.recording import Snapshot, aimed_at, parked_trace
-from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.recording import aimed_at, parked_trace
+from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
-from carpark_mj.scene.looks import ASPHALT, agent_colour
-from carpark_mj.scene.parts import GROUND
+from carpark_mj.scene.looks import ASPHALT, agent_colour, rgb
+from carpark_mj.scene.parts import GROUND, yaw_quat
 from carpark_mj.types import ENDINGS, State
 
 
@@ -34,8 +35,6 @@ class LiveLot:
     """A lot, its cars on a `Stage` at the present instant, and the policy that drives.
 
     Attributes:
-        goal_pose: (agents, 3) goal bays; NaN for agents that explore.
-        goal_size: (agents, 2) sizes of goal bays [m]; NaN for agents that explore.
         seconds: simulated time since the start [s].
         traces: traced poses in a control step.
         note: what has last happened, a sentence; empty at first.
@@ -47,9 +46,8 @@ class LiveLot:
         """Starts a lot, of those for training; compiles the reset alone."""
         self._env, self._policy = env, as_argument(policy)
         reset_key, self._key = jax.random.split(evaluation_key(seed))
-        self._reset = jax.jit(env.reset)
         self._step = jax.jit(self._control_step)
-        self._start = Carry(*self._reset(reset_key))
+        self._start = Carry(*jax.jit(env.reset)(reset_key))
         state = self._start.state
         self.extent = np.asarray(state.layout.extent)
         self._layout = jax.device_get(state.layout)
@@ -91,12 +89,11 @@ class LiveLot:
         self._seen = None
         self._ended = dict.fromkeys(ENDINGS, 0)
         self.seconds = 0.0
-        self._aim(np.asarray(state.goal[self._shows]))
-        motion, parked_cars = state.motion, state.parked_cars.pose_w
         self.stage.reset()
-        own = (np.asarray(x)[self._shows] for x in (motion.pose_w, motion.steering))
-        others = np.asarray(parked_cars), self._kind(state), state.movers.groups
-        self._place(*own, *others)
+        own = state.motion.pose_w, state.motion.steering, state.goal
+        pose_w, steering, goal = (np.asarray(x)[self._shows] for x in own)
+        cars = np.asarray(state.parked_cars.pose_w), self._kind(state)
+        self._place(pose_w, steering, goal, *cars, state.movers.groups)
 
     def _kind(self, state: State) -> jax.Array | None:
         """Which kinds of cars (agents,) are driven; None if there is one."""
@@ -116,43 +113,38 @@ class LiveLot:
             self._seen = jax.device_get(seen)
             self._steps, self._trace = self._steps + 1, 0
             self.seconds = self._steps * self._env.config.sim.ctrl_dt
-            self._aim(self._seen["goal"])
             for name in ENDINGS:
                 self._ended[name] += int(self._seen[name])
         seen = self._seen
         assert seen is not None
-        pose, parked_pose = (
-            seen[name][self._trace] for name in ("pose_w", "parked_pose")
-        )
+        pose, parked = (seen[name][self._trace] for name in ("pose_w", "parked_pose"))
         movers = tuple(group.instant(self._trace) for group in seen["movers"])
-        self._place(pose, seen["steering"], parked_pose, seen["kind"], movers)
+        own = pose, seen["steering"], seen["goal"]
+        self._place(*own, parked, seen["kind"], movers)
         self._trace += 1
         return begins
 
     def snapshot(self) -> Snapshot:
         """The present instant, as pictures show it."""
-        pose_w, steering, parked_pose, kind, movers = self._shown
-        return Snapshot(
+        return dataclasses.replace(self._shown, tally=dict(self.tally()))
+
+    def _place(
+        self, pose_w: Any, steering: Any, goal: Any, parked: Any, kind: Any, movers: Any
+    ) -> None:
+        goal_pose, goal_size = aimed_at(self._layout, goal)
+        self._shown = Snapshot(
             seconds=self.seconds,
             pose_w=pose_w,
             steering=steering,
-            goal_pose=self.goal_pose,
-            goal_size=self.goal_size,
-            parked_pose=parked_pose,
+            goal_pose=goal_pose,
+            goal_size=goal_size,
+            parked_pose=parked,
             active=np.abs(pose_w[:, 0]) < AWAY / 2,  # waiting agents are absent
             state=("",) * len(pose_w),
-            tally=dict(self.tally()),
             kind=kind,
             movers=movers,
         )
-
-    def _place(self, *shown: Any) -> None:
-        """Places cars and movers; see `Stage.place`."""
-        self._shown = shown
-        self.stage.place(*shown)
-
-    def _aim(self, goal: np.ndarray) -> None:
-        self.goal_pose, self.goal_size = aimed_at(self._layout, goal)
+        self.stage.place(self._shown)
 
     def tally(self) -> Iterator[tuple[str, float]]:
         """Episodes ended so far, by outcome."""
@@ -170,21 +162,13 @@ def make_viewer(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     extent: np.ndarray,
-    step: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
-    reset: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
+    step: Callable[..., None] | None = None,  # of model and data
+    reset: Callable[..., None] | None = None,
 ) -> Any:
-    """Shows a scene on a page; `run()` keeps it moving.
+    """Shows a scene on a page of viser's server; `run()` keeps it moving.
 
-    Args:
-        server: viser's, of the page.
-        model: of the scene.
-        data: its state.
-        extent: (2,) half widths of the lot [m].
-        step: advances `data` by a time step; MuJoCo's own if None.
-        reset: restarts; MuJoCo's own if None.
-
-    Returns:
-        The viewer of mjviser.
+    `extent` (2,) has half widths of the lot [m]; `step` advances the data by a time
+    step, `reset` restarts, both MuJoCo's own if None. Returns mjviser's viewer.
     """
     import mjviser
 
@@ -199,7 +183,7 @@ def make_viewer(
     server.scene.remove_by_name(f"/fixed_bodies/world/{GROUND}")
     server.scene.add_box(
         "/asphalt",
-        _bytes(ASPHALT),
+        rgb(ASPHALT),
         (2 * (extent[0] + VERGE_GAP), 2 * (extent[1] + VERGE_GAP), _SLAB),
         position=(0.0, 0.0, -_SLAB / 2),
         cast_shadow=False,
@@ -225,43 +209,40 @@ def make_viewer(
 def make_live_viewer(
     server: Any, lot: LiveLot, before: Callable[[], None] = lambda: None
 ) -> Any:
-    """Shows a lot in which a policy drives; see `make_viewer`.
-
-    `before` is called in every step.
-    """
+    """Shows a lot in which a policy drives, `before` every step; see `make_viewer`."""
     goals: list[Any] = []
     restarting = threading.Event()
 
     def show() -> None:
-        marks = zip(goals, lot.goal_pose, lot.goal_size, strict=True)
+        seen = lot.snapshot()
+        marks = zip(goals, seen.goal_pose, seen.goal_size, strict=True)
         for goal, pose, size in marks:
             goal.visible = bool(np.isfinite(pose).all())
             if not goal.visible:  # the agent explores
                 continue
             goal.dimensions = (float(size[0]) - 0.3, float(size[1]) - 0.3, 0.02)
             goal.position = (float(pose[0]), float(pose[1]), 0.0)
-            goal.wxyz = _turn(float(pose[2]))
+            goal.wxyz = yaw_quat(float(pose[2]))
         words = ", ".join(f"{name.replace('_', ' ')} {n}" for name, n in lot.tally())
         tally.content = f"**{lot.seconds:.0f} s**: {words}\n\n{lot.note}"
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def step(*scene: Any) -> None:
         before()
         if restarting.is_set():
             restarting.clear()
-            reset(model, data)
+            reset(*scene)
         elif lot.step():
             show()
 
-    def reset(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def reset(*scene: Any) -> None:
         lot.reset()
         show()
 
     stage = lot.stage
-    extent = np.asarray(lot.extent)
-    viewer = make_viewer(server, stage.model, stage.data, extent, step, reset)
+    viewer = make_viewer(server, stage.model, stage.data, lot.extent, step, reset)
     add_box = functools.partial(server.scene.add_box, opacity=0.5, cast_shadow=False)
-    agents = range(len(lot.goal_pose))
-    goals += [add_box(f"/goals/{k}", _bytes(agent_colour(k))) for k in agents]
+    agents = range(stage.num_agents)
+    goals += [add_box(f"/goals/{k}", rgb(agent_colour(k))) for k in agents]
     tally = server.gui.add_markdown("")
     add_key(server, "Restart", "R", restarting.set)
     show()
@@ -273,12 +254,3 @@ def add_key(server: Any, label: str, key: str, act: Callable[[], None]) -> None:
     if hasattr(server.gui, "add_command"):
         command = server.gui.add_command(f"{label} ({key})", hotkey=key)
         command.on_trigger(lambda _: act())
-
-
-def _turn(yaw: float) -> tuple[float, float, float, float]:
-    return math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
-
-
-def _bytes(colour: tuple[float, ...]) -> tuple[int, int, int]:
-    r, g, b = (round(255 * c) for c in colour[:3])
-    return r, g, b

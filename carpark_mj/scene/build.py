@@ -6,6 +6,7 @@ which all cars and walls collide, and exported models to drive in the viewer.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -66,21 +67,12 @@ def build_scene(
     add_movers(spec, movers)
     parts.add_parked_cars(spec, parked_cars)
     for k, kind in enumerate(tuple(agent_kinds) or (params,)):
-        parts.add_agents(
-            spec,
-            kind,
-            num_agents,
-            servos=not contact_wheels,
-            kind=k,
-            suspension=suspension,
-        )
+        parts.add_agents(spec, kind, num_agents, not contact_wheels, k, suspension)
     if contact_wheels:
         contact.set_contact_options(spec)
-        for k in range(num_agents):
-            contact.add_contact_wheels(
-                spec, params, f"agent{k}/", parts.GROUND, suspension
-            )
-            contact.add_controls(spec, params, f"agent{k}/")
+        for prefix in map(parts.car_prefix, range(num_agents)):
+            contact.add_contact_wheels(spec, params, prefix, parts.GROUND, suspension)
+            contact.add_controls(spec, params, prefix)
     parts.add_lights(spec, extent)
     cameras.add_lot_cameras(spec, extent)
     return spec
@@ -123,43 +115,35 @@ def drivable_scene(
     Poses (n, 3) are those of the footprints' centres of the cars to drive and of the
     parked ones; movers stay where they are. See `build_scene`.
     """
-    spec = build_scene(
-        layout,
-        params,
-        len(agent_pose),
-        (params,) * len(parked_pose),
-        contact_wheels=True,
-        suspension=suspension,
-        movers=movers,
-    )
+    parked = (params,) * len(parked_pose)
+    wheels: dict[str, Any] = {"contact_wheels": True, "suspension": suspension}
+    scene = layout, params, len(agent_pose), parked
+    spec = build_scene(*scene, movers=movers, **wheels)
     height, pitch = rest_attitude(params, suspension)
-    for k, pose in enumerate(agent_pose):
-        _place(spec.body(f"agent{k}/car"), params, pose, height, pitch)
-    for k, pose in enumerate(parked_pose):
-        _place(spec.body(f"parked{k}"), params, pose)
+    cars = [(f"agent{k}/car", x, height, pitch) for k, x in enumerate(agent_pose)]
+    cars += [(f"parked{k}", x, 0.0, 0.0) for k, x in enumerate(parked_pose)]
+    for name, pose, height, pitch in cars:
+        x, y, yaw = parts.rear_axle(params, map(float, pose))
+        body = spec.body(name)
+        body.pos, body.quat = [x, y, height], parts.yaw_quat(yaw, pitch)
     return spec
 
 
 def try_out(spec: mujoco.MjSpec, seconds: float = 1.0) -> list[str]:
     """Compiles a drivable scene and drives it, every car on half throttle in a curve.
 
-    Returns:
-        MuJoCo's warnings by name (`BADQACC`...), a sentence each.
+    Returns MuJoCo's warnings by name (`BADQACC`...), a sentence each.
     """
     model = spec.compile()
     data = mujoco.MjData(model)
     for k in range(model.nu):
-        share = {"steer": 0.5, "drive": 0.5, "brake": 0.0}
-        kind = model.actuator(k).name.rsplit("/", 1)[-1]
-        data.ctrl[k] = share[kind] * model.actuator_ctrlrange[k, 1]
+        is_brake = model.actuator(k).name.endswith("/brake")
+        data.ctrl[k] = 0.0 if is_brake else 0.5 * model.actuator_ctrlrange[k, 1]
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
     names = [name.removeprefix("mjWARN_") for name in mujoco.mjtWarning.__members__]
-    return [
-        f"{names[k]}, {data.warning[k].number} times"
-        for k in range(mujoco.mjtWarning.mjNWARNING)
-        if data.warning[k].number
-    ]
+    counts = zip(names, (warning.number for warning in data.warning), strict=False)
+    return [f"{name}, {number} times" for name, number in counts if number]
 
 
 def rest_attitude(
@@ -178,19 +162,6 @@ def rest_attitude(
         mujoco.mj_step(model, data)
     w, _, y, _ = data.qpos[3:7]
     return float(data.qpos[2]), 2.0 * math.atan2(y, w)
-
-
-def _place(
-    body: mujoco.MjsBody,
-    params: VehicleParameters,
-    centre: np.ndarray,
-    height: float = 0.0,
-    pitch: float = 0.0,
-) -> None:
-    x, y, yaw = (float(value) for value in centre)
-    offset = params.centre_offset
-    body.pos = [x - offset * math.cos(yaw), y - offset * math.sin(yaw), height]
-    body.quat = parts.yaw_quat(yaw, pitch)
 
 
 def scene_xml(

@@ -24,11 +24,8 @@ def fit_eye(
 ) -> np.ndarray:
     """The nearest eye (3,) [m] from which a camera sees all points (n, 3) [m].
 
-    Args:
-        points: in the world.
-        axes: (3, 3) columns right, up and back of the camera.
-        fovy: vertical field of view [deg].
-        aspect: width over height of the frame.
+    `axes` (3, 3) are columns right, up and back of the camera, `fovy` its vertical
+    field of view [deg], `aspect` width over height of the frame.
     """
     tangent = math.tan(math.radians(fovy) / 2) * np.array([aspect, 1.0])
     seen = points @ axes
@@ -80,14 +77,9 @@ def add_car_cameras(
     car: mujoco.MjsBody, params: VehicleParameters, prefix: str
 ) -> None:
     """`chase` behind and above a car, and `driver` at its wheel."""
-    roof, x = params.height, params.centre_offset
-    add_camera(
-        car,
-        f"{prefix}chase",
-        eye=(x - params.length - 4.0, 0.0, roof + 2.6),
-        target=(x + 2.0, 0.0, 0.3),
-        fovy=60,
-    )
+    x = params.centre_offset
+    eye = x - params.length - 4.0, 0.0, params.height + 2.6
+    add_camera(car, f"{prefix}chase", eye, (x + 2.0, 0.0, 0.3), fovy=60)
     x, y, z = driver_eye(params)
     add_camera(car, f"{prefix}driver", (x, y, z), (x + 10.0, y, z - 0.9), fovy=60)
 

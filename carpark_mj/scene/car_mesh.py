@@ -64,20 +64,12 @@ def revolve(profile: np.ndarray, sections: int) -> trimesh.Trimesh:
     points = len(profile)
     angle = 2 * np.pi * np.arange(sections) / sections
     radius, y = profile.T
-    vertices = np.stack(
-        [
-            np.outer(np.cos(angle), radius),
-            np.tile(y, (sections, 1)),
-            np.outer(np.sin(angle), radius),
-        ],
-        -1,
-    )
+    x, z = np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius)
+    vertices = np.stack([x, np.tile(y, (sections, 1)), z], -1)
     index = np.arange(sections * points).reshape(sections, points)
     ahead = np.roll(index, -1, axis=0)
-    faces = [
-        (index, ahead, np.roll(ahead, -1, axis=1)),
-        (index, np.roll(ahead, -1, axis=1), np.roll(index, -1, axis=1)),
-    ]
+    aside = np.roll(ahead, -1, axis=1)
+    faces = [(index, ahead, aside), (index, aside, np.roll(index, -1, axis=1))]
     triangles = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in faces])
     return make_mesh(vertices.reshape(-1, 3), triangles)
 
@@ -189,13 +181,13 @@ def _shell(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     nose, tail = _x(params, np.array([0.0, 1.0]))
     arches = _arches(params)
     arches = arches[(arches > tail) & (arches < nose)]
-    plain = _x(params, np.array([*style.top[0], *_PLAN[0]]))
+    plain = _x(params, np.array([*style.along, *_PLAN[0]]))
     # Stations close to an arch's own would make slivers.
     free = np.abs(plain[:, None] - arches).min(axis=1) > 0.06
     x = np.concatenate([plain[free], arches, [nose, tail]])
     x = np.unique(np.round(x, DECIMALS))
     u = 1.0 - (x + params.rear_overhang) / params.length
-    top = params.height * np.interp(u, *style.top)
+    top = params.height * np.interp(u, style.along, style.top)
     half = params.width / 2 * np.interp(u, *_PLAN)
     under = style.clearance + 0.06 * np.interp(u, [0, 0.08, 0.9, 1], [1, 0, 0, 1])
     low = _lower_edge(params, x, under)
@@ -239,8 +231,7 @@ def _pillar(side: np.ndarray, start: float, end: float, sign: int) -> trimesh.Tr
         half = int(at >= 0.5)
         return side[half] + (2 * at - half) * (side[half + 1] - side[half])
 
-    out = np.array([0.0, _PROUD, 0.0])
-    into = np.array([0.0, -_DEEP, 0.0])
+    out, into = np.array([[0.0, _PROUD, 0.0], [0.0, -_DEEP, 0.0]])
     a, b = edge(start), edge(end)
     rings = np.stack([a + out, b + out, b + into, a + into], axis=1)
     return loft(rings * [1.0, sign, 1.0])
@@ -271,61 +262,36 @@ def _pair(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:
 def _lights(params: VehicleParameters, style: CarStyle) -> dict[str, trimesh.Trimesh]:
     nose, tail = _x(params, np.array([0.0, 1.0]))
     half, height = params.width / 2, params.height
-    bonnet = np.interp(0.0, *style.top) * height
-    boot = np.interp(1.0, *style.top) * height
-    z = boot - (0.26 if style.tall_lights else 0.15), boot - 0.01
-    deep = 0.16
-    return {
-        "headlights": _pair(
-            (nose - deep, 0.46 * half, bonnet - 0.17),
-            (nose - 0.018, 0.79 * half, bonnet - 0.05),
-        ),
-        "tail_lights": _pair(
-            (tail + 0.014, (0.68 if style.tall_lights else 0.5) * half, z[0]),
-            (tail + deep, 0.825 * half, z[1]),
-        ),
-    }
+    bonnet = np.interp(0.0, style.along, style.top) * height
+    boot = np.interp(1.0, style.along, style.top) * height
+    drop, inner = (0.26, 0.68) if style.tall_lights else (0.15, 0.5)
+    front = nose - 0.16, 0.46 * half, bonnet - 0.17
+    front_end = nose - 0.018, 0.79 * half, bonnet - 0.05
+    rear = tail + 0.014, inner * half, boot - drop
+    rear_end = tail + 0.16, 0.825 * half, boot - 0.01
+    return {"headlights": _pair(front, front_end), "tail_lights": _pair(rear, rear_end)}
 
 
 def _trim(params: VehicleParameters, style: CarStyle) -> trimesh.Trimesh:
     """Dark parts: underbody between the wheels, grille, bumper slots, dashboard."""
     nose, tail = _x(params, np.array([0.0, 1.0]))
     half = params.width / 2
-    bonnet = np.interp(0.0, *style.top) * params.height
+    bonnet = np.interp(0.0, style.along, style.top) * params.height
     (foot, belt), _, _, (foot_rear, _) = style.windows
     inner = params.track_width / 2 - params.tyre_width / 2 - 0.6 * params.wheel_radius
     reach = params.wheel_radius + 2 * ARCH_GAP
     dash_rear, dash = _x(params, np.array([foot_rear - 0.04, foot + 0.02]))
-    deck = belt * params.height
-    return merge(
-        [
-            block(
-                (max(-reach, tail + 0.05), -inner, style.clearance + 0.02),
-                (
-                    min(params.wheelbase + reach, nose - 0.05),
-                    inner,
-                    2 * params.wheel_radius,
-                ),
-            ),
-            block(
-                (nose - 0.15, -0.40 * half, bonnet - 0.15),
-                (nose - 0.010, 0.40 * half, bonnet - 0.06),
-            ),
-            block(
-                (nose - 0.15, -0.62 * half, style.clearance + 0.10),
-                (nose, 0.62 * half, style.clearance + 0.20),
-            ),
-            block(
-                (tail, -0.60 * half, style.clearance + 0.10),
-                (tail + 0.15, 0.60 * half, style.clearance + 0.19),
-            ),
-            # Covers the body's deck under the glass, which the driver looks down on.
-            block(
-                (dash_rear, -0.72 * half, deck - 0.03),
-                (dash, 0.72 * half, deck + 0.015),
-            ),
-        ]
+    sill, deck = style.clearance, belt * params.height
+    under = max(-reach, tail + 0.05), min(params.wheelbase + reach, nose - 0.05)
+    parts = (  # from and to along x, half the width, from and to above the ground
+        (*under, inner, sill + 0.02, 2 * params.wheel_radius),
+        (nose - 0.15, nose - 0.010, 0.40 * half, bonnet - 0.15, bonnet - 0.06),
+        (nose - 0.15, nose, 0.62 * half, sill + 0.10, sill + 0.20),
+        (tail, tail + 0.15, 0.60 * half, sill + 0.10, sill + 0.19),
+        # Covers the body's deck under the glass, which the driver looks down on.
+        (dash_rear, dash, 0.72 * half, deck - 0.03, deck + 0.015),
     )
+    return merge([block((x, -y, low), (to, y, high)) for x, to, y, low, high in parts])
 
 
 def _shade(params: VehicleParameters) -> trimesh.Trimesh:

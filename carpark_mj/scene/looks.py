@@ -71,6 +71,12 @@ def agent_colour(agent: int) -> Colour:
     return AGENTS[agent % len(AGENTS)]
 
 
+def rgb(colour: tuple[float, ...]) -> tuple[int, int, int]:
+    """Red, green and blue from 0 to 255."""
+    r, g, b = (round(255 * c) for c in colour[:3])
+    return r, g, b
+
+
 # Geoms that are only seen, and paint, which casts no shadows either.
 VISUAL: dict[str, Any] = {"contype": 0, "conaffinity": 0, "group": 1}
 PAINT: dict[str, Any] = {**VISUAL, "rgba": LINE, "castshadow": False}
@@ -100,71 +106,58 @@ Line = tuple[tuple[float, float], ...]
 class CarStyle:
     """A side view; points are (share of length behind the nose, share of height)."""
 
-    # shares of length and of height of the body's upper edge, from nose to tail
-    top: tuple[tuple[float, ...], tuple[float, ...]]
-    # foot of the windscreen, front and rear end of the roof, foot of the rear
-    # window
+    # the body's upper edge from nose to tail: shares of length and of height
+    along: tuple[float, ...]
+    top: tuple[float, ...]
+    # foot of the windscreen, front and rear end of the roof, foot of the rear window
     windows: Line
     pillars: Line  # from and to, as shares of a side window's length
     roof: float = 0.72  # half width of the roof over half width of the car
     clearance: float = 0.17  # of the sills above the ground [m]
-    # tail lights stand beside the rear window instead of lying
-    tall_lights: bool = True
+    tall_lights: bool = True  # beside the rear window; else lying
 
 
 STYLES = {
     "city": CarStyle(
-        top=(
-            (0.0, 0.02, 0.08, 0.25, 0.90, 0.97, 1.0),
-            (0.44, 0.52, 0.575, 0.645, 0.65, 0.62, 0.54),
-        ),
+        along=(0.0, 0.02, 0.08, 0.25, 0.90, 0.97, 1.0),
+        top=(0.44, 0.52, 0.575, 0.645, 0.65, 0.62, 0.54),
         windows=((0.235, 0.64), (0.43, 0.965), (0.80, 0.955), (0.955, 0.64)),
         pillars=((0.0, 0.035), (0.54, 0.64), (0.90, 1.0)),
         roof=0.70,
     ),
     "compact": CarStyle(
-        top=(
-            (0.0, 0.02, 0.08, 0.26, 0.93, 0.98, 1.0),
-            (0.46, 0.525, 0.575, 0.655, 0.67, 0.65, 0.56),
-        ),
+        along=(0.0, 0.02, 0.08, 0.26, 0.93, 0.98, 1.0),
+        top=(0.46, 0.525, 0.575, 0.655, 0.67, 0.65, 0.56),
         windows=((0.25, 0.65), (0.43, 0.965), (0.86, 0.955), (0.962, 0.66)),
         pillars=((0.0, 0.035), (0.44, 0.50), (0.82, 1.0)),
     ),
     "sedan": CarStyle(
-        top=(
-            (0.0, 0.02, 0.08, 0.28, 0.82, 0.97, 1.0),
-            (0.45, 0.52, 0.575, 0.655, 0.69, 0.675, 0.58),
-        ),
+        along=(0.0, 0.02, 0.08, 0.28, 0.82, 0.97, 1.0),
+        top=(0.45, 0.52, 0.575, 0.655, 0.69, 0.675, 0.58),
         windows=((0.27, 0.65), (0.43, 0.965), (0.67, 0.955), (0.835, 0.68)),
         pillars=((0.0, 0.035), (0.46, 0.52), (0.90, 1.0)),
         roof=0.70,
         tall_lights=False,
     ),
     "sedan_fwd": CarStyle(
-        top=(
-            (0.0, 0.02, 0.08, 0.27, 0.85, 0.975, 1.0),
-            (0.45, 0.52, 0.58, 0.66, 0.70, 0.69, 0.60),
-        ),
+        along=(0.0, 0.02, 0.08, 0.27, 0.85, 0.975, 1.0),
+        top=(0.45, 0.52, 0.58, 0.66, 0.70, 0.69, 0.60),
         windows=((0.26, 0.655), (0.42, 0.965), (0.68, 0.955), (0.865, 0.69)),
         pillars=((0.0, 0.035), (0.44, 0.50), (0.90, 1.0)),
         roof=0.72,
         tall_lights=False,
     ),
     "suv": CarStyle(
-        top=(
-            (0.0, 0.015, 0.07, 0.26, 0.94, 0.985, 1.0),
-            (0.50, 0.575, 0.615, 0.665, 0.68, 0.66, 0.58),
-        ),
+        along=(0.0, 0.015, 0.07, 0.26, 0.94, 0.985, 1.0),
+        top=(0.50, 0.575, 0.615, 0.665, 0.68, 0.66, 0.58),
         windows=((0.25, 0.66), (0.40, 0.965), (0.88, 0.955), (0.968, 0.67)),
         pillars=((0.0, 0.035), (0.42, 0.47), (0.74, 0.79), (0.94, 1.0)),
         roof=0.77,
         clearance=0.22,
     ),
     "van": CarStyle(
-        top=(
-            (0.0, 0.015, 0.05, 0.17, 0.95, 0.99, 1.0),
-            (0.42, 0.475, 0.505, 0.565, 0.575, 0.57, 0.53),
-        ),
+        along=(0.0, 0.015, 0.05, 0.17, 0.95, 0.99, 1.0),
+        top=(0.42, 0.475, 0.505, 0.565, 0.575, 0.57, 0.53),
         windows=((0.15, 0.56), (0.29, 0.965), (0.95, 0.96), (0.968, 0.57)),
         pillars=((0.0, 0.035), (0.32, 0.5), (0.5, 0.75), (0.75, 1.0)),
         roof=0.86,

@@ -19,15 +19,14 @@ def _paint(
     spec: mujoco.MjSpec, name: str, pose: Any, along: float, aside: float, **shape: Any
 ) -> None:
     """Adds paint at a place in the frame of a pose (3,) [m, m, rad]."""
-    x, y, yaw = (float(value) for value in pose)
+    x, y, yaw = map(float, pose)
     cos, sin = math.cos(yaw), math.sin(yaw)
-    spec.worldbody.add_geom(
-        name=name,
-        pos=[x + cos * along - sin * aside, y + sin * along + cos * aside, 0.0],
-        quat=yaw_quat(yaw),
-        **shape,
-        **looks.PAINT,
-    )
+    place = [x + cos * along - sin * aside, y + sin * along + cos * aside, 0.0]
+    fields = shape | looks.PAINT
+    spec.worldbody.add_geom(name=name, pos=place, quat=yaw_quat(yaw), **fields)
+
+
+_BOX = mujoco.mjtGeom.mjGEOM_BOX
 
 
 def _mesh(name: str) -> dict[str, Any]:
@@ -39,14 +38,12 @@ def add_bay_lines(spec: mujoco.MjSpec, layout: Layout) -> None:
     for bay in np.flatnonzero(np.asarray(layout.bay_mask)):
         length, width = np.asarray(layout.bay_size[bay], float)
         half = paint.LINE_WIDTH / 2
-        lines = {
-            "left": (0.0, width / 2, length / 2, half),
-            "right": (0.0, -width / 2, length / 2, half),
-            "end": (-length / 2 + half, 0.0, half, width / 2),
-        }
-        for name, (dx, dy, half_x, half_y) in lines.items():
-            size = [half_x, half_y, paint.LINE_HEIGHT]
-            shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": size}
+        for name, dx, dy, *size in (
+            ("left", 0.0, width / 2, length / 2, half),
+            ("right", 0.0, -width / 2, length / 2, half),
+            ("end", -length / 2 + half, 0.0, half, width / 2),
+        ):
+            shape = {"type": _BOX, "size": [*size, paint.LINE_HEIGHT]}
             _paint(spec, f"bay{bay}/{name}", layout.bay_pose[bay], dx, dy, **shape)
 
 
@@ -66,11 +63,11 @@ def add_lane_arrows(spec: mujoco.MjSpec, layout: Layout) -> None:
     )
     add_mesh(spec, "arrow", merge([shaft, tip]))
     for lane in rows:
-        length = float(layout.lane_size[lane, 0])
+        pose, length = layout.lane_pose[lane], float(layout.lane_size[lane, 0])
         count = max(int(length / paint.ARROW_SPACING), 1)
         for k in range(count):
-            along, name = ((k + 0.5) / count - 0.5) * length, f"lane{lane}/arrow{k}"
-            _paint(spec, name, layout.lane_pose[lane], along, 0.0, **_mesh("arrow"))
+            along = ((k + 0.5) / count - 0.5) * length
+            _paint(spec, f"lane{lane}/arrow{k}", pose, along, 0.0, **_mesh("arrow"))
 
 
 HEIGHT, WIDTH = 0.42, 0.24  # m, of a digit
@@ -79,27 +76,20 @@ SPACING = 0.32  # m, from digit to digit
 THICKNESS = 0.008  # m
 EDGE_DISTANCE = 0.30  # m, from the open end of the bay to the middle of its number
 
-# Segments in units of a digit's half width and half height: (x, y, horizontal).
+# Segments at points in units of a digit's half width and half height; those with x = 0
+# are horizontal.
 _SEGMENTS = {
-    "a": (0, 1, True),
-    "b": (1, 0.5, False),
-    "c": (1, -0.5, False),
-    "d": (0, -1, True),
-    "e": (-1, -0.5, False),
-    "f": (-1, 0.5, False),
-    "g": (0, 0, True),
+    "a": (0, 1),
+    "b": (1, 0.5),
+    "c": (1, -0.5),
+    "d": (0, -1),
+    "e": (-1, -0.5),
+    "f": (-1, 0.5),
+    "g": (0, 0),
 }
 _DIGITS = (
-    "abcdef",
-    "bc",
-    "abged",
-    "abgcd",
-    "fgbc",
-    "afgcd",
-    "afgedc",
-    "abc",
-    "abcdefg",
-    "abcdfg",
+    *("abcdef", "bc", "abged", "abgcd", "fgbc"),
+    *("afgcd", "afgedc", "abc", "abcdefg", "abcdfg"),
 )
 
 
@@ -107,14 +97,11 @@ def digit_mesh(digit: int) -> trimesh.Trimesh:
     """One digit in the xy-plane, upright along +y, centred on the origin."""
     strokes = []
     for name in _DIGITS[digit]:
-        x, y, horizontal = _SEGMENTS[name]
-        long, across = (WIDTH, HEIGHT / 2)[not horizontal], STROKE
-        extent = (long, across) if horizontal else (across, long)
+        x, y = _SEGMENTS[name]
+        extent = (STROKE, HEIGHT / 2) if x else (WIDTH, STROKE)
         stroke = trimesh.creation.box((*extent, THICKNESS))
-        stroke.apply_translation(
-            (x * (WIDTH - STROKE) / 2, y * (HEIGHT - STROKE) / 2, 0.0)
-        )
-        strokes.append(stroke)
+        at = (x * (WIDTH - STROKE) / 2, y * (HEIGHT - STROKE) / 2, 0.0)
+        strokes.append(stroke.apply_translation(at))
     return merge(strokes)
 
 

@@ -62,13 +62,11 @@ _CAR = [
 
 def _person(number: int) -> list[Part]:
     coat = looks.COATS[number % len(looks.COATS)]
-    arms = [
-        Part(_CAPSULE, (0, side * 0.24, 1.08), (0.055, 0.24, 0), coat) for side in LEGS
-    ]
     return [
         Part(_CAPSULE, (0, 0, 1.12), (0.17, 0.19, 0), coat),
         Part(_BALL, (0, 0, 1.58), (0.12, 0, 0), looks.SKIN),
-        *arms,
+        Part(_CAPSULE, (0, 0.24, 1.08), (0.055, 0.24, 0), coat),
+        Part(_CAPSULE, (0, -0.24, 1.08), (0.055, 0.24, 0), coat),
     ]
 
 
@@ -93,12 +91,10 @@ def _shape(group: Group, row: int, number: int) -> Shape:
     size = np.asarray(group.size, float)[row]
     solid = _solid(group, size)
     if isinstance(group, Boxes):
-        long = size[0] > LONGER_IS_CAR
-        scale = np.array([*size / 2, 1.0])
-        return Shape(_CAR if long else _CART, solid, scale, False)
-    radius, is_person = float(size), group.kind == ObstacleKind.PERSON
-    if is_person:
-        return Shape(_person(number), solid, np.full(3, radius / RADIUS), True)
+        parts = _CAR if size[0] > LONGER_IS_CAR else _CART
+        return Shape(parts, solid, np.array([*size / 2, 1.0]), False)
+    if group.kind == ObstacleKind.PERSON:
+        return Shape(_person(number), solid, np.full(3, size / RADIUS), True)
     return Shape([solid], solid, np.ones(3), False)
 
 
@@ -141,25 +137,19 @@ def add_solids(
     for number, group, _ in _rows(groups):
         name, solid = f"mover{number}", _solid(group, np.ones(group.size.shape[1:]))
         body = spec.worldbody.add_body(name=name, mocap=True)
-        still = {"group": HULL_GROUP, "contype": 0, "conaffinity": 0}
+        still = looks.VISUAL | {"group": HULL_GROUP}
         _add_geom(body, solid, np.ones(3), name, **still)
         for hull in hulls:
-            spec.add_pair(
-                geomname1=name,
-                geomname2=hull,
-                condim=3,
-                friction=[slide, slide, spin, roll, roll],
-                solref=COLLIDES["solref"],
-            )
+            pair = spec.add_pair(geomname1=name, geomname2=hull, condim=3)
+            pair.friction = [slide, slide, spin, roll, roll]
+            pair.solref = COLLIDES["solref"]
 
 
 def _add_geom(
     body: Any, part: Part, scale: np.ndarray, name: str = "", **fields: Any
 ) -> None:
-    seen = {"group": 1, "contype": 0, "conaffinity": 0}
-    round_shape = part.shape != _BOX
     # Round parts keep round: what is scaled of carts' wheels is their place.
-    grown = np.full(3, scale[2]) if round_shape else scale
+    grown = scale if part.shape == _BOX else scale[2]
     body.add_geom(
         name=name,
         type=part.shape,
@@ -167,7 +157,7 @@ def _add_geom(
         quat=part.quat,
         size=np.array(part.size) * grown,
         rgba=part.colour,
-        **(fields or seen),
+        **(fields or looks.VISUAL),
     )
 
 
@@ -176,8 +166,8 @@ class Walkers:
 
     def __init__(self) -> None:
         """Nobody has walked yet."""
-        self._walked: dict[int, float] = {}
-        self._last: dict[int, tuple[np.ndarray, float]] = {}
+        # Where movers have last been, their headings, and how far they have walked.
+        self._last: dict[int, tuple[np.ndarray, float, float]] = {}
 
     def places(self, groups: Sequence[Group]) -> dict[str, tuple[Any, Any]]:
         """Positions and quaternions of bodies by name; below the ground if absent."""
@@ -192,22 +182,19 @@ class Walkers:
             found[name] = [*xy, z], yaw_quat(yaw)
             if not shape.is_person:
                 continue
-            scale = shape.scale[2]
             for side, sign in enumerate(LEGS):
-                out = HIP_Y * scale * sign
-                hip = [xy[0] - out * math.sin(yaw), xy[1] + out * math.cos(yaw)]
-                place = [*hip, z + HIP * scale], yaw_quat(yaw, sign * swing)
-                found[f"{name}/leg{side}"] = place
+                out, up = HIP_Y * shape.scale[2] * sign, z + HIP * shape.scale[2]
+                hip = [xy[0] - out * math.sin(yaw), xy[1] + out * math.cos(yaw), up]
+                found[f"{name}/leg{side}"] = hip, yaw_quat(yaw, sign * swing)
         return found
 
     def _walk(self, number: int, xy: np.ndarray) -> tuple[float, float]:
         """The angle of the legs and the heading [rad] of a mover."""
-        last, yaw = self._last.get(number, (xy, 0.0))
+        last, yaw, walked = self._last.get(number, (xy, 0.0, 0.0))
         dx, dy = xy - last
         way = math.hypot(dx, dy)
         walks = 1e-3 < way < 1.0  # else it stands, or is somewhere else at once
-        if walks:
-            yaw = math.atan2(dy, dx)
-        walked = self._walked.get(number, 0.0) + way if walks else 0.0
-        self._walked[number], self._last[number] = walked, (xy, yaw)
+        yaw = math.atan2(dy, dx) if walks else yaw
+        walked = walked + way if walks else 0.0
+        self._last[number] = xy, yaw, walked
         return SWING * math.sin(2 * math.pi * walked / STRIDE), yaw

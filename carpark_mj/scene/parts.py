@@ -61,11 +61,7 @@ def add_looks(
     parts: tuple[str, ...],
     paint: looks.Colour = looks.RIM,
 ) -> None:
-    """Adds visual geoms to a body; mass properties are the vehicle's.
-
-    The first car of a shape adds its meshes, which are written into the model: an
-    exported scene needs no files.
-    """
+    """Adds visual geoms to a body; the first car of a shape adds its meshes."""
     shape = shape_name(params)
     if spec.mesh(f"{shape}/body") is None:
         for part, mesh in (car_meshes(params) | standing_wheels(params)).items():
@@ -78,10 +74,8 @@ def add_looks(
             material=material,
             rgba=colour or paint,
             castshadow=shadow,
-            contype=0,
-            conaffinity=0,
-            group=2,
             mass=0.0,
+            **looks.VISUAL | {"group": 2},
         )
 
 
@@ -129,6 +123,13 @@ def yaw_quat(yaw: float, pitch: float = 0.0) -> list[float]:
     return [cos * level, 0.0 - sin * nod, cos * nod, sin * level]
 
 
+def rear_axle(params: VehicleParameters, centre: Any) -> tuple[float, float, float]:
+    """The pose (3,) of a car's rear axle, given that of its footprint's centre."""
+    x, y, yaw = centre
+    offset = params.centre_offset
+    return x - offset * math.cos(yaw), y - offset * math.sin(yaw), yaw
+
+
 def add_ground(spec: mujoco.MjSpec) -> None:
     """An endless asphalt plane under a pale sky."""
     spec.add_texture(
@@ -170,17 +171,17 @@ def add_verge(spec: mujoco.MjSpec, extent: np.ndarray) -> None:
     """Grass around the lot, visual only."""
     far = VERGE * float(np.max(extent))
     x, y = np.asarray(extent, float) + lot.VERGE_GAP
-    for name, centre, size in (
-        ("north", (0.0, (y + far) / 2), (far, (far - y) / 2)),
-        ("south", (0.0, -(y + far) / 2), (far, (far - y) / 2)),
-        ("east", ((x + far) / 2, 0.0), ((far - x) / 2, y)),
-        ("west", (-(x + far) / 2, 0.0), ((far - x) / 2, y)),
+    for name, *pos, half_x, half_y in (
+        ("north", 0.0, (y + far) / 2, far, (far - y) / 2),
+        ("south", 0.0, -(y + far) / 2, far, (far - y) / 2),
+        ("east", (x + far) / 2, 0.0, (far - x) / 2, y),
+        ("west", -(x + far) / 2, 0.0, (far - x) / 2, y),
     ):
         spec.worldbody.add_geom(
             name=f"verge/{name}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[*centre, 0.0],
-            size=[*size, lot.VERGE_HEIGHT],
+            pos=[*pos, 0.0],
+            size=[half_x, half_y, lot.VERGE_HEIGHT],
             **looks.PAINT | {"rgba": looks.GRASS},
         )
 
@@ -193,43 +194,35 @@ def add_walls(spec: mujoco.MjSpec, layout: Layout) -> None:
     """
     for wall in np.flatnonzero(np.asarray(layout.wall_mask)):
         x, y, yaw = np.asarray(layout.wall_pose[wall], float)
-        length, width = np.asarray(layout.wall_size[wall], float)
+        half = np.asarray(layout.wall_size[wall], float) / 2
         kind = WallKind(int(layout.wall_kind[wall]))
-        height, colour = lot.WALL_HEIGHTS[kind], _WALL_COLOURS[kind]
-
-        def box(height: float, **fields: Any) -> None:
+        low = lot.WALL_HEIGHTS[kind] < lot.WALL_HEIGHT
+        solid = {"name": f"wall{wall}", "group": HULL_GROUP if low else 1, **COLLIDES}
+        boxes = [(lot.WALL_HEIGHT, solid)]
+        if low:
+            boxes.insert(0, (lot.WALL_HEIGHTS[kind], looks.VISUAL))
+        for height, fields in boxes:
             spec.worldbody.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=[x, y, height / 2],  # noqa: B023 (called before the next wall)
-                quat=yaw_quat(yaw),  # noqa: B023
-                size=[length / 2, width / 2, height / 2],  # noqa: B023
+                pos=[x, y, height / 2],
+                quat=yaw_quat(yaw),
+                size=[*half, height / 2],
+                rgba=_WALL_COLOURS[kind],
                 **fields,
             )
-
-        low = height < lot.WALL_HEIGHT
-        if low:
-            box(height, rgba=colour, **looks.VISUAL)
-        box(
-            lot.WALL_HEIGHT,
-            name=f"wall{wall}",
-            rgba=colour,
-            group=HULL_GROUP if low else 1,
-            **COLLIDES,
-        )
 
 
 def add_discs(spec: mujoco.MjSpec, layout: Layout) -> None:
     """Pillars and bollards as solid cylinders `disc0`..."""
     for disc in np.flatnonzero(np.asarray(layout.disc_mask)):
-        x, y = np.asarray(layout.disc_centre[disc], float)
         kind = DiscKind(int(layout.disc_kind[disc]))
-        height, colour = lot.DISC_HEIGHTS[kind], _DISC_COLOURS[kind]
+        half = lot.DISC_HEIGHTS[kind] / 2
         spec.worldbody.add_geom(
             name=f"disc{disc}",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            pos=[x, y, height / 2],
-            size=[float(layout.disc_radius[disc]), height / 2, 0.0],
-            rgba=colour,
+            pos=[*np.asarray(layout.disc_centre[disc], float), half],
+            size=[float(layout.disc_radius[disc]), half, 0.0],
+            rgba=_DISC_COLOURS[kind],
             group=1,
             **COLLIDES,
         )
@@ -263,11 +256,8 @@ def add_parked_cars(spec: mujoco.MjSpec, cars: Sequence[VehicleParameters]) -> N
         body.inertia = [params.roll_inertia, params.pitch_inertia, params.yaw_inertia]
         body.explicitinertial = True
         slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-        for suffix, kind, axis in (
-            ("x", slide, [1, 0, 0]),
-            ("y", slide, [0, 1, 0]),
-            ("yaw", hinge, [0, 0, 1]),
-        ):
+        joints = zip(("x", "y", "yaw"), (slide, slide, hinge), np.eye(3), strict=True)
+        for suffix, kind, axis in joints:
             body.add_joint(name=f"{name}/{suffix}", type=kind, axis=axis)
         add_locked_tyres(spec, body, params)
         add_hull(body, params, f"{name}/hull")

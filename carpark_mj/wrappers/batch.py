@@ -22,9 +22,9 @@ from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
 from carpark_mj.rendering.gl import missing_display
-from carpark_mj.rendering.recording import Snapshot, snapshot_of
+from carpark_mj.rendering.recording import snapshot_of
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.scene import camera_flags
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
@@ -381,7 +381,7 @@ class Screen:
         seen: Any = types.SimpleNamespace(**parts)
         stage = self._stage(seen, most=len(state.goal))
         snapshot = snapshot_of(seen)
-        snapshot.place(stage)
+        stage.place(snapshot)
         return stage, snapshot
 
     def _stage(self, state: Any, most: int) -> Stage:

@@ -91,11 +91,9 @@ def test_point_box_distance_agrees_with_shapely(pairs):
 
 
 def test_to_world_undoes_to_local():
-    rng = np.random.default_rng(3)
-    frame, pose = (
-        np.float32(rng.uniform([-20, -20, -3.1], [20, 20, 3.1], (1000, 3)))
-        for _ in range(2)
-    )
+    reach = [20, 20, 3.1]
+    poses = np.random.default_rng(3).uniform(np.negative(reach), reach, (2, 1000, 3))
+    frame, pose = np.float32(poses)
     there = geometry.to_world(frame, geometry.to_local(frame, pose))
     np.testing.assert_allclose(there, pose, atol=3e-5)  # float32 at 40 m
     there = geometry.to_local(frame, geometry.to_world(frame, pose))
@@ -120,12 +118,9 @@ def test_ahead_is_x_left_is_y_and_moving_keeps_the_heading():
 
 def test_wrapped_angles_lie_in_minus_pi_to_below_pi():
     rng = np.random.default_rng(4)
-    edges = np.pi * np.arange(-9, 10, dtype=np.float32)
-    edges = np.float32(edges)
+    edges = np.float32(np.pi * np.arange(-9, 10))
     around = [np.nextafter(edges, np.float32(s * np.inf)) for s in (-1, 1)]
-    angles = np.concatenate(
-        [np.float32(rng.uniform(-60, 60, 5000)), edges, *around]
-    ).astype(np.float32)
+    angles = np.float32([*rng.uniform(-60, 60, 5000), *edges, *np.concatenate(around)])
     wrapped = np.asarray(geometry.wrap_angle(jnp.asarray(angles)))
     assert (wrapped >= -np.float32(np.pi)).all()
     assert (wrapped < np.float32(np.pi)).all()
@@ -160,16 +155,13 @@ def test_geometry_broadcasts_over_leading_dimensions():
     pose_a, size_a = random_boxes(rng, 5)
     pose_b, size_b = random_boxes(rng, 7)
     args = pose_a[:, None], size_a[:, None], pose_b, size_b
-    names = ("boxes_overlap", "box_inside", "box_distance")
-    for function in [getattr(geometry, name) for name in names]:
-        table = np.asarray(function(*args))
-        assert table.shape == (5, 7)
-        single = [
-            [function(pose_a[i], size_a[i], pose_b[j], size_b[j]) for j in range(7)]
-            for i in range(5)
-        ]
+    for name in ("boxes_overlap", "box_inside", "box_distance"):
+        table = np.asarray(getattr(geometry, name)(*args))
+        pairs = [x.reshape(35, -1) for x in np.broadcast_arrays(*args[::2])]
+        sizes = [x.reshape(35, -1) for x in np.broadcast_arrays(*args[1::2])]
+        single = getattr(geometry, name)(pairs[0], sizes[0], pairs[1], sizes[1])
         # Batched and single programs may round differently.
-        np.testing.assert_allclose(table, np.array(single), atol=1e-5)
+        np.testing.assert_allclose(table, np.reshape(single, (5, 7)), atol=1e-5)
     assert geometry.box_corners(pose_a[:, None], size_b).shape == (5, 7, 4, 2)
     assert geometry.to_local(pose_a[:, None], pose_b).shape == (5, 7, 3)
 
@@ -196,9 +188,8 @@ def test_discs_that_only_touch_or_hold_nan_overlap_nothing():
     radius = jnp.array([1.0, 1.0, 5.0])
     assert not geometry.box_disc_overlap(pose, size, centre, radius).any()
     assert geometry.box_disc_overlap(pose, size, centre, radius * 1.001).all()
-    for nan in (centre * jnp.nan, centre):
-        bad = radius if jnp.isnan(nan).all() else radius * jnp.nan
-        assert not geometry.box_disc_overlap(pose, size, nan, bad).any()
+    for nan in ((centre * jnp.nan, radius), (centre, radius * jnp.nan)):
+        assert not geometry.box_disc_overlap(pose, size, *nan).any()
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.1, 0.5, 1.3, np.pi])

@@ -192,13 +192,11 @@ def test_traffic_keeps_to_the_right_and_parked_cars_stand_as_described(name):
         lane = layout.lane_pose[layout.lane_mask]
         for x, y, yaw in lane:
             # The lane of the opposite direction lies to the left.
-            left = np.array([x - np.sin(yaw), y + np.cos(yaw)])
-            other = lane[np.cos(lane[:, 2] - yaw) < -0.99, :2]
+            other = lane[np.cos(lane[:, 2] - yaw) < -0.99, :2] - (x, y)
+            closest = other[np.linalg.norm(other, axis=1).argmin()]
             width = 0.8 * 24 * 0.3048  # more than one lane away is another aisle
-            near = np.linalg.norm(other - (x, y), axis=1).min()
-            assert near < width
-            closest = other[np.argmin(np.linalg.norm(other - (x, y), axis=1))]
-            assert np.dot(closest - (x, y), left - (x, y)) > 0
+            assert np.linalg.norm(closest) < width
+            assert closest @ (-np.sin(yaw), np.cos(yaw)) > 0
     if name == "street_parallel":
         layout = lots(name, 1)[0]
         right = layout.bay_pose[layout.bay_mask & (layout.bay_pose[:, 1] < 0)]
@@ -212,11 +210,10 @@ def test_angled_bays_open_against_the_traffic_or_with_it(back_in, sign):
     aisles = layout.lane_pose[:2]
     ways = np.cos(aisles[:, 2])
     assert ways[0] * ways[1] == pytest.approx(-1.0)  # one-way, alternating
-    for x, y, yaw in np.asarray(layout.bay_pose[layout.bay_mask]):
+    for _, y, yaw in np.asarray(layout.bay_pose[layout.bay_mask]):
         aisle = np.argmin(np.abs(aisles[:, 1] - y))
         assert np.sign(np.cos(yaw)) == sign * np.sign(ways[aisle])
         assert np.sign(np.sin(yaw)) == np.sign(aisles[aisle, 1] - y)  # out of the bay
-        del x
 
 
 def test_an_angled_row_has_the_pitch_and_depth_of_the_textbook():
@@ -234,13 +231,8 @@ def test_an_angled_row_has_the_pitch_and_depth_of_the_textbook():
 
 
 def test_a_lot_has_its_wide_bays_islands_pillars_and_gates():
-    config = LotConfig(
-        num_aisles=(2, 2),
-        bays_per_row=(8, 8),
-        bay_width=(2.5, 2.5),
-        pillar_every=3,
-        num_entrances=(2, 2),
-    )
+    counts = {"num_aisles": (2, 2), "bays_per_row": (8, 8), "num_entrances": (2, 2)}
+    config = LotConfig(bay_width=(2.5, 2.5), pillar_every=3, **counts)
     layout = jax.device_get(make_layout(config))
     kind, mask = layout.bay_kind, layout.bay_mask
     assert [(mask & (kind == k)).sum() for k in BayKind] == [24 + 4, 2, 1, 0, 0]
@@ -321,8 +313,7 @@ def test_the_command_checks_and_draws(tmp_path, capsys):
     assert main(["ring", "--check", "1"]) == 2
     assert "unknown layout 'ring'" in capsys.readouterr().err
     assert main(["nowhere.json", "--run", "1"]) == 2
-    told = capsys.readouterr().err
-    assert told == ("layouts: cannot read nowhere.json: No such file or directory\n")
+    assert "cannot read nowhere.json" in capsys.readouterr().err
 
 
 def test_every_config_names_its_family_and_is_hashable():

@@ -30,7 +30,8 @@ from carpark_mj.layouts.car_park import random_parts
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.files import layout_text, read_json
 from carpark_mj.layouts.routes import make_routes
-from carpark_mj.suite.tpcap import EDGE, TPCAP_CAR, read_tpcap
+from carpark_mj.layouts.types import enlarge
+from carpark_mj.suite.tpcap import TPCAP_CAR, read_tpcap
 from carpark_mj.wrappers.options import Options, configure, share
 
 HAND = {
@@ -72,10 +73,9 @@ def test_a_lot_drawn_by_hand_is_read_as_written(tmp_path):
 
 def test_a_file_that_has_changed_is_read_again(tmp_path):
     path = str(written(tmp_path, HAND))
-    before = FromFileConfig(path)
+    before, mixed = FromFileConfig(path), mixture([path, "square_compact"])
     options: Options = {"layout": path, "agents": 1, "parked_cars": 0}
     options |= {"physics": "bicycle"}
-    mixed = mixture([path, "square_compact"])
     env = share(ParkingEnv, configure(options))
     assert before == FromFileConfig(path)
     assert make_layout(path).extent.tolist() == [10, 10]
@@ -96,18 +96,16 @@ def test_layouts_are_written_and_read_bit_for_bit(config, tmp_path):
     path = tmp_path / "saved.json"
     path.write_text(layout_text(layout))
     back = jax.device_get(read_json(path))
-    for kind in ROWS:
-        mask = getattr(layout, f"{kind}_mask")
-        assert getattr(back, f"{kind}_mask").all()
-        for name in (n for n in vars(layout) if n.startswith(f"{kind}_")):
-            if name != f"{kind}_mask" and getattr(layout, name) is not None:
-                before, after = getattr(layout, name)[mask], getattr(back, name)
-                if name.endswith("pose"):  # yaw is wrapped again, to 3e-7 rad
-                    np.testing.assert_array_equal(after[:, :2], before[:, :2])
-                    np.testing.assert_allclose(after[:, 2], before[:, 2], atol=1e-6)
-                else:
-                    np.testing.assert_array_equal(after, before)
-    np.testing.assert_array_equal(back.extent, layout.extent)
+    for name, before in vars(layout).items():
+        if before is None:
+            continue
+        after, kind = getattr(back, name), name.split("_")[0]
+        if kind in ROWS:
+            before = before[getattr(layout, f"{kind}_mask")]
+        if name.endswith("pose"):  # yaw is wrapped again, to 3e-7 rad
+            np.testing.assert_allclose(after[:, 2], before[:, 2], atol=1e-6)
+            after, before = after[:, :2], before[:, :2]
+        np.testing.assert_array_equal(after, before)
 
 
 def changed(**changes):
@@ -118,26 +116,17 @@ BAD_JSON = [
     (changed(format="carpark_mj layout 2"), "format must be 'carpark_mj layout 1'"),
     ({k: v for k, v in HAND.items() if k != "extent"}, "extent missing"),
     (changed(slots=[]), "unknown list 'slots'"),
-    (changed(format={}), r"format must be '.*', not \{\}$"),
-    (changed(walls={"a": 1}), r"must be a list of objects, not \{'a': 1\}$"),
-    (changed(extent=[10]), r"extent must be 2 numbers, not \[10\]"),
+    (changed(walls={"a": 1}), "must be a list of objects"),
     (changed(bays=[*HAND["bays"], {"pose": [0, 0, 0]}]), r"bays\[1\].size is miss"),
     (changed(bays=[{"pose": [0, 0], "size": [5, 2]}]), r"bays\[0\].pose must be 3"),
     (changed(walls=[{"pose": [0, "x", 0], "size": [1, 1]}]), r"walls\[0\].pose"),
     (changed(discs=[{"centre": [0, 0], "radius": math.nan}]), "must be a number"),
-    (changed(discs=[{"centre": [0, 0], "radius": -1}]), "must be positive, not -1"),
-    (changed(bays=[{"pose": [0, 0, 0], "size": [5, 0]}]), "size must be positive"),
     (changed(extent=[-10, 10]), r"extent must be positive, not \[-10, 10\]"),
-    (changed(walls=[{"pose": [0, 9e9, 0], "size": [1, 1]}]), "at most 10000"),
     (changed(walls=[{"pose": [0, 10**400, 0], "size": [1, 1]}]), "at most 10000"),
     (changed(discs=[{"centre": [0, 0], "radius": 1, "r": 2}]), r"discs.0. 'r'"),
     (changed(walls=[{**HAND["walls"][0], "kind": "hedge"}]), "'hedge'; choose"),
     (changed(lanes=[{**HAND["lanes"][0], "one_way": 1}]), "true or false, not 1"),
-    (
-        changed(bays=[{"pose": [0, 6, -90], "size": [5, 2]}]),
-        r"bays\[0\].pose .* rad, not -90: headings are in radians",
-    ),
-    (changed(spawns=[{**HAND["spawns"][0], "spread": -3}]), r"\[0, 3.142\], not -3"),
+    (changed(bays=[{"pose": [0, 6, -90], "size": [5, 2]}]), "are in radians"),
     (changed(spawns=[{**HAND["spawns"][0], "spread": 4}]), "spread must lie in"),
     (changed(spawns=[3]), r"spawns\[0\] must be an object, not 3"),
     (changed(bays=HAND["bays"] * 2), r"bays overlap: \[\[0, 1\]\]"),
@@ -149,9 +138,7 @@ def test_bad_json_layouts_are_told_what_and_where(data, message, tmp_path):
     path = written(tmp_path, data)
     with pytest.raises(ValueError, match=message) as caught:
         FromFileConfig(path=str(path))
-    assert str(caught.value).startswith(
-        (f"{path}: ", f"{path} is not a valid layout: ")
-    )
+    assert str(caught.value).startswith(str(path))
     assert not re.search(r"\n|\\n", str(caught.value))
 
 
@@ -176,21 +163,11 @@ def test_a_damaged_file_is_a_layout_or_refused(tmp_path):
 
 
 def test_a_lot_in_centimetres_is_refused(tmp_path):
-    def enlarged(row):
-        lengths = {k: [100 * x for x in row[k]] for k in ("size", "centre") if k in row}
-        if "radius" in row:
-            lengths["radius"] = 100 * row["radius"]
-        if "pose" in row:
-            x, y, yaw = row["pose"]
-            lengths["pose"] = [100 * x, 100 * y, yaw]
-        return row | lengths
-
-    rows = ("bays", "walls", "discs", "lanes", "spawns")
-    data = {name: [enlarged(row) for row in HAND[name]] for name in rows}
-    path = written(tmp_path, changed(**data, extent=[1000, 1000]))
-    with pytest.raises(ValueError, match=r"bays are not 1 to 30 m") as told:
+    layout = enlarge(read_json(written(tmp_path, HAND)), 100.0)
+    path = tmp_path / "large.json"
+    path.write_text(layout_text(layout))
+    with pytest.raises(ValueError, match=r"bays are not 1 to 30 m"):
         make_layout(str(path))
-    assert "\n" not in str(told.value)
 
 
 def test_an_environment_runs_in_a_lot_drawn_by_hand(tmp_path):
@@ -221,36 +198,17 @@ def case(tmp_path, polygons_, start=(0, 0, 0), goal=(5, 12, math.pi / 2), text=N
     return path
 
 
-def test_a_tpcap_case_is_placed_by_its_rear_axles(tmp_path):
-    layout = read_tpcap(case(tmp_path, [SQUARE, LEFT_U, SHARP]))
+def test_a_tpcap_case_is_a_bay_a_start_and_walls(tmp_path):
+    """Where these lie is tested on the published cases."""
+    turned = shapely.affinity.rotate(shapely.Polygon(SQUARE), 33, origin=(0, 0))
+    shapes = [list(turned.exterior.coords)[:-1][::-1], LEFT_U, SHARP]
+    layout = read_tpcap(case(tmp_path, shapes, goal=(-9, -9, 0)))
     assert describe_faults(layout, TPCAP_CAR.size) == []
-    # Length 4.689 m, rear overhang 0.929 m: the centre lies 1.4155 m ahead.
-    bay, start = np.asarray(layout.bay_pose[0]), np.asarray(layout.spawn_pose[0])
-    between = bay - start
-    expected = [5 - 1.4155, 12 + 1.4155, math.pi / 2]
-    np.testing.assert_allclose(between, expected, atol=1e-5)
     size = [4.689 + 0.4, 1.942 + 0.4]
     np.testing.assert_allclose(layout.bay_size[0], size, atol=1e-5)
     assert layout.spawn_spread.tolist() == [0.0]
-
-
-def test_rectangles_are_one_wall_and_other_polygons_their_edges(tmp_path):
-    turned = shapely.affinity.rotate(shapely.Polygon(SQUARE), 33, origin=(0, 0))
-    shapes = [list(turned.exterior.coords)[:-1][::-1], LEFT_U, SHARP]
-    layout = jax.device_get(read_tpcap(case(tmp_path, shapes, goal=(-9, -9, 0))))
-    walls = polygons(layout.wall_pose, layout.wall_size)
-    assert len(walls) == 1 + len(LEFT_U) + len(SHARP)
-    # The case was moved: put its start back.
-    shift = np.array([1.4155, 0.0]) - layout.spawn_pose[0, :2]
-    walls = shapely.transform(walls, lambda xy: xy + shift)
-    expected = shapely.Polygon(shapes[0])
-    assert walls[0].symmetric_difference(expected).area < 1e-3
-    for shape, mine in ((LEFT_U, walls[1:9]), (SHARP, walls[9:])):
-        polygon, mine = shapely.Polygon(shape), shapely.union_all(mine)
-        # Every point of the outline is covered, and nothing sticks out by over 2 cm.
-        assert polygon.exterior.difference(mine.buffer(1e-4)).length < 1e-6
-        assert mine.within(polygon.buffer(EDGE * 1.01))
-        assert mine.difference(polygon).area < 0.002  # tips at sharp corners
+    # A rectangle is one wall, another polygon its edges.
+    assert len(layout.wall_pose) == 1 + len(LEFT_U) + len(SHARP)
 
 
 @pytest.mark.parametrize("shift", [(5e3, -2e4), (4.5e9, -8.7e9)])
@@ -261,11 +219,8 @@ def test_where_a_case_lies_makes_no_difference(shift, tmp_path):
         return read_tpcap(case(tmp_path, shapes, start=(dx, dy, 0), goal=goal))
 
     here, there = read(0.0, 0.0), read(*shift)
-    for name, value in jax.device_get(vars(here)).items():
-        if value is None:
-            assert getattr(there, name) is None
-            continue
-        np.testing.assert_allclose(getattr(there, name), value, atol=1e-5, err_msg=name)
+    for one, other in zip(*map(jax.tree.leaves, (here, there)), strict=True):
+        np.testing.assert_allclose(other, one, atol=1e-5)
 
 
 def test_a_tight_goal_gets_a_smaller_bay(tmp_path):
@@ -284,15 +239,11 @@ BAD_CSV = [
     ("0,0,0,5,12,0\n3,4\n", 2, "3 obstacles need 3 vertex counts, there are 1"),
     ("0,0,0,5,12,0\n1\n2\n", 3, "vertex count of obstacle 0 .* at least 3, not 2"),
     ("0,0,0,5,12,0,1,3\n1,1,2,2,3\n", 2, "make 14 numbers, not 13"),
-    ("0,0,1e300\n5,12,0\n0\n", 1, r"heading must be at most 12.57 rad .*, not 1e\+300"),
     ("0,0,0\n5,12,90\n0\n", 2, "heading must be at most 12.57 rad either way, not 90"),
-    ("0,0,0,5,12,0,0,inf\n", 1, "'inf' is not a number"),
     ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
     ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
     ("0,0,0\n5,1e30,0\n0\n", 2, r"a coordinate must be at most 1e\+10 m, not 1e\+30"),
-    ("0,0,0,5,12,0,1,3\n9,9,-2e4,7,8,8\n", 2, "at most 10000 m from the .*, not 20000"),
     ("3e9,0,0\n3e9,2e4,0\n0\n", 2, "at most 10000 m from the start's, not 20000 m"),
-    ("0,0,0,5,12,0,1,3\n9,9,10,9,11,9\n", 2, "obstacle 0 has no area, its 3 vert"),
     ("0,0,0,5,12,0,2,3,4\n9,9,9,8,8,8\n7,7,9,9,9,7,7,9\n", 3, "obstacle 1 has no"),
 ]
 

@@ -88,21 +88,15 @@ def test_a_square_lot_looks_the_same_after_a_quarter_turn(name):
 
 def furnished(layout, disc=None, lane=None, lane_width=2.0):
     """The layout with a disc (x, y, radius) or a lane along x so far below."""
-    maxima = Maxima(36, 8, 1, 1, 1)
-    layout = pad_layout(layout, maxima)
-    if disc is not None:
-        layout = layout.replace(
-            disc_centre=jnp.array([disc[:2]]),
-            disc_radius=jnp.array([disc[2]]),
-            disc_mask=jnp.ones(1, bool),
-        )
-    if lane is not None:
-        layout = layout.replace(
-            lane_pose=jnp.array([[0.0, -lane, 0.0]]),
-            lane_size=jnp.array([[10.0, lane_width]]),
-            lane_mask=jnp.ones(1, bool),
-        )
-    return layout
+    x, y, radius = disc or (0.0, 0.0, 0.0)
+    return pad_layout(layout, Maxima(36, 8, 1, 1, 1)).replace(
+        disc_centre=jnp.array([[x, y]]),
+        disc_radius=jnp.array([radius]),
+        disc_mask=jnp.array([disc is not None]),
+        lane_pose=jnp.array([[0.0, -(lane or 0.0), 0.0]]),
+        lane_size=jnp.array([[10.0, lane_width]]),
+        lane_mask=jnp.array([lane is not None]),
+    )
 
 
 def test_lots_of_other_sizes_and_things_out_of_the_way_are_sound():
@@ -111,13 +105,9 @@ def test_lots_of_other_sizes_and_things_out_of_the_way_are_sound():
     assert layout.num_bays == 20
     assert describe_faults(layout) == []
     layout = make_layout("square")
-    assert describe_faults(furnished(layout, disc=(15.5, 15.5, 0.2))) == []
-    assert describe_faults(furnished(layout, lane=10.0)) == []
-
-
-def test_a_larger_car_needs_more_room():
+    assert describe_faults(furnished(layout, (15.5, 15.5, 0.2), lane=10.0)) == []
     layout = make_layout("square_compact")
-    assert describe_faults(layout, (4.5, 1.8)) == []
+    assert describe_faults(layout, (4.5, 1.8)) == []  # a larger car needs more room
     problems = describe_faults(layout, (5.1, 1.8))
     assert problems[0].startswith("bays are smaller than the car: [0, 1, 2]")
 
@@ -137,29 +127,19 @@ FAULTS = [
     ("bays overlap", put("bay_pose", (1, 0), lambda lot: lot.bay_pose[1, 0] - 1.0)),
     ("bays overlap", put("bay_pose", 1, lambda lot: lot.bay_pose[0])),
     ("bay_size must be positive", put("bay_size", (3, 1), -1.0)),
-    ("wall_size must be positive", put("wall_size", (0, 0), 0.0)),
-    ("bay_pose holds a non-finite", put("bay_pose", (0, 2), math.nan)),
     ("wall_size holds a non-finite", put("wall_size", (0, 0), math.inf)),
     ("extent", put("extent", 0, math.nan)),
-    (
-        r"bays lie outside the extent: \[0\]",
-        put("bay_pose", (0, 1), lambda lot: lot.bay_pose[0, 1] - 0.5),
-    ),
+    (r"bays lie outside the extent: \[0\]", put("bay_pose", (0, 1), -50.0)),
     ("bays meet walls", put("wall_pose", 0, lambda lot: lot.bay_pose[5])),
     ("spawn regions meet walls", put("spawn_size", 0, 32.0)),
     ("no bay", put("bay_mask", ..., False)),
     ("no spawn region", put("spawn_mask", ..., False)),
     ("bay_mask must be bool", lambda lot: lot.replace(bay_mask=jnp.ones(36))),
-    (
-        "bay_pose must be float32",
-        lambda lot: lot.replace(bay_pose=lot.bay_pose.astype(jnp.int32)),
-    ),
     ("wall_pose must be", lambda lot: lot.replace(wall_pose=lot.wall_pose[:7])),
     ("bay_kind must be int32", lambda lot: lot.replace(bay_kind=jnp.zeros(36))),
     ("bays meet discs: ", lambda lot: furnished(lot, (0.0, -17.0, 0.3))),
     ("cars spawning in spawn regions meet discs", lambda lot: furnished(lot, DISC)),
     ("lanes meet discs", lambda lot: furnished(lot, DISC, lane=14.0)),
-    ("disc_radius must be positive", lambda lot: furnished(lot, (0.0, -14.0, -0.3))),
     ("lanes meet bays", lambda lot: furnished(lot, lane=14.0, lane_width=4.0)),
     ("lanes meet walls", lambda lot: furnished(lot, lane=21.5)),
     ("cars spawning in spawn regions meet bays", put("spawn_size", 0, 27.0)),

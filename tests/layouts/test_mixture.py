@@ -45,9 +45,9 @@ def compiled():
 
 
 @functools.cache
-def layouts(seed=0):
+def layouts():
     _, reset, _ = compiled()
-    state, _ = reset(jax.random.split(jax.random.key(seed), LOTS))
+    state, _ = reset(jax.random.split(jax.random.key(0), LOTS))
     return jax.device_get(state.layout)
 
 
@@ -104,20 +104,18 @@ def test_members_are_called_by_their_names_with_their_shares():
         "angled",
     ]
     assert member_shares(StreetConfig()) == {"street": 1.0}
+    names = ["square_compact", "street", "street"]
+    assert layout_config(",".join(names)) == mixture(names)
 
 
-def test_the_layout_of_a_lot_follows_from_its_reset_key_alone():
-    env, _, _ = compiled()
-    key = jax.random.split(jax.random.key(0), LOTS)[5]
-    state, _ = jax.jit(env.reset)(key)
+def test_a_lot_follows_from_its_key_alone_and_cars_use_the_bays_that_are_there():
+    env, reset, _ = compiled()
+    keys = jax.random.split(jax.random.key(0), LOTS)
+    state, _ = jax.jit(env.reset)(keys[5])
     batch = jax.tree.map(lambda x: x[5], layouts())
     for a, b in zip(*map(jax.tree.leaves, (state.layout, batch)), strict=True):
         np.testing.assert_allclose(a, b, atol=2e-5)  # float32 at 20 m
-
-
-def test_agents_and_parked_cars_only_use_the_bays_that_are_there():
-    _, reset, _ = compiled()
-    state, _ = reset(jax.random.split(jax.random.key(4), LOTS))
+    state, _ = reset(keys)
     mask = np.asarray(state.layout.bay_mask)
     held = np.c_[state.goal, state.parked_cars.bay]
     assert np.take_along_axis(mask, held, axis=1).all()
@@ -132,13 +130,6 @@ def test_the_fewest_bays_of_any_member_limit_the_cars():
     )
     with pytest.raises(ValueError, match=r"num_parked_cars must be at most 4 \(6 bays"):
         ParkingEnv(EnvConfig(layout=config, num_parked_cars=5), SlidePhysics())
-
-
-def test_names_with_commas_between_are_a_mixture():
-    config = EnvConfig(layout="square_compact,street,street")
-    assert layout_config(config.layout) == mixture(
-        ["square_compact", "street", "street"]
-    )
 
 
 @pytest.mark.parametrize(
@@ -190,11 +181,8 @@ def test_no_two_numbers_share_a_key():
     every = np.unique(every).astype(np.uint32)
     keys = jax.random.key_data(jax.jit(jax.vmap(lot_key))(jnp.asarray(every)))
     assert len(np.unique(keys, axis=0)) == len(every)
-
-
-def test_the_same_number_is_the_same_lot_under_any_default_generator():
     before = jax.random.key_data(lot_key(5))
-    with jax.default_prng_impl("rbg"):
+    with jax.default_prng_impl("rbg"):  # under any default generator
         np.testing.assert_array_equal(jax.random.key_data(lot_key(5)), before)
 
 
@@ -230,11 +218,7 @@ def test_a_lot_that_no_key_changes_starts_as_if_there_were_no_splits(monkeypatch
 
 
 def test_a_member_of_a_mixture_can_be_asked_for():
-    config = EnvConfig(
-        layout=mixture(["square_compact", STREET]), num_agents=1, num_parked_cars=0
-    )
-    env = ParkingEnv(config, SlidePhysics())
+    env, _, _ = compiled()
     draw = jax.jit(jax.vmap(lambda key, k: env.draw_layout(key, "test", k)))
-    keys = jax.random.split(jax.random.key(0), 8)
-    lanes = draw(keys, jnp.arange(8) % 2).lane_mask.sum(axis=-1)
-    assert lanes.tolist() == [0, 2] * 4  # only streets have lanes
+    lots = draw(jax.random.split(jax.random.key(0), 9), jnp.arange(9) % 3)
+    assert member(lots).tolist() == [0, 1, 2] * 3

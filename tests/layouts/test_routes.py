@@ -15,9 +15,8 @@ from carpark_mj.layouts import build, layout_config, make_layout
 from carpark_mj.layouts.routes import lane_distance, make_routes, route_to
 
 STEP = 0.25  # m
-COMPASS = np.stack(
-    [np.cos(np.arange(16) * np.pi / 8), np.sin(np.arange(16) * np.pi / 8)], axis=-1
-)
+TURNS = np.arange(16) * np.pi / 8
+COMPASS = np.stack([np.cos(TURNS), np.sin(TURNS)], axis=-1)
 
 
 @pytest.fixture(scope="module", params=["lot", "angled", "street", "dead_end"])
@@ -87,22 +86,19 @@ def test_ways_are_as_long_as_a_search_on_a_grid_finds_them(family):
     xy, graph = _cells(layout)
     rng = np.random.default_rng(0)
     for bay in rng.choice(np.flatnonzero(layout.bay_mask), 6, replace=False):
-        pose, depth = np.asarray(layout.bay_pose[bay]), float(layout.bay_size[bay, 0])
-        mouth = pose[:2] + (depth / 2 + 1.0) * np.array(
-            [np.cos(pose[2]), np.sin(pose[2])]
-        )
-        start = int(np.linalg.norm(xy - mouth, axis=1).argmin())
-        found = dijkstra(graph, directed=False, indices=start) + depth / 2 + 1.0
-        length = np.asarray(
-            way(routes, layout, jnp.float32(xy), jnp.full(len(xy), bay)).length
-        )
+        x, y, yaw = np.asarray(layout.bay_pose[bay])
+        out = float(layout.bay_size[bay, 0]) / 2 + 1.0
+        mouth = x + out * np.cos(yaw), y + out * np.sin(yaw)
+        start = int(np.linalg.norm(xy - np.array(mouth), axis=1).argmin())
+        found = dijkstra(graph, directed=False, indices=start) + out
+        left = way(routes, layout, jnp.float32(xy), jnp.full(len(xy), bay))
         # The straight end is shorter than one by the mouth; two turns on centre lines
         # of 3 m lanes are longer than two around the inner corners.
-        more = length - found
+        more = np.asarray(left.length) - found
         assert np.isfinite(found).all()
         assert more.min() > -6.0
         assert more.max() < 8.0
-        assert abs(np.median(more)) < depth / 2 + 1.0
+        assert abs(np.median(more)) < out
 
 
 def test_a_lot_without_lanes_is_open_ground():

@@ -168,8 +168,8 @@ def test_a_level_is_the_one_with_most_spots_or_the_one_named(imported):
         imported(shapes, level="7")
 
 
-def read_geojson(tmp_path, data, **flags):
-    return import_map(write(tmp_path, "a.geojson", json.dumps(data)), **flags)
+def read_geojson(tmp_path, data):
+    return import_map(write(tmp_path, "a.geojson", json.dumps(data)))
 
 
 def test_geojson_may_lack_places_and_lanes(tmp_path):
@@ -185,29 +185,12 @@ def test_geojson_may_lack_places_and_lanes(tmp_path):
     assert np.allclose(np.diff(np.asarray(lot.bay_pose)[:, 2]), 0, atol=1e-3)
 
 
-@pytest.mark.parametrize("bare", [False, True])
-def test_geojson_may_be_one_feature_or_geometry(tmp_path, bare):
+def test_geojson_may_be_one_feature_or_geometry(tmp_path):
     [first, *_] = geojson()["features"]
-    if bare:
-        with pytest.raises(ValueError, match="no parking spot"):
-            read_geojson(tmp_path, first["geometry"])
-    else:
-        lot, _ = read_geojson(tmp_path, first)
-        assert np.allclose(lot.bay_size, (LENGTH, WIDTH), atol=0.02)
-
-
-def test_a_projected_system_may_be_named_by_a_flag(tmp_path, capsys):
-    import pyproj
-
-    project = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
-    [first, *_] = geojson()["features"]
-    [ring] = first["geometry"]["coordinates"]
-    first["geometry"]["coordinates"] = [[project.transform(*xy) for xy in ring]]
-    path, out = write(tmp_path, "a.geojson", json.dumps(first)), tmp_path / "lot.json"
-    command = ["import", str(path), "--out", str(out)]
-    assert main(command) == 2
-    assert "--crs" in capsys.readouterr().err
-    assert main([*command, "--crs", "EPSG:25832"]) == 0
+    lot, _ = read_geojson(tmp_path, first)
+    assert np.allclose(lot.bay_size, (LENGTH, WIDTH), atol=0.02)
+    with pytest.raises(ValueError, match="no parking spot"):
+        read_geojson(tmp_path, first["geometry"])
 
 
 CLOSED = rectangle(-30, -4, 45, 9)  # around bays and lane, away from its ends

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from helpers.instants import instant
 from helpers.states import state_of
 
 from carpark_mj.config import ObstacleKind, SimConfig
@@ -258,7 +259,7 @@ def test_contacts_are_where_the_box_tests_find_overlaps():
 def test_bodies_are_where_pictures_show_them():
     there = movers((1.0, 2.0, 0.3), (-3.0, 1.0, 0.4, 1.2, 0.7))
     world, stage = scene().scene, Stage(LAYOUT, COMPACT, 1, 0, movers=there)
-    stage.place(np.zeros((1, 3)), np.zeros(1), NOBODY, None, there)
+    stage.place(instant(np.zeros(3), movers=there))
     data = mujoco.MjData(world.model)
     car = jnp.array([[0.0, -9.0, 0.0]]), jnp.array([[4.0, 2.0]])
     solids = solids_within(there, there, jnp.float32(0.0), *car)

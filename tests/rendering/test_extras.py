@@ -1,14 +1,17 @@
 """Pictures: markers, cameras by name, links and rings."""
 
+import contextlib
+from functools import partial
+
 import mujoco
 import numpy as np
 import pytest
+from helpers.instants import instant
 
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations.fields import Tracked
-from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.renderer import (
     CIRCLE_SIDES,
     LotRenderer,
@@ -55,9 +58,9 @@ def test_what_mujoco_leaves_uninitialised_is_set(scene):
     for geom in scene.geoms:
         geom.camdist, geom.category, geom.objtype, geom.objid = 1e9, 77, 77, 77
         geom.segid = 77
-    markers = Markers(scene)
-    markers.bay(np.array([3.0, 4.0, 0.0]), np.array([5.0, 2.0]), (1.0, 0.0, 0.0, 0.5))
-    markers.line(np.zeros(2), np.array([6.0, 8.0]), (1.0, 0.0, 0.0, 0.5), 0.1, 0.0)
+    markers, red = Markers(scene), (1.0, 0.0, 0.0, 0.5)
+    markers.bay(np.array([3.0, 4.0, 0.0]), np.array([5.0, 2.0]), red)
+    markers.line(np.zeros(2), np.array([6.0, 8.0]), red, 0.1, 0.0)
     for k, geom in enumerate(scene.geoms[: scene.ngeom]):
         assert geom.camdist == pytest.approx(5.0, abs=0.01)  # the camera is at 0
         assert geom.category == mujoco.mjtCatBit.mjCAT_DECOR
@@ -65,23 +68,22 @@ def test_what_mujoco_leaves_uninitialised_is_set(scene):
         assert geom.segid == k
 
 
-def test_cameras_are_refused_by_name():
+def test_cameras_have_names_and_follow_agents():
     assert camera_names("chase:1", 2) == ("agent1/chase",)
     assert camera_names("driver:0", 2) == ("agent0/driver",)
     assert camera_names("split", 2) == ("topdown", "agent0/chase")
     assert camera_names("split:1", 2) == ("topdown", "agent1/chase")
+    assert camera_names("chase:9") == ("agent9/chase",)  # of any number of agents
     wrong = ("chase:2", "driver:2", "chase:", "chase:-1", "top", "", "split:")
     for name in (*wrong, "split:2", 3):
         with pytest.raises(ValueError, match=f"unknown camera {name!r}; choose topd"):
             camera_names(name, 2)
-    assert camera_names("chase:9") == ("agent9/chase",)  # of any number of agents
-    for make in (
-        lambda: RenderConfig("zero", camera="top"),
-        lambda: PlayConfig(view="window", camera="top"),
-        lambda: ParkEnv(camera="top"),
-    ):
-        with pytest.raises(ValueError, match=r"'top'; choose .* with K from 0"):
-            make()
+    play, render = partial(PlayConfig, view="window"), partial(RenderConfig, "zero")
+    for config in (render, play, ParkEnv):
+        with pytest.raises(ValueError, match="'top'"):
+            config(camera="top")
+    assert followed_agents(("overview",)) == ()
+    assert followed_agents(("topdown", "agent10/chase")) == (10,)
 
 
 LAYOUT = make_layout("square")
@@ -93,28 +95,15 @@ SHOW = Show(Tracked(parked_cars=1), rings=(8.0,))
 
 def draw(flag, camera, show):
     """A picture, and the pixels of some points (2,) in it."""
-    goal = np.array([3, 20])
-    seen = Snapshot(
-        pose_w=POSE,
-        steering=np.zeros(2),
-        goal_pose=np.asarray(LAYOUT.bay_pose)[goal],
-        goal_size=np.asarray(LAYOUT.bay_size)[goal],
-        parked_pose=PARKED,
-        active=np.ones(2, bool),
-    )
-    renderer = LotRenderer(Stage(LAYOUT, COMPACT, 2, 2), flag, (960, 360), show)
-    try:
+    seen, stage = instant(POSE, PARKED, LAYOUT, [3, 20]), Stage(LAYOUT, COMPACT, 2, 2)
+    with contextlib.closing(LotRenderer(stage, flag, (960, 360), show)) as renderer:
         renderer.place(seen)
         frame = renderer.draw(seen, camera).astype(int)
+        points = [POSE[:, :2] + off for off in (ON_LINK, ON_RING)]
         pixels = [
-            [
-                renderer.project(np.array([*xy + off, 0.04]), camera)
-                for xy in POSE[:, :2]
-            ]
-            for off in (ON_LINK, ON_RING)
+            [renderer.project(np.array([*xy, 0.04]), camera) for xy in of_agents]
+            for of_agents in points
         ]
-    finally:
-        renderer.close()
     return frame, pixels
 
 
@@ -142,9 +131,3 @@ def test_whose_links_and_rings_are_drawn(flag, camera, expected):
 
     for of_agents in pixels:
         assert [near(pixel) for pixel in of_agents] == expected
-
-
-def test_the_whole_lot_follows_nobody():
-    assert followed_agents(("overview",)) == ()
-    assert followed_agents(("agent2/driver",)) == (2,)
-    assert followed_agents(("topdown", "agent10/chase")) == (10,)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.instants import instant
 from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, FleetConfig
@@ -43,7 +44,7 @@ def hull(stage, name):
 
 @pytest.mark.parametrize("driven", [(0, 1), (1, 1), (1, 0)])
 def test_the_driven_car_stands_on_its_footprint(stage, driven):
-    stage.place(POSE, np.zeros(2), PARKED, np.array(driven))
+    stage.place(instant(POSE, PARKED, kind=np.array(driven)))
     for agent, shown in enumerate(driven):
         for kind, infix in enumerate(("", "kind1/")):
             centre, yaw, size = hull(stage, f"agent{agent}/{infix}")
@@ -59,8 +60,8 @@ def test_the_driven_car_stands_on_its_footprint(stage, driven):
 
 
 def test_front_wheels_obey_the_driven_car_s_geometry(stage):
-    steering = np.array([0.5, 0.5])
-    stage.place(POSE, steering, PARKED, np.array([0, 1]))
+    turned = {"steering": np.array([0.5, 0.5]), "kind": np.array([0, 1])}
+    stage.place(instant(POSE, PARKED, **turned))
     for prefix, params in (("agent0/", KINDS[0]), ("agent1/kind1/", KINDS[1])):
         angles = [stage.data.joint(f"{prefix}steer_{s}").qpos[0] for s in ("fl", "fr")]
         # Ackermann: cotangents differ by track over wheelbase.
@@ -69,7 +70,7 @@ def test_front_wheels_obey_the_driven_car_s_geometry(stage):
 
 
 def test_parked_cars_stand_on_their_own_footprints(stage):
-    stage.place(POSE, np.zeros(2), PARKED)
+    stage.place(instant(POSE, PARKED))
     for k, params in enumerate(CARS):
         centre, yaw, size = hull(stage, f"parked{k}/")
         np.testing.assert_allclose(centre[:2], PARKED[k, :2], atol=1e-6)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.instants import instant
 from helpers.sliding import SlidePhysics
 from jax.experimental.compilation_cache import compilation_cache
 
@@ -15,7 +16,6 @@ from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.evaluation.keys import evaluation_key
-from carpark_mj.layouts import make_layout
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.fields import Tracked
 from carpark_mj.policy.named import random_policy
@@ -28,13 +28,9 @@ from carpark_mj.policy.networks import (
 )
 from carpark_mj.rendering import recording as record_module
 from carpark_mj.rendering.recording import (
-    Recording,
-    Snapshot,
-    aimed_at,
     num_frames,
     parked_trace,
     record,
-    snapshot,
     tracked_points,
 )
 from carpark_mj.rendering.video import CarCameras
@@ -167,46 +163,6 @@ def test_another_checkpoint_needs_no_other_program(env, drive, programs):
     assert programs() == compiled
 
 
-def test_a_picture_shows_no_goal_of_an_agent_that_explores():
-    layout = make_layout("square")
-    flags = np.zeros((1, 2), bool)
-    recording = Recording(
-        layout=layout,
-        ctrl_dt=0.2,
-        pose_w=np.zeros((1, 1, 2, 3)),
-        steering=np.zeros((1, 2)),
-        speed=np.array([[1.0, 0.0]]),
-        goal=np.array([[5, NO_BAY]]),
-        parked_pose=np.zeros((1, 1, 0, 3)),
-        active=~flags,
-        parked=flags,
-        crashed=flags,
-        timed_out=flags,
-        step=np.ones((1, 2), int),
-        tracked_bays=np.array([[[5, 7], [NO_BAY, 3]]]),
-    )
-    seen = snapshot(recording, 0)
-    assert seen.state == ("drives", "stands, explores")
-    np.testing.assert_array_equal(seen.goal_pose[0], layout.bay_pose[5])
-    assert np.isnan(seen.goal_pose[1]).all()
-    assert np.isnan(aimed_at(layout, np.array([NO_BAY]))[1]).all()
-    bays = np.asarray(layout.bay_pose)[:, :2]
-    expected = [[bays[5], bays[7]], [[np.nan] * 2, bays[3]]]
-    np.testing.assert_array_equal(seen.tracked_bay_xy, expected)
-
-
-def seen(pose, parked):
-    """An instant with agents and parked cars at some poses."""
-    return Snapshot(
-        pose_w=pose,
-        steering=np.zeros(len(pose)),
-        goal_pose=np.full_like(pose, np.nan),
-        goal_size=np.full((len(pose), 2), np.nan),
-        parked_pose=parked,
-        active=np.ones(len(pose), bool),
-    )
-
-
 def links(what, tracked):
     """What is tracked, as (agent, (x, y))."""
     return [(agent, tuple(point)) for agent, point in tracked_points(what, tracked)]
@@ -215,7 +171,7 @@ def links(what, tracked):
 def test_tracked_points_are_the_nearest_cars_of_each_agent():
     pose = np.array([[0.0, 0, 0], [3, 0, 0], [10, 0, 0]])
     parked = np.array([[0.0, 5, 0], [9, 5, 0]])
-    what = seen(pose, parked)
+    what = instant(pose, parked)
     assert sorted(links(what, Tracked(1, 1))) == [
         (0, (0.0, 5.0)),
         (0, (3.0, 0.0)),
@@ -228,15 +184,13 @@ def test_tracked_points_are_the_nearest_cars_of_each_agent():
     # In one list the nearest is an agent for 0 and 1 and a parked car for 2.
     together = [(0, (3.0, 0.0)), (1, (0.0, 0.0)), (2, (9.0, 5.0))]
     assert links(what, Tracked(cars=1)) == together
-    empty = dataclasses.replace(what, parked_pose=np.zeros((0, 3)))
-    assert len(links(empty, Tracked(5, 2))) == 6  # two others each, no parked car
+    assert len(links(instant(pose), Tracked(5, 2))) == 6  # two others each, no parked
 
 
 def test_tracked_bays_are_linked_and_empty_slots_are_not():
     none = [np.nan, np.nan]
     bays = np.array([[[1.0, 2.0], none], [none, none], [[3.0, 4.0], [5.0, 6.0]]])
-    what = seen(np.zeros((3, 3)), np.zeros((0, 3)))
-    what = dataclasses.replace(what, tracked_bay_xy=bays)
+    what = instant(np.zeros((3, 3)), tracked_bay_xy=bays)
     expected = [(0, (1.0, 2.0)), (2, (3.0, 4.0)), (2, (5.0, 6.0))]
     assert links(what, Tracked()) == expected
 
@@ -266,12 +220,11 @@ def test_absent_agents_are_not_recorded(small_env, monkeypatch):
 def test_a_live_lot_begins_as_the_video_with_its_seed(small_env):
     policy = random_policy(small_env.action_spec)
     for seed in range(2):
-        lot, video = (
-            LiveLot(small_env, policy, seed),
-            record(small_env, policy, 2, seed),
-        )
+        lot = LiveLot(small_env, policy, seed)
+        video = record(small_env, policy, 2, seed)
         goals = np.asarray(video.layout.bay_pose)[video.goal[0]]
-        np.testing.assert_array_equal(lot.goal_pose, goals)
+        shown = lot.snapshot().goal_pose
+        np.testing.assert_array_equal(shown, goals)
         lot.step()  # absent agents are not shown
-        assert len(lot.goal_pose) == lot.stage.num_agents == video.goal.shape[1]
+        assert len(shown) == lot.stage.num_agents == video.goal.shape[1]
         assert np.abs(lot.stage.data.qpos).max() < 100.0

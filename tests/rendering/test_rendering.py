@@ -6,19 +6,18 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
+from helpers.instants import hue_distance, instant
 
 from carpark_mj.layouts import layout_config, make_layout
 from carpark_mj.rendering.recording import (
     FLASH_SECONDS,
-    Flash,
     Recording,
-    Snapshot,
     frames_per_second,
     num_frames,
     snapshot,
 )
 from carpark_mj.rendering.renderer import FLASH_COLOURS, LotRenderer
-from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.stage import Flash, Stage
 from carpark_mj.rendering.video import (
     draw_frame,
     draw_labels,
@@ -37,21 +36,10 @@ BAYS = np.asarray(LAYOUT.bay_pose)
 PARKED = BAYS[[10, 30]]
 
 
-def seen(pose=POSE, goal=GOAL, parked=PARKED, **changes):
-    """A snapshot of two agents on their way."""
-    made = Snapshot(
-        seconds=1.0,
-        pose_w=pose,
-        steering=np.zeros(len(pose)),
-        goal_pose=BAYS[goal],
-        goal_size=np.asarray(LAYOUT.bay_size)[goal],
-        parked_pose=parked,
-        active=np.ones(len(pose), bool),
-        state=("drives",) * len(pose),
-        tally={"parked": 3, "crashed": 0},
-        flashes=(),
-    )
-    return dataclasses.replace(made, **changes)
+def seen(goal=GOAL, parked=PARKED, **changes):
+    """Two agents on their way."""
+    told = {"state": ("drives",) * 2, "tally": {"parked": 3, "crashed": 0}}
+    return instant(POSE, parked, LAYOUT, goal, seconds=1.0, **told, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -72,13 +60,6 @@ def project(renderer, point):
     return renderer.project(np.asarray(point, float), "topdown")
 
 
-def hue_distance(pixel, colour):
-    """Angle between colours, blind to how bright the light makes them."""
-    a, b = np.asarray(pixel, float), np.asarray(colour[:3], float)
-    cos = a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-9)
-    return np.degrees(np.arccos(np.clip(cos, -1, 1)))
-
-
 def patch(frame, pixel):
     x, y = (round(v) for v in pixel)
     return frame[y - 1 : y + 2, x - 1 : x + 2].reshape(-1, 3).mean(axis=0)
@@ -90,21 +71,14 @@ def ahead(pose, distance):
 
 
 def test_cars_are_drawn_in_their_colour_where_their_poses_are(renderer):
-    frame = draw(renderer)
-    for agent in (0, 1):
-        bonnet = project(renderer, ahead(POSE[agent], 1.65))
-        assert hue_distance(patch(frame, bonnet), agent_colour(agent)) < 10
-
-
-def test_a_car_is_centred_on_its_footprint(renderer):
     """The painted body ends half a length ahead of and behind the pose."""
     frame = draw(renderer)
-    body = agent_colour(0)
+    for agent, pose in enumerate(POSE):
+        bonnet = project(renderer, ahead(pose, 1.65))
+        assert hue_distance(patch(frame, bonnet), agent_colour(agent)) < 10
     for reach, drawn in ((1.9, True), (2.35, False), (-1.9, True), (-2.35, False)):
-        found = hue_distance(
-            patch(frame, project(renderer, ahead(POSE[0], reach))), body
-        )
-        assert (found < 20) == drawn, (reach, found)
+        end = patch(frame, project(renderer, ahead(POSE[0], reach)))
+        assert (hue_distance(end, agent_colour(0)) < 20) == drawn, reach
 
 
 def test_goals_have_the_agent_s_colour_and_free_bays_not(renderer):
@@ -124,11 +98,8 @@ def test_parked_cars_stand_in_their_bays_and_move_when_told(renderer):
     after = draw(renderer, parked=BAYS[[10, 12]]).astype(int)
 
     def change(bay):
-        roof = np.array([*np.asarray(LAYOUT.bay_pose[bay])[:2], COMPACT.height])
-        return np.abs(
-            patch(after, project(renderer, roof))
-            - patch(before, project(renderer, roof))
-        ).sum()
+        roof = project(renderer, [*BAYS[bay, :2], COMPACT.height])
+        return np.abs(patch(after, roof) - patch(before, roof)).sum()
 
     assert change(30) > 60
     assert change(12) > 60
@@ -193,14 +164,20 @@ def test_videos_play_in_real_time(renderer, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
 
 
-def test_a_failing_picture_leaves_no_half_video(tmp_path):
-    def pictures():
-        yield np.zeros((64, 64, 3), np.uint8)
-        raise RuntimeError("no more")
+def test_a_video_that_fails_leaves_nothing(tmp_path):
+    def pictures(error=None):
+        yield np.zeros((63, 65, 3), np.uint8)  # odd sizes become even
+        if error is not None:
+            raise error
 
-    with pytest.raises(RuntimeError, match="no more"):
-        write_video(tmp_path / "a.mp4", pictures(), 10.0)
+    path = tmp_path / "a.mp4"
+    for error in (RuntimeError("no more"), KeyboardInterrupt()):
+        with pytest.raises(type(error)):
+            write_video(path, pictures(error), 10.0)
+    with pytest.raises(OSError, match="at 1e-12 frames per second"):
+        write_video(path, pictures(), 1e-12)
     assert list(tmp_path.iterdir()) == []
+    assert write_video(path, pictures(), 10.0) == 1
 
 
 def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):
@@ -297,12 +274,18 @@ def test_snapshots_tell_states_tallies_and_flashes():
 
 
 def test_an_agent_that_explores_has_no_goal_to_be_drawn(renderer):
-    story = dataclasses.replace(recording(), goal=np.tile([GOAL[0], NO_BAY], (3, 1)))
+    story = dataclasses.replace(
+        recording(),
+        speed=np.tile([1.0, 0.0], (3, 1)),
+        goal=np.tile([GOAL[0], NO_BAY], (3, 1)),
+        tracked_bays=np.tile([[5, 7], [NO_BAY, 3]], (3, 1, 1)),
+    )
     what = snapshot(story, 0)
-    assert what.state == ("drives", "reverses, explores")
-    np.testing.assert_array_equal(what.goal_pose[0], BAYS[GOAL[0]])
-    assert np.isnan(what.goal_pose[1]).all()
+    assert what.state == ("drives", "stands, explores")
+    np.testing.assert_array_equal(what.goal_pose, [BAYS[GOAL[0]], [np.nan] * 3])
     assert np.isnan(what.goal_size[1]).all()
+    tracked = [[BAYS[5, :2], BAYS[7, :2]], [[np.nan] * 2, BAYS[3, :2]]]
+    np.testing.assert_array_equal(what.tracked_bay_xy, tracked)
     renderer.place(what)
     frame = draw_labels(renderer.draw(what, "topdown"), renderer, what, "topdown")
     # The bay that would be its goal is as any other.

@@ -109,17 +109,11 @@ def test_a_car_without_room_is_reported_instead_of_measured(tmp_path):
     assert "the car hit something after" in done.stderr
 
 
-@pytest.fixture
-def empty(tmp_path):
-    """One car alone in the square, the file's text and model."""
+def test_the_sliders_do_what_the_guide_says(tmp_path):
     path = tmp_path / "empty.xml"
     main(SceneConfig(out=str(path), num_agents=1, num_parked_cars=0, seed=ROOMY))
-    model = mujoco.MjModel.from_xml_path(str(path))
-    return path.read_text(), model, mujoco.MjData(model)
-
-
-def test_the_sliders_do_what_the_guide_says(empty):
-    text, model, data = empty
+    text, model = path.read_text(), mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
     grip = COMPACT.tyre.friction * GRAVITY  # of the full brake
     assert f"slide at\n                  {grip:.1f} m/s^2" in text
     ((limit, loss),) = re.findall(

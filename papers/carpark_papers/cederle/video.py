@@ -9,9 +9,8 @@ import mujoco
 import numpy as np
 
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.recording import Snapshot
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.rendering.video import draw_labels, draw_status, write_video
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import VehicleParameters, preset
@@ -67,7 +66,7 @@ class JunctionStage(Stage):
             tally={},
             flashes=(),
         )
-        self.place(seen.pose_w, seen.steering, seen.parked_pose)
+        self.place(seen)
         return seen
 
 

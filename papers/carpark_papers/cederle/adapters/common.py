@@ -8,8 +8,7 @@ import jax
 import numpy as np
 from gymnasium import spaces
 
-from carpark_mj.rendering.recording import Snapshot
-from carpark_mj.rendering.stage import Stage
+from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.vehicle import VehicleParameters, preset
 from carpark_mj.wrappers.batch import Screen
 from carpark_mj.wrappers.options import require_options
