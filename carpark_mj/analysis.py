@@ -25,10 +25,7 @@ CONFIDENCE = 0.95
 RESAMPLES = 2000
 GRID = 200  # points of a mean curve
 # Settings that may differ between runs of the same training.
-_INCIDENTAL = (
-    *("name", "runs_dir", "resume", "time_limit", "seed", "preset"),
-    "logger",
-)
+_INCIDENTAL = "name", "runs_dir", "resume", "time_limit", "seed", "preset", "logger"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,22 +128,17 @@ def swept_settings(paths: Sequence[Path], records: Sequence[Record]) -> list[str
     """
     if len({record.settings.get("preset") for record in records}) > 1:
         return ["preset"]
-    names: list[str] = []
-    for path in paths:
-        if (path / "sweep.json").exists():
-            swept = _read_json(path / "sweep.json", swept=list)["swept"]
-            if not all(isinstance(fields, list) and fields for fields in swept):
-                raise CheckpointError(f"{path / 'sweep.json'} has no settings in swept")
-            names += [str(fields[0]) for fields in swept]
+    names: dict[str, None] = {}
+    for file in (path / "sweep.json" for path in paths):
+        swept = _read_json(file, swept=list)["swept"] if file.exists() else []
+        if not all(isinstance(fields, list) and fields for fields in swept):
+            raise CheckpointError(f"{file} has no settings in swept")
+        names |= dict.fromkeys(str(fields[0]) for fields in swept)
     if names:
-        return list(dict.fromkeys(names))
+        return [*names]
     known = dict.fromkeys(name for record in records for name in record.settings)
-    return [
-        name
-        for name in known
-        if name not in _INCIDENTAL
-        and len({str(record.settings.get(name)) for record in records}) > 1
-    ]
+    values = {name: {str(x.settings.get(name)) for x in records} for name in known}
+    return [n for n, found in values.items() if n not in _INCIDENTAL and len(found) > 1]
 
 
 def read_curve(folder: Path, column: str) -> list[tuple[float, float]]:
@@ -188,10 +180,8 @@ def group(sources: Sources, by: Sequence[str]) -> list[Point]:
             values = tuple(plain(record.settings.get(name)) for name in by)
             groups.setdefault(values, []).append(record)
         # Numbers before text, each in its order.
-        ordered = sorted(
-            groups, key=lambda values: [(not isinstance(x, float), x) for x in values]
-        )
-        points += [Point(source, values, tuple(groups[values])) for values in ordered]
+        order = sorted(groups, key=lambda v: [(not isinstance(x, float), x) for x in v])
+        points += [Point(source, values, tuple(groups[values])) for values in order]
     return points
 
 
@@ -225,8 +215,10 @@ def spread(strata: Sequence[Sequence[float]]) -> Spread:
     """Describes numbers by strata, one for each point of a sweep; NaNs are left out."""
     from scipy import stats
 
-    found = [np.array(s, float)[~np.isnan(np.array(s, float))] for s in strata]
-    found = [values for values in found if len(values)]
+    found = [np.array(stratum, float) for stratum in strata]
+    found = [
+        values[~np.isnan(values)] for values in found if not np.isnan(values).all()
+    ]
     if not found:
         return Spread(0, math.nan, math.nan, math.nan, math.nan)
 
@@ -248,9 +240,8 @@ def spread(strata: Sequence[Sequence[float]]) -> Spread:
             rng=np.random.default_rng(0),
         ).confidence_interval
     together = np.concatenate(found)
-    iqm = stats.trim_mean(together, 0.25)
-    median = float(np.median(together))
-    return Spread(len(together), median, float(iqm), float(low), float(high))
+    numbers = np.median(together), stats.trim_mean(together, 0.25), low, high
+    return Spread(len(together), *map(float, numbers))
 
 
 def spread_rows(
@@ -293,17 +284,10 @@ def run_rows(
 def plot_metric(
     path: Path, points: Sequence[Point], by: Sequence[str], metric: str, title: str = ""
 ) -> None:
-    """Draws a metric against the first setting, a line for each value of the others.
+    """Draws a metric against the first of the settings `by`, a line for each rest.
 
     Dots are runs, lines interquartile means, bands their 95 % intervals. Lines of the
     first source are solid, those of the others dashed.
-
-    Args:
-        path: PNG to write.
-        points: of all sources.
-        by: names of the settings that the points differ in, at least one.
-        metric: name of the metric.
-        title: above the plot.
     """
     values = list(dict.fromkeys(point.values[0] for point in points))
     numeric = all(isinstance(value, float) for value in values)
@@ -318,21 +302,12 @@ def plot_metric(
             names = [source] * (len(sources) > 1) + [show(value) for value in rest]
             x = [place[point.values[0]] for point in own]
             found = [spread([point.numbers(metric)]) for point in own]
-            axes.plot(
-                x,
-                [one.iqm for one in found],
-                color=colour,
-                linestyle="-" if source == sources[0] else "--",
-                label=", ".join(names) or None,
-            )
-            axes.fill_between(
-                x,
-                [one.low for one in found],
-                [one.high for one in found],
-                color=colour,
-                alpha=0.15,
-                lw=0,
-            )
+            dash = "-" if source == sources[0] else "--"
+            label = ", ".join(names) or None
+            means = [one.iqm for one in found]
+            axes.plot(x, means, color=colour, linestyle=dash, label=label)
+            ends = [one.low for one in found], [one.high for one in found]
+            axes.fill_between(x, *ends, color=colour, alpha=0.15, lw=0)
             for at, point in zip(x, own, strict=True):
                 numbers = point.numbers(metric)
                 axes.scatter([at] * len(numbers), numbers, 16, [colour], alpha=0.6)
@@ -352,8 +327,7 @@ def plot_curves(
     curves: list[tuple[Point, list[Any]]] = []
     for point in points:
         folders = [record.folder for record in point.records if record.folder]
-        found = [curve for curve in (read_curve(x, column) for x in folders) if curve]
-        if found:
+        if found := list(filter(None, (read_curve(x, column) for x in folders))):
             curves.append((point, found))
     if not curves:
         return False

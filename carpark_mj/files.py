@@ -100,10 +100,10 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Writes rows of the same columns atomically; without rows an empty file."""
+    """Writes rows atomically, what one lacks as an empty cell; without rows nothing."""
     text = io.StringIO(newline="")
     if rows:
-        writer = csv.DictWriter(text, list(rows[0]))
+        writer = csv.DictWriter(text, dict.fromkeys(x for row in rows for x in row))
         writer.writeheader()
         writer.writerows(rows)
     write_text(path, text.getvalue())

@@ -68,6 +68,10 @@ COMMANDS = {
         "cli.pages:play", "drive a car yourself",
         "driving:PlayConfig", KEEPING, drives=True,
     ),
+    "serve": _command(
+        "cli.pages:serve", "step a lot from outside, by JSON lines",
+        "driving:ServeConfig", KEEPING, drives=True,
+    ),
     "list": _command(
         "cli.listing:main", "list layouts, environments, vehicles, policies, presets",
         "lots:ListConfig",
@@ -104,6 +108,10 @@ COMMANDS = {
         "suite.scenario:main", "test policies in a case of your own",
         "tables:ScenarioConfig", (choose_gl, *ACTING), drives=True,
         needs=("matplotlib",),
+    ),
+    "report": _command(
+        "suite.acceptance:main", "write a page about tests, with limits",
+        "tables:ReportConfig", needs=("matplotlib",),
     ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
     "export": _command(

@@ -75,18 +75,9 @@ Rounds = dict[Job, list[Measurement]]
 def jobs_of(config: BenchmarkConfig) -> list[Job]:
     """What each round measures."""
     variants = {"env": config.layouts, "ppo": (config.preset,), "physics": config.cars}
+    same = config.num_parked_cars, config.steps, config.timings, config.clock
     return [
-        Job(
-            what,
-            variant,
-            lots,
-            agents,
-            config.num_parked_cars,
-            config.steps,
-            config.timings,
-            config.clock,
-            runs,
-        )
+        Job(what, variant, lots, agents, *same, runs)
         for what in config.what
         for variant in variants[what]
         for agents in (config.num_agents if what == "env" else config.num_agents[:1])
@@ -114,20 +105,22 @@ def main(config: BenchmarkConfig) -> int:
 def measure(jobs: Sequence[Job], repeats: int, out: str = "") -> Rounds:
     """Measures all jobs in each of `repeats` rounds; prints progress on stderr.
 
-    All measurements are written to the CSV file `out`, if given, after each.
-
-    Raises:
-        WorkerError: a process failed.
+    All measurements are written to the CSV file `out`, if given, after each. Raises
+    `WorkerError` if a process failed.
     """
     found: Rounds = {job: [] for job in jobs}
     if out:  # refuses an impossible path before anything is measured
-        write_csv(Path(out), _rows(found))
+        write_csv(Path(out), [])
     for number in range(1, repeats + 1):
         for job in jobs:
             result = run_job(job)
             found[job].append(result)
             if out:
-                write_csv(Path(out), _rows(found))
+                rounds = [
+                    pair for each in found.values() for pair in enumerate(each, 1)
+                ]
+                rows = [{"round": n, **dataclasses.asdict(x)} for n, x in rounds]
+                write_csv(Path(out), rows)
             print(
                 f"round {number} of {repeats}: {result.what} {result.layout}, "
                 f"{job.lots:,} lots: {result.rate:,.0f} {result.unit}, compiled in "
@@ -135,15 +128,6 @@ def measure(jobs: Sequence[Job], repeats: int, out: str = "") -> Rounds:
                 file=sys.stderr,
             )
     return found
-
-
-def _rows(rounds: Rounds) -> list[dict[str, Any]]:
-    """Every measurement, with the number of its round."""
-    return [
-        {"round": number, **dataclasses.asdict(result)}
-        for results in rounds.values()
-        for number, result in enumerate(results, start=1)
-    ]
 
 
 WORKER = (
@@ -214,15 +198,9 @@ def env_subject(job: Job) -> Subject:
 
     reset_key, key = jax.random.split(jax.random.key(0))
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(reset_key, job.lots))
-    return Subject(
-        what="env",
-        layout=job.variant,
-        agents=job.num_agents,
-        unit="agent-steps",
-        count=job.lots * job.num_agents * job.steps,
-        program=scan(step, job.steps),
-        carry=(state, key),
-    )
+    which, count = ("env", job.variant, job.num_agents), job.lots * job.num_agents
+    program = scan(step, job.steps)
+    return Subject(*which, "agent-steps", count * job.steps, program, (state, key))
 
 
 def ppo_subject(job: Job) -> Subject:
@@ -236,32 +214,23 @@ def ppo_subject(job: Job) -> Subject:
     name = job.variant
     if name == "auto":
         name = "gpu" if jax.default_backend() == "gpu" else "cpu"
-    if name not in PRESETS:
-        raise ValueError(f"unknown preset {name!r}; choose from {sorted(PRESETS)}")
     config = dataclasses.replace(PRESETS[name], num_lots=job.lots)
     what = f"ppo {name}"
     if job.runs == 1:
         learner = Learner(config)
         program = learner.compile()
     else:
-        seeds = range(job.runs)
-        configs = [dataclasses.replace(config, seed=seed) for seed in seeds]
+        configs = [dataclasses.replace(config, seed=k) for k in range(job.runs)]
         learner = GroupLearner(configs)
         program = jax.jit(learner.compile(), donate_argnums=0)
         what += f", {job.runs} runs"
     layout, carry = config.env.layout, learner.init()
     present = carry.env.info.get("present")  # None: all always are
-    slots = job.runs * config.slots_per_update
     share = 1.0 if present is None else float(jnp.mean(present))
-    return Subject(
-        what=what,
-        layout=layout if isinstance(layout, str) else layout.family,
-        agents=config.env.num_agents,
-        unit="agent-steps",
-        count=round(share * slots),
-        program=program,
-        carry=carry,
-    )
+    count = round(share * job.runs * config.slots_per_update)
+    layout = layout if isinstance(layout, str) else layout.family
+    which = what, layout, config.env.num_agents
+    return Subject(*which, "agent-steps", count, program, carry)
 
 
 def physics_subject(job: Job) -> Subject:
@@ -270,14 +239,13 @@ def physics_subject(job: Job) -> Subject:
     from carpark_mj.physics.mjx_step import ContactPhysics
     from carpark_mj.vehicle import make_vehicle, preset
 
+    sim, back_end = SimConfig(), MjxPhysics
     if job.variant == "contact":
         sim = SimConfig(sim_dt=CONTACT_SIM_DT, tyres="contact")
-        physics: Any = ContactPhysics(sim)
-    else:
-        sim = SimConfig()
-        if job.variant == "mjx.step":
-            sim = dataclasses.replace(sim, stepper="mjx")
-        physics = MjxPhysics(sim)
+        back_end = ContactPhysics
+    elif job.variant == "mjx.step":
+        sim = SimConfig(stepper="mjx")
+    physics: Any = back_end(sim)
 
     def step(carry: Any, _: None) -> tuple[Any, None]:
         state, key = carry
@@ -287,16 +255,13 @@ def physics_subject(job: Job) -> Subject:
 
     vehicle = make_vehicle(preset("compact"))
     fleet = jax.tree.map(lambda x: jnp.broadcast_to(x, (job.lots, *x.shape)), vehicle)
-    state = physics.init(jnp.zeros((job.lots, 3)), fleet)
-    return Subject(
-        what=f"physics {job.variant} {1e3 * sim.sim_dt:g} ms",
-        layout="",
-        agents=1,
-        unit="car-substeps",
-        count=job.lots * job.steps * sim.num_substeps,
-        program=scan(step, job.steps),
-        carry=(state, jax.random.key(0)),
+    carry = physics.init(jnp.zeros((job.lots, 3)), fleet), jax.random.key(0)
+    what, program = (
+        f"physics {job.variant} {1e3 * sim.sim_dt:g} ms",
+        scan(step, job.steps),
     )
+    count = job.lots * job.steps * sim.num_substeps
+    return Subject(what, "", 1, "car-substeps", count, program, carry)
 
 
 SUBJECTS: dict[str, Callable[[Job], Subject]] = {
@@ -348,10 +313,8 @@ def measure_job(job: Job, started: float) -> Measurement:
 
 def device_name() -> str:
     """JAX's device: the GPU's name, or the number of CPU cores."""
-    device = jax.devices()[0]
-    if device.platform == "cpu":
-        return f"{os.cpu_count()} CPU cores"
-    return device.device_kind
+    device, cores = jax.devices()[0], f"{os.cpu_count()} CPU cores"
+    return cores if device.platform == "cpu" else device.device_kind
 
 
 def peak_memory() -> int:

@@ -22,10 +22,10 @@ class WorkerError(Exception):
 def run_worker(
     program: str, request: dict[str, Any], environment: dict[str, str], about: str
 ) -> dict[str, Any]:
-    """What a program prints last, an object, of a request in a fresh process.
+    """The object that a Python program prints last, in a fresh process.
 
     Args:
-        program: Python; its argument is the request as JSON.
+        program: its argument is the request as JSON.
         request: what to measure.
         environment: variables of the process.
         about: what is measured, for messages.
@@ -33,7 +33,6 @@ def run_worker(
     Raises:
         ValueError: the process refused the request (exit code 2).
         WorkerError: it failed.
-        KeyboardInterrupt: it was interrupted first.
     """
     done = subprocess.run(
         [sys.executable, "-c", program, json.dumps(request)],

@@ -48,11 +48,8 @@ def measure_starts(
 ) -> list[Start]:
     """Measures first and second processes; prints progress on stderr.
 
-    All are written to the CSV file `out`, if given, after each.
-
-    Raises:
-        ValueError: there is no such environment.
-        WorkerError: a process failed.
+    All are written to the CSV file `out`, if given, after each. Raises `ValueError` of
+    an unknown environment, `WorkerError` if a process failed.
     """
     found: list[Start] = []
     for name in environments:
@@ -65,7 +62,8 @@ def measure_starts(
                 with tempfile.TemporaryDirectory() as kept:
                     for process in ("first", "second"):
                         found.append(_run(name, lots, process, kept))
-                        print(_line(found[-1]), file=sys.stderr)
+                        about = f"{name}, {lots:,} lots, {process} process"
+                        print(f"{about}: {found[-1].total_s:.1f} s", file=sys.stderr)
                 if out:
                     write_csv(Path(out), [dataclasses.asdict(x) for x in found])
     return found
@@ -92,13 +90,6 @@ def rows(found: Sequence[Start]) -> list[dict[str, Any]]:
             }
         table.append(row)
     return table
-
-
-def _line(one: Start) -> str:
-    return (
-        f"{one.environment}, {one.lots:,} lots, {one.process} process: "
-        f"{one.total_s:.1f} s"
-    )
 
 
 def _run(name: str, lots: int, process: str, kept: str) -> Start:
@@ -139,17 +130,16 @@ def work(argument: str) -> None:
     step = jax.jit(jax.vmap(env.step))
     jax.block_until_ready(step(state, action))
     lap("step_s")
+    total, first = time.time() - request["started"], jax.tree.map(lambda x: x[0], state)
     result = {
         "environment": name,
         "lots": lots,
         "device": jax.devices()[0].device_kind,
         **seconds,
-        "total_s": time.time() - request["started"],
+        "total_s": total,
         "reset_equations": count_equations(jax.make_jaxpr(env.reset)(keys[0]).jaxpr),
         "step_equations": count_equations(
-            jax.make_jaxpr(env.step)(
-                *jax.tree.map(lambda x: x[0], (state, action))
-            ).jaxpr
+            jax.make_jaxpr(env.step)(first, action[0]).jaxpr
         ),
     }
     print(json.dumps(result))

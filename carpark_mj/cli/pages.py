@@ -5,14 +5,15 @@ imported before it is open.
 """
 
 import contextlib
+import dataclasses
 import sys
 import threading
 from collections.abc import Callable, Generator
 from typing import Any
 
-from carpark_mj.cli.clock import CLOCK, PERIOD
+from carpark_mj.cli.clock import CLOCK, PERIOD, wait_for_user
 from carpark_mj.cli.process import one_line
-from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig
+from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig, ServeConfig
 from carpark_mj.extensions import require_packages
 from carpark_mj.rendering.local_pages import HOST, Chosen
 
@@ -93,3 +94,19 @@ def play(config: PlayConfig) -> None:
         main(config, page)
 
     show_lots(config, config.shown_in == "web" and not config.video, show)
+
+
+def serve(config: ServeConfig) -> None:
+    """Serves lots to programs, see `carpark_mj.wrappers.json_lines`."""
+    from carpark_mj.cli.driver import adapted, find_driver, with_settings
+    from carpark_mj.env import ParkingEnv
+    from carpark_mj.wrappers.json_lines import LineServer
+
+    env = adapted(config, with_settings(find_driver(config.run).env, config.set))
+    episode = dataclasses.replace(env.episode, respawn=False)
+    lots = ParkingEnv(dataclasses.replace(env, episode=episode))
+    with LineServer(lots, config.port) as server:
+        address = ":".join(map(str, server.server_address))
+        print(f"serving {address}, one JSON object a line (Ctrl-C ends)", flush=True)
+        wait_for_user()
+        server.serve_forever()

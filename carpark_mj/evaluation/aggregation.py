@@ -1,5 +1,6 @@
 """Aggregates metrics of many episodes, independent of batching."""
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Sequence
@@ -53,19 +54,13 @@ def summarize(rows: Sequence[Row]) -> dict[str, Any]:
         `episode_return`.
     """
     names = rows[0] if rows else (*ENDINGS, *HITS)
-    returns = [name for name in names if name.startswith("return_")]
-    return {
-        "episodes": len(rows),
-        **{
-            metric.name: pool(metric, rows)
-            for metric in metrics()
-            if metric.name in names
-        },
-        "mean_returns": {
-            name.removeprefix("return_"): _mean([row[name] for row in rows])
-            for name in returns
-        },
+    found = {x.name: pool(x, rows) for x in metrics() if x.name in names}
+    returns = {
+        name.removeprefix("return_"): _mean([row[name] for row in rows])
+        for name in names
+        if name.startswith("return_")
     }
+    return {"episodes": len(rows), **found, "mean_returns": returns}
 
 
 def pool(metric: Metric, rows: Sequence[Row]) -> float | dict[str, float]:
@@ -167,20 +162,13 @@ def contacts(rows: Sequence[Row]) -> dict[str, Any] | None:
     if not rows or not {"hit_person", "peak_contact_speed"} <= rows[0].keys():
         return None
     moved = [row for row in rows if row["path"] > MOVED]
-    found: dict[str, Any] = {
-        "episodes": len(moved),
-        "any": _contact_rate(moved, 0, math.inf),
-    }
-    for low, high in zip(SPEEDS, (*SPEEDS[1:], math.inf), strict=True):
-        name = f"{low:g}.." + (f"{high:g}" if high < math.inf else "")
-        found[name] = _contact_rate(moved, low, high)
+    found: dict[str, Any] = {"episodes": len(moved)}
+    ends = (*SPEEDS, math.inf)
+    for low, high in ((0.0, math.inf), *itertools.pairwise(ends)):
+        name = f"{low:g}..{high:g}".removesuffix("inf") if len(found) > 1 else "any"
+        hits = [
+            x["hit_person"] and low <= x["peak_contact_speed"] < high for x in moved
+        ]
+        rows = [x | {"contact": float(h)} for x, h in zip(moved, hits, strict=True)]
+        found[name] = pool(_CONTACT, rows)
     return found
-
-
-def _contact_rate(rows: Sequence[Row], low: float, high: float) -> dict[str, float]:
-    def hits(row: Row) -> float:
-        return float(row["hit_person"] and low <= row["peak_contact_speed"] < high)
-
-    rate = pool(_CONTACT, [row | {"contact": hits(row)} for row in rows])
-    assert isinstance(rate, dict)
-    return rate

@@ -31,6 +31,14 @@ def _per_step(name: str, unit: str, meaning: str, study: str = "") -> Metric:
     return Metric(name, unit, meaning, "steps", study, (f"{name}_sum", "length"))
 
 
+def _share(name: str, of: str, study: str, ratio: tuple[str, str]) -> Metric:
+    return Metric(name, "", f"share of the steps {of}", "episodes", study, ratio)
+
+
+def _goals(name: str, what: str, study: str = "") -> Metric:
+    return Metric(name, "", f"goals {what}", "mean", study)
+
+
 def _clearance(kind: str, what: str) -> Metric:
     meaning = f"smallest gap of footprints to {what}; capped at {RANGE:g} m"
     return Metric(f"min_clearance{kind}", "m", meaning, "least")
@@ -95,11 +103,9 @@ DRIVING = (
         "NearestCarDistAvg",
         ("nearest_car_sum", "nearest_car_steps"),
     ),
-    Metric(
+    _share(
         "towards_goal",
-        "",
-        "share of the steps with a goal that led nearer to it",
-        "episodes",
+        "with a goal that led nearer to it",
         "RatioMoveTowardsPerEps",
         ("towards_goal_steps", "goal_steps"),
     ),
@@ -143,35 +149,23 @@ _GAVE_WAY = {
     ),
 }
 GOALS = (
-    Metric(
+    _share(
         "explore_share",
-        "",
-        "share of the steps without a goal",
-        "episodes",
+        "without a goal",
         "RatioExplorePerEps, 1 - RatioGoalPerEps",
         ("explored_steps", "length"),
     ),
-    Metric(
+    _share(
         "towards_bay",
-        "",
-        "share of the steps without a goal that led nearer to any tracked bay",
-        "episodes",
+        "without a goal that led nearer to any tracked bay",
         "RatioMoveTowardsExploringPerEps",
         ("towards_bay_steps", "explored_steps"),
     ),
-    Metric("stop_explore", "", "goals taken", "mean", "NumStopExplorePerEps"),
-    Metric(
-        "change_goal", "", "goals changed for others", "mean", "NumChangeGoalPerEps"
-    ),
-    Metric("stop_goal", "", "goals given up to explore", "mean", "NumStopGoalPerEps"),
-    Metric(
-        "lost_untracked",
-        "",
-        "goals lost because others were nearer",
-        "mean",
-        "NumLostGoalPerEps",
-    ),
-    Metric("lost_taken", "", "goals lost because another agent parked there", "mean"),
+    _goals("stop_explore", "taken", "NumStopExplorePerEps"),
+    _goals("change_goal", "changed for others", "NumChangeGoalPerEps"),
+    _goals("stop_goal", "given up to explore", "NumStopGoalPerEps"),
+    _goals("lost_untracked", "lost because others were nearer", "NumLostGoalPerEps"),
+    _goals("lost_taken", "lost because another agent parked there"),
     *(
         Metric(
             f"conformity_{name}",

@@ -82,11 +82,7 @@ class Evaluator:
     """
 
     def __init__(self, env: ParkingEnv) -> None:
-        """Takes the environment, see `evaluate`.
-
-        Raises:
-            ValueError: its agents do not respawn.
-        """
+        """Takes the environment, see `evaluate`; ValueError unless agents respawn."""
         if not env.config.episode.respawn:
             raise ValueError("evaluation needs episode.respawn = True")
         self.env = env
@@ -102,19 +98,10 @@ class Evaluator:
         horizon: float | None = None,
         values: Mapping[str, float] | None = None,
     ) -> Evaluation:
-        """Runs whole episodes as `evaluate` does.
+        """Runs whole episodes; see `evaluate`.
 
-        Args:
-            policy: see `evaluate`, as are the next four.
-            num_episodes: at least.
-            seed: of the lots.
-            num_lots: side by side.
-            horizon: within which episodes begin [s].
-            values: other values of settings, see `ParkingEnv.with_values`; the same
-                settings in every call.
-
-        Raises:
-            ValueError: no episodes, or no time.
+        `values` are other values of settings, see `ParkingEnv.with_values`; the same
+        settings in every call.
         """
         require_count("num_episodes", num_episodes, 1)
         require_count("num_lots", num_lots, 1)
@@ -205,15 +192,10 @@ def _summarized(
 
 
 class Lots(NamedTuple):
-    """The lots of an evaluation; (num_lots,) int32 each.
+    """The lots of an evaluation; (num_lots,) int32 each."""
 
-    Attributes:
-        member: which member of a mixture a lot is of.
-        num_present: how many agents it has, if it has bays for them.
-    """
-
-    member: np.ndarray
-    num_present: np.ndarray
+    member: np.ndarray  # which member of a mixture a lot is of
+    num_present: np.ndarray  # how many agents it has, if it has bays for them
 
 
 def _make_lots(

@@ -45,47 +45,28 @@ def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Pa
     if found := contacts(result.episodes):
         data["contacts"] = found
     for name, groups in _groups(result).items():
-        stem = _FILES[name]
+        stem = {"family": "families", "vehicle": "vehicles"}.get(name, "agents_present")
         data[stem] = {key: groups[key] for key in groups if key != "all"}
+        rows: list[dict[str, Any]] = []
+        for group, summary in groups.items():
+            rows.append(
+                {name.replace(" ", "_"): group, "episodes": summary["episodes"]}
+            )
+            for outcome in ENDINGS:
+                rows[-1] |= {f"{outcome}_{x}": y for x, y in summary[outcome].items()}
         written.append(folder / f"{stem}.csv")
-        write_csv(written[-1], _group_rows(name, groups))
+        write_csv(written[-1], rows)
     write_json(written[1], data)
     return written
-
-
-_FILES = {
-    "family": "families",
-    "agents present": "agents_present",
-    "vehicle": "vehicles",
-}
 
 
 def _groups(result: Evaluation) -> dict[str, dict[str, dict[str, Any]]]:
     """Summaries by family, number of agents and kind of car, if there are several."""
     counts = {str(count): part for count, part in result.agent_counts.items()}
-    groups = {
-        "family": result.families,
-        "agents present": counts,
-        "vehicle": result.vehicles,
-    }
-    return {
-        name: {**parts, "all": result.summary}
-        for name, parts in groups.items()
-        if len(parts) > 1
-    }
-
-
-def _group_rows(column: str, groups: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """Episodes, counts, rates and intervals of every group."""
-    rows: list[dict[str, Any]] = []
-    for group, summary in groups.items():
-        row: dict[str, Any] = {column.replace(" ", "_"): group}
-        row["episodes"] = summary["episodes"]
-        for outcome in ENDINGS:
-            for name, value in summary[outcome].items():
-                row[f"{outcome}_{name}"] = value
-        rows.append(row)
-    return rows
+    groups = {"family": result.families, "agents present": counts}
+    groups["vehicle"] = result.vehicles
+    several = {name: parts for name, parts in groups.items() if len(parts) > 1}
+    return {name: {**parts, "all": result.summary} for name, parts in several.items()}
 
 
 def print_groups(name: str, groups: dict[str, dict[str, Any]]) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from carpark_mj.files import write_atomically
+from carpark_mj.files import write_text
 
 Rows = Sequence[Mapping[str, Any]]
 SHOWN_ROWS = 40  # of an HTML table; a longer one is folded
@@ -50,11 +50,7 @@ def print_rows(
 ) -> None:
     """Prints a table on the terminal.
 
-    Args:
-        rows: of the table.
-        title: above it.
-        left: columns beyond this number are right-aligned; None = no column is.
-        ends: rows below which a line is drawn.
+    Columns beyond the first `left` are right-aligned; lines follow the rows of `ends`.
     """
     # Here: only tables need rich.
     from rich.console import Console
@@ -92,14 +88,7 @@ def table(rows: Rows) -> str:
 def write_page(
     path: Path, title: str, notes: Sequence[str], parts: Sequence[tuple[str, str]]
 ) -> None:
-    """Writes an HTML page.
-
-    Args:
-        path: of the file.
-        title: its heading.
-        notes: paragraphs below it, plain text.
-        parts: headings and the HTML below each.
-    """
+    """Writes an HTML page with notes of plain text, and parts: headings and HTML."""
     body = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
     for heading, content in parts:
         body += f"<h2>{html.escape(heading)}</h2>\n{content}\n"
@@ -108,7 +97,7 @@ def write_page(
         f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>\n"
         f"<body><h1>{html.escape(title)}</h1>\n{body}</body></html>\n"
     )
-    write_atomically(path, lambda temporary: temporary.write_text(text))
+    write_text(path, text)
 
 
 def picture(path: Path) -> str:

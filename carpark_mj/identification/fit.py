@@ -30,26 +30,17 @@ RANK = 1e-4  # eigenvalue of the scaled information that derivatives can make of
 
 
 class Parameter(NamedTuple):
-    """How one number is sought; shares of the vehicle's value where `relative`.
+    """How one number is sought; shares of the vehicle's value where `relative`."""
 
-    Attributes:
-        unit: its unit.
-        relative: whether the others are shares.
-        least: lower bound.
-        step: for derivatives. It moves events, such as the closing of the holding
-            brake, by several substeps; less would take them for fixed.
-        doubt: standard deviation of the vehicle's value.
-        widest: half the longest interval of an identifiable number, a share of it.
-        needs: what makes it identifiable in a drive.
-    """
-
-    unit: str
-    relative: bool
-    least: float
+    unit: str  # its unit
+    relative: bool  # whether the others are shares
+    least: float  # lower bound
+    # for derivatives. It moves events, such as the closing of the holding brake, by
+    # several substeps; less would take them for fixed
     step: float
-    doubt: float
-    widest: float
-    needs: str
+    doubt: float  # standard deviation of the vehicle's value
+    widest: float  # half the longest interval of an identifiable number, a share of it
+    needs: str  # what makes it identifiable in a drive
 
 
 PARAMETERS = {
@@ -119,13 +110,8 @@ def identify(
     """Fits a log; see the module.
 
     A number is identifiable if half its interval is at most `Parameter.widest`; the
-    others keep the vehicle's values.
-
-    Args:
-        log: the log.
-        params: the vehicle where nothing is identifiable.
-        ahead: of the rear axle, the point whose positions are in the log [m].
-        sim_dt: substep of the simulation [s].
+    others keep the vehicle's values `params`. Positions in the log are those of a point
+    so far `ahead` of the rear axle [m]; `sim_dt` is the substep of the simulation [s].
     """
     problem = _Problem(Replay(log, params, ahead, sim_dt))
     unknown = np.maximum(0.0, problem.least + _WITHIN)
@@ -155,12 +141,8 @@ def identify(
 class _Problem:
     """Residuals of a replay, and their derivatives.
 
-    Attributes:
-        replay: the replay.
-        measured: (channels, n) where it is.
-        own: (p,) the vehicle's values.
-        least: (p + 4 pieces,) bounds of the unknowns.
-        noise: (channels,) standard deviations of what is measured.
+    `measured` (channels, n) says where it is, `own` (p,) are the vehicle's values,
+    `least` (p + 4 pieces,) bounds of the unknowns, `noise` (channels,) deviations.
     """
 
     def __init__(self, replay: Replay) -> None:
@@ -298,16 +280,9 @@ def place(name: str, log: DriveLog) -> str:
 
 
 def vehicle_text(name: str, sheet: Sheet, found: Identification, log: DriveLog) -> str:
-    """All parameters of a car as YAML, with the origin of each.
-
-    Args:
-        name: of the car.
-        sheet: the vehicle, which has what is not identifiable.
-        found: parameters from the log.
-        log: the log.
-    """
+    """All parameters of a car as YAML; the sheet has what is not identifiable."""
     values = dataclasses.asdict(sheet.params)
-    tyre = {f"tyre.{key}": value for key, value in values.pop("tyre").items()}
+    values |= {f"tyre.{key}": value for key, value in values.pop("tyre").items()}
     origins = dict.fromkeys(sheet.estimated, "estimated")
     lines = [
         "# Identified from the log of a test drive; intervals are at 95 %. What is not",
@@ -317,18 +292,20 @@ def vehicle_text(name: str, sheet: Sheet, found: Identification, log: DriveLog) 
         if place(key, log) != "vehicle file":
             lines.append(f"# {key} {_interval(key, estimate)}: {place(key, log)}")
             continue
-        full = f"tyre.{key}" if f"tyre.{key}" in tyre else key
+        full = f"tyre.{key}" if f"tyre.{key}" in values else key
         if estimate.identifiable:
-            (tyre if full in tyre else values)[full] = estimate.value
+            values[full] = estimate.value
             origins[full] = f"identified, {_interval(key, estimate)}"
-        elif full in values or full in tyre:
+        elif full in values:
             origins[full] = "not identifiable from the log"
+    tyre = [key for key in values if key.startswith("tyre.")]
+    rest = [key for key in values if key not in tyre]
     lines.append(_line("name", name, ""))
-    lines += [_line(key, value, origins.get(key, "")) for key, value in values.items()]
+    lines += [_line(key, values[key], origins.get(key, "")) for key in rest]
     lines.append("tyre:")
-    for key, value in tyre.items():
+    for key in tyre:
         part = key.removeprefix("tyre.")
-        lines.append("  " + _line(part, value, origins.get(key, "")))
+        lines.append("  " + _line(part, values[key], origins.get(key, "")))
     return "\n".join(lines) + "\n"
 
 

@@ -85,60 +85,36 @@ def read_log(path: Path) -> DriveLog:
     rows = read_csv(path)
     if not rows:
         raise ValueError(f"{path} has no rows")
-    names = [name.strip() for name in rows[0].cells]
-    known = {name.strip(): name for name in rows[0].cells if name.strip() in COLUMNS}
-    of = _quantities([*known], path)
-    missing = [
-        " or ".join(choice)
-        for choice in (("time",), STEERING, PEDAL)
-        if not {*choice} & {*of}
-    ]
+    names = {name.strip(): name for name in rows[0].cells}
+    needed = ("time",), STEERING, PEDAL
+    of: dict[str, str] = {}  # columns by quantity
+    for choice in (*needed, *zip((*POSE, *RATES))):
+        own = [x for x in names if x in COLUMNS and COLUMNS[x][0] in choice]
+        if len(own) > 1:
+            raise ValueError(f"{path} has {' and '.join(own)}: leave one of them out")
+        of |= {COLUMNS[name][0]: name for name in own}
+    missing = [" or ".join(choice) for choice in needed if not {*choice} & {*of}]
     seen = [group for group in (POSE, RATES) if {*group} <= {*of}]
     if not seen:
         missing.append("x, y and yaw or speed and yaw_rate")
     if missing:
         raise ValueError(f"{path} lacks the columns {'; '.join(missing)}")
-    for choice in (STEERING, PEDAL):
-        if {*choice} <= {*of}:
-            raise ValueError(
-                f"{path} has {' and '.join(choice)}: leave one of them out"
-            )
     values = {
-        quantity: np.array([_value(row, known[name], quantity) for row in rows])
+        quantity: np.array([_value(row, names[name], quantity) for row in rows])
         * COLUMNS[name][1]
         for quantity, name in of.items()
     }
-    steering, pedal = (
-        next(name for name in choice if name in of) for choice in (STEERING, PEDAL)
-    )
+    steering, pedal = (next(x for x in y if x in of) for y in (STEERING, PEDAL))
     measured = {name: values[name] for group in seen for name in group}
     if "yaw" in measured:
         there = np.isfinite(measured["yaw"])
         measured["yaw"][there] = np.unwrap(measured["yaw"][there])
-    log = DriveLog(
-        values["time"],
-        values[steering],
-        values[pedal],
-        (steering, pedal),
-        measured,
-        tuple(name for name in names if name not in COLUMNS),
-    )
+    time, ignored = values["time"], tuple(x for x in names if x not in COLUMNS)
+    commands = values[steering], values[pedal]
+    log = DriveLog(time, *commands, (steering, pedal), measured, ignored)
     for fault in _faults(log, values):
         raise ValueError(f"{path}: {fault}")
     return log
-
-
-def _quantities(names: list[str], path: Path) -> dict[str, str]:
-    """The columns by quantity."""
-    of: dict[str, str] = {}
-    for name in names:
-        quantity = COLUMNS[name][0]
-        if quantity in of:
-            raise ValueError(
-                f"{path} has {of[quantity]} and {name}: leave one of them out"
-            )
-        of[quantity] = name
-    return of
 
 
 def _value(row: CsvRow, column: str, quantity: str) -> float:

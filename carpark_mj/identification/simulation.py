@@ -61,15 +61,11 @@ class Recording(NamedTuple):
 
 
 class Replay:
-    """Simulates the cars of a log.
+    """Simulates the cars of a log; `recording` is the log in pieces.
 
-    Attributes:
-        log: the log.
-        recording: the log in pieces.
-        measured: (channels, n) in the order of `channels`; NaN where nothing is.
-        channels: names of the quantities measured.
-        own: what is sought, as the vehicle has it.
-        starts: (pieces, 4) x, y, yaw and speed with which the pieces begin, by the log.
+    Quantities `measured` (channels, n) are named by `channels`, NaN where nothing is;
+    `own` is what is sought, as the vehicle has it, and `starts` (pieces, 4) are x, y,
+    yaw and speed with which the pieces begin, by the log.
     """
 
     def __init__(
@@ -80,7 +76,6 @@ class Replay:
         sim_dt: float = SIM_DT,
     ) -> None:
         """Cuts the log; the arguments are those of `fit.identify`."""
-        self.log = log
         self.channels = tuple(n for n in (*POSE, *RATES) if n in log.measured)
         wheel = log.names[0] == "steering_wheel"
         pedal, full = _pedal(log, params)
@@ -107,26 +102,21 @@ class Replay:
         measured = np.stack([log.measured[name] for name in self.channels])
         self.measured = np.where(unmeasured, np.nan, measured)
         self._ahead, self._sim_dt = ahead, sim_dt
-        self.starts = self._guess(begin)
-        # In whole seconds, so that logs of one length share a compiled program.
-        self._steps = round(np.ceil(self.recording.moment.max() + 0.1) / sim_dt)
-
-    def _guess(self, begin: np.ndarray) -> np.ndarray:
-        log = self.log
         x, y, yaw = (
             log.at(name, begin) if name in self.channels else np.zeros_like(begin)
             for name in POSE
         )
-        x, y = x - self._ahead * np.cos(yaw), y - self._ahead * np.sin(yaw)
+        x, y = x - ahead * np.cos(yaw), y - ahead * np.sin(yaw)
         speed = np.interp(begin, log.time, log.speed)
-        return np.stack([x, y, yaw, np.where(abs(speed) < REST, 0.0, speed)], axis=-1)
+        speed = np.where(abs(speed) < REST, 0.0, speed)
+        self.starts = np.stack([x, y, yaw, speed], axis=-1)
+        # In whole seconds, so that logs of one length share a compiled program.
+        self._steps = round(np.ceil(self.recording.moment.max() + 0.1) / sim_dt)
 
     def simulate(self, sought: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """What would be measured (cars, channels, n).
 
-        Args:
-            sought: (cars, p) in the order of `Sought`.
-            starts: (cars, pieces, 4).
+        Of `sought` (cars, p) in the order of `Sought`, and `starts` (cars, pieces, 4).
         """
         with jax.enable_x64(True):
             columns = Sought(*(jnp.asarray(x)[:, None] for x in sought.T))
@@ -135,15 +125,8 @@ class Replay:
                 max_deceleration=columns.max_deceleration * self._scale[1],
                 patch_radius=columns.patch_radius / self.own.patch_radius,
             )
-            seen = _simulate(
-                self._vehicle,
-                self.recording,
-                scaled,
-                starts,
-                self._ahead,
-                self._sim_dt,
-                self._steps,
-            )
+            how = self._ahead, self._sim_dt, self._steps
+            seen = _simulate(self._vehicle, self.recording, scaled, starts, *how)
             return np.stack([np.asarray(seen[name]) for name in self.channels], axis=1)
 
 
@@ -252,23 +235,17 @@ def _simulate(
     steps: int,
 ) -> dict[str, jax.Array]:
     tyres = vehicle.tyres
-    vehicle = dataclasses.replace(
-        vehicle,
-        steering_offset=sought.steering_offset,
-        max_acceleration=sought.max_acceleration,
-        max_deceleration=sought.max_deceleration,
-        drive_lag=sought.drive_lag,
-        tyres=dataclasses.replace(
-            tyres,
-            rolling_resistance=sought.rolling_resistance,
-            lateral_relaxation=sought.lateral_relaxation,
-            lateral_stiffness=(sought.cornering_stiffness / sought.lateral_relaxation)[
-                ..., None
-            ]
-            * tyres.static_load,
-            torsion_stiffness=sought.patch_radius[..., None] * tyres.torsion_stiffness,
-        ),
+    stiffness = (sought.cornering_stiffness / sought.lateral_relaxation)[..., None]
+    tyres = dataclasses.replace(
+        tyres,
+        rolling_resistance=sought.rolling_resistance,
+        lateral_relaxation=sought.lateral_relaxation,
+        lateral_stiffness=stiffness * tyres.static_load,
+        torsion_stiffness=sought.patch_radius[..., None] * tyres.torsion_stiffness,
     )
+    own = ("steering_offset", "max_acceleration", "max_deceleration", "drive_lag")
+    changes = {name: getattr(sought, name) for name in own}
+    vehicle = dataclasses.replace(vehicle, tyres=tyres, **changes)
     wheels, masses = wheels_of(vehicle), mass_properties(vehicle)
     clock = recording.begin + sim_dt * jnp.arange(steps)[:, None, None]
     steer = jnp.interp(
@@ -313,11 +290,7 @@ def _start(
     hold = jnp.where(stands, vehicle.hold_deceleration, zero)
     steering = jnp.clip(steer, -1.0, 1.0) * vehicle.max_steering
     angle = steering + vehicle.steering_offset
-    spin, along, across = (
-        speed / vehicle.wheel_radius,
-        (jnp.cos(yaw), jnp.sin(yaw)),
-        (-jnp.sin(yaw), jnp.cos(yaw)),
-    )
+    spin, (cos, sin) = speed / vehicle.wheel_radius, (jnp.cos(yaw), jnp.sin(yaw))
     yaw_rate = speed * jnp.tan(angle) / vehicle.wheelbase
     # Stiffness per load and slip angle are equal at all wheels.
     slip = speed * yaw_rate / (GRAVITY * stiffness) + zero
@@ -327,11 +300,7 @@ def _start(
         quaternion=(jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)),
         steer=drive.ackermann(vehicle, angle),
         angle=(zero,) * len(WHEELS),
-        velocity=(
-            speed * along[0] + drift * across[0],
-            speed * along[1] + drift * across[1],
-            zero,
-        ),
+        velocity=(speed * cos - drift * sin, speed * sin + drift * cos, zero),
         angular=(zero, zero, yaw_rate),
         steer_rate=(zero, zero),
         spin=(spin,) * len(WHEELS),

@@ -15,19 +15,12 @@ CELL = 0.2  # m, spacing of the grid
 
 
 class Solids(NamedTuple):
-    """Obstacles that do not move.
+    """Obstacles that do not move."""
 
-    Attributes:
-        pose: (n, 3) centre poses of boxes.
-        size: (n, 2) length and width [m].
-        centre: (m, 2) of discs.
-        radius: (m,) [m].
-    """
-
-    pose: np.ndarray
-    size: np.ndarray
-    centre: np.ndarray
-    radius: np.ndarray
+    pose: np.ndarray  # (n, 3) centre poses of boxes
+    size: np.ndarray  # (n, 2) length and width [m]
+    centre: np.ndarray  # (m, 2) of discs
+    radius: np.ndarray  # (m,) [m]
 
     def with_boxes(self, pose: np.ndarray, size: np.ndarray) -> "Solids":
         """These and more boxes (k, 3), (k, 2)."""
@@ -68,11 +61,7 @@ class _Near(NamedTuple):
 
 
 class FreeSpace:
-    """The poses of a rectangle in a lot that are free of collisions.
-
-    Attributes:
-        extent: half widths (2,) of the lot about the origin [m].
-    """
+    """The poses of a rectangle in a lot that are free of collisions."""
 
     def __init__(
         self,
@@ -85,7 +74,7 @@ class FreeSpace:
 
         A grid takes some milliseconds, and pays for more than some hundred tests.
         """
-        self.extent = extent
+        self.extent = extent  # half widths (2,) of the lot about the origin [m]
         self._half = size[0] / 2, size[1] / 2
         x, y, yaw = solids.pose.T
         boxes = np.column_stack([x, y, np.cos(yaw), np.sin(yaw), solids.size / 2])
@@ -117,10 +106,7 @@ class FreeSpace:
         return _Near(list(boxes), list(discs))
 
     def is_free(self, x: float, y: float, yaw: float) -> bool:
-        """Whether the rectangle with this centre lies in the lot and touches nothing.
-
-        Its centre must be within the extent; it may reach beyond.
-        """
+        """Whether the rectangle touches nothing, with its centre within the extent."""
         column = math.floor((x + self.extent[0]) / CELL)
         row = math.floor((y + self.extent[1]) / CELL)
         cell = column, row
@@ -139,13 +125,12 @@ class FreeSpace:
             dx, dy = box.x - x, box.y - y
             c = abs(box.cos * cos + box.sin * sin)
             s = abs(box.sin * cos - box.cos * sin)
+            x_box, y_box = box.cos * dx + box.sin * dy, box.cos * dy - box.sin * dx
             if not (
                 abs(cos * dx + sin * dy) >= half_x + box.half_x * c + box.half_y * s
                 or abs(cos * dy - sin * dx) >= half_y + box.half_x * s + box.half_y * c
-                or abs(box.cos * dx + box.sin * dy)
-                >= box.half_x + half_x * c + half_y * s
-                or abs(box.cos * dy - box.sin * dx)
-                >= box.half_y + half_x * s + half_y * c
+                or abs(x_box) >= box.half_x + half_x * c + half_y * s
+                or abs(y_box) >= box.half_y + half_x * s + half_y * c
             ):
                 return False
         for disc_x, disc_y, radius in near.discs:

@@ -41,16 +41,12 @@ MOVES = 2  # aside, of every car
 
 
 class Answer(NamedTuple):
-    """What is possible in a lot.
+    """What is possible in a lot."""
 
-    Attributes:
-        drives: of every agent; one that does not park stands at its start or aside.
-        parks: (agents,) bool, whether the drive ends in the goal.
-        alone: (agents,) bool, whether there is a path in a lot without other agents.
-    """
-
+    # of every agent; one that does not park stands at its start or aside
     drives: list[Drive]
-    parks: np.ndarray
+    parks: np.ndarray  # (agents,) bool, whether the drive ends in the goal
+    # (agents,) bool, whether there is a path in a lot without other agents
     alone: np.ndarray
 
     @property
@@ -61,48 +57,33 @@ class Answer(NamedTuple):
 
 
 def solve(sights: Sequence[Sight], seconds: float, seed: int = 0) -> Answer:
-    """Plans how all agents of a lot park.
+    """Plans how all agents of a lot park, at rest at first, in `seconds` of an episode.
 
-    Args:
-        sights: what the agents see, at rest.
-        seconds: of an episode.
-        seed: of searches and orders.
+    `seed` is that of searches and orders.
     """
     return _Lot(sights, seed).solve(seconds)
 
 
 class _Turns(NamedTuple):
-    """Cars that have driven so far.
+    """Cars that have driven so far."""
 
-    Attributes:
-        standing: where each stands.
-        back: the poses of each from there to its start.
-        drives: of each.
-        moves: how often each has moved aside.
-        parks: (agents,) bool, which have parked.
-    """
-
-    standing: list[np.ndarray]
-    back: list[np.ndarray]
-    drives: list[Drive]
-    moves: np.ndarray
-    parks: np.ndarray
-
-    def drive(self, k: int, drive: Drive) -> None:
-        """Lets car k drive."""
-        self.drives[k], self.standing[k] = drive, drive.pose[-1]
+    standing: list[np.ndarray]  # where each stands
+    back: list[np.ndarray]  # the poses of each from there to its start
+    drives: list[Drive]  # of each
+    moves: np.ndarray  # how often each has moved aside
+    parks: np.ndarray  # (agents,) bool, which have parked
 
 
 class _Lot:
+    """Plans for the cars of a lot."""
+
     def __init__(self, sights: Sequence[Sight], seed: int) -> None:
         self._sights, self._seed = sights, seed
         self._size = [np.array([s.car.length, s.car.width]) for s in sights]
         self._wide = [size + 2 * MARGIN for size in self._size]
         self._starts = [np.asarray(sight.pose, float) for sight in sights]
-        self._space = [
-            FreeSpace(s.solids, tuple(size), s.extent)
-            for s, size in zip(sights, self._size, strict=True)
-        ]
+        pairs = zip(sights, self._size, strict=True)
+        self._space = [FreeSpace(s.solids, tuple(x), s.extent) for s, x in pairs]
         self._ways = [self._find_ways(k) for k in range(len(sights))]
         # Ways past the others where they stand, and with which effort they were sought.
         self._found: dict[Any, tuple[int, list[np.ndarray]]] = {}
@@ -132,22 +113,25 @@ class _Lot:
         """All cars drive; next is the first to park of some first in an order."""
         count, still = len(order), np.zeros(1, int)
         places = zip(self._starts, self._size, strict=True)
-        drives = [Drive(pose[None], still, size) for pose, size in places]
-        back, moves = [np.zeros((0, 3))] * count, np.zeros(count, int)
         turns = _Turns(
-            list(self._starts), back, drives, moves, parks=np.zeros(count, bool)
+            standing=list(self._starts),
+            back=[np.zeros((0, 3))] * count,
+            drives=[Drive(pose[None], still, size) for pose, size in places],
+            moves=np.zeros(count, int),
+            parks=np.zeros(count, bool),
         )
         while True:
             left = [k for k in order if not turns.parks[k] and self._ways[k]]
             drives = self._past_nobody(turns, left, breadth)
-            drives = drives or self._past_others(turns, left)
-            if not drives:
-                if self._make_way(turns, left):
-                    continue
+            if not drives:  # the first for which a way around the others is found
+                tried = (self._first(turns, k, self._around(turns, k)) for k in left)
+                drives = next(filter(None, tried), {})
+            if drives:
+                k = min(drives, key=lambda k: len(drives[k].point))
+                turns.drives[k], turns.standing[k] = drives[k], drives[k].pose[-1]
+                turns.parks[k] = True
+            elif not self._make_way(turns, left):
                 return turns
-            k = min(drives, key=lambda k: len(drives[k].point))
-            turns.drive(k, drives[k])
-            turns.parks[k] = True
 
     def _past_nobody(
         self, turns: _Turns, left: list[int], breadth: int
@@ -162,18 +146,17 @@ class _Lot:
                 break
         return found
 
-    def _past_others(self, turns: _Turns, left: list[int]) -> dict[int, Drive]:
-        """The drive of the first car for which a way around the others is found."""
-        tried = (self._first(turns, k, self._around(turns, k)) for k in left)
-        return next(filter(None, tried), {})
-
     def _make_way(self, turns: _Turns, left: list[int]) -> bool:
         """Moves a car that is in the way of another; whether it did."""
-        blocked = [
-            (other, np.concatenate([turns.back[k], way]), self._wide[k])
+        ways = [
+            (k, np.concatenate([turns.back[k], way]))
             for k in left
             for way in self._ways[k]
-            for other in self._hits(turns, k, np.concatenate([turns.back[k], way]))
+        ]
+        blocked = [
+            (other, way, self._wide[k])
+            for k, way in ways
+            for other in self._hits(turns, k, way)
             if not turns.parks[other] and turns.moves[other] < MOVES
         ]
         if any(self._move_aside(turns, *block, ASIDE) for block in blocked):
@@ -210,7 +193,7 @@ class _Lot:
                 continue
             found = self._first(turns, k, [pose])
             if found:
-                turns.drive(k, found[k])
+                turns.drives[k], turns.standing[k] = found[k], found[k].pose[-1]
                 pause = np.repeat(pose[:1], round(SHIFT_TIME / DT), axis=0)
                 turns.back[k] = np.concatenate([pose[::-1], pause, turns.back[k]])
                 turns.moves[k] += 1
@@ -296,11 +279,7 @@ Cell = tuple[int, int]
 
 
 def impossible(sights: Sequence[Sight]) -> np.ndarray:
-    """(agents,) bool, which cannot reach the goal alone, or only if another does not.
-
-    Args:
-        sights: what the agents of a lot see.
-    """
+    """(agents,) bool, who cannot reach the goal alone, or only if another does not."""
     discs = [_Disc(sight) for sight in sights]
     never = np.array([disc.start not in disc.left for disc in discs], bool)
     for a, b in itertools.combinations(np.flatnonzero(~never), 2):
@@ -312,10 +291,8 @@ def impossible(sights: Sequence[Sight]) -> np.ndarray:
 class _Disc:
     """The cells of a grid where the middle of a car may be.
 
-    Attributes:
-        radius: of the disc [m].
-        start: cell of the car, free or not.
-        left: steps to the goal from every cell that it can be reached from.
+    `start` is the cell of the car, free or not; `left` has the steps to the goal from
+    every cell that it can be reached from.
     """
 
     def __init__(self, sight: Sight) -> None:

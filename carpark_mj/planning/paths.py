@@ -52,21 +52,13 @@ def _ahead(pose: np.ndarray, distance: float) -> np.ndarray:
 
 
 class Segment(NamedTuple):
-    """A stretch in one gear; n points `STEP` apart.
+    """A stretch in one gear; n points `STEP` apart."""
 
-    Attributes:
-        pose: (n, 3) of the rear axle, yaw continuous.
-        gear: 1 forwards, -1 backwards.
-        distance: (n,) driven since its beginning [m].
-        steering: (n,) bicycle angle [rad].
-        speed: (n,) highest absolute speed [m/s]; 0 at the end.
-    """
-
-    pose: np.ndarray
-    gear: int
-    distance: np.ndarray
-    steering: np.ndarray
-    speed: np.ndarray
+    pose: np.ndarray  # (n, 3) of the rear axle, yaw continuous
+    gear: int  # 1 forwards, -1 backwards
+    distance: np.ndarray  # (n,) driven since its beginning [m]
+    steering: np.ndarray  # (n,) bicycle angle [rad]
+    speed: np.ndarray  # (n,) highest absolute speed [m/s]; 0 at the end
 
     @property
     def length(self) -> float:
@@ -75,15 +67,11 @@ class Segment(NamedTuple):
 
 
 class PlannedPath(NamedTuple):
-    """A path of a car to its goal.
+    """A path of a car to its goal."""
 
-    Attributes:
-        segments: at least one.
-        duration: estimated driving time [s]: at the segments' speeds, and with steering
-            while the car stands.
-    """
-
-    segments: tuple[Segment, ...]
+    segments: tuple[Segment, ...]  # at least one
+    # estimated driving time [s]: at the segments' speeds, and with steering while the
+    # car stands
     duration: float
 
     @property
@@ -105,9 +93,7 @@ class PlannedPath(NamedTuple):
 def make_path(pose: np.ndarray, car: VehicleParameters) -> PlannedPath | None:
     """Cuts points (n, 3) of the rear axle at changes of gear; None without a segment.
 
-    Args:
-        pose: points that follow each other by about `STEP`; repeated ones are dropped.
-        car: whose path it is.
+    The points follow each other by about `STEP`; repeated ones are dropped.
     """
     step = np.diff(pose[:, :2], axis=0)
     kept = np.hypot(*step.T) > STEP * 1e-3
@@ -169,14 +155,24 @@ def _segment(
     steering = np.arctan(car.wheelbase * curvature)
     steering = np.clip(steering, -car.max_steering, car.max_steering)
     steering = _average(distance, steering)
-    rate = np.abs(np.gradient(steering, distance)) if len(distance) > 1 else 0.0
-    limit = car.steering_rate / np.maximum(rate, 1e-6)
-    speed = np.clip(limit, CREEP, cruise)
+    speed = speed_limit(distance, steering, car, cruise)
     speed[-1] = 0.0
-    for point in range(len(speed) - 2, -1, -1):
-        room = 2 * BRAKING * (distance[point + 1] - distance[point])
-        speed[point] = min(speed[point], math.sqrt(speed[point + 1] ** 2 + room))
+    slow_down(speed, np.diff(distance), BRAKING)
     return Segment(pose, gear, distance, steering, speed)
+
+
+def speed_limit(
+    distance: np.ndarray, steering: np.ndarray, car: VehicleParameters, cruise: float
+) -> np.ndarray:
+    """Speeds (n,) at most `cruise` at which the wheels follow the steering (n,)."""
+    rate = np.abs(np.gradient(steering, distance))
+    return np.clip(car.steering_rate / np.maximum(rate, 1e-6), CREEP, cruise)
+
+
+def slow_down(speed: np.ndarray, gap: np.ndarray, rate: float) -> None:
+    """Lowers speeds (n,), `gap` (n - 1,) apart, to those that such braking allows."""
+    for k in range(len(gap) - 1, -1, -1):
+        speed[k] = min(speed[k], math.sqrt(speed[k + 1] ** 2 + 2 * rate * gap[k]))
 
 
 def _average(distance: np.ndarray, value: np.ndarray) -> np.ndarray:
@@ -201,45 +197,27 @@ PULLING_AWAY = 0.3  # m/s^2, more than the tyres' rolling resistance
 
 
 class Progress(NamedTuple):
-    """Progress of a car along its path.
+    """Progress of a car along its path."""
 
-    Attributes:
-        segment: index of the current segment; the number of segments at the end.
-        point: index of its nearest point.
-    """
-
-    segment: int = 0
-    point: int = 0
+    segment: int = 0  # index of the current segment; the number of segments at the end
+    point: int = 0  # index of its nearest point
 
 
 class Driven(NamedTuple):
-    """A car's motion.
+    """A car's motion."""
 
-    Attributes:
-        pose: (3,) of the rear axle.
-        speed: signed [m/s].
-        steering: bicycle angle [rad].
-    """
-
-    pose: np.ndarray
-    speed: float
-    steering: float
+    pose: np.ndarray  # (3,) of the rear axle
+    speed: float  # signed [m/s]
+    steering: float  # bicycle angle [rad]
 
 
 class Command(NamedTuple):
-    """The action of a control step, and the progress.
+    """The action of a control step, and the progress."""
 
-    Attributes:
-        steer: in [-1, 1].
-        pedal: in [-1, 1].
-        progress: input of the next step.
-        error: distance from the path [m].
-    """
-
-    steer: float
-    pedal: float
-    progress: Progress
-    error: float
+    steer: float  # in [-1, 1]
+    pedal: float  # in [-1, 1]
+    progress: Progress  # input of the next step
+    error: float  # distance from the path [m]
 
 
 def track(
@@ -255,7 +233,9 @@ def track(
     if number >= len(path.segments):
         return Command(0.0, brake(driven.speed, car, dt), progress, 0.0)
     segment = path.segments[number]
-    point = _nearest(segment, point, driven.pose)
+    # The nearest point, not before the last one.
+    ahead = segment.pose[point : point + AHEAD, :2] - driven.pose[:2]
+    point += int(np.argmin(np.hypot(ahead[:, 0], ahead[:, 1])))
     along, error, steering = _steer(segment, point, car, driven, dt)
     left = segment.length - along
     stands = abs(driven.speed) < STANDING
@@ -273,12 +253,6 @@ def track(
         limit, speed = min(limit, pace), abs(driven.speed)
         pedal = segment.gear * _pedal(speed, limit, left, car, dt)
     return Command(steering / car.max_steering, pedal, Progress(number, point), error)
-
-
-def _nearest(segment: Segment, point: int, pose: np.ndarray) -> int:
-    """The point nearest to a pose, not before a point."""
-    ahead = segment.pose[point : point + AHEAD, :2] - pose[:2]
-    return point + int(np.argmin(np.hypot(ahead[:, 0], ahead[:, 1])))
 
 
 def _steer(
@@ -303,10 +277,7 @@ def _steer(
 def _pedal(
     speed: float, limit: float, left: float, car: VehicleParameters, dt: float
 ) -> float:
-    """The pedal along the path, for a car that is not faster than it should be at most.
-
-    `limit` is the speed allowed here [m/s], `left` what is left of the segment [m].
-    """
+    """The pedal along the path with a speed limit [m/s], so far from its end [m]."""
     target = limit
     if speed < CREEP:
         speeds, distances = hold_distances()
@@ -333,11 +304,9 @@ def brake(speed: float, car: VehicleParameters, dt: float) -> float:
 
 @functools.cache
 def hold_distances() -> tuple[np.ndarray, np.ndarray]:
-    """Stopping distances of a car whose pedal is released, by its speed.
+    """Speeds (n,) up to `CREEP` [m/s] and stopping distances (n,) [m] from them.
 
-    Returns:
-        Speeds (n,) up to `CREEP` [m/s], and the distances (n,) in which the holding
-        brake of `compact` stops the car on level ground [m].
+    Of `compact` on level ground, by its holding brake once the pedal is released.
     """
     vehicle, dt = make_vehicle(COMPACT), 0.01
 

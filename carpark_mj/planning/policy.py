@@ -6,10 +6,9 @@ that are on its path or soon will be, stops for whatever is close, and plans aga
 it is stuck. The host decides, in NumPy.
 """
 
-import itertools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -56,44 +55,32 @@ MAX_PLANS = 6  # of an episode
 IN_TIME = 0.9  # of the time left: a path that takes longer is driven faster
 
 
+_NONE = np.zeros((0, 3))
+
+
 class Sight(NamedTuple):
-    """An agent and what surrounds it in a control step.
+    """An agent and what surrounds it in a control step."""
 
-    Attributes:
-        begins: whether its episode has just begun.
-        pose: (3,) of the footprint's centre.
-        speed: signed [m/s].
-        steering: [rad].
-        goal: the bay's middle, see `search`.
-        car: parameters of its car.
-        solids: obstacles at rest.
-        others: (k, 3) poses and (k, 2) sizes of the other agents.
-        extent: (2,) of the lot [m].
-        movers: (m, 3) poses, (m, 2) sizes and (m, 2) velocities of movers.
-    """
-
-    begins: bool
-    pose: np.ndarray
-    speed: float
-    steering: float
-    goal: np.ndarray
-    car: VehicleParameters
-    solids: Solids
+    begins: bool  # whether its episode has just begun
+    pose: np.ndarray  # (3,) of the footprint's centre
+    speed: float  # signed [m/s]
+    steering: float  # [rad]
+    goal: np.ndarray  # the bay's middle, see `search`
+    car: VehicleParameters  # parameters of its car
+    solids: Solids  # obstacles at rest
+    # (k, 3) poses and (k, 2) sizes of the other agents
     others: tuple[np.ndarray, np.ndarray]
-    extent: np.ndarray
+    extent: np.ndarray  # (2,) of the lot [m]
+    # (m, 3) poses, (m, 2) sizes and (m, 2) velocities of movers
     movers: tuple[np.ndarray, np.ndarray, np.ndarray] = (
-        np.zeros((0, 3)),
-        np.zeros((0, 2)),
-        np.zeros((0, 2)),
+        _NONE,
+        _NONE[:, 1:],
+        _NONE[:, 1:],
     )
 
 
 class Agent:
-    """One agent's path and how far it has driven it.
-
-    Attributes:
-        searches: of the running episode.
-    """
+    """One agent's path, how far it is on it, and its `searches` of this episode."""
 
     def __init__(
         self,
@@ -179,9 +166,8 @@ class Agent:
     ) -> bool:
         """Whether boxes (k, 3), (k, 2) leave a gap to the next stretch of the path."""
         reach = math.hypot(sight.car.length, sight.car.width) + way + gap
-        near = np.hypot(*(pose[:, :2] - sight.pose[:2]).T) < reach + size.max(
-            axis=-1, initial=0.0
-        )
+        reach = reach + size.max(axis=-1, initial=0.0)
+        near = np.hypot(*(pose[:, :2] - sight.pose[:2]).T) < reach
         path, (number, point) = self._path, self._progress
         if path is None or number == len(path.segments) or not near.any():
             return True
@@ -200,10 +186,8 @@ SLOW = 0.7  # of an episode, for which a path is slow: more are searched for
 class Planner:
     """Drives all agents of some lots; remembers their paths from step to step.
 
-    Attributes:
-        agents: their paths and progress, by number of lot and agent.
-        decisions: number of actions computed.
-        seconds: CPU time of these, searches included [s].
+    `agents` has them by number of lot and agent, `decisions` counts computed actions,
+    `seconds` is their CPU time, searches included [s].
     """
 
     def __init__(
@@ -219,12 +203,10 @@ class Planner:
         self.reset(seed)
 
     def reset(self, seed: int, first_lot: int = 0) -> None:
-        """Removes all paths and resets the counters, for other lots.
+        """Removes all paths and resets the counters, for lots from `first_lot` on.
 
-        Args:
-            seed: of the searches, another one for each lot and agent.
-            first_lot: number of the first lot of a batch that is part of a larger one:
-                the searches are then those of the larger one.
+        The searches of a batch that is part of a larger one are then those of the
+        larger one: each lot and agent has a seed of its own.
         """
         self.agents: dict[tuple[int, int], Agent] = {}
         self.decisions, self.seconds = 0, 0.0
@@ -239,20 +221,16 @@ class Planner:
         seen = jax.tree.map(np.asarray, seen)
         begun = time.thread_time()
         action = np.zeros((*seen["active"].shape, 2), np.float32)
-        for lot, agents in enumerate(_active(seen)):
-            solids = _solids(seen, lot)
-            for agent in agents:
-                sight = _sight(seen, lot, agent, solids)
-                action[lot, agent] = self._agent(lot, agent).act(sight)
+        for lot, sights in enumerate(_sights(seen)):
+            for agent, sight in sights.items():
+                if (lot, agent) not in self.agents:
+                    seed = self._seed, self._first_lot + lot, agent
+                    own = Agent(seed, self._dt, self._config, self._seconds)
+                    self.agents[lot, agent] = own
+                action[lot, agent] = self.agents[lot, agent].act(sight)
                 self.decisions += 1
         self.seconds += time.thread_time() - begun
         return action
-
-    def _agent(self, lot: int, agent: int) -> Agent:
-        if (lot, agent) not in self.agents:
-            seed = self._seed, self._first_lot + lot, agent
-            self.agents[lot, agent] = Agent(seed, self._dt, self._config, self._seconds)
-        return self.agents[lot, agent]
 
 
 def planner_policy(
@@ -268,16 +246,19 @@ def planner_policy(
     # A path that takes most of an episode leaves no time to wait or to plan again.
     slow = min(SearchConfig.slow, SLOW * seconds)
     planner = Planner(dt, seed, config or SearchConfig(slow=slow), seconds)
-    return StatePolicy(_callback(planner.act)), planner
+
+    def on_host(state: State) -> jax.Array:
+        seen, lead = _look(state), state.goal.shape
+        if len(lead) == 1:  # a lot alone
+            seen = jax.tree.map(lambda x: x[None], seen)
+        shape = jax.ShapeDtypeStruct((*seen["active"].shape, 2), jnp.float32)
+        return io_callback(planner.act, shape, seen).reshape(*lead, 2)
+
+    return StatePolicy(on_host), planner
 
 
 def require_plannable(env: ParkingEnv) -> None:
-    """Refuses environments that the planner cannot drive in.
-
-    Raises:
-        ValueError: OMPL is not installed, or agents choose their goals, or cars do not
-            obey a pedal.
-    """
+    """Refuses environments that the planner cannot drive in, and a lack of OMPL."""
     physics = env.config.physics_config
     if not (physics.steers and physics.actuated):
         raise ValueError(
@@ -292,21 +273,7 @@ def require_plannable(env: ParkingEnv) -> None:
 def sights(state: State) -> list[list[Sight]]:
     """What the present agents of lots see; of a state (lots, ...)."""
     seen = jax.tree.map(np.asarray, _look(state))
-    return [
-        [_sight(seen, lot, agent, _solids(seen, lot)) for agent in agents]
-        for lot, agents in enumerate(_active(seen))
-    ]
-
-
-def _callback(act: Callable[[dict[str, Any]], np.ndarray]) -> Any:
-    def on_host(state: State) -> jax.Array:
-        seen, lead = _look(state), state.goal.shape
-        if len(lead) == 1:  # a lot alone
-            seen = jax.tree.map(lambda x: x[None], seen)
-        shape = jax.ShapeDtypeStruct((*seen["active"].shape, 2), jnp.float32)
-        return io_callback(act, shape, seen).reshape(*lead, 2)
-
-    return on_host
+    return [[*sights.values()] for sights in _sights(seen)]
 
 
 def _look(state: State) -> dict[str, Any]:
@@ -344,16 +311,17 @@ def _look(state: State) -> dict[str, Any]:
 
 def _joined(name: str, groups: Sequence[Group]) -> dict[str, jax.Array]:
     """Poses, sizes and masks of groups (..., n) of one shape."""
-    masks = [
-        jnp.ones(g.pose_w.shape[:-1], bool) if g.mask is None else g.mask
+    rows = [
+        (
+            g.pose_w,
+            g.size,
+            jnp.ones(g.pose_w.shape[:-1], bool) if g.mask is None else g.mask,
+        )
         for g in groups
     ]
-    axis = masks[0].ndim - 1
-    return {
-        f"{name}_pose": jnp.concatenate([group.pose_w for group in groups], axis),
-        f"{name}_size": jnp.concatenate([group.size for group in groups], axis),
-        f"{name}_mask": jnp.concatenate(masks, axis),
-    }
+    axis, columns = rows[0][2].ndim - 1, zip(*rows, strict=True)
+    names = (f"{name}_{part}" for part in ("pose", "size", "mask"))
+    return {n: jnp.concatenate(x, axis) for n, x in zip(names, columns, strict=True)}
 
 
 def _outlines(group: Group) -> Boxes:
@@ -367,42 +335,36 @@ def _outlines(group: Group) -> Boxes:
     return Boxes(pose, size, velocity, group.mask)
 
 
-def _active(seen: dict[str, Any]) -> list[list[int]]:
-    """The agents of every lot that drive."""
-    return [np.flatnonzero(active).tolist() for active in seen["active"]]
+def _sights(seen: dict[str, Any]) -> Iterator[dict[int, Sight]]:
+    """What the agents of each lot see that drive."""
+    for lot, active in enumerate(seen["active"]):
+        own = jax.tree.map(lambda x, lot=lot: x[lot], seen)
 
+        def rows(name: str, *parts: str, own: Any = own) -> list[np.ndarray]:
+            there = own[f"{name}_mask"]
+            return [own[f"{name}_{part}"][there].astype(float) for part in parts]
 
-def _rows(seen: dict[str, Any], lot: int, name: str, *parts: str) -> list[np.ndarray]:
-    """Arrays `name_part` of what a lot has."""
-    there = seen[f"{name}_mask"][lot]
-    return [seen[f"{name}_{part}"][lot][there].astype(float) for part in parts]
-
-
-def _solids(seen: dict[str, Any], lot: int) -> Solids:
-    shapes = (_rows(seen, lot, name, "pose", "size") for name in ("box", "disc"))
-    return Solids(*itertools.chain(*shapes))
-
-
-def _sight(seen: dict[str, Any], lot: int, agent: int, solids: Solids) -> Sight:
-    pose = seen["pose"][lot].astype(float)
-    others = np.arange(len(pose)) != agent
-    moving_pose, moving_size, velocity = _rows(
-        seen, lot, "mover", "pose", "size", "velocity"
-    )
-    goal = seen["goal"][lot, agent].astype(float)
-    return Sight(
-        begins=bool(seen["begins"][lot, agent]),
-        pose=pose[agent],
-        speed=float(seen["speed"][lot, agent]),
-        steering=float(seen["steering"][lot, agent]),
-        goal=goal[None] if seen["one_way"][lot, agent] else goal,
-        # The arrays of a lot's cars have the names of the parameters of one.
-        car=jax.tree.map(lambda x: x[lot, agent].astype(float), seen["car"]),
-        solids=solids,
-        others=(pose[others], seen["size"][lot][others].astype(float)),
-        movers=(moving_pose, moving_size, velocity),
-        extent=seen["extent"][lot].astype(float),
-    )
+        solids = Solids(*rows("box", "pose", "size"), *rows("disc", "pose", "size"))
+        movers = rows("mover", "pose", "size", "velocity")
+        pose, size = own["pose"].astype(float), own["size"].astype(float)
+        sights: dict[int, Sight] = {}
+        for agent in np.flatnonzero(active).tolist():
+            others = np.arange(len(pose)) != agent
+            goal = own["goal"][agent].astype(float)
+            sights[agent] = Sight(
+                begins=bool(own["begins"][agent]),
+                pose=pose[agent],
+                speed=float(own["speed"][agent]),
+                steering=float(own["steering"][agent]),
+                goal=goal[None] if own["one_way"][agent] else goal,
+                # The arrays of a lot's cars have the names of the parameters of one.
+                car=jax.tree.map(lambda x, k=agent: x[k].astype(float), own["car"]),
+                solids=solids,
+                others=(pose[others], size[others]),
+                extent=own["extent"].astype(float),
+                movers=(movers[0], movers[1], movers[2]),
+            )
+        yield sights
 
 
 POLICIES.register("planner", lambda env: planner_policy(env)[0])

@@ -10,7 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carpark_mj.planning.paths import CREEP, SHIFT_TIME, PlannedPath, centre
+from carpark_mj.planning.paths import (
+    SHIFT_TIME,
+    PlannedPath,
+    centre,
+    slow_down,
+    speed_limit,
+)
 from carpark_mj.vehicle import VehicleParameters
 
 DT = 0.2  # s between instants
@@ -20,17 +26,12 @@ STOP = CRUISE / ACCELERATION  # s, least loss of a stop on the way
 
 
 class Drive(NamedTuple):
-    """What a car does from the beginning; afterwards it stands at the last pose.
+    """What a car does from the beginning; afterwards it stands at the last pose."""
 
-    Attributes:
-        pose: (n, 3) of the footprint's centre, without repetitions while it waits.
-        point: (t,) which of them, at instants `DT` apart.
-        size: (2,) length and width [m].
-    """
-
+    # (n, 3) of the footprint's centre, without repetitions while it waits
     pose: np.ndarray
-    point: np.ndarray
-    size: np.ndarray
+    point: np.ndarray  # (t,) which of them, at instants `DT` apart
+    size: np.ndarray  # (2,) length and width [m]
 
     def at(self, instants: np.ndarray) -> np.ndarray:
         """Which poses, at these instants (k,)."""
@@ -51,12 +52,12 @@ def instants(path: PlannedPath, car: VehicleParameters) -> np.ndarray:
         now += abs(float(segment.steering[0]) - wheels) / car.steering_rate
         now += SHIFT_TIME if times else 0.0
         wheels = float(segment.steering[-1])
-        turning = np.abs(np.gradient(segment.steering, segment.distance))
-        limit = np.clip(car.steering_rate / np.maximum(turning, 1e-6), CREEP, CRUISE)
-        speed = _speeds(limit, gap)
-        begun = now + np.concatenate(
-            [[0.0], np.cumsum(2 * gap / (speed[1:] + speed[:-1]))]
-        )
+        speed = speed_limit(segment.distance, segment.steering, car, CRUISE)
+        speed[[0, -1]] = 0.0
+        slow_down(speed[::-1], gap[::-1], ACCELERATION)
+        slow_down(speed, gap, ACCELERATION)
+        taken = 2 * gap / (speed[1:] + speed[:-1])
+        begun = now + np.concatenate([[0.0], np.cumsum(taken)])
         times.append(begun)
         poses.append(segment.pose)
         now = float(begun[-1])
@@ -64,21 +65,6 @@ def instants(path: PlannedPath, car: VehicleParameters) -> np.ndarray:
     yaw = np.unwrap(pose[:, 2])
     at = DT * np.arange(math.ceil(now / DT) + 1)
     return np.column_stack([np.interp(at, time, x) for x in (*pose[:, :2].T, yaw)])
-
-
-def _speeds(limit: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """Speeds (n,) from rest to rest, below limits (n,); `gap` (n - 1,) between."""
-    speed = limit.copy()
-    speed[0] = speed[-1] = 0.0
-    for k in range(1, len(speed)):
-        speed[k] = min(
-            speed[k], math.sqrt(speed[k - 1] ** 2 + 2 * ACCELERATION * gap[k - 1])
-        )
-    for k in range(len(speed) - 2, -1, -1):
-        speed[k] = min(
-            speed[k], math.sqrt(speed[k + 1] ** 2 + 2 * ACCELERATION * gap[k])
-        )
-    return speed
 
 
 def meet(

@@ -27,49 +27,28 @@ from carpark_mj.vehicle import VehicleParameters
 
 @dataclasses.dataclass(frozen=True)
 class SearchConfig:
-    """How paths are searched.
+    """How paths are searched."""
 
-    Attributes:
-        clearances: distances to keep from obstacles [m]; the first that leads to a path
-            counts.
-        spare_steering: share of the full lock that is left to the tracking controller.
-        step: longest extension of a tree [m].
-        paths: how many paths are searched for, at each clearance.
-        more_paths: how many more, at most, while the quickest takes longer than `slow`.
-        slow: [s].
-        max_tests: collision tests of a search, after which it is given up.
-        shorten_tests: collision tests that shorten a path.
-        resolution: distance between tested poses [m].
-    """
-
+    # distances to keep from obstacles [m]; the first that leads to a path counts
     clearances: tuple[float, ...] = (0.08, 0.05, 0.02)
+    # share of the full lock that is left to the tracking controller
     spare_steering: float = 0.05
-    step: float = 0.3
-    paths: int = 4
+    step: float = 0.3  # longest extension of a tree [m]
+    paths: int = 4  # how many paths are searched for, at each clearance
+    # how many more, at most, while the quickest takes longer than `slow`
     more_paths: int = 12
-    slow: float = 70.0
-    max_tests: int = 8_000
-    shorten_tests: int = 3_000
-    resolution: float = 0.05
-
-    @property
-    def most_searches(self) -> int:
-        """Largest number of searches at a clearance."""
-        return self.paths + self.more_paths
+    slow: float = 70.0  # [s]
+    max_tests: int = 8_000  # collision tests of a search, after which it is given up
+    shorten_tests: int = 3_000  # collision tests that shorten a path
+    resolution: float = 0.05  # distance between tested poses [m]
 
 
 class Search(NamedTuple):
-    """The result of a search.
+    """The result of a search."""
 
-    Attributes:
-        path: None if none was found.
-        seconds: CPU time [s].
-        clearance: distance kept from obstacles [m]; NaN without a path.
-    """
-
-    path: PlannedPath | None
-    seconds: float
-    clearance: float
+    path: PlannedPath | None  # None if none was found
+    seconds: float  # CPU time [s]
+    clearance: float  # distance kept from obstacles [m]; NaN without a path
 
 
 def search(
@@ -91,12 +70,10 @@ def search(
         extent: (2,) half widths of the lot [m].
         seed: of the random numbers; several numbers are one seed.
         config: of the search; the defaults if None.
-
-    Raises:
-        ValueError: OMPL is not installed.
     """
     config, begun = config or SearchConfig(), time.thread_time()
-    seeds = np.random.SeedSequence(seed).generate_state(config.most_searches).tolist()
+    most = config.paths + config.more_paths
+    seeds = np.random.SeedSequence(seed).generate_state(most).tolist()
     poses = _poses_in_bay(goal)
     for clearance in config.clearances:
         size = car.length + 2 * clearance, car.width + 2 * clearance
@@ -106,9 +83,8 @@ def search(
         here = rear_axle(car, start)
         ends = rear_axle(car, poses), rear_axle(car, poses[::-1])
         best: PlannedPath | None = None
-        for number in range(config.most_searches):
-            goals = ends[number % 2]
-            path = _connect(here, goals, space, car, config, seeds[number])
+        for number, own_seed in enumerate(seeds):
+            path = _connect(here, ends[number % 2], space, car, config, own_seed)
             if path and (best is None or path.duration < best.duration):
                 best = path
             is_slow = best is not None and best.duration > config.slow
@@ -123,9 +99,8 @@ def _poses_in_bay(goal: np.ndarray) -> np.ndarray:
     """Poses in a bay (n, 3), nose in and nose out, in the same order for both."""
     if goal.ndim == 2:
         return np.array([[*pose[:2], _wrap(pose[2])] for pose in goal])
-    return np.array(
-        sorted([*goal[:2], _wrap(goal[2] + turn)] for turn in (0.0, math.pi))
-    )
+    turned = ([*goal[:2], _wrap(goal[2] + turn)] for turn in (0.0, math.pi))
+    return np.array(sorted(turned))
 
 
 def _wrap(yaw: float) -> float:
@@ -175,17 +150,17 @@ def _connect(
     lock = car.max_steering * (1.0 - config.spare_steering)
     curves = base.ReedsSheppStateSpace(car.wheelbase / math.tan(lock))
     bounds = base.RealVectorBounds(2)
-    for axis, half in enumerate(space.extent):
-        bounds.setLow(axis, float(-half))
-        bounds.setHigh(axis, float(half))
+    for axis, half in enumerate(space.extent.tolist()):
+        bounds.setLow(axis, -half)
+        bounds.setHigh(axis, half)
     curves.setBounds(bounds)
     curves.setLongestValidSegmentFraction(config.resolution / curves.getMaximumExtent())
-    offset = car.centre_offset
 
     def is_free(state: Any) -> bool:
-        yaw = state.getYaw()
-        x = state.getX() + offset * math.cos(yaw)
-        return space.is_free(x, state.getY() + offset * math.sin(yaw), yaw)
+        (x, y, yaw), offset = _pose(state), car.centre_offset
+        return space.is_free(
+            x + offset * math.cos(yaw), y + offset * math.sin(yaw), yaw
+        )
 
     count = _Counter(is_free)
     setup = geometric.SimpleSetup(curves)
@@ -246,22 +221,19 @@ SEARCH = SearchConfig(clearances=(0.05, 0.02), paths=2, more_paths=0)
 def unreached(
     layout: Layout, car: VehicleParameters, count: int, seed: int = 0
 ) -> tuple[list[int], list[int]]:
-    """Plans paths to some bays while every other one holds a parked car.
+    """Plans paths to some bays while every other one holds a car of the same size.
 
     A path begins in one of the spawn regions nearest to the bay, at the place there
     that is nearest to it. The search is random, so a bay may be missed that has a path.
 
     Args:
         layout: no batch dimension.
-        car: that drives; the parked cars are of its size.
+        car: that drives.
         count: number of bays, drawn at random if there are more.
         seed: of the draw and of the searches.
 
     Returns:
         Indices of the bays that were tried, and of those without a path.
-
-    Raises:
-        ModuleNotFoundError: OMPL is not installed.
     """
     require_packages("ompl")
     bays = np.asarray(layout.bay_pose, float)
@@ -296,11 +268,10 @@ def _starts(layout: Layout, xy: np.ndarray) -> np.ndarray:
     dx, dy = (xy - pose[:, :2]).T
     along = np.clip(cosine * dx + sine * dy, -half[:, 0], half[:, 0])
     aside = np.clip(cosine * dy - sine * dx, -half[:, 1], half[:, 1])
-    found = pose.copy()
-    found[:, 0] += cosine * along - sine * aside
-    found[:, 1] += sine * along + cosine * aside
-    nearest = np.argsort(np.hypot(*(found[:, :2] - xy).T), kind="stable")
-    return found[nearest[:STARTS]]
+    pose[:, 0] += cosine * along - sine * aside
+    pose[:, 1] += sine * along + cosine * aside
+    nearest = np.argsort(np.hypot(*(pose[:, :2] - xy).T), kind="stable")
+    return pose[nearest[:STARTS]]
 
 
 def _has_path(
@@ -327,8 +298,6 @@ def _has_path(
         solids.centre[discs] - middle[:2],
         solids.radius[discs],
     )
-    goal = goal - middle
-    if layout.one_way is not None and layout.one_way[bay]:
-        goal = goal[None]
-    half = (high - low) / 2
+    one_way = layout.one_way is not None and layout.one_way[bay]
+    goal, half = (goal - middle)[None] if one_way else goal - middle, (high - low) / 2
     return search(start - middle, goal, near, car, half, seed, SEARCH).path is not None

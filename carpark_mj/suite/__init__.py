@@ -3,24 +3,7 @@
 Importing the package registers their layouts, cars, movers, environments and levels.
 """
 
-from carpark_mj.suite import (
-    busy,
-    environments,
-    hope,
-    lots,
-    metadrive,
-    parkbench,
-    scenario,
-    tpcap,
-)
+# They import the others: the cases of HOPE, TPCAP and MetaDrive.
+from carpark_mj.suite import busy, environments, lots, parkbench, scenario
 
-__all__ = [
-    "busy",
-    "environments",
-    "hope",
-    "lots",
-    "metadrive",
-    "parkbench",
-    "scenario",
-    "tpcap",
-]
+__all__ = ["busy", "environments", "lots", "parkbench", "scenario"]

@@ -65,11 +65,9 @@ def bay_x(column: Any) -> Any:
 
 
 def aisle_lot(aisle: jax.Array, absent: jax.Array) -> Layout:
-    """A lot; bays 0 to 9 are the lower row, 10 to 19 the upper one, from the left.
+    """A lot with an aisle of a width [m], without the bay `absent` (-1 = with all).
 
-    Args:
-        aisle: its width [m].
-        absent: number of a bay that the lot lacks; -1 = none.
+    Bays 0 to 9 are the lower row, 10 to 19 the upper one, from the left.
     """
     middle = aisle / 2 + LENGTH / 2
     x = bay_x(jnp.arange(COLUMNS))
@@ -150,12 +148,8 @@ def draw_case(number: int) -> dict[str, list[float]]:
     edge, across = side * aisle / 2, -side * math.pi / 2  # rows, and the way out of one
     between = bay_x(column) + WIDTH / 2  # two bays
     absent = -1
-    script: dict[str, Any] = {
-        "pause": 0.0,
-        "returns": 0.0,
-        "slowing": 0.0,
-        "direction": across,
-    }
+    script: dict[str, Any] = dict.fromkeys(("pause", "returns", "slowing"), 0.0)
+    script["direction"] = across
 
     def meet(depth: float) -> float:
         """Distance of a car at `PACE` as a person reaches its way."""
@@ -169,12 +163,9 @@ def draw_case(number: int) -> dict[str, list[float]]:
         script |= {"trigger": meet(depth) + draw(0.0, 2.0), "size": [CHILD, CHILD]}
     elif group == "backing_out":  # a car parked nose in
         absent = column + (COLUMNS if side > 0 else 0)
-        start = [
-            bay_x(column),
-            edge + side * LENGTH / 2,
-            math.remainder(across + math.pi, math.tau),
-        ]
-        script |= {"start": start, "distance": draw(2.5, aisle - 1.5)}
+        yaw = math.remainder(across + math.pi, math.tau)
+        script |= {"start": [bay_x(column), edge + side * LENGTH / 2, yaw]}
+        script |= {"distance": draw(2.5, aisle - 1.5)}
         script |= {"speed": draw(0.6, 1.2), "trigger": draw(6.0, 11.0)}
         script |= {"pause": draw(1.0, 4.0), "returns": 1.0}
         script |= {"size": [TPCAP_CAR.length, TPCAP_CAR.width]}
@@ -247,23 +238,16 @@ def pick(which: slice) -> Cases:
     return Cases(NAME, number, np.array(GROUPS)[group], layouts, start)
 
 
-@functools.partial(jax.jit)
+@jax.jit
+@jax.vmap
 def _begin(columns: Any, number: jax.Array, group: jax.Array) -> Any:
-    return jax.vmap(_case)(columns, number, group)
-
-
-def _case(columns: Any, number: jax.Array, group: jax.Array) -> Any:
     """The layout and the start of a case."""
     case = {
-        name: x * jnp.asarray(unit(name, x.shape[0]), jnp.float32)
-        for name, x in columns.items()
+        n: x * jnp.asarray(unit(n, len(x)), jnp.float32) for n, x in columns.items()
     }
-
-    def single(name: str) -> jax.Array:
-        return case[name][0]
-
+    case = {name: x[0] if len(x) == 1 else x for name, x in case.items()}
     key = jax.random.key(number)
-    layout = aisle_lot(single("aisle"), columns["absent"][0])
+    layout = aisle_lot(case["aisle"], columns["absent"][0])
     present = [
         jnp.isin(group, jnp.array([GROUPS.index(x) for x in names]))
         for names in (BY_PERSON, BY_BOX, ("crowded_aisle",))
@@ -271,10 +255,8 @@ def _case(columns: Any, number: jax.Array, group: jax.Array) -> Any:
     names = ("direction", "distance", "speed", "slowing", "pause", "trigger")
     script = dataclasses.replace(
         PERSON.init(key, layout),
-        start=case["start"],
-        **{name: single(name) for name in names},
-        returns=single("returns") > 0,
-        size=case["size"],
+        **{name: case[name] for name in ("start", *names, "size")},
+        returns=case["returns"] > 0,
         present=present[0],
     )
     crowd = CROWD.init(jax.random.fold_in(key, 1), layout)

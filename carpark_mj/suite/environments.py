@@ -1,4 +1,4 @@
-"""Environments of the suite: HOPE's levels, and one for any car in any scene."""
+"""Environments of the suite, and PPO's presets: HOPE's levels; any car in any scene."""
 
 import dataclasses
 
@@ -11,12 +11,14 @@ from carpark_mj.config import (
     SensorConfig,
     SpawnConfig,
 )
+from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.extensions import Entry
 from carpark_mj.layouts import mixture
 from carpark_mj.layouts.base import LAYOUTS, register_layout
 from carpark_mj.layouts.stored import ScaledConfig
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.registry import ANYWHERE, ENVIRONMENTS, OBSERVATION
+from carpark_mj.training.ppo import presets
 from carpark_mj.training.ppo.parts import PRESETS
 
 # HOPE's levels (docs/hard_cases.md): one car without noise among boxes, seen by rays.
@@ -78,7 +80,46 @@ VALET = dataclasses.replace(
     sensors=SensorConfig(position_noise=0.01, heading_noise=0.003, speed_noise=0.03),
 )
 
+# HOPE's levels: one car alone. There is nobody to collide with, and no set of cars to
+# read.
+HOPE_PPO = dataclasses.replace(
+    presets.SQUARE,
+    preset="hope",
+    num_steps=2_400_000_000,
+    lot_life=16,
+    unroll_length=64,
+    num_epochs=4,
+    half_precision=False,
+    curriculum=dataclasses.replace(
+        presets.SQUARE.curriculum,
+        crash_scale=2.0,
+        conflict_ratio=0.0,
+        reverse_ratio=0.5,
+        target_rate=0.99,
+    ),
+    networks=NetworkConfig((256, 256, 256), (256, 256, 256), encoder="flat"),
+    env=HOPE,
+)
+
+# One car alone in very different scenes. Drawing them compiles for minutes, so lots are
+# stored. With one agent a lot a GPU has time for more lots than `anywhere` has.
+VALET_PPO = dataclasses.replace(
+    presets.ANYWHERE,
+    preset="valet",
+    num_steps=1_570_000_000,
+    num_lots=16384,
+    stored_lots=12_288,
+    num_minibatches=64,
+    curriculum=dataclasses.replace(
+        presets.ANYWHERE.curriculum,
+        conflict_ratio=0.0,
+        reverse_ratio=0.4,
+        neighbour_share=0.0,
+    ),
+    env=VALET,
+)
+
 ENVIRONMENTS.register("hope", HOPE)
 ENVIRONMENTS.register("valet", VALET)
-PRESETS.register("hope", Entry("carpark_mj.suite.presets:HOPE", "GPU"))
-PRESETS.register("valet", Entry("carpark_mj.suite.presets:VALET", "GPU"))
+PRESETS.register("hope", Entry("carpark_mj.suite.environments:HOPE_PPO", "GPU"))
+PRESETS.register("valet", Entry("carpark_mj.suite.environments:VALET_PPO", "GPU"))

@@ -19,17 +19,7 @@ from carpark_mj.benchmarking.measuring import best_time
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.settings.tables import WORST, SuiteConfig
-from carpark_mj.config import (
-    EnvConfig,
-    EpisodeConfig,
-    FleetConfig,
-    JitterConfig,
-    MetricsConfig,
-    RandomizationConfig,
-    SensorConfig,
-    SpawnConfig,
-    find_rules,
-)
+from carpark_mj.config import EnvConfig, EpisodeConfig, SpawnConfig, find_rules
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row
 from carpark_mj.evaluation.evaluator import ended_episodes
@@ -56,11 +46,10 @@ from carpark_mj.suite.levels import (
     HOPE_LEVELS,
     Cases,
     CaseStart,
+    Progress,
     drive_moving_car,
     find_level,
-    init_progress,
     pick_cases,
-    require_aisle,
     require_filmed,
     reset_with_moving_car,
 )
@@ -89,6 +78,8 @@ from carpark_mj.vehicle import preset
 
 SECONDS = 100.0  # of an episode: HOPE's 200 actions of 0.5 s
 MOVING = ("person", "mover")  # what cars of a level with movers may hit
+# Settings of a policy's training that cases do without.
+PLAIN = "movers", "fleet", "jitter", "randomization", "sensors", "metrics"
 BLIND = (PLANNER, "zero", "random")  # policies that use no observation
 TIMED = 20  # calls of a policy whose shortest counts
 DRAWN = 4  # cases of a generated level in the picture of paths; all of published ones
@@ -100,46 +91,34 @@ def suite_env(
     with_moving_car: bool = False,
     vehicle: str = VEHICLE,
 ) -> EnvConfig:
-    """The environment of a policy with the suite's lots, car and rules.
+    """The environment of a policy's training with the suite's lots, car and rules.
 
-    Args:
-        env: of its training.
-        rule: when the car counts as parked.
-        with_moving_car: add a second agent, the moving car.
-        vehicle: preset or file of the car.
+    `rule` says when the car counts as parked; `vehicle` is a preset or file.
     """
     if not env.physics_config.steers:
         raise ValueError(
             "the suite's cases need a policy that steers a car, not one of "
             f"{env.physics_config.back_end} physics"
         )
-    if with_moving_car and env.goals.dynamic:
-        raise ValueError(
-            "a moving car needs policies with fixed goals, goals.dynamic = False"
-        )
-    alone = {"num_agents": 1, "min_agents": None, "occupancy": None}
-    # An occupancy turns off the check that every agent has a bay in every lot: that of
-    # the moving car is added to the held-out lots.
-    moving = {"num_agents": 2, "min_agents": 1, "occupancy": (0.0, 0.0)}
-    agents: dict[str, Any] = moving if with_moving_car else alone
+    agents: dict[str, Any] = {"num_agents": 1, "min_agents": None, "occupancy": None}
+    if with_moving_car:
+        if env.goals.dynamic:
+            raise ValueError(
+                "a moving car needs policies with fixed goals, goals.dynamic = False"
+            )
+        # An occupancy turns off the check that every agent has a bay in every lot: that
+        # of the moving car is added to the held-out lots.
+        agents = {"num_agents": 2, "min_agents": 1, "occupancy": (0.0, 0.0)}
+    steps = round(SECONDS / env.sim.ctrl_dt)
     return dataclasses.replace(
         env,
         layout=HopeConfig("extreme", "parallel"),
         vehicle=vehicle,
         num_parked_cars=0,
-        movers=(),
         **agents,
-        fleet=FleetConfig(),
-        jitter=JitterConfig(),
-        randomization=RandomizationConfig(),
-        sensors=SensorConfig(),
+        **{name: getattr(EnvConfig(), name) for name in PLAIN},
         spawn=SpawnConfig(close_ratio=0.0),
-        episode=EpisodeConfig(
-            parked_rule=rule,
-            max_steps=round(SECONDS / env.sim.ctrl_dt),
-            respawn=False,
-        ),
-        metrics=MetricsConfig(),
+        episode=EpisodeConfig(parked_rule=rule, max_steps=steps, respawn=False),
     )
 
 
@@ -161,7 +140,7 @@ class CaseEvaluator:
     """
 
     def __init__(self, env: ParkingEnv, filmed: bool = False) -> None:
-        """Takes the environment, one of `suite_env`, and whether films are made."""
+        """Takes one of `suite_env`, and whether films are made."""
         self.env, self._filmed = env, filmed
         self._reset = jax.jit(jax.vmap(functools.partial(_reset, env)))
         self._chunk = jax.jit(functools.partial(_chunk, env, filmed=filmed))
@@ -170,15 +149,10 @@ class CaseEvaluator:
     def drive(
         self, policy: AnyPolicy, cases: Cases, seed: int
     ) -> tuple[list[Row], Drives]:
-        """One episode in each case, side by side.
+        """One episode in each case, side by side; `seed` is the policy's.
 
-        Args:
-            policy: acting function; a planner must have been reset.
-            cases: to drive, with a moving car if the environment has one.
-            seed: of the policy's random numbers.
-
-        Returns:
-            A row for each, see `evaluation.catalogue`, and the driven paths.
+        A planner must have been reset. Returns a row for each case, see
+        `evaluation.catalogue`, and the driven paths.
         """
         count, moving = len(cases.number), self.env.num_agents > 1
         reset_key, act_key = jax.random.split(evaluation_key(seed))
@@ -187,7 +161,8 @@ class CaseEvaluator:
         if cases.start is not None and cases.start.parked is not None:
             # A user's scenario, whose start may be impossible.
             check_starts(self.env.config, cases.start.options, state)
-        carry = Carry(state, observation, init_progress(count) if moving else None)
+        begun = Progress(jnp.ones(count), jnp.zeros(count)) if moving else None
+        carry = Carry(state, observation, begun)
         policy, chunks = as_argument(policy), list[Any]()
 
         def chunk(carry: Carry, keys: jax.Array) -> Any:
@@ -197,7 +172,8 @@ class CaseEvaluator:
 
         quota = np.tile(np.arange(self.env.num_agents) == 0, (count, 1)).astype(int)
         ended = ended_episodes(chunk, carry, act_key, quota)
-        values = {int(which["lot"]): row for which, row in ended}
+        dt = self.env.config.sim.ctrl_dt
+        values = {int(which["lot"]): complete_row(row, dt) for which, row in ended}
         pose_w, steering, speed, movers = jax.tree.map(
             lambda *parts: np.concatenate(parts).swapaxes(0, 1), *chunks
         )
@@ -206,13 +182,11 @@ class CaseEvaluator:
             goal, parked = jax.device_get((state.goal[:, 0], state.parked_cars))
             scene = Scene(goal, parked, movers)
         drives = Drives(pose_w, steering, speed, scene)
-        rows: list[Row] = []
-        for lot, (number, kind) in enumerate(
-            zip(cases.number.tolist(), cases.kind.tolist(), strict=True)
-        ):
-            row = {"level": cases.level, "case": number, "kind": kind}
-            row |= complete_row(values[lot], self.env.config.sim.ctrl_dt)
-            rows.append(row)
+        which = zip(cases.number.tolist(), cases.kind.tolist(), strict=True)
+        rows = [
+            {"level": cases.level, "case": number, "kind": kind, **values[lot]}
+            for lot, (number, kind) in enumerate(which)
+        ]
         if self.env.config.movers:
             rows = list(map(_add_moving, rows, drives.speed[..., 0]))
         return rows, drives
@@ -298,22 +272,19 @@ def _choose_action(
 
 
 def require_cases(config: SuiteConfig) -> None:
-    """Refuses rules, levels and cases that there are not, or of which more is asked."""
+    """Refuses rules, cars, levels and cases that there are not."""
     find_rules(config.rule)
     preset(config.vehicle)
     if config.moving_car and config.vehicle != VEHICLE:
         raise ValueError(f"a moving car needs the vehicle {VEHICLE}, as it is one")
-    _require_numbers(config)
-    for level in config.levels:
-        if config.moving_car:
-            require_aisle(level)
-
-
-def _require_numbers(config: SuiteConfig) -> None:
-    """Refuses a first case that a level lacks, and more cases than any level has."""
     first = config.first_case
     counts = {level: len(find_level(level).numbers) for level in config.levels}
     for level, known in counts.items():
+        if config.moving_car and level not in HOPE_LEVELS:
+            raise ValueError(
+                f"moving_car needs an aisle: it drives in HOPE's levels only, not in "
+                f"level {level}"
+            )
         if not 0 <= first < known:
             raise ValueError(
                 f"first_case must be 0 to {known - 1}, not {first}: level "
@@ -355,91 +326,83 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
 
 def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn]:
     """Episodes, the driven paths of the worst ones, and the planner's first paths."""
-    evaluators: dict[EnvConfig, CaseEvaluator] = {}
-    policies: dict[tuple[str, EnvConfig], tuple[AnyPolicy, Planner | None]] = {}
-    envs: dict[tuple[str, str], EnvConfig] = {}
+
+    @functools.cache
+    def evaluator_of(env: EnvConfig) -> CaseEvaluator:
+        return CaseEvaluator(ParkingEnv(env), bool(config.videos))
+
+    tasks: dict[str, list[tuple[CaseEvaluator, AnyPolicy, Planner | None]]] = {}
     # All are refused before one of them drives.
     for name in config.policies:
         driver = find_driver(name)
         base = policy_env(name, driver.env, config)
-        for level in config.levels:
-            env_config = envs[name, level] = find_level(level).env(base)
-            if env_config not in evaluators:
-                evaluators[env_config] = CaseEvaluator(
-                    ParkingEnv(env_config), bool(config.videos)
-                )
-            env = evaluators[env_config].env
-            if (name, env_config) not in policies:
-                policies[name, env_config] = (
-                    planner_policy(env)
-                    if name == PLANNER
-                    else (driver.policy(env), None)
-                )
+        evaluators = [evaluator_of(find_level(x).env(base)) for x in config.levels]
+        pairs: dict[CaseEvaluator, tuple[AnyPolicy, Planner | None]] = {}
+        for each in evaluators:  # of levels with the same environment only one
+            if each not in pairs and name == PLANNER:
+                pairs[each] = planner_policy(each.env)
+            elif each not in pairs:
+                pairs[each] = driver.policy(each.env), None
+        tasks[name] = [(each, *pairs[each]) for each in evaluators]
     first = config.first_case
+    counts = [config.cases or len(find_level(x).numbers) - first for x in config.levels]
     cases = [
-        pick_cases(
-            level,
-            config.cases or len(find_level(level).numbers) - first,
-            first,
-            config.moving_car,
-        )
-        for level in config.levels
+        pick_cases(level, count, first, config.moving_car)
+        for level, count in zip(config.levels, counts, strict=True)
     ]
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}
     drawn: Drawn = []
-    for name, seed, part in itertools.product(config.policies, config.seeds, cases):
-        env_config = envs[name, part.level]
-        evaluator, (policy, planner) = (
-            evaluators[env_config],
-            policies[name, env_config],
-        )
-        if planner is not None:
-            planner.reset(seed, first)
-        rows, driven = evaluator.drive(policy, part, seed)
-        if planner is None:
-            seconds = evaluator.decision_time(policy, part)
-        else:
-            rows = [row | _plan(planner, lot) for lot, row in enumerate(rows)]
-            if seed == config.seeds[0]:
-                drawn += _drawn(planner, part)
-            seconds = planner.seconds / planner.decisions
-        level = find_level(part.level)
-        vehicle = level.vehicle or config.vehicle
-        which = {"policy": name, "seed": seed, "rule": level.rule or config.rule}
-        which |= {"held_out": level.fingerprint}
-        which |= {MOVING_CAR: 1} if config.moving_car else {}
-        which |= {CAR: vehicle} if vehicle != VEHICLE else {}
-        own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
-        rows = [which | row | own for row in rows]
-        episodes += rows
-        numbers = {key_of(row): number for number, row in enumerate(rows)}
-        for row in worst_first(rows)[:WORST]:
-            number, length = numbers[key_of(row)], round(row["length"])
-            drives[key_of(row)] = driven.of(number, length)
+    for name, seed in itertools.product(config.policies, config.seeds):
+        for part, task in zip(cases, tasks[name], strict=True):
+            evaluator, policy, planner = task
+            if planner is not None:
+                planner.reset(seed, first)
+            rows, driven = evaluator.drive(policy, part, seed)
+            if planner is None:
+                seconds = evaluator.decision_time(policy, part)
+            else:
+                rows = [row | _plan(planner, lot) for lot, row in enumerate(rows)]
+                if seed == config.seeds[0]:
+                    drawn += _drawn(planner, part)
+                seconds = planner.seconds / planner.decisions
+            level = find_level(part.level)
+            vehicle = level.vehicle or config.vehicle
+            which = {"policy": name, "seed": seed, "rule": level.rule or config.rule}
+            which |= {"held_out": level.fingerprint}
+            which |= {MOVING_CAR: 1} if config.moving_car else {}
+            which |= {CAR: vehicle} if vehicle != VEHICLE else {}
+            own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
+            rows = [which | row | own for row in rows]
+            episodes += rows
+            for row in worst_first(rows)[:WORST]:
+                number, length = rows.index(row), round(row["length"])
+                drives[key_of(row)] = driven.of(number, length)
     return episodes, drives, drawn
 
 
 def _plan(planner: Planner, lot: int) -> Row:
     """Results of the planner's first search in a lot."""
-    first = planner.searches(lot, 0)[0]
-    length = first.path.length if first.path else math.nan
-    planned = {"planned": float(first.path is not None), "planned_path": length}
-    return planned | {"planning_seconds": first.seconds}
+    path, seconds, _ = planner.searches(lot, 0)[0]
+    return {
+        "planned": float(path is not None),
+        "planned_path": path.length if path else math.nan,
+        "planning_seconds": seconds,
+    }
 
 
 def _drawn(planner: Planner, cases: Cases) -> Drawn:
-    """Titles, layouts and paths of the cases in the picture; none of drawn goals."""
+    """Titles, layouts and paths of the cases in the picture."""
     found: Drawn = []
     if cases.start is not None and cases.start.options.goal is None:
-        return found
+        return found  # of goals drawn at random
     generated = cases.level in (*HOPE_LEVELS, *EXTRA_LEVELS)
     count, name = DRAWN if generated else None, cases.level.partition(":")[0]
     for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path
-        result = "no path"
-        if path:
-            result = f"{path.length:.1f} m, {path.shifts} gear changes"
+        result = (
+            f"{path.length:.1f} m, {path.shifts} gear changes" if path else "no path"
+        )
         layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)
         found.append((f"{name} {number}: {result}", layout, path))
     return found

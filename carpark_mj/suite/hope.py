@@ -102,10 +102,8 @@ class HopeConfig(LayoutConfig):
         goal, room = _until(lambda key: _draw_room(self, key), room_key)
         corners = box_corners(room.pose, room.size)[..., 1]
         edge = jnp.max(jnp.where(room.mask[:, None], corners, 0.0)) + MARGIN
-        above = _draw_above(self, edge, above_key)
-        obstacles = _join(room, above)
-
-        taken = _join(obstacles, _Boxes(goal[None], bay[None], jnp.ones(1, bool)))
+        solid = _join(room, _draw_above(self, edge, above_key))
+        taken = _join(solid, _Boxes(goal[None], bay[None], jnp.ones(1, bool)))
 
         def draw_start(key: jax.Array) -> tuple[jax.Array, jax.Array]:
             pose = _draw_start(self, edge, key)
@@ -120,9 +118,7 @@ class HopeConfig(LayoutConfig):
         return assemble(
             (self.half_length + self.car.length, (top + WALL) / 2),
             bays((goal - middle)[None], bay),
-            walls(
-                obstacles.pose - middle, obstacles.size, WallKind.ISLAND, obstacles.mask
-            ),
+            walls(solid.pose - middle, solid.size, WallKind.ISLAND, solid.mask),
             spawns((start - middle)[None], (START, START), 0.0),
         )
 
@@ -193,27 +189,16 @@ def _stand(config: HopeConfig, x: jax.Array, tilt: jax.Array, setback: jax.Array
 
 
 class _Side(NamedTuple):
-    """Random numbers of one side of the goal.
+    """Random numbers of one side of the goal."""
 
-    Attributes:
-        solid: (), uniform, whether there is a solid obstacle.
-        angle: (2,) [rad] of the solid obstacle's face.
-        radius_key: of its distances.
-        gap: (cars,) uniform, between the cars.
-        taken: (cars,) uniform, whether there is a car.
-        tilt: (cars,) [rad] of the cars.
-        setback: () [m] of the cars.
-        shift: (cars,) [m] of each car beyond that.
-    """
-
-    solid: jax.Array
-    angle: jax.Array
-    radius_key: jax.Array
-    gap: jax.Array
-    taken: jax.Array
-    tilt: jax.Array
-    setback: jax.Array
-    shift: jax.Array
+    solid: jax.Array  # (), uniform, whether there is a solid obstacle
+    angle: jax.Array  # (2,) [rad] of the solid obstacle's face
+    radius_key: jax.Array  # of its distances
+    gap: jax.Array  # (cars,) uniform, between the cars
+    taken: jax.Array  # (cars,) uniform, whether there is a car
+    tilt: jax.Array  # (cars,) [rad] of the cars
+    setback: jax.Array  # () [m] of the cars
+    shift: jax.Array  # (cars,) [m] of each car beyond that
 
 
 def _draw_numbers(config: HopeConfig, key: jax.Array):
@@ -231,12 +216,8 @@ def _draw_numbers(config: HopeConfig, key: jax.Array):
     angle = _normal([*angle_keys], 2, math.pi / 24, math.pi / 12)
     shift = _normal([*shift_keys], count, 0.05, 0.1)
     solid, gap, taken = uniform[:2, 0], uniform[2:4], uniform[4:]
-    columns = angle, radius_keys, gap, taken, tilt[1:], setback[1:], shift
-    return (
-        tilt[0, 0],
-        setback[0],
-        [_Side(*x) for x in zip(solid, *columns, strict=True)],
-    )
+    columns = solid, angle, radius_keys, gap, taken, tilt[1:], setback[1:], shift
+    return tilt[0, 0], setback[0], [_Side(*x) for x in zip(*columns, strict=True)]
 
 
 def _split(keys: jax.Array, count: int) -> jax.Array:
@@ -254,19 +235,18 @@ def _draw_room(config: HopeConfig, key: jax.Array):
     left = _draw_side(config, goal, -1, (least / 5, high * 4 / 5), sides[0])
 
     def gap(side: _Boxes) -> jax.Array:
-        return jnp.where(
-            side.mask, box_distance(goal, size, side.pose, side.size), jnp.inf
-        ).min()
+        away = box_distance(goal, size, side.pose, side.size)
+        return jnp.where(side.mask, away, jnp.inf).min()
 
     at_left = gap(left)
     rest = [jnp.maximum(x - at_left, 0.0) + MARGIN for x in (low, high)]
     right = _draw_side(config, goal, 1, (rest[0], rest[1]), sides[1])
     at_right = gap(right)
-    behind = _Boxes(
+    wall = (
         jnp.array([[0.0, -WALL / 2, 0.0]]),
         jnp.array([[2 * config.half_length, WALL]]),
-        jnp.ones(1, bool),
     )
+    behind = _Boxes(*wall, jnp.ones(1, bool))
     room = _join(behind, left, right)
     total = at_left + at_right
     bay = size + 2 * MARGIN + ROUNDING
@@ -292,11 +272,9 @@ def _draw_side(
 def _draw_block(config, goal, way, gap, side: _Side) -> _Boxes:
     """A solid obstacle: a slanted face, and a box from there to the wall's end."""
     # The goal's corners on this side, the one at the aisle first.
-    if config.orientation == "parallel":
-        pick = (1, 2) if way < 0 else (0, 3)
-    else:
-        pick = (0, 1) if way < 0 else (3, 2)
-    corner = box_corners(goal, jnp.array(config.car.size, float))[jnp.array(pick)]
+    picks = {"parallel": ((1, 2), (0, 3)), "perpendicular": ((0, 1), (3, 2))}
+    pick = jnp.array(picks[config.orientation][way > 0])
+    corner = box_corners(goal, jnp.array(config.car.size, float))[pick]
     low, high = gap
     spread = jax.random.normal(side.radius_key, (2,), float) * (high - low) / 4
     radius = jnp.clip((low + high) / 2 + spread, low, high)
@@ -305,17 +283,13 @@ def _draw_block(config, goal, way, gap, side: _Side) -> _Boxes:
     along = top - bottom
     length = jnp.linalg.norm(along)
     outwards = way * jnp.array([along[1], -along[0]]) / length
-    face = jnp.append(
-        (top + bottom + FACE * outwards) / 2, jnp.arctan2(along[1], along[0])
-    )
+    middle = (top + bottom + FACE * outwards) / 2
+    face = jnp.append(middle, jnp.arctan2(along[1], along[0]))
     inner = jnp.maximum(way * top[0], way * bottom[0])
     width = jnp.maximum(config.half_length - inner, FACE)
     box = jnp.stack([way * (inner + width / 2), top[1] / 2, jnp.zeros_like(width)])
-    return _Boxes(
-        jnp.stack([face, box]),
-        jnp.array([[length, FACE], [width, top[1]]]),
-        jnp.ones(2, bool),
-    )
+    size = jnp.array([[length, FACE], [width, top[1]]])
+    return _Boxes(jnp.stack([face, box]), size, jnp.ones(2, bool))
 
 
 def _draw_cars(config, way, gap, side: _Side) -> _Boxes:
@@ -326,12 +300,8 @@ def _draw_cars(config, way, gap, side: _Side) -> _Boxes:
     gaps = low + (high - low) * side.gap
     gaps = gaps + MARGIN * (jnp.arange(count) > 0)
     shift = side.shift.at[0].set(0.0)
-    pose = _stand(
-        config,
-        way * jnp.cumsum(pitch + gaps),
-        side.tilt,
-        side.setback + jnp.cumsum(shift),
-    )
+    x, setback = way * jnp.cumsum(pitch + gaps), side.setback + jnp.cumsum(shift)
+    pose = _stand(config, x, side.tilt, setback)
     taken = (side.taken < FARTHER).at[0].set(True)
     size = jnp.broadcast_to(jnp.array(config.car.size, float), (count, 2))
     return _Boxes(pose, size, taken)

@@ -18,7 +18,6 @@ its start and its goal, the two ends of the aisle, are a spawn region and a bay.
 
 import dataclasses
 import functools
-import hashlib
 import io
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -61,62 +60,40 @@ if TYPE_CHECKING:
 
 
 class CaseStart(NamedTuple):
-    """How n cases begin.
+    """How n cases begin."""
 
-    Attributes:
-        key: (n,) keys, each of a case: of what moves and where others park.
-        options: (n, ...) starts and goals.
-        movers: (n, ...) states of the environment's movers.
-        parked: (n, cars) int32 bays of the parked cars; None = drawn.
-    """
-
-    key: jax.Array
-    options: ResetOptions
-    movers: tuple[Any, ...]
+    key: jax.Array  # (n,) keys, each of a case: of what moves and where others park
+    options: ResetOptions  # (n, ...) starts and goals
+    movers: tuple[Any, ...]  # (n, ...) states of the environment's movers
+    # (n, cars) int32 bays of the parked cars; None = drawn
     parked: jax.Array | None = None
 
 
 class Cases(NamedTuple):
-    """Some cases of a level.
+    """Some cases of a level."""
 
-    Attributes:
-        level: its name.
-        number: (n,) which of the level's.
-        kind: (n,) str, `parallel`, `perpendicular`, `published` of TPCAP's, `recorded`
-            of ParkBench's, `repeated` of scenarios, `drawn` of whole lots, or the car
-            of `sheets`.
-        layouts: (n, ...) of the same shapes in all of HOPE's levels.
-        start: how they begin; None = at the spawn region's middle.
-    """
-
-    level: str
-    number: np.ndarray
+    level: str  # its name
+    number: np.ndarray  # (n,) which of the level's
+    # (n,) str, `parallel`, `perpendicular`, `published` of TPCAP's, `recorded` of
+    # ParkBench's, `repeated` of scenarios, `drawn` of whole lots, the car of `sheets`
     kind: np.ndarray
-    layouts: Layout
+    layouts: Layout  # (n, ...) of the same shapes in all of HOPE's levels
+    # how they begin; None = at the spawn region's middle
     start: CaseStart | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class CaseLevel:
-    """A level: a fixed list of cases.
+    """A level: a fixed list of cases."""
 
-    Attributes:
-        numbers: of its cases.
-        sha256: of the data of its cases.
-        pick: its cases whose places in `numbers` are in a slice.
-        env: its environment, from that of the suite.
-        source: of its cases, for tables; empty = `Cases of` the level.
-        rule: parked rule of its environment; empty = the suite's.
-        vehicle: of its environment; empty = the suite's.
-    """
-
-    numbers: range
-    sha256: str
-    pick: Callable[[slice], Cases]
+    numbers: range  # of its cases
+    sha256: str  # of the data of its cases
+    pick: Callable[[slice], Cases]  # its cases whose places in `numbers` are in a slice
+    # its environment, from that of the suite
     env: Callable[[EnvConfig], EnvConfig] = lambda env: env
-    source: str = ""
-    rule: str = ""
-    vehicle: str = ""
+    source: str = ""  # of its cases, for tables; empty = `Cases of` the level
+    rule: str = ""  # parked rule of its environment; empty = the suite's
+    vehicle: str = ""  # of its environment; empty = the suite's
 
     @property
     def fingerprint(self) -> str:
@@ -138,21 +115,10 @@ METRE, RADIAN = 1e-3, 1e-4  # steps of the numbers in the file
 _POSE = np.array([METRE, METRE, RADIAN])
 
 
-class HeldOut(NamedTuple):
-    """The cases of a level."""
-
-    layouts: Layout  # (1000, ...), padded alike
-    parallel: np.ndarray  # (1000,) bool; the others are perpendicular
-
-
 def read_published(file: Path, sha256: str) -> dict[str, np.ndarray]:
     """The arrays of an archive in the package; ValueError if it was changed."""
     data = file.read_bytes()
-    if (found := hashlib.sha256(data).hexdigest()) != sha256:
-        raise ValueError(
-            f"{file} has other cases than the published ones: its SHA-256 is {found}, "
-            f"not {sha256}"
-        )
+    tpcap.require_published(file, data, sha256)
     with np.load(io.BytesIO(data)) as archive:
         return {name: archive[name] for name in archive.files}
 
@@ -164,13 +130,11 @@ def write_published(file: Path, arrays: Mapping[str, Any]) -> None:
 
 
 @functools.cache
-def load_held_out(level: Level) -> HeldOut:
-    """The held-out cases of a level, for the car `tpcap`."""
-    if level not in HOPE_LEVELS:
-        raise ValueError(f"unknown level {level!r}; choose from {sorted(HOPE_LEVELS)}")
+def load_held_out(level: Level) -> tuple[Layout, np.ndarray]:
+    """Held-out cases (1000, ...), padded alike, and which are parallel, for `tpcap`."""
     arrays = read_published(FILE, SHA256)
     part = {name: arrays[f"{level}_{name}"] for name in _NAMES}
-    return HeldOut(jax.vmap(_layout)(part), part["parallel"])
+    return jax.vmap(_layout)(part), part["parallel"]
 
 
 _NAMES = ("goal", "bay", "start", "wall", "size", "extent", "parallel")
@@ -192,50 +156,39 @@ def draw_cases(level: Level, count: int = CASES) -> dict[str, np.ndarray]:
     if level == "extreme":
         orientations = ("parallel",)
     first = TEST.start + HOPE_LEVELS.index(level) * CASES
-    layouts: list[Layout | None] = [None] * count
+    draws = [jax.jit(HopeConfig(level, turn).generate) for turn in orientations]
+    layouts: list[Layout] = []
     # In double precision: the rounded numbers are then the same on any machine.
     with jax.enable_x64(True):
-        for turn, orientation in enumerate(orientations):
-            draw = jax.jit(HopeConfig(level, orientation).generate)
-            for index in range(turn, count, len(orientations)):
-                key = lot_key(jnp.uint32(first + index))
-                layouts[index] = jax.device_get(draw(key))
-    cases = [layout for layout in layouts if layout is not None]
-    maxima = layout_maxima(cases)
-    stacked = [jax.device_get(pad_layout(case, maxima)) for case in cases]
+        for index in range(count):
+            draw, key = draws[index % len(draws)], lot_key(jnp.uint32(first + index))
+            layouts.append(jax.device_get(draw(key)))
+    maxima = layout_maxima(layouts)
+    stacked = [jax.device_get(pad_layout(layout, maxima)) for layout in layouts]
     lots = jax.tree.map(lambda *rows: np.stack(rows), *stacked)
     parallel = np.arange(count) % len(orientations) == len(orientations) - 1
 
-    def whole(value: np.ndarray, step: float | np.ndarray, kind: type) -> np.ndarray:
-        return np.rint(value / step).astype(kind)
-
-    return {
-        "goal": whole(lots.bay_pose[:, 0], _POSE, np.int16),
-        "bay": whole(lots.bay_size[:, 0], METRE, np.uint16),
-        "start": whole(lots.spawn_pose[:, 0], _POSE, np.int16),
-        "wall": whole(lots.wall_pose, _POSE, np.int16),
-        "size": whole(lots.wall_size, METRE, np.uint16),
-        "extent": whole(lots.extent, METRE, np.uint16),
-        "parallel": parallel,
-    }
+    poses = {"goal": lots.bay_pose[:, 0], "start": lots.spawn_pose[:, 0]}
+    poses["wall"] = lots.wall_pose
+    sizes = {"bay": lots.bay_size[:, 0], "size": lots.wall_size, "extent": lots.extent}
+    whole = {name: np.rint(x / _POSE).astype(np.int16) for name, x in poses.items()}
+    whole |= {name: np.rint(x / METRE).astype(np.uint16) for name, x in sizes.items()}
+    return {**{name: whole[name] for name in _NAMES[:-1]}, "parallel": parallel}
 
 
 def write(path: Path) -> None:
     """Draws all cases and writes them."""
-    arrays: dict[str, Any] = {
-        f"{level}_{name}": array
-        for level in HOPE_LEVELS
-        for name, array in draw_cases(level).items()
-    }
+    arrays: dict[str, Any] = {}
+    for level in HOPE_LEVELS:
+        arrays |= {f"{level}_{name}": x for name, x in draw_cases(level).items()}
     write_published(path, arrays)
 
 
 def _pick_hope(level: Level, which: slice) -> Cases:
     layouts, parallel = load_held_out(level)
-    maxima = layout_maxima([load_held_out(name).layouts for name in HOPE_LEVELS])
-    padded = jax.vmap(lambda layout: pad_layout(layout, maxima))(
-        jax.tree.map(lambda x: x[which], layouts)
-    )
+    maxima = layout_maxima([load_held_out(name)[0] for name in HOPE_LEVELS])
+    pad = jax.vmap(lambda layout: pad_layout(layout, maxima))
+    padded = pad(jax.tree.map(lambda x: x[which], layouts))
     kind = np.where(parallel[which], "parallel", "perpendicular")
     return Cases(level, np.arange(CASES)[which], kind, padded)
 
@@ -258,15 +211,6 @@ LEVELS[TPCAP_LEVEL] = CaseLevel(
 )
 
 
-def is_level(name: str) -> bool:
-    """Whether there is a level of this name, or files that are one."""
-    try:
-        find_level(name)
-    except ValueError:
-        return False
-    return True
-
-
 def find_level(level: str) -> CaseLevel:
     """A level by name; `ValueError` if there is none, or its files are faulty."""
     name, colon, path = level.partition(":")
@@ -279,15 +223,6 @@ def find_level(level: str) -> CaseLevel:
     files = (f"{name}:PATH" for name in FILE_LEVELS)
     known = ", ".join((*LEVELS, *EXTRA_LEVELS, *files))
     raise ValueError(f"level must be one of {known}, not {level!r}")
-
-
-def require_aisle(level: str) -> None:
-    """Refuses a moving car in levels other than HOPE's."""
-    if level not in HOPE_LEVELS:
-        raise ValueError(
-            f"moving_car needs an aisle: it drives in HOPE's levels only, not in level "
-            f"{level}"
-        )
 
 
 def require_filmed(level: str) -> None:
@@ -308,14 +243,7 @@ def in_order(levels: Iterable[str]) -> list[str]:
 def pick_cases(
     level: str, count: int, first: int = 0, with_moving_car: bool = False
 ) -> Cases:
-    """Cases of a level that follow each other, with a moving car or without.
-
-    Args:
-        level: name of the level.
-        count: how many.
-        first: how many of the level's are left out before them.
-        with_moving_car: in HOPE's levels; ignored in others.
-    """
+    """So many cases of a level from the `first` on; only HOPE's have a moving car."""
     cases = find_level(level).pick(slice(first, first + count))
     return add_ends(cases) if with_moving_car and level in HOPE_LEVELS else cases
 
@@ -380,10 +308,7 @@ def _line(cases: Cases) -> jax.Array:
 def reset_with_moving_car(
     env: "ParkingEnv", layout: Layout, key: jax.Array
 ) -> tuple[State, jax.Array]:
-    """Starts a lot of `add_ends` with two agents; see `ParkingEnv.reset_to_layout`.
-
-    The first is placed as if it were alone, then the moving car at its start.
-    """
+    """Starts a lot of `add_ends`: the first agent as if alone, then the moving car."""
     state, _ = env.reset_to_layout(layout, key, jnp.int32(1))
     own = jnp.arange(env.num_agents) == CAR
     pose_w = jnp.where(own[:, None], layout.spawn_pose[CAR], state.motion.pose_w)
@@ -399,11 +324,6 @@ def reset_with_moving_car(
     return state, observe(env.config, state)
 
 
-def init_progress(count: int) -> Progress:
-    """Of moving cars (count,) at their starts."""
-    return Progress(jnp.ones(count, jnp.float32), jnp.zeros(count, jnp.float32))
-
-
 @full_float32
 def drive_moving_car(
     state: State, progress: Progress, ctrl_dt: float
@@ -416,8 +336,12 @@ def drive_moving_car(
     whole = -to_local(goal, state.layout.spawn_pose[CAR])[0]
     # Back at its start it tries again.
     direction = jnp.where(remaining >= whole - STOPPING, 1.0, progress.direction)
-
-    blocked = _is_blocked(state, direction)
+    # Whether another car is on the next `LOOK_AHEAD` of its way.
+    length, width = motion.size[CAR]
+    ahead = jnp.zeros(3).at[0].set(direction * (length + LOOK_AHEAD) / 2)
+    size = jnp.stack([jnp.full_like(width, LOOK_AHEAD), width + 2 * GAP])
+    meets = boxes_overlap(to_world(pose, ahead), size, motion.pose_w, motion.size)
+    blocked = jnp.any(meets.at[CAR].set(False))
     waited = jnp.where(blocked, progress.waited + ctrl_dt, 0.0)
     gives_up = waited > PATIENCE
     after = Progress(
@@ -430,17 +354,6 @@ def drive_moving_car(
     held = stops & (jnp.abs(speed) < HOLD_SPEED)  # a pedal would drive it on
     pedal = jnp.where(held, 0.0, pedal)
     return jnp.stack([jnp.zeros_like(pedal), pedal]), after
-
-
-def _is_blocked(state: State, direction: jax.Array) -> jax.Array:
-    """() whether another car is on the next `LOOK_AHEAD` of its way."""
-    motion = state.motion
-    length, width = motion.size[CAR]
-    ahead = jnp.zeros(3).at[0].set(direction * (length + LOOK_AHEAD) / 2)
-    size = jnp.stack([jnp.full_like(width, LOOK_AHEAD), width + 2 * GAP])
-    pose = to_world(motion.pose_w[CAR], ahead)
-    meets = boxes_overlap(pose, size, motion.pose_w, motion.size)
-    return jnp.any(meets.at[CAR].set(False))
 
 
 def _pedal(state: State, target: jax.Array, ctrl_dt: float) -> jax.Array:

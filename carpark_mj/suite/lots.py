@@ -2,17 +2,22 @@
 
 - `metadrive`: MetaDrive's lot; the car drives in to a space or out of one to an exit.
 - `san_jose`, `dragon_lake`: parts of real car parks among parked cars.
-- `sheets`: twelve cars by data sheet in turn (`carpark_mj.suite.sheets`), in lots of
+- `sheets`: twelve cars by data sheet in turn, what a user would type in, in lots of
   `anywhere` from the test split. Where a car is longer than their bays, all of a lot is
   enlarged until it fits.
 
 Starts, goals and parked cars of a case follow from its number.
+
+Sheets are public, quoted from memory and rounded as printed: lengths, widths without
+mirrors, wheelbases, kerb masses, turning circles from kerb to kerb and driven axles.
+[est] marks estimates; `carpark_mj.vehicle.sheet` estimates what is missing.
 """
 
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,10 +34,9 @@ from carpark_mj.registry import ANYWHERE
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.levels import EXTRA_LEVELS, CaseLevel, Cases, CaseStart
 from carpark_mj.suite.metadrive import MetaDriveConfig
-from carpark_mj.suite.sheets import NAMES, read_sheets
 from carpark_mj.suite.tpcap import stack_layouts
 from carpark_mj.vehicle import VehicleParameters
-from carpark_mj.vehicle.sheet import parameters_text
+from carpark_mj.vehicle.sheet import car_of_sheet, parameters_text
 
 VERSION = 1
 CASES = 1000  # a level
@@ -49,22 +53,16 @@ def lots_level(
     env: Callable[[EnvConfig], EnvConfig],
     cars: Sequence[str] = (),
 ) -> CaseLevel:
-    """A level of whole lots.
+    """A level of whole lots; `draw` makes those (n, ...) of the numbers (n,) of cases.
 
-    Args:
-        name: of the level.
-        draw: lots (n, ...) of the numbers (n,) of cases.
-        env: its environment, from that of the suite.
-        cars: names of its fleet's cars, which cases have in turn; empty = the suite's.
+    `cars` are the names of its fleet's, which cases have in turn; empty = the suite's.
     """
 
     def pick(which: slice) -> Cases:
         number = np.arange(CASES)[which]
         keys = jax.vmap(jax.random.key)(number)
         kind = number % max(len(cars), 1)
-        options = ResetOptions(
-            kind=jnp.asarray(kind[:, None], jnp.int32) if cars else None
-        )
+        options = ResetOptions(kind=jnp.int32(kind[:, None]) if cars else None)
         kinds = np.array(cars)[kind] if cars else np.full(len(number), "drawn")
         return Cases(name, number, kinds, draw(number), CaseStart(keys, options, ()))
 
@@ -110,6 +108,44 @@ def _metadrive_env(env: EnvConfig) -> EnvConfig:
 
 
 EXTRA_LEVELS.register("metadrive", lots_level("metadrive", _metadrive, _metadrive_env))
+
+
+_COLUMNS = ("length", "width", "height", "wheelbase", "turning_circle", "kerb_weight")
+# Maker and model, drive and columns [m, kg].
+_ROWS: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "Smart fortwo (C453)": ("rear", (2.695, 1.663, 1.555, 1.873, 6.95, 900.0)),
+    "Suzuki Alto (HA36)": ("front", (3.395, 1.475, 1.500, 2.460, 8.4, 620.0)),
+    "Renault Twingo (III)": ("rear", (3.595, 1.646, 1.554, 2.492, 8.6, 940.0)),
+    "Mazda MX-5 (ND)": ("rear", (3.915, 1.735, 1.230, 2.310, 9.4, 1050.0)),
+    "VW Polo (VI)": ("front", (4.053, 1.751, 1.461, 2.548, 10.6, 1105.0)),
+    "VW ID.4": ("rear", (4.584, 1.852, 1.640, 2.771, 10.2, 2124.0)),
+    "Tesla Model 3": ("rear", (4.694, 1.849, 1.443, 2.875, 11.6, 1750.0)),
+    "Skoda Superb (III)": ("front", (4.869, 1.864, 1.469, 2.841, 11.1, 1485.0)),
+    # Its rear axle steers by up to 10 degrees.
+    "Mercedes S-Class, long": ("rear", (5.289, 1.921, 1.503, 3.216, 10.9, 2070.0)),
+    "Ford F-150 SuperCrew": ("rear", (5.890, 2.030, 1.961, 3.693, 14.6, 2150.0)),
+    "Ford Transit L3H2": ("front", (5.981, 2.059, 2.550, 3.750, 13.3, 2000.0)),
+    "Mercedes Sprinter L3H2": ("rear", (6.967, 2.020, 2.620, 4.325, 15.3, 2250.0)),
+}
+_MORE: Mapping[str, Mapping[str, Any]] = {
+    "Mercedes S-Class, long": {"rear_steering": "10 deg"},
+}
+NAMES = tuple(_ROWS)
+
+
+@functools.cache
+def read_sheets() -> Mapping[str, VehicleParameters]:
+    """The cars by maker and model, from the shortest to the longest."""
+    cars: dict[str, VehicleParameters] = {}
+    for name, (drive, row) in _ROWS.items():
+        sheet: dict[str, Any] = {
+            "drive": drive,
+            **dict(zip(_COLUMNS, row, strict=True)),
+        }
+        sheet["wheel_radius"] = 0.24 + 0.016 * row[0]  # [est]
+        sheet["tyre_width"] = 0.14 + 0.013 * row[0]  # [est]
+        cars[name] = car_of_sheet({**sheet, **_MORE.get(name, {})}).params
+    return cars
 
 
 def factor_for(car: VehicleParameters) -> float:

@@ -30,6 +30,7 @@ from carpark_mj.config.checks import Bounds
 from carpark_mj.layouts.build import assemble, bays, lanes, spawns, two_lanes, walls
 from carpark_mj.layouts.types import BayKind, Layout, WallKind
 from carpark_mj.registry import ENVIRONMENTS
+from carpark_mj.suite.tpcap import boxes_along
 
 LANE = 3.5  # m, width of a lane and of a space
 SPACE = 8.0  # m, length of a space
@@ -75,16 +76,13 @@ class MetaDriveConfig(LayoutConfig):
         """Builds the lot; the road comes from -x, and the junction lies at +x."""
         del key
         half = LANE / 2
-        first = ENTRANCE + BEND
-        space_x = first + LANE * np.arange(self.spaces // 2)
+        space_x = ENTRANCE + BEND + LANE * np.arange(self.spaces // 2)
         junction = space_x[-1] + BEND + SOCKET
         near, far = (junction + JUNCTION_BEND + offset for offset in (-half, 3 * half))
         arm_y = half + JUNCTION_BEND  # where the arms begin
         end_y = arm_y + ARM
         depth = half + BEND  # where spaces begin
-        outline = _outline(space_x, junction, (near, far))
         middle = np.array([far / 2, 0.0, 0.0])
-
         up, down = math.pi / 2, -math.pi / 2
         space_y = depth + SPACE / 2
         space = [(x, s * space_y, -s * up) for s in (-1, 1) for x in space_x]
@@ -104,12 +102,13 @@ class MetaDriveConfig(LayoutConfig):
             np.array([(near / 2, 0.0, 0.0), ((near + far) / 2, 0.0, up)]) - middle,
             np.array([(near, 2 * LANE), (2 * end_y, 2 * LANE)]),
         )
-        kerb_pose, kerb_size = _kerbs(outline - middle[:2])
+        kerbs = _outline(space_x, junction, (near, far)) - middle[:2]
+        ends = np.roll(kerbs, -1, axis=0)
         return assemble(
             (far / 2 + KERB, end_y + KERB),
             bays(np.array(space) - middle, (SPACE, LANE)),
             bays(np.array(exits) - middle, (ARM, LANE), BayKind.EXIT),
-            walls(kerb_pose, kerb_size, WallKind.KERB),
+            walls(*boxes_along(kerbs, ends, KERB, 1.0), WallKind.KERB),
             lanes(*roads, one_way=True),
             spawns(np.array(starts) - middle, STRAY, 0.0),
         )
@@ -140,17 +139,6 @@ def _corner(
     """Points of an arc from one angle [deg] to another about a solid corner."""
     angle = np.radians(np.linspace(begin, end, CHORDS + 1))
     return np.array(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], 1)
-
-
-def _kerbs(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes (n, 3), (n, 2) along the outside of a closed, clockwise outline (n, 2)."""
-    along = np.roll(outline, -1, axis=0) - outline
-    length = np.hypot(*along.T)
-    outwards = np.stack([-along[:, 1], along[:, 0]], axis=1) / length[:, None]
-    middle = outline + along / 2 + outwards * KERB / 2
-    yaw = np.arctan2(along[:, 1], along[:, 0])
-    pose = np.concatenate([middle, yaw[:, None]], axis=1)
-    return pose, np.stack([length, np.full_like(length, KERB)], axis=1)
 
 
 register_layout("metadrive", MetaDriveConfig())

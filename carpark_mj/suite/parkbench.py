@@ -37,7 +37,7 @@ from carpark_mj.layouts.types import BayEnd, Layout
 from carpark_mj.maps import RECORDED_CASES
 from carpark_mj.reading import parse_object, read_bytes, read_text
 from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases
-from carpark_mj.suite.tpcap import EDGE, case_layout, stack_layouts
+from carpark_mj.suite.tpcap import EDGE, Boxes, boxes_along, case_layout, stack_layouts
 
 NAME, HELD_OUT = "parkbench", "held_out"
 # As the paper draws it: 1.05 m behind to 3.9 m ahead of the rear axle.
@@ -48,11 +48,7 @@ KIND = "recorded"
 
 
 def read_parkbench(path: Path) -> Layout:
-    """Reads a case.
-
-    Raises:
-        ValueError: no such file, or no case in it.
-    """
+    """Reads a case; ValueError if there is none."""
     try:
         return parkbench_layout(parse_object(read_text(path), "the case"))
     except OSError as error:
@@ -62,11 +58,7 @@ def read_parkbench(path: Path) -> Layout:
 
 
 def parkbench_layout(data: Mapping[str, Any]) -> Layout:
-    """The lot of the object of a ParkBench file.
-
-    Raises:
-        ValueError: it has no such entries, or its car starts in an obstacle.
-    """
+    """The lot of the object of a ParkBench file; ValueError if it is none."""
     try:
         frame = data["Frames"]["0"]
         request = frame["PlanningRequest"]
@@ -86,13 +78,7 @@ def parkbench_layout(data: Mapping[str, Any]) -> Layout:
         ]
         pieces = [piece for line in lines for piece in itertools.pairwise(line)]
         points = np.array(pieces, float).reshape(-1, 2, 2)
-    except (
-        LookupError,
-        AttributeError,
-        ArithmeticError,
-        TypeError,
-        ValueError,
-    ) as error:
+    except Exception as error:  # of many kinds, about the form of the data
         raise ValueError(f"no case of ParkBench: {error!r}") from None
     poses[:, :2] += origin - frame_origin
     if not (np.isfinite(poses).all() and np.isfinite(points).all()):
@@ -104,16 +90,8 @@ def parkbench_layout(data: Mapping[str, Any]) -> Layout:
 
 
 def _lot(start: np.ndarray, goal: np.ndarray, pieces: list[np.ndarray]) -> Layout:
-    return case_layout(
-        PARKBENCH_CAR,
-        start,
-        goal,
-        pieces,
-        _wall,
-        MARGIN,
-        end=BayEnd.TAIL_FIRST,
-        clears_goal=True,
-    )
+    end = BayEnd.TAIL_FIRST
+    return case_layout(PARKBENCH_CAR, start, goal, pieces, _wall, MARGIN, end, True)
 
 
 def _distance(piece: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -124,25 +102,18 @@ def _distance(piece: np.ndarray, point: np.ndarray) -> np.ndarray:
     return np.linalg.norm(first + share[:, None] * along - point, axis=1)
 
 
-def _wall(piece: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def _wall(piece: np.ndarray) -> Boxes:
     """The wall along a piece (2, 2), on both sides of it."""
-    along = piece[1] - piece[0]
-    pose = np.append(piece.mean(axis=0), math.atan2(along[1], along[0]))
-    return [(pose, np.array([max(math.hypot(*along), EDGE), EDGE]))]
+    pose, size = boxes_along(piece[:1], piece[1:], EDGE)
+    return pose, np.maximum(size, EDGE)
 
 
 @functools.cache
 def parkbench_level(path: str) -> CaseLevel:
-    """The level of a folder of cases, or with `:held_out` of its other half.
-
-    Raises:
-        ValueError: the folder has no case of this half.
-    """
+    """The level of a folder of cases, or with `:held_out` of its other half."""
     folder = Path(path.removesuffix(f":{HELD_OUT}"))
     files = sorted(folder.glob("*.json"))
     numbers = range(int(path.endswith(f":{HELD_OUT}")), len(files), 2)
-    if not folder.is_dir():
-        raise ValueError(f"{folder} is no folder of ParkBench's files")
     if not numbers:
         raise ValueError(f"{folder} has only {len(files)} ParkBench files (*.json)")
     data = b"".join(read_bytes(files[number]) for number in numbers)

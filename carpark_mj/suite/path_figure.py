@@ -25,7 +25,6 @@ AROUND = 4.0  # m shown beyond start, goal and path
 BAR = 5.0  # m
 DPI = 160
 GEARS = {1: "tab:blue", -1: "tab:red"}
-GEAR_NAMES = {1: "forwards", -1: "backwards"}
 
 # Cases of the picture: titles, layouts and paths.
 Drawn = list[tuple[str, Layout, PlannedPath | None]]
@@ -34,7 +33,7 @@ Drawn = list[tuple[str, Layout, PlannedPath | None]]
 def plot_paths(file: Path, cases: Drawn, car: VehicleParameters) -> None:
     """Draws cases that a car drives into a PNG, each with a bar of `BAR` metres."""
     rows = -(-len(cases) // COLUMNS)
-    size = (COLUMNS * CELL[0], rows * CELL[1] + FOOT)
+    size = COLUMNS * CELL[0], rows * CELL[1] + FOOT
     figure = Figure(size, layout="constrained")
     axes = figure.subplots(rows, COLUMNS, squeeze=False)
     for axis in axes.flat[len(cases) :]:
@@ -42,23 +41,17 @@ def plot_paths(file: Path, cases: Drawn, car: VehicleParameters) -> None:
     for axis, (title, layout, path) in zip(axes.flat, cases, strict=False):
         axis.set_title(title.replace(": ", "\n"), fontsize=7)
         _draw(axis, layout, path, car)
-    figure.legend(
-        handles=[
-            Patch(fc="tab:blue", alpha=0.3, label="start"),
-            Patch(fc="tab:green", alpha=0.4, label="goal"),
-            Patch(fc="0.6", label="obstacle"),
-            *(
-                Line2D([], [], color=GEARS[gear], label=GEAR_NAMES[gear])
-                for gear in GEARS
-            ),
-            Patch(fc="none", ec="0.3", label="car at a change of gear"),
-            Line2D([], [], color="black", lw=2, label=f"{BAR:g} m"),
-        ],
-        loc="outside lower center",
-        ncols=COLUMNS,
-        fontsize=7,
-        frameon=False,
-    )
+    handles = [
+        Patch(fc="tab:blue", alpha=0.3, label="start"),
+        Patch(fc="tab:green", alpha=0.4, label="goal"),
+        Patch(fc="0.6", label="obstacle"),
+        Line2D([], [], color=GEARS[1], label="forwards"),
+        Line2D([], [], color=GEARS[-1], label="backwards"),
+        Patch(fc="none", ec="0.3", label="car at a change of gear"),
+        Line2D([], [], color="black", lw=2, label=f"{BAR:g} m"),
+    ]
+    style: dict[str, Any] = {"loc": "outside lower center", "frameon": False}
+    figure.legend(handles=handles, ncols=COLUMNS, fontsize=7, **style)
     write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=DPI))
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib.metadata
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -23,23 +22,20 @@ from carpark_mj.evaluation.tables import (
     video_figure,
     write_page,
 )
-from carpark_mj.files import write_atomically, write_csv
+from carpark_mj.files import write_csv, write_text
 from carpark_mj.geometry.obstacles import take
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import Recording
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_indices, write_video
-from carpark_mj.suite.levels import (
-    find_level,
-    in_order,
-    pick_cases,
-)
+from carpark_mj.suite.levels import find_level, in_order, pick_cases
 from carpark_mj.suite.path_figure import Drawn, plot_paths
 from carpark_mj.suite.results import (
     VEHICLE,
     Drives,
     Key,
+    by_policy,
     has_moving_car,
     key_of,
     vehicle_of,
@@ -69,6 +65,10 @@ FASTER = 4  # times: 100 s last 25 s
 FPS = 10.0
 HOLD = 10  # frames that the last one stays
 FOLDER = "videos"
+_WORST = (  # columns of the page's tables of the worst cases
+    *("case", "seed", "kind", "outcome", "length", "path", "gear_changes"),
+    "final_distance",
+)
 AMONG = {  # columns of such levels, and what they are means of
     "hit person": "hit_person",
     "hit mover": "hit_mover",
@@ -86,12 +86,8 @@ def write_report(
 ) -> list[dict[str, Any]]:
     """Writes all files of the suite and prints the table; returns the table's rows.
 
-    Args:
-        folder: where; made if it is missing.
-        episodes: all of them.
-        drives: driven paths of the worst ones.
-        drawn: cases of the picture of paths.
-        num_videos: of the worst cases of each policy and level.
+    `drives` are those of the worst episodes, `drawn` the cases of the picture of paths;
+    `num_videos` are made of each policy and level.
     """
     folder.mkdir(parents=True, exist_ok=True)
     pictures: list[Path] = []
@@ -104,10 +100,12 @@ def write_report(
     head = header(episodes)
     written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
     written += write_results(folder, head, rows, episodes, pictures, {})
-    print_results(rows, head[0])
+    shown = [shown_cells(row) | {"level": short_level(row["level"])} for row in rows]
+    cells = [{k: x for k, x in row.items() if k in PRINTED} for row in shown]
+    print_rows(cells, head[0], left=2)
     if len({row["level"] for row in rows}) > 1:
         print_rows(by_level(rows), "Parked [%] with Wilson's 95 % interval", left=1)
-    parts = parts_of(episodes).values()
+    parts = by_policy(episodes).values()
     worst = [row for part in parts for row in worst_first(part)[:num_videos]]
     if videos := make_videos(folder, worst, drives):  # once more, with them
         write_results(folder, head, rows, episodes, pictures, videos)
@@ -124,22 +122,12 @@ def require_gl() -> None:
 def make_videos(
     folder: Path, rows: Sequence[Row], drives: Mapping[Key, Drives]
 ) -> dict[Key, Path]:
-    """Draws episodes from above, `FASTER` times as fast as driven.
-
-    Args:
-        folder: the videos' folder is made in it.
-        rows: the episodes.
-        drives: their driven paths.
-
-    Returns:
-        The files.
-    """
+    """Films episodes from above, `FASTER` times as fast as driven; the files."""
     videos: dict[Key, Path] = {}
     for row in rows:
-        key = key_of(row)
-        policy = quote(key.policy, safe="")  # of runs the whole path
-        level = quote(key.level, safe="")
-        path = folder / FOLDER / f"{policy}-{level}-{key.seed}-{key.case}.mp4"
+        key = key_of(row)  # with policies by the whole paths of their runs
+        name = "-".join(quote(str(part), safe="") for part in key)
+        path = folder / FOLDER / f"{name}.mp4"
         path.parent.mkdir(exist_ok=True)
         _write(path, recording_of(row, drives[key]), drives[key], vehicle_of(row))
         videos[key] = path
@@ -196,13 +184,13 @@ def _write(path: Path, recording: Recording, drive: Drives, vehicle: str) -> Non
 
 def made_with() -> str:
     """The processor and the versions of the packages that results depend on."""
-    versions = []
+    made = jax.devices()[0].device_kind
     for package in PACKAGES:
         try:
-            versions.append(f"{package} {importlib.metadata.version(package)}")
+            made += f", {package} {importlib.metadata.version(package)}"
         except importlib.metadata.PackageNotFoundError:
-            versions.append(f"{package} not installed")
-    return f"{jax.devices()[0].device_kind}, {', '.join(versions)}"
+            made += f", {package} not installed"
+    return made
 
 
 def header(episodes: Sequence[Row]) -> list[str]:
@@ -213,7 +201,7 @@ def header(episodes: Sequence[Row]) -> list[str]:
         about = find_level(level)
         source = f"{about.source or f'Cases of {level}'} (SHA-256 {about.fingerprint})"
         found = {row["case"] for row in episodes if row["level"] == level}
-        counts = f"{len(found)} of {_short(level)} ({_ranges(found)})"
+        counts = f"{len(found)} of {short_level(level)} ({_ranges(found)})"
         parts.setdefault(source, []).append(counts)
     cases = "; ".join(f"{x}: {', '.join(found)}" for x, found in parts.items())
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
@@ -235,13 +223,10 @@ def header(episodes: Sequence[Row]) -> list[str]:
 
 def _ranges(numbers: Iterable[int]) -> str:
     """Whole numbers, those that follow each other as a range: 0 to 3, 7."""
-    shown: list[str] = []
-    for _, pairs in itertools.groupby(
-        enumerate(sorted(numbers)), lambda pair: pair[1] - pair[0]
-    ):
-        run = [number for _, number in pairs]
-        shown.append(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]))
-    return ", ".join(shown)
+    found = np.array(sorted(numbers))
+    runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
+    ends = (dict.fromkeys((run[0], run[-1])) for run in runs)
+    return ", ".join(" to ".join(map(str, both)) for both in ends)
 
 
 def shown_cells(row: Mapping[str, Any]) -> dict[str, str]:
@@ -274,31 +259,20 @@ def by_level(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
     for row in rows:  # all kinds of a level are its last row
         found[row["policy"]][row["level"]] = shown_cells(row)["parked [%]"]
     return [
-        {"policy": policy, **{_short(x): cell for x, cell in cells.items()}}
+        {"policy": policy, **{short_level(x): cell for x, cell in cells.items()}}
         for policy, cells in found.items()
     ]
 
 
-def _short(level: str) -> str:
+def short_level(level: str) -> str:
     """A level's name, of a path its last part."""
     name, colon, path = level.partition(":")
     return f"{name}{colon}{Path(path).name}"
 
 
 def _number(value: Any, digits: int) -> str:
-    if not isinstance(value, float):
-        return str(value)
-    return "–" if math.isnan(value) else f"{value:.{digits}f}"
-
-
-def print_results(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Prints the table; files have more columns."""
-    cells = [
-        {name: cell for name, cell in shown_cells(row).items() if name in PRINTED}
-        | {"level": _short(row["level"])}
-        for row in rows
-    ]
-    print_rows(cells, title, left=2)
+    shown = f"{value:.{digits}f}" if isinstance(value, float) else str(value)
+    return "–" if shown == "nan" else shown
 
 
 def write_results(
@@ -311,84 +285,44 @@ def write_results(
 ) -> list[Path]:
     """Writes `suite.md`, `suite.csv` and `suite.html`; returns them.
 
-    Args:
-        folder: where.
-        head: see `header`.
-        rows: of the table.
-        episodes: all of them.
-        pictures: PNG files for the page.
-        videos: of episodes, for the page, in the same folder or below it.
+    `head` is that of `header`, `rows` are the table; the page has the `pictures` (PNG)
+    and links to the `videos`, which lie in the folder or below it.
     """
     cells = [shown_cells(row) for row in rows]
     tables = {"Results": cells}
     if len({row["level"] for row in rows}) > 1:
         tables = {"Parked [%] by level": by_level(rows), **tables}
     shown = [part for cells in tables.values() for part in ("", markdown(cells))]
-    text = "\n".join([f"# {head[0]}", "", *head[1:], *shown]) + "\n"
     files = [folder / name for name in ("suite.md", "suite.csv", "suite.html")]
-    write_atomically(files[0], lambda temporary: temporary.write_text(text))
-    write_csv(
-        files[1],
-        [
-            row | {"by seed": " ".join(map(str, row["by seed"]))}
-            for row in map(dict, rows)
-        ],
-    )
+    write_text(files[0], "\n".join([f"# {head[0]}", "", *head[1:], *shown]) + "\n")
+    seeds = (" ".join(map(str, row["by seed"])) for row in rows)
+    columns = zip(rows, seeds, strict=True)
+    write_csv(files[1], [{**row, "by seed": rates} for row, rates in columns])
     parts = [(title, table(cells)) for title, cells in tables.items()]
     parts += [(path.stem.capitalize(), picture(path)) for path in pictures]
-    for which, part in parts_of(episodes).items():
-        worst = worst_first(part)[:WORST]
-        shown = "".join(
-            video_figure(videos[key_of(row)], files[2], _caption(row))
-            for row in worst
-            if key_of(row) in videos
-        )
-        parts.append(
-            (f"Worst cases of {which}", table(list(map(_described, worst))) + shown)
-        )
+    for which, part in by_policy(episodes).items():
+        described, shown = [], ""
+        for row in worst_first(part)[:WORST]:
+            outcome = next(name for name in ENDINGS if row[name]).replace("_", " ")
+            described.append({n: outcome if n == "outcome" else row[n] for n in _WORST})
+            if video := videos.get(key_of(row)):
+                caption = f"case {row['case']}, seed {row['seed']}: {outcome}"
+                shown += video_figure(video, files[2], caption)
+        parts.append((f"Worst cases of {', '.join(which)}", table(described) + shown))
     write_page(files[2], head[0], head[1:], parts)
     return files
 
 
-def parts_of(episodes: Sequence[Row]) -> dict[str, list[Row]]:
-    """Episodes by policy and level."""
-    parts: dict[str, list[Row]] = {}
-    for row in episodes:
-        parts.setdefault(f"{row['policy']}, {row['level']}", []).append(row)
-    return parts
-
-
-def _outcome(row: Row) -> str:
-    return next(name for name in ENDINGS if row[name]).replace("_", " ")
-
-
-def _caption(row: Row) -> str:
-    """Caption of a video."""
-    return f"case {row['case']}, seed {row['seed']}: {_outcome(row)}"
-
-
-def _described(row: Row) -> dict[str, Any]:
-    """One of the worst cases, as a row of the page's table."""
-    which = {name: row[name] for name in ("case", "seed", "kind")}
-    columns = ("length", "path", "gear_changes", "final_distance")
-    return which | {"outcome": _outcome(row)} | {name: row[name] for name in columns}
-
-
 def worst_first(rows: Sequence[Row]) -> list[Row]:
     """Episodes in order: crashes, then timeouts, then the slowest."""
-    return sorted(
-        rows, key=lambda row: (-row["crashed"], row["parked"], -row["length"])
-    )
+    return sorted(rows, key=lambda x: (-x["crashed"], x["parked"], -x["length"]))
 
 
 def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """A row of results for every level and kind of a policy.
+    """A row of results for every level and kind of a policy, of all episodes.
 
-    Args:
-        policy: its name.
-        rows: all episodes of the suite, of `CaseEvaluator`, with the names of their
-            policies and their seeds. Those of the planner also have `planned`, whether
-            it found a path, `planned_path`, its length [m], and `planning_seconds`.
+    Those of the planner also have `planned`, whether it found a path, `planned_path`,
+    its length [m], and `planning_seconds`.
     """
     plans = {
         (row["seed"], row["level"], row["case"]): row["planned_path"]
@@ -410,18 +344,20 @@ def table_rows(policy: str, rows: Sequence[Row]) -> list[dict[str, Any]]:
 def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str, Any]:
     summary, seeds = summarize(rows), sorted({row["seed"] for row in rows})
     cases = len({row["case"] for row in rows})
-    ratios = []
-    for row in rows:
-        planned = plans.get((row["seed"], row["level"], row["case"]), 0.0)
-        if row["parked"] and planned > 0:
-            ratios.append(row["path"] / planned)
+    found = [plans.get((x["seed"], x["level"], x["case"]), 0.0) for x in rows]
+    pairs = zip(rows, found, strict=True)
+    ratios = [row["path"] / x for row, x in pairs if row["parked"] and x > 0]
     rate = summary["parked"]["rate"]
     # The same case with another seed is not another case.
     low, high = wilson_interval(rate * cases, cases)
     decision = _mean(rows, "ms / decision")
-    moving = has_moving_car(rows)
     among = [row for row in rows if "least_gap" in row]
-    speeds = [row["contact_speed"] for row in among if row["contact_speed"] > 0]
+    hits = {name: _mean(among, key) for name, key in AMONG.items()} if among else {}
+    if has_moving_car(rows):
+        hits = {"hit moving car": summary["hit_agent"]["rate"], **hits}
+    if among:
+        speeds = [row["contact_speed"] for row in among if row["contact_speed"] > 0]
+        hits["fastest contact [m/s]"] = max(speeds, default=math.nan)
     return {
         "cases": cases,
         "seeds": len(seeds),
@@ -429,13 +365,10 @@ def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str,
         "low": low,
         "high": high,
         "by seed": [
-            _mean([row for row in rows if row["seed"] == seed], "parked")
-            for seed in seeds
+            _mean([x for x in rows if x["seed"] == k], "parked") for k in seeds
         ],
         "crashed": summary["crashed"]["rate"],
-        **({"hit moving car": summary["hit_agent"]["rate"]} if moving else {}),
-        **({name: _mean(among, key) for name, key in AMONG.items()} if among else {}),
-        **({"fastest contact [m/s]": max(speeds, default=math.nan)} if among else {}),
+        **hits,
         "timed out": summary["timed_out"]["rate"],
         "path found": _mean(rows, "planned"),
         "gear changes": summary["gear_changes"],

@@ -33,11 +33,7 @@ from carpark_mj.reading import (
     read_object,
     require_entries,
 )
-from carpark_mj.suite.levels import (
-    find_level,
-    in_order,
-    is_level,
-)
+from carpark_mj.suite.levels import find_level, in_order
 from carpark_mj.types import ENDINGS, ParkedCars
 
 MOVING_CAR = "moving_car"  # column of episodes in which one drives through the aisle
@@ -45,17 +41,11 @@ CAR, VEHICLE = "vehicle", "tpcap"  # column of episodes with another car than th
 
 
 class Scene(NamedTuple):
-    """What else a film of n cases shows; leaves have n in front.
+    """What else a film of n cases shows; leaves have n in front."""
 
-    Attributes:
-        goal: (n,) int32 bays.
-        parked_cars: as the cases began.
-        movers: obstacles that move by themselves, (n, t, ...).
-    """
-
-    goal: np.ndarray
-    parked_cars: ParkedCars
-    movers: tuple[Group, ...]
+    goal: np.ndarray  # (n,) int32 bays
+    parked_cars: ParkedCars  # as the cases began
+    movers: tuple[Group, ...]  # obstacles that move by themselves, (n, t, ...)
 
 
 class Drives(NamedTuple):
@@ -63,18 +53,12 @@ class Drives(NamedTuple):
 
     Values after the last step of an episode are meaningless. The first of the a agents
     parks.
-
-    Attributes:
-        pose_w: (n, t, a, k, 3) footprint centres.
-        steering: (n, t, a) bicycle angles at the end of the steps [rad].
-        speed: (n, t, a) signed speeds at the end of the steps [m/s].
-        scene: of films; None where none is made. Files lack it.
     """
 
-    pose_w: np.ndarray
-    steering: np.ndarray
-    speed: np.ndarray
-    scene: Scene | None = None
+    pose_w: np.ndarray  # (n, t, a, k, 3) footprint centres
+    steering: np.ndarray  # (n, t, a) bicycle angles at the end of the steps [rad]
+    speed: np.ndarray  # (n, t, a) signed speeds at the end of the steps [m/s]
+    scene: Scene | None = None  # of films; None where none is made. Files lack it
 
     def of(self, case: int, length: int) -> "Drives":
         """A case (1, ...) with its first control steps."""
@@ -127,23 +111,18 @@ def vehicle_of(row: Row) -> str:
 def write_run(
     folder: Path, episodes: Sequence[Row], drives: Mapping[Key, Drives]
 ) -> list[Path]:
-    """Writes both files; returns them.
-
-    Args:
-        folder: where.
-        episodes: all of them; numbers that one lacks are left empty.
-        drives: of some of them, n = 1 each.
-    """
-    columns = list(dict.fromkeys(name for row in episodes for name in row))
+    """Writes and returns both files; `drives` are of some episodes, n = 1 each."""
     cases = folder / CASES_FILE
-    write_csv(cases, [{n: row.get(n, "") for n in columns} for row in episodes])
+    write_csv(cases, episodes)
     length = max(drive.speed.shape[1] for drive in drives.values())
-    arrays = {
-        name: np.concatenate([_pad(getattr(x, name), length) for x in drives.values()])
-        for name in PATHS
-    }
-    keys = zip(Key._fields, zip(*drives, strict=True), strict=True)
-    arrays |= {name: np.array(column) for name, column in keys}
+    arrays: dict[str, Any] = {}
+    for name in PATHS:
+        parts = [getattr(drive, name) for drive in drives.values()]
+        shape = len(parts), length, *parts[0].shape[2:]
+        arrays[name] = np.zeros(shape, parts[0].dtype)
+        for row, part in zip(arrays[name], parts, strict=True):
+            row[: part.shape[1]] = part[0]
+    arrays |= {n: np.array([getattr(key, n) for key in drives]) for n in Key._fields}
     worst = folder / WORST_FILE
 
     def write(temporary: Path) -> None:
@@ -154,18 +133,15 @@ def write_run(
     return [cases, worst]
 
 
-def _pad(array: np.ndarray, length: int) -> np.ndarray:
-    more = [(0, 0)] * array.ndim
-    more[1] = (0, length - array.shape[1])
-    return np.pad(array, more)
-
-
 def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
     """Reads and combines what `write_run` wrote into folders."""
     episodes: dict[Key, Row] = {}
     drives: dict[Key, Drives] = {}
     for folder in folders:
-        for row in _read_cases(folder / CASES_FILE):
+        cases = read_csv(folder / CASES_FILE, *_TEXT, *_WHOLE, *_NEEDED)
+        if not cases:
+            raise ValueError(f"{folder / CASES_FILE} holds no episode")
+        for row in map(_parse, cases):
             key = key_of(row)
             if key in episodes:
                 raise ValueError(
@@ -184,38 +160,28 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
     _require_one("with and without a moving car", (r.get(MOVING_CAR, 0) for r in rows))
     _require_one("under different rules", (row["rule"] for row in rows))
     _require_one("of different cars", map(vehicle_of, rows))
+    for (policy, _), own in by_policy(rows).items():
+        columns = (tuple(sorted(row.keys() - {*_PLANNED})) for row in own)
+        _require_one(f"of {policy} with different columns", columns)
     for policy in {row["policy"] for row in rows}:
-        own = [row for row in rows if row["policy"] == policy]
-        for level in {row["level"] for row in own}:
-            columns = (
-                tuple(sorted(row.keys() - {*_PLANNED}))
-                for row in own
-                if row["level"] == level
-            )
-            _require_one(f"of {policy} with different columns", columns)
         # Devices may differ: what stands before the first comma.
-        versions = (row["made_with"].partition(", ")[2] for row in own)
+        made = (row["made_with"] for row in rows if row["policy"] == policy)
+        versions = (text.partition(", ")[2] for text in made)
         _require_one(f"of {policy} with different versions", versions)
     return rows, drives
+
+
+def by_policy(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
+    """Episodes by policy and level."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((row["policy"], row["level"]), []).append(row)
+    return found
 
 
 def _require_one(what: str, values: Iterable[Any]) -> None:
     if len(found := sorted({*values})) > 1:
         raise ValueError(f"results {what} do not mix: {found}")
-
-
-def _read_cases(path: Path) -> list[Row]:
-    rows = [_parse(row) for row in read_csv(path, *_TEXT, *_WHOLE, *_NEEDED)]
-    if not rows:
-        raise ValueError(f"{path} holds no episode")
-    for row in rows:
-        expected = find_level(row["level"]).fingerprint
-        if row["held_out"] != expected:
-            raise ValueError(
-                f"{path} is about other held-out cases, {row['held_out']!r}, not "
-                f"{expected}"
-            )
-    return rows
 
 
 def _parse(row: CsvRow) -> Row:
@@ -229,9 +195,15 @@ def _parse(row: CsvRow) -> Row:
             parsed[name] = row.number(name)
             if abs(parsed[name]) > _LARGEST:
                 raise ValueError(f"{row.place}: {name} is too large, {text}")
-    level, case = parsed["level"], parsed["case"]
-    if not is_level(level) or case not in find_level(level).numbers:
-        raise ValueError(f"{row.place}: there is no case {case} of level {level!r}")
+    name, case, held_out = parsed["level"], parsed["case"], parsed["held_out"]
+    level = find_level(name)
+    if case not in level.numbers:
+        raise ValueError(f"{row.place}: there is no case {case} of level {name!r}")
+    if held_out != level.fingerprint:
+        raise ValueError(
+            f"{row.place}: it is about other held-out cases, {held_out!r}, not "
+            f"{level.fingerprint}"
+        )
     ends = [parsed[name] for name in ENDINGS]
     if not {*ends} <= {0.0, 1.0} or not any(ends):
         raise ValueError(f"{row.place}: {', '.join(ENDINGS)} must be 0 or 1, and one 1")
@@ -257,15 +229,12 @@ def _read_worst(path: Path) -> dict[Key, Drives]:
     }
 
 
-_NUMBER = np.dtype(np.float32)
+_NUMBER, _STEPS = np.dtype(np.float32), ("drives", "steps", "agents")
 _FORMS = {
-    "pose_w": ArrayForm(_NUMBER, ("drives", "steps", "agents", "poses", 3)),
-    "steering": ArrayForm(_NUMBER, ("drives", "steps", "agents")),
-    "speed": ArrayForm(_NUMBER, ("drives", "steps", "agents")),
-    "policy": ArrayForm(TEXT, ("drives",)),
-    "level": ArrayForm(TEXT, ("drives",)),
-    "seed": ArrayForm(np.dtype(np.int64), ("drives",)),
-    "case": ArrayForm(np.dtype(np.int64), ("drives",)),
+    "pose_w": ArrayForm(_NUMBER, (*_STEPS, "poses", 3)),
+    **dict.fromkeys(("steering", "speed"), ArrayForm(_NUMBER, _STEPS)),
+    **dict.fromkeys(("policy", "level"), ArrayForm(TEXT, ("drives",))),
+    **dict.fromkeys(_WHOLE, ArrayForm(np.dtype(np.int64), ("drives",))),
 }
 FORMAT = "carpark_mj suite 1"
 SUITE_FILE = "suite.json"
@@ -278,37 +247,23 @@ _NAMES = ("policy", "level", "held_out", "made_with")
 
 @dataclasses.dataclass(frozen=True)
 class Result(CheckedConfig):
-    """A policy in the cases of a level, an object of `results` in `suite.json`.
+    """A policy in the cases of a level, an object of `results` in `suite.json`."""
 
-    Attributes:
-        policy: its name.
-        level: name of the level.
-        held_out: fingerprint of these.
-        made_with: processor and versions of packages.
-        rule: when the car counts as parked.
-        moving_car: whether another car drives through the aisle.
-        seeds: that drove the cases.
-        gear_changes: mean over parked episodes; None = none parked, as for the next.
-        path: mean [m].
-        time_to_park: mean [s].
-        outcomes: of each seed, a letter for each case.
-        rates: shares of episodes by `RATES`, if there are no outcomes.
-        vehicle: the car.
-    """
-
-    policy: str
-    level: str
-    held_out: str
-    made_with: str
-    rule: str
-    moving_car: bool
-    seeds: tuple[int, ...]
+    policy: str  # its name
+    level: str  # name of the level
+    held_out: str  # fingerprint of these
+    made_with: str  # processor and versions of packages
+    rule: str  # when the car counts as parked
+    moving_car: bool  # whether another car drives through the aisle
+    seeds: tuple[int, ...]  # that drove the cases
+    # mean over parked episodes; None = none parked, as for the next
     gear_changes: NonNegative | None = None
-    path: NonNegative | None = None
-    time_to_park: NonNegative | None = None
-    outcomes: tuple[str, ...] | None = None
+    path: NonNegative | None = None  # mean [m]
+    time_to_park: NonNegative | None = None  # mean [s]
+    outcomes: tuple[str, ...] | None = None  # of each seed, a letter for each case
+    # shares of episodes by `RATES`, if there are no outcomes
     rates: dict[str, float] | None = None
-    vehicle: str = VEHICLE
+    vehicle: str = VEHICLE  # the car
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -360,10 +315,7 @@ def _require_shares(rates: dict[str, float]) -> None:
 
 def write_submission(folder: Path, episodes: Sequence[Row]) -> Path:
     """Writes episodes of the suite, under one rule, as `suite.json`; returns it."""
-    found: dict[tuple[str, str], list[Row]] = {}
-    for row in episodes:
-        found.setdefault((row["policy"], row["level"]), []).append(row)
-    path = folder / SUITE_FILE
+    found, path = by_policy(episodes), folder / SUITE_FILE
     results = [_entry(found[key]) for key in sorted(found)]
     rules = {"rule": episodes[0]["rule"], "moving_car": has_moving_car(episodes)}
     if (vehicle := vehicle_of(episodes[0])) != VEHICLE:
@@ -375,47 +327,40 @@ def write_submission(folder: Path, episodes: Sequence[Row]) -> Path:
 def _entry(rows: list[Row]) -> dict[str, Any]:
     rows = sorted(rows, key=lambda row: (row["seed"], row["case"]))
     seeds, means = sorted({row["seed"] for row in rows}), summarize(rows)
+    outcomes = dict.fromkeys(seeds, "")
+    for row in rows:
+        outcomes[row["seed"]] += next(x for x, name in _LETTERS.items() if row[name])
     return {
         **{name: rows[0][name] for name in _NAMES},
         "seeds": seeds,
-        "outcomes": [
-            "".join(
-                next(letter for letter, name in _LETTERS.items() if row[name])
-                for row in rows
-                if row["seed"] == seed
-            )
-            for seed in seeds
-        ],
+        "outcomes": [*outcomes.values()],
         **{name: None if math.isnan(means[name]) else means[name] for name in MEANS},
     }
 
 
 def read_submission(path: Path) -> list[Result]:
     """Reads a file of results; ValueError if its entries contradict each other."""
-    what = str(path)
     found = read_object(path, format=str, rule=str, moving_car=bool, results=list)
     if found["format"] != FORMAT:
-        raise ValueError(f"{what}: format must be {FORMAT!r}, not {found['format']!r}")
+        raise ValueError(f"{path}: format must be {FORMAT!r}, not {found['format']!r}")
+    if not found["results"]:
+        raise ValueError(f"{path} has no result")
     find_rules(found["rule"])
     which = {name: found[name] for name in ("rule", "moving_car", CAR) if name in found}
-    results = [
-        _result(f"{what}, result {number}", entry, which)
+    return [
+        _result(f"{path}, result {number}", entry, which)
         for number, entry in enumerate(found["results"], 1)
     ]
-    if not results:
-        raise ValueError(f"{what} has no result")
-    return results
 
 
 def _result(place: str, entry: Any, which: dict[str, Any]) -> Result:
     if not isinstance(entry, dict):
         raise ValueError(f"{place} is not a JSON object")
     require_entries(entry, place, **dict.fromkeys(_NAMES, str), seeds=list)
-    known = {field.name for field in dataclasses.fields(Result)}
     given: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in (which | entry).items()
-        if name in known
+        if name in Result.__dataclass_fields__
     }
     try:
         return Result(**given)
@@ -427,15 +372,12 @@ def check_submission(path: Path) -> list[Result]:
     """Reads an entry of the leaderboard; ValueError unless it has every outcome."""
     results = read_submission(path)
     for result in results:
-        policy, known = result.policy, len(find_level(result.level).numbers)
-        if result.outcomes is None:
+        known = len(find_level(result.level).numbers)
+        driven = 0 if result.outcomes is None else result.cases
+        if driven < known:
             raise ValueError(
-                f"{path}: {policy} has no outcomes in level {result.level}"
-            )
-        if result.cases < known:
-            raise ValueError(
-                f"{path}: {policy} drove {result.cases} of the {known} cases of level "
-                f"{result.level}"
+                f"{path}: {result.policy} has outcomes of {driven} of the {known} "
+                f"cases of level {result.level}"
             )
     return results
 
@@ -443,11 +385,9 @@ def check_submission(path: Path) -> list[Result]:
 def leaderboard(results: Iterable[Result]) -> str:
     """The results as a Markdown table, by level and then by parked rate."""
     results = list(results)
-    order = in_order(result.level for result in results)
-    rows: list[dict[str, str]] = []
-    for result in sorted(
-        results, key=lambda r: (order.index(r.level), -r.shares["parked"])
-    ):
+    order, rows = in_order(result.level for result in results), []
+    results.sort(key=lambda r: (order.index(r.level), -r.shares["parked"]))
+    for result in results:
         parked, crashed, timed_out = (result.shares[name] for name in RATES)
         low, high = wilson_interval(parked * result.cases, result.cases)
         interval = f"({100 * low:.1f} … {100 * high:.1f})"

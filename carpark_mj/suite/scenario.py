@@ -32,13 +32,7 @@ import numpy as np
 
 from carpark_mj.cli.driver import with_settings
 from carpark_mj.cli.settings.tables import ScenarioConfig, SuiteConfig
-from carpark_mj.config import (
-    PARKED_RULES,
-    EnvConfig,
-    FleetConfig,
-    MetricsConfig,
-    find_rules,
-)
+from carpark_mj.config import EnvConfig, FleetConfig, MetricsConfig
 from carpark_mj.config.checks import (
     FARTHEST,
     Bounds,
@@ -50,13 +44,8 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.layouts.registry import FixedLayoutConfig, make_layout
 from carpark_mj.layouts.standards import BAY_LENGTH, BAY_WIDTH
-from carpark_mj.layouts.types import (
-    BayEnd,
-    Layout,
-    layout_maxima,
-    pad_layout,
-)
-from carpark_mj.mdp.terminations import ParkedRule
+from carpark_mj.layouts.types import BayEnd, Layout, layout_maxima, pad_layout
+from carpark_mj.mdp.terminations import PARKED_RULES, ParkedRule, find_rules
 from carpark_mj.movers.scripted import Script, Scripted, ScriptedBox, ScriptedPerson
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.reading import parse_object, parse_yaml, read_text
@@ -67,11 +56,11 @@ from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases, CaseStart
 from carpark_mj.vehicle import preset
 
 NAME = "scenario"
-KIND = "repeated"
 Pose = Annotated[tuple[float, float, float], Bounds(ge=-FARTHEST, le=FARTHEST)]
-Pair = tuple[float, float]  # of bounds that do not rise, see `_require_pair`
+Pair = tuple[float, float]  # of bounds that do not rise, see `_require`
 PLACE = Bounds(ge=-FARTHEST, le=FARTHEST, unit="m")
 SIZE = Bounds(gt=0.0, le=50.0, unit="m")
+HEADING = Bounds(ge=-math.tau, le=math.tau, unit="rad")
 SIZES = {"person": (0.5, 0.5), "cart": (1.0, 0.6), "car": (4.5, 1.8)}  # m
 BEHIND = 0.5  # m behind the front of a row, where a mover between two bays waits
 ACROSS = 8.0  # m that it goes
@@ -81,7 +70,6 @@ OWN_SETTINGS = {
     *("layout", "vehicle", "num_agents", "num_parked_cars", "movers"),
     *("episode.parked_rule", "episode.max_steps"),
 }
-NEEDED = ("lot", "start", "goal")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,8 +107,8 @@ class Goal(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _require_heading("goal.pose", self.pose)
-        _require_pair("goal.size", self.size, SIZE)
+        _require("the heading of goal.pose", self.pose[2], HEADING)
+        _require("goal.size", self.size, SIZE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,7 +182,7 @@ class Actor(CheckedConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, bounds in (("start", PLACE), ("to", PLACE), ("size", SIZE)):
-            _require_pair(name, getattr(self, name), bounds)
+            _require(name, getattr(self, name), bounds)
         given = self.start is not None, self.to is not None
         if any(given) == (self.between is not None) or any(given) != all(given):
             raise ValueError("a mover needs start and to, or two bays in between")
@@ -207,31 +195,24 @@ class Actor(CheckedConfig):
             start, way = np.array(self.start), np.subtract(self.to, self.start)
         else:
             assert self.between is not None
-            pair = np.array(self.between)
             _require_bays("between", self.between, layout)
-            pose = np.asarray(layout.bay_pose)[pair]
-            out = pose[0, 2]
-            front = np.asarray(layout.bay_size)[pair[0], 0] / 2 - BEHIND
-            ahead = np.array([math.cos(out), math.sin(out)])
-            start = pose[:, :2].mean(axis=0) + front * ahead
-            way = ACROSS * ahead
+            pose = np.asarray(layout.bay_pose)[list(self.between)]
+            front = np.asarray(layout.bay_size)[self.between[0], 0] / 2 - BEHIND
+            ahead = np.array([math.cos(pose[0, 2]), math.sin(pose[0, 2])])
+            start, way = pose[:, :2].mean(axis=0) + front * ahead, ACROSS * ahead
         direction = math.atan2(way[1], way[0])
         heading = math.remainder(direction + math.pi * self.backwards, math.tau)
         triggers = (self.near, self.ahead, self.after)
-        after = 0.0 if triggers == (None, None, None) else self.after
         made = ScriptedPerson if self.kind == "person" else ScriptedBox
+        same = ("speed", "slowing", "pause", "returns", "yields")
         return made(
+            **{name: getattr(self, name) for name in same},
             start=(float(start[0]), float(start[1]), heading),
             direction=direction,
             distance=math.hypot(*way),
-            speed=self.speed,
-            slowing=self.slowing,
-            pause=self.pause,
-            returns=self.returns,
             trigger=self.ahead or 0.0,
             near=self.near or 0.0,
-            after=after,
-            yields=self.yields,
+            after=0.0 if triggers == (None, None, None) else self.after,
             size=self.size or SIZES[self.kind],
         )
 
@@ -272,7 +253,7 @@ class Scenario(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _require_heading("start", self.start)
+        _require("the heading of start", self.start[2], HEADING)
         find_rules(self.rule_name)
         preset(self.vehicle)
         layout = self.layout  # refuses unknown and random lots
@@ -292,9 +273,7 @@ class Scenario(CheckedConfig):
     @property
     def goal_bay(self) -> int:
         """The bay to park in; one of its own is the last."""
-        if isinstance(self.goal, Goal):
-            return self.layout.num_bays - 1
-        return self.goal
+        return self.goal if isinstance(self.goal, int) else self.layout.num_bays - 1
 
     @functools.cached_property
     def layout(self) -> Layout:
@@ -317,6 +296,8 @@ class Scenario(CheckedConfig):
                 f"{env.physics_config.back_end}"
             )
         steps = max(round(self.seconds / env.sim.ctrl_dt), 1)
+        rule = {"parked_rule": self.rule_name, "max_steps": steps}
+        extra = EXTRA if self.movers else ()
         return dataclasses.replace(
             env,
             layout=ScenarioLot(self),
@@ -324,12 +305,8 @@ class Scenario(CheckedConfig):
             num_parked_cars=len(self.parked),
             fleet=FleetConfig(),
             movers=self.scripts,
-            metrics=MetricsConfig(safety=True, extra=EXTRA)
-            if self.movers
-            else env.metrics,
-            episode=dataclasses.replace(
-                env.episode, parked_rule=self.rule_name, max_steps=steps
-            ),
+            metrics=MetricsConfig(safety=True, extra=extra),
+            episode=dataclasses.replace(env.episode, **rule),
         )
 
     def pick(self, which: slice, level: str = NAME) -> Cases:
@@ -343,18 +320,16 @@ class Scenario(CheckedConfig):
             speed=jnp.asarray(self.speed + own[:, 3:] * spread.speed),
             goal=jnp.full((len(number), 1), self.goal_bay, jnp.int32),
         )
+        each = zip(self.scripts, self.movers, others, strict=True)
         movers = tuple(
             _varied(script.init(jax.random.key(0), self.layout), actor.spread, rows)
-            for script, actor, rows in zip(
-                self.scripts, self.movers, others, strict=True
-            )
+            for script, actor, rows in each
         )
         keys = jax.vmap(jax.random.key)(number)
-        parked, layouts = _repeated(
-            (np.array(self.parked, np.int32), self.layout), len(number)
-        )
+        same = np.array(self.parked, np.int32), self.layout
+        parked, layouts = _repeated(same, len(number))
         start = CaseStart(keys, options, movers, parked)
-        return Cases(level, number, np.full(len(number), KIND), layouts, start)
+        return Cases(level, number, np.full(len(number), "repeated"), layouts, start)
 
     @property
     def _chances(self) -> np.ndarray:
@@ -390,14 +365,7 @@ def _repeated(tree: Any, count: int) -> Any:
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *np.shape(x))), tree)
 
 
-def _require_heading(name: str, pose: tuple[float, float, float]) -> None:
-    if abs(pose[2]) > math.tau:
-        raise ValueError(
-            f"{name} must have a heading within [-2 pi, 2 pi] rad, not {pose[2]}"
-        )
-
-
-def _require_pair(name: str, value: Pair | None, bounds: Bounds) -> None:
+def _require(name: str, value: Pair | float | None, bounds: Bounds) -> None:
     if value is not None and not bounds.admit(value):
         raise ValueError(f"{name} must {bounds}, not {value}")
 
@@ -414,31 +382,16 @@ def _require_bays(name: str, numbers: Iterable[int], layout: Layout) -> None:
 
 def _with_bay(layout: Layout, goal: Goal) -> Layout:
     """A lot with one more bay, its last."""
-    maxima = layout_maxima([layout])
-    ends = [end.name.lower() for end in BayEnd]
-    end = ends.index(goal.end)
-    padded = pad_layout(
-        layout,
-        dataclasses.replace(
-            maxima, bays=maxima.bays + 1, bay_ends=maxima.bay_ends or bool(end)
-        ),
-    )
-    values = {
-        "bay_pose": goal.pose,
-        "bay_size": goal.size,
-        "bay_mask": True,
-        "bay_end": end,
+    maxima, end = layout_maxima([layout]), BayEnd[goal.end.upper()]
+    rows = {"bays": maxima.bays + 1, "bay_ends": maxima.bay_ends or bool(end)}
+    padded = pad_layout(layout, dataclasses.replace(maxima, **rows))
+    values = {"bay_pose": goal.pose, "bay_size": goal.size, "bay_mask": True}
+    columns = {
+        name: column.at[-1].set(jnp.asarray(value, column.dtype))
+        for name, value in (values | {"bay_end": end}).items()
+        if (column := getattr(padded, name)) is not None
     }
-    return jax.device_get(
-        dataclasses.replace(
-            padded,
-            **{
-                name: column.at[-1].set(jnp.asarray(value, column.dtype))
-                for name, value in values.items()
-                if (column := getattr(padded, name)) is not None
-            },
-        )
-    )
+    return jax.device_get(dataclasses.replace(padded, **columns))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -461,11 +414,7 @@ class ScenarioLot(FixedLayoutConfig):
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Reads a scenario, YAML or JSON.
-
-    Raises:
-        ValueError: no such file, or a fault in it; one sentence says where.
-    """
+    """Reads a scenario, YAML or JSON; ValueError says where its fault is."""
     try:
         parse = parse_object if path.suffix == ".json" else parse_yaml
         return make_scenario(parse(read_text(path), "the scenario"))
@@ -476,18 +425,12 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def make_scenario(data: Mapping[str, Any]) -> Scenario:
-    """The scenario of a file's mapping.
-
-    Raises:
-        ValueError: an entry is unknown, missing or out of range.
-    """
+    """The scenario of a file's mapping; ValueError of a fault in it."""
     found = dict(data)
     movers, settings = found.pop("movers", []), found.pop("settings", {})
-    if not isinstance(movers, list):
-        raise ValueError(f"movers must be a list, not {movers!r}")
-    if not isinstance(settings, dict):
-        raise ValueError(f"settings must be names with values, not {settings!r}")
-    if missing := [name for name in NEEDED if name not in found]:
+    if not isinstance(movers, list) or not isinstance(settings, dict):
+        raise ValueError("movers must be a list, and settings names with values")
+    if missing := [name for name in ("lot", "start", "goal") if name not in found]:
         raise ValueError(f"the scenario lacks {', '.join(missing)}")
     actors: list[Actor] = []
     for place, mover in enumerate(movers):
@@ -497,32 +440,22 @@ def make_scenario(data: Mapping[str, Any]) -> Scenario:
             raise ValueError(f"movers[{place}]: {error}") from None
     if own := OWN_SETTINGS & settings.keys():
         raise ValueError(f"settings must leave {min(own)} to the scenario's entries")
-    words = (f"{name}={value}" for name, value in settings.items())
-    return dataclasses.replace(
-        from_dict(Scenario, found), movers=tuple(actors), settings=tuple(words)
-    )
+    words = tuple(f"{name}={value}" for name, value in settings.items())
+    scenario = from_dict(Scenario, found)
+    return dataclasses.replace(scenario, movers=tuple(actors), settings=words)
 
 
 @functools.cache
 def scenario_level(path: str) -> CaseLevel:
-    """The level of a scenario's file.
-
-    Raises:
-        ValueError: there is a fault in the file.
-    """
+    """The level of a scenario's file."""
     scenario = read_scenario(Path(path))
     level, digest = f"{NAME}:{path}", hashlib.sha256(repr(scenario).encode())
     for leaf in jax.tree.leaves(scenario.layout):
         digest.update(np.ascontiguousarray(leaf).tobytes())
-    return CaseLevel(
-        range(scenario.repetitions),
-        digest.hexdigest(),
-        functools.partial(scenario.pick, level=level),
-        scenario.env,
-        f"Scenario {Path(path).name}",
-        scenario.rule_name,
-        scenario.vehicle,
-    )
+    pick, source = functools.partial(scenario.pick, level=level), Path(path).name
+    data, rules = digest.hexdigest(), (scenario.rule_name, scenario.vehicle)
+    numbers = range(scenario.repetitions)
+    return CaseLevel(numbers, data, pick, scenario.env, f"Scenario {source}", *rules)
 
 
 FILE_LEVELS[NAME] = scenario_level
@@ -533,6 +466,5 @@ def main(config: ScenarioConfig) -> list[dict[str, Any]]:
     level = f"{NAME}:{config.file}"
     scenario_level(config.file)  # refused before anything is compiled
     names = ("policies", "seeds", "videos", "out")
-    return evaluation.main(
-        SuiteConfig(levels=(level,), **{name: getattr(config, name) for name in names})
-    )
+    same = {name: getattr(config, name) for name in names}
+    return evaluation.main(SuiteConfig(levels=(level,), **same))

@@ -61,17 +61,14 @@ RIGHT_ANGLE = 1e-3  # cosine up to which a corner of a rectangle is right
 
 
 def read_tpcap(path: Path) -> Layout:
-    """Reads a TPCAP case, whose poses are of the rear axle of `TPCAP_CAR`.
-
-    Args:
-        path: the CSV file.
+    """Reads a TPCAP case from CSV, whose poses are of the rear axle of `TPCAP_CAR`.
 
     Raises:
         ValueError: no such file, or a fault in it; the message names the line.
     """
     numbers, lines = _numbers(path)
     try:
-        return _case(*_parts(numbers))
+        return case_layout(TPCAP_CAR, *_parts(numbers), _boxes, BAY_MARGIN)
     except _FaultError as fault:
         line = lines[min(fault.place, len(lines) - 1)] if lines else 1
         raise ValueError(f"{path}, line {line}: {fault}") from None
@@ -120,22 +117,21 @@ def _parts(numbers: list[float]) -> tuple[np.ndarray, np.ndarray, list[np.ndarra
     first = 7 + count  # of the vertices
     few = f"{count} obstacles need {count} vertex counts, there are {there - 7}"
     _require(there >= first, there, few)
-    sizes = [
-        _whole(numbers, k, f"vertex count of obstacle {k - 7}", 3)
-        for k in range(7, first)
-    ]
+    what = "vertex count of obstacle"
+    sizes = [_whole(numbers, k, f"{what} {k - 7}", 3) for k in range(7, first)]
     expected = first + 2 * sum(sizes)
     parts = f"{count} obstacles with {sum(sizes)} vertices make {expected} numbers"
     _require(there == expected, there, f"{parts}, not {there}")
     for k in (2, 5):
         rule = f"a heading must be at most {MOST_HEADING:.4g} rad either way"
         _require(abs(numbers[k]) <= MOST_HEADING, k, f"{rule}, not {numbers[k]:g}")
+    rule = "a coordinate must be at most"
     for turn, k in enumerate((0, 1, 3, 4, *range(first, expected))):  # x, y in turn
         value, away = numbers[k], abs(numbers[k] - numbers[turn % 2])
-        rule = f"a coordinate must be at most {FARTHEST_ORIGIN:g} m, not {value:g}"
-        _require(abs(value) <= FARTHEST_ORIGIN, k, rule)
-        rule = f"a coordinate must be at most {FARTHEST:g} m from the start's, not"
-        _require(away <= FARTHEST, k, f"{rule} {away:g} m")
+        most = f"{rule} {FARTHEST_ORIGIN:g} m, not {value:g}"
+        _require(abs(value) <= FARTHEST_ORIGIN, k, most)
+        most = f"{rule} {FARTHEST:g} m from the start's, not {away:g} m"
+        _require(away <= FARTHEST, k, most)
     vertices = np.array(numbers[first:]).reshape(-1, 2)
     polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
     for k, polygon in enumerate(polygons):
@@ -155,8 +151,26 @@ def _whole(numbers: list[float], place: int, what: str, least: int) -> int:
     return int(value)
 
 
-def _case(start: np.ndarray, goal: np.ndarray, polygons: list[np.ndarray]) -> Layout:
-    return case_layout(TPCAP_CAR, start, goal, polygons, _boxes, BAY_MARGIN)
+# Poses (n, 3) and sizes (n, 2) of boxes.
+Boxes = tuple[np.ndarray, np.ndarray]
+
+
+def boxes_along(
+    first: np.ndarray, last: np.ndarray, thickness: float, side: float = 0.0
+) -> Boxes:
+    """Boxes along edges between points (n, 2), on them or to their left (`side` 1).
+
+    Edges have a length, or `side` is 0.
+    """
+    along = last - first
+    length = np.hypot(*along.T)
+    middle = first + along / 2
+    if side:
+        left = np.stack([-along[:, 1], along[:, 0]], axis=1) / length[:, None]
+        middle = middle + side * left * thickness / 2
+    yaw = np.arctan2(along[:, 1], along[:, 0])
+    size = np.column_stack([length, np.full_like(length, thickness)])
+    return np.column_stack([middle, yaw]), size
 
 
 def case_layout(
@@ -164,7 +178,7 @@ def case_layout(
     start: np.ndarray,
     goal: np.ndarray,
     shapes: Sequence[np.ndarray],
-    boxes_of: Callable[[np.ndarray], list[tuple[np.ndarray, np.ndarray]]],
+    boxes_of: Callable[[np.ndarray], Boxes],
     margin: float,
     end: BayEnd = BayEnd.EITHER,
     clears_goal: bool = False,
@@ -176,7 +190,7 @@ def case_layout(
         start: (3,) pose of its rear axle.
         goal: (3,) pose of its rear axle when parked.
         shapes: points (n, 2) of each obstacle.
-        boxes_of: pose (3,) and size (2,) of each wall that represents an obstacle.
+        boxes_of: the walls that represent an obstacle.
         margin: of the bay on every side of the car [m], less where walls are near.
         end: of the car that goes into the bay first.
         clears_goal: leave out walls that the parked car would touch.
@@ -195,26 +209,18 @@ def case_layout(
     points = np.concatenate([np.array(around), *shapes])
     low, high = points.min(axis=0), points.max(axis=0)
     middle = np.append((low + high) / 2, 0.0)
-    boxes = [box for shape in shapes for box in boxes_of(shape - middle[:2])]
-    pose = np.array([pose for pose, _ in boxes]).reshape(-1, 3)
-    size = np.array([size for _, size in boxes]).reshape(-1, 2)
+    boxes = [boxes_of(shape - middle[:2]) for shape in shapes]
+    boxes.append((np.zeros((0, 3)), np.zeros((0, 2))))
+    pose, size = (np.concatenate(part) for part in zip(*boxes, strict=True))
     start, goal = start - middle, goal - middle
     # Padded while JAX has them: cases would each be compiled on their own.
-    padding = [(0, -len(boxes) % PADDED), (0, 0)]
-    solid = walls(
-        np.pad(pose, padding),
-        np.pad(size, padding),
-        mask=np.arange(len(boxes) + padding[0][1]) < len(boxes),
-    )
+    mask = np.arange(len(pose) + -len(pose) % PADDED) < len(pose)
+    padding = [(0, len(mask) - len(pose)), (0, 0)]
+    solid = walls(np.pad(pose, padding), np.pad(size, padding), mask=mask)
     margins = np.array([-TOUCHING, *(share * margin for share in SHARES)])
     sizes = np.array(car.size) + 2 * margins[:, None]
-    meets = np.array(
-        _meets(
-            np.stack([start, goal, *[goal] * len(SHARES)]),
-            sizes[[0, *range(len(sizes))]],
-            solid,
-        )
-    )
+    places = np.stack([start, goal, *[goal] * len(SHARES)])
+    meets = np.array(_meets(places, sizes[[0, *range(len(sizes))]], solid))
     kept = np.asarray(solid["wall_mask"]).copy()
     if clears_goal:
         kept &= ~meets[-1]  # at the goal, without a margin
@@ -248,26 +254,17 @@ def _area(polygon: np.ndarray) -> float:
     return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
 
 
-def _boxes(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Centre poses and sizes of the walls that represent a polygon (n, 2)."""
-    ahead = np.roll(polygon, -1, axis=0) - polygon
-    length = np.linalg.norm(ahead, axis=1)
-    kept = length > 0  # a repeated vertex has no edge
-    polygon, ahead, length = polygon[kept], ahead[kept], length[kept]
-    unit = ahead / length[:, None]
-    if len(polygon) == 4:
-        corners = np.abs(np.sum(unit * np.roll(unit, -1, axis=0), axis=1))
-        if corners.max() < RIGHT_ANGLE:
-            yaw = math.atan2(unit[0, 1], unit[0, 0])
-            pose = np.append(polygon.mean(axis=0), yaw)
-            return [(pose, length[:2])]
-    inwards = np.sign(_area(polygon)) * np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    middle = polygon + ahead / 2 + inwards * EDGE / 2
-    yaw = np.arctan2(unit[:, 1], unit[:, 0])
-    return [
-        (np.append(m, a), np.array([n, EDGE]))
-        for m, a, n in zip(middle, yaw, length, strict=True)
-    ]
+def _boxes(polygon: np.ndarray) -> Boxes:
+    """The walls that represent a polygon (n, 2)."""
+    ends = np.roll(polygon, -1, axis=0)
+    kept = (ends != polygon).any(axis=1)  # a repeated vertex has no edge
+    polygon, ends = polygon[kept], ends[kept]
+    pose, size = boxes_along(polygon, ends, EDGE, np.sign(_area(polygon)))
+    turns = np.cos(np.roll(pose[:, 2], -1) - pose[:, 2])
+    if len(polygon) == 4 and np.abs(turns).max() < RIGHT_ANGLE:
+        middle = np.append(polygon.mean(axis=0), pose[0, 2])
+        return middle[None], size[None, :2, 0]
+    return pose, size
 
 
 LAYOUT_FORMATS.register("csv", read_tpcap)
@@ -293,8 +290,7 @@ class TpcapConfig(LayoutConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        known = type(self.case) is int and self.case in NUMBERS  # True is 1, too
-        if self.case is not None and not known:
+        if self.case is not None and self.case not in NUMBERS:
             raise ValueError(
                 f"case must be {NUMBERS[0]} to {NUMBERS[-1]}, not {self.case!r}"
             )
@@ -356,23 +352,26 @@ def published_files() -> dict[int, Path]:
     """The files by number, once they have been compared with the published ones."""
     files = {number: FOLDER / f"case{number}.csv" for number in NUMBERS}
     texts = [file.read_text(encoding="utf-8") for file in files.values()]
-    if (found := hashlib.sha256("".join(texts).encode()).hexdigest()) != SHA256:
-        raise ValueError(
-            f"{FOLDER} has other cases than the published ones: their SHA-256 is "
-            f"{found}, not {SHA256}"
-        )
+    require_published(FOLDER, "".join(texts).encode(), SHA256)
     return files
 
 
+def require_published(place: Path, data: bytes, sha256: str) -> None:
+    """Refuses cases of the package that were changed."""
+    if (found := hashlib.sha256(data).hexdigest()) != sha256:
+        raise ValueError(
+            f"{place} has other cases than the published ones: their SHA-256 is "
+            f"{found}, not {sha256}"
+        )
+
+
 _CHASSIS = PRESETS["sedan_fwd"]
+_SIZES = ("length", "width", "wheelbase", "rear_overhang")
 register_vehicle(
     "tpcap",
     dataclasses.replace(
         _CHASSIS,
-        length=TPCAP_CAR.length,
-        width=TPCAP_CAR.width,
-        wheelbase=TPCAP_CAR.wheelbase,
-        rear_overhang=TPCAP_CAR.rear_overhang,
+        **{name: getattr(TPCAP_CAR, name) for name in _SIZES},
         turning_circle=kerb_to_kerb(
             TPCAP_CAR.wheelbase,
             _CHASSIS.track_width,

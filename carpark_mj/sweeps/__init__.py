@@ -13,10 +13,12 @@ import dataclasses
 import fcntl
 import os
 import shutil
+import subprocess
+import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,22 +28,19 @@ from carpark_mj.rendering.gl import choose_gl
 choose_gl()  # before anything imports MuJoCo; jobs import this module first
 
 import jax
+import submitit
 from rich.console import Console
+from submitit.core.utils import FailedJobError
 from submitit.helpers import DelayedSubmission
 
 from carpark_mj.analysis import read_run
-from carpark_mj.cli.process import (
-    configure_jax,
-    enable_output_fusion,
-    one_line,
-)
+from carpark_mj.cli.process import configure_jax, enable_output_fusion, one_line
 from carpark_mj.cli.settings.tables import SweepConfig, Where
 from carpark_mj.compilation import keep_compiled_programs
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import checkpoint_files
 from carpark_mj.reading import read_csv, read_object
-from carpark_mj.sweeps.jobs import make_executor, run_works
 from carpark_mj.sweeps.plan import (
     Plan,
     Run,
@@ -54,6 +53,8 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.run_folder import RunConfig, read_config
 
+POLL_SECONDS = {"local": 0.5, "debug": 0.0, "slurm": 10.0}
+ENDLESS = 10 * 365 * 24 * 60  # of a local job, which submitit would end [min]
 Status = Literal["done", "stopped", "failed", "waiting"]
 
 
@@ -130,8 +131,7 @@ def write_table(sweep: Path, runs: Sequence[Run]) -> Path:
                 row |= {**found.metrics, "device": found.device}
                 row |= {f"version_{k}": v for k, v in found.versions.items()}
         rows.append(row)
-    columns = dict.fromkeys(name for row in rows for name in row)
-    write_csv(path, [{name: row.get(name, "") for name in columns} for row in rows])
+    write_csv(path, rows)
     return path
 
 
@@ -142,14 +142,7 @@ Train = Callable[[list[Run], Path, bool, Report], None]
 
 
 def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) -> None:
-    """Trains runs side by side, from their last checkpoints on, and evaluates them.
-
-    Args:
-        runs: that can share a program.
-        sweep: folder of the sweep.
-        stochastic: evaluate sampled actions.
-        report: called with the outcome of each run.
-    """
+    """Trains runs side by side, from their last checkpoints on, and evaluates them."""
     from carpark_mj.training.ppo.train import MAX_SKIPPED, finish, train_runs
 
     by_folder = {run_folder(sweep, run): run for run in runs}
@@ -167,22 +160,21 @@ def train_ppo(runs: list[Run], sweep: Path, stochastic: bool, report: Report) ->
     parts: dict[str, list[PPOConfig]] = {}
     for folder, run in by_folder.items():
         if files := checkpoint_files(folder):
-            config = read_config(PPOConfig, folder)
-            config = dataclasses.replace(config, resume=str(folder))
+            config, changes = read_config(PPOConfig, folder), {"resume": str(folder)}
         else:
             shutil.rmtree(folder, ignore_errors=True)  # killed before its first
-            config = dataclasses.replace(
-                settings_of(run), name=run.name, runs_dir=str(folder.parent)
-            )
+            config = settings_of(run)
+            changes = {"name": run.name, "runs_dir": str(folder.parent)}
+        config = dataclasses.replace(config, **changes)
         parts.setdefault(files[-1].name if files else "", []).append(config)
+    diverged = f"{MAX_SKIPPED} updates in a row were non-finite"
     for configs in parts.values():
         ended = train_runs(configs, finish_run)
         for folder, outcome in ended:
             if outcome == "stopped":
                 report(by_folder[folder], "stopped", "")
             elif outcome == "diverged":
-                error = f"{MAX_SKIPPED} updates in a row were non-finite"
-                report(by_folder[folder], "failed", error)
+                report(by_folder[folder], "failed", diverged)
         if any(outcome == "stopped" for _, outcome in ended):
             return
 
@@ -243,6 +235,148 @@ class Work:
         return DelayedSubmission(self)
 
 
+def make_executor(where: Where, folder: Path) -> submitit.AutoExecutor:
+    """The executor of a cluster; `folder` is for what jobs print."""
+    asked: dict[str, Any] = {"timeout_min": ENDLESS}
+    options: dict[str, Any] = {}
+    if where.cluster == "slurm":
+        slurm = dataclasses.asdict(where.slurm)
+        options["slurm_max_num_timeout"] = slurm.pop("requeues")
+        asked["timeout_min"] = slurm.pop("time")
+        for name in ("partition", "account", "qos", "constraint"):
+            asked[f"slurm_{name}"] = slurm.pop(name)
+        asked |= {"slurm_array_parallelism": where.jobs or 1000, **slurm}
+    try:
+        # Jobs may start elsewhere.
+        executor = submitit.AutoExecutor(folder.resolve(), where.cluster, **options)
+    except RuntimeError as error:
+        raise ValueError(f"cluster {where.cluster} is not available: {error}") from None
+    given = {name: value for name, value in asked.items() if value}
+    executor.update_parameters(name=folder.parent.name, **given)
+    # Jobs inherit the environment, and import what this process can.
+    paths = [str(Path(path).resolve()) for path in sys.path]
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
+    return executor
+
+
+def run_works(
+    executor: submitit.AutoExecutor, works: Sequence[Work], jobs: int
+) -> Iterator[tuple[Work, str]]:
+    """Runs jobs; yields each as it ends, with the reason if its process failed.
+
+    Left early, by Ctrl-C for instance, it cancels local jobs; cluster jobs continue.
+    """
+    waiting = list(works)
+    running: dict[int, tuple[Work, submitit.Job[None]]] = {}  # by slot
+    if executor.cluster == "slurm":
+        running = dict(enumerate(submit_array(executor, waiting)))
+        waiting = []
+    try:
+        while waiting or running:
+            for slot in {*range(jobs)} - {*running}:
+                if waiting:
+                    work = waiting.pop(0)
+                    if executor.cluster == "local":
+                        gpus = visible_gpus(slot, jobs)
+                        work = dataclasses.replace(work, gpus=gpus)
+                    running[slot] = work, executor.submit(work)
+            # A debug job that is asked would run and, if it fails, start a debugger.
+            # Submitit's own query of Slurm needs accounting.
+            if executor.cluster == "slurm":
+                queued = queued_jobs()
+                ended = [
+                    slot
+                    for slot, (_, job) in running.items()
+                    if queued is not None and job.job_id not in queued
+                ]
+            else:
+                debug = executor.cluster == "debug"
+                ended = [slot for slot, (_, j) in running.items() if debug or j.done()]
+            for slot in ended:
+                work, job = running.pop(slot)
+                yield work, _reason(job)
+            if running and not ended:
+                time.sleep(POLL_SECONDS[executor.cluster])
+    finally:
+        if executor.cluster == "local":
+            for _, job in running.values():
+                job.cancel(check=False)
+
+
+def visible_gpus(slot: int, jobs: int) -> tuple[str, ...]:
+    """GPUs of a local job: of several at a time each has its own, if possible."""
+    nodes = sorted(node.name for node in Path("/dev").glob("nvidia[0-9]*"))
+    devices = [node.removeprefix("nvidia") for node in nodes]
+    if (given := os.environ.get("CUDA_VISIBLE_DEVICES")) is not None:
+        devices = given.split(",")
+    if jobs > 1 and devices:
+        return (devices[slot % len(devices)],)
+    return tuple(devices)
+
+
+def _reason(job: submitit.Job[None]) -> str:
+    """Why a job that ended has failed; empty if it has not. A debug job runs now."""
+    if isinstance(job, submitit.SlurmJob) and not job.paths.result_pickle.exists():
+        return f"its job left the queue without a result (see {job.paths.stderr})"
+    try:
+        error = job.exception()
+    except Exception as raised:
+        error = raised
+    if error is None:
+        return ""
+    reason = str(error).strip().partition("\n")[0]
+    return f"its process ended: {reason} (see {job.paths.stderr})"
+
+
+def submit_array(
+    executor: submitit.AutoExecutor, works: Sequence[Work]
+) -> list[tuple[Work, submitit.Job[None]]]:
+    """Submits to a cluster what does not stand in its queue from an earlier time."""
+    record = executor.folder / "jobs.json"
+    known: dict[str, str] = read_object(record) if record.exists() else {}
+    queued = queued_jobs() if known else set[str]()
+    while queued is None:  # a job that may be queued is not submitted again
+        time.sleep(POLL_SECONDS["slurm"])
+        queued = queued_jobs()
+    jobs: list[tuple[Work, submitit.Job[None]]] = []
+    new: list[Work] = []
+    for work in works:
+        by_job: dict[str, list[Run]] = {}
+        for run in work.runs:
+            job_id = known.get(run.name, "")
+            by_job.setdefault(job_id * (job_id in queued), []).append(run)
+        for job_id, own in by_job.items():
+            part = dataclasses.replace(work, runs=tuple(own))
+            if job_id:
+                jobs.append((part, submitit.SlurmJob[None](executor.folder, job_id)))
+            else:
+                new.append(part)
+    if new:
+        try:
+            with executor.batch():
+                submitted = [executor.submit(work) for work in new]
+        except FailedJobError as error:
+            reason = str(error).strip().partition("\n")[0]
+            raise ValueError(f"Slurm refuses the jobs: {reason}") from None
+        jobs += zip(new, submitted, strict=True)
+    ids = {run.name: job.job_id for work, job in jobs for run in work.runs}
+    write_json(record, known | ids)
+    return jobs
+
+
+def queued_jobs() -> set[str] | None:
+    """Numbers of the jobs in Slurm's queue; None if it does not answer now.
+
+    Raises `OSError` if there is no `squeue`.
+    """
+    command = ["squeue", "--noheader", "--array", "--format", "%i"]
+    try:
+        asked = subprocess.run(command, capture_output=True, text=True, check=True)
+    except subprocess.CalledProcessError:
+        return None
+    return {*asked.stdout.split()}
+
+
 def run_sweep(
     folder: Path,
     plan: Plan,
@@ -250,11 +384,7 @@ def run_sweep(
     where: Where,
     train: Train = train_ppo,
 ) -> Counter[str]:
-    """Trains the unfinished of the checked runs of a plan; others keep their results.
-
-    Returns:
-        How many runs are done, stopped, failed.
-    """
+    """Trains the unfinished of the checked runs of a plan; counts all by status."""
     executor = make_executor(where, folder / "logs")
     open_sweep(folder, plan, where.stochastic)
     left = [run for run in runs if read_outcome(folder, run).status != "done"]
@@ -264,14 +394,9 @@ def run_sweep(
     for run in left:
         write_outcome(folder, run, Outcome("waiting"))
     write_table(folder, runs)
+    sweep, own_process = folder.resolve(), where.cluster != "debug"
     works = [
-        Work(
-            folder.resolve(),
-            group,
-            train,
-            where.stochastic,
-            own_process=where.cluster != "debug",
-        )
+        Work(sweep, group, train, where.stochastic, own_process=own_process)
         for group in groups(left, where.side_by_side)
     ]
     for work, reason in run_works(executor, works, where.jobs or 1):
@@ -281,37 +406,14 @@ def run_sweep(
                 outcome = Outcome("failed", reason or "its job did not train it")
                 write_outcome(folder, run, outcome)
             done += outcome.status == "done"
-            words = f"{outcome.status} after {outcome.seconds:.0f} s"
-            if outcome.status == "failed":
-                words = f"failed: {outcome.error}"
-            say(f"{done}/{len(runs)} {run.name}: {words}")
+            after = f" after {outcome.seconds:.0f} s"
+            after = f": {outcome.error}" if outcome.status == "failed" else after
+            say(f"{done}/{len(runs)} {run.name}: {outcome.status}{after}")
         write_table(folder, runs)
     counts = Counter(read_outcome(folder, run).status for run in runs)
     table = write_table(folder, runs)
     say(f"{', '.join(f'{n} {status}' for status, n in counts.items())}; see {table}")
     return counts
-
-
-def make_plan(config: SweepConfig) -> Plan:
-    """The runs to train.
-
-    Raises:
-        ValueError: impossible settings.
-    """
-    # The rules of a run's name and seeds.
-    RunConfig(name=config.name, seed=config.seed)
-    RunConfig(seed=config.seed + config.repeats - 1)
-    if config.base not in PRESETS:
-        raise ValueError(f"unknown base {config.base!r}; choose from {[*PRESETS]}")
-    base = PRESETS[config.base]
-    axes = tuple(read_axis(text, base) for text in config.set)
-    return Plan(config.base, axes, config.repeats, config.seed)
-
-
-def sweep_folder(config: SweepConfig, plan: Plan) -> Path:
-    """Folder of the sweep."""
-    swept = [x.fields[0].rpartition(".")[2] for x in plan.axes if x.is_swept]
-    return Path(config.runs_dir) / (config.name or "-".join((config.base, *swept)))
 
 
 def prepare(cluster: str) -> None:
@@ -327,6 +429,12 @@ def prepare(cluster: str) -> None:
 def main(config: SweepConfig) -> int:
     """Runs the sweep; returns the exit code, 1 if runs have failed."""
     prepare(config.cluster)
-    plan = make_plan(config)
-    counts = run_sweep(sweep_folder(config, plan), plan, checked_runs(plan), config)
+    # The rules of a run's name and seeds.
+    RunConfig(name=config.name, seed=config.seed)
+    RunConfig(seed=config.seed + config.repeats - 1)
+    axes = tuple(read_axis(text, PRESETS[config.base]) for text in config.set)
+    plan = Plan(config.base, axes, config.repeats, config.seed)
+    swept = [x.fields[0].rpartition(".")[2] for x in plan.axes if x.is_swept]
+    folder = Path(config.runs_dir) / (config.name or "-".join((config.base, *swept)))
+    counts = run_sweep(folder, plan, checked_runs(plan), config)
     return 1 if counts["failed"] else 0

@@ -46,7 +46,10 @@ def read_axis(text: str, config: PPOConfig) -> Axis:
         raise ValueError(
             f"set takes FIELD=VALUES, for example num_agents=1..7, not {text!r}"
         )
-    field = _find_field(name.strip().replace("-", "_"), _settings(config))
+    terms = [key for name in REWARD_TERMS for key in term_settings(name)]
+    known = dict.fromkeys((f"env.reward.extra.{key}" for key in terms), 0.0)
+    known |= dict(list_settings(config))
+    field = _find_field(name.strip().replace("-", "_"), known)
     words: list[str] = []
     for part in values.removesuffix(";").split(";" if ";" in values else ","):
         ends = re.fullmatch(r"\s*(-?\d+)\.\.(-?\d+)\s*", part)
@@ -57,13 +60,6 @@ def read_axis(text: str, config: PPOConfig) -> Axis:
     if not all(words) or not words or len({*words}) < len(words):
         raise ValueError(f"{field} has no values, or one twice, in {text!r}")
     return Axis((field,), tuple((word,) for word in words))
-
-
-def _settings(config: PPOConfig) -> dict[str, Any]:
-    """All settings by their dotted names."""
-    names = [key for name in REWARD_TERMS for key in term_settings(name)]
-    extra = dict.fromkeys((f"env.reward.extra.{key}" for key in names), 0.0)
-    return extra | dict(list_settings(config))
 
 
 def _find_field(name: str, known: Mapping[str, Any]) -> str:
@@ -174,11 +170,9 @@ def settings_of(run: Run) -> PPOConfig:
 
 
 def groups(runs: Sequence[Run], size: int) -> list[tuple[Run, ...]]:
-    """Runs that train in one program: they differ in seeds and data only.
+    """At most `size` runs each in one program: they differ in seeds and data only.
 
     A run that ends after some `minutes` is alone: others beside it would slow it down.
-
-    Groups have at most `size` runs.
     """
     from carpark_mj.training.ppo.group import program
 

@@ -12,14 +12,12 @@ import pytest
 from helpers.disks import no_printing
 from helpers.programs import assert_refused, exit_code
 from helpers.sweeping import write_run
-from matplotlib.axes import Axes
 from rich.console import Console
 
 from carpark_mj.analysis import (
     Record,
     flat_metrics,
     group,
-    plot_metric,
     read_curve,
     read_run,
     run_folders,
@@ -150,33 +148,12 @@ def test_two_sources_and_settings_that_are_words_can_be_drawn(tmp_path):
     assert (tmp_path / "parked.png").exists()
 
 
-def test_a_setting_has_one_colour_in_all_runs(tmp_path, monkeypatch):
-    lines: dict[str, tuple[str, str]] = {}
-    plot = Axes.plot
-
-    def record_line(self, *data, **style):
-        if "label" in style:
-            lines[style["label"]] = style["color"], style["linestyle"]
-        return plot(self, *data, **style)
-
-    monkeypatch.setattr(Axes, "plot", record_line)
-    runs = [record(n, 0, 0.3, scheme=scheme) for n in (1, 2) for scheme in "ab"]
-    points = group({"ours": runs, "theirs": runs}, ["env.num_agents", "scheme"])
-    plot_metric(tmp_path / "x.png", points, ["env.num_agents", "scheme"], "parked")
-    colours = {name: colour for name, (colour, _) in lines.items()}
-    assert colours["ours, a"] == colours["theirs, a"]
-    assert colours["ours, b"] == colours["theirs, b"] != colours["ours, a"]
-    assert [dash for _, dash in lines.values()] == ["-", "-", "--", "--"]
-
-
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        ("", "give at least one run folder or sweep"),
         ("nowhere", "nowhere is neither a run nor a sweep"),
         ("a1-0 --by env.colour", "no run has a setting 'env.colour'"),
         ("a1-0 --metrics joy", "no run has a metric 'joy'; there are"),
-        ("a1-0 --metrics", "metrics must name at least one"),
         ("a1-0 --out a1-0/config.json", "cannot use a1-0/config.json"),
     ],
 )
@@ -195,7 +172,6 @@ def test_a_run_that_is_given_twice_counts_once(tmp_path):
 
 DAMAGED = [
     ("config.json", '{"config": []}', "config.json has no 'config'"),
-    ("evaluation.json", '{"summary": 3}', "evaluation.json has no 'summary'"),
     ("evaluation.json", '{"summary": {"parked": {"rate": "x"}}}', "could not convert"),
     ("evaluation.json", None, "no evaluation.json in"),
 ]
@@ -222,13 +198,6 @@ def test_links_lead_to_files_whatever_their_names(tmp_path):
     [link] = re.findall('href="([^"]*)"', videos(tmp_path / "a.html", [run]))
     assert urlsplit(link)[3:] == ("", "")  # neither a query nor a fragment
     assert tmp_path / unquote(link) == folder / "video.mp4"
-
-
-def test_names_of_runs_and_settings_are_printed_as_they_are(tmp_path, capsys):
-    runs = [record("[b]", 0, 0.5), record("[/red]", 0, 0.5)]
-    analyse({"ours": runs}, ["env.num_agents"], ["parked"], tmp_path, "x[/blue]")
-    printed = capsys.readouterr().out
-    assert all(name in printed for name in ("x[/blue]", " [b] ", " [/red] "))
 
 
 RNG = np.random.default_rng(7)

@@ -61,38 +61,25 @@ def test_the_first_table_tells_outcomes_and_how_episodes_went(everything, capsys
 
 def test_every_crash_stands_in_a_row_of_what_was_hit(capsys):
     hits = [f"hit_{kind.label}" for kind in ObstacleKind]
-    nothing = {"length": 10.0, **dict.fromkeys((*ENDINGS, *hits), 0.0)}
-    rows = [
-        complete_row(nothing | {"crashed": 1.0, hit: 1.0}, 0.2)
-        for k, hit in enumerate(hits)
-        for _ in range(k + 1)
-    ]
+    nothing = {"length": 10.0, **dict.fromkeys((*ENDINGS, *hits), 0.0), "crashed": 1.0}
+    rows = [complete_row(nothing | {hit: 1.0}, 0.2) for hit in hits]
     print_table(summarize(rows), "crowded")
     printed = capsys.readouterr().out
     found = re.findall(r"│ +(hit [a-z ]+?) +│.* (\d+) │", printed)
-    assert {name: int(n) for name, n in found} == {
-        hit.replace("_", " "): k + 1 for k, hit in enumerate(hits)
-    }
-    assert sum(int(n) for _, n in found) == len(rows)
+    assert found == [(hit.replace("_", " "), "1") for hit in hits]
     assert "more hits" not in printed
-    both = nothing | {"crashed": 1.0, "hit_wall": 1.0, "hit_person": 1.0}
-    print_table(summarize([*rows, complete_row(both, 0.2)]), "crowded")
+    both = complete_row(nothing | {"hit_wall": 1.0, "hit_person": 1.0}, 0.2)
+    print_table(summarize([*rows, both]), "crowded")
     assert "1 more hits" in capsys.readouterr().out
 
 
-def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
-    everything, tmp_path, capsys
-):
+def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(everything, tmp_path):
     members = ["square_compact", "street"]
     rows = [r | {"family": members[r["lot"] == 2]} for r in everything.episodes]
     parts = {n: summarize([r for r in rows if r["family"] == n]) for n in members}
     mixed = dataclasses.replace(everything, episodes=rows, families=parts)
     files = write_evaluation(tmp_path, mixed, {})
-    assert [path.name for path in files] == [
-        "evaluation.csv",
-        "evaluation.json",
-        "families.csv",
-    ]
+    assert files[2].name == "families.csv"
     with files[2].open() as file:
         rows = list(csv.DictReader(file))
     assert [row["family"] for row in rows] == ["square_compact", "street", "all"]
@@ -103,35 +90,27 @@ def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(
         assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
     stored = json.loads(files[1].read_text())
     assert stored["families"]["street"]["episodes"] == 30
-    print_groups("family", mixed.families | {"all": mixed.summary})
-    printed = capsys.readouterr().out
-    for name in ("square_compact", "street", "all"):
-        assert name in printed
 
 
 @pytest.mark.parametrize(
-    ("part", "column", "file", "names"),
+    ("part", "column", "names"),
     [
-        ("agent_counts", "agents_present", "agents_present.csv", (1, 2)),
-        ("vehicles", "vehicle", "vehicles.csv", ("city", "van")),
+        ("agent_counts", "agents_present", (1, 2)),
+        ("vehicles", "vehicle", ("city", "van")),
     ],
 )
 def test_numbers_of_agents_and_vehicles_have_tables_of_their_own(
-    part, column, file, names, everything, tmp_path, capsys
+    part, column, names, everything, tmp_path, capsys
 ):
     parts = {n: everything.summary | {"episodes": 10 + k} for k, n in enumerate(names)}
     result = dataclasses.replace(everything, **{part: parts})
     *_, table = write_evaluation(tmp_path, result, {})
-    assert table.name == file
+    assert table.stem.startswith(column)
     with table.open() as opened:
         rows = [(row[column], row["episodes"]) for row in csv.DictReader(opened)]
-    one, other = map(str, names)
-    assert rows == [(one, "10"), (other, "11"), ("all", "90")]
-    stored = json.loads((tmp_path / "evaluation.json").read_text())
-    assert stored[table.stem][other]["episodes"] == 11
+    assert rows == [(str(names[0]), "10"), (str(names[1]), "11"), ("all", "90")]
     print_report(result, "a title")
-    if part == "agent_counts":
-        assert "by agents present" in capsys.readouterr().out
+    assert f"by {column.replace('_', ' ')}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("flag", ["run", "policy"])

@@ -26,7 +26,7 @@ from carpark_mj.planning.policy import (
 from carpark_mj.planning.search import Search, SearchConfig
 from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
 from carpark_mj.suite.levels import pick_cases
-from carpark_mj.vehicle import make_vehicle, preset
+from carpark_mj.vehicle import preset
 
 NOBODY = np.zeros((0, 3)), np.zeros((0, 2))
 
@@ -80,37 +80,16 @@ def test_a_lot_is_searched_and_driven_alone_as_in_a_batch():
 
 
 def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypatch):
-    lots, agents = 2, 12
-    pose = np.zeros((agents, 3))
-    pose[:, 0] = np.linspace(-33.0, 33.0, agents)
-
-    def each(value, *counts):
-        return np.broadcast_to(np.asarray(value), (*counts, *np.shape(value)))
-
-    of_agents = {"active": True, "begins": False, "speed": 0.0, "steering": 0.0}
-    of_agents |= {"goal": (0.0, 5.0, 0.0), "one_way": False}
-    of_agents |= {"size": (CAR.length, CAR.width)}
-    seen = {name: each(value, lots, agents) for name, value in of_agents.items()}
-    seen["car"] = jax.tree.map(lambda x: each(x, lots, agents), make_vehicle(CAR))
-    seen |= {
-        name: np.zeros((lots, 0, size))
-        for kind in ("box", "mover")
-        for name, size in ((f"{kind}_pose", 3), (f"{kind}_size", 2))
-    }
-    seen["mover_velocity"] = np.zeros((lots, 0, 2))
-    masks = ("box_mask", "disc_mask", "mover_mask")
-    seen |= {name: np.zeros((lots, 0), bool) for name in masks}
-    seen |= {"disc_pose": np.zeros((lots, 0, 2)), "disc_size": np.zeros((lots, 0))}
-    seen |= {"pose": each(pose, lots), "extent": each((40.0, 10.0), lots)}
-
-    drawn = []
+    lots, agents, drawn = 2, 12, []
+    seen = [dict.fromkeys(range(agents), sight())] * lots
+    monkeypatch.setattr(policy_module, "_sights", lambda _: seen)
     monkeypatch.setattr(search_module, "_connect", lambda *task: drawn.append(task[-1]))
     config, seeds, plans = SearchConfig(clearances=(0.02,)), 2, 2
     planner = Planner(0.2, config=config)
     for seed in range(seeds):
         planner.reset(seed)
         for _ in range(plans * PATIENCE):
-            planner.act(seen)
+            planner.act({"active": np.ones((lots, agents))})
     assert len(drawn) == seeds * lots * agents * plans * config.paths
     assert len({*drawn}) == len(drawn)
 

@@ -9,11 +9,7 @@ from helpers.programs import python
 
 from carpark_mj import compilation
 from carpark_mj.cli.process import OUTPUT_FUSION, enable_output_fusion
-from carpark_mj.compilation import (
-    SHARE_LOOPS,
-    cache_folder,
-    keep_compiled_programs,
-)
+from carpark_mj.compilation import SHARE_LOOPS, cache_folder, keep_compiled_programs
 
 OPTIONS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
 
@@ -26,6 +22,7 @@ find = importlib.util.find_spec
 importlib.util.find_spec = lambda name: None if name in needed else find(name)
 seen, words = {}, {"layouts import": ["a.osm", "--out", "b.json"]}
 words |= {"suite": ["zero", "--cases", "1"], "sweep": ["--base", "cpu"]}
+words |= {"scenario": ["a.yaml"]}
 missing = []
 for name, command in COMMANDS.items():
     if command.needs:

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from helpers.cases import episode
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.suite.evaluation import SuiteConfig, main
@@ -16,24 +17,12 @@ from carpark_mj.suite.results import (
 )
 
 DOCS = Path(__file__).parents[2] / "docs"
-MEANS = {"gear_changes": 2.0, "path": 9.0, "time_to_park": 30.0}
-
-
-def episode(case, end, seed=0):
-    which = {"policy": "x", "rule": "strict", "made_with": "cpu", "seed": seed}
-    which |= {
-        "level": "tpcap",
-        "held_out": find_level("tpcap").fingerprint,
-        "case": case,
-    }
-    ends = dict.fromkeys(("parked", "crashed", "timed_out", "diverged"), 0.0)
-    return which | ends | {end: 1.0} | MEANS
 
 
 def episodes(seeds=(0,)):
     """Every case of a level: the first ones crash, as many as the seed says and 2."""
     return [
-        episode(case, "crashed" if n < 2 + seed else "parked", seed)
+        episode(case, "tpcap", "crashed" if n < 2 + seed else "parked", seed=seed)
         for seed in seeds
         for n, case in enumerate(find_level("tpcap").numbers)
     ]
@@ -55,7 +44,9 @@ def test_rates_are_counted_from_what_was_written(tmp_path, capsys):
 def test_the_leaderboard_takes_every_case_and_outcomes_only(tmp_path):
     path = write_submission(tmp_path, episodes()[:-1])
     assert read_submission(path)[0].cases == 19
-    with pytest.raises(ValueError, match="x drove 19 of the 20 cases of level tpcap"):
+    with pytest.raises(
+        ValueError, match="x has outcomes of 19 of the 20 cases of level tpcap"
+    ):
         check_submission(path)
     data = json.loads(path.read_text())
     del data["results"][0]["outcomes"]
@@ -63,7 +54,7 @@ def test_the_leaderboard_takes_every_case_and_outcomes_only(tmp_path):
     data["results"][0]["rates"] = rates
     path.write_text(json.dumps(data))
     assert read_submission(path)[0].shares == rates
-    with pytest.raises(ValueError, match="x has no outcomes in level tpcap"):
+    with pytest.raises(ValueError, match="x has outcomes of 0 of the 20"):
         check_submission(path)
 
 
@@ -72,15 +63,11 @@ def test_the_leaderboard_takes_every_case_and_outcomes_only(tmp_path):
     [
         ({"level": "hard"}, "level must be one of .*, not 'hard'"),
         ({"held_out": "0"}, "held_out must be '.*', not '0'"),
-        ({"policy": 3}, "no 'policy' of str"),
         ({"seeds": [0, 0]}, r"seeds must be different whole numbers, not \(0, 0\)"),
-        ({"seeds": [True]}, "seeds must be .* a whole number"),
         ({"path": -1.0}, "path must be at least 0, not -1"),
-        ({"path": float("nan")}, "path must be at least 0, not nan"),
         ({"rates": {}}, "outcomes or rates must be given, not both"),
         ({"outcomes": []}, "outcomes must be a string"),
         ({"outcomes": ["px"]}, "letters p, c, t, d"),
-        ({"outcomes": [[]]}, "outcomes must be .* text"),
         ({"outcomes": ["p" * 21]}, "1 to 20 letters"),
         ({"seeds": [0, 1], "outcomes": ["pp", "p"]}, "all of the same length"),
     ],

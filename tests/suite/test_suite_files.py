@@ -4,14 +4,16 @@ import contextlib
 
 import numpy as np
 import pytest
+from helpers import cases
+from helpers.cases import drives
 from helpers.disks import no_printing
 from helpers.mutating import damaged
 from rich.console import Console
 
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.suite import report as suite_videos
-from carpark_mj.suite.evaluation import Drives, SuiteConfig, main
-from carpark_mj.suite.levels import SHA256, load_held_out
+from carpark_mj.suite.evaluation import SuiteConfig, main
+from carpark_mj.suite.levels import load_held_out
 from carpark_mj.suite.report import FASTER, make_videos, recording_of
 from carpark_mj.suite.results import (
     CASES_FILE,
@@ -24,26 +26,13 @@ from carpark_mj.suite.results import (
 from carpark_mj.suite.tpcap import load_tpcap
 
 
-def episode(case, seed=0, rule="strict", **more):
-    which = {"policy": "x", "rule": rule, "held_out": SHA256[:16], "made_with": "cpu"}
-    which |= {"seed": seed, "level": "extreme", "case": case, "kind": "parallel"}
-    ends = {"parked": 0.0, "crashed": 0.0, "timed_out": 1.0, "diverged": 0.0}
-    drive = {"hit_agent": 0.0, "length": 4.0 + case, "path": 9.0, "gear_changes": 1.0}
-    drive |= {"time_to_park": 30.0, "final_distance": 0.1, "final_heading": 0.1}
-    return {**which, **ends, **drive, "ms / decision": 2.0, **more}
-
-
-def drives(length, agents=1):
-    shape = (1, length, agents)
-    pose = np.broadcast_to(np.array([1.0, 2.0, 3.0], np.float32), (*shape, 2, 3))
-    return Drives(pose, np.ones(shape, np.float32), np.ones(shape, np.float32))
+def episode(case, seed=0, level="extreme", end="timed_out", **more):
+    return cases.episode(case, level, end, seed=seed, **more)
 
 
 def write(folder, *rows):
     folder.mkdir()
-    kept = rows[-1]
-    key = kept["policy"], kept["level"], kept["seed"], kept["case"]
-    write_run(folder, rows, {key: drives(round(kept["length"]))})
+    write_run(folder, rows, {key_of(rows[-1]): drives(round(rows[-1]["length"]))})
     return folder
 
 
@@ -67,7 +56,7 @@ def test_what_processes_wrote_is_read_together(tmp_path):
     recording = recording_of(again[1], both["planner", "extreme", 0, 1])
     assert recording.pose_w.shape == (5, 2, 1, 3)
     assert recording.timed_out[:, 0].tolist() == [False] * 4 + [True]
-    layout = load_held_out("extreme").layouts
+    layout = load_held_out("extreme")[0]
     np.testing.assert_array_equal(recording.layout.bay_pose, layout.bay_pose[1])
     assert recording.goal[-1].tolist() == [0]
 
@@ -100,7 +89,7 @@ def test_runs_with_a_moving_or_another_car_are_read_together(tmp_path, more):
 def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
     folders = [
         write(tmp_path / "a", episode(0), episode(1)),
-        write(tmp_path / "b", episode(0, 1, parked=1.0, timed_out=0.0), episode(1, 1)),
+        write(tmp_path / "b", episode(0, 1, end="parked"), episode(1, 1)),
     ]
     # Another device is no other version.
     second = folders[1] / CASES_FILE
@@ -111,8 +100,8 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
         terminal.setattr(Console, "print", no_printing)
         with pytest.raises(BrokenPipeError):
             main(config)
-    names = {"cases.csv", "worst.npz", "suite.md", "suite.csv", "suite.html"}
-    names |= {"suite.json"}
+    names = {"worst.npz", *(f"suite.{x}" for x in ("md", "csv", "html", "json"))}
+    names.add("cases.csv")
     assert {path.name for path in out.iterdir()} == names  # before it is printed
     (row,) = main(config)
     assert (row["cases"], row["seeds"], row["parked"]) == (2, 2, 0.25)
@@ -131,12 +120,9 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
         ([episode(1, rule="precise")], "different rules"),
         ([episode(1, vehicle="compact")], "of different cars"),
         ([episode(1, moving_car=1)], "with and without a moving car"),
-        ([episode(1, made_with="cpu, jax 0")], r"x with different versions .*'jax 0'"),
+        ([episode(1, made_with="cpu, jax 0")], "x with different versions"),
         ([episode(1, held_out="0")], "other held-out cases, '0'"),
-        ([episode(1, crashed="often")], "line 2: crashed must be .*'often'"),
         ([episode(1000)], "line 2: there is no case 1000 of level 'extreme'"),
-        ([episode(0, level="tpcap")], "line 2: there is no case 0 of level 'tpcap'"),
-        ([episode(1, level="tpcap")], f"other held-out cases, '{SHA256[:16]}', not "),
         ([episode(2), episode(1, length="")], "line 3: length must be .*''"),
     ],
 )
@@ -150,7 +136,7 @@ def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):
 
 
 def test_damaged_results_are_results_or_refused(tmp_path, capsys):
-    folder = write(tmp_path / "a", episode(0), episode(1, parked=1.0, timed_out=0.0))
+    folder = write(tmp_path / "a", episode(0), episode(1, end="parked"))
     out = str(tmp_path / "out")
     for name in (CASES_FILE, WORST_FILE):
         data = (folder / name).read_bytes()
@@ -168,9 +154,7 @@ def test_a_video_is_faster_than_driving(tmp_path):
 
     assert choose_gl() is None, "this machine cannot render"
     row = episode(0, length=40.0)  # 8 s, and then the last picture for 1 s
-    (path,) = make_videos(
-        tmp_path, [row], {("x", "extreme", 0, 0): drives(40)}
-    ).values()
+    (path,) = make_videos(tmp_path, [row], {key_of(row): drives(40)}).values()
     assert path == tmp_path / "videos" / "x-extreme-0-0.mp4"
     data = next(imageio_ffmpeg.read_frames(str(path)))
     assert data["duration"] == pytest.approx(8.0 / FASTER + 1.0, abs=0.2)
@@ -181,8 +165,7 @@ def test_runs_of_the_same_name_have_videos_of_their_own(tmp_path, monkeypatch):
         suite_videos, "_write", lambda path, *_: path.write_text("video")
     )
     names = ("runs/a/best", "runs/b/best", "runs/b-best")
-    rows = [episode(0, policy=name, length=4.0) for name in names]
-    kept = {(name, "extreme", 0, 0): drives(4) for name in names}
-    videos = make_videos(tmp_path, rows, kept)
+    rows = [episode(0, policy=name) for name in names]
+    videos = make_videos(tmp_path, rows, dict.fromkeys(map(key_of, rows), drives(4)))
     assert len({*videos.values()}) == 3
     assert all(path.read_text() == "video" for path in videos.values())

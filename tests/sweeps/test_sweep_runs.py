@@ -19,9 +19,18 @@ from submitit.core.submission import process_job
 from submitit.helpers import DelayedSubmission
 from submitit.slurm.test_slurm import mocked_slurm
 
+from carpark_mj import sweeps
 from carpark_mj.cli.settings.tables import SlurmConfig, Where
-from carpark_mj.sweeps import Work, jobs, locked, open_sweep, read_outcome, run_sweep
-from carpark_mj.sweeps.jobs import make_executor, submit_array, visible_gpus
+from carpark_mj.sweeps import (
+    Work,
+    locked,
+    make_executor,
+    open_sweep,
+    read_outcome,
+    run_sweep,
+    submit_array,
+    visible_gpus,
+)
 
 HERE = Where(cluster="debug", side_by_side=1)
 TESTS = Path(__file__).parents[1]
@@ -191,8 +200,8 @@ def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypa
     with mocked_slurm():
         ids = [job.job_id for _, job in slurm_jobs(tmp_path)]
         answers = iter([None, {ids[0], "999"}])  # at first Slurm is too busy
-        monkeypatch.setattr(jobs, "queued_jobs", lambda: next(answers))
-        monkeypatch.setitem(jobs.POLL_SECONDS, "slurm", 0.0)
+        monkeypatch.setattr(sweeps, "queued_jobs", lambda: next(answers))
+        monkeypatch.setitem(sweeps.POLL_SECONDS, "slurm", 0.0)
         again = slurm_jobs(tmp_path, repeats=3)
     assert again[0][1].job_id == ids[0]
     assert [len(work.runs) for work, _ in again] == [1, 1, 1]
@@ -203,18 +212,11 @@ def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypa
     assert sorted(known) == sorted(names)
 
 
-@pytest.mark.parametrize(
-    ("visible", "jobs", "seen"),
-    [
-        ("0,1", 2, [("0",), ("1",)]),
-        ("0,1", 1, [("0", "1")]),
-        ("3", 2, [("3",), ("3",)]),
-        ("", 1, [("",)]),
-    ],
-)
-def test_local_jobs_share_the_gpus(visible, jobs, seen, monkeypatch):
+@pytest.mark.parametrize(("visible", "shared"), [("0,1", "01"), ("3", "33")])
+def test_local_jobs_share_the_gpus(visible, shared, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
-    assert [visible_gpus(slot, jobs) for slot in range(jobs)] == seen
+    assert [visible_gpus(slot, 2) for slot in range(2)] == [(x,) for x in shared]
+    assert visible_gpus(0, 1) == tuple(visible.split(","))  # alone it has all
 
 
 def test_a_job_sees_the_gpus_it_was_given(tmp_path, monkeypatch):
@@ -235,8 +237,8 @@ def test_a_job_sees_the_gpus_it_was_given(tmp_path, monkeypatch):
 def test_a_job_that_leaves_the_queue_without_a_result_has_failed(tmp_path, monkeypatch):
     plan, runs = plan_runs("num_agents=1,2")
     answers = iter([{"12_0", "12_1"}, {"12_0", "12_1"}, {"12_1"}, set()])
-    monkeypatch.setattr(jobs, "queued_jobs", lambda: next(answers))
-    monkeypatch.setitem(jobs.POLL_SECONDS, "slurm", 0.0)
+    monkeypatch.setattr(sweeps, "queued_jobs", lambda: next(answers))
+    monkeypatch.setitem(sweeps.POLL_SECONDS, "slurm", 0.0)
     where = Where(cluster="slurm", side_by_side=1)
     with mocked_slurm():
         counts = run_sweep(tmp_path, plan, runs, where, train)

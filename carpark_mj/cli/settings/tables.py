@@ -14,6 +14,7 @@ from carpark_mj.config.checks import (
     require_seed,
     require_unset,
 )
+from carpark_mj.files import require_suffix
 
 WORST = 10  # cases of a policy and level of the suite that can be filmed
 DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "moving_car", "seeds")
@@ -313,3 +314,34 @@ class ScenarioConfig:
     seeds: tuple[int, ...] = (0,)
     videos: int = 0
     out: str = "runs/scenario"
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportConfig:
+    """One printable page about runs of `suite` and `scenario`, with limits.
+
+    carpark_mj report runs/scenario
+    carpark_mj report runs/child runs/door --limits "parked>=0.95" "crashed<=0.01"
+    carpark_mj report runs/scenario --limits "final_distance<=0.1" --out report.html
+
+    A limit names a rate (parked, crashed, timed_out, hit_person, hit_mover, near_miss),
+    which its 95 % interval must keep, or a value (final_distance, final_heading,
+    time_to_park, gear_changes, path, min_clearance, least_gap, contact_speed,
+    peak_acceleration), which every repetition must keep.
+
+    Attributes:
+        runs: folders that `suite` or `scenario` wrote; films there are embedded.
+        limits: each NAME>=VALUE or NAME<=VALUE.
+        title: of the page; default: that of the runs.
+        out: the page.
+    """
+
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    limits: tuple[str, ...] = ()
+    title: str = ""
+    out: str = "report.html"
+
+    def __post_init__(self) -> None:
+        if not self.runs:
+            raise ValueError("name at least one folder, for example runs/scenario")
+        require_suffix("out", self.out, ".html")

@@ -1,0 +1,278 @@
+"""The report of an acceptance test, `carpark_mj report`: results against limits.
+
+One self-contained, printable HTML page of folders that `suite` and `scenario` wrote:
+what was tested on what, rates with intervals against limits, distributions, contacts,
+the worst cases with their films, and what repeats the test.
+"""
+
+import base64
+import datetime
+import html
+import io
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+from urllib.parse import quote
+
+import numpy as np
+
+from carpark_mj.cli.settings.tables import WORST, ReportConfig
+from carpark_mj.evaluation.aggregation import Row, wilson_interval
+from carpark_mj.evaluation.tables import print_rows, table, write_page
+from carpark_mj.extensions import unknown_name
+from carpark_mj.files import require_writable
+from carpark_mj.suite.report import (
+    FOLDER,
+    header,
+    same_columns,
+    short_level,
+    shown_cells,
+    table_rows,
+    worst_first,
+)
+from carpark_mj.suite.results import by_policy, key_of, read_runs
+from carpark_mj.types import ENDINGS
+
+# Shares of all repetitions.
+RATES = {
+    "parked": "parked",
+    "crashed": "collision",
+    "timed_out": "timed out",
+    "hit_person": "contact with a person",
+    "hit_mover": "contact with a cart or a car",
+    "near_miss": "near miss",
+}
+# Values of repetitions, with their unit; only of those that parked, or of all.
+VALUES = {
+    "final_distance": ("distance to the goal", "m", True),
+    "final_heading": ("angle to the goal", "rad", True),
+    "time_to_park": ("time", "s", True),
+    "gear_changes": ("gear changes", "", True),
+    "path": ("path", "m", True),
+    "min_clearance": ("least clearance", "m", False),
+    "least_gap": ("least gap to people and movers", "m", False),
+    "contact_speed": ("speed of contacts with people and movers", "m/s", False),
+    "peak_acceleration": ("largest acceleration", "m/s²", False),
+}
+Verdict = Literal["passed", "open", "failed"]
+BINS = 20
+PRINT = """<style>
+figure { display: inline-block; margin: .4rem; vertical-align: top; }
+figure video { width: 18rem; }
+@media print { h2 { break-after: avoid; } figure video { display: none; } }
+</style>"""
+
+
+class Limit(NamedTuple):
+    """A limit: a rate's, or one that each repetition keeps.
+
+    Attributes:
+        name: of `RATES` or `VALUES`.
+        least: whether it is the least, not the largest allowed.
+        value: of a rate a share, otherwise in the unit of the value.
+    """
+
+    name: str
+    least: bool
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.name} {'≥' if self.least else '≤'} {self.value:g}"
+
+
+def parse_limit(text: str) -> Limit:
+    """A limit as it is written, `parked>=0.99` or `final_distance<=0.1`.
+
+    Raises:
+        ValueError: another form, an unknown name, or a rate outside [0, 1].
+    """
+    found = re.fullmatch(r"(\w+)\s*(>=|<=)\s*([^\s]+)", text.strip())
+    try:
+        if found is None:
+            raise ValueError
+        limit = Limit(found[1], found[2] == ">=", float(found[3]))
+    except ValueError:
+        raise ValueError(
+            f"a limit is NAME>=VALUE or NAME<=VALUE, as parked>=0.99, not {text!r}"
+        ) from None
+    known = {*RATES, *VALUES}
+    if limit.name not in known:
+        raise ValueError(unknown_name("limit", limit.name, known))
+    if not math.isfinite(limit.value) or (
+        limit.name in RATES and not (0.0 <= limit.value <= 1.0)
+    ):
+        raise ValueError(f"{limit.name} must be a share in [0, 1], not {limit.value}")
+    return limit
+
+
+def judge(limit: Limit, rows: Sequence[Row]) -> dict[str, Any]:
+    """How repetitions of one policy in one level keep a limit, a row of a table.
+
+    Its share is that of the event, or of repetitions that keep the limit. A limit of a
+    rate is passed or failed if Wilson's 95 % interval says so, otherwise open. One of a
+    value is passed if every repetition keeps it.
+    """
+    if limit.name in RATES:
+        values = [row[limit.name] for row in rows if limit.name in row]
+        keeps = np.array(values)
+    else:
+        values = _values(limit.name, rows)
+        above, below = values >= limit.value, values <= limit.value
+        keeps = above if limit.least else below
+    if not len(values):
+        return {"limit": str(limit), "found": "no repetition has it", "verdict": "open"}
+    share, count = float(keeps.mean()), len(keeps)
+    low, high = wilson_interval(share * count, count)
+    verdict: Verdict = "passed" if keeps.all() else "failed"
+    if limit.name in RATES:
+        inside = (low, high) if limit.least else (1.0 - high, 1.0 - low)
+        bound = limit.value if limit.least else 1.0 - limit.value
+        verdict = "open"
+        if inside[0] >= bound:
+            verdict = "passed"
+        elif inside[1] < bound:
+            verdict = "failed"
+    interval = f"{100 * share:.1f} % ({100 * low:.1f} … {100 * high:.1f})"
+    found: dict[str, Any] = {"limit": str(limit), "found": f"{interval} of {count}"}
+    if limit.name in VALUES:
+        worst = float(np.min(values) if limit.least else np.max(values))
+        found["found"] += (
+            f" keep it, worst {worst:.3g} {VALUES[limit.name][1]}".rstrip()
+        )
+    return found | {"verdict": verdict}
+
+
+def _values(name: str, rows: Sequence[Row]) -> np.ndarray:
+    """A value of the repetitions that have it."""
+    parked = VALUES[name][2]
+    found = [row[name] for row in rows if name in row and (row["parked"] or not parked)]
+    values = np.array(found, float)
+    return values[np.isfinite(values)]
+
+
+def histograms(rows: Mapping[str, Sequence[Row]]) -> str:
+    """Distributions of all values that vary, by policy and level, as SVG in HTML."""
+    from matplotlib.figure import Figure  # no window, no state
+
+    shown = ""
+    for name, (title, unit, _) in VALUES.items():
+        found = {which: _values(name, part) for which, part in rows.items()}
+        found = {which: values for which, values in found.items() if len(values)}
+        if not found or np.ptp(np.concatenate([*found.values()])) == 0.0:
+            continue
+        figure = Figure(figsize=(4.2, 2.6), layout="constrained")
+        axes = figure.subplots()
+        axes.hist([*found.values()], BINS, label=[*found], histtype="step")
+        axes.set_xlabel(f"{title} [{unit}]" if unit else title)
+        axes.set_ylabel("repetitions")
+        if len(found) > 1:
+            axes.legend(fontsize="x-small")
+        file = io.BytesIO()
+        figure.savefig(file, format="svg", metadata={"Date": None})
+        data = base64.b64encode(file.getvalue()).decode()
+        about = html.escape(title)
+        shown += f'<img alt="{about}" src="data:image/svg+xml;base64,{data}">'
+    return shown or "<p>no value varies</p>"
+
+
+def main(config: ReportConfig) -> list[dict[str, Any]]:
+    """Writes the page and prints the limits; returns their rows."""
+    limits = list(map(parse_limit, config.limits))
+    page, folders = Path(config.out), list(map(Path, config.runs))
+    require_writable(page, new_folders=True)
+    episodes, _ = read_runs(folders)
+    parts = {
+        f"{policy}, {short_level(level)}": part
+        for (policy, level), part in by_policy(episodes).items()
+    }
+    judged = [
+        {"policy and level": which} | judge(limit, part)
+        for which, part in parts.items()
+        for limit in limits
+    ]
+    policies = dict.fromkeys(row["policy"] for row in episodes)
+    rates = same_columns([x for name in policies for x in table_rows(name, episodes)])
+    title, *about = header(episodes)
+    sections = [("Limits", PRINT + table(judged))] if judged else [("", PRINT)]
+    sections.append(("Results", table(_turned(list(map(shown_cells, rates))))))
+    sections.append(("Distributions", histograms(parts)))
+    contacts = [x for x in episodes if x["crashed"] or x.get("near_miss")]
+    sections.append(("Contacts and near misses", table(list(map(_contact, contacts)))))
+    for which, part in parts.items():
+        worst = worst_first(part)[:WORST]
+        films = "".join(_film(row, folders) for row in worst)
+        sections.append((f"Worst of {which}", table(list(map(_worst, worst))) + films))
+    sections.append(("To repeat", table(list(map(_repeat, parts.values())))))
+    page.parent.mkdir(parents=True, exist_ok=True)
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    write_page(page, config.title or title, [f"{title}. {today}.", *about], sections)
+    if judged:
+        print_rows(judged, title, left=4)
+    print(f"wrote {page}")
+    return judged
+
+
+def _turned(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+    """A table with a column for each of its rows, which a printed page has room for."""
+    names = [f"{row['policy']}, {short_level(row['level'])}" for row in rows]
+    names = [
+        f"{name}, {row['kind']}" if names.count(name) > 1 else name
+        for name, row in zip(names, rows, strict=True)
+    ]
+    keys = [key for key in rows[0] if key not in ("policy", "level", "kind")]
+    return [
+        {"": key} | {name: row[key] for name, row in zip(names, rows, strict=True)}
+        for key in keys
+    ]
+
+
+def _contact(row: Row) -> dict[str, Any]:
+    level = short_level(row["level"])
+    which = {"policy": row["policy"], "level": level}
+    which |= {name: row[name] for name in ("case", "seed")}
+    hit = [x.removeprefix("hit_") for x in row if x.startswith("hit_") and row[x]]
+    speed = row.get("contact_speed", math.nan)
+    return which | {
+        "with": ", ".join(hit).replace("_", " ") or "near miss",
+        "steps": row["length"],
+        "speed [m/s]": speed if hit else math.nan,
+        "least gap [m]": row.get("least_gap", row.get("min_clearance", math.nan)),
+    }
+
+
+def _worst(row: Row) -> dict[str, Any]:
+    outcome = next(name for name in ENDINGS if row[name]).replace("_", " ")
+    names = ("case", "seed", "path", "gear_changes", "final_distance", "final_heading")
+    return {"outcome": outcome} | {name: row[name] for name in names}
+
+
+def _repeat(rows: Sequence[Row]) -> dict[str, Any]:
+    """What repeats the test of one policy in one level."""
+    first = rows[0]
+    seeds = sorted({row["seed"] for row in rows})
+    cases = sorted({row["case"] for row in rows})
+    return {
+        "policy": first["policy"],
+        "level": first["level"],
+        "cases": f"{cases[0]} to {cases[-1]}",
+        "seeds": ", ".join(map(str, seeds)),
+        "rule": first["rule"],
+        "SHA-256 of the cases": first["held_out"],
+        "made with": first["made_with"],
+    }
+
+
+def _film(row: Row, folders: Sequence[Path]) -> str:
+    """The film of an episode, embedded, if a folder has it."""
+    name = "-".join(quote(str(part), safe="") for part in key_of(row)) + ".mp4"
+    for folder in folders:
+        if (file := folder / FOLDER / name).exists():
+            data = base64.b64encode(file.read_bytes()).decode()
+            caption = f"case {row['case']}, seed {row['seed']}"
+            return (
+                f'<figure><video controls muted src="data:video/mp4;base64,{data}">'
+                f"</video><figcaption>{caption}</figcaption></figure>"
+            )
+    return ""
