@@ -37,12 +37,8 @@ def choose_xla_flags() -> None:
     flags = os.environ.setdefault("XLA_FLAGS", SHARE_LOOPS).strip()
     is_file = bool(flags) and not flags.startswith("--")
     decided = is_file or FUSION_AUTOTUNER in flags
-    if not decided and any(map(_is_installed, GPU_PLUGINS)):
+    if not decided and any(map(importlib.util.find_spec, GPU_PLUGINS)):
         os.environ["XLA_FLAGS"] = f"{flags} {SKIP_SLOW_KERNELS}".strip()
-
-
-def _is_installed(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None
 
 
 def keep_compiled_programs() -> None:
@@ -70,11 +66,7 @@ def keep_compiled_programs() -> None:
 
 
 def cache_folder() -> Path:
-    """Where programs are kept by default: `~/.cache/carpark_mj/jax`.
-
-    Raises:
-        RuntimeError: the user has no home.
-    """
+    """Where programs are kept by default: `~/.cache/carpark_mj/jax`."""
     caches = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if not caches.is_absolute():  # or not set
         caches = Path.home() / ".cache"

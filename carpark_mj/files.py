@@ -19,8 +19,8 @@ _RANDOM = 16  # hexadecimal digits in the name of a temporary file
 def _temporary(path: Path, folder: Path | None = None) -> Generator[Path]:
     """A new file beside `path`, or in `folder`; what is left at the end is removed.
 
-    It has the suffix of `path`. Nobody can have laid a link in its place: its name is
-    random, and it is created only where nothing has that name.
+    Nobody can have laid a link in its place: its name is random, and it is created only
+    where nothing has that name.
     """
     name = f".{path.stem}.{secrets.token_hex(_RANDOM // 2)}{path.suffix}"
     temporary = (folder or path.parent) / name

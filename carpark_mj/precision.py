@@ -25,10 +25,7 @@ def is_real(value: object) -> bool:
 
 
 def require_float32() -> None:
-    """Refuses to go on where JAX computes in float64 by default.
-
-    Geometry and physics can, on their own; tests compare with float64.
-    """
+    """Refuses float64 by default; geometry and physics alone can, as tests do."""
     if jax.config.read("jax_enable_x64"):
         raise ValueError(
             "environments and policies compute in float32: jax_enable_x64 must be "

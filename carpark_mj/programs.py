@@ -1,6 +1,7 @@
 """The commands of `carpark_mj`, and the programs of papers and extensions."""
 
 import dataclasses
+import inspect
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -27,20 +28,13 @@ class Command(Entry):
 
     Its settings are a config class, whose docstring is the help. The settings are read
     before the function is imported, without JAX.
-
-    Attributes:
-        settings: `module:name` of the config class, below `cli.settings`; empty = the
-            words themselves.
-        setup: called before the function is imported, which may load MuJoCo, and
-            before JAX computes.
-        drives: its help names the pretrained policies.
-        needs: packages of extras without which it is refused at once.
     """
 
-    settings: str = ""
+    settings: str = ""  # `module:name` of the class in `cli.settings`; "" = the words
+    # Called before the function is imported, which may load MuJoCo, and JAX computes.
     setup: tuple[Callable[[], object], ...] = ()
-    drives: bool = False
-    needs: tuple[str, ...] = ()
+    drives: bool = False  # its help names the pretrained policies
+    needs: tuple[str, ...] = ()  # packages of extras without which it is refused
 
 
 def _command(home: str, *others: Any, **more: Any) -> Command:
@@ -136,28 +130,19 @@ COMMANDS = {
 STUDY_PROGRAMS: Registry[Any] = Registry("program")
 
 
-def run(name: str, arguments: Sequence[str] | None = None) -> object:
-    """Sets this process up and runs a command.
+def run(
+    name: str, arguments: Sequence[str] | None = None, set_up: bool = True
+) -> object:
+    """Runs one of `COMMANDS`; gives the exit code if that is an int, others mean 0.
 
-    Args:
-        name: of `COMMANDS`.
-        arguments: the command line; None = that of this process.
-
-    Returns:
-        The exit code if it is an int; other values mean 0.
+    The arguments are by default those of this process, which is set up first if
+    `set_up`.
     """
-    return call(name, sys.argv[1:] if arguments is None else arguments, set_up=True)
-
-
-def call(name: str, arguments: Sequence[str], set_up: bool = False) -> object:
-    """Runs a command; with `set_up` it sets the process up first, see `run`."""
-    words = list(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     if words and f"{name} {words[0]}" in COMMANDS:
-        return call(f"{name} {words[0]}", words[1:], set_up)
+        return run(f"{name} {words[0]}", words[1:], set_up)
     command = COMMANDS[name]
-    given: Any = words
-    if command.settings:
-        given = _read(name, command, words)
+    given = _read(name, command, words) if command.settings else words
     require_packages(*command.needs)
     for prepare in command.setup if set_up else ():
         prepare()
@@ -169,10 +154,10 @@ def call(name: str, arguments: Sequence[str], set_up: bool = False) -> object:
 
 def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     """The settings of a command."""
-    from carpark_mj.cli.flags import command_help, help_of, read_flags
+    from carpark_mj.cli.flags import command_help, read_flags
 
     settings = Entry(SETTINGS + command.settings).load()
-    text = help_of(settings)
+    text = (inspect.getdoc(settings) or "").partition("\n\nAttributes:")[0]
     if command.drives:
         text = command_help(text)
     if hasattr(settings, "view"):
@@ -181,11 +166,7 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
 
 
 def study(arguments: Sequence[str]) -> object:
-    """Runs a program of a paper or another extension, which the first argument names.
-
-    Raises:
-        ValueError: there is no such program, or none at all.
-    """
+    """Runs the program of a paper or an extension that the first argument names."""
     choose_gl()  # before an extension imports MuJoCo
     if not STUDY_PROGRAMS:
         raise ValueError(
@@ -243,18 +224,17 @@ def _train(arguments: Sequence[str]) -> int:
     from carpark_mj.training.loop import read_metrics
     from carpark_mj.training.ppo.train import FEW_UPDATES, MAX_SKIPPED, train_runs
 
-    is_first = jax.process_index() == 0  # others have no files of the runs
     ended = train_runs(configs)
     stopped = [str(folder) for folder, outcome in ended if outcome == "stopped"]
     if stopped:
         print(f"stopped; continue with: carpark_mj train --resume {' '.join(stopped)}")
     for folder, outcome in ended:
-        if outcome == "done":
-            made = len(read_metrics(folder)) if is_first else FEW_UPDATES
-            few = "updates, too few to learn: more --minutes or --num-steps"
-            print(
-                f"{'done' if made >= FEW_UPDATES else f'only {made} {few}'}: {folder}"
-            )
+        # Other hosts have no files of the runs.
+        if outcome == "done" and jax.process_index() == 0:
+            made = len(read_metrics(folder))
+            few = f"only {made} updates, too few to learn"
+            few += ": more --minutes or --num-steps"
+            print(f"{'done' if made >= FEW_UPDATES else few}: {folder}")
         if outcome == "diverged":
             print(
                 f"ppo: {MAX_SKIPPED} updates in a row were non-finite; the "

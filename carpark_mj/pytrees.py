@@ -16,11 +16,7 @@ def own_buffers(tree: Tree) -> Tree:
     environment, or one array in several places. A program that donates its argument
     (`donate_argnums`) would delete or refuse these.
     """
-
-    def own(x: jax.Array) -> jax.Array:
-        return x if isinstance(x, Tracer) else x.copy()
-
-    return jax.tree.map(own, tree)
+    return jax.tree.map(lambda x: x if isinstance(x, Tracer) else x.copy(), tree)
 
 
 def without_empty(tree: Any) -> Any:
@@ -29,12 +25,7 @@ def without_empty(tree: Any) -> Any:
 
 
 def with_empty(saved: Any, like: Tree) -> Tree:
-    """Undoes `without_empty`.
-
-    Args:
-        saved: what it gave.
-        like: a tree of the arrays' shapes and types, as `jax.eval_shape` gives.
-    """
+    """Undoes `without_empty`; `like` has the shapes, as `jax.eval_shape` gives."""
 
     def fill(shape: Any, x: Any) -> Any:
         return x if shape.size else jnp.zeros(shape.shape, shape.dtype)

@@ -6,7 +6,6 @@ Faults raise a `ValueError` that names the file; errors of the system raise `OSE
 import csv
 import io
 import json
-import math
 import reprlib
 import stat
 from collections.abc import Mapping
@@ -44,9 +43,6 @@ def parse_object(text: str, what: str, **kinds: type) -> dict[str, Any]:
     """Parses a JSON object; `what` it is begins the message about a fault.
 
     `kinds` are names that it must have, with the types of their values.
-
-    Raises:
-        ValueError: not JSON, not an object, or without such a value.
     """
     try:
         found = json.loads(text)
@@ -86,15 +82,10 @@ def require_entries(found: Mapping[str, Any], what: str, **kinds: type) -> None:
 
 
 class CsvRow(NamedTuple):
-    """A row of a table.
+    """A row of a table."""
 
-    Attributes:
-        place: file and line, for messages.
-        cells: text by column.
-    """
-
-    place: str
-    cells: dict[str, str]
+    place: str  # file and line, for messages
+    cells: dict[str, str]  # text by column
 
     def number(self, name: str) -> float:
         """The number in a column; `ValueError` names file and line if there is none."""
@@ -116,16 +107,8 @@ class CsvRow(NamedTuple):
 def read_csv(path: Path, *columns: str, growing: bool = False) -> list[CsvRow]:
     """Reads a table whose first line names its columns; an empty file has no rows.
 
-    Args:
-        path: the file.
-        *columns: that it must have.
-        growing: a process that was killed may have left half a line at the end, which
-            is left out.
-
-    Raises:
-        ValueError: a column is missing or is there twice, or a row has not as many
-            values as there are columns.
-        OSError: the file cannot be read.
+    It must have the columns. Of a `growing` one a killed process may have left half a
+    line at the end, which is left out.
     """
     text = read_text(path)
     if growing:
@@ -165,20 +148,10 @@ class ArrayForm(NamedTuple):
 
 
 class Archive:
-    """The arrays of a `.npz` file.
-
-    Attributes:
-        path: the file.
-        names: names of the arrays.
-    """
+    """The arrays of a `.npz` file, by `names`."""
 
     def __init__(self, path: Path) -> None:
-        """Reads the file and compares its checksums.
-
-        Raises:
-            ValueError: it is not an archive, or damaged.
-            OSError: it cannot be read.
-        """
+        """Reads the file and compares its checksums."""
         data = read_bytes(path)  # a few MB, so that no handle stays open
         self.path = path
         try:
@@ -198,16 +171,9 @@ class Archive:
             raise ValueError(f"{path} is damaged at {wrong.removesuffix('.npy')}")
 
     def read(self, forms: Mapping[str, ArrayForm]) -> dict[str, np.ndarray]:
-        """Reads arrays by name.
-
-        Args:
-            forms: what they must be.
-
-        Raises:
-            ValueError: one is missing, damaged, or of another form.
-        """
+        """Reads arrays by name; `ValueError` of one that is not of its form."""
         found: dict[str, np.ndarray] = {}
-        lengths: dict[str, int] = {}
+        lengths: dict[int | str, int] = {}
         for name, form in forms.items():
             if name not in self.names:
                 raise ValueError(
@@ -220,11 +186,9 @@ class Archive:
             same = dtype.kind == "U" if form.dtype == TEXT else dtype == form.dtype
             wanted = form
             if len(shape) == len(form.shape):
-                pairs = zip(form.shape, shape, strict=True)
-                known = [
-                    lengths.setdefault(n, m) if isinstance(n, str) else n
-                    for n, m in pairs
-                ]
+                for length, own in zip(form.shape, shape, strict=True):
+                    lengths.setdefault(length, own)
+                known = (lengths[n] if isinstance(n, str) else n for n in form.shape)
                 wanted = ArrayForm(form.dtype, tuple(known))
             if not same or shape != wanted.shape:
                 raise ValueError(
@@ -238,13 +202,10 @@ class Archive:
         return found
 
     def _header(self, name: str) -> tuple[np.dtype, tuple[int, ...]]:
-        """Dtype and shape of an array, which is not inflated; its size is compared."""
+        """Dtype and shape of an array, which is not inflated."""
         with self._arrays.zip.open(f"{name}.npy") as stream:
             version = np.lib.format.read_magic(stream)
             first = np.lib.format.read_array_header_1_0
             read = first if version == (1, 0) else np.lib.format.read_array_header_2_0
             shape, _, dtype = read(stream)
-            size = stream.tell() + math.prod(shape) * dtype.itemsize
-        if size != self._arrays.zip.getinfo(f"{name}.npy").file_size:
-            raise ValueError("it has another size")
         return dtype, shape

@@ -125,9 +125,5 @@ ENVIRONMENTS.register("sees", SEES)
 
 
 def environment(name: str) -> EnvConfig:
-    """Looks a named environment up.
-
-    Raises:
-        ValueError: unknown name; the message lists the known ones.
-    """
+    """The environment of that name; `ValueError` of an unknown one lists the known."""
     return ENVIRONMENTS[name]

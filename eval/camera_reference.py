@@ -7,9 +7,8 @@ exactly if all four show one object; otherwise the ray is on an edge.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
@@ -83,8 +82,7 @@ def _add_blocks(body: Any, params: VehicleParameters, prefix: str) -> None:
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """MuJoCo's image along rays (...): depths [m], inf in the sky, and `Seen`.
 
     On an edge (bool) objects meet, and the depth belongs to none.
@@ -108,13 +106,11 @@ class Renderer:
             env.fleet.agents[0 if state.kind is None else int(state.kind[k])].height
             for k in range(env.config.num_agents)
         ]
-        _show_solids(self._stage.model)
         self._renderer = mujoco.Renderer(self._stage.model, PIXELS, PIXELS)
         self._options = mujoco.MjvOption()
         shown = (0, 1, LOOK_GROUP if meshes else BLOCK_GROUP)
         self._options.geomgroup[:] = [k in shown for k in range(6)]
-        self._owner = _owners(self._stage.model)
-        self._kinds = _kinds(self._stage.model, state)
+        self._kinds, self._owner = _read_geoms(self._stage.model, state)
 
     def close(self) -> None:
         """Frees the GL context."""
@@ -151,7 +147,13 @@ class Renderer:
                 with np.errstate(divide="ignore"):
                     depth[here] = 1.0 / (near * mine[:, 0])
         depth = np.where(geom < 0, np.inf, depth)
-        return depth, self._what(eye, rays, geom, agent), edge
+        seen = np.where(geom < 0, Seen.SKY, self._kinds[geom])
+        seen[(geom >= 0) & (self._owner[geom] == agent)] = Seen.OWN_CAR
+        # Bays are areas of the ground.
+        on = geom == self._stage.model.geom(GROUND).id
+        points = eye[:2] + rays[on][:, :2] * (-eye[2] / rays[on][:, 2:])
+        seen[on] = _on_ground(self._layout, int(self._state.goal[agent]), points)
+        return depth, seen, edge
 
     def _face(self, eye: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depths [1/m] and geoms (rows, columns) of one face."""
@@ -168,23 +170,6 @@ class Renderer:
         ids = self._renderer.render()[..., 0]
         self._renderer.disable_segmentation_rendering()
         return inverse, ids
-
-    def _what(
-        self,
-        eye: np.ndarray,
-        rays: np.ndarray,
-        geom: np.ndarray,
-        agent: int,
-    ) -> np.ndarray:
-        """Classes along rays that meet geoms; bays are areas of the ground."""
-        seen = np.where(geom < 0, Seen.SKY, self._kinds[geom])
-        seen[(geom >= 0) & (self._owner[geom] == agent)] = Seen.OWN_CAR
-        ground = self._stage.model.geom(GROUND).id
-        on = geom == ground
-        points = eye[:2] + rays[on][:, :2] * (-eye[2] / rays[on][:, 2:])
-        goal = int(self._state.goal[agent])
-        seen[on] = _on_ground(self._layout, goal, points)
-        return seen
 
 
 def _sample(
@@ -203,35 +188,27 @@ def _sample(
     return np.asarray(near), nearest, (around != nearest).any(axis=0)
 
 
-def _owners(model: mujoco.MjModel) -> np.ndarray:
-    """Agent (geoms,) of the car that a geom belongs to; -1 = none."""
-    owners = np.full(model.ngeom, -1)
-    for k in range(model.ngeom):
-        root = model.body(model.body_rootid[model.geom_bodyid[k]]).name
-        if root.startswith("agent"):
-            owners[k] = int(root.partition("/")[0].removeprefix("agent"))
-    return owners
+def _read_geoms(model: mujoco.MjModel, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """`Seen` (geoms,) by the names of MuJoCo's geoms and bodies, and whose cars.
 
+    Shows only the named geoms of movers, which are those of collisions.
 
-def _show_solids(model: mujoco.MjModel) -> None:
-    """Shows only the named geoms of movers, which are those of collisions."""
-    for k in range(model.ngeom):
-        if model.body(model.geom_bodyid[k]).name.startswith("mover"):
-            model.geom_group[k] = 0 if model.geom(k).name else HULL_GROUP
-
-
-def _kinds(model: mujoco.MjModel, state: State) -> np.ndarray:
-    """`Seen` (geoms,) by the names of MuJoCo's geoms and bodies."""
+    Returns:
+        What each geom is, and the agent whose car it is of, -1 = none.
+    """
     movers = [group.kind for group in state.movers.groups for _ in range(group.count)]
-    kinds = np.full(model.ngeom, int(Seen.FLOOR))
+    kinds, owners = np.full(model.ngeom, int(Seen.FLOOR)), np.full(model.ngeom, -1)
     for k in range(model.ngeom):
-        name = model.geom(k).name
-        root = model.body(model.body_rootid[model.geom_bodyid[k]]).name
+        name, body = model.geom(k).name, model.geom_bodyid[k]
+        root = model.body(model.body_rootid[body]).name.partition("/")[0]
+        if model.body(body).name.startswith("mover"):
+            model.geom_group[k] = 0 if name else HULL_GROUP
         if root.startswith(("agent", "parked")):
             kinds[k] = Seen.CAR
+            if root.startswith("agent"):
+                owners[k] = int(root.removeprefix("agent"))
         elif root.startswith("mover"):
-            number = int(root.removeprefix("mover").partition("/")[0])
-            person = movers[number] == ObstacleKind.PERSON
+            person = movers[int(root.removeprefix("mover"))] == ObstacleKind.PERSON
             kinds[k] = Seen.PERSON if person else Seen.CAR
         elif name.startswith(("wall", "disc")):
             kinds[k] = Seen.WALL
@@ -239,7 +216,7 @@ def _kinds(model: mujoco.MjModel, state: State) -> np.ndarray:
             kinds[k] = Seen.LINE
         elif not name:  # the visible box of a low wall
             kinds[k] = Seen.KERB
-    return kinds
+    return kinds, owners
 
 
 def _on_ground(layout: Layout, goal: int, points: np.ndarray) -> np.ndarray:

@@ -18,7 +18,8 @@ if __name__ == "__main__":  # before the imports, which take seconds
     enter("cameras", "cameras:main")
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -26,7 +27,8 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from PIL import Image, ImageDraw
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from camera_reference import BlockStage, Renderer
 from carpark_mj import EnvConfig, ParkingEnv
@@ -51,7 +53,6 @@ from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.layouts import BayKind, layout_config, make_layout
 from carpark_mj.obstacles import Boxes, Discs, Group
 from carpark_mj.rendering.recording import snapshot_of
-from carpark_mj.rendering.video import font
 from carpark_mj.types import State
 from shell import command
 
@@ -126,21 +127,13 @@ ENOUGH = 0.995  # share of the pixels
 
 
 class Agreement(NamedTuple):
-    """Number and shares of pixels.
-
-    Attributes:
-        pixels: number of pixels.
-        on_edge: share within about a quarter of a pixel of an edge.
-        depth: share of pixels off the edges with the right depth.
-        classes: share with the right class.
-        meshes: share with the class that MuJoCo's image of the meshes has.
-    """
+    """Number and shares of pixels."""
 
     pixels: int
-    on_edge: float
-    depth: float
-    classes: float
-    meshes: float
+    on_edge: float  # within about a quarter of a pixel of an edge
+    depth: float  # of those off the edges, with the right depth
+    classes: float  # with the right class
+    meshes: float  # with the class that MuJoCo's image of the meshes has
 
 
 def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Agreement:
@@ -170,60 +163,43 @@ def compare(env: ParkingEnv, states: Sequence[State], meshes: bool = True) -> Ag
 
 
 CHANNELS: tuple[Channel, ...] = ("depth", "seen", "colour")
-GAP = 4  # pixels between pictures
-FRAME = ((0, GAP), (0, GAP), (0, 0))
-ENLARGED = 3
 
 
-def mosaic(layouts: Sequence[str]) -> np.ndarray:
-    """The cameras of one car in lots of some layouts, (rows, columns, 3) uint8."""
-    sheets = []
-    palette = (255 * np.array([COLOURS[kind] for kind in Seen])).astype(np.uint8)
-    for layout in layouts:
+def draw(path: Path, layouts: Sequence[str]) -> None:
+    """Writes the cameras of one car in lots of some layouts as PNG, with a legend."""
+    high = len(CHANNELS)
+    figure = Figure((10.0, 4.0 * len(layouts) + 0.5), layout="constrained")
+    grid = figure.add_gridspec(high * len(layouts), 7)
+    palette = np.array([COLOURS[kind] for kind in Seen])
+    for k, layout in enumerate(layouts):
         env = environment(layout)
         state = jax.jit(lambda key: env.reset(key)[0])(jax.random.key(0))  # noqa: B023
         rig = dataclasses.replace(RIGS["surround"], shaded=True)
-        heights = Heights.of(env.fleet)
-        pictures = jax.jit(see, static_argnums=(0, 2))(rig, state, heights)
+        pictures = jax.jit(see, static_argnums=(0, 2))(
+            rig, state, Heights.of(env.fleet)
+        )
         own = jax.tree.map(lambda x: x[0], pictures)
-        config = BirdsEye(3 * rig.height + 2 * GAP)
-        above = jax.jit(see_from_above, static_argnums=0)(config, state)[0]
-        painted = [np.asarray(paint(own, name)) for name in CHANNELS]
-        rows = np.concatenate([_framed(*images) for images in painted])[:-GAP]
-        sheets.append(np.concatenate([rows, _framed(palette[above])[:-GAP]], axis=1))
-        sheets.append(np.full((2 * GAP, sheets[0].shape[1], 3), 255, np.uint8))
-    return np.concatenate(sheets[:-1])
-
-
-LEGEND_COLUMNS = 5
-
-
-def legend(width: int) -> np.ndarray:
-    """The classes and their colours, (rows, width, 3) uint8."""
-    pitch, letters = width // LEGEND_COLUMNS, width // 38
-    rows = -(-len(Seen) // LEGEND_COLUMNS)
-    image = Image.new("RGB", (width, rows * 2 * letters), "white")
-    draw = ImageDraw.Draw(image)
-    for k, kind in enumerate(Seen):
-        x, y = k % LEGEND_COLUMNS * pitch, k // LEGEND_COLUMNS * 2 * letters
-        colour = tuple(round(255 * c) for c in COLOURS[kind])
-        box = (x, y + letters // 2, x + letters, y + letters // 2 + letters)
-        draw.rectangle(box, fill=colour, outline="black")
-        words = kind.name.lower().replace("_", " ")
-        place = (x + 1.4 * letters, y + letters)
-        draw.text(place, words, "black", font=font(letters), anchor="lm")
-    return np.asarray(image)
-
-
-def _framed(*images: np.ndarray) -> np.ndarray:
-    """Pictures beside each other, with a gap on the right of each and below."""
-    return np.concatenate([np.pad(x, FRAME, constant_values=255) for x in images], 1)
+        config = BirdsEye(high * rig.height)
+        above = jax.jit(see_from_above, static_argnums=0)(config, state)
+        rows = slice(high * k, high * (k + 1))
+        images = [(grid[rows, 4:], palette[np.asarray(above[0])])]
+        for row, name in enumerate(CHANNELS, high * k):
+            painted = enumerate(np.asarray(paint(own, name)))
+            images += [(grid[row, column], image) for column, image in painted]
+        for place, image in images:
+            axes = figure.add_subplot(place)
+            axes.imshow(image, interpolation="nearest")
+            axes.set_axis_off()
+    names = {kind.name.lower().replace("_", " "): COLOURS[kind] for kind in Seen}
+    patches = [Patch(fc=colour, ec="k", label=name) for name, colour in names.items()]
+    figure.legend(handles=patches, loc="outside lower center", ncols=5)
+    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=100))
 
 
 REPEATS = 5
 
 
-def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[dict]:
+def speeds(layout: str, batches: Sequence[int], draws: bool) -> list[dict]:
     """Rows of a table, for numbers of lots of one agent; `draws`: MuJoCo can."""
     blind = environment(layout, people=False, agents=1)
     env = ParkingEnv(dataclasses.replace(blind.config, observation=CameraObservation()))
@@ -242,8 +218,18 @@ def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[dict]:
         ("step with surround", cameras, lambda s: env.step(s, still)[1].observation),
     ]
 
-    def row(what: str, lots: int, pixels: int, rate: float, memory: float) -> dict:
-        return {
+    reset = jax.jit(jax.vmap(lambda key: env.reset(key)[0]))
+    measured: list[tuple[str, int, int, float, float]] = []
+    for lots in batches:
+        states = reset(jax.random.split(jax.random.key(0), lots))
+        for what, pixels, look in looks:
+            measured.append((what, lots, pixels, *_lots(look, states, lots)))
+    if draws:
+        states = reset(jax.random.split(jax.random.key(0), 1))
+        rate = 1 / _mujoco_seconds(env, jax.tree.map(lambda x: x[0], states), rig)
+        measured.append(("MuJoCo's renderer", 1, cameras, rate, 0.0))
+    return [
+        {
             "layout": f"`{layout}`",
             "what": what,
             "lots": f"{lots:,}",
@@ -251,17 +237,8 @@ def speeds(layout: str, batches: Sequence[int], draws: bool) -> Iterator[dict]:
             "agent steps/s": f"{rate:,.0f}",
             "GiB": f"{memory:.2g}",
         }
-
-    reset = jax.jit(jax.vmap(lambda key: env.reset(key)[0]))
-    states = None
-    for lots in batches:
-        states = reset(jax.random.split(jax.random.key(0), lots))
-        for what, pixels, look in looks:
-            yield row(what, lots, pixels, *_lots(look, states, lots))
-    if draws and states is not None:
-        first = jax.tree.map(lambda x: x[0], states)
-        rate = 1 / _mujoco_seconds(env, first, rig)
-        yield row("MuJoCo's renderer", 1, cameras, rate, 0.0)
+        for what, lots, pixels, rate, memory in measured
+    ]
 
 
 def _lots(look: Callable[[Any], Any], states: Any, lots: int) -> tuple[float, float]:
@@ -332,22 +309,24 @@ class CamerasConfig(CheckedConfig):
 
 def truth(config: CamerasConfig) -> int:
     """Prints the table; returns 1 where too few pixels agree."""
-    missed = 0
-    for k, name in enumerate(config.layouts or families()):
+    rows, missed = [], 0
+    for name in config.layouts or families():
         env = environment(name)
         reset = jax.jit(lambda key: env.reset(key)[0])  # noqa: B023
         states = [reset(jax.random.key(seed)) for seed in range(config.lots)]
         found = compare(env, states)
-        row = {
-            "layout": f"`{name}`",
-            "pixels": f"{found.pixels:,}",
-            "on edges": f"{found.on_edge:.1%}",
-            "depth within 1 cm": f"{found.depth:.2%}",
-            "classes": f"{found.classes:.2%}",
-            "meshes": f"{found.meshes:.1%}",
-        }
-        _print_row(row, head=k == 0)
+        rows.append(
+            {
+                "layout": f"`{name}`",
+                "pixels": f"{found.pixels:,}",
+                "on edges": f"{found.on_edge:.1%}",
+                "depth within 1 cm": f"{found.depth:.2%}",
+                "classes": f"{found.classes:.2%}",
+                "meshes": f"{found.meshes:.1%}",
+            }
+        )
         missed += min(found.depth, found.classes) < ENOUGH
+    print(markdown(rows))
     return int(missed > 0)
 
 
@@ -359,15 +338,9 @@ def speed(config: CamerasConfig) -> None:
     print(f"{jax.devices()[0].device_kind}, {second} seconds")
     if missing:
         print(f"without MuJoCo's renderer: {missing}")
-    for k, name in enumerate(config.layouts or ("lot",)):
-        for j, row in enumerate(speeds(name, batches, draws=not missing)):
-            _print_row(row, head=k == j == 0)
-
-
-def _print_row(row: dict[str, str], head: bool) -> None:
-    """Prints a row of a table, the first with its head."""
-    lines = markdown([row]).splitlines()
-    print("\n".join(lines if head else lines[2:]), flush=True)
+    names = config.layouts or ("lot",)
+    rows = (speeds(name, batches, draws=not missing) for name in names)
+    print(markdown(list(itertools.chain(*rows))))
 
 
 def run(config: CamerasConfig) -> int:
@@ -379,10 +352,7 @@ def run(config: CamerasConfig) -> int:
     else:
         out = Path(config.out)
         require_writable(out)
-        picture = mosaic(config.layouts or ("lot", "angled", "street"))
-        large = picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1)
-        large = Image.fromarray(np.concatenate([large, legend(large.shape[1])]))
-        write_atomically(out, lambda temporary: large.save(temporary, format="PNG"))
+        draw(out, config.layouts or ("lot", "angled", "street"))
         print(f"wrote {out}")
     return 0
 

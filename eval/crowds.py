@@ -66,6 +66,12 @@ def apart(xy: jax.Array, length: float) -> bodies.Pair:
     return x, xy[:, 1:] - xy[:, 1]
 
 
+def aiming(speed: jax.Array, heading: jax.Array, radius: float = RADIUS) -> bodies.Aim:
+    """Aims of people with desired speeds (n,) [m/s] and unit vectors (n, 2)."""
+    nobody, radii = jnp.zeros(speed.shape, bool), jnp.full(speed.shape, radius)
+    return bodies.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
+
+
 def move(
     xy: jax.Array,
     velocity: jax.Array,
@@ -88,11 +94,8 @@ def order(xy: jax.Array, way: jax.Array) -> jax.Array:
     The mean over walkers of the share of others in their strip with their direction,
     less the share with the opposite one: 0 in a mixed crowd, 1 in lanes.
     """
-    length, count = CORRIDOR[0], way.shape[0]
-    x = xy[:, None, 0] - xy[:, 0]
-    x = x - length * jnp.round(x / length)
-    in_strip = (jnp.abs(xy[:, None, 1] - xy[:, 1]) < BAND) & (jnp.abs(x) < STRIP)
-    in_strip = in_strip & ~jnp.eye(count, dtype=bool)
+    x, y = apart(xy, CORRIDOR[0])
+    in_strip = (jnp.abs(y) < BAND) & (jnp.abs(x) < STRIP)
     others = in_strip.sum(axis=1)
     alike = (in_strip * way[:, None] * way).sum(axis=1) / jnp.maximum(others, 1)
     return jnp.where(others > 0, alike, 0.0).sum() / jnp.maximum((others > 0).sum(), 1)
@@ -138,9 +141,7 @@ def walk(key: jax.Array, pushes: bool) -> tuple[jax.Array, ...]:
     way = jnp.where(jnp.arange(WALKERS) % 2 == 0, 1.0, -1.0)
     way = jax.random.permutation(way_key, way)
     heading = jnp.stack([way, jnp.zeros(WALKERS)], axis=-1)
-    speed, nobody = paces(speed_key, WALKERS), jnp.zeros(WALKERS, bool)
-    radii = jnp.full(WALKERS, RADIUS)
-    aim = bodies.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
+    aim = aiming(paces(speed_key, WALKERS), heading)
     borders = corridor(length, width)
 
     def step(carry, _):
@@ -167,8 +168,7 @@ def one_way(key: jax.Array, density: float, radius: float, dt: float) -> jax.Arr
     place_key, speed_key = jax.random.split(key)
     xy, speed = spread(place_key, count, ONE_WAY), paces(speed_key, count)
     heading = jnp.tile(jnp.array([1.0, 0.0]), (count, 1))
-    nobody, radii = jnp.zeros(count, bool), jnp.full(count, radius)
-    aim = bodies.Aim(speed[:, None] * heading, heading, speed, nobody, radii)
+    aim = aiming(speed, heading, radius)
     borders = corridor(length, width)
 
     def step(carry, _):
@@ -202,6 +202,7 @@ def leave(key: jax.Array, speed: jax.Array) -> jax.Array:
         beyond = jnp.where(xy[:, 0] > ROOM - RADIUS, 1e3, ROOM)
         to_go = jnp.stack([beyond, inward], axis=-1) - xy
         heading = to_go / jnp.maximum(norm(to_go), 1e-3)[:, None]
+        # Rounded otherwise, a crowd at a door ends otherwise.
         aim = bodies.Aim(speed * heading, heading, speeds, nobody, radii)
         xy, velocity = move(xy, velocity, aim, borders, 1e9)
         return (xy, velocity), (xy[:, 0] > ROOM).sum()

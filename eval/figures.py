@@ -10,7 +10,6 @@ from carpark_mj.cli.process import enter
 if __name__ == "__main__":  # before the imports, which take seconds
     enter("figures", "figures:main")
 
-import csv
 import dataclasses
 import itertools
 import textwrap
@@ -23,6 +22,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from carpark_mj.files import require_writable, write_atomically
+from carpark_mj.reading import read_csv
 from shell import command
 
 INK = "#7d8590"  # text and lines, readable on a light and on a dark page
@@ -50,12 +50,6 @@ class FiguresConfig:
     """
 
     tables: str = "docs/results"
-
-
-def read(path: Path) -> list[Row]:
-    """Rows of a table."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def places(axes: Axes, labels: Sequence[str]) -> dict[str, int]:
@@ -155,7 +149,8 @@ def run(config: FiguresConfig) -> None:
         require_writable(path)
         with matplotlib.rc_context(STYLE):
             figure = Figure((6, height), layout="constrained")
-            draw(figure.add_subplot(), read(path.with_name(table)))
+            rows = read_csv(path.with_name(table))
+            draw(figure.add_subplot(), [row.cells for row in rows])
             look: Any = {"transparent": True, "metadata": {"Date": None}}
             write_atomically(path, lambda to: figure.savefig(to, format="svg", **look))  # noqa: B023
         print(f"wrote {path}")

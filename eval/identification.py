@@ -15,14 +15,14 @@ if __name__ == "__main__":  # before the imports, which take seconds
     enter("identification", "identification:main")
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from carpark_mj.config.checks import require_seed
+from carpark_mj.config.checks import CheckedConfig, Count, Natural
 from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.identification.fit import identify
@@ -50,7 +50,7 @@ SINGLE_TRACK = "stops", "rolling"
 
 
 @dataclasses.dataclass(frozen=True)
-class IdentificationConfig:
+class IdentificationConfig(CheckedConfig):
     """Settings of `python eval/identification.py`.
 
     Attributes:
@@ -65,17 +65,12 @@ class IdentificationConfig:
     """
 
     kinds: tuple[DriveName, ...] = ("full",)
-    seeds: int = 10
-    first: int = 0
+    seeds: Count = 10
+    first: Natural = 0
     measured: Literal["pose", "rates"] = "pose"
     noise: float = 1.0
     sim_dt: float = SIM_DT
     out: str = "runs/identification"
-
-    def __post_init__(self) -> None:
-        require_seed(self.first)
-        if self.seeds < 1:
-            raise ValueError(f"seeds must be at least 1, not {self.seeds}")
 
 
 def truth(seed: int, kind: DriveName) -> Sought:
@@ -85,14 +80,11 @@ def truth(seed: int, kind: DriveName) -> Sought:
     return true._replace(patch_radius=0.0) if kind in SINGLE_TRACK else true
 
 
-def _logs(drives: Sequence[Drive], *sensors: Any) -> list[DriveLog]:
-    if drives[0].kind not in SINGLE_TRACK:
-        return record(drives, *sensors)
-    cars = [SingleTrack(**drive.true._asdict()) for drive in drives]
-    return [
-        drive_single_track(car, d.seed, d.kind == "stops", *sensors)
-        for car, d in zip(cars, drives, strict=True)
-    ]
+def _log(drive: Drive, *sensors: Any) -> DriveLog:
+    if drive.kind not in SINGLE_TRACK:
+        return record(drive, *sensors)
+    car = SingleTrack(**drive.true._asdict())
+    return drive_single_track(car, drive.seed, drive.kind == "stops", *sensors)
 
 
 def run(config: IdentificationConfig) -> None:
@@ -102,16 +94,15 @@ def run(config: IdentificationConfig) -> None:
     seeds = range(config.first, config.first + config.seeds)
     measured = POSE if config.measured == "pose" else RATES
     rows = []
-    for kind in config.kinds:
-        drives = [Drive(truth(seed, kind), COMPACT, kind, seed) for seed in seeds]
-        logs = _logs(drives, measured, config.noise)
-        for drive, log in zip(drives, logs, strict=True):
-            found = identify(log, COMPACT, 0.0, config.sim_dt).estimates
-            for name in Sought._fields:
-                row: dict[str, Any] = {"drive": kind, "seed": drive.seed}
-                row |= {"parameter": name, "true": float(getattr(drive.true, name))}
-                row |= {"found": found[name].value, "half_interval": found[name].error}
-                rows.append(row | {"identified": found[name].identifiable})
+    for kind, seed in itertools.product(config.kinds, seeds):
+        true = truth(seed, kind)
+        log = _log(Drive(true, COMPACT, kind, seed), measured, config.noise)
+        found = identify(log, COMPACT, 0.0, config.sim_dt).estimates
+        for name, value in true._asdict().items():
+            row: dict[str, Any] = {"drive": kind, "seed": seed}
+            row |= {"parameter": name, "true": float(value)}
+            row |= {"found": found[name].value, "half_interval": found[name].error}
+            rows.append(row | {"identified": found[name].identifiable})
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for kind in config.kinds:
@@ -125,16 +116,13 @@ def _print(rows: list[dict], kind: str) -> None:
         mine = [row for row in rows if row["parameter"] == name]
         found = [row for row in mine if row["identified"]]
         covered = sum(abs(r["found"] - r["true"]) <= r["half_interval"] for r in found)
-        first = mine[0]
-        low, high = (first["found"] + s * first["half_interval"] for s in (-1, 1))
-        row = {"parameter": name, "true": first["true"], "found": math.nan}
-        row["95 % interval"] = "–"
-        if first["identified"]:
-            row["found"] = first["found"]
-            row["95 % interval"] = f"{low:.4g} … {high:.4g}"
+        first, known = mine[0], mine[0]["identified"]
+        ends = (first["found"] + s * first["half_interval"] for s in (-1, 1))
+        row = {"parameter": name, "true": first["true"]}
+        row["found"] = first["found"] if known else math.nan
+        row["95 % interval"] = " … ".join(f"{x:.4g}" for x in ends) if known else "–"
         row["identified"] = f"{len(found)} of {len(mine)}"
-        row["covered"] = f"{covered} of {len(found)}"
-        shown.append(row)
+        shown.append(row | {"covered": f"{covered} of {len(found)}"})
     print_rows(shown, f"{kind}: the first seed and all")
 
 

@@ -20,7 +20,7 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import jax
@@ -40,8 +40,7 @@ PARKING = "highway_env:parking-v0"
 GOAL, MANY = "carpark_mj/ParkGoal-v0", "carpark_mj/ParkMany-v0"
 
 
-@dataclasses.dataclass(frozen=True)
-class Subject:
+class Subject(NamedTuple):
     """A program: a `step` moves all of its `agents` under random actions.
 
     It is compared with the subject whose name is `beside`; empty = with none.
@@ -51,14 +50,6 @@ class Subject:
     agents: int
     step: Callable[[], object]
     beside: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class Rates:
-    """Agent steps per second of a subject, one of each round."""
-
-    subject: Subject
-    rates: tuple[float, ...]
 
 
 def core(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
@@ -151,8 +142,8 @@ def random_actions(shape: tuple[int, ...]) -> np.ndarray:
 
 def take_turns(
     found: Sequence[Subject], rounds: int, seconds: float = 1.0
-) -> list[Rates]:
-    """Steps all in turn, each for some seconds a round."""
+) -> dict[str, list[float]]:
+    """Agent steps/s by name and round; all step in turn, each for some seconds."""
     rates: dict[str, list[float]] = {subject.name: [] for subject in found}
     for subject in found:  # compiles
         subject.step()
@@ -164,22 +155,20 @@ def take_turns(
                 subject.step()
                 steps += 1
             rates[subject.name].append(steps * subject.agents / gone)
-    return [Rates(subject, tuple(rates[subject.name])) for subject in found]
+    return rates
 
 
-def comparison(measured: Sequence[Rates]) -> str:
+def comparison(found: Sequence[Subject], rates: dict[str, list[float]]) -> str:
     """A markdown table: best rates, their ratios, and the range over the rounds."""
-    by_name = {each.subject.name: each.rates for each in measured}
     rows = []
-    for each in measured:
-        ratio, other = "", by_name.get(each.subject.beside)
+    for subject in found:
+        own, other, ratio = rates[subject.name], rates.get(subject.beside), ""
         if other:
-            pairs = [a / b for a, b in zip(each.rates, other, strict=True)]
-            best = max(each.rates) / max(other)
+            pairs = [a / b for a, b in zip(own, other, strict=True)]
+            best = max(own) / max(other)
             ratio = f"{best:.3g} ({min(pairs):.3g} … {max(pairs):.3g})"
-        row = {"what": each.subject.name, "agents": f"{each.subject.agents:,}"}
-        row |= {"agent steps/s": f"{max(each.rates):,.0f}", "ratio": ratio}
-        rows.append(row)
+        row = {"what": subject.name, "agents": f"{subject.agents:,}"}
+        rows.append(row | {"agent steps/s": f"{max(own):,.0f}", "ratio": ratio})
     return markdown(rows, left=1)
 
 
@@ -206,7 +195,7 @@ def compare(config: PeersConfig) -> None:
             found = programs(config.lots, stack)
         except ModuleNotFoundError as error:
             raise ValueError(f'{error}: pip install -e ".[sb3,peers]"') from None
-        print(comparison(take_turns(found, config.rounds)))
+        print(comparison(found, take_turns(found, config.rounds)))
 
 
 main = command(PeersConfig, compare, __doc__)

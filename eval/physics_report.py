@@ -22,7 +22,7 @@ from carpark_mj.files import require_writable
 from carpark_mj.vehicle import PRESETS, preset
 from shell import command
 from vehicle_suite import chassis, driver, engines, turns
-from vehicle_suite.report import Curve, Row, Study, write_report
+from vehicle_suite.report import Study, write_report
 from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
 
 Tyres = Literal["brush", "contact"]
@@ -73,35 +73,26 @@ class ReportConfig:
             preset(name)  # raises what is unknown
 
 
-def command_of(config: ReportConfig) -> str:
-    """The command that makes this report."""
-    parts = ["python eval/physics_report.py"]
-    if config.presets:
-        parts.append(" ".join(["--presets", *config.presets]))
-    if config.tyres != ReportConfig.tyres:
-        parts.append(" ".join(["--tyres", *config.tyres]))
-    if config.quick:
-        parts.append("--quick")
-    return " ".join(parts)
-
-
 def run(config: ReportConfig) -> int:
     """Drives everything and writes the report; returns 1 if a row misses."""
     out = Path(config.out)
     require_writable(out / "report.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # few cars: no work for a GPU
-    rows: list[Row] = []
-    curves: list[Curve] = []
+    studies = []
     for tyres in config.tyres:
         bed = TESTBEDS[tyres]()
         for name in config.presets or sorted(PRESETS):
-            study = Study(bed, name, preset(name), config.quick)
+            studies.append(Study(bed, name, preset(name), config.quick))
             for manoeuvre in SUITES[tyres]:
-                manoeuvre(study)
-            rows += study.rows
-            curves += study.curves
+                manoeuvre(studies[-1])
             print(f"{name}, {tyres}: done", flush=True)
-    write_report(out, rows, curves, command_of(config))
+    rows = [row for study in studies for row in study.rows]
+    parts = ["python eval/physics_report.py"]
+    parts += ["--presets", *config.presets] * bool(config.presets)
+    parts += ["--tyres", *config.tyres] * (config.tyres != ReportConfig.tyres)
+    parts += ["--quick"] * config.quick
+    curves = [curve for study in studies for curve in study.curves]
+    write_report(out, rows, curves, " ".join(parts))
     missed = [row for row in rows if not row.passes]
     for row in missed:
         print(f"{row.preset}, {row.tyres}: {row.row}: {row.verdict}")

@@ -167,19 +167,6 @@ def solve(model: str, inputs: Inputs, duration: float, speed: float) -> Referenc
     return Reference(time, solved.y[:2].T, solved.y[4])
 
 
-def apart(
-    track: Track, path: Reference, rear_axle: bool = False
-) -> tuple[np.ndarray, ...]:
-    """Distance [m] and yaw difference [rad] of our car from the reference's, (n,) each.
-
-    Reference points start in the origin: centres of gravity, or the rear axles.
-    """
-    ours = track.position if rear_axle else (track.cg - track.cg[0])[:, :2]
-    rows = np.rint(path.time / track.dt).astype(int)
-    distance = np.linalg.norm(ours[rows] - path.position, axis=1)
-    return distance, track.yaw[rows] - path.yaw
-
-
 @dataclasses.dataclass(frozen=True)
 class Trial:
     """A manoeuvre of our car, and paths of the reference models by their names."""
@@ -189,9 +176,17 @@ class Trial:
     paths: dict[str, Reference]
 
     @property
-    def rear_axle(self) -> bool:
-        """Whether the models' reference point is the rear axle."""
-        return "KS" in self.paths
+    def path(self) -> np.ndarray:
+        """(T + 1, 2) from 0 of the centre of gravity, for KS of the rear axle [m]."""
+        track, cg = self.track, self.track.cg
+        return track.position if "KS" in self.paths else (cg - cg[0])[:, :2]
+
+    def apart(self, model: str) -> tuple[np.ndarray, np.ndarray]:
+        """Distance [m] and yaw difference [rad] from a model's car, (n,) each."""
+        reference = self.paths[model]
+        rows = np.rint(reference.time / self.track.dt).astype(int)
+        distance = np.linalg.norm(self.path[rows] - reference.position, axis=1)
+        return distance, self.track.yaw[rows] - reference.yaw
 
 
 def slalom(time: float) -> tuple[float, float]:
@@ -223,20 +218,18 @@ def parking(time: float) -> tuple[float, float]:
 def parking_run() -> Run:
     """The parking manoeuvre for our car, which holds the speed that KS has."""
     params = our_car(ackermann=1.0)
+    run = our_run(params, parking, 20.0, 0.0)
+    corners = np.append(PARKING_TIMES, 21.0)
+    gained = np.append(0.0, np.cumsum(np.diff(corners) * PARKING_ACCELERATIONS))
 
     def force(time: np.ndarray) -> np.ndarray:
         asked = np.array([parking(float(t))[1] for t in time])
         return formulas.rolling_mass(params) * asked
 
     def speed(time: np.ndarray) -> np.ndarray:
-        corners = np.append(PARKING_TIMES, 21.0)
-        gained = np.append(0.0, np.cumsum(np.diff(corners) * PARKING_ACCELERATIONS))
         return np.interp(time, corners, gained)
 
-    def steering(time: np.ndarray) -> np.ndarray:
-        return np.interp(time, *PARKING_STEERING)
-
-    return Run(params, 20.0, steering=steering, force=force, target=speed)
+    return dataclasses.replace(run, force=force, brake=0.0, target=speed)
 
 
 def trials() -> list[Trial]:
@@ -258,18 +251,12 @@ def trials() -> list[Trial]:
     return found
 
 
-def between(trial: Trial, first: str, second: str) -> float:
-    """Largest distance [m] of two reference models from each other."""
-    apart = trial.paths[first].position - trial.paths[second].position
-    return float(np.linalg.norm(apart, axis=1).max())
-
-
 def table(found: list[Trial]) -> str:
     """Largest and final differences as markdown."""
     rows = []
     for trial in found:
         for model, path in trial.paths.items():
-            distance, yaw = apart(trial.track, path, trial.rear_axle)
+            distance, yaw = trial.apart(model)
             steps = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
             rows.append(
                 {
@@ -291,18 +278,16 @@ def draw(path: Path, found: list[Trial]) -> None:
     axes = figure.subplots(2, len(found))
     for column, trial in enumerate(found):
         above, below = axes[0, column], axes[1, column]
-        track = trial.track
-        ours = track.position if trial.rear_axle else (track.cg - track.cg[0])[:, :2]
-        above.plot(*ours.T, "k", lw=2.5, alpha=0.4, label="ours")
+        above.plot(*trial.path.T, "k", lw=2.5, alpha=0.4, label="ours")
         for model, referee in trial.paths.items():
             above.plot(*referee.position.T, "--", label=model)
-            distance, yaw = apart(track, referee, trial.rear_axle)
+            distance, yaw = trial.apart(model)
             (line,) = below.plot(referee.time, 100 * distance, label=f"{model}, cm")
             degrees, label = 10 * np.degrees(yaw), f"{model}, 0.1 deg"
             below.plot(referee.time, degrees, ":", color=line.get_color(), label=label)
         above.set(title=trial.name, xlabel="x [m]", ylabel="y [m]")
         below.set(xlabel="time [s]", ylabel="distance [cm], yaw difference [0.1 deg]")
-        if trial.rear_axle:
+        if "KS" in trial.paths:
             above.set_aspect("equal", adjustable="datalim")
         for axis in (above, below):
             axis.grid(alpha=0.3)
@@ -313,8 +298,10 @@ def draw(path: Path, found: list[Trial]) -> None:
 def write_report(folder: Path, found: list[Trial]) -> None:
     """Writes `referee.md` and `referee.png`."""
     folder.mkdir(parents=True, exist_ok=True)
-    apart = [between(trial, "MB", "STD") for trial in found[:2]]
-    numbers = {"slalom_mb_std": apart[0], "brake_mb_std": apart[1]}
+    numbers: dict[str, float] = {}
+    for name, trial in zip(("slalom_mb_std", "brake_mb_std"), found[:2], strict=True):
+        apart = trial.paths["MB"].position - trial.paths["STD"].position
+        numbers[name] = float(np.linalg.norm(apart, axis=1).max())
     text = (Path(__file__).parent / "referee.md").read_text()
     write_text(folder / "referee.md", text.format(table=table(found), **numbers))
     draw(folder / "referee.png", found)

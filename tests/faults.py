@@ -145,7 +145,7 @@ FAULTS = {
         "training/ppo/collect.py",
         "truncation=rollout.truncated,",
         "truncation=0.0 * rollout.truncated,",
-        "training/test_advantages.py",
+        "training/test_epochs.py",
     ),
     "probabilities forget the slope of tanh": Fault(
         "policy/distributions.py",

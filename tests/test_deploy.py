@@ -4,11 +4,11 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.programs import ROOT, python
 
 from carpark_mj.cli.export import environment_rows
 from carpark_mj.cli.scene import SceneConfig, make_scene
@@ -20,7 +20,7 @@ from carpark_mj.vehicle import preset
 onnxruntime = pytest.importorskip("onnxruntime")
 
 pytestmark = pytest.mark.slow
-DEPLOY = Path(__file__).parents[1] / "examples" / "deploy"
+DEPLOY = ROOT / "examples" / "deploy"
 SEEDS = 4
 HEADER = "onnxruntime_cxx_api.h"
 # Where to look for it; the variable names a folder of one's own.
@@ -57,12 +57,7 @@ def test_the_example_parks_a_car_of_the_square_without_jax(model_file, tmp_path)
         config = SceneConfig(out="scene.xml", num_agents=1, seed=seed)
         scenes.append(tmp_path / f"{seed}.xml")
         scenes[-1].write_text(scene_xml(make_scene(config)[0], preset("compact")))
-    ended = subprocess.run(
-        [sys.executable, "-c", DRIVES, DEPLOY, model_file, *scenes],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    ended = python("-c", DRIVES, DEPLOY, model_file, *scenes, PYTHONPATH=None)
     assert ended.returncode == 0, ended.stderr
     drives = re.findall(r'"metres": ([\d.]+), "sine": ([\d.e-]+)', ended.stdout)
     parked = [float(gap) < 0.2 and float(sine) < 0.06 for gap, sine in drives]

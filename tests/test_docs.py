@@ -53,15 +53,7 @@ from vehicle_suite.report import excerpt
 
 DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text()
-USED = ("deployment", "vehicle", "layouts", "own_lot", "interfaces", "multi_agent")
-DEPLOYMENT, VEHICLE, LOTS, OWN_LOT, INTERFACES, MULTI_AGENT = (
-    (DOCS / f"{name}.md").read_text() for name in USED
-)
-EXTENDING = (DOCS / "extending.md").read_text()
-TASK = ("mdp", "observation", "reward", "dynamic_goals", "environments")
-MDP, OBSERVATION, REWARD, GOALS, NAMED = (
-    (DOCS / f"{name}.md").read_text() for name in TASK
-)
+TEXTS = {page.stem: page.read_text() for page in DOCS.glob("*.md")}
 REPORT = ROOT / "docs" / "physics" / "report.csv"
 
 # Scripts that are also commands of `carpark_mj`.
@@ -87,7 +79,7 @@ COMMAND_LINES = sorted(
 
 def test_the_observation_table_is_the_generated_one():
     expected = markdown_table(make_fields(EnvConfig()))
-    assert section(OBSERVATION, "observation table") == expected, expected
+    assert section(TEXTS["observation"], "observation table") == expected, expected
 
 
 def test_the_inputs_of_a_model_are_those_of_the_code():
@@ -99,7 +91,7 @@ def test_the_inputs_of_a_model_are_those_of_the_code():
         unit = entry.unit or entry.dtype
         expected.append([entry.name, f"({shape})", unit, entry.meaning])
     assert found == expected
-    named = re.findall(r"`(\w+)`", section(DEPLOYMENT, "inputs of a car"))
+    named = re.findall(r"`(\w+)`", section(TEXTS["deployment"], "inputs of a car"))
     assert named == [entry.name for entry in INPUTS]
 
 
@@ -126,36 +118,36 @@ def test_the_parked_rules_are_those_in_force():
         row += ["within the lines" if rule.inside_lines else "any"]
         row += [limit(rule.heading and rule.heading * 57.29578, "°")]
         expected.append([name, *row, limit(rule.speed, " m/s")])
-    assert sorted(cells(MDP, "parked rules")) == expected
+    assert sorted(cells(TEXTS["mdp"], "parked rules")) == expected
 
 
 def test_the_reward_terms_are_all_there_with_their_weights():
     weights = {name: getattr(REWARDS["shaped"], name) for name in TERMS}
     weights |= dict.fromkeys(sorted(REWARD_TERMS), 0) | REWARDS["shaped"].extra
-    found = dict(row[:2] for row in cells(REWARD, "reward terms"))
+    found = dict(row[:2] for row in cells(TEXTS["reward"], "reward terms"))
     del weights["pose"]  # of tasks with goal poses
     assert found == {name: f"{weight:g}" for name, weight in weights.items()}
     for field in dataclasses.fields(RewardConfig):
-        assert f"`{field.name}`" in REWARD or field.name == "goals", field.name
+        assert f"`{field.name}`" in TEXTS["reward"] or field.name == "goals", field.name
 
 
 def test_the_terms_of_dynamic_goals_are_all_there():
     weights = goal_weights(EnvConfig()) | {"bad_goal": GivingWayConfig().bad_goal}
-    found = [row[:2] for row in cells(GOALS, "goal terms")]
+    found = [row[:2] for row in cells(TEXTS["dynamic_goals"], "goal terms")]
     assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]
 
 
 def test_contexts_environments_and_layouts_are_all_named():
-    named = [row[0].split("`")[0] for row in cells(GOALS, "contexts")]
+    named = [row[0].split("`")[0] for row in cells(TEXTS["dynamic_goals"], "contexts")]
     assert tuple(named) == CONTEXTS
-    ours = {row[0] for row in cells(NAMED, "environments")}
-    papers = {row[0] for row in cells(NAMED, "environments of papers")}
+    ours = {row[0] for row in cells(TEXTS["environments"], "environments")}
+    papers = {row[0] for row in cells(TEXTS["environments"], "environments of papers")}
     assert ours == {*ENVIRONMENTS} - papers
 
 
 def test_the_vehicle_presets_are_those_of_the_code():
     drive = {1.0: "front", 0.0: "rear", 0.5: "all"}
-    tables = [*cells(VEHICLE, "presets"), *cells(VEHICLE, "sheets")]
+    tables = [*cells(TEXTS["vehicle"], "presets"), *cells(TEXTS["vehicle"], "sheets")]
     found = [[row[0], *row[2:]] for row in tables]
     assert found == [
         [
@@ -272,7 +264,7 @@ def test_links_files_and_modules_exist(page):
 
 
 def test_the_page_of_commands_names_every_command():
-    table = (DOCS / "commands.md").read_text().split("\n\n## ")[0]
+    table = TEXTS["commands"].split("\n\n## ")[0]
     rows = [line.split(" | ")[0] for line in table.splitlines() if line[:3] == "| `"]
     assert {*re.findall(r"`([^`]+)`", " ".join(rows))} == {*PROGRAMS}
 
@@ -321,7 +313,9 @@ SNIPPETS = [
     for page in (ROOT / "README.md", *(DOCS / f"{n}.md" for n in (*RUN, "multi_agent")))
     for number, snippet in enumerate(code(page.read_text(), "python"))
 ]
-[POLICY] = code(EXTENDING.split("\n## A policy\n")[1].split("\n## ")[0], "python")
+[POLICY] = code(
+    TEXTS["extending"].split("\n## A policy\n")[1].split("\n## ")[0], "python"
+)
 SNIPPETS.append(pytest.param(POLICY, id="a policy"))  # others: `test_extending`
 
 
@@ -343,8 +337,8 @@ OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1
 @pytest.mark.parametrize(
     ("text", "names"),
     [
-        (section(INTERFACES, "ids"), OURS),
-        (MULTI_AGENT, OPTIONS),
+        (section(TEXTS["interfaces"], "ids"), OURS),
+        (TEXTS["multi_agent"], OPTIONS),
     ],
 )
 def test_a_table_names_them_all(text, names):
@@ -352,7 +346,7 @@ def test_a_table_names_them_all(text, names):
 
 
 def test_the_table_of_layouts_is_that_of_the_code():
-    table = section(LOTS, "layouts")
+    table = section(TEXTS["layouts"], "layouts")
     rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (\d+) \| (\w+) \|", table, re.M)
     assert {row[0]: row[1:] for row in rows} == {
         name: (
@@ -367,13 +361,13 @@ def test_the_table_of_layouts_is_that_of_the_code():
 
 def test_the_layout_file_is_valid(tmp_path):
     path = tmp_path / "my_lot.json"
-    [text] = code(OWN_LOT, "json")
+    [text] = code(TEXTS["own_lot"], "json")
     path.write_text(text)
     assert read_json(path).num_bays == 3
 
 
 def test_the_schema_of_the_guide_is_that_of_the_reader():
-    table = section(OWN_LOT, "schema")
+    table = section(TEXTS["own_lot"], "schema")
     rows = [row.split("|")[1:3] for row in table.splitlines()[2:]]
     assert {
         name.strip(" `"): re.findall(r"`(\w+)`", fields) for name, fields in rows
@@ -381,7 +375,7 @@ def test_the_schema_of_the_guide_is_that_of_the_reader():
 
 
 def test_the_examples_of_the_guide_run():
-    families, car = code(OWN_LOT, "python")
+    families, car = code(TEXTS["own_lot"], "python")
     names = {}
     exec(families, names)
     configs = [names[name] for name in ("back_in", "deck", "often_deck")]

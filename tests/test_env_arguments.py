@@ -52,19 +52,16 @@ def test_eager_results_can_be_donated():
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "message"),
+    ("change", "message"),
     [
-        ({"split": "foo"}, ValueError, "unknown split 'foo'"),
-        ({"split": None}, ValueError, "unknown split None"),
-        ({"num_present": 1.5}, ValueError, "num_present must be a whole number"),
-        ({"num_present": "2"}, ValueError, "num_present must be a whole number"),
-        ({"num_present": np.ones(2, int)}, ValueError, "num_present must be a whole"),
-        ({"member": 1}, ValueError, r"member must lie in \[0, 0\], not 1"),
-        ({"member": 0.5}, ValueError, "member must be a whole number"),
+        ({"split": "foo"}, "unknown split 'foo'"),
+        ({"num_present": 1.5}, "num_present must be a whole number"),
+        ({"num_present": np.ones(2, int)}, "num_present must be a whole"),
+        ({"member": 1}, r"member must lie in \[0, 0\], not 1"),
     ],
 )
-def test_a_reset_refuses_what_has_no_meaning(change, error, message):
-    with pytest.raises(error, match=message):
+def test_a_reset_refuses_what_has_no_meaning(change, message):
+    with pytest.raises(ValueError, match=message):
         slide()[0].reset(jax.random.key(0), **change)
 
 

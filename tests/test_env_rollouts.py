@@ -18,7 +18,7 @@ from helpers.scenes import (
     mjx_step,
     stacked,
 )
-from helpers.sliding import placed, slide
+from helpers.sliding import slide
 from helpers.trees import leaves, same
 
 from carpark_mj.observations.fields import FAR
@@ -49,16 +49,6 @@ def test_occupancy_invariants_hold_throughout_a_rollout(rollout):
     states, _ = rollout
     mask = states.layout.bay_mask
     check_occupancy(states.goal, states.parked_cars.bay, mask)
-
-
-def test_terminated_and_truncated_exclude_each_other(rollout):
-    _, timesteps = rollout
-    events = timesteps.events
-    assert not (timesteps.terminated & timesteps.truncated).any()
-    np.testing.assert_array_equal(timesteps.terminated, events.parked | events.crashed)
-    np.testing.assert_array_equal(
-        timesteps.truncated, events.timed_out | events.diverged
-    )
 
 
 def test_step_counters_count_and_start_again_at_every_end(rollout):
@@ -201,7 +191,6 @@ def test_a_car_that_turns_nan_is_put_out_and_nobody_else_notices():
         return state.replace(physics=state.physics.replace(qvel=qvel))
 
     plain_step, before, plain, after, timestep = stepped_pair(poisoned)
-    assert not plain_step.events.done.any()
     expected = np.zeros((LOTS, 3), bool)
     expected[1, 0] = True
     np.testing.assert_array_equal(timestep.events.diverged, expected)
@@ -227,17 +216,3 @@ def test_a_car_that_turns_nan_is_put_out_and_nobody_else_notices():
     assert unaffected(plain, after)
     later, _ = mjx_step()(after, jnp.zeros((LOTS, 3, 2)))
     assert later.motion.finite.all()
-
-
-def test_a_car_placed_in_its_goal_parks_and_its_bay_fills():
-    env = mjx_env()
-    state, _ = mjx_start(3)
-    pose = np.array(state.motion.pose_w)
-    goal = np.asarray(state.goal[:, 0])
-    pose[:, 0] = np.asarray(state.layout.bay_pose)[np.arange(LOTS), goal]
-    state = placed(env, state, pose)
-    after, timestep = mjx_step()(state, jnp.zeros((LOTS, 3, 2)))
-    np.testing.assert_array_equal(timestep.events.parked, [[True, False, False]] * LOTS)
-    assert (after.parked_cars.bay == goal[:, None]).any(axis=1).all()
-    named = timestep.reward_terms["park"]
-    np.testing.assert_array_equal(named[:, 0], env.config.reward.park)

@@ -3,14 +3,13 @@
 import ast
 import importlib
 import re
-from pathlib import Path
 
 import pytest
-from helpers.programs import python
+from helpers.programs import ROOT, python
 
 from carpark_mj.wrappers.batch import Step
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = ROOT / "examples"
 
 
 @pytest.mark.slow
@@ -45,9 +44,6 @@ def test_ppo_in_one_file_learns_from_pictures(monkeypatch):
     ("flags", "line"),
     [
         ("--discount 2", "discount must lie in [0, 1], not 2.0"),
-        ("--gae-lambda nan", "gae_lambda must lie in [0, 1], not nan"),
-        ("--entropy -1", "entropy must be at least 0, not -1.0"),
-        ("--lots many", "--lots takes a whole number, not 'many'"),
         ("--out no/a.png", "cannot use no/a.png: No such file or directory"),
     ],
 )
@@ -57,19 +53,16 @@ def test_bad_flags_of_an_example_are_one_line(flags, line, tmp_path):
     assert (ended.returncode, ended.stderr) == (2, f"cleanrl_ppo: {line}\n")
 
 
-BAD_SCENES = {
-    "text": ("# A readme", r"XML parse error \d+: .*"),
-    "no car": ("<mujoco/>", r"Invalid name 'agent0/car'\. .*"),
-    "no file": (None, r"ParseXML: Error opening file .*"),
-}
-
-
-@pytest.mark.parametrize("case", sorted(BAD_SCENES))
-def test_what_is_no_scene_to_drive_is_one_line(case, tmp_path):
-    text, line = BAD_SCENES[case]
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("# A readme", r"XML parse error \d+: .*"),
+        ("<mujoco/>", r"Invalid name 'agent0/car'\. .*"),
+    ],
+)
+def test_what_is_no_scene_to_drive_is_one_line(text, line, tmp_path):
     path = tmp_path / "a.xml"
-    if text is not None:
-        path.write_text(text)
+    path.write_text(text)
     ended = python("-I", EXAMPLES / "drive_scene.py", path)
     assert ended.returncode == 2
     assert re.fullmatch(rf".*drive_scene\.py: {path}: {line}\n", ended.stderr)

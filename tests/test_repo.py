@@ -140,8 +140,7 @@ def test_the_library_never_imports_the_programs():
         assert not roots & (programs | {"train", "eval", "tests", "carpark_papers"})
 
 
-# Rooms that a lot steps without.
-# What is imported, in this order in one process, and what may not be loaded by then.
+# What a lot steps without.
 AROUND = ("cli.flags", "evaluation", "policy", "rendering.stage", "scene", "suite")
 AROUND_ENV = {f"carpark_mj.{package}" for package in (*AROUND, "training")}
 # What is imported, in this order in one process, and what may not be loaded by then.

@@ -1,15 +1,11 @@
 """The documentation site builds without a warning, and asks nobody for anything."""
 
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from helpers.programs import ROOT, python
 
 pytestmark = pytest.mark.slow
-ROOT = Path(__file__).parents[1]
 # Scripts, pictures or styles of other servers; rows of tables and lists left as text.
 LOADS = (
     r'<(?:script|img|iframe|source)\b[^>]*\bsrc="(https?:)?//',
@@ -20,11 +16,8 @@ LEFT_AS_TEXT = re.compile(r"^(<p>)?(- |\|)", re.MULTILINE)
 
 def test_the_site_is_whole_and_asks_nobody(tmp_path):
     pytest.importorskip("mkdocs", reason='pip install -e ".[docs]"')
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-d", tmp_path]
-    without_demo = os.environ | {"CARPARK_MJ_DEMO": "0"}  # it takes minutes
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, env=without_demo
-    )
+    command = ("-m", "mkdocs", "build", "--strict", "-d", tmp_path)
+    done = python(*command, cwd=ROOT, CARPARK_MJ_DEMO="0")  # it takes minutes
     assert done.returncode == 0, done.stderr
     for page in (ROOT / "docs").rglob("*.md"):
         name = page.relative_to(ROOT / "docs").with_suffix(".html")

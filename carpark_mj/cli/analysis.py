@@ -19,13 +19,7 @@ METHOD = (
 
 
 def main(config: AnalysisConfig) -> Path:
-    """Reads, draws and writes; returns the page.
-
-    Raises:
-        CheckpointError: a folder is neither a run nor a sweep.
-        ValueError: no evaluated runs, or an unknown setting or metric.
-        OSError: the folder cannot be written.
-    """
+    """Reads, draws and writes; returns the page."""
     if not config.runs:
         raise ValueError("give at least one run folder or sweep")
     paths = [Path(name) for name in config.runs]
@@ -79,9 +73,8 @@ def analyse(
     each = analysis.run_rows(points, by, metrics)
     write_csv(out / "spread.csv", spreads)
     write_csv(out / "runs.csv", each)
-    parts: list[tuple[str, str]] = []
-    for path, heading in _plots(out, points, by, metrics, title):
-        parts.append((heading, picture(path)))
+    plots = _plots(out, points, by, metrics, title)
+    parts = [(heading, picture(path)) for path, heading in plots]
     parts += [("Points", table(spreads)), ("Runs", table(each))]
     ours = [record for records in sources.values() for record in records]
     if links := analysis.videos(page, ours):
@@ -118,11 +111,7 @@ def _plots(
 def _provenance(records: Sequence[analysis.Record]) -> list[str]:
     """Devices and versions of the trainings, if known."""
     trained = [record for record in records if record.folder]
-    if not trained:
-        return []
     devices = sorted({record.device for record in trained})
-    versions = sorted(
-        {f"{name} {v}" for record in trained for name, v in record.versions.items()}
-    )
-    made = counted(len(trained), "run")
-    return [f"{made} on {', '.join(devices)}; {', '.join(versions)}."]
+    versions = {f"{name} {v}" for x in trained for name, v in x.versions.items()}
+    made = f"{counted(len(trained), 'run')} on {', '.join(devices)}"
+    return [f"{made}; {', '.join(sorted(versions))}."] if trained else []

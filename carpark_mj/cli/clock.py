@@ -19,17 +19,14 @@ CLEAR = b"\r\x1b[K"
 class Clock:
     """Says on a terminal's stderr what a command does, and for how long.
 
-    The line is drawn in a thread while nothing else is printed, and gives way to what
-    is printed. There is none where stderr is no terminal, or that of another job.
-
-    Attributes:
-        runs: whether the thread runs.
-        idle: whether a page or a window is open, which Ctrl-C ends as it should.
+    A thread draws the line while nothing is printed. There is none where stderr is no
+    terminal, or that of another job.
     """
 
     def __init__(self) -> None:
         """Shows nothing yet."""
-        self.runs = self.idle = False
+        self.runs = False  # the thread
+        self.idle = False  # a page or a window is open, which Ctrl-C ends as it should
         self._lock = threading.RLock()  # signal handlers print too
         self._what = ""
         self._drawn = False
@@ -55,10 +52,6 @@ class Clock:
             self._what = self._what and "working"
             self._since = time.monotonic()
 
-    def stop(self) -> None:
-        """Clears the line for good."""
-        self.set("")
-
     @property
     def line(self) -> str:
         """What is done and for how long; empty if nothing, or only just now."""
@@ -70,13 +63,12 @@ class Clock:
     def _run(self) -> None:
         while True:
             time.sleep(PERIOD)
-            with self._lock:
-                line = self.line
-                if line and _in_front():
-                    with contextlib.suppress(OSError):  # the terminal may be gone
-                        width = os.get_terminal_size(2).columns or 80
-                        os.write(2, f"\r{line[: width - 1]}".encode())
-                        self._drawn = True
+            # The terminal may be gone.
+            with self._lock, contextlib.suppress(OSError):
+                if (line := self.line) and _in_front():
+                    width = os.get_terminal_size(2).columns or 80
+                    os.write(2, f"\r{line[: width - 1]}".encode())
+                    self._drawn = True
 
     def _clear(self) -> None:
         if self._drawn:
@@ -86,7 +78,7 @@ class Clock:
 
 
 def _in_front() -> bool:
-    """Whether the terminal is not another job's: this one may run in the background."""
+    """Whether the terminal is not another job's."""
     try:
         return os.tcgetpgrp(2) == os.getpgrp()
     except OSError:  # nobody's: it controls no jobs
@@ -106,5 +98,5 @@ def doing(what: str) -> None:
 
 def wait_for_user() -> None:
     """Shows no clock until the next `doing`: a page or a window is open."""
-    CLOCK.stop()
+    CLOCK.set("")
     CLOCK.idle = True

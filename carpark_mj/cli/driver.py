@@ -8,12 +8,7 @@ from typing import Any
 from carpark_mj import pretrained
 from carpark_mj.cli.flags import as_flags, read_flags
 from carpark_mj.cli.settings.driving import LotSettings
-from carpark_mj.config import (
-    EnvConfig,
-    FleetConfig,
-    RandomizationConfig,
-    SensorConfig,
-)
+from carpark_mj.config import EnvConfig, FleetConfig, RandomizationConfig, SensorConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy.acting import AnyPolicy
@@ -27,35 +22,19 @@ from carpark_mj.spawning.checks import parked_cars_needed
 
 @dataclasses.dataclass(frozen=True)
 class Driver:
-    """A policy and its environment.
+    """A policy and its environment."""
 
-    Attributes:
-        env: the environment; for a trained policy, that of its training.
-        folder: folder of its output files.
-        policy: makes the acting function for an environment, or raises ValueError if
-            the policy does not fit.
-    """
-
-    env: EnvConfig
-    folder: Path
-    policy: Callable[[ParkingEnv], AnyPolicy]
+    env: EnvConfig  # for a trained policy, that of its training
+    folder: Path  # of its output files
+    policy: Callable[[ParkingEnv], AnyPolicy]  # `ValueError` if it does not fit
 
 
 def find_driver(name: str, named: str = "", deterministic: bool = True) -> Driver:
-    """Finds a policy of `POLICIES`, a pretrained policy or that of a run.
+    """Finds a policy by its name (`zero`, a pretrained one) or the path of its run.
 
-    Args:
-        name: a policy of `POLICIES` (`zero`, `random`, `planner`), a pretrained policy,
-            a run folder or a checkpoint file.
-        named: name of an environment; empty = the default one for policies of
-            `POLICIES`, that of the training for others. A trained policy observes as in
-            its training.
-        deterministic: take a distribution's mode instead of samples.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        ValueError: unknown environment, an environment in which the policy cannot
-            observe, or samples from a policy without a distribution.
+    The environment is the `named` one, else that of the training, or the default one
+    for `POLICIES`. A trained policy observes as in its training. If `deterministic` it
+    takes a distribution's mode instead of samples.
     """
     if name in POLICIES:
         if not deterministic:
@@ -81,10 +60,7 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
 
 
 def output_folder(checkpoint: Path) -> Path:
-    """Default folder for files about a checkpoint.
-
-    It is the folder of its run or file; `runs/NAME` for a pretrained policy.
-    """
+    """Folder of files about a checkpoint: its run's, or `runs/NAME` if pretrained."""
     folder = checkpoint.parent
     if folder.resolve() == pretrained.FOLDER:
         return Path("runs") / checkpoint.stem
@@ -92,11 +68,7 @@ def output_folder(checkpoint: Path) -> Path:
 
 
 def with_settings(env: EnvConfig, settings: Sequence[str]) -> EnvConfig:
-    """The environment with settings replaced, each `NAME=VALUE` as the trainer's flags.
-
-    Raises:
-        ValueError: a setting without a value, an unknown or an impossible one.
-    """
+    """The environment with settings `NAME=VALUE`, as the trainer's flags, replaced."""
     values: dict[str, str] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
@@ -110,9 +82,7 @@ def with_settings(env: EnvConfig, settings: Sequence[str]) -> EnvConfig:
 
 def adapted(settings: LotSettings, env: EnvConfig, **changes: Any) -> EnvConfig:
     """The environment with those of a command's settings that it has, see `adapt`."""
-    names = {field.name for field in dataclasses.fields(EnvConfig)}
-    shared = names & {field.name for field in dataclasses.fields(settings)}
-    own = {name: getattr(settings, name) for name in shared}
+    own = {name: value for name, value in vars(settings).items() if name in vars(env)}
     return adapt(env, **own, **changes)
 
 
@@ -120,6 +90,7 @@ def adapt(
     env: EnvConfig,
     rule: str | None = None,
     hitbox_scale: float | None = None,
+    respawn: bool | None = None,
     nominal: bool = False,
     **changes: Any,
 ) -> EnvConfig:
@@ -131,8 +102,8 @@ def adapt(
     of parked cars replaces an occupancy. In another layout an occupancy keeps its
     range, with as many parked cars as that needs. A `vehicle` replaces a fleet.
     """
-    episode = {"parked_rule": rule, "hitbox_scale": hitbox_scale}
-    episode = {name: value for name, value in episode.items() if value is not None}
+    asked = {"parked_rule": rule, "hitbox_scale": hitbox_scale, "respawn": respawn}
+    episode: Any = {name: value for name, value in asked.items() if value is not None}
     if episode:
         changes["episode"] = dataclasses.replace(env.episode, **episode)
     if nominal:

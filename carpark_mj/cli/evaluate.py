@@ -63,30 +63,26 @@ def prepare(config: EvaluateConfig) -> Task:
     env = ParkingEnv(changed)
     policy = driver.policy(env)  # what is refused until here leaves no folder
     same = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env
-    asked = [getattr(config, name) != getattr(EvaluateConfig, name) for name in TASK]
-    own = same and not any(asked) and not _is_kept_checkpoint(config)
-    default = driver.folder if own else driver.folder / subfolder(config)
-    folder = Path(config.out) if config.out else default
+    asked = any(getattr(config, x) != getattr(EvaluateConfig, x) for x in TASK)
+    kept = Path(name) if Path(name).parent.name == "checkpoints" else None
+    folder = driver.folder
+    if asked or kept or not same:
+        folder /= subfolder(config, kept)
+    folder = Path(config.out) if config.out else folder
     # Refused before the work.
     require_writable(folder / "evaluation.csv", new_folders=True)
     return Task(name, policy, env, folder)
 
 
-def _is_kept_checkpoint(config: EvaluateConfig) -> bool:
-    """Whether a file of a run's `checkpoints/` is named, instead of the run."""
-    return Path(config.run or config.policy).parent.name == "checkpoints"
-
-
-def subfolder(config: EvaluateConfig) -> Path:
-    """Subfolder of a run's folder for other evaluations, named by their flags."""
-    changes = [
+def subfolder(config: EvaluateConfig, kept: Path | None = None) -> Path:
+    """Subfolder of other evaluations, named by their flags and a kept checkpoint."""
+    changes = [kept.stem] if kept else []
+    changes += [
         f"{field.name}-{'+'.join(value) if isinstance(value, tuple) else value}"
         for field in dataclasses.fields(config)
         if (value := getattr(config, field.name)) != field.default
         and field.name not in UNNAMED
     ]
-    if _is_kept_checkpoint(config):
-        changes.insert(0, Path(config.run or config.policy).stem)
     name = urllib.parse.quote("_".join(changes), safe=",:=+")
     if len(name) > MAX_NAME:
         digest = hashlib.sha256(name.encode()).hexdigest()[:8]

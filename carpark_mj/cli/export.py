@@ -20,25 +20,9 @@ from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.extensions import require_packages
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
+from carpark_mj.policy import onnx_export
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
 from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
-from carpark_mj.policy.onnx_export import (
-    OUTPUT,
-    decisions,
-    describe,
-    describe_action,
-    differences,
-    inputs_of,
-    largest_difference,
-    make_car_model,
-    make_model,
-    make_session,
-    onnx_inputs,
-    policy_actions,
-    random_observations,
-    rounding_error,
-    sensitivity,
-)
 from carpark_mj.policy.outside import Rows, plain_values, rows_of
 
 # Most that numbers of an action of a model and of its policy may differ by. Where
@@ -59,15 +43,7 @@ class Model(NamedTuple):
 
 
 def main(config: ExportConfig) -> Path:
-    """Exports, checks and writes; returns the file.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        ValueError: the model differs from the policy, a car outside cannot make the
-            policy's observation, or the lots have more rows than the counts.
-        OSError: the file cannot be written.
-        ModuleNotFoundError: a package is missing.
-    """
+    """Exports, checks and writes; returns the file."""
     out = Path(config.out)
     if out.suffix != ".npz":
         require_packages("onnx", "onnxruntime")
@@ -87,21 +63,28 @@ def main(config: ExportConfig) -> Path:
         data = model.proto.SerializeToString()
         write_atomically(out, lambda temporary: temporary.write_bytes(data))
         print("\n".join(model.found))
-        _print_table(loaded, model)
+        spec = action_spec(loaded.env)
+        output = onnx_export.OUTPUT, (spec.size,), onnx_export.describe_action(spec)
+        rows = [
+            {"name": x, "shape": (*model.batch, *shape), "range and meaning": meaning}
+            for x, shape, meaning in [*model.inputs, output]
+        ]
+        print_rows(rows, "inputs and output", ends={len(rows) - 2})
     print(f"wrote {out}: {out.stat().st_size / 1e6:.2f} MB")
     return out
 
 
 def _model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
     """The model of a policy, for a batch of observations."""
-    proto = make_model(loaded)
+    proto = onnx_export.make_model(loaded)
     seen = rollout(loaded, CHECKED, config.seed)["observation"]
-    random = random_observations(loaded.env, seen, config.seed)
+    random = onnx_export.random_observations(loaded.env, seen, config.seed)
     found = []
     for kind, observation in (("of a roll-out", seen), ("drawn at random", random)):
-        most = largest_difference(proto, loaded, observation)
-        found.append(_require_alike(kind, most, rounding_error(loaded, observation)))
-    inputs = [(x.name, x.shape, x.meaning) for x in onnx_inputs(loaded.env)]
+        most = onnx_export.largest_difference(proto, loaded, observation)
+        rounding = onnx_export.rounding_error(loaded, observation)
+        found.append(_require_alike(kind, most, rounding))
+    inputs = [(x.name, x.shape, x.meaning) for x in onnx_export.onnx_inputs(loaded.env)]
     return Model(proto, found, inputs, ("batch",))
 
 
@@ -109,22 +92,24 @@ def _car_model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
     """The model of a policy and its observation, for a car outside the simulator."""
     counts = {name: getattr(config, name) for name in COUNTS}
     rows = environment_rows(loaded.env, counts)
-    proto = make_car_model(loaded, rows)
+    proto = onnx_export.make_car_model(loaded, rows)
     seen = rollout(loaded, CHECKED, config.seed, rows)
-    session = make_session(proto)
+    session = onnx_export.make_session(proto)
     start = time.process_time()
-    action = decisions(session, seen)
+    action = onnx_export.decisions(session, seen)
     spent = (time.process_time() - start) / CHECKED
     observation = seen["observation"]
     rounding = np.maximum(
-        rounding_error(loaded, observation),
-        sensitivity(loaded, rows, seen, config.seed),
+        onnx_export.rounding_error(loaded, observation),
+        onnx_export.sensitivity(loaded, rows, seen, config.seed),
     )
-    difference = differences(action, policy_actions(loaded, observation))
-    found = _require_alike("of a roll-out", difference, rounding)
-    inputs = [(x.name, x.shape(rows), describe(x)) for x in inputs_of(proto)]
-    pace = f"{1e3 * spent:.2f} ms a decision on one core"
-    return Model(proto, [found, pace], inputs, ())
+    expected = onnx_export.policy_actions(loaded, observation)
+    difference = onnx_export.differences(action, expected)
+    found = [_require_alike("of a roll-out", difference, rounding)]
+    found.append(f"{1e3 * spent:.2f} ms a decision on one core")
+    taken, describe = onnx_export.inputs_of(proto), onnx_export.describe
+    inputs = [(x.name, x.shape(rows), describe(x)) for x in taken]
+    return Model(proto, found, inputs, ())
 
 
 def _require_alike(
@@ -132,8 +117,7 @@ def _require_alike(
 ) -> str:
     """What to print of a model that acts like its policy; refuses any other.
 
-    `difference` is that of actions, the largest or (count,), and `rounding` what
-    float32 costs them.
+    The `difference` of actions and what `rounding` costs them are () or (count,).
     """
     difference, rounding = np.broadcast_arrays(difference, rounding)
     most = np.maximum(TOLERANCE, ROUNDING * rounding)
@@ -166,11 +150,9 @@ def environment_rows(env: EnvConfig, counts: Mapping[str, int | None]) -> Rows:
 def rollout(
     loaded: LoadedPolicy, count: int, seed: int, rows: Rows | None = None
 ) -> dict[str, np.ndarray]:
-    """What agents observe in held-out lots that a policy drives in.
+    """What agents see in held-out lots that a policy drives in: `observation`.
 
-    Returns:
-        `observation` (count, size), and with `rows` what the agents know, (count,
-        *shape) by name of the input.
+    It is (count, size); with `rows` also what they know, (count, *shape) by input.
     """
     env = ParkingEnv(loaded.env)
     num_steps = -(-count // (LOTS * min(env.config.agent_counts)))
@@ -192,14 +174,3 @@ def rollout(
     there = np.flatnonzero(seen["observation"].any(axis=-1))  # absent ones see zeros
     chosen = there[np.linspace(0, len(there) - 1, count).astype(int)]
     return {name: x[chosen] for name, x in seen.items()}
-
-
-def _print_table(loaded: LoadedPolicy, model: Model) -> None:
-    """Inputs and output of a model."""
-    spec = action_spec(loaded.env)
-    parts = [*model.inputs, (OUTPUT, (spec.size,), describe_action(spec))]
-    rows = [
-        {"name": name, "shape": (*model.batch, *shape), "range and meaning": meaning}
-        for name, shape, meaning in parts
-    ]
-    print_rows(rows, "inputs and output", ends={len(rows) - 2})

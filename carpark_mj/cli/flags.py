@@ -33,9 +33,8 @@ Config = TypeVar("Config")
 
 def _range(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Range] | None:
     """Two numbers that the help calls LOW HIGH."""
-    if typing.get_origin(info.type) is not tuple:  # tuple or typing.Tuple
-        return None
-    if typing.get_args(info.type) != typing.get_args(Range):
+    origin, items = typing.get_origin(info.type), typing.get_args(info.type)
+    if origin is not tuple or items != typing.get_args(Range):  # or typing.Tuple
         return None
     return PrimitiveConstructorSpec(
         nargs=2,
@@ -49,10 +48,10 @@ def _range(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Range] | None:
 def _extra_terms(info: StructTypeInfo) -> StructConstructorSpec | None:
     """A flag for every setting of every registered reward term, as in `extra.haste`."""
     read: Any = info.type
+    # Looking the kind up imports JAX.
     if not (inspect.isclass(read) and issubclass(read, Mapping)):
         return None
-    kind = known.ExtraTerms
-    if read is not kind:
+    if read is not (kind := known.ExtraTerms):
         return None
     given = info.default if isinstance(info.default, kind) else kind()
 
@@ -87,7 +86,7 @@ def read_flags(
     short: Sequence[str] = (),
     prog: str | None = None,
 ) -> Config:
-    """Reads the flags of a dataclass.
+    """Reads the flags of a dataclass; `ValueError` of an impossible one is a sentence.
 
     The flag `--….encoding NAME` of an observation chooses that encoder, and its flags.
 
@@ -98,14 +97,12 @@ def read_flags(
         description: at the head of the help.
         short: fields that `--help` lists, if not all; `--help-all` lists them all.
         prog: name of the program in the help; None = that of its file.
-
-    Raises:
-        ValueError: an unknown flag or an impossible value.
-        SystemExit: after the help.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    options: dict[str, Any] = {"description": _by_line(description), "prog": prog}
-    options["registry"] = _REGISTRY
+    # Tyro joins lines that begin with a letter; commands have lines of their own.
+    command = r"(?m)^(?=(carpark_mj|python|srun) )"
+    text = description and re.sub(command, "    ", description)
+    options: Any = {"description": text, "prog": prog, "registry": _REGISTRY}
     if "--help-all" in arguments:
         arguments = ["--help"]
     elif short and {"-h", "--help"} & {*arguments}:
@@ -125,15 +122,7 @@ def read_flags(
 
 
 def as_flags(settings: Mapping[str, str], config: Any) -> list[str]:
-    """Settings as flags, see `read_flags`.
-
-    Args:
-        settings: values by dotted name, as on a command line.
-        config: that has the settings.
-
-    Raises:
-        ValueError: a truth value that is not true or false, or a flag in a value.
-    """
+    """Settings of a config, values by dotted name, as flags for `read_flags`."""
     words: list[str] = []
     for field, value in settings.items():
         *groups, last = field.replace("_", "-").split(".")
@@ -210,20 +199,9 @@ def _print_short_help(
         print("\n".join(textwrap.wrap(text, 80, break_on_hyphens=False)))
 
 
-def help_of(cls: type) -> str:
-    """The docstring of a config class, without its attributes."""
-    return (inspect.getdoc(cls) or "").partition("\n\nAttributes:")[0]
-
-
 def command_help(text: str) -> str:
     """The head of a command's help, with the names of the pretrained policies."""
     return f"{text}\n\nPretrained policies: {describe_names()}."
-
-
-def _by_line(text: str | None) -> str | None:
-    """Indents commands, as tyro joins lines that begin with a letter."""
-    command = r"^(?=(carpark_mj|python|srun) )"
-    return text and re.sub(command, "    ", text, flags=re.MULTILINE)
 
 
 def _sentence(box: str) -> str:

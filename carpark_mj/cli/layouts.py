@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import get_args
 
 import jax
 import numpy as np
@@ -12,7 +13,7 @@ from carpark_mj.cli.listing import listed
 from carpark_mj.cli.settings.lots import Crop, EditConfig, ImportConfig, LayoutsConfig
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import counted
-from carpark_mj.editor.document import EXTENT, Draft, Picture, read_picture
+from carpark_mj.editor.document import EXTENT, Draft, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.extensions import table
@@ -37,11 +38,6 @@ CHUNK = 250  # layouts drawn at once
 NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 OUT_OF_REACH = "with bays out of reach"
 
-_LEVELS: dict[Orientation, tuple[Level, ...]] = {
-    "perpendicular": ("normal", "complex"),
-    "parallel": ("normal", "complex", "extreme"),
-}
-
 # Settings with which lots of a family differ most from those with its defaults.
 VARIANTS: dict[str, LayoutConfig] = {
     "angled, back-in": AngledConfig(back_in=True, angle=(45.0, 60.0)),
@@ -59,18 +55,18 @@ VARIANTS: dict[str, LayoutConfig] = {
             ("garage_row", GarageRowConfig),
             ("dead_end", DeadEndConfig),
         )
-        for orientation, levels in _LEVELS.items()
-        for level in levels
+        for orientation in get_args(Orientation)
+        for level in get_args(Level)
+        if (orientation, level) != ("perpendicular", "extreme")
     },
 }
 
 
 def families() -> dict[str, LayoutConfig]:
     """One layout of every family by its name, and the variants."""
-    known: dict[type[LayoutConfig], str] = {}
-    for name, config in LAYOUTS.items():
-        known.setdefault(type(config), name)
-    return {name: LAYOUTS[name] for name in known.values()} | VARIANTS
+    # The first of a family, whose later ones do not replace it.
+    known = {type(config): name for name, config in reversed([*LAYOUTS.items()])}
+    return {name: LAYOUTS[name] for name in sorted(known.values())} | VARIANTS
 
 
 def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layout]:
@@ -91,12 +87,7 @@ Inspect = Callable[[Layout], list[str]]
 
 
 def faults(layout: LayoutConfig | str, vehicle: str = "") -> Inspect:
-    """Problems of a lot's plan with a car.
-
-    Args:
-        layout: of which lots are drawn: a name, a file or a config.
-        vehicle: a preset or file; by default the lots' design car.
-    """
+    """Problems of a lot's plan with a car, by default the lots' design car."""
     config = layout_config(layout)
     size = (config.car or DesignCar()).size
     if vehicle:
@@ -115,23 +106,14 @@ def faults(layout: LayoutConfig | str, vehicle: str = "") -> Inspect:
 
 
 def out_of_reach(paths: int, seed: int, vehicle: str = "") -> Inspect:
-    """Bays that the planner finds no path to.
-
-    Args:
-        paths: bays of a lot, drawn at random if it has more.
-        seed: seed of the bays drawn and of the searches.
-        vehicle: a preset or file; `compact` by default.
-    """
+    """Bays, of `paths` drawn at random, that the planner finds no path to."""
     from carpark_mj.planning.search import unreached
     from carpark_mj.vehicle import preset
 
     def inspect(drawn: Layout) -> list[str]:
         tried, missed = unreached(drawn, preset(vehicle or "compact"), paths, seed)
-        bays = ", ".join(map(str, missed))
-        words = (
-            f"no path found to {len(missed)} of {counted(len(tried), 'bay')}: {bays}"
-        )
-        return [words] if missed else []
+        bays = f"{counted(len(tried), 'bay')}: {', '.join(map(str, missed))}"
+        return [f"no path found to {len(missed)} of {bays}"] if missed else []
 
     return inspect
 
@@ -210,13 +192,11 @@ def edit(config: EditConfig) -> None:
     out, source = Path(config.target), Path(config.file) if config.file else None
     if out.exists() and (source is None or not out.samefile(source)):
         raise ValueError(f"{out} exists: edit it by `carpark_mj layouts edit {out}`")
-    picture: Picture | None = None
+    picture, extent = None, EXTENT
     if config.background:
         picture = read_picture(Path(config.background), config.scale, config.width)
-    require_writable(out)
-    extent = EXTENT
-    if picture:
         extent = tuple(math.ceil(side) / 2 for side in picture.size)
+    require_writable(out)
     draft = Draft(out, source, extent)
     with EditorServer(draft, config.port, picture) as server:
         if draft.kept.exists():

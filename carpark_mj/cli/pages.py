@@ -14,17 +14,13 @@ from typing import Any
 from carpark_mj.cli.clock import CLOCK, PERIOD, wait_for_user
 from carpark_mj.cli.process import one_line
 from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig, ServeConfig
-from carpark_mj.extensions import require_packages
+from carpark_mj.extensions import Entry, require_packages
 from carpark_mj.rendering.local_pages import HOST, Chosen
 
 
 @contextlib.contextmanager
 def open_page(port: int, wanted: bool = True) -> Generator[Any]:
-    """Serves an empty page with a clock; gives viser's server, None if not `wanted`.
-
-    Raises:
-        ModuleNotFoundError: mjviser is not installed.
-    """
+    """Serves an empty page with a clock; gives viser's server, None if not `wanted`."""
     if not wanted:
         yield None
         return
@@ -52,12 +48,8 @@ def open_page(port: int, wanted: bool = True) -> Generator[Any]:
 def show_lots(config: Any, wanted: bool, show: Callable[[Any, Any], None]) -> None:
     """Shows a lot, and each that is chosen on its page, for which browsers wait.
 
-    A lot that cannot be shown is reported, and the one before it is shown again.
-
-    Args:
-        config: of the first lot.
-        wanted: whether there are pages.
-        show: shows the lot of a config on a page; it raises `Chosen` for another one.
+    A lot that cannot be shown is reported, and the one before it is shown again. `show`
+    shows the lot of a config on a page, if wanted; it raises `Chosen` for another one.
     """
     before = None
     while True:
@@ -76,24 +68,15 @@ def show_lots(config: Any, wanted: bool, show: Callable[[Any, Any], None]) -> No
 
 def scene(config: SceneConfig) -> None:
     """`carpark_mj scene`."""
-
-    def show(config: SceneConfig, page: Any) -> None:
-        from carpark_mj.cli.scene import main
-
-        main(config, page)
-
-    show_lots(config, config.view == "web", show)
+    main = Entry("carpark_mj.cli.scene:main")
+    show_lots(config, config.view == "web", lambda *given: main.load()(*given))
 
 
 def play(config: PlayConfig) -> None:
     """`carpark_mj play`."""
-
-    def show(config: PlayConfig, page: Any) -> None:
-        from carpark_mj.cli.play import main
-
-        main(config, page)
-
-    show_lots(config, config.shown_in == "web" and not config.video, show)
+    main = Entry("carpark_mj.cli.play:main")
+    on_page = config.shown_in == "web" and not config.video
+    show_lots(config, on_page, lambda *given: main.load()(*given))
 
 
 def serve(config: ServeConfig) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import itertools
 import sys
 import time
 from collections.abc import Callable
@@ -70,16 +71,13 @@ def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
 
 def replay(demonstration: Demonstration) -> DrivenLot:
     """The lot of a recorded drive, which repeats all actions."""
-    env = ParkingEnv(demonstration.config)
-    step = 0
+    env, last = ParkingEnv(demonstration.config), len(demonstration) - 1
 
     def read(lot: DrivenLot) -> np.ndarray:
-        nonlocal step
-        step = 0 if lot.seconds == 0.0 else step + 1
-        return demonstration.actions[min(step, len(demonstration) - 1)]
+        step = round(lot.seconds / env.config.sim.ctrl_dt)
+        return demonstration.actions[min(step, last)]
 
-    others = zero_policy(env.action_spec)
-    return DrivenLot(env, others, demonstration.seed, read)
+    return DrivenLot(env, zero_policy(env.action_spec), demonstration.seed, read)
 
 
 def open_folder(config: PlayConfig) -> Path:
@@ -92,15 +90,13 @@ def open_folder(config: PlayConfig) -> Path:
 
 def save(lot: DrivenLot, folder: Path) -> None:
     """Saves what has been driven, if anything, under the next free number."""
-    demonstration = lot.demonstration
-    if demonstration is None:
+    if (demonstration := lot.demonstration) is None:
         return
-    number = 0
-    while (path := folder / f"drive-{number}.npz").exists():
-        number += 1
+    paths = (folder / f"drive-{number}.npz" for number in itertools.count())
+    path = next(path for path in paths if not path.exists())
     demonstration.save(path)
-    score = f"score {lot.score:.1f}"
-    print(f"saved {path}: {lot.seconds:.0f} s, {score}", flush=True)
+    driven = f"{lot.seconds:.0f} s, score {lot.score:.1f}"
+    print(f"saved {path}: {driven}", flush=True)
 
 
 def pad(action: np.ndarray, size: int) -> np.ndarray:
@@ -115,8 +111,7 @@ def play_in_window(config: PlayConfig) -> None:
 
     def read(lot: DrivenLot) -> np.ndarray:
         nonlocal controls
-        gamepad = window.gamepad()
-        held = window.held(KEYS)
+        gamepad, held = window.gamepad(), window.held(KEYS)
         if gamepad is not None and not held:
             controls = from_gamepad(gamepad[0])
         else:
@@ -160,11 +155,7 @@ def _drive(lot: DrivenLot, draw: Callable[[], np.ndarray], window: Window) -> st
 
 
 def make_wheel(config: PlayConfig, page: Any) -> tuple[Any, DrivenLot, dict[str, Any]]:
-    """Shows a lot to drive in on a page.
-
-    Returns:
-        The viewer, the lot, and the sliders `steer` and `pedal`.
-    """
+    """Shows a lot on a page; gives viewer, lot, and sliders `steer` and `pedal`."""
     env, others = make_env(config)
     held: dict[str, Any] = {}
     folder = open_folder(config)
@@ -180,13 +171,8 @@ def make_wheel(config: PlayConfig, page: Any) -> tuple[Any, DrivenLot, dict[str,
         gui.add_markdown("Arrows or WASD: steer, drive. Space: brake. R: restart.")
         held["steer"] = gui.add_slider("Steering, left > 0", -1.0, 1.0, 0.05, 0.0)
         held["pedal"] = gui.add_slider("Pedal, ahead > 0", -1.0, 1.0, 0.05, 0.0)
-        straight = gui.add_button("Straight")
-        brake = gui.add_button("Brake")
+        straight, brake = gui.add_button("Straight"), gui.add_button("Brake")
         saving = gui.add_button("Save drive")
-
-    @straight.on_click
-    def _(_: Any) -> None:
-        held["steer"].value = 0.0
 
     def press(name: str, by: float) -> None:
         held[name].value = float(np.clip(held[name].value + by, -1.0, 1.0))
@@ -199,6 +185,7 @@ def make_wheel(config: PlayConfig, page: Any) -> tuple[Any, DrivenLot, dict[str,
             add_key(page, label, key, functools.partial(press, name, by))
     add_key(page, "Brake", "space", halt)
     brake.on_click(lambda _: halt())
+    straight.on_click(lambda _: setattr(held["steer"], "value", 0.0))
 
     @saving.on_click
     def _(_: Any) -> None:

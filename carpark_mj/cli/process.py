@@ -6,7 +6,6 @@ start.
 
 import contextlib
 import errno
-import importlib
 import io
 import os
 import signal
@@ -19,7 +18,7 @@ from typing import Any, NoReturn, cast
 
 from carpark_mj.cli.clock import CLOCK, LOADING
 from carpark_mj.compilation import EXTRA_OPTIONS, SHARE_LOOPS, SHARED_LOOPS
-from carpark_mj.extensions import missing_extra
+from carpark_mj.extensions import Entry, missing_extra
 from carpark_mj.rendering.gl import check_gl
 
 INTERRUPTED = 130  # exit code of a command stopped by Ctrl-C, as shells have it
@@ -34,17 +33,13 @@ OUTPUT_FUSION = f"{EXTRA_OPTIONS}xla_cpu_use_multi_output_fusion,{SHARED_LOOPS}"
 def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
     """Runs a command as this process, and ends it.
 
-    A clock runs on the terminal while it is silent, see `carpark_mj.cli.clock`. Ctrl-C
-    ends it with one line and exit code 130, also in compiled code, unless the command
-    has its own handler; a second Ctrl-C always does. An open page or window ends with
-    0. A closed stdout, a full disk or a character that the encoding lacks does not stop
-    the work.
+    Ctrl-C ends it with one line and exit code 130, also in compiled code, unless the
+    command has its own handler; a second Ctrl-C always does. An open page or window
+    ends with 0. A closed stdout, a full disk or a character that the encoding lacks
+    does not stop the work.
 
-    Args:
-        program: name before messages on stderr.
-        entry: `module:function` that is the command, imported here; its value is the
-            exit code if it is an int.
-        *arguments: arguments of the function.
+    `program` is the name before messages on stderr. The entry, `module:function` of
+    these arguments, is imported here; its value is the exit code if it is an int.
     """
     interrupts, stdout = Interrupts(program), _keep_printing("stdout", 1)
     _keep_printing("stderr", 2)
@@ -54,9 +49,12 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
 
     def command() -> object:
         check_gl()
-        _check_jax()
-        module, _, function = entry.partition(":")
-        return getattr(importlib.import_module(module), function)(*arguments)
+        count = os.environ.get("JAX_NUM_CPU_DEVICES", "1")
+        if not (count.isdecimal() and int(count)):
+            raise ValueError(
+                f"JAX_NUM_CPU_DEVICES must be a whole number above 0, not {count!r}"
+            )
+        return Entry(entry).load()(*arguments)
 
     code: Any
     try:
@@ -70,7 +68,7 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
         raise
     if interrupts.taken:
         interrupts.end()
-    CLOCK.stop()
+    CLOCK.set("")
     sys.stdout.flush()
     failed = stdout.error if stdout else None
     if failed is not None and failed.errno != errno.EPIPE and not code:
@@ -80,16 +78,10 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
 
 
 def run_command(program: str, command: Callable[[], object]) -> int:
-    """Runs a command; errors that the user can fix end it with one line on stderr.
+    """Runs a command, and returns its exit code; any value of it but an int means 0.
 
-    Args:
-        program: name before the line.
-        command: returns the exit code; any value but an int means 0. It imports
-            modules that need packages of extras, so that a missing package is such an
-            error.
-
-    Returns:
-        The exit code, 2 for such errors.
+    Errors that the user can fix end it with 2 and one line on stderr, which `program`
+    begins. A missing package of an extra is one of them.
     """
     try:
         code = command()
@@ -121,10 +113,7 @@ def one_line(error: BaseException) -> str:
 
 
 def _missing_device() -> str | None:
-    """Message if JAX does not find a device that the user has requested.
-
-    JAX fails in many ways then, sometimes without a message.
-    """
+    """Message if JAX lacks a device asked for; it fails in many ways then."""
     names = ("JAX_PLATFORMS", "JAX_NUM_CPU_DEVICES")
     asked = [f"{name}={os.environ[name]}" for name in names if os.environ.get(name)]
     jax = sys.modules.get("jax")
@@ -136,14 +125,6 @@ def _missing_device() -> str | None:
         reason = str(error).partition("\n")[0] or "there is none"
         return f"JAX finds no device with {', '.join(asked)}: {reason}"
     return None
-
-
-def _check_jax() -> None:
-    count = os.environ.get("JAX_NUM_CPU_DEVICES", "1")
-    if not (count.isdecimal() and int(count) >= 1):
-        raise ValueError(
-            f"JAX_NUM_CPU_DEVICES must be a whole number, at least 1, not {count!r}"
-        )
 
 
 class _Output(io.FileIO):
@@ -185,9 +166,9 @@ def _keep_printing(name: str, descriptor: int) -> _Output | None:
 class Interrupts:
     """Ctrl-C in a command: `KeyboardInterrupt`, and a guaranteed end.
 
-    The exception alone is not enough: it waits for compiled code to return, destructors
-    and callbacks swallow it, and JAX dies when the interpreter ends beside a running
-    program. A thread therefore ends the process if the command does not.
+    The exception waits for compiled code to return, destructors and callbacks swallow
+    it, and JAX dies when the interpreter ends beside a running program. A thread
+    therefore ends the process if the command does not.
 
     Attributes:
         taken: whether the exception has been raised.
@@ -237,7 +218,7 @@ class Interrupts:
                 sys.stdout.flush()
         if CLOCK.idle:
             os._exit(0)
-        CLOCK.stop()
+        CLOCK.set("")
         # Not `print`, whose lock the main thread may hold.
         os.write(2, f"{self._program}: interrupted\n".encode())
         os._exit(INTERRUPTED)
@@ -256,10 +237,9 @@ def patient_interrupts() -> Generator[None]:
 
 
 def enable_output_fusion() -> None:
-    """Makes XLA on a CPU share results between loops, as on GPUs.
+    """Makes XLA on a CPU share results between loops, unless the user set `XLA_FLAGS`.
 
-    Call it before JAX's first computation, when XLA reads `XLA_FLAGS`. It keeps a value
-    that the user has set.
+    Call it before JAX's first computation, when XLA reads them.
     """
     flags = os.environ.get("XLA_FLAGS", SHARE_LOOPS)
     # Those that `compilation.choose_xla_flags` has set are not the user's.

@@ -1,14 +1,12 @@
 """`carpark_mj render`: records episodes and renders them off-screen."""
 
 import contextlib
-import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from PIL import Image
 from rich import get_console
 from rich.progress import track
@@ -23,12 +21,7 @@ from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering.gallery import FAMILIES, cell_size, contact_sheet, draw_lots
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.rendering.recording import (
-    Recording,
-    num_frames,
-    record,
-    recording_stage,
-)
+from carpark_mj.rendering.recording import num_frames, record, recording_stage
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError, Show
 from carpark_mj.rendering.video import (
     CarCameras,
@@ -43,9 +36,7 @@ def main(config: RenderConfig) -> Path:
     if config.gallery:
         return _gallery(config)
     driver = find_driver(config.run, config.environment)
-    env_config = adapted(config, driver.env)
-    episode = dataclasses.replace(env_config.episode, respawn=config.respawn == "true")
-    env_config = dataclasses.replace(env_config, episode=episode)
+    env_config = adapted(config, driver.env, respawn=config.respawn == "true")
     rig = config.rig(env_config.num_agents)  # refuse before the work
     out = _open_output(config, driver.folder)
 
@@ -68,7 +59,11 @@ def main(config: RenderConfig) -> Path:
             _write_png(out, Image.fromarray(draw(num_frames(recording) - 1)))
             drawn = ""
         else:
-            drawn = f"{_write_frames(out, config.fps, recording, draw)}, "
+            indices, shown = frame_indices(recording, config.fps)
+            start = time.monotonic()
+            count = write_video(out, map(draw, _shown(indices)), shown)
+            rate = count / (time.monotonic() - start)
+            drawn = f"{counted(count, 'frame')}, {rate:.1f} rendered per second, "
     print(f"wrote {out}: {seconds:g} s, {drawn}camera {config.camera}")
     return out
 
@@ -91,16 +86,14 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
 
 
 def _show(config: RenderConfig, env: EnvConfig) -> Show:
-    seen, tracked = env.observation, None
-    if "tracked" in config.extras:
-        tracked = seen.tracked
-        if tracked == Tracked():
-            raise ValueError(
-                "show 'tracked' needs an observation that tracks cars, and the "
-                f"encoding {seen.encoding!r} tracks none here"
-            )
-    rings = seen.circles if "rings" in config.extras else ()
-    return Show(tracked, rings)
+    seen = env.observation
+    tracked = seen.tracked if "tracked" in config.extras else None
+    if tracked == Tracked():
+        raise ValueError(
+            "show 'tracked' needs an observation that tracks cars, and the "
+            f"encoding {seen.encoding!r} tracks none here"
+        )
+    return Show(tracked, seen.circles if "rings" in config.extras else ())
 
 
 def _shown(things: Iterable[Any]) -> Iterable[Any]:
@@ -109,24 +102,10 @@ def _shown(things: Iterable[Any]) -> Iterable[Any]:
     return track(things, "rendering", transient=True, disable=hidden)
 
 
-def _write_frames(
-    out: Path, fps: float, recording: Recording, draw: Callable[[int], np.ndarray]
-) -> str:
-    """Writes the video; returns how many frames were drawn, and how fast."""
-    indices, shown = frame_indices(recording, fps)
-    start = time.monotonic()
-    pictures = map(draw, _shown(indices))
-    count = write_video(out, pictures, shown)
-    rate = count / (time.monotonic() - start)
-    return f"{counted(count, 'frame')}, {rate:.1f} rendered per second"
-
-
 def _gallery(config: RenderConfig) -> Path:
     out = _open_output(config, Path())
-    size = cell_size(config.width)
-    cells = [
-        cell for name in _shown(FAMILIES) for cell in draw_lots(name, size, config.seed)
-    ]
+    more = cell_size(config.width), config.seed
+    cells = [cell for name in _shown(FAMILIES) for cell in draw_lots(name, *more)]
     out.parent.mkdir(parents=True, exist_ok=True)
     _write_png(out, contact_sheet(cells))
     print(f"wrote {out}: {len(cells)} lots")

@@ -66,24 +66,11 @@ def default_env(config: LotSettings) -> EnvConfig:
     return EnvConfig(layout=name, num_agents=agents, num_parked_cars=parked)
 
 
-def show_policy(config: SceneConfig, page: Any) -> None:
-    """Shows a lot in which a policy drives, until Ctrl-C."""
-    driver = find_driver(config.policy)
-    env = ParkingEnv(adapted(config, driver.env))
-    doing(PLACING)
-    lot = LiveLot(env, driver.policy(env), config.seed)
-    run_live(make_live_viewer(page, lot, offer(page, config)), lot)
-
-
 DEFAULT, NOBODY = "default", "none"  # entries of the lists
 
 
 def offer(page: Any, config: ShownLot) -> Callable[[], None]:
-    """Lets a page choose another lot, seed and policy.
-
-    Returns:
-        A function to call in every step, which raises `Chosen` after a choice.
-    """
+    """Lets a page choose another lot; gives what raises `Chosen` then, in any step."""
     chosen: list[ShownLot] = []
     layout, policy = config.layout or DEFAULT, config.policy or NOBODY
     layouts = [*dict.fromkeys([DEFAULT, layout, *LAYOUTS])]
@@ -110,11 +97,7 @@ def offer(page: Any, config: ShownLot) -> Callable[[], None]:
 
 
 def another(config: ShownLot, layout: str, seed: int, policy: str) -> ShownLot:
-    """The config of another lot, from the entries of the lists.
-
-    Raises:
-        ValueError: they do not fit each other.
-    """
+    """The config of another lot, from the entries of the lists."""
     return dataclasses.replace(
         config,
         layout=None if layout == DEFAULT else layout,
@@ -134,8 +117,11 @@ def run_live(viewer: Any, lot: LiveLot) -> None:
 def main(config: SceneConfig, page: Any = None) -> None:
     """Writes and shows; `page` is an open one for the browser, see `cli.pages`."""
     if config.policy:
-        show_policy(config, page)
-        return
+        driver = find_driver(config.policy)
+        env = ParkingEnv(adapted(config, driver.env))
+        doing(PLACING)
+        lot = LiveLot(env, driver.policy(env), config.seed)
+        return run_live(make_live_viewer(page, lot, offer(page, config)), lot)
     require_view(config)
     if page is not None:
         doing(PLACING)

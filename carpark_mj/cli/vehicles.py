@@ -11,13 +11,7 @@ from carpark_mj.config.vehicles import is_name
 from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.extensions import table
 from carpark_mj.files import require_writable, write_text
-from carpark_mj.identification.fit import (
-    PARAMETERS,
-    Identification,
-    identify,
-    place,
-    vehicle_text,
-)
+from carpark_mj.identification import fit as fitting
 from carpark_mj.identification.log import DriveLog, read_log
 from carpark_mj.vehicle import preset
 from carpark_mj.vehicle.parameters import VehicleParameters
@@ -31,17 +25,20 @@ def show(config: VehiclesConfig) -> None:
         return
     if config.save:
         require_writable(Path(config.save))
-    name, estimated = config.vehicle, ()
-    if is_name(name):
-        params = preset(name)
-    else:
-        name, (params, estimated) = read_sheet(name)
+    name, (params, estimated) = _sheet(config.vehicle)
     print("\n".join(_lines(params, estimated)))
     print("metres, kilograms, newtons, watts, seconds, radians")
     if config.save:
         text = json.dumps(json.loads(parameters_text(name, params)), indent=1) + "\n"
         write_text(Path(config.save), text)
         print(f"wrote {config.save}")
+
+
+def _sheet(vehicle: str) -> tuple[str, Sheet]:
+    """Name and data sheet of a preset or a file."""
+    if is_name(vehicle):
+        return vehicle, Sheet(preset(vehicle), ())
+    return read_sheet(vehicle)
 
 
 def _lines(params: VehicleParameters, estimated: Sequence[str]) -> list[str]:
@@ -58,36 +55,33 @@ def fit(config: IdentifyConfig) -> None:
     """Fits the log, prints the table and writes the vehicle file."""
     if config.out:
         require_writable(Path(config.out))
-    if is_name(config.vehicle):
-        sheet = Sheet(preset(config.vehicle), ())
-    else:
-        _, sheet = read_sheet(config.vehicle)
+    _, sheet = _sheet(config.vehicle)
     log = read_log(Path(config.log))
     if log.ignored:
         print(f"ignored columns: {', '.join(log.ignored)}")
-    found = identify(log, sheet.params, config.ahead)
+    found = fitting.identify(log, sheet.params, config.ahead)
     if config.out:
-        text = vehicle_text(Path(config.out).stem, sheet, found, log)
+        text = fitting.vehicle_text(Path(config.out).stem, sheet, found, log)
         write_text(Path(config.out), text)
     _print(found, log)
     if config.out:
         print(f"wrote {config.out}")
 
 
-def _print(found: Identification, log: DriveLog) -> None:
+def _print(found: fitting.Identification, log: DriveLog) -> None:
     rows = []
     for name, estimate in found.estimates.items():
         low, high = (estimate.value + s * estimate.error for s in (-1, 1))
         interval = f"{low:.4g} … {high:.4g}"
         row = {"parameter": name}
-        row["value"] = f"{estimate.value:.4g} {PARAMETERS[name].unit}"
+        row["value"] = f"{estimate.value:.4g} {fitting.PARAMETERS[name].unit}"
         row["95 % interval"] = interval if estimate.identifiable else "not identifiable"
-        rows.append(row | {"belongs to": place(name, log)})
+        rows.append(row | {"belongs to": fitting.place(name, log)})
     print_rows(rows)
     units = {"x": "m", "y": "m", "yaw": "rad", "speed": "m/s", "yaw_rate": "rad/s"}
     residuals = (f"{k} {v:.2g} {units[k]}" for k, v in found.residuals.items())
     print(f"residuals, root mean square: {', '.join(residuals)}")
     for name, estimate in found.estimates.items():
         if not estimate.identifiable:
-            needs = PARAMETERS[name].needs
+            needs = fitting.PARAMETERS[name].needs
             print(f"{name} keeps the vehicle's value: identify it by {needs}")

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from carpark_mj.files import write_atomically
+from carpark_mj.files import write_text
 from carpark_mj.layouts.checks import ANY_CAR, list_faults
 from carpark_mj.layouts.files import (
     FORMAT,
@@ -37,17 +37,7 @@ class Picture(NamedTuple):
 
 
 def read_picture(path: Path, scale: float = 0.0, width: float = 0.0) -> Picture:
-    """Reads a picture.
-
-    Args:
-        path: of the file.
-        scale: metres per pixel; 0 to use `width`.
-        width: of the picture [m].
-
-    Raises:
-        ValueError: it is no such picture.
-        OSError: it cannot be read.
-    """
+    """Reads a picture of some metres per pixel, or, with scale 0, of a width [m]."""
     from matplotlib.image import imread
 
     if path.suffix.lower() not in KINDS:
@@ -67,15 +57,9 @@ class Draft:
     def __init__(
         self, out: Path, source: Path | None = None, extent: Any = EXTENT
     ) -> None:
-        """Opens the unsaved changes, if there are any, or the file.
+        """Opens the unsaved changes of `out`, if there are any, or the source.
 
-        Args:
-            out: the file to save to.
-            source: the file to read; None for an empty lot.
-            extent: half widths of an empty lot [m].
-
-        Raises:
-            ValueError: a file is no layout; one with faults is.
+        That may have faults; None = an empty lot of these half widths [m].
         """
         self.out = out
         self.kept = out.with_suffix(".draft.json")  # of unsaved changes
@@ -96,11 +80,7 @@ class Draft:
         return faults
 
     def save(self, document: dict[str, Any]) -> list[dict[str, Any]]:
-        """Writes the file unless a fault is grave; returns the faults.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Writes the file unless a fault is grave; returns the faults."""
         faults = self.check(document)
         if not any(fault["grave"] for fault in faults):
             _write(self.out, document)
@@ -112,19 +92,17 @@ class Draft:
 def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
     """Faults of a lot, for the page.
 
-    Returns:
-        For each its `text`; the `places` at fault, lists of rows such as "bays/3";
-        whether it is `grave`, so that no environment takes the lot, or concerns the
-        design car only; and `unreadable` if the lot cannot be read again.
+    Each has its `text`; the `places` at fault, lists of rows such as "bays/3"; whether
+    it is `grave`, so that no environment takes the lot, or concerns the design car
+    only; and `unreadable` if the lot cannot be read again.
     """
     try:
         layout = parse_layout(document)
     except (ValueError, RecursionError) as error:
         rows = re.findall(r"\b(\w+)\[(\d+)\]", str(error))[:1]
         places = [[f"{kind}/{row}"] for kind, row in rows]
-        return [
-            {"text": str(error), "places": places, "grave": True, "unreadable": True}
-        ]
+        fault = {"text": str(error), "places": places}
+        return [fault | {"grave": True, "unreadable": True}]
     found: list[dict[str, Any]] = []
     of_any_car = {x.message: x.places.tolist() for x in list_faults(layout, ANY_CAR)}
     for message, kinds, places in list_faults(layout, DesignCar().size):
@@ -147,5 +125,4 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, document: dict[str, Any]) -> None:
-    text = document_text(complete(document))
-    write_atomically(path, lambda file: file.write_text(text))
+    write_text(path, document_text(complete(document)))

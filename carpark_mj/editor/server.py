@@ -29,16 +29,7 @@ class EditorServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, draft: Draft, port: int, picture: Picture | None = None) -> None:
-        """Listens on a port, or on a free one if it is 0.
-
-        Args:
-            draft: of the file.
-            port: to listen on.
-            picture: under the drawing.
-
-        Raises:
-            OSError: the port is taken, or may not be used.
-        """
+        """Listens on a port, or on a free one if it is 0."""
         self.draft, self.picture, self.turn = draft, picture, threading.Lock()
         try:
             super().__init__((HOST, port), _Handler)

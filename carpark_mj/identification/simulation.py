@@ -257,10 +257,11 @@ def _simulate(
     def substep(
         car: Car, controls: tuple[jax.Array, jax.Array]
     ) -> tuple[Car, dict[str, jax.Array]]:
-        driven = drive_car(vehicle, wheels, car, controls, sim_dt)
-        at, targets = car.coordinates, driven.steering_targets
-        at = advance(masses, at, driven.forces, targets, gravity, sim_dt)
-        return Car(at, driven.tyres, driven.actuators), _seen(car.coordinates, ahead)
+        forces, targets, bristles, actuators = drive_car(
+            vehicle, wheels, car, controls, sim_dt
+        )
+        at = advance(masses, car.coordinates, forces, targets, gravity, sim_dt)
+        return Car(at, bristles, actuators), _seen(car.coordinates, ahead)
 
     _, seen = jax.lax.scan(
         substep,

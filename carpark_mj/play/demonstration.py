@@ -3,12 +3,13 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_seed
-from carpark_mj.files import write_atomically
+from carpark_mj.files import require_suffix, write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import observation_size
 from carpark_mj.policy.runs import CONFIG_VERSION, from_dict
@@ -20,27 +21,16 @@ STEPS = ("observations", "actions", "rewards", "terminated", "truncated", "poses
 
 @dataclasses.dataclass(frozen=True)
 class Demonstration:
-    """`t` control steps of the agents of a lot; the first agents were driven by hand.
-
-    Attributes:
-        config: the environment.
-        seed: seed of the lot, see `carpark_mj.evaluation.keys.evaluation_key`.
-        observations: (t, agents, observation_size) float32, before the steps.
-        actions: (t, agents, size) float32.
-        rewards: (t, agents) float32.
-        terminated: (t, agents) bool, parked or crashed in the step.
-        truncated: (t, agents) bool, out of time in the step.
-        poses: (t, agents, 3) footprint centres in the world at the steps' ends, before
-            any respawn.
-    """
+    """`t` control steps of the agents of a lot; a hand drove the first of them."""
 
     config: EnvConfig
-    seed: int
-    observations: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    terminated: np.ndarray
-    truncated: np.ndarray
+    seed: int  # of the lot, see `carpark_mj.evaluation.keys.evaluation_key`
+    observations: np.ndarray  # (t, agents, observation_size) float32, before the steps
+    actions: np.ndarray  # (t, agents, size) float32
+    rewards: np.ndarray  # (t, agents) float32
+    terminated: np.ndarray  # (t, agents) bool, parked or crashed in the step
+    truncated: np.ndarray  # (t, agents) bool, out of time in the step
+    # (t, agents, 3) footprint centres in the world at the steps' ends, before respawns.
     poses: np.ndarray
 
     def __len__(self) -> int:
@@ -48,41 +38,24 @@ class Demonstration:
         return len(self.actions)
 
     def save(self, path: Path) -> None:
-        """Writes a `.npz` file, atomically.
-
-        Raises:
-            ValueError: another suffix.
-            OSError: the file cannot be written.
-        """
-        if path.suffix != ".npz":
-            raise ValueError(f"a demonstration ends in .npz, not {path.name!r}")
+        """Writes a `.npz` file, atomically; its suffix is required (`ValueError`)."""
+        require_suffix("the file of a demonstration", path.name, ".npz")
         header = {
             "config_version": CONFIG_VERSION,
             "seed": self.seed,
             "config": dataclasses.asdict(self.config),
         }
-        arrays = {name: getattr(self, name) for name in STEPS}
+        arrays: Any = {name: getattr(self, name) for name in STEPS}
+        arrays["header"] = json.dumps(header)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(
-            path,
-            lambda temporary: np.savez_compressed(
-                temporary, header=json.dumps(header), **arrays
-            ),
-        )
+        write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
 
 
 def load_demonstration(path: Path) -> Demonstration:
-    """Reads what `Demonstration.save` wrote.
-
-    Raises:
-        ValueError: the file is no demonstration, or one of another version.
-        OSError: it cannot be read.
-    """
+    """Reads what `Demonstration.save` wrote; anything else is a `ValueError`."""
     archive = Archive(path)
     if "header" not in archive.names:
-        raise ValueError(
-            f"{path} is not a demonstration that carpark_mj.play has saved"
-        )
+        raise ValueError(f"{path} is not a demonstration that `play` has saved")
     text = str(archive.read({"header": ArrayForm(TEXT, ())})["header"])
     what = f"the header of {path}"
     header = parse_object(text, what, config=dict, seed=int, config_version=int)
@@ -94,20 +67,9 @@ def load_demonstration(path: Path) -> Demonstration:
         )
     require_seed(header["seed"])
     config = from_dict(EnvConfig, header["config"])
-    arrays = archive.read(_forms(config))
-    if not len(arrays["actions"]):
-        raise ValueError(f"{path} holds no step")
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise ValueError(f"{path} holds {name} that are not finite")
-    return Demonstration(config, header["seed"], **arrays)
-
-
-def _forms(config: EnvConfig) -> dict[str, ArrayForm]:
-    """What the arrays of an environment's drive are like."""
     number, truth = np.dtype(np.float32), np.dtype(np.bool_)
     by_agent = ("steps", config.num_agents)
-    return {
+    forms = {
         "observations": ArrayForm(number, (*by_agent, observation_size(config))),
         "actions": ArrayForm(number, (*by_agent, action_spec(config).size)),
         "rewards": ArrayForm(number, by_agent),
@@ -115,3 +77,10 @@ def _forms(config: EnvConfig) -> dict[str, ArrayForm]:
         "truncated": ArrayForm(truth, by_agent),
         "poses": ArrayForm(number, (*by_agent, 3)),
     }
+    arrays = archive.read(forms)
+    if not len(arrays["actions"]):
+        raise ValueError(f"{path} holds no step")
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"{path} holds {name} that are not finite")
+    return Demonstration(config, header["seed"], **arrays)

@@ -37,15 +37,10 @@ STICK, LEFT_TRIGGER, RIGHT_TRIGGER = 0, 4, 5
 
 @dataclasses.dataclass(frozen=True)
 class Controls:
-    """Controls of a driver.
+    """Controls of a driver."""
 
-    Attributes:
-        steer: left is 1.
-        pedal: ahead is 1; against the motion it brakes.
-    """
-
-    steer: float = 0.0
-    pedal: float = 0.0
+    steer: float = 0.0  # left is 1
+    pedal: float = 0.0  # ahead is 1; against the motion it brakes
 
     @property
     def action(self) -> np.ndarray:
@@ -56,13 +51,9 @@ class Controls:
 def from_keys(
     held: Set[str], before: Controls, speed: float, seconds: float
 ) -> Controls:
-    """Steers step by step while keys are held, and back to the middle without.
+    """Steers step by step while `KEYS` are held, and back to the middle without.
 
-    Args:
-        held: names of `KEYS`.
-        before: the controls until now.
-        speed: speed of the car [m/s], forwards positive.
-        seconds: since `before`.
+    The controls `before` were some `seconds` ago; speed is forwards positive [m/s].
     """
     wanted = _any(held, LEFT) - _any(held, RIGHT)
     most = STEER_RATE * seconds
@@ -107,18 +98,15 @@ class DrivenLot(LiveLot):
         read: Callable[["DrivenLot"], np.ndarray],
         keep: Callable[["DrivenLot"], None] = lambda lot: None,
     ) -> None:
-        """Compiles and starts a lot.
+        """Compiles and starts a lot of cars that steer.
 
         Args:
-            env: of cars that steer.
+            env: of the lot.
             others: policy of the other agents.
             seed: seed of the lot.
             read: the actions (k, size) of the first k agents, asked for at the start of
                 every control step.
             keep: called before the lot restarts, with what has been recorded.
-
-        Raises:
-            ValueError: a back end whose cars do not steer.
         """
         physics = env.config.physics_config
         if not physics.steers:
@@ -153,10 +141,8 @@ class DrivenLot(LiveLot):
             self.score += float(self._seen["rewards"][0])
             for name in ENDINGS:
                 if self._seen[f"own {name}"]:
-                    self.note = (
-                        f"Your car {name.replace('_', ' ')} at {self.seconds:.0f} s. "
-                        f"{self._after}"
-                    )
+                    ended = f"{name.replace('_', ' ')} at {self.seconds:.0f} s"
+                    self.note = f"Your car {ended}. {self._after}"
         return begins
 
     def tally(self) -> Iterator[tuple[str, float]]:
@@ -169,9 +155,8 @@ class DrivenLot(LiveLot):
         """What has been driven since the start; None before the first step."""
         if not self._recorded:
             return None
-        arrays = {
-            name: np.stack([step[name] for step in self._recorded]) for name in STEPS
-        }
+        recorded = self._recorded
+        arrays = {name: np.stack([step[name] for step in recorded]) for name in STEPS}
         return Demonstration(self._env.config, self._seed, **arrays)
 
     def _driven(self, action: np.ndarray) -> Partial:
@@ -204,12 +189,7 @@ class Picture:
     """Draws a lot with labels, clock, tallies and score."""
 
     def __init__(self, lot: DrivenLot, camera: str) -> None:
-        """Opens a GL context.
-
-        Raises:
-            RenderingError: no GL.
-            ValueError: no such camera.
-        """
+        """Opens a GL context; `RenderingError` if there is none."""
         self._lot = lot
         self._renderer = LotRenderer(lot.stage, camera, SIZE)
 
@@ -223,12 +203,7 @@ class Picture:
 
 
 def record_video(lot: DrivenLot, camera: str, steps: int, path: Path) -> int:
-    """Writes `steps` control steps as a video; returns the number of frames.
-
-    Raises:
-        RenderingError: no GL.
-        ValueError: no such camera, or another suffix than .mp4 or .gif.
-    """
+    """Writes `steps` control steps as a video; returns the number of frames."""
     with contextlib.closing(Picture(lot, camera)) as picture:
 
         def frames() -> Iterator[np.ndarray]:

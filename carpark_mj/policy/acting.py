@@ -14,12 +14,9 @@ from carpark_mj.types import State, TimeStep
 
 @struct.dataclass
 class StatePolicy:
-    """A policy that acts on the true state of lots.
+    """A policy that acts on the true state of lots."""
 
-    Attributes:
-        act: gives actions (..., num_agents, size) for states of lots (...).
-    """
-
+    # Gives actions (..., num_agents, size) for states of lots (...).
     act: Callable[[State], jax.Array] = struct.field(pytree_node=False)
 
 
@@ -40,11 +37,7 @@ def choose_actions(
 ) -> jax.Array:
     """Actions (..., num_agents, size) in lots (...).
 
-    Args:
-        policy: any kind.
-        state: states of the lots.
-        observation: (..., num_agents, observation_size).
-        key: randomness, consumed.
+    Observations are (..., num_agents, observation_size); the key is consumed.
     """
     if isinstance(policy, StatePolicy):
         return policy.act(state)
@@ -102,17 +95,10 @@ def roll_out(
     keys: jax.Array,
     report: Callable[[Step], Any],
 ) -> tuple[Carry, Any]:
-    """Makes a control step for every key, as one program.
+    """Makes a control step for each of the keys (steps,), as one program.
 
-    Args:
-        env: the environment.
-        act: acting function of all agents.
-        carry: before the first step.
-        keys: (steps,) of what is random in the policy, consumed.
-        report: values to keep of a step.
-
-    Returns:
-        The carry after the last step, and the reports, with a leading axis (steps,).
+    Gives the carry after the last step, and of all steps (steps, ...) what `report`
+    keeps.
     """
 
     def step(carry: Carry, key: jax.Array) -> tuple[Carry, Any]:

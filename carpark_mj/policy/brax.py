@@ -3,9 +3,10 @@
 Brax imports MJX, which prints that NVIDIA Warp, which it does not need, is missing; the
 import in `mjx_step` is quiet, so it comes first.
 """
-# ruff: noqa: I001
+# ruff: noqa: F401, I001
+# pyright: reportUnusedImport=false
 
-import carpark_mj.physics.mjx_step  # noqa: F401  # pyright: ignore
+import carpark_mj.physics.mjx_step
 from brax.training import networks
 from brax.training.acme import running_statistics, specs
 from brax.training.agents.ppo import networks as ppo_networks
@@ -18,18 +19,3 @@ from brax.training.distribution import (
     TanhBijector,
 )
 from brax.training.types import UInt64
-
-__all__ = [
-    "IdentityPostprocessor",
-    "NormalTanhDistribution",
-    "PPONetworkParams",
-    "PPONetworks",
-    "ParametricDistribution",
-    "TanhBijector",
-    "UInt64",
-    "compute_gae",
-    "networks",
-    "ppo_networks",
-    "running_statistics",
-    "specs",
-]

@@ -43,21 +43,16 @@ def _named_leaves(tree: Any) -> dict[str, Any]:
     return {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
 
 
-def _is_key(leaf: Any) -> bool:
+def is_key(leaf: Any) -> bool:
+    """Whether it is an array of PRNG keys."""
     dtype = getattr(leaf, "dtype", None)
     return dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 
 def save(path: Path, tree: Any, header: dict[str, Any]) -> None:
-    """Writes a pytree of arrays with a JSON-able header.
-
-    Args:
-        path: target, ending in `.npz`.
-        tree: pytree of arrays, numbers and PRNG keys.
-        header: read back by `read_header`.
-    """
+    """Writes a pytree of arrays, numbers and keys to an `.npz`, with a JSON header."""
     arrays: dict[str, Any] = {
-        name: np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+        name: np.asarray(jax.random.key_data(leaf) if is_key(leaf) else leaf)
         for name, leaf in _named_leaves(tree).items()
     }
     text = json.dumps({"format": FORMAT, **header})
@@ -82,11 +77,7 @@ def _open(path: Path) -> Generator[Archive]:
 
 
 def read_header(path: Path, **kinds: type) -> dict[str, Any]:
-    """Reads the header of a checkpoint, which must have entries `kinds` of these types.
-
-    Raises:
-        CheckpointError: missing, damaged or foreign file.
-    """
+    """Reads the header of a checkpoint, with entries `kinds` of these types."""
     form = ArrayForm(np.dtype(np.uint8), ("bytes",))
     with _open(path) as archive:
         data = archive.read({_HEADER: form})[_HEADER].tobytes()
@@ -111,21 +102,14 @@ def load(path: Path, template: Any) -> Any:
 
     Arrays of the file that the template does not name are ignored, so a policy can be
     read out of a whole training state.
-
-    Raises:
-        CheckpointError: missing, damaged or foreign file, or arrays that do not fit.
     """
     read_header(path)
     leaves = _named_leaves(template)
     with _open(path) as archive:
-        arrays = archive.read({name: _form(leaf) for name, leaf in leaves.items()})
-    values = [
-        jax.random.wrap_key_data(jnp.asarray(arrays[name]))
-        if _is_key(leaf)
-        else arrays[name]
-        for name, leaf in leaves.items()
-    ]
-    return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(template), values)
+        arrays: Any = archive.read({name: _form(leaf) for name, leaf in leaves.items()})
+    for name in (name for name, leaf in leaves.items() if is_key(leaf)):
+        arrays[name] = jax.random.wrap_key_data(jnp.asarray(arrays[name]))
+    return jax.tree.unflatten(jax.tree.structure(template), arrays.values())
 
 
 def require_finite(path: Path, tree: Any) -> None:
@@ -137,7 +121,7 @@ def require_finite(path: Path, tree: Any) -> None:
 
 def _form(leaf: Any) -> ArrayForm:
     """Dtype and shape of the array of a leaf."""
-    if _is_key(leaf):
+    if is_key(leaf):
         leaf = jax.eval_shape(jax.random.key_data, leaf)
     elif not hasattr(leaf, "dtype"):
         leaf = np.asarray(leaf)

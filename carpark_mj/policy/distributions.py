@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.config.networks import MIN_STD
 from carpark_mj.mdp.actions import ActionSpec
@@ -31,15 +32,12 @@ def action_distribution(
     """
     if not spec.continuous:
         return MultiCategorical(spec.choices)
-    n = spec.continuous
-    normal = (
-        BoundedNormalTanh(n, min_std, max_std)
-        if max_std
-        else NormalTanhDistribution(n, min_std=min_std)
-    )
+    normal = NormalTanhDistribution(spec.continuous, min_std=min_std)
+    if max_std:
+        normal = BoundedNormalTanh(spec.continuous, min_std, max_std)
     if not spec.choices:
         return normal
-    return TanhNormalCategorical(normal, n, spec.choices)
+    return TanhNormalCategorical(normal, spec.choices)
 
 
 class BoundedNormalTanh(NormalTanhDistribution):
@@ -119,7 +117,7 @@ class MultiCategorical(ParametricDistribution):
             event_ndims=1,
             reparametrizable=False,
         )
-        self._ends = [sum(choices[:i]) for i in range(1, len(choices))]
+        self._ends = np.cumsum(choices)[:-1]
 
     def create_dist(self, parameters: jax.Array) -> Any:
         """The `Categoricals` of parameters (..., param_size)."""
@@ -127,12 +125,17 @@ class MultiCategorical(ParametricDistribution):
 
 
 class NormalAndCategoricals:
-    """A normal distribution over the first numbers, categorical ones over the rest."""
+    """A normal distribution over the first numbers, categorical ones over the rest.
 
-    def __init__(self, normal, categoricals: Categoricals, continuous: int) -> None:
-        """Joins Brax's normal distribution over `continuous` numbers with indices."""
+    Attributes:
+        loc: mean of the numbers before tanh; Brax's loss reports it and `scale`.
+        scale: standard deviation of the numbers before tanh.
+    """
+
+    def __init__(self, normal, categoricals: Categoricals) -> None:
+        """Joins Brax's normal distribution over numbers with indices."""
         self._normal, self._categoricals = normal, categoricals
-        self._continuous = continuous
+        self.loc, self.scale = normal.loc, normal.scale
 
     def sample(self, seed: jax.Array) -> jax.Array:
         """Numbers before tanh and indices (..., size), float32."""
@@ -146,7 +149,7 @@ class NormalAndCategoricals:
 
     def log_prob(self, x: jax.Array) -> jax.Array:
         """Log-densities and log-probabilities (..., size) of raw actions."""
-        numbers, index = jnp.split(x, [self._continuous], axis=-1)
+        numbers, index = jnp.split(x, [self.loc.shape[-1]], axis=-1)
         log_prob = self._normal.log_prob(numbers)
         return _join(log_prob, self._categoricals.log_prob(index))
 
@@ -154,35 +157,24 @@ class NormalAndCategoricals:
         """Entropies (..., size) before tanh [nat]."""
         return _join(self._normal.entropy(), self._categoricals.entropy())
 
-    @property
-    def loc(self) -> jax.Array:
-        """Mean of the numbers before tanh; Brax's loss reports it beside `scale`."""
-        return self._normal.loc
-
-    @property
-    def scale(self) -> jax.Array:
-        """Standard deviation of the numbers before tanh."""
-        return self._normal.scale
-
 
 class _TanhOfFirst:
     """Tanh of the first numbers; indices stay."""
 
     def __init__(self, continuous: int) -> None:
         self._continuous = continuous
-        self._tanh = TanhBijector()
 
     def forward(self, x: jax.Array) -> jax.Array:
         numbers, index = jnp.split(x, [self._continuous], axis=-1)
-        return _join(self._tanh.forward(numbers), index)
+        return _join(TanhBijector().forward(numbers), index)
 
     def inverse(self, y: jax.Array) -> jax.Array:
         numbers, index = jnp.split(y, [self._continuous], axis=-1)
-        return _join(self._tanh.inverse(numbers), index)
+        return _join(TanhBijector().inverse(numbers), index)
 
     def forward_log_det_jacobian(self, x: jax.Array) -> jax.Array:
         numbers, index = jnp.split(x, [self._continuous], axis=-1)
-        slope = self._tanh.forward_log_det_jacobian(numbers)
+        slope = TanhBijector().forward_log_det_jacobian(numbers)
         return _join(slope, jnp.zeros_like(index))
 
 
@@ -193,27 +185,22 @@ class TanhNormalCategorical(ParametricDistribution):
     """
 
     def __init__(
-        self, normal: NormalTanhDistribution, continuous: int, choices: tuple[int, ...]
+        self, normal: NormalTanhDistribution, choices: tuple[int, ...]
     ) -> None:
-        """Takes the distribution and number of numbers, and sizes of the branches."""
-        self._normal = normal
-        self._categoricals = MultiCategorical(choices)
+        """Takes the distribution of the numbers, and sizes of the branches."""
+        self._normal, self._categoricals = normal, MultiCategorical(choices)
         super().__init__(
-            param_size=self._normal.param_size + self._categoricals.param_size,
-            postprocessor=_TanhOfFirst(continuous),
+            param_size=normal.param_size + self._categoricals.param_size,
+            postprocessor=_TanhOfFirst(normal.param_size // 2),
             event_ndims=1,
             reparametrizable=False,
         )
-        self._continuous = continuous
 
     def create_dist(self, parameters: jax.Array) -> Any:
         """The `NormalAndCategoricals` of parameters (..., param_size)."""
-        split = [self._normal.param_size]
-        normal, logits = jnp.split(parameters, split, axis=-1)
+        normal, logits = jnp.split(parameters, [self._normal.param_size], axis=-1)
         return NormalAndCategoricals(
-            self._normal.create_dist(normal),
-            self._categoricals.create_dist(logits),
-            self._continuous,
+            self._normal.create_dist(normal), self._categoricals.create_dist(logits)
         )
 
 

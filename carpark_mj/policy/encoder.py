@@ -22,23 +22,14 @@ from carpark_mj.policy.entities import EntityLayers
 
 
 class SetEncoder(linen.Module):
-    """Features (..., n) of observations that were split and normalised.
+    """Features (..., n) of observations that were split and normalised."""
 
-    Attributes:
-        sets: parts of the observation.
-        own_size: features of the own numbers.
-        entity_size: features of an entity, and so of a set.
-        picture_size: features of a picture, of each view.
-        in_kernel: whether sets are encoded in a GPU kernel, see `entities`.
-        dtype: of the layers of own numbers and pictures, and of products in the kernel.
-    """
-
-    sets: ObservationSets
-    own_size: int
-    entity_size: int
-    picture_size: int = 0
-    in_kernel: bool = False
-    dtype: Any = jnp.float32
+    sets: ObservationSets  # parts of the observation
+    own_size: int  # features of the own numbers
+    entity_size: int  # features of an entity, and so of a set
+    picture_size: int = 0  # features of a picture, of each view
+    in_kernel: bool = False  # whether a GPU kernel encodes sets, see `entities`
+    dtype: Any = jnp.float32  # of own numbers, pictures, products in the kernel
 
     @linen.compact
     def __call__(
@@ -66,10 +57,9 @@ class SetEncoder(linen.Module):
                 found = entities.largest(layers, parts[group], present[group])
             features.append(found.astype(own.dtype))
         for part in self.sets.pictures:
-            encoder = PictureEncoder(
-                part.kinds, self.picture_size, self.dtype, name=part.name
-            )
-            features.append(encoder(parts[part.name]))
+            size, name = self.picture_size, part.name
+            encoder = PictureEncoder(part.kinds, size, self.dtype, name=name)
+            features.append(encoder(parts[name]))
         return linen.swish(jnp.concatenate(features, axis=-1))
 
 
@@ -92,29 +82,18 @@ LAYERS = ((4, 2), (2, 1), (2, 1))
 
 
 class PictureEncoder(linen.Module):
-    """Features (..., views * size) of pictures.
+    """Features (..., views * size) of pictures."""
 
-    Attributes:
-        kinds: of each channel, how many kinds a pixel can show; 0 = it has a number.
-        size: features of a view.
-        dtype: of all layers.
-    """
-
-    kinds: tuple[int, ...]
-    size: int
-    dtype: Any = jnp.float32
+    kinds: tuple[int, ...]  # of each channel's pixels; 0 = they show a number
+    size: int  # features of a view
+    dtype: Any = jnp.float32  # of all layers
 
     @linen.compact
     def __call__(self, pictures: jax.Array) -> jax.Array:
         """Encodes pictures (..., views, height, width, channels)."""
         *lead, views, _, _, _ = pictures.shape
-        hidden = jnp.concatenate(
-            [
-                _channels(pictures[..., k], kinds).astype(self.dtype)
-                for k, kinds in enumerate(self.kinds)
-            ],
-            axis=-1,
-        )
+        channels = [_channels(pictures[..., k], n) for k, n in enumerate(self.kinds)]
+        hidden = jnp.concatenate([x.astype(self.dtype) for x in channels], axis=-1)
         for k, (side, share) in enumerate(LAYERS):
             layer = linen.Dense(self.size // share, dtype=self.dtype, name=f"conv_{k}")
             hidden = linen.swish(layer(patches(hidden, side)))
@@ -132,12 +111,8 @@ def _channels(pixels: jax.Array, kinds: int) -> jax.Array:
 def patches(pixels: jax.Array, side: int) -> jax.Array:
     """Squares of pixels (..., height, width, channels) as one pixel each.
 
-    Args:
-        pixels: zeros are added at the bottom and on the right to fill the last ones.
-        side: of a square.
-
-    Returns:
-        (..., rows, columns, side * side * channels).
+    That is (..., rows, columns, side * side * channels). Zeros at the bottom and on the
+    right fill the last squares.
     """
     *lead, height, width, channels = pixels.shape
     rows, columns = -(-height // side), -(-width // side)

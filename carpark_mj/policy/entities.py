@@ -40,12 +40,8 @@ def encode(layers: EntityLayers, entities: jax.Array) -> jax.Array:
 def largest(layers: EntityLayers, entities: jax.Array, present: jax.Array) -> jax.Array:
     """The largest of each feature (..., features) over the entities that are present.
 
-    0 where no entity is present.
-
-    Args:
-        layers: of this kind of entity.
-        entities: (..., count, size), normalised.
-        present: (..., count) bool.
+    0 where none is. Entities are (..., count, size), normalised, and present (...,
+    count) bool.
     """
     hidden = encode(layers, entities)
     found = jnp.max(jnp.where(present[..., None], hidden, -jnp.inf), axis=-2)
@@ -56,8 +52,6 @@ BLOCK = 64  # samples that a program holds at a time
 WARPS = 4
 PROGRAMS = 264  # of the gradient: two for each multiprocessor of an H100
 _LEAST = 16  # smallest side of a matrix product on Triton
-
-Weights = tuple[jax.Array, ...]  # kernel, bias, scale, bias, kernel, bias
 
 
 def fits(features: int) -> bool:
@@ -74,12 +68,8 @@ def largest_in_kernel(
 ) -> jax.Array:
     """As `largest`, with gradients of the weights alone: observations have none.
 
-    Args:
-        layers: of this kind of entity; the features must fit, see `fits`.
-        entities: (..., count, size), normalised.
-        present: (..., count) bool.
-        dtype: of the factors of matrix products; they are added up in float32.
-        interpret: run on any device, slowly, for tests.
+    The features must fit, see `fits`. Factors of matrix products are of `dtype`, and
+    added up in float32. Tests `interpret` it on any device, slowly.
     """
     lead, (count, size) = entities.shape[:-2], entities.shape[-2:]
     samples = present.reshape(-1, count).shape[0]
@@ -91,9 +81,8 @@ def largest_in_kernel(
     there = jnp.pad(there, ((0, 0), (0, more)))
     (kernel, bias), norm, second = layers
     kernel = jnp.pad(kernel, ((0, width - size), (0, 0)))
-    found: Any = _largest(
-        _How(dtype, interpret), rows, there, (kernel, bias, *norm, *second)
-    )
+    weights = (kernel, bias, *norm, *second)
+    found: Any = _largest(_How(dtype, interpret), rows, there, weights)
     return found[:samples].reshape(*lead, -1)
 
 
@@ -105,13 +94,9 @@ class _How(NamedTuple):
 
     def dot(self, a: jax.Array, b: jax.Array, axes: tuple[int, int] = (1, 0)) -> Any:
         """The matrix product, along these axes of the factors."""
-        contracted = (((axes[0],), (axes[1],)), ((), ()))
-        return jax.lax.dot_general(
-            a.astype(self.dtype),
-            b.astype(self.dtype),
-            contracted,
-            preferred_element_type=jnp.float32,
-        )
+        along = (((axes[0],), (axes[1],)), ((), ()))
+        a, b = a.astype(self.dtype), b.astype(self.dtype)
+        return jax.lax.dot_general(a, b, along, preferred_element_type=jnp.float32)
 
     def options(self) -> dict[str, Any]:
         """For `pallas_call`."""
@@ -122,16 +107,15 @@ class _How(NamedTuple):
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _largest(
-    how: _How, rows: jax.Array, there: jax.Array, weights: Weights
-) -> jax.Array:
-    """Maxima (samples, features) over entities `rows` (count, samples, width)."""
+def _largest(how: _How, rows: jax.Array, there: jax.Array, weights: Any) -> jax.Array:
+    """Maxima (samples, features) over entities `rows` (count, samples, width).
+
+    Weights are kernel and bias, scale and bias, kernel and bias.
+    """
     return _forward(how, rows, there, weights)[0]
 
 
-def _forward(
-    how: _How, rows: jax.Array, there: jax.Array, weights: Weights
-) -> tuple[jax.Array, Any]:
+def _forward(how: _How, rows: jax.Array, there: jax.Array, weights: Any) -> Any:
     """The maxima, and what the gradient needs."""
     from jax.experimental import pallas as pl  # slow to import
 
@@ -156,6 +140,7 @@ def _forward(
         owner[...] = of.astype(jnp.int8)
 
     block = pl.BlockSpec((BLOCK, features), lambda i: (i, 0))
+    maxima, form = (samples, features), jax.ShapeDtypeStruct
     found, owner = pl.pallas_call(
         kernel,
         grid=(samples // BLOCK,),
@@ -165,10 +150,7 @@ def _forward(
             *(_whole(x) for x in weights),
         ],
         out_specs=(block, block),
-        out_shape=(
-            jax.ShapeDtypeStruct((samples, features), jnp.float32),
-            jax.ShapeDtypeStruct((samples, features), jnp.int8),
-        ),
+        out_shape=(form(maxima, jnp.float32), form(maxima, jnp.int8)),
         name="entities",
         **how.options(),
     )(rows, there, *weights)
@@ -205,14 +187,13 @@ def _backward(how: _How, kept: Any, change: jax.Array) -> tuple[Any, ...]:
         for ref, total in zip(sums, totals, strict=True):
             ref[...] = total[None]
 
+    form = jax.ShapeDtypeStruct
     sums = pl.pallas_call(
         kernel,
         grid=(programs,),
         in_specs=[*(_whole(x) for x in (rows, owner, change, *weights))],
         out_specs=[_row(x) for x in weights],
-        out_shape=[
-            jax.ShapeDtypeStruct((programs, *x.shape), jnp.float32) for x in weights
-        ],
+        out_shape=[form((programs, *x.shape), jnp.float32) for x in weights],
         name="entities_gradient",
         **how.options(),
     )(rows, owner, change, *weights)

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.fields import ORDERED, Field
-from carpark_mj.policy import checkpoints
+from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.networks import (
     Policy,
     init_normalizer,
@@ -24,29 +24,10 @@ from carpark_mj.policy.networks import (
     make_policy,
     network_inputs,
 )
-from carpark_mj.policy.runs import (
-    ALGORITHMS,
-    check_version,
-    find_policy,
-    from_dict,
-    latest_checkpoint,
-)
 from carpark_mj.precision import require_float32
 
 # Locations of a run, which a checkpoint of a policy alone does not store.
 FOLDER_SETTINGS = ("name", "runs_dir", "resume", "warm_start")
-
-
-class Algorithm(Protocol):
-    """How checkpoints become policies whose header has this `algorithm`."""
-
-    def shapes(self, header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
-        """Shapes of a policy's parameters by kind."""
-        ...
-
-    def policy(self, parameters: Any, header: dict[str, Any], env: EnvConfig) -> Policy:
-        """The policy of parameters, in an environment."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +61,6 @@ def load_policy(
     Raises:
         CheckpointError: missing, damaged or foreign checkpoint.
         ValueError: the policy does not fit `env`, or JAX computes in float64.
-        TypeError: `run` or `env` has another type.
     """
     require_float32()
     require_kind("env", env, EnvConfig | None)
@@ -89,8 +69,7 @@ def load_policy(
     config = network_config(header)
     _require_fit(run, config, own, env)
     if config is None:
-        algorithm: Algorithm = ALGORITHMS[header["algorithm"]]
-        policy = algorithm.policy(parameters, header, env)
+        policy = runs.ALGORITHMS[header["algorithm"]].policy(parameters, header, env)
     else:
         fields, trained = make_fields(env), make_fields(own)
         if _kinds(fields) != _kinds(trained):
@@ -107,10 +86,6 @@ def save_policy(run: str | Path, out: Path) -> None:
 
     It holds the normalizer and the averaged actor, or the parameters of another
     algorithm, and the settings of the run less its folder.
-
-    Raises:
-        CheckpointError: missing, damaged or foreign checkpoint.
-        OSError: `out` cannot be written.
     """
     _, header, _, parameters = _read(run)
     settings = header["config"]
@@ -120,14 +95,14 @@ def save_policy(run: str | Path, out: Path) -> None:
 
 def _read(run: str | Path) -> tuple[Path, dict[str, Any], EnvConfig, Any]:
     """Checkpoint of a policy, its header, its environment, its parameters by kind."""
-    path = latest_checkpoint(find_policy(run))
+    path = runs.latest_checkpoint(runs.find_policy(run))
     header = checkpoints.read_header(path, env_steps=int, config=dict)
-    check_version(header, path)
+    runs.check_version(header, path)
     with checkpoints.refused_as(f"{path} has an unusable config"):
-        env = from_dict(EnvConfig, header["config"]["env"])
+        env = runs.from_dict(EnvConfig, header["config"]["env"])
         config = network_config(header)
         if config is None:
-            template = ALGORITHMS[header["algorithm"]].shapes(header, env)
+            template = runs.ALGORITHMS[header["algorithm"]].shapes(header, env)
         else:
             shapes = network_shapes(config, env)
             template = {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
@@ -140,7 +115,7 @@ def network_config(header: dict[str, Any]) -> NetworkConfig | None:
     """Networks of a checkpoint with this header; None if its algorithm has none."""
     if "algorithm" in header:
         return None
-    return from_dict(NetworkConfig, header["config"]["networks"])
+    return runs.from_dict(NetworkConfig, header["config"]["networks"])
 
 
 def network_shapes(config: NetworkConfig, env: EnvConfig) -> dict[str, Any]:
@@ -164,12 +139,10 @@ def _require_fit(
     trained, here = before, now = make_fields(own), make_fields(env)
     if is_set:
         # It has no weights of their own for the others of a kind.
+        before, now = (with_empty_sets(trained, fields) for fields in (trained, here))
         before, now = (
-            tuple(x for x in fields if not x.index or x.group in ORDERED)
-            for fields in (
-                with_empty_sets(before, before),
-                with_empty_sets(before, now),
-            )
+            [x for x in fields if not x.index or x.group in ORDERED]
+            for fields in (before, now)
         )
     if before != now:
         number = "" if is_set else "; only a set encoder takes other numbers of cars"
@@ -183,18 +156,12 @@ def _require_fit(
 def with_empty_sets(before: Sequence[Field], now: Sequence[Field]) -> list[Field]:
     """The fields that a set encoder, trained on some, reads in an environment.
 
-    A kind of entities that the environment's fields lack has one slot, left empty.
-
-    Args:
-        before: fields of the training.
-        now: fields of the environment.
-
-    Returns:
-        The fields, kinds of entities one after the other in the order of the training.
+    A kind of entities that the fields `now` lack has one slot, left empty. Kinds come
+    in the order of the training's fields, `before`.
     """
     kinds = _kinds((*before, *now))
     slots = {field.group for field in before if field.is_mask} - {*ORDERED}
-    found = list[Field]()
+    found: list[Field] = []
     for kind in kinds:
         own = [field for field in now if field.group == kind]
         if not own and kind in slots:
@@ -235,10 +202,9 @@ def _difference(
 
 def _counts(fields: Sequence[Field]) -> dict[str, int]:
     """Numbers of entities by kind."""
-    kinds = dict.fromkeys(field.group for field in fields if field.group)
     return {
         kind: len({field.index for field in fields if field.group == kind})
-        for kind in kinds
+        for kind in filter(None, _kinds(fields))
     }
 
 

@@ -35,12 +35,8 @@ Normalizer = dict[str, Any]  # Brax's running statistics by part
 def init_normalizer(sets: ObservationSets) -> Normalizer:
     """Statistics at the start of training."""
     sizes = {OWN: sets.own_size, **{part.group: part.size for part in sets.sets}}
-    arrays = {
-        name: specs.Array((size,), np.dtype("float32")) for name, size in sizes.items()
-    }
-    states = {
-        name: running_statistics.init_state(array) for name, array in arrays.items()
-    }
+    start, number = running_statistics.init_state, np.dtype("float32")
+    states = {name: start(specs.Array((n,), number)) for name, n in sizes.items()}
     return jax.tree.map(jnp.asarray, states)
 
 
@@ -168,18 +164,19 @@ def make_networks(
     distribution = action_distribution(action, config.min_std, config.max_std)
     networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
     if config.encoder == "flat":
+
+        def scaled(observation: jax.Array, normalizer: Normalizer) -> jax.Array:
+            return normalize(normalizer, {OWN: observation})[OWN]
+
+        alike: Any = {"preprocess_observations_fn": scaled, "activation": linen.swish}
         policy = brax_networks.make_policy_network(
             distribution.param_size,
             inputs.size,
-            preprocess_observations_fn=_normalize_own,
             hidden_layer_sizes=config.policy_layers,
-            activation=linen.swish,
+            **alike,
         )
         value = brax_networks.make_value_network(
-            inputs.size,
-            preprocess_observations_fn=_normalize_own,
-            hidden_layer_sizes=config.value_layers,
-            activation=linen.swish,
+            inputs.size, hidden_layer_sizes=config.value_layers, **alike
         )
     else:
         layers = (*config.policy_layers, distribution.param_size)
@@ -193,10 +190,6 @@ def make_networks(
         value_network=value,
         parametric_action_distribution=distribution,
     )
-
-
-def _normalize_own(observation: Any, preprocessor_params: Any) -> Any:
-    return normalize(preprocessor_params, {OWN: observation})[OWN]
 
 
 def _set_network(network: SetNetwork) -> brax_networks.FeedForwardNetwork:

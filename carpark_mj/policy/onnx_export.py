@@ -75,12 +75,11 @@ def split_observation(
     ends = np.cumsum([field.size for field in fields])[:-1]
     pieces = np.split(observation.astype(np.float32), ends, axis=-1)
     values = dict(zip((field.name for field in fields), pieces, strict=True))
-    return {
-        entry.name: np.concatenate(
-            [values[field.name] for field in entry.fields], axis=-1
-        ).reshape(-1, *entry.shape)
-        for entry in onnx_inputs(config)
-    }
+    found: dict[str, np.ndarray] = {}
+    for entry in onnx_inputs(config):
+        parts = [values[field.name] for field in entry.fields]
+        found[entry.name] = np.concatenate(parts, -1).reshape(-1, *entry.shape)
+    return found
 
 
 def join_inputs(config: EnvConfig, *arrays: jax.Array) -> jax.Array:
@@ -96,12 +95,7 @@ def join_inputs(config: EnvConfig, *arrays: jax.Array) -> jax.Array:
 
 
 def make_model(loaded: LoadedPolicy) -> Any:
-    """The ONNX model (`onnx.ModelProto`) of a deterministic policy.
-
-    Raises:
-        ModuleNotFoundError: a package of the extra `export` is missing.
-        ValueError: it observes pictures.
-    """
+    """The ONNX model (`onnx.ModelProto`) of a deterministic policy without pictures."""
     pictures = [field.name for field in make_fields(loaded.env) if is_picture(field)]
     if pictures:
         raise ValueError(
@@ -115,13 +109,9 @@ def make_model(loaded: LoadedPolicy) -> Any:
         observation = join_inputs(loaded.env, *arrays)
         return {OUTPUT: loaded.policy(observation, jax.random.key(0))[0]}
 
-    model = make_graph(
-        act,
-        {
-            name: jax.ShapeDtypeStruct((BATCH, *entry.shape), jnp.float32)
-            for name, entry in inputs.items()
-        },
-    )
+    form, number = jax.ShapeDtypeStruct, jnp.float32
+    forms = {name: form((BATCH, *x.shape), number) for name, x in inputs.items()}
+    model = make_graph(act, forms)
     for value in model.graph.input:
         value.doc_string = inputs[value.name].meaning
     model.graph.output[0].doc_string = describe_action(action_spec(loaded.env))
@@ -138,18 +128,10 @@ def describe_action(spec: ActionSpec) -> str:
 def random_observations(
     config: EnvConfig, typical: np.ndarray, seed: int
 ) -> np.ndarray:
-    """Observations with independent numbers, as many as the typical observations.
+    """Observations (count, size) float32 with independent numbers.
 
     They are uniform within the ranges of the fields and three standard deviations of
-    the typical observations.
-
-    Args:
-        config: the environment.
-        typical: (count, size) observations of a roll-out.
-        seed: seed of the draws.
-
-    Returns:
-        (count, size) float32.
+    the typical observations (count, size) of a roll-out.
     """
     fields, random = make_fields(config), np.random.default_rng(seed)
     low, high = (
@@ -175,7 +157,7 @@ def largest_difference(
 
     session: Any = onnxruntime.InferenceSession(model.SerializeToString())
     [found] = session.run(None, split_observation(loaded.env, observation))
-    return largest(found, policy_actions(loaded, observation))
+    return differences(found, policy_actions(loaded, observation)).max()
 
 
 def policy_actions(loaded: LoadedPolicy, observation: np.ndarray) -> np.ndarray:
@@ -208,18 +190,13 @@ def rounding_error(loaded: LoadedPolicy, observation: np.ndarray) -> float:
     with jax.enable_x64(True):
         exact = np.asarray(_actions(policy, observation))
         moved = [_actions(policy, observation * (1.0 + x * HALF_ULP)) for x in sign]
-    return max(largest(np.asarray(x), exact) for x in (found, *moved))
+    return max(differences(np.asarray(x), exact).max() for x in (found, *moved))
 
 
 @jax.jit
 def _actions(policy: Any, observation: jax.Array) -> jax.Array:
     """Actions of a deterministic policy that is an argument, see `as_argument`."""
     return policy(observation, jax.random.key(0))[0]
-
-
-def largest(found: np.ndarray, expected: np.ndarray) -> float:
-    """The largest difference of any number; inf if one is not finite."""
-    return float(differences(found, expected).max())
 
 
 def differences(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
@@ -229,11 +206,7 @@ def differences(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 
 def require_outside(config: EnvConfig) -> None:
-    """Refuses observations that a car outside cannot make.
-
-    Raises:
-        ValueError: naming the observation.
-    """
+    """Refuses observations that a car outside cannot make, by name."""
     encoder = config.observation
     if not isinstance(encoder, ContinuousObservation):
         raise ValueError(
@@ -257,11 +230,7 @@ def require_outside(config: EnvConfig) -> None:
 
 
 def make_car_model(loaded: LoadedPolicy, rows: Rows) -> Any:
-    """The ONNX model (`onnx.ModelProto`) of a policy and its observation.
-
-    Raises:
-        ValueError: a car outside cannot make the observation.
-    """
+    """The ONNX model (`onnx.ModelProto`) of a policy and its observation."""
     require_outside(loaded.env)
     inputs = {x.name: jax.ShapeDtypeStruct(x.shape(rows), x.dtype) for x in INPUTS}
 
@@ -275,10 +244,9 @@ def make_car_model(loaded: LoadedPolicy, rows: Rows) -> Any:
         value.doc_string = describe(entry)
     spec = action_spec(loaded.env)
     meaning = model.graph.output[0].doc_string = describe_action(spec)
+    taken = [dataclasses.asdict(x) | {"dims": x.shape(rows)} for x in read]
     about = {
-        "inputs": [
-            {**dataclasses.asdict(entry), "dims": entry.shape(rows)} for entry in read
-        ],
+        "inputs": taken,
         "output": {"name": OUTPUT, "dims": [spec.size], "meaning": meaning},
         "frame": "world, counter-clockwise yaw from +x",
         "decision_time": loaded.env.sim.ctrl_dt,
@@ -304,13 +272,8 @@ def sensitivity(
 
     The observation is computed by cancelling sums, so that it depends on the order of
     operations by more than its own last place. Hence the most that an action changes,
-    of `NUDGES` times in which each input is off by one unit in its last place.
-
-    Args:
-        loaded: the policy.
-        rows: rows of the model's inputs.
-        known: inputs (count, *shape) by name; those that are missing are 0.
-        seed: seed of the directions in which the inputs are off.
+    of `NUDGES` times in which each input is off by one unit in its last place. Inputs
+    `known` are (count, *shape) by name; those that are missing are 0.
     """
     count = len(next(iter(known.values())))
     given = {
@@ -326,13 +289,8 @@ def sensitivity(
         way = random.choice(np.array([-np.inf, np.inf], np.float32), value.shape)
         return np.nextafter(value, way)
 
-    return np.max(
-        [
-            differences(np.asarray(act(jax.tree.map(nudged, given))), expected)
-            for _ in range(NUDGES)
-        ],
-        axis=0,
-    )
+    actions = (np.asarray(act(jax.tree.map(nudged, given))) for _ in range(NUDGES))
+    return np.max([differences(x, expected) for x in actions], axis=0)
 
 
 def inputs_of(model: Any) -> list[PlainInput]:
@@ -359,9 +317,5 @@ def decisions(session: Any, values: dict[str, np.ndarray]) -> np.ndarray:
     """Actions (count, size) of a model for inputs (count, *shape) by name."""
     names = [value.name for value in session.get_inputs()]
     count = len(values[names[0]])
-    return np.stack(
-        [
-            session.run(None, {n: values[n][k, ...] for n in names})[0]
-            for k in range(count)
-        ]
-    )
+    rows = ({name: values[name][k, ...] for name in names} for k in range(count))
+    return np.stack([session.run(None, row)[0] for row in rows])

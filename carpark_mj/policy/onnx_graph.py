@@ -113,13 +113,7 @@ class Graph:
         self._joined[found.name] = axis, list(values)
         return found
 
-    def slice(
-        self,
-        value: Value,
-        starts: Sequence[int],
-        ends: Sequence[int],
-        steps: Sequence[int] | None = None,
-    ) -> Value:
+    def slice(self, value: Value, starts: Any, ends: Any, steps: Any = None) -> Value:
         """A part of a value; taken from a joined value if that contains it."""
         steps = steps or [1] * len(starts)
         if isinstance(value, np.ndarray):
@@ -135,9 +129,8 @@ class Graph:
                 )
                 return self.slice(part, starts, ends, steps)
             begin += part.shape[axis]
-        shape = [
-            -(-(b - a) // step) for a, b, step in zip(starts, ends, steps, strict=True)
-        ]
+        bounds = zip(starts, ends, steps, strict=True)
+        shape = [-(-(end - start) // step) for start, end, step in bounds]
         if tuple(shape) == value.shape:
             return value
         axes = [k for k, size in enumerate(value.shape) if size != shape[k]]

@@ -25,31 +25,22 @@ def make_graph(
     function: Callable[..., Mapping[str, jax.Array]],
     inputs: Mapping[str, Form],
 ) -> Any:
-    """The ONNX model (`onnx.ModelProto`) of a function.
+    """The ONNX model (`onnx.ModelProto`) of a function, which gives outputs by name.
 
-    Args:
-        function: of arrays; gives the model's outputs by name.
-        inputs: the arrays in order; the model has those that its outputs depend on, or
-            all if their first axis is `BATCH`, which stands for any size.
-
-    Raises:
-        NotImplementedError: a primitive that the table does not have.
+    Of its inputs, arrays in order, the model has those that its outputs depend on, or
+    all if their first axis is `BATCH`, which stands for any size. A primitive that the
+    table does not have raises `NotImplementedError`.
     """
     program, outputs = jax.make_jaxpr(function, return_shape=True)(*inputs.values())
     batched = any(BATCH in x.shape[:1] for x in inputs.values())
     wanted = [True] * len(outputs)
     jaxpr, read = dce_jaxpr(program.jaxpr, wanted, instantiate=batched)
-    given = [
-        Named(name, x.shape, np.dtype(x.dtype))
-        for (name, x), is_read in zip(inputs.items(), read, strict=True)
-        if is_read
-    ]
+    named = [Named(name, x.shape, np.dtype(x.dtype)) for name, x in inputs.items()]
+    given = [*itertools.compress(named, read)]
     graph = Graph(given[0].name if batched else "")
     found = _run(graph, ClosedJaxpr(jaxpr, program.consts), given)
-    whole = {
-        name: graph.expand(value, outputs[name].shape)
-        for name, value in zip(sorted(outputs), found, strict=True)
-    }
+    pairs = zip(sorted(outputs), found, strict=True)
+    whole = {name: graph.expand(value, outputs[name].shape) for name, value in pairs}
     return graph.model(given, whole)
 
 
@@ -91,10 +82,8 @@ def _apply(graph: Graph, eqn: Any, values: list[Value]) -> Sequence[Value]:
         return [_broadcast(graph, values[0], **params)]
     if name not in _SHAPED:
         raise NotImplementedError(f"the primitive {name!r} has no operator")
-    whole = [
-        graph.expand(value, variable.aval.shape)
-        for value, variable in zip(values, eqn.invars, strict=True)
-    ]
+    pairs = zip(values, eqn.invars, strict=True)
+    whole = [graph.expand(value, variable.aval.shape) for value, variable in pairs]
     if eqn.primitive.multiple_results:
         return _SHAPED[name](graph, shapes, *whole, **params)
     return [_SHAPED[name](graph, shapes[0], *whole, **params)]
@@ -102,12 +91,9 @@ def _apply(graph: Graph, eqn: Any, values: list[Value]) -> Sequence[Value]:
 
 def _compute(eqn: Any, values: list[Any]) -> Sequence[Value]:
     """What an equation of constants computes."""
-    whole = [
-        value
-        if value.shape == variable.aval.shape
-        else np.broadcast_to(value, variable.aval.shape)
-        for value, variable in zip(values, eqn.invars, strict=True)
-    ]
+    pairs = zip(values, (variable.aval.shape for variable in eqn.invars), strict=True)
+    # Keys, which are no NumPy arrays, have their shape.
+    whole = [x if x.shape == shape else np.broadcast_to(x, shape) for x, shape in pairs]
     found = eqn.primitive.bind(*map(jnp.asarray, whole), **eqn.params)
     return list(map(_constant, found if eqn.primitive.multiple_results else [found]))
 

@@ -53,6 +53,7 @@ class PlainInput:
 
 _POSE, _SIZE = "m, m, rad", "their lengths and widths"
 _PARKED = "centre, and heading of a car parked tail in"
+_FIXED = ("wall_", "disc_", "lane_")  # fields of `Layout`, too
 _END = "the end that goes in first: 0 either, 1 nose, 2 tail"
 INPUTS = (
     PlainInput("pose", (3,), _POSE, "own footprint: centre and heading"),
@@ -155,13 +156,8 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         trace_w=pose[:, None],
         finite=present,
     )
-    car = _Car(
-        size=motion.size,
-        wheelbase=cars("wheelbase"),
-        centre_offset=cars("rear_axle"),
-        max_speed=cars("max_speed"),
-        max_steering=cars("max_steering"),
-    )
+    limits = cars("max_speed"), cars("max_steering")
+    car = _Car(motion.size, cars("wheelbase"), cars("rear_axle"), *limits)
     layout = _layout(rows, given)
     if rows.bays:
         number = jnp.arange(rows.bays, dtype=jnp.int32)
@@ -212,18 +208,9 @@ def _layout(rows: Rows, given: Mapping[str, jax.Array]) -> Layout:
         bay_size=jnp.pad(size, ((0, more), (0, 0))),
         bay_kind=jnp.zeros(pose.shape[0], jnp.int32),
         bay_mask=jnp.ones(pose.shape[0], bool),
-        wall_pose=given["wall_pose"],
-        wall_size=given["wall_size"],
         wall_kind=jnp.zeros(rows.walls, jnp.int32),
-        wall_mask=given["wall_mask"],
-        disc_centre=given["disc_centre"],
-        disc_radius=given["disc_radius"],
         disc_kind=jnp.zeros(rows.discs, jnp.int32),
-        disc_mask=given["disc_mask"],
-        lane_pose=given["lane_pose"],
-        lane_size=given["lane_size"],
-        lane_one_way=given["lane_one_way"],
-        lane_mask=given["lane_mask"],
+        **{x.name: given[x.name] for x in INPUTS if x.name.startswith(_FIXED)},
         spawn_pose=none,
         spawn_size=none[:, :2],
         spawn_spread=none[:, 0],
@@ -266,15 +253,10 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
         values["bay_mask"] = bays != NO_BAY
         values["choice"] = goal_code(goal[:, None], bays)[:, 0]
         values["other_choice"] = goal_code(goal[other], bays)
-    values |= {
-        f"{kind}_pose": layout.bay_pose[which],
-        f"{kind}_size": layout.bay_size[which],
-        f"{kind}_end": end[which],
-    }
-    values |= {
-        name: jnp.broadcast_to(value, (count, *value.shape))
-        for name, value in _lot_values(state).items()
-    }
+    values |= {f"{kind}_pose": layout.bay_pose[which], f"{kind}_end": end[which]}
+    values[f"{kind}_size"] = layout.bay_size[which]
+    for name, value in _lot_values(state).items():
+        values[name] = jnp.broadcast_to(value, (count, *value.shape))
     return {
         x.name: _pad(values[x.name], x.shape(rows))
         for x in INPUTS
@@ -298,10 +280,7 @@ def _lot_values(state: State) -> dict[str, jax.Array]:
         "disc_centre": discs.group.pose_w,
         "disc_radius": discs.group.size,
         "disc_mask": discs.counts[0],
-        "lane_pose": layout.lane_pose,
-        "lane_size": layout.lane_size,
-        "lane_one_way": layout.lane_one_way,
-        "lane_mask": layout.lane_mask,
+        **{x.name: getattr(layout, x.name) for x in INPUTS if x.dims[:1] == ("lanes",)},
     }
 
 

@@ -10,6 +10,7 @@ Pretrained policies are files `pretrained/<name>.npz`, written by `carpark_mj ex
 each with its model card `<name>.md`.
 """
 
+import contextlib
 import dataclasses
 import typing
 from collections.abc import Mapping
@@ -17,11 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from carpark_mj import pretrained
-from carpark_mj.config import (
-    ENCODERS,
-    PHYSICS,
-    ExtraTerms,
-)
+from carpark_mj.config import ENCODERS, PHYSICS, ExtraTerms
 from carpark_mj.config.checks import require_kind
 from carpark_mj.extensions import Registry, unknown_name
 from carpark_mj.layouts.base import FAMILIES
@@ -39,7 +36,8 @@ _NAMED: dict[str, Mapping[str, Any]] = {
     "encoding": ENCODERS,
     "back_end": PHYSICS,
 }
-# By `algorithm` in the header of checkpoints without networks, see `loading.Algorithm`.
+# By `algorithm` in the header of checkpoints without networks: `shapes(header, env)` of
+# the parameters by kind, and `policy(parameters, header, env)`, which acts on them.
 ALGORITHMS: Registry[Any] = Registry("algorithm")
 
 
@@ -103,15 +101,12 @@ def latest_checkpoint(run: Path) -> Path:
     files = checkpoint_files(run)
     if not files:
         raise CheckpointError(f"{run} holds no checkpoint (checkpoints/step_*.npz)")
-    problem = None
     for file in reversed(files):
-        try:
+        with contextlib.suppress(CheckpointError):
             checkpoints.read_header(file)
-        except CheckpointError as error:
-            problem = problem or error
-        else:
             return file
-    raise problem or CheckpointError(f"{run} holds no readable checkpoint")
+    checkpoints.read_header(files[-1])  # raises what is wrong with the newest
+    return files[-1]
 
 
 def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> Path:
@@ -132,13 +127,9 @@ def save_checkpoint(run: Path, tree: Any, header: dict[str, Any], step: int) -> 
 
 
 def find_policy(run: str | Path) -> Path:
-    """The file of a pretrained policy, or the path of a run.
+    """The file of a pretrained policy, or the path of a run, which may not exist.
 
-    Args:
-        run: name of a pretrained policy, or a path; a `Path` is never a name.
-
-    Returns:
-        The path, which may not exist.
+    A `Path` is never a name.
     """
     require_kind("run", run, str | Path)
     if isinstance(run, Path) or run not in pretrained.pretrained_names():

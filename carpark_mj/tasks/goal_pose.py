@@ -28,15 +28,9 @@ from carpark_mj.types import Motion, State, Transition
 POSITION = 100.0  # m, scale of x and y
 SPEED = 5.0  # m/s, scale of velocities
 
+_CENTRE = f"centre, world frame [{POSITION:g} m]"
 FEATURES = (
-    Field(
-        "position",
-        2,
-        -4.0,
-        4.0,
-        f"centre, world frame [{POSITION:g} m]",
-        metres=POSITION,
-    ),
+    Field("position", 2, -4.0, 4.0, _CENTRE, metres=POSITION),
     Field("velocity", 2, -4.0, 4.0, f"world frame [{SPEED:g} m/s]", speed=SPEED),
     Field("heading", 2, -1.0, 1.0, "cos and sin, world frame"),
 )
@@ -55,9 +49,7 @@ def car_features(motion: Motion) -> jax.Array:
 def bay_features(pose: jax.Array, end: jax.Array | None) -> jax.Array:
     """`FEATURES` (..., 6) of cars in the middle of bays, at rest, nose in if allowed.
 
-    Args:
-        pose: (..., 3) of the bays.
-        end: (...) int32, `BayEnd`; None = either.
+    Bays have poses (..., 3) and ends (...) int32, `BayEnd`; None = either.
     """
     x, y, yaw = jnp.moveaxis(pose, -1, 0)
     zero = jnp.zeros_like(x)
@@ -86,18 +78,10 @@ def pose_norm(
     heading: float,
     power: float,
 ) -> Any:
-    """Weighted p-norm (...) of the difference of features (..., 6), as given.
+    """Weighted p-norm (...) of the difference of features (..., 6).
 
-    The other arguments are parameters of the reward term `pose`.
-
-    Args:
-        achieved: features.
-        desired: features.
-        x: weight.
-        y: weight.
-        speed: weight of both velocities.
-        heading: weight of cosine and sine.
-        power: p of the p-norm.
+    The weights, `speed` of both velocities and `heading` of cosine and sine, and the
+    `power` of the norm are parameters of the reward term `pose`.
     """
     weights = np.array([x, y, speed, speed, heading, heading], np.float32)
     return (abs(achieved - desired) @ weights) ** power
@@ -115,9 +99,8 @@ def _pose(
     """Weighted p-norm of the difference between the own pose and the goal's."""
     del config
     after = transition.after
-    return pose_norm(
-        car_features(after.motion), goal_features(after), x, y, speed, heading, power
-    )
+    there, goal = car_features(after.motion), goal_features(after)
+    return pose_norm(there, goal, x, y, speed, heading, power)
 
 
 def near(threshold: float) -> Callable[..., jax.Array]:
@@ -136,16 +119,6 @@ def near(threshold: float) -> Callable[..., jax.Array]:
 POSE = REWARD_TERMS.register(
     "pose", RewardTerm(_pose, sign=-1, fixed=("x", "y", "speed", "heading", "power"))
 )
-REWARDS.register(
-    "pose",
-    RewardConfig(
-        park=0.0,
-        crash=5.0,
-        time=0.0,
-        progress=0.0,
-        alignment=0.0,
-        closeness=0.0,
-        extra={"pose": 1.0},
-    ),
-)
+_NONE = dict.fromkeys(("park", "time", "progress", "alignment", "closeness"), 0.0)
+REWARDS.register("pose", RewardConfig(**_NONE, crash=5.0, extra={"pose": 1.0}))
 PARKED_RULES.register("pose", ParkedRule(test=near(0.12)))

@@ -60,22 +60,14 @@ class Run:
 
     @property
     def metrics(self) -> list[dict[str, float]]:
-        """Metrics of every update so far, by name.
-
-        Raises:
-            ValueError: `metrics.csv` is damaged.
-        """
+        """Metrics of every update so far, by name."""
         with naming_extras():
             from carpark_mj.training.loop import read_metrics
         return read_metrics(self.folder)
 
     @property
     def policy(self) -> "LoadedPolicy":
-        """The policy of the newest checkpoint, and its environment.
-
-        Raises:
-            CheckpointError: the checkpoint is missing or damaged.
-        """
+        """The policy of the newest checkpoint, and its environment."""
         from carpark_mj.policy.loading import load_policy
 
         return load_policy(self.folder)
@@ -105,8 +97,7 @@ def train(config: "PPOConfig", callback: Callback | None = None) -> Run:
     with contextlib.suppress(RuntimeError):  # JAX runs already, on the devices it has
         configure_jax()
 
-    def called(number: int, metrics: Mapping[str, float]) -> bool:
-        del number
+    def called(_: int, metrics: Mapping[str, float]) -> bool:
         return callback is not None and callback(metrics) is True
 
     [(folder, outcome)] = train_runs([config], finish_run=None, callback=called)

@@ -26,18 +26,13 @@ Result = TypeVar("Result")
 
 @dataclasses.dataclass(frozen=True)
 class Hosts:
-    """How hosts find each other.
+    """How hosts find each other."""
 
-    Attributes:
-        coordinator: HOST:PORT of host 0, or `auto` where JAX knows the cluster (Slurm,
-            Open MPI, TPU pods); empty = one host.
-        num_hosts: number of hosts; 0 = not given.
-        host: number of this host, from 0; -1 = not given.
-    """
-
+    # HOST:PORT of host 0, or `auto` where JAX knows the cluster (Slurm, Open MPI, TPU
+    # pods); empty = one host.
     coordinator: str = ""
-    num_hosts: int = 0
-    host: int = -1
+    num_hosts: int = 0  # 0 = not given
+    host: int = -1  # number of this host, from 0; -1 = not given
 
     def __post_init__(self) -> None:
         if self.coordinator in ("", AUTO):
@@ -53,11 +48,10 @@ class Hosts:
                 f"coordinator must be HOST:PORT, a port of 1 to {MAX_PORT}, or {AUTO}, "
                 f"not {self.coordinator!r}"
             )
-        if self.num_hosts < 1:
-            raise ValueError(f"num_hosts must be at least 1, not {self.num_hosts}")
         if not 0 <= self.host < self.num_hosts:
             raise ValueError(
-                f"host must lie in [0, {self.num_hosts - 1}], not {self.host}"
+                f"host must lie in [0, num_hosts), not be {self.host} of "
+                f"{self.num_hosts} hosts"
             )
 
 
@@ -66,16 +60,11 @@ def take_flags(
 ) -> tuple[dict[str, Any], list[str]]:
     """The values of some flags, and the words of the others.
 
-    Args:
-        arguments: the command line.
-        **flags: options of `argparse.ArgumentParser.add_argument` by name.
-
-    Raises:
-        ValueError: a value is missing or impossible.
+    `flags` are options of `argparse.ArgumentParser.add_argument` by name. A value that
+    is missing or impossible raises `ValueError`.
     """
-    parser = argparse.ArgumentParser(
-        add_help=False, allow_abbrev=False, exit_on_error=False
-    )
+    how: Any = {"add_help": False, "allow_abbrev": False, "exit_on_error": False}
+    parser = argparse.ArgumentParser(**how)
     for name, options in flags.items():
         parser.add_argument(f"--{name.replace('_', '-')}", **options)
     try:
@@ -97,34 +86,21 @@ def read_hosts(arguments: Sequence[str]) -> tuple[Hosts, list[str]]:
 
 @contextlib.contextmanager
 def joined(hosts: Hosts) -> Generator[None]:
-    """Connects the hosts; only host 0 prints to stdout.
-
-    Call it before JAX makes any array.
-    """
-    if not hosts.coordinator:
-        yield
-        return
+    """Connects the hosts, before JAX makes any array; only host 0 prints to stdout."""
+    where = dataclasses.astuple(hosts) if hosts.coordinator != AUTO else ()
     try:
-        if hosts.coordinator == AUTO:
-            jax.distributed.initialize()
-        else:
-            jax.distributed.initialize(hosts.coordinator, hosts.num_hosts, hosts.host)
+        if hosts.coordinator:
+            jax.distributed.initialize(*where)
     except (ValueError, RuntimeError) as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(
             f"the hosts do not meet at coordinator {hosts.coordinator}: {reason}"
         ) from None
     with contextlib.ExitStack() as stack:
-        if not is_first():
+        if hosts.coordinator and not is_first():
             nowhere = stack.enter_context(Path(os.devnull).open("w"))
             stack.enter_context(contextlib.redirect_stdout(nowhere))
         yield
-
-
-def leave() -> None:
-    """Disconnects the hosts; each continues alone, or ends."""
-    if jax.process_count() > 1:
-        jax.distributed.shutdown()
 
 
 def is_first() -> bool:

@@ -47,12 +47,7 @@ LOGGERS: Registry[Callable[[Path, int, Settings], Any]] = Registry("logger")
 
 
 def logger_names(text: str) -> list[str]:
-    """The names in a setting `logger`, all of which can log here.
-
-    Raises:
-        ValueError: an unknown name.
-        ModuleNotFoundError: its package is missing.
-    """
+    """The names in a setting `logger`; refuses those that cannot log here."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     require_packages(*(name for name in names if LOGGERS[name] in (_wandb, _mlflow)))
     return names
@@ -111,8 +106,7 @@ def _tensorboard(folder: Path, step: int, settings: Settings) -> Logger:
         with naming(board):
             events.close()
 
-    start = event.SessionLog(status=event.SessionLog.START)
-    add(step + 1, session_log=start)
+    add(step + 1, session_log=event.SessionLog(status=event.SessionLog.START))
     plain = (int, float, str)
     shown = {n: x if isinstance(x, plain) else str(x) for n, x in settings.items()}
     for part in hparams(shown, dict.fromkeys(OUTCOMES, 0.0)):

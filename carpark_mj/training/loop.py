@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import itertools
 import math
 import signal
 import sys
@@ -29,11 +30,7 @@ from carpark_mj.training.run_folder import RunConfig, list_settings
 
 LINE_SECONDS = 20.0  # between lines of progress where there is no terminal
 NAME = "learning_curve.png"
-OUTCOMES = (
-    ("parked", "tab:green"),
-    ("crashed", "tab:red"),
-    ("timed_out", "tab:gray"),
-)
+OUTCOMES = (("parked", "tab:green"), ("crashed", "tab:red"), ("timed_out", "tab:gray"))
 
 
 class Loop:
@@ -45,17 +42,9 @@ class Loop:
         config: RunConfig,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Starts the clocks.
-
-        Args:
-            title: title of the bar.
-            config: `time_limit` and `checkpoint_minutes` count.
-            clock: gives the time [s].
-        """
-        self._config = config
-        self._clock = clock
+        """Starts the clocks; `clock` gives the time [s], `title` is that of the bar."""
+        self._config, self._clock, self._asked = config, clock, False
         self._started = self._saved = self._printed = clock()
-        self._asked = False
         console = get_console()
         self._bar = Progress(
             TextColumn(f"[bold]{title}"),
@@ -89,8 +78,7 @@ class Loop:
                 if handler is not None:  # not one of another language's
                     signal.signal(number, handler)
 
-    def _stop(self, number: int, frame: object) -> None:
-        del frame
+    def _stop(self, number: int, _: object) -> None:
         self._asked = True
         signal.signal(number, signal.default_int_handler)
         print("stopping after this update (again: at once)", file=sys.stderr)
@@ -126,10 +114,6 @@ class Loop:
         left = self._bar.tasks[0].time_remaining
         if left:
             text = f"{text}  {left / 60:.1f} min left"
-        self.say(text)
-
-    def say(self, text: str) -> None:
-        """Prints a line (rich markup) above the bar."""
         self._bar.console.print(text, soft_wrap=True, highlight=False)
 
 
@@ -143,11 +127,8 @@ class MetricsLog:
     def __init__(self, folder: Path, resume_update: float, config: RunConfig) -> None:
         """Opens the log and loggers of a run that stands at `resume_update` updates."""
         self._path = folder / "metrics.csv"
-        rows = [
-            row.cells
-            for row in _read_rows(folder)
-            if row.number("update") <= resume_update
-        ]
+        read = _read_rows(folder)
+        rows = [row.cells for row in read if row.number("update") <= resume_update]
         self._columns = list(rows[0]) if rows else []
         write_csv(self._path, rows)
         self._step = int(float(rows[-1]["env_steps"])) if rows else 0
@@ -165,11 +146,8 @@ class MetricsLog:
             writer.writerow(row)
             self._file.flush()
         self._step = int(row["env_steps"])
-        values = {
-            name: value
-            for name, value in row.items()
-            if name not in ("update", "env_steps") and math.isfinite(value)
-        }
+        others = {k: x for k, x in row.items() if k not in ("update", "env_steps")}
+        values = {name: x for name, x in others.items() if math.isfinite(x)}
         for logger in self._loggers:
             logger.write(self._step, values)
 
@@ -200,9 +178,8 @@ def _read_rows(folder: Path) -> list[CsvRow]:
 
 def read_metrics(folder: Path) -> list[dict[str, float]]:
     """Rows of a run's `metrics.csv` as numbers."""
-    return [
-        {name: row.number(name) for name in row.cells} for row in _read_rows(folder)
-    ]
+    rows = _read_rows(folder)
+    return [{name: row.number(name) for name in row.cells} for row in rows]
 
 
 @contextlib.contextmanager
@@ -222,9 +199,7 @@ def two_panels(folder: Path, title: str, xlabel: str) -> Generator[tuple[Any, An
         low.set(xlabel=xlabel)
         for axes in (tall, low):
             axes.grid(alpha=0.3)
-        write_atomically(
-            folder / NAME, lambda temporary: figure.savefig(temporary, dpi=120)
-        )
+        write_atomically(folder / NAME, lambda file: figure.savefig(file, dpi=120))
     finally:
         plt.close(figure)
 
@@ -240,7 +215,7 @@ def plot_learning_curve(
     """Draws outcome rates and return over the steps to `learning_curve.png`.
 
     Args:
-        folder: run folder.
+        folder: of the run.
         outcomes: columns under `episode/` with rates, and their colours.
         returns: the column with the return.
         unit: name and size of the unit of steps.
@@ -253,19 +228,15 @@ def plot_learning_curve(
     episodes = np.array([row["episodes"] for row in rows])
     title = f"{folder.name}: training episodes (stochastic policy)"
     with two_panels(folder, title, label) as (tall, low):
-        for axes, name, colour in (
-            *((tall, name, colour) for name, colour in outcomes),
-            (low, returns, "tab:blue"),
-        ):
+        curves = [(tall, *outcome) for outcome in outcomes]
+        for axes, name, colour in (*curves, (low, returns, "tab:blue")):
             values = np.array([row[f"episode/{name}"] for row in rows])
             mean = smooth(values, episodes, window)
             axes.plot(steps, values, color=colour, alpha=0.2, linewidth=0.8)
             axes.plot(steps, mean, color=colour, label=name.replace("_", " "))
-        for axes in (tall, low):
-            for switch in switches:
-                axes.axvline(
-                    switch / size, color="black", linestyle="--", linewidth=0.8
-                )
+        dashed = {"color": "black", "linestyle": "--", "linewidth": 0.8}
+        for axes, switch in itertools.product((tall, low), switches):
+            axes.axvline(switch / size, **dashed)
         tall.set(ylabel="share of episodes", ylim=(0, 1))
         tall.legend(loc="center right")
         low.set(ylabel="return")

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import fcntl
+import itertools
 import platform
 import re
 import shutil
@@ -16,7 +17,6 @@ import jax
 from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.process import USER_ERRORS
-from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive, require_seed
 from carpark_mj.extensions import table, unknown_name
 from carpark_mj.files import is_temporary, remove_temporary, write_json
@@ -28,6 +28,7 @@ from carpark_mj.training.loggers import logger_names
 
 LOCK = ".lock"
 MAX_SEEDS = 1024
+PACKAGES = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
 RESUME_FLAGS = ("--resume", "--time-limit")  # what may differ when a run is resumed
 
 
@@ -64,8 +65,6 @@ class RunConfig(CheckedConfig):
             raise ValueError(
                 f"name must be the name of one folder in runs_dir, not {self.name!r}"
             )
-        if not self.runs_dir.strip():
-            raise ValueError(f"runs_dir must name a folder, not {self.runs_dir!r}")
 
     @property
     def default_name(self) -> str:
@@ -83,11 +82,6 @@ def open_run(config: RunConfig) -> Generator[Path]:
     The folder is new and has `config.json`, or belongs to the run to resume. A new
     folder is removed if an error ends the run before its first checkpoint, so that its
     name is free again.
-
-    Raises:
-        ValueError: the given name is taken, another process trains in the folder, or
-            an unknown logger.
-        OSError: the folder cannot be written.
     """
     logger_names(config.logger)  # refused before there is a folder
     folder = Path(config.resume) if config.resume else _new_folder(config)
@@ -112,26 +106,21 @@ def open_run(config: RunConfig) -> Generator[Path]:
 
 def _new_folder(config: RunConfig) -> Path:
     """Makes the folder; an unnamed run never touches an older one."""
-    name, parent = config.name or config.default_name, Path(config.runs_dir)
-    parent.mkdir(parents=True, exist_ok=True)
-    folder, number = parent / name, 1
-    while True:
+    folder = first = Path(config.runs_dir, config.name or config.default_name)
+    for number in itertools.count(2):
         with contextlib.suppress(FileExistsError):
-            folder.mkdir()
+            folder.mkdir(parents=True)
             return folder
-        if not config.name:
-            number += 1
-            folder = parent / f"{name}-{number}"
-        # A run was killed before it wrote its settings, or its lock is held.
-        elif folder.is_dir() and all(
-            path.name == LOCK or is_temporary(path) for path in folder.iterdir()
-        ):
-            return folder
-        else:
-            raise ValueError(
-                f"{folder} exists: choose another --name, or continue with --resume "
-                f"{folder}"
-            )
+        if config.name:
+            break
+        folder = first.with_name(f"{first.name}-{number}")
+    # A run was killed before it wrote its settings, or its lock is held.
+    paths = folder.iterdir() if folder.is_dir() else [folder]
+    if all(path.name == LOCK or is_temporary(path) for path in paths):
+        return folder
+    raise ValueError(
+        f"{folder} exists: choose another --name, or continue with --resume {folder}"
+    )
 
 
 def argument(folder: Path) -> str:
@@ -141,18 +130,14 @@ def argument(folder: Path) -> str:
 
 def describe(config: RunConfig) -> dict[str, Any]:
     """Provenance of a run: settings, versions, device."""
-
-    def version(package: str) -> str:
-        try:
-            return metadata.version(package)
-        except metadata.PackageNotFoundError:
-            return "not installed"
-
-    packages = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
+    versions = dict.fromkeys(PACKAGES, "not installed")
+    for name in PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
     return {
         "config_version": runs.CONFIG_VERSION,
         "config": dataclasses.asdict(config),
-        "versions": {name: version(name) for name in packages},
+        "versions": versions,
         "python": platform.python_version(),
         "device": jax.devices()[0].device_kind,
         "num_devices": jax.device_count(),
@@ -161,11 +146,7 @@ def describe(config: RunConfig) -> dict[str, Any]:
 
 
 def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, Any]:
-    """The header of a checkpoint to resume from, with settings of a kind.
-
-    Raises:
-        CheckpointError: missing, damaged or foreign checkpoint.
-    """
+    """The header of a checkpoint to resume from, with settings of a kind."""
     header = checkpoints.read_header(path, config=dict, **kinds)
     runs.check_version(header, path)
     with refused_as(f"{path} has an unusable config"):
@@ -174,11 +155,7 @@ def read_header(path: Path, kind: type[RunConfig], **kinds: type) -> dict[str, A
 
 
 def stored(folder: Path, name: str = "config.json") -> dict[str, Any]:
-    """The settings of a run, as in a file of its folder.
-
-    Raises:
-        CheckpointError: the run does not exist, or another version wrote it.
-    """
+    """The settings of a run, as in a file of its folder."""
     path = folder / name
     if not path.exists():
         raise CheckpointError(f"no run at {folder} (no {path})")
@@ -223,13 +200,9 @@ def read_settings(
         description: at the head of the help.
         short: settings that the short help lists.
         summaries: purpose of each preset, for the help.
-
-    Raises:
-        ValueError: impossible settings.
-        CheckpointError: `--resume` does not name a run, or names one of an older
-            version.
     """
     from carpark_mj.cli.flags import read_flags  # tyro is of an extra
+    from carpark_mj.cli.listing import describe_environment
 
     arguments = sys.argv[1:] if arguments is None else arguments
     # These are read first: settings may be valid only on top of them.
@@ -240,18 +213,18 @@ def read_settings(
         preset = presets[name]
     if file["config"]:
         preset = _read_file(Path(file["config"]), preset, presets, name)
-    text = f"{description or ''}\nPresets:\n{_preset_table(presets, summaries)}\n"
+    lines: dict[str, str] = {}
+    for key, known in presets.items():
+        env = getattr(known, "env", None)  # None: no car park
+        lines[key] = summaries[key] + (f": {describe_environment(env)}" if env else "")
+    text = f"{description or ''}\nPresets:\n{table(lines, indent=4)}\n"
     config = read_flags(type(default), arguments, preset, text, short)
     if config.preset not in ("", "auto", *presets):
-        raise ValueError(
-            f"unknown preset {config.preset!r}; choose from {', '.join(presets)}"
-        )
+        raise ValueError(unknown_name("preset", config.preset, presets))
     words = [word.partition("=")[0] for word in arguments if word.startswith("--")]
     flags = [word.replace("_", "-") for word in words]  # tyro takes both
     if "--resume" not in flags:
         return dataclasses.replace(config, preset=preset.preset)
-    if not config.resume:
-        raise ValueError("resume must name the folder of a run, not ''")
     changed = [flag for flag in flags if flag not in (*RESUME_FLAGS, "--preset")]
     changed += ["--config"] * bool(file["config"])
     kept = config if changed else read_config(type(default), Path(config.resume))
@@ -268,18 +241,6 @@ def read_settings(
 def named(arguments: Sequence[str], setting: str) -> str:
     """The value of a flag before the others are read; empty if it is not given."""
     return take_flags(arguments, **{setting: {"default": ""}})[0][setting]
-
-
-def _preset_table(presets: Mapping[str, Any], summaries: Mapping[str, str]) -> str:
-    """A line per preset with its task."""
-    from carpark_mj.cli.listing import describe_environment
-
-    lines: dict[str, str] = {}
-    for name, config in presets.items():
-        env: EnvConfig | None = getattr(config, "env", None)  # None: no car park
-        task = f": {describe_environment(env)}" if env else ""
-        lines[name] = f"{summaries[name]}{task}"
-    return table(lines, indent=4)
 
 
 def _read_file(
@@ -318,25 +279,17 @@ def _words(settings: Mapping[Any, Any]) -> dict[str, str]:
         if isinstance(value, Mapping):
             words |= {f"{key}.{inner}": x for inner, x in _words(value).items()}
         else:
-            words[key] = " ".join(
-                map(str, value if isinstance(value, list) else [value])
-            )
+            values = value if isinstance(value, list) else [value]
+            words[key] = " ".join(map(str, values))
     return words
 
 
 def read_runs(
     arguments: Sequence[str], read: Callable[[Sequence[str]], Config]
 ) -> list[Config]:
-    """The runs that are to be trained side by side.
+    """The runs to train side by side, by `--seeds`, or `--resume` and several folders.
 
-    Args:
-        arguments: with `--seeds`, or `--resume` and several folders.
-        read: reads the settings of one run from the other arguments, and `--resume`
-            with one folder.
-
-    Raises:
-        ValueError: impossible settings.
-        CheckpointError: `--resume` names no run, or one of an older version.
+    `read` gives the settings of one run, from the other arguments.
     """
     ours, others = take_flags(arguments, seeds={}, resume={"nargs": "+", "default": []})
     seeds, resumed = ours["seeds"], ours["resume"]
@@ -349,10 +302,9 @@ def read_runs(
         return [config]
     if config.seed:
         raise ValueError(f"give seed or seeds, not both: drop seed {config.seed}")
+    name = f"{config.name}-" if config.name else ""
     return [
-        dataclasses.replace(
-            config, seed=seed, name=f"{config.name}-{seed}" if config.name else ""
-        )
+        dataclasses.replace(config, seed=seed, name=name and f"{name}{seed}")
         for seed in parse_seeds(seeds)
     ]
 

@@ -21,6 +21,7 @@ from carpark_mj.mdp.collisions import KERB_HEIGHT
 from carpark_mj.observations.sensors import reckon
 from carpark_mj.physics.forces import grade_at
 from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.physics.mjx_step import ContactPhysics
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import Motion, Odometry
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle
@@ -63,12 +64,14 @@ class Driver(NamedTuple):
         target: speed to be controlled [m/s].
         gain: pedal per m/s below it; 0 is no control.
         release: speed below which the pedal is let go for good [m/s]; 0 is never.
+        after: control step before which it is not.
         period: of the driver [control steps].
     """
 
     target: float = 0.0
     gain: float = 0.0
     release: float = 0.0
+    after: int = 0
     period: int = 1
 
 
@@ -76,7 +79,7 @@ class Driver(NamedTuple):
 def _program(sim: SimConfig, dtype: Any):
     """The physics, and a compiled drive in the precision that is switched on."""
     del dtype  # a key of the cache
-    physics = MjxPhysics(sim)
+    physics = (ContactPhysics if sim.tyres == "contact" else MjxPhysics)(sim)
 
     @jax.jit
     def run(state: CarState, controls: jax.Array, driver: Driver) -> Motion:
@@ -85,7 +88,8 @@ def _program(sim: SimConfig, dtype: Any):
             instant, command = now
             speed = physics.read(state).speed
             asked = command[..., 1] + driver.gain * (driver.target - speed)
-            lets_go = released | (jnp.abs(speed) < driver.release)
+            slow = (jnp.abs(speed) < driver.release) & (instant >= driver.after)
+            lets_go = released | slow
             asked = jnp.where(lets_go, 0.0, jnp.clip(asked, -1.0, 1.0))
             acts = instant % driver.period == 0
             pedal = jnp.where(acts, asked, pedal)

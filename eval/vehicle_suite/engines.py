@@ -1,45 +1,29 @@
 """Mirror symmetry, time step, and MJX against C MuJoCo and `mjx.step`."""
 
-import copy
 import dataclasses
-import functools
 import math
-from typing import Any
 
 import jax
-import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from carpark_mj.config import CONTACT_SIM_DT, SimConfig
-from carpark_mj.physics.coordinates import CarDynamics, init_tyres
-from carpark_mj.physics.forces import generalized_forces
-from carpark_mj.physics.mjx_step import (
-    ContactStep,
-    WheelIndex,
-    contact_car_model,
-    with_masses,
-    with_wheels,
-)
-from carpark_mj.precision import full_float32
-from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
-from carpark_mj.vehicle.drive import init_actuators
-from carpark_mj.vehicle.mjcf import car_model
+from carpark_mj.physics.mjx_step import contact_car_model
+from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from vehicle_suite.driver import drive
+from vehicle_suite.in_c import CCar
 from vehicle_suite.report import Study
-from vehicle_suite.testbeds import (
-    BrushTestbed,
-    ContactTestbed,
-    Testbed,
-    controls,
-    drive_in_c,
-    rigid_joints,
-    tyres_on_car,
-    vehicle_of,
-)
-from vehicle_suite.track import INDEX, Run
+from vehicle_suite.testbeds import BrushTestbed, Testbed
+from vehicle_suite.track import Run
 
 STEPS = {"brush": (0.01, 0.005, 0.002, 0.001), "contact": (0.004, 0.002, 0.001)}  # s
 FINEST = 0.0005  # s, the reference
+TICK, ROLLING = 0.02, 2.0  # s, a control step; m/s, at the start
+# One second: pull away turning left, steer over, brake hard, hold.
+PEDALS = np.repeat(
+    [[1.0, 1.0], [-0.6, 0.8], [0.4, -1.0], [0.4, 0.0]], [20, 15, 10, 5], axis=0
+)
 
 
 def wander(params: VehicleParameters, side: float = 1.0) -> Run:
@@ -100,41 +84,20 @@ def convergence(study: Study) -> None:
 
 def brush_engines(study: Study) -> None:
     """One second of the unrolled step against C MuJoCo and `mjx.step`, same tyres."""
-    params = study.params
-    run = dataclasses.replace(wander(params), duration=1.0, speed=2.0)
-    path = drive_brush_in_c(run, study.bed.dt)
+    sim = SimConfig(ctrl_dt=TICK, trace_dt=TICK)
+    path = drive_in_c(study.params, sim)
     for bits in (32,) if study.quick else (32, 64):
-        ours = BrushTestbed(study.bed.dt, x64=bits == 64)
-        (track,) = ours.drive([run])
-        (reference,) = dataclasses.replace(ours, stepper="mjx").drive([run])
+        ours = drive_in_mjx(study.params, sim, bits)
+        stepped = dataclasses.replace(sim, stepper="mjx")
         for what, other in (
             ("C MuJoCo against MJX", path),
-            ("unrolled step against mjx.step", reference.position),
+            (
+                "unrolled step against mjx.step",
+                drive_in_mjx(study.params, stepped, bits),
+            ),
         ):
-            apart = float(np.abs(track.position - other).max())
+            apart = float(np.abs(ours - other).max())
             study.row(f"{what} in float{bits}, 1 s", apart)
-
-
-def drive_brush_in_c(run: Run, dt: float) -> np.ndarray:
-    """Positions (T + 1, 2) of the run in C MuJoCo on our tyres, all in float64."""
-    model = car_model(run.params, dt, (0.0, 0.0, -GRAVITY))
-    with jax.enable_x64(True):
-        vehicle, tyres = vehicle_of(run), init_tyres(jnp.result_type(float))
-
-        def act(data: Any, signal: np.ndarray) -> None:
-            nonlocal tyres
-            at = jnp.array(data.qpos), jnp.array(data.qvel)
-            acting = _brush_forces(vehicle, *at, tyres, jnp.array(signal), dt)
-            data.ctrl, data.qfrc_applied, tyres = acting
-
-        return drive_in_c(run, model, act)[0][:, :2]
-
-
-@jax.jit
-def _brush_forces(vehicle, qpos, qvel, tyres, signal, dt):
-    ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
-    forces, tyres = tyres_on_car(vehicle, qpos, qvel, tyres, (drive, brake), dt)
-    return ctrl, generalized_forces(INDEX, forces), tyres
 
 
 def contact_engines(study: Study) -> None:
@@ -145,66 +108,33 @@ def contact_engines(study: Study) -> None:
     these constants here; what they cost the car against its own is a row, too.
     """
     params = study.params
-    run = dataclasses.replace(wander(params), duration=1.0, speed=2.0)
+    sim = SimConfig(sim_dt=CONTACT_SIM_DT, ctrl_dt=TICK, trace_dt=TICK, tyres="contact")
     for suspension in (False,) if study.quick else (False, True):
-        sim = SimConfig(sim_dt=CONTACT_SIM_DT, tyres="contact", suspension=suspension)
+        sim = dataclasses.replace(sim, suspension=suspension)
         prefix = "suspension: " if suspension else ""
-        own = contact_car_model(params, sim)
-        shared, compiled = copy.copy(own), contact_car_model(COMPACT, sim)
+        shared, compiled = (contact_car_model(car, sim) for car in (params, COMPACT))
         for constant in ("body_invweight0", "dof_invweight0"):
             getattr(shared, constant)[:] = getattr(compiled, constant)
-        bed = ContactTestbed(suspension=suspension)
-        # From nothing, as MJX, which carries no warm start.
-        path = bed.drive_model(run, shared, cold=True).position
+        path = drive_in_c(params, sim, shared)
         for bits in (32,) if study.quick or suspension else (32, 64):
-            apart = np.abs(_drive_in_mjx(run, sim, bits == 64) - path).max()
+            apart = np.abs(drive_in_mjx(params, sim, bits) - path).max()
             what = f"{prefix}C MuJoCo against MJX in float{bits}, 1 s"
             study.row(what, float(apart))
-        apart = np.abs(bed.drive_model(run, own, cold=True).position - path).max()
+        apart = np.abs(drive_in_c(params, sim) - path).max()
         what = f"{prefix}data of a shared model against an own model, 1 s"
         study.row(what, float(apart))
 
 
-def _drive_in_mjx(run: Run, sim: SimConfig, x64: bool) -> np.ndarray:
-    """Positions (T + 1, 2) in MJX."""
-    with jax.enable_x64(x64):
-        start = run.start()
-        inputs = (jnp.array(x, float) for x in (*start, run.signals(sim.sim_dt)))
-        path = _program(sim, x64)(make_vehicle(run.params), *inputs)
-        return np.vstack([start[0][:2], np.asarray(path, float)])
+def drive_in_mjx(params: VehicleParameters, sim: SimConfig, bits: int) -> np.ndarray:
+    """Positions (T, 2) of a car that rolls at first, with `PEDALS`."""
+    with jax.enable_x64(bits == 64):
+        motion = drive(sim, make_vehicle(params), PEDALS, ROLLING)
+        return np.asarray(motion.pose_w, float)[:, :2]
 
 
-@functools.cache
-def _program(sim: SimConfig, x64: bool):
-    """Compiles a drive of one car, once for each model and precision.
-
-    Arguments: the car, rigid positions (13,) and velocities (12,), signals (T, 6); the
-    suspension starts at rest. Returns positions (T, 2).
-    """
-    del x64  # the arrays' precision; a key of the cache
-    compiled = contact_car_model(COMPACT, sim)
-    step = ContactStep(compiled, sim)
-    index, wheels = step.index, WheelIndex(compiled)
-    positions, velocities = rigid_joints(compiled)
-
-    @jax.jit
-    @full_float32
-    def drive(vehicle: Vehicle, qpos: jax.Array, qvel: jax.Array, signals: jax.Array):
-        masses = with_masses(step.model, vehicle)
-        start = CarDynamics(
-            jnp.zeros(compiled.nq, qpos.dtype).at[positions].set(qpos),
-            jnp.zeros(compiled.nv, qpos.dtype).at[velocities].set(qvel),
-            init_tyres(qpos.dtype),
-            init_actuators(vehicle),
-        )
-
-        def substep(car: CarDynamics, signal: jax.Array):
-            ctrl, torque, brake = controls(vehicle, signal, car.qpos, car.qvel)
-            model = with_wheels(masses, index, wheels, vehicle, brake)
-            applied = jnp.zeros_like(car.qvel).at[index.spin_dof].set(torque)
-            car = step.integrate(model, car, applied, ctrl)
-            return car, car.qpos[:2]
-
-        return jax.lax.scan(substep, start, signals)[1]
-
-    return drive
+def drive_in_c(
+    params: VehicleParameters, sim: SimConfig, model: mujoco.MjModel | None = None
+) -> np.ndarray:
+    """The same in C MuJoCo, in float64."""
+    with jax.enable_x64(True):
+        return CCar(params, sim, speed=ROLLING, model=model).drive(PEDALS)[:, :2]

@@ -12,17 +12,14 @@ from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
+from carpark_mj.config import SimConfig
 from carpark_mj.identification.log import POSE, RATES, DriveLog
 from carpark_mj.identification.simulation import Sought
-from carpark_mj.physics.coordinates import CarDynamics, CarIndex, init_tyres
-from carpark_mj.physics.forces import substep_forces
-from carpark_mj.vehicle.drive import ackermann, init_actuators
-from carpark_mj.vehicle.mjcf import car_model
-from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from carpark_mj.vehicle.vehicle import make_vehicle
+from carpark_mj.vehicle.drive import ackermann
+from carpark_mj.vehicle.parameters import VehicleParameters
+from vehicle_suite.in_c import CCar
 
 DriveName = Literal[
     "full", "slow", "no braking", "straight", "circle", "stops", "rolling"
@@ -87,15 +84,11 @@ class Drive:
 
 
 def record(
-    drives: Sequence[Drive], measured: Sequence[str] = POSE, noise: float = 1.0
-) -> list[DriveLog]:
-    """Drives in C MuJoCo, all of one length and step; `noise` scales `NOISE`."""
-    commands = [drive.commands() for drive in drives]
-    motion = _drive(drives, commands)
-    return [
-        _log(rows, path, measured, noise, np.random.default_rng([drive.seed, 1]))
-        for drive, rows, path in zip(drives, commands, motion, strict=True)
-    ]
+    drive: Drive, measured: Sequence[str] = POSE, noise: float = 1.0
+) -> DriveLog:
+    """Drives in C MuJoCo; `noise` scales `NOISE`."""
+    commands, dice = drive.commands(), np.random.default_rng([drive.seed, 1])
+    return _log(commands, _drive(drive, *commands), measured, noise, dice)
 
 
 def _log(
@@ -116,61 +109,34 @@ def _log(
     return DriveLog(time, wheel, pedal, ("steering_wheel", "pedal"), rows)
 
 
-def _drive(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
-    """The motion (drives, n, 5): x, y, yaw, speed and yaw rate at the rear axle."""
-    dt = drives[0].sim_dt
+def _drive(
+    drive: Drive, time: np.ndarray, wheel: np.ndarray, pedal: np.ndarray
+) -> np.ndarray:
+    """The motion (n, 5): x, y, yaw, speed and yaw rate at the rear axle."""
+    true, path = drive.true, []
+    # As they arrive at the actuators.
+    steer = np.interp(time - true.steering_delay, time, wheel)
+    steer = steer / (true.steering_ratio * drive.car.max_steering)
+    pedal = np.interp(time - true.pedal_delay, time, pedal)
     with jax.enable_x64(True):
-        vehicle = jax.tree.map(
-            lambda *x: jnp.stack(x), *(make_vehicle(drive.car) for drive in drives)
-        )
-        offsets = jnp.array([float(drive.true.steering_offset) for drive in drives])
-        vehicle = dataclasses.replace(vehicle, steering_offset=offsets)
-        models = [car_model(d.car, dt, (0.0, 0.0, -GRAVITY)) for d in drives]
-        datas = [mujoco.MjData(model) for model in models]
-        index = CarIndex(models[0])
-        arriving = _controls(drives, commands)
-        steering = jnp.asarray(arriving[0, :, 0]) * vehicle.max_steering
-        wheels = ackermann(vehicle, steering + vehicle.steering_offset)
-        for k, data in enumerate(datas):  # at rest, their wheels turned
-            data.qpos[index.steer_qpos] = [float(wheel[k]) for wheel in wheels]
-        zeros = jnp.zeros((len(drives), 4), jnp.result_type(float))
-        tyres = jax.tree.map(lambda x: x + zeros, init_tyres(zeros.dtype))
-        actuators = dataclasses.replace(init_actuators(vehicle), steering=steering)
-        forces = jax.jit(lambda car, c: substep_forces(index, vehicle, car, c, dt))
-        path = []
-        for controls in arriving:
-            qpos, qvel = (
-                np.stack([getattr(d, n) for d in datas]) for n in ("qpos", "qvel")
-            )
-            path.append(_seen(qpos, qvel))
-            car = CarDynamics(jnp.array(qpos), jnp.array(qvel), tyres, actuators)
-            qfrc, ctrl, tyres, actuators = forces(car, controls)
-            qfrc, ctrl = np.asarray(qfrc), np.asarray(ctrl)
-            for k, (model, data) in enumerate(zip(models, datas, strict=True)):
-                data.qfrc_applied[:], data.ctrl[:] = qfrc[k], ctrl[k]
-                mujoco.mj_step(model, data)
-    motion = np.stack(path, axis=1)
-    motion[..., 2] = np.unwrap(motion[..., 2], axis=1)
+        pose = (drive.car.centre_offset, 0.0, 0.0)  # the rear axle in the origin
+        car = CCar(drive.car, SimConfig(sim_dt=drive.sim_dt), pose)
+        offset = jnp.array(float(true.steering_offset))
+        car.vehicle = dataclasses.replace(car.vehicle, steering_offset=offset)
+        steering = steer[0] * car.vehicle.max_steering  # at rest, its wheels turned
+        car.actuators = dataclasses.replace(car.actuators, steering=steering)
+        wheels = ackermann(car.vehicle, steering + offset)
+        car.data.qpos[car.index.steer_qpos] = [float(angle) for angle in wheels]
+        for controls in zip(steer, pedal, strict=True):
+            qpos, qvel = car.data.qpos, car.data.qvel
+            w, x, y, z = qpos[3:7]
+            yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+            speed = qvel[0] * np.cos(yaw) + qvel[1] * np.sin(yaw)
+            path.append((*qpos[:2], yaw, speed, qvel[5]))
+            car.step(controls)
+    motion = np.array(path)
+    motion[:, 2] = np.unwrap(motion[:, 2])
     return motion
-
-
-def _controls(drives: Sequence[Drive], commands: Sequence[tuple]) -> np.ndarray:
-    """Steer and pedal (n, drives, 2) as they arrive at the actuators."""
-    late = []
-    for drive, (time, wheel, pedal) in zip(drives, commands, strict=True):
-        true = drive.true
-        steer = np.interp(time - true.steering_delay, time, wheel)
-        steer = steer / (true.steering_ratio * drive.car.max_steering)
-        pedal = np.interp(time - true.pedal_delay, time, pedal)
-        late.append(np.stack([steer, pedal], -1))
-    return np.stack(late, axis=1)
-
-
-def _seen(qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    w, x, y, z = qpos[:, 3:7].T
-    yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
-    speed = qvel[:, 0] * np.cos(yaw) + qvel[:, 1] * np.sin(yaw)
-    return np.stack([qpos[:, 0], qpos[:, 1], yaw, speed, qvel[:, 5]], axis=-1)
 
 
 G = 9.81  # m/s^2

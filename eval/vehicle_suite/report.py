@@ -5,13 +5,13 @@ whose name (`*` stands for any text) and tyres (none: all) match is the row's. A
 tolerance is the larger of a share of the expected value and an absolute one.
 """
 
-import csv
 import dataclasses
 import functools
 import math
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from carpark_mj.evaluation import tables
 from carpark_mj.files import write_atomically, write_csv, write_text
+from carpark_mj.reading import read_csv
 from carpark_mj.vehicle import VehicleParameters
 from vehicle_suite.testbeds import Testbed
 
@@ -87,12 +88,8 @@ class Row:
         return {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in values}
 
 
-@dataclasses.dataclass(frozen=True)
-class Curve:
-    """A line (n,) of a figure in the panel of its car; a dashed one is a formula.
-
-    Lines of one label share the colour.
-    """
+class Curve(NamedTuple):
+    """A line (n,) of a figure in the panel of its car; one label is one colour."""
 
     figure: str
     panel: str
@@ -116,10 +113,8 @@ class Study:
     rows: list[Row] = dataclasses.field(default_factory=lambda: [])
     curves: list[Curve] = dataclasses.field(default_factory=lambda: [])
 
-    @property
-    def tyres(self) -> str:
-        """Name of the tyre model."""
-        return self.bed.tyres
+    def __post_init__(self) -> None:
+        self.tyres = self.bed.tyres
 
     def row(
         self, row: str, measured: float, expected: float = 0.0, scale: float = math.nan
@@ -141,16 +136,10 @@ class Study:
         self.curves.append(Curve(figure, panel, label, *points, style))
 
 
-def read_table(path: Path) -> list[dict[str, str]]:
-    """The lines of a CSV file."""
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 @functools.cache
 def facts() -> list[dict[str, str]]:
     """The lines of `rows.csv`."""
-    return read_table(HERE / "rows.csv")
+    return [row.cells for row in read_csv(HERE / "rows.csv")]
 
 
 def declared(row: str, tyres: str) -> dict[str, str]:
@@ -170,22 +159,18 @@ def markdown(rows: Sequence[Row]) -> str:
 
 def excerpt(report: Path, preset: str = SHOWN) -> str:
     """Rows of `excerpt.txt` of one preset in a `report.csv`, as markdown."""
-    found = {
-        (row["row"], row["tyres"]): row
-        for row in read_table(report)
-        if row["preset"] == preset
-    }
+    rows = [row for row in read_csv(report) if row.cells["preset"] == preset]
     lines = []
     for name in (HERE / "excerpt.txt").read_text().splitlines():
-        cells = {tyres: found.get((name, tyres)) for tyres in ("brush", "contact")}
-        rows = [row for row in cells.values() if row]
-        if not rows:
+        own = {row.cells["tyres"]: row for row in rows if row.cells["row"] == name}
+        if not own:
             continue
-        numbers = dict.fromkeys(f"{float(row['expected']):.4g}" for row in rows)
-        line = {"manoeuvre": name}
-        line["expected"] = f"{', '.join(numbers)} {rows[0]['unit']}"
-        for tyres, row in cells.items():
-            line[tyres] = f"{float(row['measured']):.4g}" if row else "–"
+        numbers = dict.fromkeys(f"{row.number('expected'):.4g}" for row in own.values())
+        unit = next(iter(own.values())).cells["unit"]
+        line = {"manoeuvre": name, "expected": f"{', '.join(numbers)} {unit}"}
+        for tyres in ("brush", "contact"):
+            found = own.get(tyres)
+            line[tyres] = f"{found.number('measured'):.4g}" if found else "–"
         lines.append(line)
     return tables.markdown(lines)
 

@@ -2,38 +2,32 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from carpark_mj.config import SimConfig
 from carpark_mj.physics.coordinates import (
-    CarDynamics,
     CarIndex,
-    Coordinates,
-    TyreState,
     init_tyres,
     pack_coordinates,
     pack_tyres,
     unpack_coordinates,
     unpack_tyres,
 )
-from carpark_mj.physics.forces import CarForces, generalized_forces, roll
-from carpark_mj.physics.mjx_step import MjxStep, with_masses
+from carpark_mj.physics.forces import roll
 from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.precision import full_float32
-from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+from carpark_mj.vehicle import Vehicle, make_vehicle
 from carpark_mj.vehicle.contact_wheels import (
     TIMESTEP,
     add_contact_wheels,
     set_contact_options,
 )
-from carpark_mj.vehicle.drive import WheelTorques, ackermann, init_actuators
-from carpark_mj.vehicle.mjcf import WHEELS, add_car, car_model
+from carpark_mj.vehicle.drive import WheelTorques, ackermann
+from carpark_mj.vehicle.mjcf import WHEELS, add_car
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from carpark_mj.vehicle.vehicle import wheels_of
 from vehicle_suite.formulas import front_wheel_angles
@@ -52,7 +46,6 @@ class BrushTestbed:
 
     dt: float = 0.01
     x64: bool = False
-    stepper: Literal["unrolled", "mjx"] = "unrolled"
     tyres: str = "brush"
 
     def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
@@ -87,7 +80,7 @@ class BrushTestbed:
         for first in range(0, length, CHUNK):
             part = table[first : first + CHUNK]
             gravity = jnp.array(gravity_of(part[..., 5]), dtype)
-            carry, seen = _program(self.x64, self.stepper)(
+            carry, seen = _program(self.x64)(
                 carry, vehicles, locked, jnp.array(part, dtype), gravity, dtype.type(dt)
             )
             rows.append(jax.device_get(seen))
@@ -104,16 +97,21 @@ class BrushTestbed:
 
 
 @functools.cache
-def _program(x64: bool, stepper: str):
+def _program(x64: bool):
     """Compiles `CHUNK` substeps of `WIDTH` cars; call it with x64 switched to match."""
-    move = _move_unrolled if stepper == "unrolled" else _move_in_mjx()
+    del x64  # a key of the cache
 
     def substep(carry, vehicle: Vehicle, locked, signal, gravity, dt):
         qpos, qvel, tyres, couple = carry
         ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
         drive = drive + locked * couple
-        forces, tyres = tyres_on_car(vehicle, qpos, qvel, tyres, (drive, brake), dt)
-        qpos, qvel = move(vehicle, qpos, qvel, forces, ctrl, (gravity, dt))
+        at = unpack_coordinates(INDEX, qpos, qvel)
+        torques = [WheelTorques(*pair) for pair in zip(drive, brake, strict=True)]
+        wheels, bristles = wheels_of(vehicle), unpack_tyres(tyres)
+        forces, bristles = roll(wheels, at, bristles, torques, dt)
+        masses, tyres = mass_properties(vehicle), pack_tyres(bristles)
+        at = advance(masses, at, forces, tuple(ctrl), tuple(gravity), dt)
+        qpos, qvel = pack_coordinates(INDEX, at)
         apart = jnp.sum(locked * qvel[INDEX.spin_dof])
         couple = couple - AXLE_GAIN * apart
         seen = (qpos, qvel, jnp.stack(forces.load), drive)
@@ -123,60 +121,14 @@ def _program(x64: bool, stepper: str):
 
     @jax.jit
     @full_float32
-    def advance(carry, vehicles, locked, signals, gravity, dt):
+    def run(carry, vehicles, locked, signals, gravity, dt):
         def step(carry, row):
             signal, pull = row
             return batched(carry, vehicles, locked, signal, pull, dt)
 
         return jax.lax.scan(step, carry, (signals, gravity))
 
-    return advance
-
-
-def tyres_on_car(
-    vehicle: Vehicle,
-    qpos: jax.Array,
-    qvel: jax.Array,
-    tyres: TyreState,
-    torques: tuple[jax.Array, jax.Array],
-    dt: float | jax.Array,
-) -> tuple[CarForces, TyreState]:
-    """Forces of the shipped tyres (4,) under one car over a substep, and the bristles.
-
-    `torques` are of drive and brake on the wheels, (4,) each [N m].
-    """
-    forces, after = roll(
-        wheels_of(vehicle),
-        unpack_coordinates(INDEX, qpos, qvel),
-        unpack_tyres(tyres),
-        [WheelTorques(*pair) for pair in zip(*torques, strict=True)],
-        dt,
-    )
-    return forces, pack_tyres(after)
-
-
-def _move_unrolled(vehicle: Vehicle, qpos, qvel, forces: CarForces, ctrl, world):
-    """`qpos` and `qvel` a substep later; `world` is gravity (3,) and the substep."""
-    gravity, dt = world
-    at: Coordinates = unpack_coordinates(INDEX, qpos, qvel)
-    masses = mass_properties(vehicle)
-    after = advance(masses, at, forces, tuple(ctrl), tuple(gravity), dt)
-    return pack_coordinates(INDEX, after)
-
-
-def _move_in_mjx() -> Any:
-    """`qpos` and `qvel` a substep of `mjx.step` later."""
-    step = MjxStep(car_model(COMPACT, 0.01, (0.0, 0.0, -GRAVITY)), SimConfig())
-
-    def move(vehicle: Vehicle, qpos, qvel, forces: CarForces, ctrl, world):
-        gravity, dt = world
-        car = CarDynamics(qpos, qvel, init_tyres(), init_actuators(vehicle))
-        option = {"opt.gravity": gravity, "opt.timestep": dt}
-        model = with_masses(step.model, vehicle).tree_replace(option)
-        after = step.integrate(model, car, generalized_forces(INDEX, forces), ctrl)
-        return after.qpos, after.qvel
-
-    return move
+    return run
 
 
 def controls(
@@ -252,22 +204,26 @@ class ContactTestbed:
 
     def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
         """Drives the runs, one after the other."""
-        step = dt or self.dt
-        models = [contact_model(run.params, step, self.suspension) for run in runs]
-        return list(map(self.drive_model, runs, models))
+        return [self._drive(run, dt or self.dt) for run in runs]
 
-    def drive_model(self, run: Run, model: mujoco.MjModel, cold: bool = False) -> Track:
-        """Drives a car's model; a `cold` solver starts each substep from nothing."""
+    def _drive(self, run: Run, dt: float) -> Track:
         params = run.params
+        model = contact_model(params, dt, self.suspension)
+        data, (positions, velocities) = mujoco.MjData(model), rigid_joints(model)
+        data.qpos[positions], data.qvel[velocities] = run.start()
         spin = CarIndex(model).spin_dof
         rolling = model.dof_frictionloss[spin].copy()
         drive_share = np.repeat([params.front_drive, 1 - params.front_drive], 2) / 2
         brake_share = np.repeat([params.front_brake, 1 - params.front_brake], 2) / 2
         most = HOLD_LIMIT * GRAVITY * params.mass
-        rotation, torques = np.zeros(9), []
-
-        def act(data: Any, signal: np.ndarray) -> None:
-            steering, force, brake, target, gain, tilt = signal
+        geoms = [model.geom(i).name.removeprefix("tyre_") for i in range(model.ngeom)]
+        wheels = {
+            i: WHEELS.index(name) for i, name in enumerate(geoms) if name in WHEELS
+        }
+        signals, torques = run.signals(dt), []
+        qpos, qvel = [data.qpos[positions]], [data.qvel[velocities]]
+        load, rotation, contact = np.zeros((len(signals), 4)), np.zeros(9), np.zeros(6)
+        for i, (steering, force, brake, target, gain, tilt) in enumerate(signals):
             mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
             hold = gain * (target - rotation[::3] @ data.qvel[:3])
             force = force + np.clip(hold, -most, most)
@@ -277,38 +233,17 @@ class ContactTestbed:
             model.dof_frictionloss[spin] = rolling + brakes
             data.ctrl = front_wheel_angles(params, float(steering))
             model.opt.gravity = gravity_of(tilt)
-            if cold:
-                data.qacc_warmstart[:] = 0.0
-
-        motion = drive_in_c(run, model, act)
-        return Track(run, model.opt.timestep, *motion, np.array(torques))
-
-
-def drive_in_c(
-    run: Run, model: mujoco.MjModel, act: Callable[[Any, np.ndarray], None]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Drives a run in C MuJoCo; `act` sets the inputs for a row of `Run.signals`.
-
-    Returns `qpos` (T + 1, 13), `qvel` (T + 1, 12), the contacts' loads (T, 4) [N].
-    """
-    data = mujoco.MjData(model)
-    positions, velocities = rigid_joints(model)
-    data.qpos[positions], data.qvel[velocities] = run.start()
-    geoms = [model.geom(i).name.removeprefix("tyre_") for i in range(model.ngeom)]
-    wheels = {i: WHEELS.index(name) for i, name in enumerate(geoms) if name in WHEELS}
-    signals = run.signals(model.opt.timestep)
-    qpos, qvel = [data.qpos[positions]], [data.qvel[velocities]]
-    load, contact = np.zeros((len(signals), 4)), np.zeros(6)
-    for i, signal in enumerate(signals):
-        act(data, signal)
-        mujoco.mj_step(model, data)
-        qpos.append(data.qpos[positions])
-        qvel.append(data.qvel[velocities])
-        for c in range(data.ncon):
-            mujoco.mj_contactForce(model, data, c, contact)
-            pressed = [wheels[geom] for geom in data.contact[c].geom if geom in wheels]
-            load[i, pressed] += contact[0]
-    return np.array(qpos), np.array(qvel), load
+            mujoco.mj_step(model, data)
+            qpos.append(data.qpos[positions])
+            qvel.append(data.qvel[velocities])
+            for c in range(data.ncon):
+                mujoco.mj_contactForce(model, data, c, contact)
+                pressed = [
+                    wheels[geom] for geom in data.contact[c].geom if geom in wheels
+                ]
+                load[i, pressed] += contact[0]
+        motion = np.array(qpos), np.array(qvel), load, np.array(torques)
+        return Track(run, dt, *motion)
 
 
 Testbed = BrushTestbed | ContactTestbed

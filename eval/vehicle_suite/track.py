@@ -7,7 +7,6 @@ standard's manoeuvre and the car.
 import dataclasses
 import math
 from collections.abc import Callable
-from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -94,105 +93,53 @@ def ramp(final: float, start: float, rise: float) -> Signal:
 INDEX = CarIndex(car_model(COMPACT, 0.01, (0.0, 0.0, -GRAVITY)))
 
 
-@dataclasses.dataclass(frozen=True)
 class Track:
     """A recorded run; row i is the state after i substeps, loads act during row i.
 
     Attributes:
-        run: its inputs.
-        dt: substep [s].
-        qpos: (T + 1, 13) positions, rear axle at the root.
-        qvel: (T + 1, 12) velocities.
-        load: (T, 4) vertical wheel loads [N].
-        drive: (T, 4) drive torque at the wheels [N m].
+        run, params, dt: its inputs, the car and the substep [s].
+        time: (T + 1,) [s].
+        qpos, qvel: (T + 1, 13) and (T + 1, 12), rear axle at the root.
+        load, drive: (T, 4) vertical loads [N] and drive torques [N m] of the wheels.
+        position, yaw: (T + 1, 2) [m] and (T + 1,) [rad] of the rear axle, unwrapped.
+        speed, yaw_rate: (T + 1,) forward [m/s], [rad/s].
+        spin: (T + 1, 4) [rad/s].
+        wheel_angles: (T + 1, 2) of the front wheels about their kingpins [rad].
+        steering: (T + 1,) bicycle angle [rad] that the two have: mean cotangent.
+        rotation: (T + 1, 3, 3) body to world.
+        cg, cg_velocity: (T + 1, 3) of the centre of gravity [m], [m/s], world frame.
     """
 
-    run: Run
-    dt: float
-    qpos: np.ndarray
-    qvel: np.ndarray
-    load: np.ndarray
-    drive: np.ndarray
-
-    @property
-    def params(self) -> VehicleParameters:
-        """The car."""
-        return self.run.params
-
-    @property
-    def time(self) -> np.ndarray:
-        """(T + 1,) [s]."""
-        return np.arange(len(self.qpos)) * self.dt
-
-    def at(self, seconds: float) -> int:
-        """Index of an instant."""
-        return round(seconds / self.dt)
-
-    @cached_property
-    def yaw(self) -> np.ndarray:
-        """(T + 1,) [rad], unwrapped."""
-        w, x, y, z = self.qpos[:, 3:7].T
-        return np.unwrap(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)))
-
-    @property
-    def position(self) -> np.ndarray:
-        """(T + 1, 2) rear-axle centre [m]."""
-        return self.qpos[:, :2]
-
-    @cached_property
-    def velocity(self) -> np.ndarray:
-        """(T + 1, 2) of the rear-axle centre, forward and left on the ground [m/s]."""
-        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
-        x, y = self.qvel[:, 0], self.qvel[:, 1]
-        return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
-
-    @property
-    def speed(self) -> np.ndarray:
-        """(T + 1,) forward [m/s]."""
-        return self.velocity[:, 0]
-
-    @property
-    def yaw_rate(self) -> np.ndarray:
-        """(T + 1,) [rad/s]."""
-        return self.qvel[:, 5]
-
-    @property
-    def spin(self) -> np.ndarray:
-        """(T + 1, 4) [rad/s]."""
-        return self.qvel[:, INDEX.spin_dof]
-
-    @property
-    def wheel_angles(self) -> np.ndarray:
-        """(T + 1, 2) of the front wheels about their kingpins [rad]."""
-        return self.qpos[:, INDEX.steer_qpos]
-
-    @property
-    def steering(self) -> np.ndarray:
-        """(T + 1,) bicycle angle [rad] that the two wheels have: mean cotangent."""
+    def __init__(
+        self,
+        run: Run,
+        dt: float,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        load: np.ndarray,
+        drive: np.ndarray,
+    ) -> None:
+        """Works out motions from what was recorded."""
+        self.run, self.params, self.dt = run, run.params, dt
+        self.qpos, self.qvel, self.load, self.drive = qpos, qvel, load, drive
+        self.time = np.arange(len(qpos)) * dt
+        w, x, y, z = qpos[:, 3:7].T
+        yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+        self.position, self.yaw, self.yaw_rate = qpos[:, :2], np.unwrap(yaw), qvel[:, 5]
+        self.speed = qvel[:, 0] * np.cos(yaw) + qvel[:, 1] * np.sin(yaw)
+        self.spin = qvel[:, INDEX.spin_dof]
+        self.wheel_angles = qpos[:, INDEX.steer_qpos]
         tan = np.tan(self.wheel_angles)
         total = tan.sum(1)
         safe = np.where(np.abs(total) < 1e-12, 1.0, total)
-        return np.arctan(np.where(total == safe, 2 * tan.prod(1) / safe, 0.0))
-
-    @cached_property
-    def rotation(self) -> np.ndarray:
-        """(T + 1, 3, 3) body to world."""
-        return Rotation.from_quat(self.qpos[:, 3:7], scalar_first=True).as_matrix()
-
-    @cached_property
-    def cg(self) -> np.ndarray:
-        """(T + 1, 3) centre of gravity [m]; pitching moves it over the wheels."""
-        return self.qpos[:, :3] + self.rotation @ self._cg_b
-
-    @cached_property
-    def cg_velocity(self) -> np.ndarray:
-        """(T + 1, 3) of the centre of gravity, world frame [m/s]."""
-        turning = np.cross(self.qvel[:, 3:6], self._cg_b)
-        return self.qvel[:, :3] + np.einsum("tij,tj->ti", self.rotation, turning)
-
-    @property
-    def _cg_b(self) -> np.ndarray:
-        return np.array([self.params.cg_to_rear_axle, 0.0, self.params.cg_height])
+        self.steering = np.arctan(np.where(total == safe, 2 * tan.prod(1) / safe, 0.0))
+        quat = qpos[:, 3:7]
+        self.rotation = Rotation.from_quat(quat, scalar_first=True).as_matrix()
+        cg_b = np.array([run.params.cg_to_rear_axle, 0.0, run.params.cg_height])
+        self.cg = qpos[:, :3] + self.rotation @ cg_b
+        turning = np.cross(qvel[:, 3:6], cg_b)
+        turning = np.einsum("tij,tj->ti", self.rotation, turning)
+        self.cg_velocity = qvel[:, :3] + turning
 
     @property
     def lateral_acceleration(self) -> np.ndarray:
@@ -200,6 +147,10 @@ class Track:
         x, y, _ = self.cg_velocity.T
         course = np.unwrap(np.arctan2(y, x))
         return np.hypot(x, y) * np.gradient(course, self.dt)
+
+    def at(self, seconds: float) -> int:
+        """Index of an instant."""
+        return round(seconds / self.dt)
 
     def late(self, values: np.ndarray, seconds: float) -> float:
         """Mean of values (T or T + 1,) over the last seconds."""

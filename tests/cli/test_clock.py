@@ -89,7 +89,7 @@ def test_work_goes_on_without_the_terminal(monkeypatch):
 
     monkeypatch.setattr(os, "write", hang_up)
     clock.printed()
-    clock.stop()
+    clock.set("")
 
 
 def test_without_a_clock_what_is_done_is_printed(monkeypatch, capsys):

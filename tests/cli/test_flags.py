@@ -56,14 +56,9 @@ WIDE = "x" * 300
 BAD = {
     "value": (["--count", "1.5"], "--count takes a whole number, not '1.5'"),
     "value or none": (["--size", "a"], "--size: no type matching {None}|FLOAT"),
-    "values": (["--at", "1", "2", "a"], "--at: no type matching"),
     "refused": (["--eye.reach", "11"], "reach must be at most 10, not 11.0"),
     "choice": (["--eye.kind", "none"], "invalid choice 'none' for argument"),
     "near miss": (
-        ["--counts", "3"],
-        "Unrecognized options: --counts, 3; perhaps you meant --count",
-    ),
-    "nearest of several": (
         ["--siz", "3"],
         "Unrecognized options: --siz, 3; perhaps you meant --size",
     ),

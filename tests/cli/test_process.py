@@ -177,7 +177,6 @@ def test_an_encoding_without_a_character_costs_no_work(run, tmp_path):
         ("MUJOCO_GL", "junk"),
         ("JAX_NUM_CPU_DEVICES", "x"),
         ("JAX_NUM_CPU_DEVICES", "0"),
-        ("JAX_NUM_CPU_DEVICES", "1.5"),
     ],
 )
 def test_an_environment_that_nothing_can_run_in_is_refused(name, value, run, tmp_path):

@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.drives import VAN
 
 import physics_report
+from carpark_mj.config import SimConfig
 from carpark_mj.files import write_csv
 from carpark_mj.vehicle import COMPACT, PRESETS, preset
 from vehicle_suite import chassis, driver, engines, formulas, turns
 from vehicle_suite.report import Row, Study, declared, facts, markdown
-from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
+from vehicle_suite.testbeds import BrushTestbed
 from vehicle_suite.track import Run, circle_radius, crossing, ramp, step
 
 # Round numbers for sums by hand.
@@ -152,17 +154,19 @@ def test_crossings_and_circles():
 # Rows of the suite, quick
 
 
-def check(manoeuvre, bed: BrushTestbed | ContactTestbed, params=COMPACT) -> None:
-    study = Study(bed, "car", params, quick=True)
+def check(manoeuvre, bed, params=COMPACT, quick=True) -> Study:
+    study = Study(bed, "car", params, quick)
     manoeuvre(study)
     assert study.rows
     missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
     assert missed == []
+    return study
 
 
-# Taps are below; `tests/physics` has springs, and contact wheels in MJX and C MuJoCo.
-ELSEWHERE = driver.taps, chassis.suspension, engines.contact_engines
-COSTLY = turns.turning, chassis.slope_hold, engines.brush_engines
+# Taps and brush engines are below; `tests/physics` has springs and contact engines.
+ELSEWHERE = driver.taps, engines.brush_engines
+ELSEWHERE += chassis.suspension, engines.contact_engines
+COSTLY = turns.turning, chassis.slope_hold
 COSTLY += engines.mirror, engines.convergence  # they compile float64
 
 
@@ -184,6 +188,29 @@ def case(tyres: str, manoeuvre):
 )
 def test_the_compact_passes(tyres, manoeuvre):
     check(manoeuvre, physics_report.TESTBEDS[tyres]())
+
+
+# Differs from the car that MJX compiles in everything that a batch may mix.
+UNLIKE = dataclasses.replace(
+    VAN,
+    track_width=1.7,
+    width=1.95,
+    wheel_radius=0.35,
+    wheel_mass=28.0,
+    wheel_inertia=1.8,
+    wheel_tilt_inertia=1.0,
+    knuckle_mass=14.0,
+    ackermann=0.6,
+)
+
+
+@pytest.mark.parametrize("car", [COMPACT, UNLIKE], ids=["compact", "van"])
+def test_a_second_of_driving_agrees_with_c_mujoco_and_mjx(car, bed):
+    study = check(engines.brush_engines, bed, car, quick=False)
+    assert len(study.rows) == 4  # in float32 and float64
+    assert max(row.measured for row in study.rows) < 5e-6  # measured up to 1e-6
+    path = engines.drive_in_c(car, SimConfig(ctrl_dt=0.02, trace_dt=0.02))
+    assert np.linalg.norm(path[-1]) > 1.0  # m
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -2,17 +2,17 @@
 
 import inspect
 import re
-from pathlib import Path
 
 import gymnasium
 from gymnasium import spaces
+from helpers.pages import ROOT, code, section
 
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.tasks.goal_pose import POSE
 from carpark_mj.wrappers.goal import GoalParking
 
-FOLDER = Path(__file__).parents[2] / "docs" / "environments"
+FOLDER = ROOT / "docs" / "environments"
 CONTROLS = (
     ("steer", "target of the road-wheel angle over its limit, left positive"),
     ("pedal", "acceleration forwards; against the motion it brakes"),
@@ -22,11 +22,6 @@ CONTROLS = (
 def read(page):
     """The text of a page."""
     return (FOLDER / f"{page}.md").read_text()
-
-
-def section(text, marker):
-    """What stands on a page between two markers."""
-    return text.split(f"<!-- {marker} -->\n")[1].split(f"<!-- end of {marker}")[0]
 
 
 def table(head, rows):
@@ -80,7 +75,7 @@ def pose(name, env):
 def assert_generated(name, text, marker, expected):
     """Asserts that a table of a page is what `expected` makes of the environment."""
     wanted = expected(name, gymnasium.make_vec(name, num_envs=2).unwrapped)
-    assert section(text, marker) == wanted, f"paste this:\n{wanted}"
+    assert section(text, marker) + "\n" == wanted, f"paste this:\n{wanted}"
 
 
 def arguments(text):
@@ -101,5 +96,5 @@ def assert_arguments(text, kind, defaults):
 
 def run_example(text):
     """Runs the snippet of a page with fewer lots."""
-    [snippet] = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
+    [snippet] = code(text, "python")
     exec(snippet.replace("64", "4"), {})

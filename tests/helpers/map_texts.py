@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 LON, LAT, TURN = 11.5, 48.1, 0.6  # where the lot lies and how it is turned
+TURNED = np.array([[math.cos(TURN), math.sin(TURN)], [-math.sin(TURN), math.cos(TURN)]])
 LENGTH, WIDTH, COUNT = 5.0, 2.5, 6
 RADIUS = 6_378_137.0  # m, of the equator
 
@@ -23,10 +24,7 @@ FAR = rectangle(300, 300, 310, 310)
 
 def geographic(points):
     """Longitude and latitude of points of the lot, by the ellipsoid's two radii."""
-    turn = np.array(
-        [[math.cos(TURN), math.sin(TURN)], [-math.sin(TURN), math.cos(TURN)]]
-    )
-    x, y = (np.array(points, float) @ turn).T
+    x, y = (np.array(points, float) @ TURNED).T
     e2, sine = 0.00669438, math.sin(math.radians(LAT))
     across = RADIUS / math.sqrt(1 - e2 * sine**2)
     along = across * (1 - e2) / (1 - e2 * sine**2)
@@ -105,12 +103,9 @@ def lanelet2(bays=BAYS):
 
 def commonroad(bays=BAYS):
     """A scenario whose goals are the bays; a car starts in the lane for each."""
-    turn = np.array(
-        [[math.cos(TURN), math.sin(TURN)], [-math.sin(TURN), math.cos(TURN)]]
-    )
 
     def points(line):
-        rows = np.array(line, float) @ turn + (3000.0, -500.0)
+        rows = np.array(line, float) @ TURNED + (3000.0, -500.0)
         return "".join(
             f"<point><x>{x!r}</x><y>{y!r}</y></point>" for x, y in rows.tolist()
         )

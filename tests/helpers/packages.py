@@ -1,11 +1,9 @@
 """The packages of `examples/extensions`, used as those who install them use them."""
 
 import os
-import subprocess
-import sys
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from helpers.programs import ROOT, python
+
 PACKAGES = ROOT / "examples" / "extensions"
 # Three updates of PPO.
 TINY = (
@@ -31,15 +29,7 @@ def run(*arguments, extensions, found=None):
         "CARPARK_MJ_EXTENSIONS": ",".join(extensions),
         "COLUMNS": "200",
     }
-    return subprocess.run(
-        [sys.executable, "-m", "carpark_mj", *arguments],
-        cwd=ROOT,
-        env=os.environ | given,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    return python("-m", "carpark_mj", *arguments, cwd=ROOT, **given)
 
 
 def train(*arguments, extensions, runs):

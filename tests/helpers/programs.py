@@ -20,7 +20,7 @@ def exit_code(program: Any, arguments: Sequence[str]) -> int:
     This process is not set up as `enter` does: JAX is running in it.
     """
     if isinstance(program, str):
-        return run_command(program, lambda: programs.call(program, arguments))
+        return run_command(program, lambda: programs.run(program, arguments, False))
     return run_command("program", lambda: program.run(arguments))
 
 
@@ -48,7 +48,7 @@ def python(*arguments: Any, cwd: Any = None, **variables: str | None):
         cwd: where it runs, if not here.
         **variables: of its environment; None = not set.
     """
-    given = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+    given = os.environ | {"PYTHONPATH": str(ROOT)} | variables
     return subprocess.run(
         [sys.executable, *map(str, arguments)],
         cwd=cwd,

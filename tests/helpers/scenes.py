@@ -181,7 +181,7 @@ def mjx_start(seed: int = 0) -> tuple[State, jax.Array]:
 @functools.cache
 def mjx_rollout() -> tuple[State, jax.Array, list[State], list[TimeStep]]:
     """Random driving: start, first observation, then states and time steps (numpy)."""
-    state, observation = start = mjx_start()
+    state, observation = mjx_start()
     rng = np.random.default_rng(0)
     states, timesteps = [], []
     for k in range(300):
@@ -193,7 +193,6 @@ def mjx_rollout() -> tuple[State, jax.Array, list[State], list[TimeStep]]:
         kept = state.replace(key=jax.random.key_data(state.key))
         states.append(jax.device_get(kept))
         timesteps.append(jax.device_get(timestep))
-    del start
     return mjx_start()[0], observation, states, timesteps
 
 

@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-os.environ["JAX_PLATFORMS"] = "cpu"
+os.environ["JAX_PLATFORMS"] = os.environ.get("TEST_PLATFORM", "cpu")
 # Most of the time goes into compiling programs that run once. A third of it is enough:
 # no optimisation, no second thread, XLA's older and quicker emitter of fused
 # operations, and no record of the Python lines that operations come from.

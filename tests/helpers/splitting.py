@@ -6,7 +6,6 @@ holds what was learned: arrays named `devices/number`, and losses.
 
 import dataclasses
 import os
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from helpers.programs import ROOT, python
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
@@ -27,7 +27,6 @@ from carpark_mj.training.ppo.collect import AXIS, Rollout
 from carpark_mj.training.ppo.learn import learn, network_params
 from carpark_mj.training.ppo.parts import PRESETS
 
-ROOT = Path(__file__).parents[2]
 LENGTH, AGENTS, SIZE = 8, 8, 4
 DEVICES = (1, 2, 4)
 # Actions and a preset of each variant; `ml-agents` is of carpark_papers.
@@ -113,14 +112,7 @@ def learned_by(variant: str, path: Path) -> dict[str, np.ndarray]:
     """What all numbers of devices learn, in a process with four, by `devices/what`."""
     paths = os.pathsep.join(str(ROOT / name) for name in ("", "tests", "papers"))
     environment = {"JAX_NUM_CPU_DEVICES": "4", "PYTHONPATH": paths}
-    done = subprocess.run(
-        [sys.executable, __file__, variant, str(path)],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    done = python(__file__, variant, path, **environment)
     assert done.returncode == 0, done.stderr
     with np.load(path) as file:
         return {name: file[name] for name in file.files}

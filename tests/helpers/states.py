@@ -1,5 +1,6 @@
 """States of a lot by hand, without an environment."""
 
+import collections
 from typing import Any
 
 import jax
@@ -18,21 +19,20 @@ def array_module(*values: Any) -> Any:
     return jnp if traced else np
 
 
-@struct.dataclass
-class HandCar:
-    """What the task reads of `carpark_mj.vehicle.Vehicle`, (num_agents,)."""
-
-    size: jax.Array
-    wheelbase: jax.Array
-    centre_offset: jax.Array
-    max_speed: jax.Array
-    max_reverse_speed: jax.Array
-    max_steering: jax.Array
-    steering_rate: jax.Array
-    wheel_radius: jax.Array
-    track_width: jax.Array
-    max_acceleration: jax.Array
-    max_deceleration: jax.Array
+CAR = {
+    "wheelbase": 2.5,
+    "centre_offset": 1.25,
+    "max_speed": 3.0,
+    "max_reverse_speed": 2.0,
+    "max_steering": 0.6,
+    "steering_rate": 0.5,
+    "wheel_radius": 0.3,
+    "track_width": 1.5,
+    "max_acceleration": 2.0,
+    "max_deceleration": 4.0,
+}
+# What the task reads of `carpark_mj.vehicle.Vehicle`, (num_agents,).
+HandCar = collections.namedtuple("HandCar", ("size", *CAR))
 
 
 @struct.dataclass
@@ -44,18 +44,7 @@ class HandPhysics:
 
 def hand_cars(motion: Motion, **parameters: Any) -> HandCar:
     """Parameters of the cars of a motion; scalars hold for all of them."""
-    values = {
-        "wheelbase": 2.5,
-        "centre_offset": 1.25,
-        "max_speed": 3.0,
-        "max_reverse_speed": 2.0,
-        "max_steering": 0.6,
-        "steering_rate": 0.5,
-        "wheel_radius": 0.3,
-        "track_width": 1.5,
-        "max_acceleration": 2.0,
-        "max_deceleration": 4.0,
-    } | parameters
+    values = CAR | parameters
     lead, xp = motion.yaw_rate.shape, array_module(values)
     full = {
         name: jnp.asarray(xp.broadcast_to(xp.asarray(value, np.float32), lead))

@@ -27,10 +27,10 @@ OTHERS = {"gear": 1, "remark": "none"}
 @pytest.fixture(scope="module")
 def logs():
     """Logs of C MuJoCo by what the driver does."""
-    drives = [
-        Drive(TRUE, COMPACT, kind, 5, SECONDS, SIM_DT) for kind in ("full", "circle")
-    ]
-    return dict(zip(("full", "circle"), record(drives), strict=True))
+    return {
+        kind: record(Drive(TRUE, COMPACT, kind, 5, SECONDS, SIM_DT))
+        for kind in ("full", "circle")
+    }
 
 
 def rows_of(log, **units):
@@ -85,7 +85,7 @@ def test_intervals_cover_a_car_of_other_equations(stops, car):
 
 
 def test_what_a_log_does_not_tell_keeps_its_value(logs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(command, "identify", partial(identify, sim_dt=SIM_DT))
+    monkeypatch.setattr(command.fitting, "identify", partial(identify, sim_dt=SIM_DT))
     path = write(tmp_path / "log.csv", rows_of(logs["circle"]))
     out = tmp_path / "my_car.yaml"
     assert main([path, "--vehicle", "compact", "--out", str(out)]) == 0

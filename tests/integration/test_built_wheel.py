@@ -1,19 +1,17 @@
 """The wheel alone, in a process outside the checkout: it is the whole product."""
 
 import importlib.metadata
-import os
 import subprocess
 import sys
 import zipfile
-from pathlib import Path
 
 import pytest
+from helpers.programs import ROOT, python
 
 pytest.importorskip("hatchling")
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[2]
 USE = """
 import sys
 from pathlib import Path
@@ -66,21 +64,8 @@ def wheel(tmp_path_factory):
     return folder / "installed"
 
 
-def python(wheel, cwd, *arguments):
-    """Runs Python where only the wheel has a carpark_mj."""
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(wheel)},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-
-
 def test_it_trains_evaluates_renders_exports_and_checks_layouts(wheel, tmp_path):
-    done = python(wheel, tmp_path, "-c", USE, str(wheel))
+    done = python("-c", USE, wheel, cwd=tmp_path, PYTHONPATH=str(wheel))
     assert done.returncode == 0, done.stderr
 
 
@@ -88,7 +73,8 @@ def test_its_command_lists_the_programs(wheel, tmp_path):
     [found] = importlib.metadata.distributions(path=[str(wheel)])
     [command] = found.entry_points.select(group="console_scripts")
     assert (command.name, command.value) == ("carpark_mj", "carpark_mj.__main__:main")
-    done = python(wheel, tmp_path, "-m", "carpark_mj", "--help")
+    flags = "-m", "carpark_mj", "--help"
+    done = python(*flags, cwd=tmp_path, PYTHONPATH=str(wheel))
     assert done.returncode == 0, done.stderr
     for name in ("train", "evaluate", "render", "scene", "play", "layouts", "suite"):
         assert f"\n  {name} " in done.stdout

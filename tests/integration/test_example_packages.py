@@ -10,7 +10,6 @@ import tomllib
 
 import pytest
 from helpers.packages import PACKAGES, run, train
-from helpers.programs import exit_code
 
 pytestmark = pytest.mark.slow
 
@@ -89,18 +88,6 @@ def test_the_policy_is_read_back_with_them_and_refused_without(trained, tmp_path
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)
         assert "unknown" in done.stderr
         assert repr(missing) in done.stderr
-
-
-@pytest.mark.parametrize("name", ["layout", "vehicle", "movers", "physics"])
-def test_without_its_package_a_name_is_refused_in_one_line(name, capsys, tmp_path):
-    packages = {"layout": "court", "vehicle": "taxi", "movers": "rail_cart"}
-    package = packages.get(name, "hover")
-    flags = ["--preset", "cpu", f"--env.{name}", package, "--runs-dir", str(tmp_path)]
-    assert exit_code("train", flags) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "unknown" in told
-    assert repr(package) in told
 
 
 def test_courts_are_checked_by_their_name():

@@ -2,17 +2,14 @@
 
 import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from helpers.programs import ROOT, python
 
 from carpark_mj.training import Run
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[2]
 MODULE = """
 from carpark_mj.extensions import Entry
 from carpark_mj.programs import STUDY_PROGRAMS
@@ -80,18 +77,8 @@ def installed(package):
 
 
 def command(package, *arguments, **environment):
-    return subprocess.run(
-        [sys.executable, "-m", "carpark_mj", *arguments],
-        env={
-            **os.environ,
-            **environment,
-            "PYTHONPATH": os.pathsep.join([str(ROOT), str(package)]),
-        },
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    path = os.pathsep.join([str(ROOT), str(package)])
+    return python("-m", "carpark_mj", *arguments, PYTHONPATH=path, **environment)
 
 
 def test_a_named_module_s_preset_and_variant_train(package, tmp_path):

@@ -32,7 +32,7 @@ def test_our_car_stays_with_the_referee(found, name, model, metres, degrees):
     trial = found[name]
     path = trial.paths[model]
     assert np.linalg.norm(np.diff(path.position, axis=0), axis=1).sum() > 10.0  # m
-    distance, yaw = referee.apart(trial.track, path, trial.rear_axle)
+    distance, yaw = trial.apart(model)
     assert distance[0] == pytest.approx(0.0, abs=1e-6)
     assert distance.max() < metres
     assert np.degrees(np.abs(yaw)).max() < degrees

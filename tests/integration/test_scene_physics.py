@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers.coulomb import slide
 from helpers.states import parked_in, state_of
+from scipy.spatial.transform import Rotation
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
 from carpark_mj.env import ParkingEnv
@@ -156,20 +157,14 @@ def configurations():
     def rear(p):
         return p[:, :2] - offset * np.stack([np.cos(p[:, 2]), np.sin(p[:, 2])], -1)
 
-    axes = np.eye(3)
+    angles = np.concatenate([pose[..., 2:], tilt], axis=-1).reshape(-1, 3)
+    turned = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
+    turned = turned.reshape(count, AGENTS, 4)
     for k in range(count):
         axles = rear(pose[k])
         for agent in range(AGENTS):
             q = data.joint(f"agent{agent}/root").qpos
-            quats = [np.zeros(4) for _ in range(3)]
-            angles = (pose[k, agent, 2], *tilt[k, agent])
-            for quat, axis, angle in zip(quats, axes[[2, 1, 0]], angles, strict=True):
-                mujoco.mju_axisAngle2Quat(quat, axis, angle)
-            yaw_pitch, quat = np.zeros(4), np.zeros(4)
-            mujoco.mju_mulQuat(yaw_pitch, quats[0], quats[1])
-            mujoco.mju_mulQuat(quat, yaw_pitch, quats[2])
-            q[:3] = *axles[agent], 0.0
-            q[3:] = quat
+            q[:2], q[2], q[3:] = axles[agent], 0.0, turned[k, agent]
         parked = bay_pose[bays[k]]
         data.qpos[physics.scene.qpos_address[AGENTS * 13 :]] = np.column_stack(
             [rear(parked), parked[:, 2]]

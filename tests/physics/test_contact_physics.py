@@ -1,19 +1,19 @@
 """Contact wheels in MJX: against C MuJoCo, against formulas, and locked."""
 
 import functools
-import math
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.mjx_step import ContactPhysics, axle_friction, contact_car_model
-from carpark_mj.vehicle import COMPACT, drive, make_vehicle, preset
+from carpark_mj.physics.mjx_step import ContactPhysics, axle_friction
+from carpark_mj.vehicle import COMPACT, make_vehicle, preset
+from vehicle_suite.in_c import CCar
 
 SIM = SimConfig(sim_dt=0.004, ctrl_dt=0.02, trace_dt=0.02, tyres="contact")
+START = (1.0, 2.0, 0.3)
 
 
 def pedals(*stretches):
@@ -38,7 +38,7 @@ def driven():
     controls = jnp.array(np.stack(list(CASES.values()), axis=1))
     count = len(CASES)
     fleet = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), vehicle)
-    state = physics.init(jnp.tile(jnp.array([1.0, 2.0, 0.3]), (count, 1)), fleet)
+    state = physics.init(jnp.tile(jnp.array(START), (count, 1)), fleet)
 
     def step(state, control):
         state = physics.step(state, control)
@@ -49,40 +49,9 @@ def driven():
     return [np.asarray(x).swapaxes(0, 1) for x in out]
 
 
-def in_c(controls):
-    """The same in C MuJoCo; poses (T, 3) of the footprint."""
-    model = contact_car_model(COMPACT, SIM)
-    data = mujoco.MjData(model)
-    yaw, vehicle = 0.3, make_vehicle(COMPACT)
-    offset = COMPACT.centre_offset
-    data.qpos[:2] = 1.0 - offset * math.cos(yaw), 2.0 - offset * math.sin(yaw)
-    data.qpos[3:7] = math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)
-    spin = [model.joint(f"spin_{w}").dofadr[0] for w in ("fl", "fr", "rl", "rr")]
-    actuate = jax.jit(functools.partial(drive.actuate, vehicle, dt=SIM.sim_dt))
-    friction = jax.jit(functools.partial(axle_friction, vehicle))
-    actuators, poses = drive.init_actuators(vehicle), []
-    for control in controls:
-        for _ in range(SIM.num_substeps):
-            w, x, y, z = data.qpos[3:7]
-            ahead = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-            rolled = COMPACT.wheel_radius * (data.qvel[spin] @ vehicle.drive_share)
-            speeds = np.array(ahead) @ data.qvel[:3], rolled
-            actuators, ctrl, brake = actuate(actuators, tuple(control), *speeds)
-            data.ctrl[:] = ctrl
-            data.qfrc_applied[spin] = actuators.drive * vehicle.drive_share
-            model.dof_frictionloss[spin] = friction(brake * vehicle.brake_share)
-            data.qacc_warmstart[:] = 0.0
-            mujoco.mj_step(model, data)
-        w, x, y, z = data.qpos[3:7]
-        heading = math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
-        x, y = data.qpos[:2] + offset * np.array([math.cos(heading), math.sin(heading)])
-        poses.append([x, y, heading])
-    return np.array(poses)
-
-
 def test_five_seconds_with_a_braked_turn_agree_with_c_mujoco():
     poses = driven()[0][list(CASES).index("turn")]
-    expected = in_c(CASES["turn"])
+    expected = CCar(COMPACT, SIM, START).drive(CASES["turn"])
     assert np.linalg.norm(expected[-1, :2] - expected[0, :2]) > 2.0
     assert np.abs(poses - expected).max() < 1e-3
 

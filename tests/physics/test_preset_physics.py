@@ -9,10 +9,10 @@ import pytest
 from helpers.cars import ROAD_CARS
 
 from carpark_mj.config import SimConfig
-from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.vehicle import Vehicle, make_vehicle
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import SURFACES, with_grip, with_mass
+from vehicle_suite.driver import Driver, drive
 
 NAMES = list(ROAD_CARS)
 VARIANTS = ("plain", "loaded", "wet", "ice")
@@ -30,27 +30,6 @@ def make(name: str, variant: str) -> Vehicle:
     return with_grip(vehicle, grip / SURFACES["dry"])
 
 
-def drive(sim: SimConfig, pose: np.ndarray, fleet: Vehicle, pedals: np.ndarray):
-    """Poses (T, n, 3) and forward speeds (T, n) of cars with given pedals (T,).
-
-    A brake pedal (< 0) is let go below 0.2 m/s, where it would soon reverse: the hold
-    takes over.
-    """
-    physics = MjxPhysics(sim)
-
-    def step(state, pedal):
-        slow = physics.read(state).speed < 0.2
-        pedal = jnp.where((pedal < 0) & slow, 0.0, pedal)
-        controls = jnp.stack([jnp.zeros(len(pose)), pedal], -1)
-        state = physics.step(state, controls)
-        seen = physics.read(state)
-        return state, (seen.pose_w, seen.speed)
-
-    run = jax.jit(lambda state: jax.lax.scan(step, state, jnp.asarray(pedals)))
-    _, track = run(physics.init(jnp.asarray(pose, jnp.float32), fleet))
-    return [np.asarray(x, np.float64) for x in track]
-
-
 def stack(vehicles: list[Vehicle]) -> Vehicle:
     return jax.tree.map(lambda *x: jnp.stack(x), *vehicles)
 
@@ -62,11 +41,17 @@ def fleet() -> Vehicle:
 
 @pytest.fixture(scope="module")
 def run(fleet: Vehicle) -> dict:
-    """Full throttle for 6 s, then full brake for 8 s; every 20 ms."""
-    pedals = np.repeat([1.0, -1.0], [BRAKE, 400]).astype(np.float32)
-    sim = SimConfig(ctrl_dt=0.02)
-    pose, speed = drive(sim, np.zeros((len(CARS), 3)), fleet, pedals)
-    return {car: (pose[:, k, 0], speed[:, k]) for k, car in enumerate(CARS)}
+    """Full throttle for 6 s, then full brake for 8 s; ways and speeds every 20 ms.
+
+    The brake pedal is let go below 0.2 m/s, where it would soon reverse: the hold takes
+    over.
+    """
+    pedals = np.zeros((BRAKE + 400, len(CARS), 2))
+    pedals[..., 1] = np.where(np.arange(len(pedals)) < BRAKE, 1.0, -1.0)[:, None]
+    driver = Driver(release=0.2, after=BRAKE)
+    motion = drive(SimConfig(ctrl_dt=0.02), fleet, pedals, driver=driver)
+    x, speed = np.float64(motion.pose_w)[..., 0], np.float64(motion.speed)
+    return {car: (x[:, k], speed[:, k]) for k, car in enumerate(CARS)}
 
 
 def numbers(name: str, variant: str) -> tuple[float, float, float]:
@@ -120,14 +105,11 @@ def test_every_car_comes_to_rest_and_stays(run, name):
 def test_the_brake_holds_every_preset_on_a_slope_of_a_fifth(fleet):
     # Uphill, downhill and across; standing cars on dry ground, hold for 6 s.
     rows = [k for k, (_, variant) in enumerate(CARS) if variant == "plain"]
-    yaws = (0.0, np.pi, np.pi / 2, 0.7)
-    pose = np.array([(0.0, 0.0, yaw) for yaw in yaws for _ in rows])
-    chosen = jax.tree.map(
-        lambda x: jnp.tile(x[np.array(rows)], (4, *[1] * (x.ndim - 1))), fleet
-    )
+    yaws = np.repeat((0.0, np.pi, np.pi / 2, 0.7), len(rows))
+    chosen = jax.tree.map(lambda x: x[np.tile(rows, 4)], fleet)
     sim = SimConfig(ctrl_dt=0.2, grade_x=GRADE)
-    pose, speed = drive(sim, pose, chosen, np.zeros(30, np.float32))
-    drift = np.linalg.norm(pose[-1, :, :2] - pose[15, :, :2], axis=-1)
-    assert drift.max() < 1e-4  # m in 3 s, once settled
-    assert np.linalg.norm(pose[-1, :, :2], axis=-1).max() < 0.1
-    assert np.abs(speed[-1]).max() < 1e-4
+    motion = drive(sim, chosen, np.zeros((30, len(yaws), 2)), yaw=yaws)
+    xy = np.asarray(motion.pose_w)[..., :2]
+    assert np.linalg.norm(xy[-1] - xy[15], axis=-1).max() < 1e-4  # m, once settled
+    assert np.linalg.norm(xy[-1], axis=-1).max() < 0.1
+    assert np.abs(motion.speed[-1]).max() < 1e-4

@@ -1,20 +1,23 @@
-"""Checkpoints: exact round trips, whole files only, one clear line when it fails."""
+"""Checkpoints and configs: exact round trips, whole files only, or one clear line."""
 
+import dataclasses
+import json
 import signal
-import struct
 import subprocess
 import sys
-import zipfile
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.mutating import with_junk
 from helpers.trees import same
 
 from carpark_mj.files import write_atomically
-from carpark_mj.policy import checkpoints, runs
+from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
+from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.parts import PRESETS
 
 # Writes a checkpoint, and is killed before the file has its name.
 KILLED = """
@@ -74,22 +77,6 @@ def test_a_truncated_checkpoint_is_one_clear_error(tmp_path, kept):
     assert "\n" not in str(caught.value)
 
 
-def test_a_flipped_byte_in_the_data_is_noticed(tmp_path):
-    path = tmp_path / "a.npz"
-    checkpoints.save(path, tree(), {})
-    data = path.read_bytes()
-    with zipfile.ZipFile(path) as archive:
-        [entry] = [e for e in archive.infolist() if "kernel" in e.filename]
-    # Name and extra field follow the 30 bytes of the local header, their lengths last.
-    name, extra = struct.unpack_from("<HH", data, entry.header_offset + 26)
-    first = entry.header_offset + 30 + name + extra
-    # The last byte only ends the stream.
-    for at in range(first, first + entry.compress_size - 1):
-        path.write_bytes(data[:at] + bytes([data[at] ^ 0xFF]) + data[at + 1 :])
-        with pytest.raises(CheckpointError, match=r"damaged|truncated"):
-            checkpoints.load(path, tree())
-
-
 def test_foreign_files_are_refused_by_name(tmp_path):
     text, archive, array = (tmp_path / n for n in ("a.txt", "b.npz", "c.npy"))
     text.write_text("hello")
@@ -146,3 +133,52 @@ def test_the_newest_readable_checkpoint_is_found(tmp_path):
     path.write_bytes(b"")
     with pytest.raises(CheckpointError, match=newest.name):
         runs.latest_checkpoint(tmp_path)
+
+
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_a_config_survives_json(name):
+    config = dataclasses.replace(PRESETS[name], seed=5, learning_rate=1e-3)
+    text = json.dumps(dataclasses.asdict(config))
+    assert runs.from_dict(PPOConfig, json.loads(text)) == config
+
+
+@dataclasses.dataclass(frozen=True)
+class Eye:
+    reach: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Seeing:
+    eye: Eye = dataclasses.field(default_factory=Eye)
+    other: Eye | None = None
+
+
+@pytest.mark.parametrize("other", [None, Eye(2.0)])
+def test_a_config_inside_a_config_or_none_survives_json(other):
+    text = json.dumps(dataclasses.asdict(Seeing(Eye(3.0), other)))
+    assert runs.from_dict(Seeing, json.loads(text)) == Seeing(Eye(3.0), other)
+
+
+def test_an_older_checkpoint_is_refused_before_it_is_read(tmp_path):
+    header = {"config": {"env": {"gone": 1}}, "env_steps": 8}
+    path = runs.save_checkpoint(tmp_path / "x", {"a": np.zeros(1)}, header, 8)
+    for run in (tmp_path / "x", path):
+        with pytest.raises(CheckpointError, match="unusable config"):  # not its age
+            loading.load_policy(run)
+    checkpoints.save(path, {"a": np.zeros(1)}, header)
+    for run in (tmp_path / "x", path):
+        with pytest.raises(CheckpointError, match=r"is of another carpark"):
+            loading.load_policy(run)
+
+
+@pytest.mark.parametrize("preset", ["anywhere", "dynamic"])
+def test_settings_with_junk_are_a_config_or_refused(preset):
+    data = dataclasses.asdict(PRESETS[preset])
+    for seed in range(300):
+        try:
+            config = runs.from_dict(PPOConfig, with_junk(data, seed))
+        except ValueError:
+            continue
+        hash(config)  # so nowhere a list or a dictionary
+        again = json.loads(json.dumps(dataclasses.asdict(config)))
+        assert runs.from_dict(PPOConfig, again) == config

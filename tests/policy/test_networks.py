@@ -226,15 +226,6 @@ def test_statistics_are_those_of_all_slots_and_updates_together(counted):
     assert_statistics(normalizer, counted.reshape(-1, 11))
 
 
-def test_observations_without_weight_do_not_count(counted):
-    normalizer = init_normalizer(SETS)
-    for part, weight in zip(counted, WEIGHT, strict=True):
-        part = jnp.asarray(part).reshape(3, 2, 11)  # any leading dimensions
-        weight = jnp.asarray(weight).reshape(3, 2)
-        normalizer = update_normalizer(SETS, normalizer, part, weight)
-    assert_statistics(normalizer, counted[WEIGHT > 0])
-
-
 @pytest.mark.parametrize("weight", [None, WEIGHT])
 def test_what_devices_have_seen_is_added_together(counted, weight):
     def update(part, weight):

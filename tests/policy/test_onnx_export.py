@@ -105,16 +105,6 @@ def test_a_model_acts_like_its_policy(name, encoder):
     assert np.ptp(action, axis=0).min() > 0.1  # it depends on what is seen
 
 
-def test_the_model_says_what_its_inputs_are():
-    model = make_model(untrained(ENVS["chosen"]))
-    meanings = {value.name: value.doc_string for value in model.graph.input}
-    assert meanings["speed"] == "-1.5 … 1.5: own signed speed [forward limit]"
-    assert all(meanings.values())
-    assert model.graph.output[0].doc_string == (
-        "steer and pedal in [-1, 1], an index below 4"
-    )
-
-
 def test_rounding_is_that_of_float32_and_small_for_small_sums():
     env = ENVS["fixed"]
     seen = observations(env, 100)

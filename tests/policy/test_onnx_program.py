@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.geometry import box_room, boxes, norm, to_local, wrap_angle
+from carpark_mj.geometry import boxes, norm, to_local, wrap_angle
 from carpark_mj.policy.onnx_program import make_graph
 
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -83,11 +83,6 @@ CASES = {
     "poses": (lambda x, y: to_local(x[:, :3], y[:, :3]), X, Y),
     "angles": (lambda x: wrap_angle(9.0 * x), X),
     "lengths": (lambda x: norm(x[..., :2]), X),
-    "room": (
-        lambda x, y: box_room(x[:, :3], x[:, 3:] ** 2, y[:, :3], y[:, 3:] ** 2),
-        X,
-        Y,
-    ),
     "distances": (
         lambda x, y: boxes.box_distance(
             x[:, :3], x[:, 3:] ** 2, y[:, None, :3], y[:, None, 3:] ** 2

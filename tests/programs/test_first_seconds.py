@@ -22,7 +22,8 @@ find = importlib.util.find_spec
 importlib.util.find_spec = lambda name: None if name in needed else find(name)
 seen, words = {}, {"layouts import": ["a.osm", "--out", "b.json"]}
 words |= {"suite": ["zero", "--cases", "1"], "sweep": ["--base", "cpu"]}
-words |= {"scenario": ["a.yaml"]}
+words["scenario"] = ["a.yaml", "zero"]
+words["report"] = ["runs/a"]
 missing = []
 for name, command in COMMANDS.items():
     if command.needs:

@@ -114,7 +114,7 @@ def test_a_resumed_run_has_the_minutes_that_are_left(tmp_path):
     assert again == rows
 
 
-def test_the_budget_is_of_steps_of_present_agents(tmp_path, capsys):
+def test_the_budget_is_of_steps_of_present_agents(tmp_path):
     # One or two agents in each of two lots, three on average, for 16 steps.
     expected, env = 3 * 16, dataclasses.replace(CONFIG.env, min_agents=1)
     changes = {"env": env, "num_steps": 50 * expected, "critic_steps": 10 * expected}
@@ -128,8 +128,6 @@ def test_the_budget_is_of_steps_of_present_agents(tmp_path, capsys):
     assert rows[-1]["steps_per_second"] == pytest.approx(PRESENT / 0.7, rel=1e-5)
     header = checkpoints.read_header(runs.latest_checkpoint(tmp_path))
     assert header["env_steps"] == made[-1]
-    said = capsys.readouterr().out
-    assert "or 0.0024 M steps" in said
 
 
 def test_progress_is_the_further_of_steps_and_time_and_ends_at_1():
@@ -138,10 +136,7 @@ def test_progress_is_the_further_of_steps_and_time_and_ends_at_1():
     assert CONFIG.progress(30, 61.0) == CONFIG.progress(100, 0.0) == 1.0
 
 
-def test_a_run_says_before_how_long_it_takes(tmp_path, capsys):
-    trained(tmp_path, 0.7)
-    out = capsys.readouterr().out
-    assert "for at most 1 min or 0.0064 M steps" in out
+def test_a_run_says_before_how_long_it_takes():
     cpu = PRESETS["cpu"]
     whole = announcement(dataclasses.replace(cpu, minutes=0.0), 0, 0.0)
     assert whole.endswith("for 50 M steps, then evaluates and renders")

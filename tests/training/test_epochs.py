@@ -1,4 +1,4 @@
-"""What the epochs of an update learn with: schedules, the discount, and which steps."""
+"""What the epochs of an update learn with: schedules, advantages, and which steps."""
 
 import collections
 
@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from brax.training.agents.ppo.losses import compute_gae
 from helpers.learning import begun, rollout
 
 from carpark_mj.config import EnvConfig
@@ -15,7 +16,7 @@ from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
 from carpark_mj.policy.networks import NetworkConfig, make_networks
 from carpark_mj.training.ppo import variants
-from carpark_mj.training.ppo.collect import AXIS
+from carpark_mj.training.ppo.collect import AXIS, compute_advantages
 from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
 from carpark_mj.training.ppo.learn import learn, schedule
 
@@ -119,3 +120,51 @@ def test_every_epoch_learns_from_all_agents_in_other_minibatches(monkeypatch):
     assert times == dict.fromkeys(range(AGENTS), CONFIG.num_epochs)
     # In any fixed order the same four would come in every epoch.
     assert len(set(seen)) > 2 * PARTS
+
+
+def made(*ends):
+    """A rollout with a reward, and whether it terminated or was cut off."""
+    names, arrays = ("reward", "terminated", "truncated"), map(jnp.float32, ends)
+    return rollout(ends[0].shape, **dict(zip(names, arrays, strict=True)))
+
+
+def three_steps(reward, terminated, truncated):
+    """Advantages and targets of one agent: values 1, 2, 3, then 4."""
+    values = jnp.array([[1.0], [2.0], [3.0]])
+    steps = made(*(np.reshape(x, (3, 1)) for x in (reward, terminated, truncated)))
+    found = compute_advantages(steps, values, jnp.array([4.0]), 0.5, 0.9)
+    return [np.asarray(x)[:, 0] for x in found]
+
+
+NEVER, SECOND = (0, 0, 0), (0, 1, 0)
+
+
+def test_a_terminated_step_is_worth_its_reward():
+    advantage, target = three_steps((1, 1, 1), SECOND, NEVER)
+    # Backwards: 1 + 0.5 * 4 - 3; 1 - 2; 1 + 0.5 * (2 - 1) - 1.
+    np.testing.assert_allclose(advantage, [0.5, -1.0, 0.0])
+    # With lambda 0.9: 1 + 0.5 * 2 - 1 + 0.45 * -1 above the value of 1.
+    np.testing.assert_allclose(target, [1.55, 1.0, 3.0], rtol=1e-6)
+
+
+def test_a_truncated_step_is_masked_and_bootstrapped():
+    advantage, target = three_steps((1, 2, 1), NEVER, SECOND)
+    # The first: 1 + 0.5 * 2 - 1, as if the second step had met its value of 2.
+    np.testing.assert_allclose(advantage, [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(target, [2.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("gae_lambda", [0.0, 0.92, 1.0])
+def test_advantages_are_brax_s(gae_lambda):
+    rng = np.random.default_rng(0)
+    reward, values = jnp.asarray(rng.normal(size=(2, 20, 30)), jnp.float32)
+    final = jnp.asarray(rng.normal(size=30), jnp.float32)
+    ends = jnp.asarray(rng.random((20, 30)) < 0.2, jnp.float32)
+    cut = ends * (rng.random((20, 30)) < 0.5)
+    steps = made(reward, ends - cut, cut)
+    ours = compute_advantages(steps, values, final, 0.99, gae_lambda)
+    targets, advantages = compute_gae(
+        cut, ends - cut, reward, values, final, gae_lambda, 0.99
+    )
+    np.testing.assert_array_equal(ours[0], advantages)
+    np.testing.assert_array_equal(ours[1], targets)

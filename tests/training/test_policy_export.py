@@ -48,7 +48,7 @@ def known():
 def quick(monkeypatch, known):
     """Fewer observations are compared, and each roll-out is driven once."""
     monkeypatch.setattr(command, "CHECKED", 200)
-    drive, disturb = command.rollout, command.sensitivity
+    drive, disturb = command.rollout, command.onnx_export.sensitivity
 
     def rollout(loaded, count, seed, rows=None):
         key = "rollout", loaded.env, count, seed, rows
@@ -63,7 +63,7 @@ def quick(monkeypatch, known):
         return known[key]
 
     monkeypatch.setattr(command, "rollout", rollout)
-    monkeypatch.setattr(command, "sensitivity", sensitivity)
+    monkeypatch.setattr(command.onnx_export, "sensitivity", sensitivity)
 
 
 def refused(capsys, *words, said):
@@ -110,7 +110,7 @@ def test_a_pretrained_policy_is_exported_into_runs(
 def test_a_model_that_acts_otherwise_is_not_written(
     trained, tmp_path, capsys, monkeypatch, quick
 ):
-    make = command.make_model
+    make = command.onnx_export.make_model
 
     def wrong(loaded):
         def act(observation, key):
@@ -119,7 +119,7 @@ def test_a_model_that_acts_otherwise_is_not_written(
 
         return make(dataclasses.replace(loaded, policy=act))
 
-    monkeypatch.setattr(command, "make_model", wrong)
+    monkeypatch.setattr(command.onnx_export, "make_model", wrong)
     said = "differs from the policy by 2e-05"
     refused(capsys, trained, "--out", tmp_path / "a.onnx", said=said)
     assert list(tmp_path.iterdir()) == []
@@ -133,7 +133,7 @@ def test_a_model_with_the_observation_inside_is_checked_too(
     assert exit_code("export", flags) == 0
     assert "200 observations of a roll-out: " in capsys.readouterr().out
     assert out.exists()
-    make, made = command.make_car_model, []
+    make, made = command.onnx_export.make_car_model, []
 
     def wrong(loaded, rows):
         policy = loaded.policy
@@ -142,14 +142,16 @@ def test_a_model_with_the_observation_inside_is_checked_too(
             made.append(make(dataclasses.replace(loaded, policy=other), rows))
         return made[0]
 
-    monkeypatch.setattr(command, "make_car_model", wrong)
+    monkeypatch.setattr(command.onnx_export, "make_car_model", wrong)
     out.unlink()
     refused(capsys, *flags, said="differs from the policy by 0.002")
     assert not out.exists()
     # It may where float32 costs as much, and in no other state.
     for costly, code in ((200, 0), (199, 2)):
         cost = np.where(np.arange(200) < costly, 1.0, 0.0)
-        monkeypatch.setattr(command, "sensitivity", lambda *_, cost=cost: cost)
+        monkeypatch.setattr(
+            command.onnx_export, "sensitivity", lambda *_, cost=cost: cost
+        )
         assert exit_code("export", flags) == code
 
 
@@ -166,7 +168,6 @@ def test_observations_of_a_rollout_are_of_agents_that_drive(trained, quick):
 BAD = {
     "no run": ("nowhere", "no run folder or checkpoint at nowhere"),
     "another format": ("zero --out a.pb", "out must end in .onnx or .npz"),
-    "no argument": ("", "RUN"),
     "unwritable": ("{run} --out /proc/a.npz", "/proc/a.npz"),
 }
 

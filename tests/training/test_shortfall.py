@@ -8,19 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.sliding import POSES, SlidePhysics
-from helpers.trees import same
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import StreetConfig, layout_config
 from carpark_mj.layouts.registry import mixture
-from carpark_mj.policy import checkpoints
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training.ppo.collect import (
     MEMORY,
     Families,
     Totals,
-    TrainingState,
     make_families,
 )
 from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
@@ -189,15 +186,6 @@ def test_the_family_that_falls_short_gets_more_lots():
     for rates, share in (([0.95, 0.1], 0.75), ([0.1, 0.95], 0.25)):
         found = np.asarray(draw(jnp.array(rates))).sum(axis=1) == 10
         assert found.mean() == pytest.approx(share, abs=0.1)
-
-
-@pytest.mark.slow
-def test_a_resumed_training_is_the_same_bit_for_bit(tmp_path):
-    learner_, update = learner()
-    state, _ = update(learner_.init())
-    checkpoints.save(tmp_path / "1.npz", vars(jax.device_get(state)), {})
-    tree = checkpoints.load(tmp_path / "1.npz", vars(learner_.shapes()))
-    assert same(update(state)[0], update(learner_.place(TrainingState(**tree)))[0])
 
 
 def test_without_a_target_lots_are_drawn_with_the_keys_of_before():

@@ -21,15 +21,7 @@ from carpark_mj.vehicle.contact_wheels import (
 )
 from carpark_mj.vehicle.mjcf import WHEELS, add_car, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, kerb_to_kerb
-
-
-def wheel_angles(params, angle):
-    """Ackermann by its definition: both wheels point at one centre."""
-    if angle == 0:
-        return 0.0, 0.0
-    radius = params.wheelbase / math.tan(angle)
-    half = params.track_width / 2
-    return tuple(math.atan(params.wheelbase / (radius + s * half)) for s in (-1, 1))
+from vehicle_suite.formulas import front_wheel_angles
 
 
 @pytest.mark.parametrize("lock", [25.0, 30.0, 34.2, 36.0])
@@ -42,7 +34,9 @@ def test_polynomials_fit_the_ackermann_condition_within_three_hundredths(lock):
     left, right = steering_polynomials(params)
     for angle in np.linspace(-params.max_steering, params.max_steering, 301):
         fitted = [np.polyval(p[::-1], angle) for p in (left, right)]
-        error = np.degrees(np.abs(np.subtract(fitted, wheel_angles(params, angle))))
+        error = np.degrees(
+            np.abs(np.subtract(fitted, front_wheel_angles(params, angle)))
+        )
         assert error.max() < 0.03
     # The car is symmetric: left lock mirrors right lock, and straight is straight.
     np.testing.assert_allclose(left * [1, 1, -1, 1, -1], right, atol=1e-9)
@@ -101,7 +95,7 @@ def test_steering_keeps_its_rate_and_the_equalities_hold_while_it_moves():
     lock_time = COMPACT.max_steering / COMPACT.steering_rate
     reached = np.argmax(rows[:, 2] > 0.97 * COMPACT.max_steering)
     assert reached * car.model.opt.timestep == pytest.approx(lock_time, rel=0.1)
-    expected = [wheel_angles(COMPACT, angle) for angle in rows[:, 2]]
+    expected = [front_wheel_angles(COMPACT, angle) for angle in rows[:, 2]]
     error = np.degrees(np.abs(rows[:, 3:] - expected))
     assert error.max() < 0.06  # 0.03 of it the polynomials'
 

@@ -18,6 +18,8 @@ from carpark_mj.rendering.local_pages import PORT, Port
 
 Lots = Annotated[int, Bounds(ge=0, le=10_000_000)]  # so many take an hour or more
 Crop = tuple[float, float, float, float]  # x and y of two opposite corners [m]
+Names = Annotated[tuple[str, ...], tyro.conf.Positional]
+Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 PICTURES = (".png", ".pdf", ".svg")
 Kind = Literal["all", "layouts", "environments", "vehicles", "policies", "presets"]
 
@@ -114,9 +116,7 @@ class LayoutsConfig(CheckedConfig):
         seed: seed of the keys.
     """
 
-    layouts: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LAYOUT ...")
-    ] = ()
+    layouts: Annotated[Names, tyro.conf.arg(metavar="LAYOUT ...")] = ()
     plot: str = ""
     check: Lots = 0
     paths: Lots = 0
@@ -222,11 +222,7 @@ class ImportConfig:
     crop: Crop | None = None
     level: str | None = None
     crs: str | None = None
-    layer: Annotated[
-        tuple[str, ...],
-        tyro.conf.UseAppendAction,
-        tyro.conf.arg(metavar="WORD=TEXT"),
-    ] = ()
+    layer: Annotated[Repeated, tyro.conf.arg(metavar="WORD=TEXT")] = ()
     unit: str = ""
 
     def __post_init__(self) -> None:

@@ -18,7 +18,9 @@ from carpark_mj.files import require_suffix
 
 WORST = 10  # cases of a policy and level of the suite that can be filmed
 DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "moving_car", "seeds")
+STARTED = ("default", "hope", "anywhere", "sees", "considerate")
 METRICS = ("parked", "crashed", "timed_out", "length")
+Names = Annotated[tuple[str, ...], tyro.conf.Positional]
 What = Literal["env", "ppo", "physics", "start"]
 Clock = Literal["wall", "cpu"]
 Cars = Literal["brush", "mjx.step", "contact"]
@@ -43,9 +45,7 @@ class AnalysisConfig:
             `runs/analysis`.
     """
 
-    runs: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN...")
-    ] = ()
+    runs: Annotated[Names, tyro.conf.arg(metavar="RUN...")] = ()
     by: tuple[str, ...] = ()
     metrics: tuple[str, ...] = METRICS
     out: str = ""
@@ -96,13 +96,7 @@ class BenchmarkConfig(CheckedConfig):
 
     what: tuple[What, ...] = ("env", "ppo", "physics")
     batches: Counts = (128,)
-    environments: tuple[str, ...] = (
-        "default",
-        "hope",
-        "anywhere",
-        "sees",
-        "considerate",
-    )
+    environments: tuple[str, ...] = STARTED
     layouts: tuple[str, ...] = ("square",)
     cars: tuple[Cars, ...] = get_args(Cars)
     num_agents: Counts = (2,)
@@ -248,9 +242,7 @@ class SuiteConfig:
             `suite.html`, `videos/` and, of the planner, `paths.png`.
     """
 
-    policies: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
-    ] = ()
+    policies: Annotated[Names, tyro.conf.arg(metavar="POLICY")] = ()
     levels: tuple[str, ...] = ("normal", "complex", "extreme")
     cases: int | None = None
     first_case: int = 0
@@ -278,7 +270,7 @@ class SuiteConfig:
             raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
         for name in ("policies", "levels", "seeds", "combine"):
             value = getattr(self, name)
-            if len(set(value)) < len(value):
+            if len({*value}) < len(value):
                 raise ValueError(f"{name} must differ from each other, not {value}")
             if not value and name in ("levels", "seeds"):
                 raise ValueError(f"{name} must not be empty")
@@ -308,9 +300,7 @@ class ScenarioConfig:
     """
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    policies: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")
-    ]
+    policies: Annotated[Names, tyro.conf.arg(metavar="POLICY")]
     seeds: tuple[int, ...] = (0,)
     videos: int = 0
     out: str = "runs/scenario"

@@ -95,18 +95,10 @@ def collect(
     with_neighbours: bool = False,
     teacher: Teacher | None = None,
 ) -> tuple[Any, Rollout, Totals]:
-    """Drives all agents for some steps; returns the state after them as well.
+    """Drives the agents of all lots for `length` steps; gives the state after as well.
 
-    Args:
-        env: all lots.
-        env_state: before.
-        actor: the policy.
-        key: consumed.
-        length: steps.
-        scales: () factors on reward terms, by name, in the rewards to learn from, not
-            in those reported.
-        with_neighbours: whether to give `Rollout.near`.
-        teacher: gives `Rollout.advice`.
+    `scales` () are factors on reward terms, by name, in the rewards to learn from, not
+    in those reported. The rollout has `near` on request, and advice with a teacher.
     """
 
     def step(carry: Any, key: jax.Array) -> tuple[Any, Any]:
@@ -141,27 +133,18 @@ def collect(
     (env_state, totals), (taken, present, advice, near) = jax.lax.scan(
         step, (env_state, zeros), jax.random.split(key, length)
     )
-    rollout = Rollout(
-        *taken,
-        final_observation=env_state.obs,
-        weight=present,
-        advice=advice,
-        near=near,
-    )
+    more: Any = {"final_observation": env_state.obs, "weight": present}
+    rollout = Rollout(*taken, **more, advice=advice, near=near)
     return env_state, rollout, totals
 
 
 def drop_absent(
     rollout: Rollout, count: int, key: jax.Array
 ) -> tuple[Rollout, jax.Array]:
-    """The rollout of fewer agents, absent ones dropped first, and which are kept.
+    """The rollout of `count` agents, and which are kept.
 
-    Where more are present than are kept, some of those are dropped at random.
-
-    Args:
-        rollout: with weights; agents that waited for room in some steps count less.
-        count: agents to keep.
-        key: consumed.
+    Absent ones are dropped first, those that waited for room in some steps next, then
+    others at random.
     """
     present = rollout.weight.mean(axis=0) if rollout.weight is not None else 1.0
     luck = jax.random.uniform(key, rollout.reward.shape[1:])
@@ -193,9 +176,7 @@ def neighbours(lots: State) -> jax.Array:
 def neighbours_mean(near: jax.Array, values: jax.Array) -> jax.Array:
     """Mean (time, lots * agents) of the neighbours' values; 0 where there is none.
 
-    Args:
-        near: (time, lots * agents, agents), see `neighbours`.
-        values: (time, lots * agents).
+    `near` is (time, lots * agents, agents), see `neighbours`.
     """
     num_agents = near.shape[-1]
     lots = values.reshape(len(values), -1, 1, num_agents)
@@ -211,20 +192,11 @@ def compute_advantages(
     discount: Any,
     gae_lambda: float,
 ) -> tuple[jax.Array, jax.Array]:
-    """Brax's generalised advantage estimation.
+    """Advantages and value targets (time, agents) of Brax's GAE, without gradients.
 
     A truncated step has advantage 0 and the critic's own value as target, for what
-    comes after it is not known; no loss counts it.
-
-    Args:
-        rollout: of the agents.
-        values: (time, agents) of the rollout's observations.
-        final_value: (agents,) of the observation after the last step.
-        discount: () discount factor per control step.
-        gae_lambda: lambda.
-
-    Returns:
-        Advantages and value targets (time, agents), without gradients.
+    comes after it is not known; no loss counts it. `values` are (time, agents), and
+    `final_value` (agents,) is of the observation after the last step.
     """
     targets, advantages = compute_gae(
         truncation=rollout.truncated,
@@ -251,17 +223,13 @@ class Families:
     the probability follows the shares of the mixture and is uniform over the numbers,
     half the shortfall of each pair's rate of parked episodes. Evaluation draws lots as
     the mixture says.
-
-    Attributes:
-        target: rate of parked episodes from which a pair has no shortfall; 0 = lots
-            are drawn as the mixture says, and no member is listed.
-        shares: the members by name, with their shares of the mixture.
-        counts: numbers of agents that are drawn.
     """
 
+    # Rate of parked episodes from which a pair has no shortfall; 0 = lots are drawn as
+    # the mixture says, and no member is listed.
     target: float
-    shares: dict[str, float]
-    counts: range
+    shares: dict[str, float]  # the members by name, with their shares of the mixture
+    counts: range  # numbers of agents that are drawn
 
     def init(self) -> jax.Array:
         """Rates (pairs,) before the first episode: nothing is parked yet."""
@@ -273,12 +241,7 @@ class Families:
         """Keys, members and numbers of agents (count,) of new lots, for `BraxParking`.
 
         Without a target the members are None: as the mixture says. So are the numbers,
-        also where there is only one.
-
-        Args:
-            rates: (pairs,).
-            key: consumed.
-            count: lots.
+        also where there is only one. `rates` are (pairs,).
         """
         if not self.target:
             return jax.random.split(key, count), None, None
@@ -301,14 +264,10 @@ class Families:
     def update(
         self, rates: jax.Array, info: Mapping[str, Any], totals: Totals, axis: str
     ) -> jax.Array:
-        """Rates (pairs,) after an unroll; the same on all devices.
+        """Rates (pairs,) after an unroll with some totals; the same on all devices.
 
-        Args:
-            rates: running means of parked episodes before, exponential in the number of
-                episodes.
-            info: `info` of the lots' Brax state, with their members and agent counts.
-            totals: sums over the unroll.
-            axis: name of the devices' axis.
+        They are running means of parked episodes, exponential in the number of
+        episodes. `info` is that of the lots' Brax state, `axis` that of the devices.
         """
         pair = info["member"] * len(self.counts)
         if len(self.counts) > 1:

@@ -69,18 +69,8 @@ class CurriculumConfig(CheckedConfig):
 
 # What the short help lists.
 RUN_SETTINGS = (
-    "preset",
-    "name",
-    "runs_dir",
-    "resume",
-    "time_limit",
-    "seed",
-    "num_steps",
-    "minutes",
-    "num_lots",
-    "checkpoint_minutes",
-    "logger",
-    "eval_episodes",
+    *("preset", "name", "runs_dir", "resume", "time_limit", "seed", "num_steps"),
+    *("minutes", "num_lots", "checkpoint_minutes", "logger", "eval_episodes"),
     "video_seconds",
 )
 

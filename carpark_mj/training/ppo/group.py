@@ -7,6 +7,7 @@ of a run lie on one device, so that each is the run which that device alone woul
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -63,11 +64,9 @@ class GroupLearner(Learner):
         """Sets up what the runs share."""
         _require_one_program(configs)
         super().__init__(configs[0])
-        self._configs = tuple(configs)
-        count = len(configs)
+        self.configs, count = tuple(configs), len(configs)
         self.data = {
-            path: jnp.array(values, jnp.float32)
-            for path, values in differing(configs).items()
+            k: jnp.array(x, jnp.float32) for k, x in differing(configs).items()
         }
         devices = max(n for n in range(1, jax.device_count() + 1) if count % n == 0)
         mesh = np.array(jax.devices()[:devices]).reshape(-1, 1)
@@ -77,11 +76,6 @@ class GroupLearner(Learner):
             state_specs(),
             is_leaf=lambda x: isinstance(x, PartitionSpec),
         )
-
-    @property
-    def configs(self) -> tuple[PPOConfig, ...]:
-        """Settings of every run."""
-        return self._configs
 
     def build(self) -> TrainingState:
         """The states before the first update (pure)."""
@@ -99,14 +93,12 @@ class GroupLearner(Learner):
 
     def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
         """The jitted update of all runs; metrics are (runs,)."""
+
+        def update(state: TrainingState, data: Any) -> Any:
+            return jax.vmap(self._update_run)(jax.tree.map(without_input, state), data)
+
         runs = PartitionSpec(RUNS)
-        jitted = self._jitted(
-            lambda state, data: jax.vmap(self._update_run)(
-                jax.tree.map(without_input, state), data
-            ),
-            (self.specs, runs),
-            runs,
-        )
+        jitted = self._jitted(update, (self.specs, runs), runs)
         return lambda state: jitted(state, self.data)
 
     def _update_run(
@@ -129,8 +121,7 @@ def _require_one_program(configs: Sequence[PPOConfig]) -> None:
     for config in configs[1:]:
         other = dict(list_settings(program(config)))
         for path in first | other:
-            a, b = first.get(path), other.get(path)
-            if a != b:
+            if (a := first.get(path)) != (b := other.get(path)):
                 raise ValueError(
                     f"runs side by side must have the same {path}, not {a!r} and {b!r}"
                 )

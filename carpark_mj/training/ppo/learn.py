@@ -66,9 +66,8 @@ def teacher_cost(config: CurriculumConfig, progress: jax.Array) -> jax.Array | N
     """Weight () of the distance to the teacher's actions; None without a teacher."""
     if not config.teacher:
         return None
-    return schedule(
-        config.teacher_cost, 0.0, _within(progress, 0, config.teacher_until)
-    )
+    part = _within(progress, 0, config.teacher_until)
+    return schedule(config.teacher_cost, 0.0, part)
 
 
 def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
@@ -89,9 +88,6 @@ def training_env(config: PPOConfig) -> EnvConfig:
     return dataclasses.replace(config.env, spawn=spawn, layout=layout)
 
 
-Learned = tuple[Any, Any, Any, Any]
-
-
 def network_params(policy: Any, value: Any) -> Any:
     """Actor and critic together."""
     params: Any = PPONetworkParams  # its fields are hidden from Pyright
@@ -106,7 +102,7 @@ def learn(
     state: TrainingState,
     rollout: Rollout,
     key: jax.Array,
-) -> tuple[Learned, dict[str, jax.Array]]:
+) -> tuple[tuple[Any, Any, Any, Any], dict[str, jax.Array]]:
     """Learns from the rollout of this device's agents, in epochs of minibatches.
 
     Values and advantages are those of the parameters at the start of an epoch. A
@@ -169,15 +165,8 @@ def learn(
         if share is not None:
             everyone = jnp.zeros(near.shape[:2]).at[:, kept].set(advantage)
             advantage += share * neighbours_mean(near, everyone)[:, kept]
-        return Minibatch(
-            observation=rollout.observation,
-            raw_action=rollout.raw_action,
-            log_prob=rollout.log_prob,
-            advantage=advantage,
-            target=target,
-            weight=weight,
-            advice=rollout.advice,
-        )
+        seen = rollout.observation, rollout.raw_action, rollout.log_prob
+        return Minibatch(*seen, advantage, target, weight, rollout.advice)
 
     steps_for = details.prepared(prepare, unravel(start), networks, normalizer)
     rate: Any = learning_rate
@@ -196,14 +185,9 @@ def learn(
             params, moments = carry
             chosen, loss_key = part
             batch = jax.tree.map(lambda x: _flat(x[:, chosen]), steps)
-            grads, losses = jax.grad(details.loss, has_aux=True)(
-                unravel(params),
-                networks,
-                normalizer,
-                batch,
-                weights,
-                loss_key,
-            )
+            grad = jax.grad(details.loss, has_aux=True)
+            given = unravel(params), networks, normalizer, batch, weights, loss_key
+            grads, losses = grad(*given)
             grads = jax.lax.pmean(ravel_pytree(grads)[0], AXIS)
             updates: Any
             updates, moments = optimizer.update(grads, moments)

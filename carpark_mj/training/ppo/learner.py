@@ -22,6 +22,7 @@ from carpark_mj.evaluation.keys import training_key
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.observations import make_fields
 from carpark_mj.physics.unrolled import has_triton
+from carpark_mj.policy.checkpoints import is_key
 from carpark_mj.policy.networks import (
     Arithmetic,
     init_normalizer,
@@ -73,21 +74,22 @@ def num_devices(config: PPOConfig) -> int:
 
 
 def due_lots(update: jax.Array | int, num_lots: int, life: int) -> jax.Array:
-    """Lots (n,) int32 that are redrawn after an update; they take turns.
-
-    n is the same for all updates, and the least for which no lot outlives `life`
-    updates.
-    """
+    """Lots (n,) int32 redrawn after an update, in turns: none outlives its life."""
     count = -(-num_lots // life)
     return (update * count + jnp.arange(count)) % num_lots
 
 
 class Learner:
-    """Builds the initial training state and the compiled update of a config."""
+    """Builds the initial training state and the compiled update of a config.
+
+    Attributes:
+        configs: of every run that is trained; `config` is the first one's.
+    """
 
     def __init__(self, config: PPOConfig) -> None:
         """Sets up environment, networks, optimiser and mesh."""
         self.config = config
+        self.configs: tuple[PPOConfig, ...] = (config,)
         self.env = BraxParking(ParkingEnv(training_env(config)))
         self.renews_lots = config.lot_life > 0 and self.env.env.layout_config.is_random
         lots, target = self.env.env.layout_config, config.curriculum.target_rate
@@ -105,11 +107,6 @@ class Learner:
         devices = jax.devices()[: num_devices(config)]
         self.mesh = Mesh(devices, (AXIS,))
         self.specs = state_specs()
-
-    @property
-    def configs(self) -> tuple[PPOConfig, ...]:
-        """Settings of every run that is trained."""
-        return (self.config,)
 
     def init(self) -> TrainingState:
         """The state before the first update, laid out over the devices."""
@@ -168,7 +165,7 @@ class Learner:
             whole = NamedSharding(self.mesh, PartitionSpec())
             # Keys as the integers that checkpoints hold.
             plain = functools.partial(
-                jax.tree.map, lambda x: jax.random.key_data(x) if _is_key(x) else x
+                jax.tree.map, lambda x: jax.random.key_data(x) if is_key(x) else x
             )
             state = jax.jit(plain, out_shardings=whole)(state)
         return jax.device_get(state)
@@ -197,11 +194,11 @@ class Learner:
 
     def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
         """The jitted update `state -> (state, metrics)`; it consumes the state."""
-        return self._jitted(
-            lambda state: self.update(jax.tree.map(without_input, state)),
-            (self.specs,),
-            PartitionSpec(),
-        )
+
+        def update(state: TrainingState) -> Any:
+            return self.update(jax.tree.map(without_input, state))
+
+        return self._jitted(update, (self.specs,), PartitionSpec())
 
     def _jitted(
         self, update: Callable[..., Any], inputs: Any, metrics: PartitionSpec
@@ -232,9 +229,8 @@ class Learner:
         """
         key, act_key, learn_key = jax.random.split(state.key, 3)
         local = jax.lax.axis_index(AXIS)
-        env_state, rollout, totals = self._collect(
-            state, jax.random.fold_in(act_key, local)
-        )
+        act_key = jax.random.fold_in(act_key, local)
+        env_state, rollout, totals = self._collect(state, act_key)
         rates = state.family_rates
         if self.families.target:
             rates = self.families.update(rates, env_state.info, totals, AXIS)
@@ -242,18 +238,11 @@ class Learner:
             key, renew_key = jax.random.split(key)
             renew_key = jax.random.fold_in(renew_key, local)
             env_state = self._renew(env_state, state.update, rates, renew_key)
-        learned, losses = learn(
-            self.config,
-            self.networks,
-            self.inputs,
-            self.optimizer,
-            state,
-            rollout,
-            jax.random.fold_in(learn_key, local),
-        )
-        finite = jnp.stack(
-            [jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((learned, losses))]
-        ).all()
+        parts = self.config, self.networks, self.inputs, self.optimizer
+        learn_key = jax.random.fold_in(learn_key, local)
+        learned, losses = learn(*parts, state, rollout, learn_key)
+        numbers = jax.tree.leaves((learned, losses))
+        finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in numbers]).all()
         old = (state.normalizer, state.policy, state.value, state.optimizer)
         kept = jax.tree.map(lambda new, old: jnp.where(finite, new, old), learned, old)
         normalizer, policy, value, optimizer = kept
@@ -280,14 +269,11 @@ class Learner:
             family_rates=rates,
             env=env_state,
         )
-        metrics = _episode_metrics(totals, num_steps) | {
-            f"loss/{name}": loss for name, loss in losses.items()
-        }
+        metrics = _episode_metrics(totals, num_steps)
+        metrics |= {f"loss/{name}": loss for name, loss in losses.items()}
         metrics["progress"] = self.config.progress(state.update, state.seconds)
-        metrics |= self.families.metrics(rates)
-        return jax.tree.map(
-            _without_weak_type, (new, metrics | {"skipped": new.skipped})
-        )
+        metrics |= self.families.metrics(rates) | {"skipped": new.skipped}
+        return jax.tree.map(_without_weak_type, (new, metrics))
 
     def _collect(
         self, state: TrainingState, key: jax.Array
@@ -297,17 +283,11 @@ class Learner:
             self.networks, state.normalizer, state.policy, deterministic=False
         )
         progress = self.config.progress(state.update, state.seconds)
-        curriculum = self.config.curriculum
-        return collect(
-            self.env,
-            state.env,
-            actor,
-            key,
-            self.config.unroll_length,
-            dict.fromkeys(self.scaled, crash_scale(curriculum, progress)),
-            with_neighbours=curriculum.neighbour_share > 0.0,
-            teacher=self.teacher,
-        )
+        curriculum, length = self.config.curriculum, self.config.unroll_length
+        scales = dict.fromkeys(self.scaled, crash_scale(curriculum, progress))
+        near = curriculum.neighbour_share > 0.0
+        given = self.env, state.env, actor, key, length, scales
+        return collect(*given, with_neighbours=near, teacher=self.teacher)
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array
@@ -319,9 +299,8 @@ class Learner:
         """
         num_lots = self.config.num_lots // self.mesh.shape[AXIS]
         lots = due_lots(update, num_lots, self.config.lot_life)
-        return self.env.renew(
-            env_state, lots, *self.families.draw(rates, key, len(lots))
-        )
+        drawn = self.families.draw(rates, key, len(lots))
+        return self.env.renew(env_state, lots, *drawn)
 
 
 def _episode_metrics(totals: Totals, num_steps: jax.Array) -> dict[str, jax.Array]:
@@ -340,14 +319,10 @@ def _put(x: Any, sharding: NamedSharding) -> jax.Array:
     """Lays out an array that every host has whole."""
     if jax.process_count() == 1:
         return jax.device_put(x, sharding)
-    if _is_key(x):
+    if is_key(x):
         return jax.random.wrap_key_data(_put(jax.random.key_data(x), sharding))
     host = np.asarray(x)
     return jax.make_array_from_callback(host.shape, sharding, lambda i: host[i])
-
-
-def _is_key(x: Any) -> bool:
-    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
 
 
 def without_input(x: jax.Array) -> jax.Array:
@@ -362,4 +337,4 @@ def without_input(x: jax.Array) -> jax.Array:
 def _without_weak_type(x: Any) -> jax.Array:
     """The array without weak type, so that the second update does not recompile."""
     x = jnp.asarray(x)
-    return x if _is_key(x) else x.astype(x.dtype)
+    return x if is_key(x) else x.astype(x.dtype)

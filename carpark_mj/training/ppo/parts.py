@@ -11,15 +11,7 @@ BRAX = "brax"  # the variant of the presets
 PRESETS: Registry[Any] = Registry("preset")  # of `PPOConfig`s
 VARIANTS: Registry[Any] = Registry("variant")
 
-for _name in (
-    "cpu",
-    "gpu",
-    "square",
-    "dynamic",
-    "anywhere",
-    "considerate",
-    "sees",
-):
+for _name in ("cpu", "gpu", "square", "dynamic", "anywhere", "considerate", "sees"):
     _home = f"carpark_mj.training.ppo.presets:{_name.upper()}"
     PRESETS.register(_name, Entry(_home, "CPU" if _name == "cpu" else "GPU"))
 VARIANTS.register(BRAX, Entry("carpark_mj.training.ppo.variants:BRAX"))
@@ -27,12 +19,10 @@ VARIANTS.register(BRAX, Entry("carpark_mj.training.ppo.variants:BRAX"))
 
 def summaries() -> dict[str, str]:
     """What each preset is for, in a line."""
-    return {
-        name: f"{summary or 'GPU'}, {_length(PRESETS[name])}"
-        for name, summary in PRESETS.summaries.items()
-    }
-
-
-def _length(config: Any) -> str:
-    minutes = f" or {config.minutes:g} min" if config.minutes else ""
-    return f"{config.num_steps / 1e6:g} M steps{minutes}"
+    lines: dict[str, str] = {}
+    for name, summary in PRESETS.summaries.items():
+        config = PRESETS[name]
+        minutes = f" or {config.minutes:g} min" if config.minutes else ""
+        steps = f"{config.num_steps / 1e6:g} M steps{minutes}"
+        lines[name] = f"{summary or 'GPU'}, {steps}"
+    return lines

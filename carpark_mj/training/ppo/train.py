@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -22,11 +22,7 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.group import make_learner
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.warm_start import require_run, warm_start
-from carpark_mj.training.run_folder import (
-    argument,
-    open_run,
-    read_header,
-)
+from carpark_mj.training.run_folder import argument, open_run, read_header
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
 FEW_UPDATES = 20  # below this many a policy has hardly changed
@@ -39,26 +35,22 @@ Callback = Callable[[int, dict[str, float]], bool]
 
 
 def finish(config: PPOConfig, folder: Path, stochastic: bool = False) -> None:
-    """Learning curve, evaluation on held-out seeds and a video of the trained policy.
+    """Makes learning curve, evaluation on held-out seeds and video of a run folder.
 
-    Regenerates all outputs from the run folder. A `stochastic` policy is evaluated on
-    sampled actions.
+    A `stochastic` policy is evaluated on sampled actions.
     """
     print(f"wrote {plot_learning_curve(folder)}")
     run = argument(folder)
     if config.eval_episodes:
         from carpark_mj.cli import evaluate
 
-        settings = evaluate.EvaluateConfig(
-            run, episodes=config.eval_episodes, stochastic=stochastic, out=run
-        )
-        evaluate.main(settings)
+        more: Any = {"episodes": config.eval_episodes, "stochastic": stochastic}
+        evaluate.main(evaluate.EvaluateConfig(run, **more, out=run))
     if config.video_seconds:
         from carpark_mj.cli import render
 
-        settings = render.RenderConfig(run=run, seconds=config.video_seconds)
         try:
-            video = render.main(settings)
+            video = render.main(render.RenderConfig(run, seconds=config.video_seconds))
         except render.RenderingError as error:
             print(f"no video: {error}", file=sys.stderr)
             return
@@ -71,20 +63,10 @@ def train_runs(
     finish_run: Callable[[PPOConfig, Path], None] | None = finish,
     callback: Callback | None = None,
 ) -> list[tuple[Path, Outcome]]:
-    """Trains runs, several of them side by side, and finishes those that are done.
+    """Trains runs side by side, and finishes those done; gives folders and outcomes.
 
-    Args:
-        configs: settings of the runs, with equal `group.program`; either all are new
-            or all are resumed.
-        finish_run: called with config and folder of every run that is done.
-        callback: see `train`.
-
-    Returns:
-        Folder and outcome of every run; the folders are host 0's.
-
-    Raises:
-        ValueError: impossible settings, or runs that cannot be side by side.
-        CheckpointError: a checkpoint to resume from is damaged.
+    Their configs have equal `group.program`; either all are new or all are resumed. The
+    folders are host 0's.
     """
     for config in configs:
         if not config.resume:
@@ -101,7 +83,8 @@ def train_runs(
         # Others only read the checkpoint of a run to resume, if it is one.
         folders = opened or [Path(c.resume or c.runs_dir) for c in configs]
         outcomes = train(learner, folders, callback=callback)
-        hosts.leave()
+        if jax.process_count() > 1:  # each continues alone, or ends
+            jax.distributed.shutdown()
         ended = list(zip(folders, outcomes, strict=True))
         if hosts.is_first() and finish_run is not None:
             for config, (folder, outcome) in zip(configs, ended, strict=True):
@@ -119,13 +102,8 @@ def train(
     """Trains until done, stopped or at the time limit; returns each run's outcome.
 
     Runs are done after `num_steps`, or after `minutes` if that is sooner. One that
-    diverges writes nothing any more; its checkpoints are from before.
-
-    Args:
-        learner: learner of the runs.
-        folders: run folders; only host 0 writes to them.
-        clock: gives the time [s].
-        callback: called on every host after every update of every run.
+    diverges writes nothing any more; its checkpoints are from before. Only host 0
+    writes to the folders; every one calls the callback after every update of every run.
     """
     config, count = learner.config, len(folders)
     where = f"{learner.mesh.size} x {jax.devices()[0].device_kind}"
@@ -173,12 +151,8 @@ def train(
             diverged |= in_a_row >= MAX_SKIPPED
             going = [k for k in range(count) if not diverged[k]]
             for k in going:
-                row: dict[str, float] = {
-                    "update": done,
-                    "env_steps": int(steps[k]),
-                    "seconds": loop.seconds,
-                    "steps_per_second": float(rates[k]),
-                }
+                row: dict[str, float] = {"update": done, "env_steps": int(steps[k])}
+                row |= {"seconds": loop.seconds, "steps_per_second": float(rates[k])}
                 row |= {name: float(x[k]) for name, x in values.items()}
                 if logs:
                     logs[k].write(row)
@@ -218,12 +192,7 @@ def announcement(config: PPOConfig, update: int, seconds: float) -> str:
 
 
 def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
-    """The newest checkpoints of the runs, or a fresh state if they have none.
-
-    Raises:
-        CheckpointError: some are damaged, or the runs share no step; see `warm_start`.
-        ValueError: see `warm_start`.
-    """
+    """The newest checkpoints of the runs, or a fresh state if they have none."""
     if not any(runs.checkpoint_files(folder) for folder in folders):
         state = learner.init()
         if not any(config.warm_start for config in learner.configs):
@@ -233,34 +202,25 @@ def load_or_init(learner: Learner, folders: Sequence[Path]) -> TrainingState:
         return learner.place(learner.join(begun))
     template = vars(jax.eval_shape(lambda x: learner.split(x)[0], learner.shapes()))
     found: list[TrainingState] = []
-    for path in _checkpoints_of_one_step(folders):
+    newest = [runs.latest_checkpoint(folder) for folder in folders]
+    # The last step that all have saved: a kill may come between two of a step.
+    name = min(path.name for path in newest)
+    for folder, path in zip(folders, newest, strict=True):
+        if not (path := path.with_name(name)).exists():
+            raise CheckpointError(
+                f"{folder} has no checkpoint {name}, where another run stands: "
+                "resume them one by one"
+            )
         read_header(path, PPOConfig)
         found.append(TrainingState(**checkpoints.load(path, template)))
     return learner.place(learner.join(found))
 
 
-def _checkpoints_of_one_step(folders: Sequence[Path]) -> list[Path]:
-    """The newest ones that all runs have: a kill may come between two of a step."""
-    newest = [runs.latest_checkpoint(folder) for folder in folders]
-    name = min(path.name for path in newest)
-    paths = [path.with_name(name) for path in newest]
-    for folder, path in zip(folders, paths, strict=True):
-        if not path.exists():
-            raise CheckpointError(
-                f"{folder} has no checkpoint {name}, where another run stands: "
-                "resume them one by one"
-            )
-    return paths
-
-
 def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
     """Writes a checkpoint of the state, which is in the host's memory."""
-    update = int(state.update)
-    header = {
-        "config": dataclasses.asdict(config),
-        "update": update,
-        "env_steps": int(count_steps(state)[0]),
-    }
+    update, steps = int(state.update), int(count_steps(state)[0])
+    settings = dataclasses.asdict(config)
+    header = {"config": settings, "update": update, "env_steps": steps}
     # Its name counts the steps of absent agents too: the same for runs side by side.
     slots = update * config.slots_per_update
     return runs.save_checkpoint(folder, vars(state), header, slots)

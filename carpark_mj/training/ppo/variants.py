@@ -54,10 +54,7 @@ def balance(weight: jax.Array) -> jax.Array:
 def standardize(advantage: jax.Array, weight: jax.Array, floor: float) -> jax.Array:
     """Advantages (...) less their mean, over their deviation, both of all devices.
 
-    Args:
-        advantage: (...) advantages of the steps.
-        weight: (...) of `balance`.
-        floor: added to the standard deviation.
+    `weight` (...) is of `balance`; `floor` is added to the standard deviation.
     """
     centred = advantage - jax.lax.pmean(jnp.sum(weight * advantage), AXIS)
     variance = jax.lax.pmean(jnp.sum(weight * jnp.square(centred)), AXIS)

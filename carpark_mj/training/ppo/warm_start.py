@@ -12,7 +12,7 @@ to do where it gets to itself; as in kickstarting (Schmitt et al. 2018) the imit
 a term of the loss that ends, while the reward is learned from all along.
 """
 
-import dataclasses
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -50,8 +50,9 @@ def require_run(config: PPOConfig) -> None:
             "warm_start must be the folder or a checkpoint of a run, or a pretrained "
             f"policy ({describe_names()}), not {config.warm_start!r}"
         )
-    path = load_policy(config.warm_start).path
-    if not config.critic_steps and not _has_critic(path):
+    path, own = load_policy(config.warm_start).path, config.networks
+    has_critic = _has_critic(path)
+    if not config.critic_steps and not has_critic:
         raise ValueError(
             f"{config.warm_start} is a policy without a critic: give critic_steps, in "
             "which only a new critic learns, for example 5000000"
@@ -59,18 +60,13 @@ def require_run(config: PPOConfig) -> None:
     theirs = network_config(checkpoints.read_header(path))
     if theirs is None:
         raise ValueError(f"{config.warm_start} has no networks for a warm start")
-    names = ["encoder", "policy_layers"]
-    if config.networks.encoder == "set":
-        names += ["own_size", "entity_size", "picture_size"]
-    if _has_critic(path):
-        names.append("value_layers")
-    for name in names:
-        own, other = getattr(config.networks, name), getattr(theirs, name)
-        if own != other:
-            raise ValueError(
-                f"{config.warm_start} has networks.{name} {other}, not {own}: a warm "
-                "start needs the same"
-            )
+    alike = {"min_std": own.min_std, "max_std": own.max_std}  # no weight's shape
+    alike |= {} if has_critic else {"value_layers": own.value_layers}
+    if replace(theirs, **alike) != own:
+        raise ValueError(
+            f"{config.warm_start} has {theirs}: a warm start needs the same networks, "
+            f"not {own}"
+        )
 
 
 def _has_critic(path: Path) -> bool:
@@ -81,15 +77,8 @@ def _has_critic(path: Path) -> bool:
 def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
     """A state before the first update, with networks of the run `warm_start`.
 
-    Where agents observe more than those of that run, see `widen`.
-
-    Args:
-        config: settings of the training.
-        state: as it would begin otherwise.
-
-    Raises:
-        CheckpointError: the run has no checkpoint, or other networks.
-        ValueError: its agents do something else, or observe what ours do not.
+    `state` is as it would begin otherwise. Where agents observe more than those of the
+    run, see `widen`.
     """
     run = load_policy(config.warm_start)
     added = new_fields(config, run.env)
@@ -108,7 +97,7 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
         found = widen(config, run.env, found, vars(state))
     # A copy: an update takes over the memory of both.
     actor = jax.tree.map(jnp.copy, found["average"])
-    return dataclasses.replace(state, policy=actor, **found)
+    return replace(state, policy=actor, **found)
 
 
 HIDDEN = "hidden"  # of `hidden_0`, the first layer behind the encoder
@@ -117,24 +106,25 @@ _BY_BEARING = (RAYS, RAYS_NEAR)  # fields whose numbers have bearings
 
 def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
     """Fields of which agents of a training observe more than those in `env`."""
+    # Of rays the numbers count, not how many there are.
     ours, theirs = (
         {
-            (number, _without_count(field)): field
+            (number, replace(field, size=0) if field.name in _BY_BEARING else field)
             for field in make_fields(each)
             if field.index == 0
             for number in _numbers(field)
         }
         for each in (config.env, env)
     )
-    added = sorted({ours[number].name for number in ours.keys() - theirs.keys()})
-    lost = sorted({theirs[number].name for number in theirs.keys() - ours.keys()})
+    added, lost = (
+        sorted({field.name for _, field in more})
+        for more in (ours - theirs, theirs - ours)
+    )
     if lost:
         raise ValueError(
             f"{config.warm_start} was trained on other observations: {', '.join(lost)}"
         )
-    if not added:
-        return []
-    if config.networks.encoder != "set":
+    if added and config.networks.encoder != "set":
         raise ValueError(
             f"{config.warm_start} was trained without {', '.join(added)}; only a set "
             "encoder takes more observations"
@@ -147,11 +137,8 @@ def widen(
 ) -> dict[str, Any]:
     """Normalizer and networks of a run in `env`, for agents that observe more.
 
-    Args:
-        config: settings of the training that takes them over.
-        env: in which agents observe less, see `new_fields`.
-        taken: `normalizer`, and networks by name.
-        new: the same of a training that takes nothing over.
+    `taken` are the `normalizer` and networks by name, and `new` the same of a training
+    that takes nothing over.
     """
     ours, theirs = (_places(config.networks, each) for each in (config.env, env))
     rows = {
@@ -208,14 +195,7 @@ def _numbers(field: Field) -> list[str]:
     return [f"{field.name} {k}" for k in range(size)]
 
 
-def _without_count(field: Field) -> Field:
-    """The field, but for how many rays there are."""
-    return dataclasses.replace(field, size=0) if field.name in _BY_BEARING else field
-
-
-def _spread(
-    values: jax.Array, fill: jax.Array | float, size: int, rows: np.ndarray
-) -> jax.Array:
+def _spread(values: jax.Array, fill: Any, size: int, rows: np.ndarray) -> jax.Array:
     """The values as `rows` of an array (size, ...), `fill` elsewhere."""
     whole = jnp.full((size, *values.shape[1:]), fill, values.dtype)
     return whole.at[rows].set(values)
@@ -239,7 +219,7 @@ def make_teacher(config: PPOConfig) -> Teacher | None:
     if action_spec(config.env).choices:
         raise ValueError("curriculum.teacher needs actions of numbers, not of choices")
     seen = load_policy(name).env.observation
-    env = dataclasses.replace(config.env, observation=seen)
+    env = replace(config.env, observation=seen)
     if seen.init_memory(env) is not None:
         raise ValueError(f"curriculum.teacher {name} must not observe its past")
     if env.follows_routes and not config.env.follows_routes:

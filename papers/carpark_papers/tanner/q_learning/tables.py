@@ -19,7 +19,7 @@ from carpark_mj.policy.networks import Policy
 
 
 class Tables:
-    """Policies of checkpoints, see `carpark_mj.policy.loading.Algorithm`."""
+    """Policies of checkpoints, see `carpark_mj.policy.runs.ALGORITHMS`."""
 
     def shapes(self, header: dict[str, Any], env: EnvConfig) -> dict[str, Any]:
         """Shapes of the tables of all seeds."""
