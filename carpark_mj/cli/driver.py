@@ -14,7 +14,7 @@ from carpark_mj.layouts import layout_config
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.named import POLICIES
+from carpark_mj.policy.named import POLICIES, RECORDED, find_named
 from carpark_mj.policy.networks import Policy
 from carpark_mj.registry import environment
 from carpark_mj.spawning.checks import parked_cars_needed
@@ -36,11 +36,12 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
     for `POLICIES`. A trained policy observes as in its training. If `deterministic` it
     takes a distribution's mode instead of samples.
     """
-    if name in POLICIES:
+    if make := find_named(name):
         if not deterministic:
             raise ValueError(f"stochastic has no effect with {name}: leave it out")
         env = environment(named) if named else EnvConfig()
-        return Driver(env, Path("runs") / name, POLICIES[name])
+        folder = Path("runs") / Path(name.removeprefix(RECORDED)).stem
+        return Driver(env, folder, make)
     try:
         loaded = load_policy(name, deterministic)
     except CheckpointError as error:

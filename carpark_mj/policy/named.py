@@ -1,15 +1,18 @@
-"""Untrained policies by name: baselines, planners and those of other packages."""
+"""Untrained policies by name: baselines, planners, recorded actions, others' own."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.extensions import Registry
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.policy.acting import AnyPolicy
+from carpark_mj.policy.acting import AnyPolicy, StatePolicy
 from carpark_mj.policy.networks import Policy
+from carpark_mj.reading import read_csv
 
 # Functions that make the policy for an environment, or raise `ValueError`.
 POLICIES: Registry[Callable[[ParkingEnv], AnyPolicy]] = Registry(
@@ -43,6 +46,38 @@ def random_policy(action: ActionSpec) -> Policy:
         return jnp.concatenate(parts, axis=-1), {}
 
     return policy
+
+
+RECORDED = "actions:"  # before the file of recorded actions
+COLUMNS = ("steer", "pedal")
+
+
+def recorded_actions(env: ParkingEnv, path: Path) -> StatePolicy:
+    """Repeats the actions of a CSV file, a row each control step, then the zero action.
+
+    Raises:
+        ValueError: the file has no such rows, or the environment other actions.
+        OSError: it cannot be read.
+    """
+    rows = [[row.number(name) for name in COLUMNS] for row in read_csv(path, *COLUMNS)]
+    if not rows or not np.isfinite(rows).all():
+        raise ValueError(f"{path} must have rows of finite numbers")
+    if env.action_spec.size != len(COLUMNS):
+        raise ValueError(
+            f"{path} has {', '.join(COLUMNS)}: the actions here are others"
+        )
+    actions = jnp.asarray([*rows, [0.0, 0.0]], jnp.float32)
+    return StatePolicy(lambda state: actions[jnp.minimum(state.step, len(rows))])
+
+
+def find_named(name: str) -> Callable[[ParkingEnv], AnyPolicy] | None:
+    """What makes a policy of `POLICIES` or `actions:FILE`; None for other names."""
+    if name.startswith(RECORDED):
+        path = Path(name.removeprefix(RECORDED))
+        return lambda env: recorded_actions(env, path)
+    if name in POLICIES:
+        return POLICIES[name]
+    return None
 
 
 POLICIES.register("zero", lambda env: zero_policy(env.action_spec))

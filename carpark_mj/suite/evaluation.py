@@ -39,6 +39,7 @@ from carpark_mj.policy.acting import (
     choose_actions,
     roll_out,
 )
+from carpark_mj.policy.named import RECORDED
 from carpark_mj.spawning.reset_options import check_starts
 from carpark_mj.suite.hope import HopeConfig
 from carpark_mj.suite.levels import (
@@ -128,7 +129,7 @@ def policy_env(name: str, env: EnvConfig, config: SuiteConfig) -> EnvConfig:
     Levels with several cars need an environment in which cars observe their own. For
     policies of `BLIND` it makes no other difference.
     """
-    if name in BLIND:
+    if name in BLIND or name.startswith(RECORDED):
         env = dataclasses.replace(env, observation=ContinuousObservation(own_car=True))
     return suite_env(env, config.rule, config.moving_car, config.vehicle)
 

@@ -7,9 +7,11 @@ import pytest
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.policy.acting import Carry, control_step, roll_out
+from carpark_mj.policy.acting import Carry, StatePolicy, control_step, roll_out
+from carpark_mj.policy.named import find_named
 
 STEPS = 4
+DRIVE = [(0.5, 0.2), (-0.25, 0.8), (0.0, -1.0)]
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +56,26 @@ def test_a_roll_out_is_its_control_steps(env):
     np.testing.assert_allclose(end.memory, 0.1 * STEPS, rtol=1e-6)
     assert (np.asarray(reports[2][..., 1]) > 0).all()  # drawn with other keys
     assert len(np.unique(reports[2][..., 1])) > STEPS
+
+
+def test_recorded_actions_are_repeated_then_the_car_is_left_alone(env, tmp_path):
+    file = tmp_path / "drive.csv"
+    file.write_text("steer,pedal\n" + "".join(f"{s},{p}\n" for s, p in DRIVE))
+    make = find_named(f"actions:{file}")
+    assert make is not None
+    policy, (state, _) = make(env), env.reset(jax.random.key(0))
+    assert isinstance(policy, StatePolicy)
+    expected = [*DRIVE, (0.0, 0.0), (0.0, 0.0)]
+    for count, action in enumerate(expected):
+        found = policy.act(state.replace(step=jnp.array([count, 0])))
+        np.testing.assert_allclose(found, [action, DRIVE[0]])
+
+
+@pytest.mark.parametrize(
+    "text", ["steer,pedal\n", "steer\n0\n", "steer,pedal\n0,nan\n"]
+)
+def test_other_recordings_are_refused(env, tmp_path, text):
+    file = tmp_path / "bad.csv"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=r"bad\.csv"):
+        find_named(f"actions:{file}")(env)

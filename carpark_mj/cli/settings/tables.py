@@ -290,8 +290,8 @@ class ScenarioConfig:
 
     Attributes:
         file: the scenario, .yaml or .json.
-        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
-            or `random`.
+        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`,
+            `random`, or `actions:FILE.csv`, recorded actions.
         seeds: of the planner's searches and of stochastic policies; each seed drives
             all repetitions.
         videos: number of worst repetitions to film for every policy, at most 10; needs
