@@ -305,6 +305,10 @@ class ScenarioConfig:
     videos: int = 0
     out: str = "runs/scenario"
 
+    def __post_init__(self) -> None:
+        if not self.policies:
+            raise ValueError("name at least one policy, for example planner")
+
 
 @dataclasses.dataclass(frozen=True)
 class ReportConfig:
