@@ -365,9 +365,11 @@ def _freeze(
 ) -> tuple[PhysicsState, Motion]:
     """Keeps agents that are not active exactly where they stand, at rest."""
     physics = where_cars(state.active, physics, state.physics)
-    still = state.motion
-    velocity_b, yaw_rate = map(jnp.zeros_like, (still.velocity_b, still.yaw_rate))
-    rest = dataclasses.replace(still, velocity_b=velocity_b, yaw_rate=yaw_rate)
+    rest = dataclasses.replace(
+        state.motion,
+        velocity_b=jnp.zeros_like(state.motion.velocity_b),
+        yaw_rate=jnp.zeros_like(state.motion.yaw_rate),
+    )
     motion = where_cars(state.active, motion, rest)
     still = jnp.broadcast_to(motion.pose_w[:, None], motion.trace_w.shape)
     trace_w = where_cars(state.active, motion.trace_w, still)

@@ -156,6 +156,7 @@ STAGES = [
     # The settings of a training need no package of an extra; flax has rich.
     ((".training",), EXTRAS | {"carpark_mj.suite", "carpark_papers"}),
     ((), EXTRAS | {"carpark_papers"}),  # after the settings were made
+    ((".suite",), EXTRAS | {"carpark_papers"}),
 ]
 CODE = """
 import importlib, json, sys

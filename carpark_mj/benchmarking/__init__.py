@@ -198,9 +198,15 @@ def env_subject(job: Job) -> Subject:
 
     reset_key, key = jax.random.split(jax.random.key(0))
     state, _ = jax.jit(jax.vmap(env.reset))(jax.random.split(reset_key, job.lots))
-    which, count = ("env", job.variant, job.num_agents), job.lots * job.num_agents
-    program = scan(step, job.steps)
-    return Subject(*which, "agent-steps", count * job.steps, program, (state, key))
+    return Subject(
+        what="env",
+        layout=job.variant,
+        agents=job.num_agents,
+        unit="agent-steps",
+        count=job.lots * job.num_agents * job.steps,
+        program=scan(step, job.steps),
+        carry=(state, key),
+    )
 
 
 def ppo_subject(job: Job) -> Subject:
@@ -227,10 +233,15 @@ def ppo_subject(job: Job) -> Subject:
     layout, carry = config.env.layout, learner.init()
     present = carry.env.info.get("present")  # None: all always are
     share = 1.0 if present is None else float(jnp.mean(present))
-    count = round(share * job.runs * config.slots_per_update)
-    layout = layout if isinstance(layout, str) else layout.family
-    which = what, layout, config.env.num_agents
-    return Subject(*which, "agent-steps", count, program, carry)
+    return Subject(
+        what=what,
+        layout=layout if isinstance(layout, str) else layout.family,
+        agents=config.env.num_agents,
+        unit="agent-steps",
+        count=round(share * job.runs * config.slots_per_update),
+        program=program,
+        carry=carry,
+    )
 
 
 def physics_subject(job: Job) -> Subject:
@@ -255,13 +266,16 @@ def physics_subject(job: Job) -> Subject:
 
     vehicle = make_vehicle(preset("compact"))
     fleet = jax.tree.map(lambda x: jnp.broadcast_to(x, (job.lots, *x.shape)), vehicle)
-    carry = physics.init(jnp.zeros((job.lots, 3)), fleet), jax.random.key(0)
-    what, program = (
-        f"physics {job.variant} {1e3 * sim.sim_dt:g} ms",
-        scan(step, job.steps),
+    state = physics.init(jnp.zeros((job.lots, 3)), fleet)
+    return Subject(
+        what=f"physics {job.variant} {1e3 * sim.sim_dt:g} ms",
+        layout="",
+        agents=1,
+        unit="car-substeps",
+        count=job.lots * job.steps * sim.num_substeps,
+        program=scan(step, job.steps),
+        carry=(state, jax.random.key(0)),
     )
-    count = job.lots * job.steps * sim.num_substeps
-    return Subject(what, "", 1, "car-substeps", count, program, carry)
 
 
 SUBJECTS: dict[str, Callable[[Job], Subject]] = {

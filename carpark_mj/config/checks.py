@@ -56,10 +56,14 @@ class Bounds(NamedTuple):
         least, most = max(self.ge, self.gt), min(self.le, self.lt)
         if least == -math.inf and most == math.inf:
             return "be finite"
+        if most == math.inf and self.gt == 0.0:
+            return "be positive"
         if most == math.inf:
-            return "be positive" if self.gt == 0.0 else f"be at least {_show(least)}"
+            above = "more than" if self.gt == least else "at least"
+            return f"be {above} {_show(least)}"
         if least == -math.inf:
-            return f"be at most {_show(most)}"
+            below = "less than" if self.lt == most else "at most"
+            return f"be {below} {_show(most)}"
         left, right = "[("[self.gt == least], "])"[self.lt == most]
         return f"lie in {left}{_show(least)}, {_show(most)}{right}"
 

@@ -162,13 +162,15 @@ def contacts(rows: Sequence[Row]) -> dict[str, Any] | None:
     if not rows or not {"hit_person", "peak_contact_speed"} <= rows[0].keys():
         return None
     moved = [row for row in rows if row["path"] > MOVED]
+    ranges = {"any": (0.0, math.inf)}
+    for low, high in itertools.pairwise((*SPEEDS, math.inf)):
+        ranges[f"{low:g}..{high:g}".removesuffix("inf")] = low, high
+
+    def hits(row: Row, low: float, high: float) -> float:
+        return float(row["hit_person"] and low <= row["peak_contact_speed"] < high)
+
     found: dict[str, Any] = {"episodes": len(moved)}
-    ends = (*SPEEDS, math.inf)
-    for low, high in ((0.0, math.inf), *itertools.pairwise(ends)):
-        name = f"{low:g}..{high:g}".removesuffix("inf") if len(found) > 1 else "any"
-        hits = [
-            x["hit_person"] and low <= x["peak_contact_speed"] < high for x in moved
-        ]
-        rows = [x | {"contact": float(h)} for x, h in zip(moved, hits, strict=True)]
+    for name, ends in ranges.items():
+        rows = [row | {"contact": hits(row, *ends)} for row in moved]
         found[name] = pool(_CONTACT, rows)
     return found

@@ -86,6 +86,8 @@ def read_log(path: Path) -> DriveLog:
     if not rows:
         raise ValueError(f"{path} has no rows")
     names = {name.strip(): name for name in rows[0].cells}
+    if len(names) < len(rows[0].cells):
+        raise ValueError(f"{path} has a column twice")
     needed = ("time",), STEERING, PEDAL
     of: dict[str, str] = {}  # columns by quantity
     for choice in (*needed, *zip((*POSE, *RATES))):

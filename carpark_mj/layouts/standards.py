@@ -190,9 +190,8 @@ class Entry(CheckedConfig):
     """An entry from an aisle into a bay."""
 
     aisle: float  # its width [m]
-    bay_width: Annotated[
-        float, Bounds(ge=1.0, le=30.0, unit="m")
-    ]  # across a parked car
+    # across a parked car
+    bay_width: Annotated[float, Bounds(ge=1.0, le=30.0, unit="m")]
     angle: float = 90.0  # between aisle and bay [deg], in (0, 90]; 0 = parallel
     walled: bool = False  # see `least_aisle`
 

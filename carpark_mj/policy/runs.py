@@ -47,7 +47,7 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
     hints = typing.get_type_hints(cls)
     names = {field.name for field in dataclasses.fields(cls)}
-    for unknown in sorted(set(data) - names):
+    for unknown in sorted(map(str, data.keys() - names)):  # YAML has numbers, too
         raise ValueError(unknown_name(f"{cls.__name__} setting", unknown, names))
     return cls(**{name: from_json(hints[name], value) for name, value in data.items()})
 

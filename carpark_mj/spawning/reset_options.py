@@ -148,16 +148,26 @@ def _faults(config: EnvConfig, options: ResetOptions, state: State) -> Iterator[
     yield stands & wrong, lambda i: f"no car can stand at {pose[i].tolist()} exactly"
 
     car = state.physics.vehicle
-    limits = np.stack([-car.max_reverse_speed, car.max_speed], axis=-1)
-    wrong = ~((limits[..., 0] <= speed) & (speed <= limits[..., 1]))
-    yield rolls & wrong, lambda i: f"speed must lie in {limits[i]} m/s, not {speed[i]}"
+    low, high = -car.max_reverse_speed, car.max_speed
+    wrong = ~((low <= speed) & (speed <= high))
+    yield (
+        rolls & wrong,
+        lambda i: (
+            f"speed must lie in [{low[i]:.4g}, {high[i]:.4g}] m/s, not {speed[i]}"
+        ),
+    )
     wrong = np.abs(motion.speed - speed) > TOLERANCE
     yield rolls & wrong, lambda i: f"no car can have the speed {speed[i]} m/s exactly"
 
     bays, kinds = np.asarray(layout.bay_mask), np.asarray(layout.bay_kind)
-    row, last = np.clip(goal, 0, bays.shape[1] - 1), bays.sum(axis=1) - 1
+    row = np.clip(goal, 0, bays.shape[1] - 1)
     wrong = (row != goal) | ~np.take_along_axis(bays, row, axis=1)
-    yield aims & wrong, lambda i: f"no bay {goal[i]}: goals are from 0 to {last[i[0]]}"
+    yield (
+        aims & wrong,
+        lambda i: (
+            f"no bay {goal[i]}: goals are from 0 to {np.flatnonzero(bays[i[0]])[-1]}"
+        ),
+    )
     held = np.asarray(state.goal)
     twice = (held[:, :, None] == held[:, None]) & ~np.eye(shape[1], dtype=bool)
     wrong = twice.any(-1) & (np.take_along_axis(kinds, row, axis=1) != BayKind.EXIT)

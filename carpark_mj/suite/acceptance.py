@@ -29,6 +29,7 @@ from carpark_mj.suite.report import (
     same_columns,
     short_level,
     shown_cells,
+    shown_levels,
     table_rows,
     worst_first,
 )
@@ -100,10 +101,10 @@ def parse_limit(text: str) -> Limit:
     known = {*RATES, *VALUES}
     if limit.name not in known:
         raise ValueError(unknown_name("limit", limit.name, known))
-    if not math.isfinite(limit.value) or (
-        limit.name in RATES and not (0.0 <= limit.value <= 1.0)
-    ):
+    if limit.name in RATES and not 0.0 <= limit.value <= 1.0:
         raise ValueError(f"{limit.name} must be a share in [0, 1], not {limit.value}")
+    if not math.isfinite(limit.value):
+        raise ValueError(f"the limit of {limit.name} must be finite, not {limit.value}")
     return limit
 
 
@@ -183,8 +184,9 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
     page, folders = Path(config.out), list(map(Path, config.runs))
     require_writable(page, new_folders=True)
     episodes, _ = read_runs(folders)
+    names = shown_levels(row["level"] for row in episodes)
     parts = {
-        f"{policy}, {short_level(level)}": part
+        f"{policy}, {names[level]}": part
         for (policy, level), part in by_policy(episodes).items()
     }
     judged = [
@@ -196,7 +198,7 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
     rates = same_columns([x for name in policies for x in table_rows(name, episodes)])
     title, *about = header(episodes)
     sections = [("Limits", PRINT + table(judged))] if judged else [("", PRINT)]
-    sections.append(("Results", table(_turned(list(map(shown_cells, rates))))))
+    sections.append(("Results", table(_turned(list(map(shown_cells, rates)), names))))
     sections.append(("Distributions", histograms(parts)))
     contacts = [x for x in episodes if x["crashed"] or x.get("near_miss")]
     sections.append(("Contacts and near misses", table(list(map(_contact, contacts)))))
@@ -214,9 +216,11 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
     return judged
 
 
-def _turned(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+def _turned(
+    rows: Sequence[Mapping[str, str]], levels: Mapping[str, str]
+) -> list[dict[str, str]]:
     """A table with a column for each of its rows, which a printed page has room for."""
-    names = [f"{row['policy']}, {short_level(row['level'])}" for row in rows]
+    names = [f"{row['policy']}, {levels[row['level']]}" for row in rows]
     names = [
         f"{name}, {row['kind']}" if names.count(name) > 1 else name
         for name, row in zip(names, rows, strict=True)

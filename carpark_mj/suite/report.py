@@ -258,8 +258,9 @@ def by_level(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
     found = {row["policy"]: dict.fromkeys(levels, "–") for row in rows}
     for row in rows:  # all kinds of a level are its last row
         found[row["policy"]][row["level"]] = shown_cells(row)["parked [%]"]
+    names = shown_levels(levels)
     return [
-        {"policy": policy, **{short_level(x): cell for x, cell in cells.items()}}
+        {"policy": policy, **{names[x]: cell for x, cell in cells.items()}}
         for policy, cells in found.items()
     ]
 
@@ -268,6 +269,13 @@ def short_level(level: str) -> str:
     """A level's name, of a path its last part."""
     name, colon, path = level.partition(":")
     return f"{name}{colon}{Path(path).name}"
+
+
+def shown_levels(levels: Iterable[str]) -> dict[str, str]:
+    """Short names of levels, but whole ones of those that share theirs."""
+    short = {level: short_level(level) for level in levels}
+    shared = [*short.values()]
+    return {x: name if shared.count(name) == 1 else x for x, name in short.items()}
 
 
 def _number(value: Any, digits: int) -> str:

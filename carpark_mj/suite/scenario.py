@@ -24,14 +24,12 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.cli.driver import with_settings
-from carpark_mj.cli.settings.tables import ScenarioConfig, SuiteConfig
 from carpark_mj.config import EnvConfig, FleetConfig, MetricsConfig
 from carpark_mj.config.checks import (
     FARTHEST,
@@ -50,10 +48,12 @@ from carpark_mj.movers.scripted import Script, Scripted, ScriptedBox, ScriptedPe
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.reading import parse_object, parse_yaml, read_text
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.suite import evaluation
 from carpark_mj.suite.busy import EXTRA
 from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases, CaseStart
 from carpark_mj.vehicle import preset
+
+if TYPE_CHECKING:
+    from carpark_mj.cli.settings.tables import ScenarioConfig
 
 NAME = "scenario"
 Pose = Annotated[tuple[float, float, float], Bounds(ge=-FARTHEST, le=FARTHEST)]
@@ -67,8 +67,8 @@ ACROSS = 8.0  # m that it goes
 SLOWEST = 0.01  # m/s or m, least of what a spread makes of speeds and distances
 OWN, EACH = 4, 6  # numbers that are drawn for the car, and for each mover
 OWN_SETTINGS = {
-    *("layout", "vehicle", "num_agents", "num_parked_cars", "movers"),
-    *("episode.parked_rule", "episode.max_steps"),
+    *("layout", "vehicle", "num_agents", "num_parked_cars", "movers", "fleet"),
+    *("metrics", "episode.parked_rule", "episode.max_steps"),
 }
 
 
@@ -288,6 +288,8 @@ class Scenario(CheckedConfig):
 
     def env(self, env: EnvConfig) -> EnvConfig:
         """The scenario's environment, from that of a policy in the suite."""
+        from carpark_mj.cli.driver import with_settings  # tyro is of an extra
+
         # A flag cannot name the lots of configs.
         env = with_settings(dataclasses.replace(env, layout="square"), self.settings)
         if self.parked and env.physics_config.contacts:
@@ -396,12 +398,7 @@ def _with_bay(layout: Layout, goal: Goal) -> Layout:
 
 @dataclasses.dataclass(frozen=True)
 class ScenarioLot(FixedLayoutConfig):
-    """The lot of a scenario.
-
-    Attributes:
-        scenario: which.
-        family: fixed.
-    """
+    """The lot of a scenario."""
 
     scenario: Scenario | None = None
     family: str = NAME
@@ -438,8 +435,9 @@ def make_scenario(data: Mapping[str, Any]) -> Scenario:
             actors.append(from_dict(Actor, mover))
         except ValueError as error:
             raise ValueError(f"movers[{place}]: {error}") from None
-    if own := OWN_SETTINGS & settings.keys():
-        raise ValueError(f"settings must leave {min(own)} to the scenario's entries")
+    names = [str(name).replace("-", "_") for name in settings]
+    if own := [x for x in names if OWN_SETTINGS & {x, x.partition(".")[0]}]:
+        raise ValueError(f"settings must leave {own[0]} to the scenario's entries")
     words = tuple(f"{name}={value}" for name, value in settings.items())
     scenario = from_dict(Scenario, found)
     return dataclasses.replace(scenario, movers=tuple(actors), settings=words)
@@ -461,8 +459,11 @@ def scenario_level(path: str) -> CaseLevel:
 FILE_LEVELS[NAME] = scenario_level
 
 
-def main(config: ScenarioConfig) -> list[dict[str, Any]]:
+def main(config: "ScenarioConfig") -> list[dict[str, Any]]:
     """Drives all repetitions by all policies and writes the suite's files."""
+    from carpark_mj.cli.settings.tables import SuiteConfig  # tyro is of an extra
+    from carpark_mj.suite import evaluation
+
     level = f"{NAME}:{config.file}"
     scenario_level(config.file)  # refused before anything is compiled
     names = ("policies", "seeds", "videos", "out")

@@ -63,8 +63,9 @@ def take_flags(
     `flags` are options of `argparse.ArgumentParser.add_argument` by name. A value that
     is missing or impossible raises `ValueError`.
     """
-    how: Any = {"add_help": False, "allow_abbrev": False, "exit_on_error": False}
-    parser = argparse.ArgumentParser(**how)
+    parser = argparse.ArgumentParser(
+        add_help=False, allow_abbrev=False, exit_on_error=False
+    )
     for name, options in flags.items():
         parser.add_argument(f"--{name.replace('_', '-')}", **options)
     try:

@@ -65,6 +65,8 @@ class RunConfig(CheckedConfig):
             raise ValueError(
                 f"name must be the name of one folder in runs_dir, not {self.name!r}"
             )
+        if not self.runs_dir.strip():
+            raise ValueError(f"runs_dir must name a folder, not {self.runs_dir!r}")
 
     @property
     def default_name(self) -> str:
@@ -107,9 +109,10 @@ def open_run(config: RunConfig) -> Generator[Path]:
 def _new_folder(config: RunConfig) -> Path:
     """Makes the folder; an unnamed run never touches an older one."""
     folder = first = Path(config.runs_dir, config.name or config.default_name)
+    folder.parent.mkdir(parents=True, exist_ok=True)
     for number in itertools.count(2):
         with contextlib.suppress(FileExistsError):
-            folder.mkdir(parents=True)
+            folder.mkdir()
             return folder
         if config.name:
             break

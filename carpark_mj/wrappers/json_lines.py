@@ -65,7 +65,7 @@ class LineProtocol:
             if list(request) == ["action"]:
                 return self._act(request["action"])
             raise ValueError('a request is {"reset": {...}} or {"action": [...]}')
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             return {"error": str(error)}
 
     def _begin(self, given: Any) -> Answer:

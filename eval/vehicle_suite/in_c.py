@@ -32,7 +32,6 @@ class CCar:
 
     Driver and tyres are computed in JAX's default float: construct and step the car
     under `jax.enable_x64(True)` for float64 throughout.
-
     """
 
     def __init__(

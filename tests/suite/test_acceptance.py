@@ -8,7 +8,7 @@ import pytest
 from carpark_mj.cli.settings.tables import ReportConfig
 from carpark_mj.suite.acceptance import judge, main, parse_limit
 from carpark_mj.suite.levels import find_level
-from carpark_mj.suite.report import FOLDER
+from carpark_mj.suite.report import FOLDER, shown_levels
 from carpark_mj.suite.results import Drives, key_of, write_run
 
 
@@ -80,3 +80,8 @@ def test_the_page_stands_alone_and_has_the_films(tmp_path):
     assert sum(source.startswith("data:video") for source in sources) == 1
     for shown in (find_level("tpcap").fingerprint, "jax 1", "precise", "failed"):
         assert shown in text
+
+
+def test_levels_of_one_file_name_keep_their_paths():
+    levels = ["scenario:a/child.yaml", "scenario:b/child.yaml", "scenario:b/door.yaml"]
+    assert [*shown_levels(levels).values()] == [*levels[:2], "scenario:door.yaml"]

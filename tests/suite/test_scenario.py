@@ -14,7 +14,7 @@ from carpark_mj.cli.settings.tables import ScenarioConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayEnd
-from carpark_mj.suite import scenario
+from carpark_mj.suite import evaluation, scenario
 from carpark_mj.suite.levels import pick_cases
 from carpark_mj.suite.scenario import make_scenario, read_scenario
 
@@ -115,13 +115,13 @@ def test_a_scenario_is_driven_as_written(tmp_path, monkeypatch):
     Path("mine.yaml").write_text(yaml.safe_dump(data))
     cases = pick_cases("scenario:mine.yaml", 2)
     evaluators = []
-    made = scenario.evaluation.CaseEvaluator
+    made = evaluation.CaseEvaluator
 
     def kept(*arguments):
         evaluators.append(made(*arguments))
         return evaluators[-1]
 
-    monkeypatch.setattr(scenario.evaluation, "CaseEvaluator", kept)
+    monkeypatch.setattr(evaluation, "CaseEvaluator", kept)
     rows = scenario.main(ScenarioConfig("mine.yaml", ("zero",), videos=0, out="out"))
     assert [(row["cases"], row["timed out"]) for row in rows] == [(2, 1.0)]  # it stands
     (evaluator,) = evaluators

@@ -44,6 +44,18 @@ def test_a_name_is_that_of_one_folder(name):
     assert PPOConfig(name="a b.c-2").name == "a b.c-2"
 
 
+def test_the_folder_of_all_runs_is_one(tmp_path):
+    with pytest.raises(ValueError, match="runs_dir"):
+        PPOConfig(runs_dir=" ")
+    nowhere = tmp_path / "link"
+    nowhere.symlink_to(tmp_path / "gone")
+    with (
+        pytest.raises(OSError, match="link"),
+        open_run(PPOConfig(runs_dir=str(nowhere))),
+    ):
+        pass
+
+
 def test_a_folder_is_held_by_one_process_at_a_time(tmp_path):
     config = PPOConfig(name="mine", runs_dir=str(tmp_path))
     with open_run(config) as folder:

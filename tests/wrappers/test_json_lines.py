@@ -89,5 +89,6 @@ def test_bad_requests_are_answered_by_a_sentence(client, request_, said):
 
 def test_bad_actions_are_answered_by_a_sentence(client):
     client({"reset": START})
-    for action in ([[0.0]], [[0.0, None]], "left", [[0.0, float("nan")]]):
+    nan, huge = float("nan"), 10**400
+    for action in ([[0.0]], [[0.0, None]], "left", [[0.0, nan]], [[0.0, huge]]):
         assert "error" in client({"action": action}), action

@@ -133,8 +133,13 @@ def collect(
     (env_state, totals), (taken, present, advice, near) = jax.lax.scan(
         step, (env_state, zeros), jax.random.split(key, length)
     )
-    more: Any = {"final_observation": env_state.obs, "weight": present}
-    rollout = Rollout(*taken, **more, advice=advice, near=near)
+    rollout = Rollout(
+        *taken,
+        final_observation=env_state.obs,
+        weight=present,
+        advice=advice,
+        near=near,
+    )
     return env_state, rollout, totals
 
 

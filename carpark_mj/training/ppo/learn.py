@@ -165,8 +165,15 @@ def learn(
         if share is not None:
             everyone = jnp.zeros(near.shape[:2]).at[:, kept].set(advantage)
             advantage += share * neighbours_mean(near, everyone)[:, kept]
-        seen = rollout.observation, rollout.raw_action, rollout.log_prob
-        return Minibatch(*seen, advantage, target, weight, rollout.advice)
+        return Minibatch(
+            observation=rollout.observation,
+            raw_action=rollout.raw_action,
+            log_prob=rollout.log_prob,
+            advantage=advantage,
+            target=target,
+            weight=weight,
+            advice=rollout.advice,
+        )
 
     steps_for = details.prepared(prepare, unravel(start), networks, normalizer)
     rate: Any = learning_rate
@@ -186,8 +193,9 @@ def learn(
             chosen, loss_key = part
             batch = jax.tree.map(lambda x: _flat(x[:, chosen]), steps)
             grad = jax.grad(details.loss, has_aux=True)
-            given = unravel(params), networks, normalizer, batch, weights, loss_key
-            grads, losses = grad(*given)
+            grads, losses = grad(
+                unravel(params), networks, normalizer, batch, weights, loss_key
+            )
             grads = jax.lax.pmean(ravel_pytree(grads)[0], AXIS)
             updates: Any
             updates, moments = optimizer.update(grads, moments)

@@ -238,9 +238,15 @@ class Learner:
             key, renew_key = jax.random.split(key)
             renew_key = jax.random.fold_in(renew_key, local)
             env_state = self._renew(env_state, state.update, rates, renew_key)
-        parts = self.config, self.networks, self.inputs, self.optimizer
-        learn_key = jax.random.fold_in(learn_key, local)
-        learned, losses = learn(*parts, state, rollout, learn_key)
+        learned, losses = learn(
+            self.config,
+            self.networks,
+            self.inputs,
+            self.optimizer,
+            state,
+            rollout,
+            jax.random.fold_in(learn_key, local),
+        )
         numbers = jax.tree.leaves((learned, losses))
         finite = jnp.stack([jnp.all(jnp.isfinite(x)) for x in numbers]).all()
         old = (state.normalizer, state.policy, state.value, state.optimizer)
@@ -283,11 +289,17 @@ class Learner:
             self.networks, state.normalizer, state.policy, deterministic=False
         )
         progress = self.config.progress(state.update, state.seconds)
-        curriculum, length = self.config.curriculum, self.config.unroll_length
-        scales = dict.fromkeys(self.scaled, crash_scale(curriculum, progress))
-        near = curriculum.neighbour_share > 0.0
-        given = self.env, state.env, actor, key, length, scales
-        return collect(*given, with_neighbours=near, teacher=self.teacher)
+        curriculum = self.config.curriculum
+        return collect(
+            self.env,
+            state.env,
+            actor,
+            key,
+            self.config.unroll_length,
+            dict.fromkeys(self.scaled, crash_scale(curriculum, progress)),
+            with_neighbours=curriculum.neighbour_share > 0.0,
+            teacher=self.teacher,
+        )
 
     def _renew(
         self, env_state: Any, update: jax.Array, rates: jax.Array, key: jax.Array

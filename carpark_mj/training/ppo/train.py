@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import numpy as np
@@ -44,8 +44,10 @@ def finish(config: PPOConfig, folder: Path, stochastic: bool = False) -> None:
     if config.eval_episodes:
         from carpark_mj.cli import evaluate
 
-        more: Any = {"episodes": config.eval_episodes, "stochastic": stochastic}
-        evaluate.main(evaluate.EvaluateConfig(run, **more, out=run))
+        settings = evaluate.EvaluateConfig(
+            run, episodes=config.eval_episodes, stochastic=stochastic, out=run
+        )
+        evaluate.main(settings)
     if config.video_seconds:
         from carpark_mj.cli import render
 
