@@ -177,6 +177,7 @@ _PACKAGES = {
     "sb3": "sbx stable_baselines3",
     "sweep": "submitit",
     "sb3,torchrl": "torch",
+    "fmu": "pythonfmu3",
     "test": "vehiclemodels",
     **{name: name for name in ("jaxmarl", "mlflow", "pettingzoo", "wandb")},
 }
