@@ -36,6 +36,8 @@ LINE, LETTER = 0.15, 0.072  # inches, of a title
 LETTERS = 24  # in a title's line
 FONT = 8.0  # points
 WALL = 1.2  # points, the least width of a wall: some are 2 cm thick
+NUMBER = 1.0  # m, the height of a bay's number
+POINTS = 72.0  # of an inch
 DPI = 160
 
 
@@ -92,7 +94,10 @@ def _arrow(axes: Any, x: float, y: float, yaw: float, size: float, colour: str) 
 
 
 def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
-    """Writes a picture of titled layouts, all to one scale, with a legend."""
+    """Writes a picture of titled layouts, all to one scale, with a legend.
+
+    A single one has the numbers of its bays, and axes in metres.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -121,10 +126,30 @@ def plot_layouts(layouts: Sequence[tuple[str, Layout]], path: Path) -> Path:
         figure.text(x / SHEET, top, "\n".join(title), **text)
         low = top - (height + LINE * len(title)) / (high + foot)
         box = (x / SHEET, low, width / SHEET, height / (high + foot))
-        draw_layout(figure.add_axes(box), layout)
+        axes = figure.add_axes(box)
+        draw_layout(axes, layout)
+        if len(layouts) == 1:
+            number_bays(axes, layout, metre)
     _legend(figure, [layout for _, layout in layouts], metre)
     write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI))
     return path
+
+
+def number_bays(axes: Any, layout: Layout, metre: float) -> None:
+    """Writes the bays' numbers and ticks in metres; `metre` is in inches."""
+    text: dict[str, Any] = {"ha": "center", "va": "center", "color": "#1b4f72"}
+    size = min(FONT, NUMBER * metre * POINTS)
+    for bay in np.flatnonzero(layout.bay_mask):
+        x, y, yaw = np.asarray(layout.bay_pose[bay])
+        back = float(layout.bay_size[bay, 0]) / 4  # off the arrow
+        place = x - back * np.cos(yaw), y - back * np.sin(yaw)
+        axes.text(*place, str(bay), fontsize=size, **text)
+    axes.set_axis_on()
+    axes.tick_params(direction="in", labelsize=FONT / 2, length=2)
+    axes.tick_params("x", pad=-FONT)
+    axes.tick_params("y", pad=-2 * FONT)
+    axes.spines[:].set_visible(False)
+    axes.patch.set_visible(False)
 
 
 def _pack(

@@ -11,7 +11,7 @@
     spread: {place: 0.1, heading: 0.02}
     movers:
       - {kind: person, between: [6, 7], speed: 1.5, near: 6.0, spread: {near: 1.0}}
-    settings: {sensors.pose_noise: 0.05}
+    settings: {sensors.position_noise: 0.05}
 
 Movers are `carpark_mj.movers.scripted`. Repetition 0 is the scenario as it is written.
 The others draw every value with a spread uniformly between the value less and plus the
@@ -255,9 +255,15 @@ class Scenario(CheckedConfig):
         super().__post_init__()
         _require("the heading of start", self.start[2], HEADING)
         find_rules(self.rule_name)
-        preset(self.vehicle)
+        car = preset(self.vehicle)
         layout = self.layout  # refuses unknown and random lots
         _require_bays("goal", (self.goal_bay,), layout)
+        bay, own = layout.bay_size[self.goal_bay], (car.length, car.width)
+        if np.any(bay < np.array(own, np.float32)):
+            raise ValueError(
+                f"the car, {own[0]:g} m x {own[1]:g} m, is larger than the goal's bay, "
+                f"{bay[0]:g} m x {bay[1]:g} m"
+            )
         _require_bays("parked", self.parked, layout)
         if self.goal_bay in self.parked or len({*self.parked}) < len(self.parked):
             raise ValueError(
@@ -425,8 +431,13 @@ def make_scenario(data: Mapping[str, Any]) -> Scenario:
     """The scenario of a file's mapping; ValueError of a fault in it."""
     found = dict(data)
     movers, settings = found.pop("movers", []), found.pop("settings", {})
-    if not isinstance(movers, list) or not isinstance(settings, dict):
-        raise ValueError("movers must be a list, and settings names with values")
+    if not isinstance(movers, list):
+        raise ValueError(f"movers must be a list, each `- kind: ...`, not {movers!r}")
+    if not isinstance(settings, dict):
+        raise ValueError(
+            f"settings must be names with values, `sim.steering_delay: 0.2`, not "
+            f"{settings!r}"
+        )
     if missing := [name for name in ("lot", "start", "goal") if name not in found]:
         raise ValueError(f"the scenario lacks {', '.join(missing)}")
     actors: list[Actor] = []
@@ -439,6 +450,10 @@ def make_scenario(data: Mapping[str, Any]) -> Scenario:
     if own := [x for x in names if OWN_SETTINGS & {x, x.partition(".")[0]}]:
         raise ValueError(f"settings must leave {own[0]} to the scenario's entries")
     words = tuple(f"{name}={value}" for name, value in settings.items())
+    if not isinstance(goal := found["goal"], int | dict | Goal):
+        raise ValueError(
+            f"goal must be a bay's number or {{pose: [x, y, heading]}}, not {goal!r}"
+        )
     scenario = from_dict(Scenario, found)
     return dataclasses.replace(scenario, movers=tuple(actors), settings=words)
 

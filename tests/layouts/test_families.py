@@ -13,9 +13,11 @@ import shapely
 from helpers.programs import layouts as main
 from helpers.scenes import polygons
 from helpers.spawning import surroundings_of
+from matplotlib.figure import Figure
 
 from carpark_mj.cli.layouts import VARIANTS, run_scene
 from carpark_mj.config import LAYOUTS, LayoutConfig, SpawnConfig
+from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import (
     AngledConfig,
     BayKind,
@@ -30,6 +32,7 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.plot import number_bays, plot_layouts
 from carpark_mj.layouts.tight import draw_tight_bay
 from carpark_mj.spawning.starts import draw_uniform, spawn_pose, spawn_shapes
 from carpark_mj.vehicle import COMPACT
@@ -314,6 +317,26 @@ def test_the_command_checks_and_draws(tmp_path, capsys):
     assert "unknown layout 'ring'" in capsys.readouterr().err
     assert main(["nowhere.json", "--run", "1"]) == 2
     assert "cannot read nowhere.json" in capsys.readouterr().err
+
+
+def test_the_plan_of_a_single_lot_numbers_its_bays(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        "carpark_mj.layouts.plot.number_bays", lambda *x: drawn.append(x)
+    )
+    lot = make_layout("dead_end")
+    plot_layouts([("one", lot)], tmp_path / "one.png")
+    assert len(drawn) == 1
+    plot_layouts([("one", lot), ("two", lot)], tmp_path / "two.png")
+    assert len(drawn) == 1
+    monkeypatch.undo()
+    axes = Figure().add_axes((0, 0, 1, 1))
+    number_bays(axes, lot, 0.1)
+    found = {int(text.get_text()): text.get_position() for text in axes.texts}
+    assert [*found] == list(range(lot.num_bays))
+    for bay, place in found.items():  # inside its bay
+        corners = box_corners(lot.bay_pose[bay], lot.bay_size[bay])
+        assert shapely.Polygon(np.asarray(corners)).contains(shapely.Point(place))
 
 
 def test_every_config_names_its_family_and_is_hashable():

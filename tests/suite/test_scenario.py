@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import re
 from pathlib import Path
 
 import jax
@@ -9,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
+from helpers.pages import ROOT, code
+from helpers.programs import layouts
 
 from carpark_mj.cli.settings.tables import ScenarioConfig
 from carpark_mj.geometry import to_local
@@ -18,7 +21,8 @@ from carpark_mj.suite import evaluation, scenario
 from carpark_mj.suite.levels import pick_cases
 from carpark_mj.suite.scenario import make_scenario, read_scenario
 
-CHILD = Path(__file__).parents[2] / "examples" / "scenarios" / "child.yaml"
+DOCS = ROOT / "docs"
+CHILD = ROOT / "examples" / "scenarios" / "child.yaml"
 LOT = "square_compact"
 LEAST = {"lot": LOT, "start": [0.0, 0.0, 0.0], "goal": 6}
 WALKER = {"kind": "person", "start": [0.0, 0.0], "to": [0.0, 5.0]}
@@ -74,7 +78,10 @@ def test_a_goal_of_its_own_is_one_more_bay():
     [
         {"lot": "nowhere"},
         {"goal": 99},
+        {"goal": "6"},
         {"goal": {"pose": [0.0, 0.0, 90.0]}},
+        {"goal": {"pose": [0.0, 0.0, 0.0], "size": [4.0, 2.5]}},
+        {"goal": {"pose": [0.0, 0.0, 0.0], "size": [5.0, 1.5]}},
         {"start": [0.0, 0.0, 90.0]},
         {"parked": [6]},
         {"parked": [1, 1]},
@@ -91,6 +98,7 @@ def test_a_goal_of_its_own_is_one_more_bay():
         {"movers": [WALKER | {"size": [-1.0, 1.0]}]},
         {"movers": WALKER},
         {"settings": {"num_agents": 3}},
+        {"settings": ["sim.steering_delay=0.2"]},
     ],
     ids=str,
 )
@@ -151,3 +159,15 @@ def test_a_start_in_a_wall_is_refused(tmp_path, monkeypatch):
     )
     with pytest.raises(ValueError, match="agent 0"):
         scenario.main(ScenarioConfig("wall.yaml", ("zero",), out="out"))
+
+
+def test_the_example_of_the_page_is_read(tmp_path, monkeypatch):
+    """As the page says it is made: from a part of a map and a data sheet."""
+    monkeypatch.chdir(tmp_path)
+    page, own = ((DOCS / f"{x}.md").read_text() for x in ("scenarios", "own_lot"))
+    Path("my_car.yaml").write_text(code(own, "yaml")[0])
+    Path("cart.yaml").write_text(code(page, "yaml")[-1])
+    (crop,) = re.findall(r"^carpark_mj layouts (san_jose .*?json)  #", page, re.M)
+    assert layouts(crop.split()) == 0
+    made = read_scenario(Path("cart.yaml"))
+    assert f"# wrote corner.json: {made.layout.num_bays} bays" in page
