@@ -161,7 +161,10 @@ class CaseEvaluator:
         state, observation = self._reset(cases.layouts, keys, cases.start)
         if cases.start is not None and cases.start.parked is not None:
             # A user's scenario, whose start may be impossible.
-            check_starts(self.env.config, cases.start.options, state)
+            try:
+                check_starts(self.env.config, cases.start.options, state)
+            except ValueError as error:
+                raise ValueError(f"an impossible start, {error}") from None
         begun = Progress(jnp.ones(count), jnp.zeros(count)) if moving else None
         carry = Carry(state, observation, begun)
         policy, chunks = as_argument(policy), list[Any]()

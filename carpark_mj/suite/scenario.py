@@ -297,7 +297,11 @@ class Scenario(CheckedConfig):
         from carpark_mj.cli.driver import with_settings  # tyro is of an extra
 
         # A flag cannot name the lots of configs.
-        env = with_settings(dataclasses.replace(env, layout="square"), self.settings)
+        env = dataclasses.replace(env, layout="square")
+        try:
+            env = with_settings(env, self.settings)
+        except ValueError as error:
+            raise ValueError(f"settings of the scenario: {error}") from None
         if self.parked and env.physics_config.contacts:
             raise ValueError(
                 f"parked cars of a scenario need physics without contacts, not "

@@ -157,7 +157,7 @@ def test_a_start_in_a_wall_is_refused(tmp_path, monkeypatch):
     Path("wall.yaml").write_text(
         yaml.safe_dump(LEAST | {"start": wall, "settings": {"physics": "bicycle"}})
     )
-    with pytest.raises(ValueError, match="agent 0"):
+    with pytest.raises(ValueError, match="impossible start"):
         scenario.main(ScenarioConfig("wall.yaml", ("zero",), out="out"))
 
 
