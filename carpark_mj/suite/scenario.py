@@ -21,8 +21,7 @@ spread. `carpark_mj scenario` drives a file; `scenario:FILE` is a level of the s
 import dataclasses
 import functools
 import hashlib
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -32,22 +31,33 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig, FleetConfig, MetricsConfig
 from carpark_mj.config.checks import (
-    FARTHEST,
     Bounds,
     CheckedConfig,
     Count,
     Natural,
-    NonNegative,
     Positive,
 )
 from carpark_mj.layouts.registry import FixedLayoutConfig, make_layout
 from carpark_mj.layouts.standards import BAY_LENGTH, BAY_WIDTH
 from carpark_mj.layouts.types import BayEnd, Layout, layout_maxima, pad_layout
 from carpark_mj.mdp.terminations import PARKED_RULES, ParkedRule, find_rules
-from carpark_mj.movers.scripted import Script, Scripted, ScriptedBox, ScriptedPerson
+from carpark_mj.movers.scripted import Scripted
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.reading import parse_object, parse_yaml, read_text
 from carpark_mj.spawning.reset_options import ResetOptions
+from carpark_mj.suite.actors import (
+    EACH,
+    HEADING,
+    SIZE,
+    Actor,
+    Pair,
+    Pose,
+    Spread,
+    repeated,
+    require,
+    require_bays,
+    varied,
+)
 from carpark_mj.suite.busy import EXTRA
 from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases, CaseStart
 from carpark_mj.vehicle import preset
@@ -56,39 +66,11 @@ if TYPE_CHECKING:
     from carpark_mj.cli.settings.tables import ScenarioConfig
 
 NAME = "scenario"
-Pose = Annotated[tuple[float, float, float], Bounds(ge=-FARTHEST, le=FARTHEST)]
-Pair = tuple[float, float]  # of bounds that do not rise, see `_require`
-PLACE = Bounds(ge=-FARTHEST, le=FARTHEST, unit="m")
-SIZE = Bounds(gt=0.0, le=50.0, unit="m")
-HEADING = Bounds(ge=-math.tau, le=math.tau, unit="rad")
-SIZES = {"person": (0.5, 0.5), "cart": (1.0, 0.6), "car": (4.5, 1.8)}  # m
-BEHIND = 0.5  # m behind the front of a row, where a mover between two bays waits
-ACROSS = 8.0  # m that it goes
-SLOWEST = 0.01  # m/s or m, least of what a spread makes of speeds and distances
-OWN, EACH = 4, 6  # numbers that are drawn for the car, and for each mover
+OWN = 4  # numbers that are drawn for the car
 OWN_SETTINGS = {
     *("layout", "vehicle", "num_agents", "num_parked_cars", "movers", "fleet"),
     *("metrics", "episode.parked_rule", "episode.max_steps"),
 }
-
-
-@dataclasses.dataclass(frozen=True)
-class Spread(CheckedConfig):
-    """Largest deviations of repetitions, uniform.
-
-    Attributes:
-        place: of x and of y [m].
-        heading: of the start, and of a mover's direction [rad].
-        speed: [m/s].
-        near: of a mover's distance to a car at which it sets out [m].
-        after: of the time after which it sets out [s].
-    """
-
-    place: NonNegative = 0.0
-    heading: NonNegative = 0.0
-    speed: NonNegative = 0.0
-    near: NonNegative = 0.0
-    after: NonNegative = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,8 +89,8 @@ class Goal(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _require("the heading of goal.pose", self.pose[2], HEADING)
-        _require("goal.size", self.size, SIZE)
+        require("the heading of goal.pose", self.pose[2], HEADING)
+        require("goal.size", self.size, SIZE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,85 +118,6 @@ class Tolerance(CheckedConfig):
         if name not in PARKED_RULES:
             PARKED_RULES.register(name, ParkedRule(**limits))
         return name
-
-
-@dataclasses.dataclass(frozen=True)
-class Actor(CheckedConfig):
-    """What moves in a scenario: straight on from its start, once it sets out.
-
-    Without a trigger it sets out at once; of several the first counts.
-
-    Attributes:
-        kind: a person is a disc, the others are boxes.
-        start: its centre [m].
-        to: where it goes [m].
-        between: two bays instead of `start` and `to`: it steps out between them.
-        size: length and width, of a person twice the diameter [m]; default: by kind.
-        speed: at first [m/s].
-        slowing: deceleration [m/s²].
-        pause: at the end of the way before it returns [s].
-        returns: whether it goes back.
-        backwards: whether its rear is ahead.
-        near: distance between its centre and the car's at which it sets out [m].
-        ahead: distance ahead of the car, along its axis, at which it sets out [m].
-        after: time after which it sets out [s].
-        yields: whether it waits for a car that cannot stop; otherwise some contacts
-            are unavoidable.
-        spread: of the repetitions.
-    """
-
-    kind: Literal["person", "cart", "car"] = "person"
-    start: Pair | None = None
-    to: Pair | None = None
-    between: tuple[Natural, Natural] | None = None
-    size: Pair | None = None
-    speed: Positive = 1.0
-    slowing: NonNegative = 0.0
-    pause: NonNegative = 0.0
-    returns: bool = False
-    backwards: bool = False
-    near: Positive | None = None
-    ahead: Positive | None = None
-    after: NonNegative | None = None
-    yields: bool = True
-    spread: Spread = dataclasses.field(default_factory=Spread)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, bounds in (("start", PLACE), ("to", PLACE), ("size", SIZE)):
-            _require(name, getattr(self, name), bounds)
-        given = self.start is not None, self.to is not None
-        if any(given) == (self.between is not None) or any(given) != all(given):
-            raise ValueError("a mover needs start and to, or two bays in between")
-        if self.start == self.to is not None:
-            raise ValueError(f"start and to of a mover must differ, not {self.start}")
-
-    def script(self, layout: Layout) -> Scripted:
-        """The mover in a lot."""
-        if self.start is not None and self.to is not None:
-            start, way = np.array(self.start), np.subtract(self.to, self.start)
-        else:
-            assert self.between is not None
-            _require_bays("between", self.between, layout)
-            pose = np.asarray(layout.bay_pose)[list(self.between)]
-            front = np.asarray(layout.bay_size)[self.between[0], 0] / 2 - BEHIND
-            ahead = np.array([math.cos(pose[0, 2]), math.sin(pose[0, 2])])
-            start, way = pose[:, :2].mean(axis=0) + front * ahead, ACROSS * ahead
-        direction = math.atan2(way[1], way[0])
-        heading = math.remainder(direction + math.pi * self.backwards, math.tau)
-        triggers = (self.near, self.ahead, self.after)
-        made = ScriptedPerson if self.kind == "person" else ScriptedBox
-        same = ("speed", "slowing", "pause", "returns", "yields")
-        return made(
-            **{name: getattr(self, name) for name in same},
-            start=(float(start[0]), float(start[1]), heading),
-            direction=direction,
-            distance=math.hypot(*way),
-            trigger=self.ahead or 0.0,
-            near=self.near or 0.0,
-            after=0.0 if triggers == (None, None, None) else self.after,
-            size=self.size or SIZES[self.kind],
-        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -253,18 +156,18 @@ class Scenario(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _require("the heading of start", self.start[2], HEADING)
+        require("the heading of start", self.start[2], HEADING)
         find_rules(self.rule_name)
         car = preset(self.vehicle)
         layout = self.layout  # refuses unknown and random lots
-        _require_bays("goal", (self.goal_bay,), layout)
+        require_bays("goal", (self.goal_bay,), layout)
         bay, own = layout.bay_size[self.goal_bay], (car.length, car.width)
         if np.any(bay < np.array(own, np.float32)):
             raise ValueError(
                 f"the car, {own[0]:g} m x {own[1]:g} m, is larger than the goal's bay, "
                 f"{bay[0]:g} m x {bay[1]:g} m"
             )
-        _require_bays("parked", self.parked, layout)
+        require_bays("parked", self.parked, layout)
         if self.goal_bay in self.parked or len({*self.parked}) < len(self.parked):
             raise ValueError(
                 f"parked must be distinct bays other than the goal, not {self.parked}"
@@ -334,12 +237,12 @@ class Scenario(CheckedConfig):
         )
         each = zip(self.scripts, self.movers, others, strict=True)
         movers = tuple(
-            _varied(script.init(jax.random.key(0), self.layout), actor.spread, rows)
+            varied(script.init(jax.random.key(0), self.layout), actor.spread, rows)
             for script, actor, rows in each
         )
         keys = jax.vmap(jax.random.key)(number)
         same = np.array(self.parked, np.int32), self.layout
-        parked, layouts = _repeated(same, len(number))
+        parked, layouts = repeated(same, len(number))
         start = CaseStart(keys, options, movers, parked)
         return Cases(level, number, np.full(len(number), "repeated"), layouts, start)
 
@@ -350,46 +253,6 @@ class Scenario(CheckedConfig):
         chances = np.random.default_rng(0).uniform(-1.0, 1.0, shape)
         chances[0] = 0.0
         return chances
-
-
-def _varied(script: Script, spread: Spread, chance: np.ndarray) -> Script:
-    """Scripts (n,) of one, by `chance` (n, EACH)."""
-    x, y, turn, faster, further, later = (column[:, None] for column in chance.T)
-    turn = turn * spread.heading
-    move = np.concatenate([x * spread.place, y * spread.place, turn], axis=1)
-
-    def moved(value: jax.Array, change: np.ndarray, least: float) -> jax.Array:
-        return jnp.where(value > 0.0, jnp.maximum(value + change[:, 0], least), value)
-
-    return dataclasses.replace(
-        _repeated(script, len(chance)),
-        start=script.start + move,
-        direction=script.direction + turn[:, 0],
-        speed=moved(script.speed, faster * spread.speed, SLOWEST),
-        trigger=moved(script.trigger, further * spread.near, SLOWEST),
-        near=moved(script.near, further * spread.near, SLOWEST),
-        after=jnp.maximum(script.after + later[:, 0] * spread.after, 0.0),
-    )
-
-
-def _repeated(tree: Any, count: int) -> Any:
-    """The arrays (...) of a tree as (count, ...)."""
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *np.shape(x))), tree)
-
-
-def _require(name: str, value: Pair | float | None, bounds: Bounds) -> None:
-    if value is not None and not bounds.admit(value):
-        raise ValueError(f"{name} must {bounds}, not {value}")
-
-
-def _require_bays(name: str, numbers: Iterable[int], layout: Layout) -> None:
-    known = np.flatnonzero(layout.bay_mask)
-    for number in numbers:
-        if number not in known:
-            raise ValueError(
-                f"{name} must be a bay of the lot, {known[0]} to {known[-1]}, not "
-                f"{number}"
-            )
 
 
 def _with_bay(layout: Layout, goal: Goal) -> Layout:

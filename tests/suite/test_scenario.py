@@ -17,7 +17,7 @@ from carpark_mj.cli.settings.tables import ScenarioConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayEnd
-from carpark_mj.suite import evaluation, scenario
+from carpark_mj.suite import actors, evaluation, scenario
 from carpark_mj.suite.levels import pick_cases
 from carpark_mj.suite.scenario import make_scenario, read_scenario
 
@@ -53,7 +53,7 @@ def test_a_mover_between_bays_walks_out_of_their_gap():
         local = np.asarray(to_local(layout.bay_pose[bay], script.start))
         length, width = np.asarray(layout.bay_size[bay])
         assert local[1] == pytest.approx(side * width / 2, abs=1e-4)
-        assert local[0] == pytest.approx(length / 2 - scenario.BEHIND, abs=1e-4)
+        assert local[0] == pytest.approx(length / 2 - actors.BEHIND, abs=1e-4)
     moved = dataclasses.replace(script, clock=jnp.float32(1.0)).pose - script.start
     out = layout.bay_pose[3, 2]
     np.testing.assert_allclose(
