@@ -19,6 +19,10 @@ ENTRY_POINTS: dict[str, tuple[str, str]] = {
         "carpark_mj.registration:refuse_single",
         f"{_PARK}:ParkManyVectorEnv",
     ),
+    "carpark_mj/FirstPark-v0": (
+        f"{_PARK}:FirstParkEnv",
+        f"{_PARK}:FirstParkVectorEnv",
+    ),
 }
 
 

@@ -16,11 +16,29 @@ from carpark_mj.config import (
     SensorConfig,
     ShareConfig,
     SimConfig,
+    SpawnConfig,
 )
 from carpark_mj.extensions import Registry
 from carpark_mj.observations import ContinuousObservation
 
 ENVIRONMENTS: Registry[EnvConfig] = Registry("environment")
+
+# For a first try of one's own learner: all starts are on a way of at most 10 m out of
+# the goal, among walls only, any heading is parked, and the observation is the car's
+# motion and its goal.
+FIRST = EnvConfig(
+    num_agents=1,
+    num_parked_cars=0,
+    physics="bicycle",
+    spawn=SpawnConfig(close_ratio=0.0, reverse_ratio=1.0),
+    episode=EpisodeConfig(max_steps=100, parked_rule="tanner"),  # 20 s
+    observation=ContinuousObservation(
+        tracked_agents=0,
+        tracked_parked_cars=0,
+        rings=RingConfig(()),
+        rays=RayConfig(0),
+    ),
+)
 
 # The tasks of Tanner 2022 for real cars: all else is the default environment's.
 SQUARE = EnvConfig(
@@ -117,6 +135,7 @@ SEES = dataclasses.replace(
     ),
 )
 
+ENVIRONMENTS.register("first", FIRST)
 ENVIRONMENTS.register("square", SQUARE)
 ENVIRONMENTS.register("dynamic", DYNAMIC)
 ENVIRONMENTS.register("anywhere", ANYWHERE)

@@ -47,6 +47,7 @@ class Parking:
 
     _batch: NumpyBatch
     _spec: EnvSpec | None = None
+    _defaults: Options = {}  # noqa: RUF012
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -60,7 +61,8 @@ class Parking:
         self._spec = spec
 
     def _make(self, options: Options) -> ParkingEnv:
-        return share(ParkingEnv, one_agent(configure(options, ONE_AGENT)))
+        given: Options = {**self._defaults, **options}
+        return share(ParkingEnv, one_agent(configure(given, ONE_AGENT)))
 
     def _space(self, env: ParkingEnv) -> spaces.Space[Any]:
         """Space of an agent's observations."""
@@ -336,3 +338,18 @@ class ParkManyVectorEnv(ParkVectorEnv):
         # None and not that number: lots without room for all are refused.
         config = dataclasses.replace(config, episode=episode, min_agents=None)
         return share(ParkingEnv, config)
+
+
+_FIRST: Options = {"config": "first"}
+
+
+class FirstParkEnv(ParkEnv):
+    """`ParkEnv` in the environment `first`: `carpark_mj/FirstPark-v0`."""
+
+    _defaults = _FIRST
+
+
+class FirstParkVectorEnv(ParkVectorEnv):
+    """`carpark_mj/FirstPark-v0` many times; see `ParkVectorEnv`."""
+
+    _defaults = _FIRST

@@ -12,9 +12,15 @@ from carpark_mj.config import PARKED_RULES, REWARDS, EnvConfig
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.registration import ENTRY_POINTS
+from carpark_mj.registry import FIRST
 from carpark_mj.tasks.goal_pose import FEATURES
 from carpark_mj.wrappers.goal import ParkGoalEnv, goal_config
-from carpark_mj.wrappers.gymnasium_env import ONE_AGENT, ParkEnv, ParkManyVectorEnv
+from carpark_mj.wrappers.gymnasium_env import (
+    ONE_AGENT,
+    FirstParkEnv,
+    ParkEnv,
+    ParkManyVectorEnv,
+)
 from carpark_mj.wrappers.options import OPTIONS
 
 # Page, the class whose arguments it lists, and which of the options that takes.
@@ -22,6 +28,7 @@ PAGES = {
     "carpark_mj/Park-v0": ("park", ParkEnv, ONE_AGENT),
     "carpark_mj/ParkGoal-v0": ("park_goal", ParkGoalEnv, ONE_AGENT),
     "carpark_mj/ParkMany-v0": ("park_many", ParkManyVectorEnv, OPTIONS),
+    "carpark_mj/FirstPark-v0": ("first_park", FirstParkEnv, ONE_AGENT),
 }
 TEXTS = {name: pages.read(page) for name, (page, *_) in PAGES.items()}
 CONFIG = EnvConfig()
@@ -54,6 +61,7 @@ def goal(name, env):
         *[(name, "summary", pages.summary) for name in PAGES],
         ("carpark_mj/Park-v0", "actions", pages.actions),
         ("carpark_mj/Park-v0", "rewards", rewards),
+        ("carpark_mj/FirstPark-v0", "observation", pages.observation),
         ("carpark_mj/ParkGoal-v0", "goal", goal),
         ("carpark_mj/ParkGoal-v0", "rewards", pages.pose),
     ],
@@ -83,12 +91,17 @@ def test_the_page_of_park_lists_all_arguments_with_defaults():
     pages.assert_arguments(text, ParkEnv, listed | {"config": "EnvConfig()"})
 
 
-@pytest.mark.parametrize("name", ["carpark_mj/ParkGoal-v0", "carpark_mj/ParkMany-v0"])
+@pytest.mark.parametrize("name", [name for name in PAGES if name[-8:] != "/Park-v0"])
 def test_other_pages_list_the_arguments_that_differ(name):
     _, kind, options = PAGES[name]
     defaults = DEFAULTS
     if kind is ParkGoalEnv:
         defaults = {**DEFAULTS, "reward": "pose", "rule": RULE}
+    if kind is FirstParkEnv:
+        steps, cars = FIRST.episode.max_steps, FIRST.num_parked_cars
+        changed = {"parked_cars": cars, "max_episode_steps": steps}
+        changed |= {"rule": FIRST.episode.parked_rule, "physics": FIRST.physics}
+        defaults = {**DEFAULTS, **changed}
     differ = {
         option: repr(defaults[option])
         for option in options

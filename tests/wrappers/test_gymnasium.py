@@ -32,7 +32,7 @@ from carpark_mj.wrappers.gymnasium_env import one_agent
 from carpark_mj.wrappers.options import observation_space
 
 OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1]]
-PARK, GOAL, MANY = OURS
+PARK, GOAL, MANY, FIRST = OURS
 SINGLE = [PARK, GOAL]
 # As many tests as can share it, with its compiled programs.
 SHORT = EnvConfig(
@@ -63,7 +63,8 @@ def assert_close(one, other):
 
 
 @pytest.mark.parametrize(
-    ("name", "options"), [*((name, {"config": SHORT}) for name in SINGLE), (PARK, {})]
+    ("name", "options"),
+    [*((name, {"config": SHORT}) for name in SINGLE), (PARK, {}), (FIRST, {})],
 )
 def test_gymnasium_finds_no_fault(name, options):
     # It would open a window as well; pictures are looked at below.
@@ -76,6 +77,7 @@ def test_gymnasium_finds_no_fault(name, options):
     [
         (PARK, {"physics": "mjx"}),
         (GOAL, {"config": SHORT}),
+        (FIRST, {}),
         (PARK, {"layout": mixture(["square", "tpcap"]), "parked_cars": 0}),
         pytest.param(
             PARK,
@@ -130,6 +132,16 @@ def test_each_of_many_has_the_episodes_of_one(name):
             assert_close([leaf[index] for leaf in leaves(seen)], leaves(after))
         assert ("final_obs" in infos) == bool((terminated | truncated).any())
     assert crashes
+
+
+def test_the_first_task_is_park_in_its_environment():
+    first = gymnasium.make_vec(FIRST, 2).unwrapped._batch
+    assert first.env is gymnasium.make_vec(PARK, 2, config="first").unwrapped._batch.env
+    longer = make(FIRST, max_episode_steps=150)
+    assert longer.spec is not None
+    config = longer._batch.env.config
+    assert config.episode.max_steps == 150
+    assert config.spawn == first.env.config.spawn
 
 
 def test_gymnasiums_wrappers_work_on_the_vector_environment():
