@@ -3,12 +3,13 @@
 Faults raise a `ValueError` that names the file; errors of the system raise `OSError`.
 """
 
+import contextlib
 import csv
 import io
 import json
 import reprlib
 import stat
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +25,17 @@ def read_bytes(path: Path) -> bytes:
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise ValueError(f"cannot read {path}: it is not a regular file")
     return path.read_bytes()
+
+
+@contextlib.contextmanager
+def naming_file(path: Path) -> Generator[None]:
+    """Names the file in errors of reading it, which become `ValueError`."""
+    try:
+        yield
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def read_text(path: Path) -> str:

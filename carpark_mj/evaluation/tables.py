@@ -60,7 +60,7 @@ def print_rows(
     shown = Table(title=escape(title) or None)
     for number, name in enumerate(rows[0] if rows else ()):
         is_left = left is None or number < left
-        shown.add_column(name, justify="left" if is_left else "right")
+        shown.add_column(name, justify="left" if is_left else "right", overflow="fold")
     for number, row in enumerate(rows):
         cells = (escape(cell_text(value)) for value in row.values())
         shown.add_row(*cells, end_section=number in ends)

@@ -37,7 +37,7 @@ from carpark_mj.layouts.base import FAMILIES, LAYOUT_FORMATS, layout_format
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
-from carpark_mj.reading import parse_object, read_bytes, read_text
+from carpark_mj.reading import naming_file, parse_object, read_bytes, read_text
 
 FORMAT = "carpark_mj layout 1"
 
@@ -66,12 +66,8 @@ def read_json(path: Path) -> Layout:
 
 def read_unchecked(path: Path) -> Layout:
     """Reads a layout, which may have faults; `ValueError` if it is none."""
-    try:
+    with naming_file(path):
         return parse_layout(parse_object(read_text(path), "the layout"))
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 LAYOUT_FORMATS.register("json", read_json)

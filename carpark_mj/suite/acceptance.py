@@ -113,18 +113,17 @@ def judge(limit: Limit, rows: Sequence[Row]) -> dict[str, Any]:
 
     Its share is that of the event, or of repetitions that keep the limit. A limit of a
     rate is passed or failed if Wilson's 95 % interval says so, otherwise open. One of a
-    value is passed if every repetition keeps it.
+    value is passed if every repetition that has it keeps it. Intervals are for the
+    number of cases: the same case with another seed is not another case.
     """
-    if limit.name in RATES:
-        values = [row[limit.name] for row in rows if limit.name in row]
-        keeps = np.array(values)
-    else:
-        values = _values(limit.name, rows)
-        above, below = values >= limit.value, values <= limit.value
-        keeps = above if limit.least else below
-    if not len(values):
+    having = [row for row in rows if _has(row, limit.name)]
+    if not having:
         return {"limit": str(limit), "found": "no repetition has it", "verdict": "open"}
-    share, count = float(keeps.mean()), len(keeps)
+    values = np.array([row[limit.name] for row in having], float)
+    keeps = values
+    if limit.name in VALUES:
+        keeps = values >= limit.value if limit.least else values <= limit.value
+    share, count = float(keeps.mean()), len({row["case"] for row in having})
     low, high = wilson_interval(share * count, count)
     verdict: Verdict = "passed" if keeps.all() else "failed"
     if limit.name in RATES:
@@ -136,21 +135,18 @@ def judge(limit: Limit, rows: Sequence[Row]) -> dict[str, Any]:
         elif inside[1] < bound:
             verdict = "failed"
     interval = f"{100 * share:.1f} % ({100 * low:.1f} … {100 * high:.1f})"
-    found: dict[str, Any] = {"limit": str(limit), "found": f"{interval} of {count}"}
+    found = f"{interval} of {count}"
     if limit.name in VALUES:
         worst = float(np.min(values) if limit.least else np.max(values))
-        found["found"] += (
-            f" keep it, worst {worst:.3g} {VALUES[limit.name][1]}".rstrip()
-        )
-    return found | {"verdict": verdict}
+        found += f" keep it, worst {worst:.3g} {VALUES[limit.name][1]}".rstrip()
+    return {"limit": str(limit), "found": found, "verdict": verdict}
 
 
-def _values(name: str, rows: Sequence[Row]) -> np.ndarray:
-    """A value of the repetitions that have it."""
-    parked = VALUES[name][2]
-    found = [row[name] for row in rows if name in row and (row["parked"] or not parked)]
-    values = np.array(found, float)
-    return values[np.isfinite(values)]
+def _has(row: Row, name: str) -> bool:
+    """Whether a repetition has a rate or a value: some only if it parked."""
+    parked = name in VALUES and VALUES[name][2]
+    there = row["parked"] or not parked
+    return bool(there) and math.isfinite(row.get(name, math.nan))
 
 
 def histograms(rows: Mapping[str, Sequence[Row]]) -> str:
@@ -159,7 +155,10 @@ def histograms(rows: Mapping[str, Sequence[Row]]) -> str:
 
     shown = ""
     for name, (title, unit, _) in VALUES.items():
-        found = {which: _values(name, part) for which, part in rows.items()}
+        found = {
+            which: np.array([row[name] for row in part if _has(row, name)], float)
+            for which, part in rows.items()
+        }
         found = {which: values for which, values in found.items() if len(values)}
         if not found or np.ptp(np.concatenate([*found.values()])) == 0.0:
             continue

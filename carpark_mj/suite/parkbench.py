@@ -35,7 +35,7 @@ from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayEnd, Layout
 from carpark_mj.maps import RECORDED_CASES
-from carpark_mj.reading import parse_object, read_bytes, read_text
+from carpark_mj.reading import naming_file, parse_object, read_bytes, read_text
 from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases
 from carpark_mj.suite.tpcap import EDGE, Boxes, boxes_along, case_layout, stack_layouts
 
@@ -49,12 +49,8 @@ KIND = "recorded"
 
 def read_parkbench(path: Path) -> Layout:
     """Reads a case; ValueError if there is none."""
-    try:
+    with naming_file(path):
         return parkbench_layout(parse_object(read_text(path), "the case"))
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def parkbench_layout(data: Mapping[str, Any]) -> Layout:

@@ -43,7 +43,7 @@ from carpark_mj.layouts.types import BayEnd, Layout, layout_maxima, pad_layout
 from carpark_mj.mdp.terminations import PARKED_RULES, ParkedRule, find_rules
 from carpark_mj.movers.scripted import Scripted
 from carpark_mj.policy.runs import from_dict
-from carpark_mj.reading import parse_object, parse_yaml, read_text
+from carpark_mj.reading import naming_file, parse_object, parse_yaml, read_text
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.actors import (
     EACH,
@@ -285,13 +285,9 @@ class ScenarioLot(FixedLayoutConfig):
 
 def read_scenario(path: Path) -> Scenario:
     """Reads a scenario, YAML or JSON; ValueError says where its fault is."""
-    try:
+    with naming_file(path):
         parse = parse_object if path.suffix == ".json" else parse_yaml
         return make_scenario(parse(read_text(path), "the scenario"))
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def make_scenario(data: Mapping[str, Any]) -> Scenario:

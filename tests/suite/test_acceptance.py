@@ -51,6 +51,14 @@ def test_a_limit_is_judged(limit, rows, verdict):
     assert judge(parse_limit(limit), rows)["verdict"] == verdict
 
 
+def test_seeds_do_not_add_cases():
+    once = many(20, 20)
+    twice = [row | {"seed": seed} for row in once for seed in range(5)]
+    limit = parse_limit("parked>=0.9")
+    assert judge(limit, twice) == judge(limit, once)
+    assert judge(limit, many(100, 100))["verdict"] == "passed"  # were they cases
+
+
 @pytest.mark.parametrize(
     "text", ["parked", "parked>0.9", "perked>=0.9", "parked>=x", "parked>=1.5", ">=1"]
 )

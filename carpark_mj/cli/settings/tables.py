@@ -321,7 +321,8 @@ class ReportConfig:
     A limit names a rate (parked, crashed, timed_out, hit_person, hit_mover, near_miss),
     which its 95 % interval must keep, or a value (final_distance, final_heading,
     time_to_park, gear_changes, path, min_clearance, least_gap, contact_speed,
-    peak_acceleration), which every repetition must keep.
+    peak_acceleration), which every repetition must
+    keep. The first five are those of parked repetitions.
 
     Attributes:
         runs: folders that `suite` or `scenario` wrote; films there are embedded.
