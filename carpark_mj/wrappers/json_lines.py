@@ -12,7 +12,9 @@ as boxes; that of a reset the layout, as in a layout file; that of a step reward
 episodes ended and whether all have. A bad request is answered by {"error": "..."}.
 """
 
+import contextlib
 import json
+import socket
 import socketserver
 from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
@@ -139,17 +141,27 @@ class LineServer(socketserver.ThreadingTCPServer):
     """Serves clients of this machine; each has a lot of its own."""
 
     allow_reuse_address = True
-    daemon_threads = True
 
     def __init__(self, env: ParkingEnv, port: int) -> None:
         """Listens at a port; 0 = any free one, see `server_address`."""
-        self.env = env
+        self.env, self.clients = env, set[socket.socket]()
         super().__init__((HOST, port), _Client)
+
+    def server_close(self) -> None:
+        """Ends all connections and waits for their threads, which use JAX."""
+        for client in [*self.clients]:
+            with contextlib.suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
+        super().server_close()
 
 
 class _Client(socketserver.StreamRequestHandler):
     def handle(self) -> None:
-        protocol = LineProtocol(cast(LineServer, self.server).env)
-        for line in self.rfile:
-            answer = json.dumps(protocol.answer(line.decode("utf-8", "replace")))
-            self.wfile.write(answer.encode() + b"\n")
+        server = cast(LineServer, self.server)
+        server.clients.add(self.request)
+        protocol = LineProtocol(server.env)
+        with contextlib.suppress(ConnectionError):  # the client has gone
+            for line in self.rfile:
+                answer = json.dumps(protocol.answer(line.decode("utf-8", "replace")))
+                self.wfile.write(answer.encode() + b"\n")
+        server.clients.discard(self.request)

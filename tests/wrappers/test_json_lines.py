@@ -39,8 +39,10 @@ def client():
             return json.loads(stream.readline())
 
         yield ask
-    server.shutdown()
-    server.server_close()
+        server.shutdown()
+        server.server_close()
+        assert stream.readline() == ""  # it hangs up on a client that stays
+        assert not server.clients
 
 
 def test_a_client_drives_as_the_environment_steps(client):
