@@ -3,6 +3,7 @@
 import ast
 import importlib
 import re
+from types import SimpleNamespace
 
 import pytest
 from helpers.programs import ROOT, python
@@ -80,3 +81,31 @@ def test_examples_read_fields_that_steps_have():
     }
     assert "observation" in read
     assert read <= set(Step._fields)
+
+
+def test_a_search_learns_from_its_trials_and_ends_bad_ones(tmp_path, monkeypatch):
+    pytest.importorskip("optuna")
+    monkeypatch.syspath_prepend(EXAMPLES)
+    search = importlib.import_module("optuna_search")
+    asked = []
+
+    def train(config, callback):
+        asked.append(config)
+        quality = 0.1 if len(asked) == 5 else 0.8  # the fifth is worse
+        for part in range(20):
+            if callback({"progress": part / 20, "episode/parked": quality * part / 20}):
+                return SimpleNamespace(outcome="stopped")
+        return SimpleNamespace(outcome="done")
+
+    monkeypatch.setattr(search, "train", train)
+    settings = search.Settings(out=tmp_path)
+    for _ in range(5):
+        search.drive(settings)
+    trials = search.open_study(settings).trials
+    states = [trial.state.name for trial in trials]
+    assert states == ["COMPLETE"] * 4 + ["PRUNED"]
+    # The last of ten parts has two updates.
+    assert trials[0].value == pytest.approx(0.8 * 18.5 / 20)
+    for config, trial in zip(asked, trials, strict=True):
+        assert config.learning_rate == trial.params["learning_rate"]
+        assert config.discount == 1.0 - trial.params["1 - discount"]
