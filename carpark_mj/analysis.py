@@ -5,11 +5,10 @@ mean is the mean of the middle half; its interval comes from resampling runs wit
 point of a sweep (a stratified bootstrap), so that points do not change their weight.
 """
 
-import contextlib
 import dataclasses
 import html
 import math
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from carpark_mj.evaluation.catalogue import metrics as known_metrics
 from carpark_mj.evaluation.tables import link
-from carpark_mj.files import write_atomically
+from carpark_mj.files import drawn_axes
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.reading import read_csv, read_object, require_entries
 
@@ -295,7 +294,7 @@ def plot_metric(
     sources = list(dict.fromkeys(point.source for point in points))
     series = list(dict.fromkeys((p.source, p.values[1:]) for p in points))
     shades = list(dict.fromkeys(rest for _, rest in series))
-    with _axes(path, title) as axes:
+    with drawn_axes(path, (8, 4.5), title) as (axes,):
         for source, rest in series:
             own = [p for p in points if (p.source, p.values[1:]) == (source, rest)]
             colour = _colour(shades.index(rest), len(shades))
@@ -331,7 +330,7 @@ def plot_curves(
             curves.append((point, found))
     if not curves:
         return False
-    with _axes(path, title) as axes:
+    with drawn_axes(path, (8, 4.5), title) as (axes,):
         for number, (point, found) in enumerate(curves):
             colour = _colour(number, len(curves))
             end = min(curve[-1][0] for curve in found)
@@ -353,24 +352,6 @@ def _colour(number: int, count: int) -> Any:
     from matplotlib import colormaps
 
     return f"C{number}" if count <= 10 else colormaps["viridis"](number / (count - 1))
-
-
-@contextlib.contextmanager
-def _axes(path: Path, title: str) -> Generator[Any]:
-    """Gives axes to draw in, then writes the picture."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(8, 4.5), layout="constrained")
-    try:
-        yield axes
-        axes.set_title(title)
-        axes.grid(alpha=0.3)
-        write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
-    finally:
-        plt.close(figure)
 
 
 def videos(path: Path, records: Sequence[Record]) -> str:

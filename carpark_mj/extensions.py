@@ -80,7 +80,7 @@ class Registry(Mapping[str, T], Generic[T]):
         this order until one has registered the name.
         """
         self._kind = kind
-        self._homes = homes
+        self.homes = homes
         self._parts: dict[str, T] = {}
 
     def register(self, name: str, part: T) -> T:
@@ -109,13 +109,13 @@ class Registry(Mapping[str, T], Generic[T]):
 
     @property
     def summaries(self) -> dict[str, str]:
-        """A line on each part that is registered as an entry, and "" on others."""
-        return {name: getattr(self._parts[name], "summary", "") for name in self}
+        """A line on each part registered so far as an entry, and "" on others."""
+        return {n: getattr(x, "summary", "") for n, x in sorted(self._parts.items())}
 
     def __contains__(self, name: object) -> bool:
         if not isinstance(name, str):  # from a file; a list could not even be looked up
             return False
-        for home in self._homes:
+        for home in self.homes:
             if name in self._parts:
                 return True
             importlib.import_module(home)
@@ -132,14 +132,18 @@ class Registry(Mapping[str, T], Generic[T]):
         return len(self._parts)
 
     def _load(self) -> None:
-        for home in self._homes:
+        for home in self.homes:
             importlib.import_module(home)
         load_extensions()
 
 
-def load_extensions() -> None:
-    """Imports extensions not imported yet; a `ValueError` says why one cannot be."""
-    for name in _extensions(os.environ.get(VARIABLE, "")):
+def load_extensions(packages: bool = False) -> None:
+    """Imports extensions not imported yet; a `ValueError` says why one cannot be.
+
+    Or only the `packages` that they are in, which register programs.
+    """
+    for module in _extensions(os.environ.get(VARIABLE, "")):
+        name = module.partition(".")[0] if packages else module
         if name not in _loaded:
             _loaded.add(name)  # first: while it is imported it may look names up
             try:

@@ -99,6 +99,26 @@ def write_json(path: Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=2) + "\n")
 
 
+@contextlib.contextmanager
+def drawn_axes(
+    path: Path, size: tuple[float, float], title: str, xlabel: str = "", **panels: Any
+) -> Generator[list[Any]]:
+    """Gives axes with a grid to draw in, the first with a title; then writes a PNG.
+
+    `size` is in inches, `panels` are arguments of matplotlib's `Figure.subplots`.
+    """
+    from matplotlib.figure import Figure  # no window, no state
+
+    figure = Figure(size, layout="constrained")
+    axes = [*figure.subplots(squeeze=False, **panels).flat]
+    axes[0].set_title(title)
+    axes[-1].set_xlabel(xlabel)
+    for each in axes:
+        each.grid(alpha=0.3)
+    yield axes
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
+
+
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Writes rows atomically, what one lacks as an empty cell; without rows nothing."""
     text = io.StringIO(newline="")

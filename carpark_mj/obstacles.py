@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import CheckedConfig
+from carpark_mj.config.checks import CheckedConfig, require_name
 from carpark_mj.extensions import Registry
 from carpark_mj.geometry import rotate, wrap_angle
 from carpark_mj.geometry.obstacles import (
@@ -104,11 +104,7 @@ def _named(choice: str) -> Mover:
     known = [field.name for field in fields if field.name != "mover"]
     for word in words.split(",") if colon else ():
         setting, _, value = word.partition("=")
-        if setting not in known:
-            raise ValueError(
-                f"the mover {name!r} has no setting {setting!r}: its settings are "
-                f"{', '.join(known)}"
-            )
+        require_name(f"setting of the mover {name!r}", setting, known)
         if isinstance(getattr(mover, setting), str):
             values[setting] = value
             continue

@@ -13,7 +13,13 @@ from carpark_mj.cli.process import (
     enable_output_fusion,
 )
 from carpark_mj.compilation import keep_compiled_programs
-from carpark_mj.extensions import Entry, Registry, require_packages, table
+from carpark_mj.extensions import (
+    Entry,
+    Registry,
+    load_extensions,
+    require_packages,
+    table,
+)
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
@@ -35,6 +41,7 @@ class Command(Entry):
     setup: tuple[Callable[[], object], ...] = ()
     drives: bool = False  # its help names the pretrained policies
     needs: tuple[str, ...] = ()  # packages of extras without which it is refused
+    reads: bool = False  # the function reads the words itself, unless they ask for help
 
 
 def _command(home: str, *others: Any, **more: Any) -> Command:
@@ -44,7 +51,7 @@ def _command(home: str, *others: Any, **more: Any) -> Command:
 COMMANDS = {
     "train": _command(
         "programs:train", "train a policy with PPO",
-        "", TRAINING, needs=("tyro", "tensorboardX"),
+        "training:TrainConfig", TRAINING, needs=("tyro", "tensorboardX"), reads=True,
     ),
     "evaluate": _command(
         "cli.evaluate:main", "evaluate a policy on held-out seeds",
@@ -142,12 +149,13 @@ def run(
     if words and f"{name} {words[0]}" in COMMANDS:
         return run(f"{name} {words[0]}", words[1:], set_up)
     command = COMMANDS[name]
-    given = _read(name, command, words) if command.settings else words
+    reads = command.reads and not {"-h", "--help"} & {*words}
+    given = words if reads or not command.settings else _read(name, command, words)
     require_packages(*command.needs)
     for prepare in command.setup if set_up else ():
         prepare()
     function = command.load()
-    if command.settings:
+    if given is not words:
         CLOCK.set("working")
     return function(given)
 
@@ -157,7 +165,7 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     from carpark_mj.cli.flags import command_help, read_flags
 
     settings = Entry(SETTINGS + command.settings).load()
-    text = (inspect.getdoc(settings) or "").partition("\n\nAttributes:")[0]
+    text = _head(settings)
     if command.drives:
         text = command_help(text)
     if hasattr(settings, "view"):
@@ -165,10 +173,15 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     return read_flags(settings, words, description=text, prog=f"carpark_mj {name}")
 
 
+def _head(settings: Any) -> str:
+    return (inspect.getdoc(settings) or "").partition("\n\nAttributes:")[0]
+
+
 def study(arguments: Sequence[str]) -> object:
     """Runs the program of a paper or an extension that the first argument names."""
     choose_gl()  # before an extension imports MuJoCo
-    if not STUDY_PROGRAMS:
+    load_extensions(packages=True)
+    if not (STUDY_PROGRAMS.summaries or STUDY_PROGRAMS):
         raise ValueError(
             "no program is installed: those of the papers come with carpark_papers, "
             "`pip install ./papers` in a checkout of carpark_mj"
@@ -180,20 +193,6 @@ def study(arguments: Sequence[str]) -> object:
     keep_compiled_programs()
     sys.argv = [f"carpark_mj study {arguments[0]}", *arguments[1:]]
     return program(list(arguments[1:]))
-
-
-TRAIN_HELP = """Trains one shared parking policy for all agents with PPO (IPPO).
-
-    carpark_mj train                        # preset by hardware, runs/cpu-0 or gpu-0
-    carpark_mj train --resume runs/cpu-0    # continues where it stopped
-    carpark_mj train --preset dynamic --seeds 0..7       # runs side by side
-    carpark_mj train --help-all             # every setting
-    carpark_mj train --config mine.yaml     # settings of a file, or a run's config.json
-    carpark_mj train --coordinator HOST:PORT --num-hosts 2 --host 0   # and --host 1
-    srun carpark_mj train --coordinator auto                         # a cluster
-
-Ctrl-C finishes the update, saves a checkpoint and stops; a second one stops at once.
-"""
 
 
 def train(arguments: Sequence[str]) -> int:
@@ -208,16 +207,16 @@ def train(arguments: Sequence[str]) -> int:
 def _train(arguments: Sequence[str]) -> int:
     import jax
 
-    from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
+    from carpark_mj.cli.settings.training import TrainConfig
+    from carpark_mj.training.ppo.config import PPOConfig
     from carpark_mj.training.ppo.parts import PRESETS, summaries
     from carpark_mj.training.run_folder import read_runs, read_settings
 
     hardware = "gpu" if jax.default_backend() == "gpu" else "cpu"
 
     def read(arguments: Sequence[str]) -> PPOConfig:
-        return read_settings(
-            PRESETS[hardware], PRESETS, arguments, TRAIN_HELP, RUN_SETTINGS, summaries()
-        )
+        presets = PRESETS[hardware], PRESETS
+        return read_settings(*presets, arguments, _head(TrainConfig), summaries())
 
     configs = read_runs(arguments, read)
     # After the help and the refusals, which do without.

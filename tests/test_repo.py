@@ -146,7 +146,7 @@ AROUND_ENV = {f"carpark_mj.{package}" for package in (*AROUND, "training")}
 # What is imported, in this order in one process, and what may not be loaded by then.
 HEAVY = {"OpenGL", "glfw", "matplotlib", "flask", "brax", "imageio", "tyro"}
 EXTRAS = {"tyro", "tensorboardX", "matplotlib", "imageio_ffmpeg"}
-MOST_MODULES = 90  # of the library, of an environment
+MOST_MODULES = 75  # of the library, of an environment
 STAGES = [
     # Before `process` Ctrl-C is Python's own: nothing but the standard library.
     (("", ".cli.process"), HEAVY | {"mujoco", "jax", "gymnasium", "numpy"}),

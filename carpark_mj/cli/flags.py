@@ -1,7 +1,6 @@
 """Flags from frozen dataclasses, through tyro; errors are one sentence, not a box."""
 
 import contextlib
-import dataclasses
 import difflib
 import inspect
 import io
@@ -9,7 +8,6 @@ import itertools
 import os
 import re
 import sys
-import textwrap
 import typing
 from collections.abc import Generator, Mapping, Sequence
 from typing import Any, TypeVar
@@ -83,7 +81,6 @@ def read_flags(
     arguments: Sequence[str] | None = None,
     default: Config | None = None,
     description: str | None = None,
-    short: Sequence[str] = (),
     prog: str | None = None,
 ) -> Config:
     """Reads the flags of a dataclass; `ValueError` of an impossible one is a sentence.
@@ -95,7 +92,6 @@ def read_flags(
         arguments: the command line; None = that of the process.
         default: values of flags that are not given; None = `cls()`.
         description: at the head of the help.
-        short: fields that `--help` lists, if not all; `--help-all` lists them all.
         prog: name of the program in the help; None = that of its file.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
@@ -105,8 +101,6 @@ def read_flags(
     options: Any = {"description": text, "prog": prog, "registry": _REGISTRY}
     if "--help-all" in arguments:
         arguments = ["--help"]
-    elif short and {"-h", "--help"} & {*arguments}:
-        _print_short_help(cls, default or cls(), short, options)
     default = _with_encoders(cls, arguments, default)
     if default is not None:
         options["default"] = default
@@ -173,30 +167,6 @@ def _stderr_as_text() -> Generator[io.StringIO]:
         del os.environ["COLUMNS"]
         if columns is not None:
             os.environ["COLUMNS"] = columns
-
-
-def _print_short_help(
-    cls: Any, default: Any, short: Sequence[str], options: dict[str, Any]
-) -> None:
-    """Prints the help of some fields, names the others, and exits."""
-    hints = typing.get_type_hints(cls, include_extras=True)
-    values = {f.name: getattr(default, f.name) for f in dataclasses.fields(cls)}
-    others = {name: value for name, value in values.items() if name not in short}
-    hidden = [(k, tyro.conf.Suppress[hints[k]], value) for k, value in others.items()]
-    # A subclass, so that the docstrings of all fields are found.
-    doc, bases = {"__doc__": cls.__doc__}, (cls,)
-    part: Any = dataclasses.make_dataclass(
-        cls.__name__, hidden, bases=bases, frozen=True, namespace=doc
-    )
-    flags = [
-        f"--{k.replace('_', '-')}{'.*' * dataclasses.is_dataclass(value)}"
-        for k, value in others.items()
-    ]
-    try:
-        tyro.cli(part, args=["--help"], default=part(**values), **options)
-    finally:
-        text = f"More settings, which --help-all explains: {', '.join(flags)}"
-        print("\n".join(textwrap.wrap(text, 80, break_on_hyphens=False)))
 
 
 def command_help(text: str) -> str:

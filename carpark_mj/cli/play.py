@@ -31,9 +31,9 @@ from carpark_mj.play.driving import (
     SIZE,
     Controls,
     DrivenLot,
-    Picture,
     from_gamepad,
     from_keys,
+    pictures,
     record_video,
     stop,
 )
@@ -124,13 +124,13 @@ def play_in_window(config: PlayConfig) -> None:
         while wanted == "N":
             lot = DrivenLot(env, others, seed, read, lambda lot: save(lot, folder))
             wanted, seed = "R", seed + 1
-            with contextlib.closing(Picture(lot, config.camera)) as picture:
-                window.show(picture.draw())
+            with pictures(lot, config.camera) as draw:
+                window.show(draw())
                 doing(COMPILING)
                 lot.compile_step()
                 try:
                     while wanted == "R":
-                        wanted = _drive(lot, picture.draw, window)
+                        wanted = _drive(lot, draw, window)
                         lot.reset()
                 except BaseException:
                     save(lot, folder)
@@ -207,9 +207,10 @@ def show_replay(config: PlayConfig, page: Any) -> None:
     elif config.shown_in == "web":
         run_live(make_live_viewer(page, lot), lot)
     else:
-        window, picture = Window(SIZE), Picture(lot, config.camera)
-        while _drive(lot, picture.draw, window) == "R":
-            lot.reset()
+        window = Window(SIZE)
+        with pictures(lot, config.camera) as draw:
+            while _drive(lot, draw, window) == "R":
+                lot.reset()
 
 
 def main(config: PlayConfig, page: Any = None) -> None:

@@ -12,10 +12,10 @@ from carpark_mj.config.checks import (
     Natural,
     Range,
     require_bounds,
+    require_name,
     require_types,
 )
 from carpark_mj.config.vehicles import with_parameters
-from carpark_mj.extensions import unknown_name
 from carpark_mj.layouts.base import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig
 from carpark_mj.mdp.metrics import MetricsConfig
@@ -255,6 +255,5 @@ def _names(config: Any) -> list[str]:
 
 def _require_setting(config: Any, name: str) -> str:
     """The name, which must be that of a setting of the config."""
-    if name not in (names := _names(config)):
-        raise ValueError(unknown_name(f"{type(config).__name__} setting", name, names))
+    require_name(f"{type(config).__name__} setting", name, _names(config))
     return name

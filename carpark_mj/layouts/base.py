@@ -21,11 +21,16 @@ class LayoutConfig(CheckedConfig, abc.ABC):
         car: the `DesignCar` that bays and spawn regions have room for; None = one
             with its defaults.
         spawn_margin: free ground around spawn regions for larger cars [m].
+        is_random: whether lots depend on the key.
+        is_enclosed: whether walls keep cars within the lot, and observations within
+            ranges.
     """
 
     family: str
     car: Any = None
     spawn_margin: float = 0.0
+    is_random = True
+    is_enclosed = True
 
     @abc.abstractmethod
     def generate(self, key: jax.Array) -> Layout:
@@ -45,16 +50,6 @@ class LayoutConfig(CheckedConfig, abc.ABC):
     def min_goals(self) -> int:
         """The fewest bays that any key gives that are not reserved for parked cars."""
         return self.min_bays
-
-    @property
-    def is_random(self) -> bool:
-        """Whether lots depend on the key."""
-        return True
-
-    @property
-    def is_enclosed(self) -> bool:
-        """Whether walls keep cars within the lot, and observations within ranges."""
-        return True
 
     @property
     def parts(self) -> "tuple[LayoutConfig, ...]":
@@ -78,9 +73,11 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
 
 Config = TypeVar("Config", bound=LayoutConfig)
-LAYOUTS: Registry[LayoutConfig] = Registry("layout", "carpark_mj.layouts")
+_PARTS = "schematics", "lot", "tight", "mixtures", "stored", "car_park", "clutter"
+_HOMES = [f"carpark_mj.layouts.{name}" for name in (*_PARTS, "files")]
+LAYOUTS: Registry[LayoutConfig] = Registry("layout", *_HOMES)
 # Classes by their `family`, so that configs can be read from files.
-FAMILIES: Registry[type[LayoutConfig]] = Registry("family", "carpark_mj.layouts")
+FAMILIES: Registry[type[LayoutConfig]] = Registry("family", *_HOMES)
 # What reads a layout from a file, by the suffix of the file's name.
 LAYOUT_FORMATS: Registry[Callable[[Path], Layout]] = Registry(
     "layout format", "carpark_mj.layouts.files"

@@ -3,8 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +12,15 @@ import numpy as np
 
 from carpark_mj.config.checks import require_name
 from carpark_mj.geometry import box_corners, point_box_distance
-from carpark_mj.layouts import build
 from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.routes import make_routes
-from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import ROWS, Layout, layout_maxima, pad_layout
 
 SHORTEST = 1.0  # m of what is left of a lane
 ASIDE = 1.0  # m that the lane in front of a bay may be farther away in the part
 THINNEST = 0.05  # m of what is left of a wall or a spawn region
-# Of Dragon Lake, below.
-SIZE = np.array([140.0, 80.0])  # m
-# Opposite corners of rows of bays [m], rows behind each other and bays in each.
-ROWS_OF_BAYS = (
-    ((28.53, 73.73), (138.42, 68.51), 1, 42),
-    ((7.71, 61.4), (76.54, 50.4), 2, 25),
-    ((83.82, 61.4), (138.42, 50.4), 2, 21),
-    ((7.71, 43.24), (76.54, 31.93), 2, 25),
-    ((83.82, 43.24), (138.42, 31.93), 2, 21),
-    ((7.71, 24.68), (76.54, 13.51), 2, 25),
-    ((83.82, 24.68), (138.42, 13.51), 2, 21),
-    ((7.71, 6.48), (76.54, 0.95), 1, 25),
-    ((83.82, 6.48), (138.42, 0.95), 1, 21),
-)
-AISLES_Y = (64.95, 46.82, 28.3, 9.99)  # of centre lines along x [m]
-AISLES_X = (3.07, 80.18)  # of those along y [m]
-WIDTH = 6.0  # m of an aisle; the rows leave 6.1 m and more between them
 DRAWS = 100  # of parts, for each that is found
 
 
@@ -119,43 +98,9 @@ def _within(
     return back, front
 
 
-def dragon_lake() -> Layout:
-    """The Dragon Lake car park: 364 bays on 140 m x 80 m, its middle at the origin.
-
-    Source: rows, aisles and the entrance of the map of the Dragon Lake Parking data set
-    (Shen et al., "ParkPredict+", 2022); facts of the published map, none of its data.
-    Traffic keeps to the right.
-    """
-    poses, sizes = [], []
-    for (left, top), (right, bottom), rows, count in ROWS_OF_BAYS:
-        width, length = (right - left) / count, (top - bottom) / rows
-        for row in range(rows):
-            y = top - (row + 0.5) * length
-            # The aisle is above the upper of two rows; one row faces the middle.
-            up = row == 0 if rows == 2 else y < SIZE[1] / 2
-            for bay in range(count):
-                x, yaw = left + (bay + 0.5) * width, math.pi / 2 if up else -math.pi / 2
-                poses.append((x, y, yaw))
-                sizes.append((length, width))
-    east = ROWS_OF_BAYS[0][1][0]
-    aisles = [(east / 2, y, 0.0) for y in AISLES_Y]
-    low, high = AISLES_Y[-1] - WIDTH / 2, AISLES_Y[0] + WIDTH / 2
-    aisles += [(x, (low + high) / 2, math.pi / 2) for x in AISLES_X]
-    along = [(east, WIDTH)] * len(AISLES_Y) + [(high - low, WIDTH)] * len(AISLES_X)
-    shift = np.array([*SIZE / 2, 0.0])
-    lanes = build.two_lanes(np.array(aisles) - shift, np.array(along))
-    return build.assemble(
-        SIZE / 2,
-        build.bays(np.array(poses) - shift, np.array(sizes)),
-        *build.driven_lanes(DesignCar(), *lanes),
-    )
-
-
-CAR_PARKS: dict[str, Callable[[], Layout]] = {
-    "dragon_lake": jax.jit(dragon_lake),
-    # What it is made of, its source and licence: README.md beside it.
-    "san_jose": lambda: read_json(Path(__file__).parent / "data" / "san_jose.json"),
-}
+# What they are made of, their sources and licences: README.md beside the files.
+DATA = Path(__file__).parent / "data"
+CAR_PARKS = ("dragon_lake", "san_jose")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,7 +139,7 @@ class CarParkConfig(FixedLayoutConfig):
 def _made(name: str, corners: tuple[float, ...]) -> Layout:
     """The lot of a config, made once."""
     with jax.ensure_compile_time_eval():  # may be called by a function that is traced
-        whole = jax.device_get(CAR_PARKS[name]())
+        whole = jax.device_get(read_json(DATA / f"{name}.json"))
         return crop(whole, corners) if corners else whole
 
 
@@ -233,5 +178,5 @@ def _all_reached(layout: Layout) -> jax.Array:
     return jnp.all(reached | ~layout.lane_mask[:, None] | ~layout.bay_mask)
 
 
-register_layout("dragon_lake", CarParkConfig("dragon_lake"))
-register_layout("san_jose", CarParkConfig("san_jose"))
+for _name in CAR_PARKS:
+    register_layout(_name, CarParkConfig(_name))

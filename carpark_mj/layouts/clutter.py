@@ -79,6 +79,7 @@ class ClutterConfig(LayoutConfig):
     nose_first: Ratio = 0.2
     tail_first: Ratio = 0.4
     family: str = "clutter"
+    is_enclosed = False  # cars can leave
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,11 +88,6 @@ class ClutterConfig(LayoutConfig):
                 "nose_first + tail_first must be at most 1, not "
                 f"{self.nose_first:g} + {self.tail_first:g}"
             )
-
-    @property
-    def is_enclosed(self) -> bool:
-        """Cars can leave; no walls stand around the lot."""
-        return False
 
     @property
     def min_bays(self) -> int:

@@ -31,7 +31,6 @@ import jax
 import numpy as np
 
 from carpark_mj.config.checks import FARTHEST, require_name
-from carpark_mj.extensions import unknown_name
 from carpark_mj.layouts import build
 from carpark_mj.layouts.base import FAMILIES, LAYOUT_FORMATS, layout_format
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
@@ -133,8 +132,8 @@ def parse_layout(data: Mapping[str, Any]) -> Layout:
         raise ValueError(f"format must be {FORMAT!r}, not {data.get('format')!r}")
     if missing := [name for name in _NEEDED if name not in data]:
         raise ValueError(f"{', '.join(missing)} missing")
-    if unknown := sorted(set(data) - {*_SCHEMA, *_NEEDED}):
-        raise ValueError(unknown_name("list", unknown[0], {*_SCHEMA, *_NEEDED}))
+    for name in data:
+        require_name("list", name, {*_SCHEMA, *_NEEDED})
     groups: dict[str, dict[str, np.ndarray]] = {}
     for name, schema in _SCHEMA.items():
         rows = data.get(name, [])
@@ -155,8 +154,8 @@ def _columns(
         what = f"{name}[{index}]"
         if not isinstance(row, dict):
             raise ValueError(f"{what} must be an object, not {row!r}")
-        if unknown := sorted(set(row) - set(schema)):
-            raise ValueError(unknown_name(f"entry of {what}", unknown[0], schema))
+        for part in row:
+            require_name(f"entry of {what}", part, schema)
         for part, form in schema.items():
             given = row.get(part, _default(part, form))
             columns[part].append(_value(f"{what}.{part}", form, given))

@@ -1,4 +1,4 @@
-"""Layouts by name, file or config, mixtures, and which lots are for training.
+"""Layouts by name, file or config, and which lots are for training.
 
 Random lots are numbered from 0 to 2^32 - 1, and lot n is drawn from
 `fold_in(key(0), n)`. Training draws from the lower half of the numbers, evaluation from
@@ -7,29 +7,15 @@ numbers fold to equal keys, so that no lot of one half is drawn in the other.
 """
 
 import abc
-import dataclasses
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import Bounds, require_choice, require_kind
-from carpark_mj.layouts.base import (
-    FAMILIES,
-    LAYOUTS,
-    LayoutConfig,
-    layout_format,
-    register_layout,
-)
-from carpark_mj.layouts.lot import AngledConfig
-from carpark_mj.layouts.schematics import (
-    SQUARE_COMPACT,
-    StreetConfig,
-    StreetParallelConfig,
-)
-from carpark_mj.layouts.standards import Entry
-from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
+from carpark_mj.config.checks import require_choice, require_kind
+from carpark_mj.layouts.base import FAMILIES, LAYOUTS, LayoutConfig, layout_format
+from carpark_mj.layouts.types import Layout
 
 # Jitted: many small operations would each be compiled on their own.
 _compiled = jax.jit(lambda config, key: config.generate(key), static_argnums=0)
@@ -38,107 +24,16 @@ TRAIN = range(2**31)
 TEST = range(2**31, 2**32)
 
 
-@dataclasses.dataclass(frozen=True)
-class MixtureConfig(LayoutConfig):
-    """A mixture: every key draws a family first, then one of its lots.
-
-    All its lots are padded to the same numbers of rows, so that a batch may hold lots
-    of different families, and all keys share one compiled program.
-
-    Attributes:
-        members: configs of the families.
-        weights: how often each is drawn, in proportion; empty = equally often.
-    """
-
-    members: tuple[LayoutConfig, ...] = (
-        SQUARE_COMPACT,
-        StreetConfig(),
-        StreetParallelConfig(),
-        AngledConfig(),
-    )
-    weights: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()
-    family: str = "mixture"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.members:
-            raise ValueError("members of a mixture must be one config or more, not ()")
-        if self.weights and len(self.weights) != len(self.members):
-            raise ValueError(
-                f"weights must be one for each of the {len(self.members)} members, "
-                f"not {self.weights}"
-            )
-
-    @property
-    def parts(self) -> tuple[LayoutConfig, ...]:
-        """The members, and the members of mixtures among them."""
-        return sum((member.parts for member in self.members), ())
-
-    @property
-    def shares(self) -> tuple[tuple[LayoutConfig, float], ...]:
-        """The members, each with its share of the lots."""
-        total, pairs = sum(self._weights), zip(self.members, self._weights, strict=True)
-        return tuple((member, weight / total) for member, weight in pairs)
-
-    @property
-    def _weights(self) -> tuple[float, ...]:
-        return self.weights or (1.0,) * len(self.members)
-
-    @property
-    def is_enclosed(self) -> bool:
-        """Whether walls keep cars within all of its lots."""
-        return all(member.is_enclosed for member in self.members)
-
-    @property
-    def min_bays(self) -> int:
-        """The fewest bays that any key gives."""
-        return min(member.min_bays for member in self.members)
-
-    @property
-    def min_goals(self) -> int:
-        """The fewest bays for goals that any key gives."""
-        return min(member.min_goals for member in self.members)
-
-    @property
-    def entries(self) -> tuple[Entry, ...]:
-        """Of all members; not known if one does not know."""
-        entries = [member.entries for member in self.members]
-        return sum(entries, ()) if all(entries) else ()
-
-    def generate(self, key: jax.Array) -> Layout:
-        """Draws a family, then a lot of it."""
-        weights = jnp.array(self._weights, jnp.float32)
-        pick_key, lot_key = jax.random.split(key)
-        pick = jax.random.categorical(pick_key, jnp.log(weights))
-        return self.generate_member(pick, lot_key)
-
-    def generate_member(self, member: jax.Array, key: jax.Array) -> Layout:
-        """Draws a lot of one member, () int32, padded like all lots of the mixture."""
-        draws = [jax.jit(config.generate) for config in self.members]  # traced once
-        maxima = layout_maxima(jax.eval_shape(draw, key) for draw in draws)
-        padded = [
-            lambda key, draw=draw: pad_layout(draw(key), maxima) for draw in draws
-        ]
-        return jax.lax.switch(member, padded, key)
-
-
 class FixedLayoutConfig(LayoutConfig):
     """A config with one lot, its property `layout`."""
+
+    is_random = False
+    is_enclosed = False  # walls need not enclose the ground
 
     @property
     @abc.abstractmethod
     def layout(self) -> Layout:
         """The lot, as numpy arrays."""
-
-    @property
-    def is_random(self) -> bool:
-        """False: the lot does not depend on the key."""
-        return False
-
-    @property
-    def is_enclosed(self) -> bool:
-        """False: walls need not enclose the ground."""
-        return False
 
     @property
     def min_bays(self) -> int:
@@ -204,8 +99,8 @@ def mixture(
 ) -> LayoutConfig:
     """A mixture of names, files or configs; see `MixtureConfig` and `layout_config`."""
     require_kind("members", members, list | tuple)
-    configs = tuple(layout_config(member) for member in members)
-    return MixtureConfig(configs, tuple(weights))
+    family: Any = FAMILIES["mixture"]
+    return family(tuple(map(layout_config, members)), tuple(weights))
 
 
 def lot_number(split: Split, key: jax.Array) -> jax.Array:
@@ -218,6 +113,3 @@ def lot_number(split: Split, key: jax.Array) -> jax.Array:
 def lot_key(number: jax.Array | int) -> jax.Array:
     """The key that lot `number` is drawn from."""
     return jax.random.fold_in(jax.random.key(0, impl="threefry2x32"), number)
-
-
-register_layout("mixture", MixtureConfig())

@@ -135,6 +135,7 @@ class SquareConfig(LayoutConfig):
     wall_thickness: NonNegative = 2.0
     spawn_margin: NonNegative = 3.375
     family: str = "square"
+    is_random = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -156,11 +157,6 @@ class SquareConfig(LayoutConfig):
     def min_bays(self) -> int:
         """The fewest bays that any key gives."""
         return 4 * self.bays_per_side
-
-    @property
-    def is_random(self) -> bool:
-        """False: the lot does not depend on the key."""
-        return False
 
     @property
     def entries(self) -> tuple[Entry, ...]:

@@ -39,7 +39,7 @@ from carpark_mj.maps.fit import (
 )
 from carpark_mj.maps.osm_xml import osm_features, read_xml
 from carpark_mj.maps.tagged import geojson_features
-from carpark_mj.reading import parse_object, read_text
+from carpark_mj.reading import naming_file, parse_object, read_text
 
 FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
 APRON = 6.0  # m of free ground around the spots of a map that has no ground
@@ -82,7 +82,7 @@ def import_map(
     Raises:
         ValueError: no such map, or no valid lot in it; the message names the file.
     """
-    try:
+    with naming_file(path):
         if path.suffix.lower() == ".json":
             data = parse_object(read_text(path), "the map")
             if key := next((key for key in data if key in RECORDED_CASES), None):
@@ -92,10 +92,6 @@ def import_map(
                 return _recorded_case(key, data)
         plan = read_plan(path, crs=crs, layers=layers, unit=unit)
         return assemble(lay_out(on_level(plan, level)))
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def _recorded_case(key: str, data: Any) -> tuple[Layout, Report]:

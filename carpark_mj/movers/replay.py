@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config.checks import Bounds, Range
+from carpark_mj.files import require_suffix
 from carpark_mj.geometry import wrap_angle
 from carpark_mj.geometry.obstacles import Boxes, ObstacleKind
 from carpark_mj.layouts.types import Layout
@@ -47,8 +48,7 @@ def read_drives(path: Path) -> Drives:
         ValueError: it is malformed; one sentence says where.
         OSError: it cannot be read.
     """
-    if path.suffix not in (".csv", ".npz"):
-        raise ValueError(f"a replay's file ends in .csv or .npz, not {path.name!r}")
+    require_suffix("a replay's file", path.name, ".csv", ".npz")
     cars = _from_csv(path) if path.suffix == ".csv" else _from_archive(path)
     if not cars:
         raise ValueError(f"{path} holds no car")

@@ -195,9 +195,16 @@ class ObservationConfig(CheckedConfig, abc.ABC):
 
     Attributes:
         encoding: its name in `ENCODERS`, the default of each class and never another.
+        sees_own_car: whether agents observe the parameters of their own car.
+        sees_routes: whether it reads `State.routes`.
+        sees_everywhere: whether it has global information: how near all agents are to
+            bays.
     """
 
     encoding: str
+    sees_own_car = False
+    sees_routes = False
+    sees_everywhere = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -227,21 +234,6 @@ class ObservationConfig(CheckedConfig, abc.ABC):
     def circles(self) -> tuple[float, ...]:
         """Diameters of the circles about the car that count objects [m]."""
         return ()
-
-    @property
-    def sees_own_car(self) -> bool:
-        """Whether agents observe the parameters of their own car."""
-        return False
-
-    @property
-    def sees_routes(self) -> bool:
-        """Whether it reads `State.routes`."""
-        return False
-
-    @property
-    def sees_everywhere(self) -> bool:
-        """Whether it has global information: how near all agents are to bays."""
-        return False
 
     def tracks_agents(self, state: State) -> jax.Array | None:
         """Whether agents track each other, (num_agents, num_agents); None = none."""

@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Generator, Iterator, Sequence, Set
 from pathlib import Path
 
 import jax
@@ -185,30 +185,20 @@ def _mix(first: jax.Array, others: Policy, observation: jax.Array, key: jax.Arra
 SIZE = (1280, 720)  # pixels
 
 
-class Picture:
-    """Draws a lot with labels, clock, tallies and score."""
-
-    def __init__(self, lot: DrivenLot, camera: str) -> None:
-        """Opens a GL context; `RenderingError` if there is none."""
-        self._lot = lot
-        self._renderer = LotRenderer(lot.stage, camera, SIZE)
-
-    def draw(self) -> np.ndarray:
-        """The present instant, (height, width, 3) uint8."""
-        return draw_labelled(self._lot.snapshot(), self._renderer)
-
-    def close(self) -> None:
-        """Frees the GL context."""
-        self._renderer.close()
+@contextlib.contextmanager
+def pictures(lot: DrivenLot, camera: str) -> Generator[Callable[[], np.ndarray]]:
+    """Gives what draws the present instant with labels, clock, tallies and score."""
+    with contextlib.closing(LotRenderer(lot.stage, camera, SIZE)) as renderer:
+        yield lambda: draw_labelled(lot.snapshot(), renderer)
 
 
 def record_video(lot: DrivenLot, camera: str, steps: int, path: Path) -> int:
     """Writes `steps` control steps as a video; returns the number of frames."""
-    with contextlib.closing(Picture(lot, camera)) as picture:
+    with pictures(lot, camera) as draw:
 
         def frames() -> Iterator[np.ndarray]:
             for _ in range(steps * lot.traces):
                 lot.step()
-                yield picture.draw()
+                yield draw()
 
         return write_video(path, frames(), 1.0 / lot.stage.model.opt.timestep)

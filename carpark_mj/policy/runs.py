@@ -19,8 +19,8 @@ from typing import Any
 
 from carpark_mj import pretrained
 from carpark_mj.config import ENCODERS, PHYSICS, ExtraTerms
-from carpark_mj.config.checks import require_kind
-from carpark_mj.extensions import Registry, unknown_name
+from carpark_mj.config.checks import require_kind, require_name
+from carpark_mj.extensions import Registry
 from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.obstacles import MOVERS
 from carpark_mj.policy import checkpoints
@@ -47,8 +47,8 @@ def from_dict(cls: Any, data: Any) -> Any:
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
     hints = typing.get_type_hints(cls)
     names = {field.name for field in dataclasses.fields(cls)}
-    for unknown in sorted(map(str, data.keys() - names)):  # YAML has numbers, too
-        raise ValueError(unknown_name(f"{cls.__name__} setting", unknown, names))
+    for name in map(str, data):  # YAML has numbers, too
+        require_name(f"{cls.__name__} setting", name, names)
     return cls(**{name: from_json(hints[name], value) for name, value in data.items()})
 
 

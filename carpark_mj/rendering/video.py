@@ -17,7 +17,7 @@ from carpark_mj.cameras import Heights, Rig, paint, see
 from carpark_mj.cameras.rig import picture_grid
 from carpark_mj.cameras.see import Channel
 from carpark_mj.env import ParkingEnv
-from carpark_mj.files import write_atomically
+from carpark_mj.files import require_suffix, write_atomically
 from carpark_mj.geometry.obstacles import Movers, take
 from carpark_mj.rendering.recording import (
     Recording,
@@ -217,23 +217,17 @@ def draw_labelled(seen: Snapshot, renderer: LotRenderer) -> np.ndarray:
     return np.concatenate(views, axis=1)
 
 
-def frame_stride(recording: Recording, fps: float) -> int:
-    """Every how many frames to draw for a rate; the shortest video is one frame."""
-    wanted = round(frames_per_second(recording) / fps)
-    return min(max(1, wanted), num_frames(recording))
-
-
 def frame_indices(
     recording: Recording, fps: float, faster: float = 1.0, hold: int = 0
 ) -> tuple[list[int], float]:
     """Which recorded instants a video shows, and its frames per second, as near `fps`.
 
     It plays `faster` times as fast as driven; its end is shown `hold` frames longer.
+    The shortest is one frame.
     """
-    stride = frame_stride(recording, fps / faster)
-    last = num_frames(recording) - 1
-    indices = [*range(stride - 1, last + 1, stride), *[last] * hold]
-    return indices, faster * frames_per_second(recording) / stride
+    rate, count = faster * frames_per_second(recording), num_frames(recording)
+    stride = min(max(1, round(rate / fps)), count)
+    return [*range(stride - 1, count, stride), *[count - 1] * hold], rate / stride
 
 
 def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
@@ -243,8 +237,7 @@ def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
         OSError: the file cannot be written, or FFmpeg refuses the frame rate.
     """
     writers = {".mp4": _write_mp4, ".gif": _write_gif}
-    if path.suffix not in writers:
-        raise ValueError(f"a video ends in .mp4 or .gif, not {path.name!r}")
+    require_suffix("a video", path.name, *writers)
     return writers[path.suffix](path, pictures, fps)
 
 

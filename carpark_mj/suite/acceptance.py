@@ -19,9 +19,9 @@ from urllib.parse import quote
 import numpy as np
 
 from carpark_mj.cli.settings.tables import WORST, ReportConfig
+from carpark_mj.config.checks import require_name
 from carpark_mj.evaluation.aggregation import Row, wilson_interval
 from carpark_mj.evaluation.tables import print_rows, table, write_page
-from carpark_mj.extensions import unknown_name
 from carpark_mj.files import require_writable
 from carpark_mj.suite.report import (
     FOLDER,
@@ -98,9 +98,7 @@ def parse_limit(text: str) -> Limit:
         raise ValueError(
             f"a limit is NAME>=VALUE or NAME<=VALUE, as parked>=0.99, not {text!r}"
         ) from None
-    known = {*RATES, *VALUES}
-    if limit.name not in known:
-        raise ValueError(unknown_name("limit", limit.name, known))
+    require_name("limit", limit.name, {*RATES, *VALUES})
     if limit.name in RATES and not 0.0 <= limit.value <= 1.0:
         raise ValueError(f"{limit.name} must be a share in [0, 1], not {limit.value}")
     if not math.isfinite(limit.value):

@@ -64,6 +64,7 @@ class HopeConfig(LayoutConfig):
     orientation: Orientation = "perpendicular"
     car: DesignCar = TPCAP_CAR
     family: str = "hope"
+    is_enclosed = False  # cars can leave
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,11 +74,6 @@ class HopeConfig(LayoutConfig):
     def room(self) -> TightBay:
         """The room that the level leaves; an unknown name is a ValueError."""
         return tight_bay(self.orientation, self.level, self.car)
-
-    @property
-    def is_enclosed(self) -> bool:
-        """Cars can leave; no walls stand around the lot."""
-        return False
 
     @property
     def min_bays(self) -> int:

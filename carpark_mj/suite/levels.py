@@ -3,7 +3,7 @@
 HOPE's levels have 1,000 held-out cases each. The package stores them, drawn once by
 `HopeConfig` from lots of the test split (`carpark_mj.layouts.registry`), in whole
 millimetres and 1e-4 rad. Cases of `normal` and `complex` are perpendicular and parallel
-in turn, those of `extreme` are parallel. `write` draws equal bytes again.
+in turn, those of `extreme` are parallel.
 
 A package may register a `CaseLevel` of its own. The level may change the suite's
 environment, and say how its cases begin: with movers, given starts and goals.
@@ -19,7 +19,7 @@ its start and its goal, the two ends of the aisle, are a spawn region and a bay.
 import dataclasses
 import functools
 import io
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
@@ -37,8 +37,7 @@ from carpark_mj.geometry import (
     to_world,
 )
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
-from carpark_mj.layouts.registry import TEST, lot_key
-from carpark_mj.layouts.standards import Level, Orientation
+from carpark_mj.layouts.standards import Level
 from carpark_mj.layouts.types import (
     BayKind,
     Layout,
@@ -112,7 +111,7 @@ CASES = 1000  # a level
 HOPE_LEVELS: tuple[Level, ...] = get_args(Level)  # driven by default
 TPCAP_LEVEL = "tpcap"
 METRE, RADIAN = 1e-3, 1e-4  # steps of the numbers in the file
-_POSE = np.array([METRE, METRE, RADIAN])
+POSE = np.array([METRE, METRE, RADIAN])
 
 
 def read_published(file: Path, sha256: str) -> dict[str, np.ndarray]:
@@ -123,65 +122,25 @@ def read_published(file: Path, sha256: str) -> dict[str, np.ndarray]:
         return {name: archive[name] for name in archive.files}
 
 
-def write_published(file: Path, arrays: Mapping[str, Any]) -> None:
-    """Writes an archive of cases, the same bytes again for the same arrays."""
-    with file.open("wb") as opened:  # by name, savez would choose another suffix
-        np.savez(opened, allow_pickle=False, **arrays)
-
-
 @functools.cache
 def load_held_out(level: Level) -> tuple[Layout, np.ndarray]:
     """Held-out cases (1000, ...), padded alike, and which are parallel, for `tpcap`."""
     arrays = read_published(FILE, SHA256)
-    part = {name: arrays[f"{level}_{name}"] for name in _NAMES}
+    part = {name: arrays[f"{level}_{name}"] for name in STORED}
     return jax.vmap(_layout)(part), part["parallel"]
 
 
-_NAMES = ("goal", "bay", "start", "wall", "size", "extent", "parallel")
+STORED = ("goal", "bay", "start", "wall", "size", "extent", "parallel")
 
 
 def _layout(case: Any) -> Layout:
     mask = case["size"].any(axis=-1)
     return assemble(
         case["extent"] * METRE,
-        bays((case["goal"] * _POSE)[None], case["bay"] * METRE),
-        walls(case["wall"] * _POSE, case["size"] * METRE, WallKind.ISLAND, mask),
-        spawns((case["start"] * _POSE)[None], (METRE, METRE), 0.0),
+        bays((case["goal"] * POSE)[None], case["bay"] * METRE),
+        walls(case["wall"] * POSE, case["size"] * METRE, WallKind.ISLAND, mask),
+        spawns((case["start"] * POSE)[None], (METRE, METRE), 0.0),
     )
-
-
-def draw_cases(level: Level, count: int = CASES) -> dict[str, np.ndarray]:
-    """Draws the first cases of a level, as the file has them: (count, ...) integers."""
-    orientations: tuple[Orientation, ...] = ("perpendicular", "parallel")
-    if level == "extreme":
-        orientations = ("parallel",)
-    first = TEST.start + HOPE_LEVELS.index(level) * CASES
-    draws = [jax.jit(HopeConfig(level, turn).generate) for turn in orientations]
-    layouts: list[Layout] = []
-    # In double precision: the rounded numbers are then the same on any machine.
-    with jax.enable_x64(True):
-        for index in range(count):
-            draw, key = draws[index % len(draws)], lot_key(jnp.uint32(first + index))
-            layouts.append(jax.device_get(draw(key)))
-    maxima = layout_maxima(layouts)
-    stacked = [jax.device_get(pad_layout(layout, maxima)) for layout in layouts]
-    lots = jax.tree.map(lambda *rows: np.stack(rows), *stacked)
-    parallel = np.arange(count) % len(orientations) == len(orientations) - 1
-
-    poses = {"goal": lots.bay_pose[:, 0], "start": lots.spawn_pose[:, 0]}
-    poses["wall"] = lots.wall_pose
-    sizes = {"bay": lots.bay_size[:, 0], "size": lots.wall_size, "extent": lots.extent}
-    whole = {name: np.rint(x / _POSE).astype(np.int16) for name, x in poses.items()}
-    whole |= {name: np.rint(x / METRE).astype(np.uint16) for name, x in sizes.items()}
-    return {**{name: whole[name] for name in _NAMES[:-1]}, "parallel": parallel}
-
-
-def write(path: Path) -> None:
-    """Draws all cases and writes them."""
-    arrays: dict[str, Any] = {}
-    for level in HOPE_LEVELS:
-        arrays |= {f"{level}_{name}": x for name, x in draw_cases(level).items()}
-    write_published(path, arrays)
 
 
 def _pick_hope(level: Level, which: slice) -> Cases:

@@ -17,7 +17,6 @@ import dataclasses
 import functools
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +25,8 @@ import numpy as np
 from carpark_mj.config import EnvConfig, FleetConfig, LayoutConfig
 from carpark_mj.layouts import layout_config
 from carpark_mj.layouts.car_park import random_parts
-from carpark_mj.layouts.registry import TEST, MixtureConfig, lot_key
+from carpark_mj.layouts.mixtures import MixtureConfig
+from carpark_mj.layouts.registry import TEST, lot_key
 from carpark_mj.layouts.standards import BAY_LENGTH
 from carpark_mj.layouts.stored import ScaledConfig
 from carpark_mj.layouts.types import Layout, enlarge
@@ -36,6 +36,7 @@ from carpark_mj.suite.levels import EXTRA_LEVELS, CaseLevel, Cases, CaseStart
 from carpark_mj.suite.metadrive import MetaDriveConfig
 from carpark_mj.suite.tpcap import stack_layouts
 from carpark_mj.vehicle import VehicleParameters
+from carpark_mj.vehicle.range import usual_wheels
 from carpark_mj.vehicle.sheet import car_of_sheet, parameters_text
 
 VERSION = 1
@@ -127,9 +128,7 @@ _ROWS: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "Ford Transit L3H2": ("front", (5.981, 2.059, 2.550, 3.750, 13.3, 2000.0)),
     "Mercedes Sprinter L3H2": ("rear", (6.967, 2.020, 2.620, 4.325, 15.3, 2250.0)),
 }
-_MORE: Mapping[str, Mapping[str, Any]] = {
-    "Mercedes S-Class, long": {"rear_steering": "10 deg"},
-}
+_MORE = {"Mercedes S-Class, long": {"rear_steering": "10 deg"}}
 NAMES = tuple(_ROWS)
 
 
@@ -138,13 +137,9 @@ def read_sheets() -> Mapping[str, VehicleParameters]:
     """The cars by maker and model, from the shortest to the longest."""
     cars: dict[str, VehicleParameters] = {}
     for name, (drive, row) in _ROWS.items():
-        sheet: dict[str, Any] = {
-            "drive": drive,
-            **dict(zip(_COLUMNS, row, strict=True)),
-        }
-        sheet["wheel_radius"] = 0.24 + 0.016 * row[0]  # [est]
-        sheet["tyre_width"] = 0.14 + 0.013 * row[0]  # [est]
-        cars[name] = car_of_sheet({**sheet, **_MORE.get(name, {})}).params
+        sheet = {"drive": drive, **dict(zip(_COLUMNS, row, strict=True))}
+        sheet |= usual_wheels(row[0]) | _MORE.get(name, {})
+        cars[name] = car_of_sheet(sheet).params
     return cars
 
 

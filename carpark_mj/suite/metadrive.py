@@ -56,6 +56,7 @@ class MetaDriveConfig(LayoutConfig):
 
     spaces: Annotated[int, Bounds(ge=4, le=1000)] = 8
     family: str = "metadrive"
+    is_random = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -66,11 +67,6 @@ class MetaDriveConfig(LayoutConfig):
     def min_bays(self) -> int:
         """The spaces and three exits."""
         return self.spaces + 3
-
-    @property
-    def is_random(self) -> bool:
-        """Always the same lot."""
-        return False
 
     def generate(self, key: jax.Array) -> Layout:
         """Builds the lot; the road comes from -x, and the junction lies at +x."""

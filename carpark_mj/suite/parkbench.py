@@ -31,11 +31,11 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.layouts.files import FARTHEST
-from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayEnd, Layout
 from carpark_mj.maps import RECORDED_CASES
 from carpark_mj.reading import naming_file, parse_object, read_bytes, read_text
+from carpark_mj.suite import hope
 from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases
 from carpark_mj.suite.tpcap import EDGE, Boxes, boxes_along, case_layout, stack_layouts
 
@@ -82,11 +82,7 @@ def parkbench_layout(data: Mapping[str, Any]) -> Layout:
     start, goal = poses
     if (away := math.dist(start[:2], goal[:2])) > FARTHEST:
         raise ValueError(f"the start must be within {FARTHEST:g} m, not {away:g} m")
-    return _lot(start, goal, list(points[_distance(points, goal[:2]) < REACH]))
-
-
-def _lot(start: np.ndarray, goal: np.ndarray, pieces: list[np.ndarray]) -> Layout:
-    end = BayEnd.TAIL_FIRST
+    pieces, end = list(points[_distance(points, goal[:2]) < REACH]), BayEnd.TAIL_FIRST
     return case_layout(PARKBENCH_CAR, start, goal, pieces, _wall, MARGIN, end, True)
 
 
@@ -125,31 +121,12 @@ def parkbench_level(path: str) -> CaseLevel:
     return CaseLevel(numbers, sha256, pick, parkbench_env, source)
 
 
-@dataclasses.dataclass(frozen=True)
-class OpenGround(FixedLayoutConfig):
-    """A case without walls: the lot of the level's environment, never driven.
-
-    Attributes:
-        family: fixed.
-    """
-
-    family: str = NAME
-
-    @property
-    def layout(self) -> Layout:
-        """A start 20 m behind the goal."""
-        return _open_ground()
-
-
-@functools.cache
-def _open_ground() -> Layout:
-    with jax.ensure_compile_time_eval():  # also while a program is traced
-        return jax.device_get(_lot(np.zeros(3), np.array([REACH, 0.0, 0.0]), []))
-
-
 def parkbench_env(env: EnvConfig) -> EnvConfig:
     """An environment of the suite whose bays have room for ParkBench's car."""
-    return dataclasses.replace(env, layout=OpenGround())
+    more = 2 * (MARGIN - hope.MARGIN)
+    size = {name: getattr(PARKBENCH_CAR, name) + more for name in ("length", "width")}
+    lots = hope.HopeConfig(car=dataclasses.replace(PARKBENCH_CAR, **size))
+    return dataclasses.replace(env, layout=lots)
 
 
 FILE_LEVELS[NAME] = parkbench_level

@@ -34,7 +34,7 @@ from carpark_mj.layouts.build import Group, assemble, bays, spawns, walls
 from carpark_mj.layouts.files import FARTHEST
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayEnd, Layout
-from carpark_mj.reading import read_text
+from carpark_mj.reading import naming_file, read_text
 from carpark_mj.vehicle import PRESETS, register_vehicle
 from carpark_mj.vehicle.parameters import kerb_to_kerb
 
@@ -64,90 +64,62 @@ def read_tpcap(path: Path) -> Layout:
     """Reads a TPCAP case from CSV, whose poses are of the rear axle of `TPCAP_CAR`.
 
     Raises:
-        ValueError: no such file, or a fault in it; the message names the line.
+        ValueError: no such file, or a fault in it.
     """
-    numbers, lines = _numbers(path)
-    try:
+    with naming_file(path):
+        cells = ",".join(read_text(path).splitlines()).split(",")
+        numbers = list(map(_number, filter(str.strip, cells)))
         return case_layout(TPCAP_CAR, *_parts(numbers), _boxes, BAY_MARGIN)
-    except _FaultError as fault:
-        line = lines[min(fault.place, len(lines) - 1)] if lines else 1
-        raise ValueError(f"{path}, line {line}: {fault}") from None
 
 
-class _FaultError(ValueError):
-    """A fault of a case; `place` is the index of its number."""
-
-    def __init__(self, place: int, message: str) -> None:
-        super().__init__(message)
-        self.place = place
-
-
-def _numbers(path: Path) -> tuple[list[float], list[int]]:
-    """The numbers of a file and the line of each."""
+def _number(cell: str) -> float:
     try:
-        text = read_text(path)
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from None
-    numbers, lines = [], []
-    for line, row in enumerate(text.splitlines(), 1):
-        for cell in filter(str.strip, row.split(",")):
-            try:
-                numbers.append(float(cell))
-            except ValueError:
-                numbers.append(math.nan)
-            lines.append(line)
-            if not math.isfinite(numbers[-1]):
-                raise ValueError(
-                    f"{path}, line {line}: {cell.strip()!r} is not a number"
-                )
-    return numbers, lines
+        number = float(cell)
+    except ValueError:
+        number = math.nan
+    _require(math.isfinite(number), f"{cell.strip()!r} is not a number")
+    return number
 
 
-def _require(holds: object, place: int, message: str) -> None:
+def _require(holds: object, message: str) -> None:
     if not holds:
-        raise _FaultError(place, message)
+        raise ValueError(message)
 
 
 def _parts(numbers: list[float]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
     """Start and goal (3,), and the vertices (n, 2) of each obstacle."""
     there = len(numbers)
     whole = "a case begins with start, goal and the number of obstacles (7 numbers)"
-    _require(there >= 7, there, f"{whole}, not {there}")
-    count = _whole(numbers, 6, "number of obstacles", 0)
-    first = 7 + count  # of the vertices
+    _require(there >= 7, f"{whole}, not {there}")
+    count = _whole(numbers[6], "number of obstacles", 0)
     few = f"{count} obstacles need {count} vertex counts, there are {there - 7}"
-    _require(there >= first, there, few)
-    what = "vertex count of obstacle"
-    sizes = [_whole(numbers, k, f"{what} {k - 7}", 3) for k in range(7, first)]
-    expected = first + 2 * sum(sizes)
+    _require(there >= 7 + count, few)
+    counts = enumerate(numbers[7 : 7 + count])
+    sizes = [_whole(n, f"vertex count of obstacle {k}", 3) for k, n in counts]
+    expected = 7 + count + 2 * sum(sizes)
     parts = f"{count} obstacles with {sum(sizes)} vertices make {expected} numbers"
-    _require(there == expected, there, f"{parts}, not {there}")
-    for k in (2, 5):
+    _require(there == expected, f"{parts}, not {there}")
+    start, goal = np.array(numbers[:3]), np.array(numbers[3:6])
+    for heading in (start[2], goal[2]):
         rule = f"a heading must be at most {MOST_HEADING:.4g} rad either way"
-        _require(abs(numbers[k]) <= MOST_HEADING, k, f"{rule}, not {numbers[k]:g}")
+        _require(abs(heading) <= MOST_HEADING, f"{rule}, not {heading:g}")
+    vertices = np.array(numbers[7 + count :]).reshape(-1, 2)
+    points = np.concatenate([start[None, :2], goal[None, :2], vertices])
+    far, away = np.abs(points).max(), np.abs(points - start[:2]).max()
     rule = "a coordinate must be at most"
-    for turn, k in enumerate((0, 1, 3, 4, *range(first, expected))):  # x, y in turn
-        value, away = numbers[k], abs(numbers[k] - numbers[turn % 2])
-        most = f"{rule} {FARTHEST_ORIGIN:g} m, not {value:g}"
-        _require(abs(value) <= FARTHEST_ORIGIN, k, most)
-        most = f"{rule} {FARTHEST:g} m from the start's, not {away:g} m"
-        _require(away <= FARTHEST, k, most)
-    vertices = np.array(numbers[first:]).reshape(-1, 2)
+    _require(far <= FARTHEST_ORIGIN, f"{rule} {FARTHEST_ORIGIN:g} m, not {far:g} m")
+    most = f"{rule} {FARTHEST:g} m from the start's, not {away:g} m"
+    _require(away <= FARTHEST, most)
     polygons = np.split(vertices, np.cumsum(sizes)[:-1]) if count else []
     for k, polygon in enumerate(polygons):
-        _require(
-            abs(_area(polygon)) >= LEAST_AREA,
-            first + 2 * sum(sizes[:k]),
-            f"obstacle {k} has no area, its {sizes[k]} vertices lie on a line or its "
-            "edges cross",
-        )
-    return np.array(numbers[:3]), np.array(numbers[3:6]), polygons
+        told = f"obstacle {k} has no area, its {sizes[k]} vertices lie on a line or its"
+        _require(abs(_area(polygon)) >= LEAST_AREA, f"{told} edges cross")
+    return start, goal, polygons
 
 
-def _whole(numbers: list[float], place: int, what: str, least: int) -> int:
-    value = numbers[place]
+def _whole(value: float, what: str, least: int) -> int:
     rule = f"{what} must be a whole number of at least {least}, not {value:g}"
-    _require(value == int(value) and value >= least, place, rule)
+    _require(value == int(value) and value >= least, rule)
     return int(value)
 
 
@@ -225,8 +197,8 @@ def case_layout(
     if clears_goal:
         kept &= ~meets[-1]  # at the goal, without a margin
     blocked: np.ndarray = np.any(meets & kept, axis=-1)
-    for first, what, stands in ((0, "start", blocked[0]), (3, "goal", blocked[1])):
-        _require(not stands, first, f"a car at the {what} would stand in an obstacle")
+    for what, stands in zip(("start", "goal"), blocked[:2], strict=True):
+        _require(not stands, f"a car at the {what} would stand in an obstacle")
     free = sizes[1:][~blocked[2:]]
     bay_size = free[0] if len(free) else np.array(car.size)
     layout = assemble(
@@ -287,6 +259,7 @@ class TpcapConfig(LayoutConfig):
 
     case: int | None = None
     family: str = "tpcap"
+    is_enclosed = False  # cars can leave
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -294,11 +267,6 @@ class TpcapConfig(LayoutConfig):
             raise ValueError(
                 f"case must be {NUMBERS[0]} to {NUMBERS[-1]}, not {self.case!r}"
             )
-
-    @property
-    def is_enclosed(self) -> bool:
-        """Cars can leave; no walls stand around the lot."""
-        return False
 
     @property
     def min_bays(self) -> int:

@@ -36,6 +36,7 @@ from submitit.helpers import DelayedSubmission
 from carpark_mj.analysis import read_run
 from carpark_mj.cli.process import configure_jax, enable_output_fusion, one_line
 from carpark_mj.cli.settings.tables import SweepConfig, Where
+from carpark_mj.cli.settings.training import RunConfig
 from carpark_mj.compilation import keep_compiled_programs
 from carpark_mj.files import write_csv, write_json
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -51,7 +52,7 @@ from carpark_mj.sweeps.plan import (
 )
 from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.training.run_folder import RunConfig, read_config
+from carpark_mj.training.run_folder import read_config
 
 POLL_SECONDS = {"local": 0.5, "debug": 0.0, "slurm": 10.0}
 ENDLESS = 10 * 365 * 24 * 60  # of a local job, which submitit would end [min]

@@ -23,10 +23,11 @@ from rich.progress import (
 )
 
 from carpark_mj.cli.clock import TRAINING
-from carpark_mj.files import naming, write_atomically, write_csv
+from carpark_mj.cli.settings.training import RunConfig
+from carpark_mj.files import drawn_axes, naming, write_csv
 from carpark_mj.reading import CsvRow, read_csv
 from carpark_mj.training.loggers import open_loggers
-from carpark_mj.training.run_folder import RunConfig, list_settings
+from carpark_mj.training.run_folder import list_settings
 
 LINE_SECONDS = 20.0  # between lines of progress where there is no terminal
 NAME = "learning_curve.png"
@@ -182,26 +183,12 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
     return [{name: row.number(name) for name in row.cells} for row in rows]
 
 
-@contextlib.contextmanager
-def two_panels(folder: Path, title: str, xlabel: str) -> Generator[tuple[Any, Any]]:
+def two_panels(
+    folder: Path, title: str, xlabel: str
+) -> contextlib.AbstractContextManager[list[Any]]:
     """Gives the axes of a tall and a low panel to draw in, then writes the picture."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (tall, low) = plt.subplots(
-        2, 1, figsize=(8, 6), sharex=True, height_ratios=(3, 2), layout="constrained"
-    )
-    try:
-        yield tall, low
-        tall.set_title(title)
-        low.set(xlabel=xlabel)
-        for axes in (tall, low):
-            axes.grid(alpha=0.3)
-        write_atomically(folder / NAME, lambda file: figure.savefig(file, dpi=120))
-    finally:
-        plt.close(figure)
+    rows: dict[str, Any] = {"nrows": 2, "sharex": True, "height_ratios": (3, 2)}
+    return drawn_axes(folder / NAME, (8, 6), title, xlabel, **rows)
 
 
 def plot_learning_curve(

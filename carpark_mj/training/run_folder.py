@@ -17,7 +17,8 @@ import jax
 from jax.errors import JaxRuntimeError
 
 from carpark_mj.cli.process import USER_ERRORS
-from carpark_mj.config.checks import CheckedConfig, NonNegative, Positive, require_seed
+from carpark_mj.cli.settings.training import RunConfig
+from carpark_mj.config.checks import require_name
 from carpark_mj.extensions import table, unknown_name
 from carpark_mj.files import is_temporary, remove_temporary, write_json
 from carpark_mj.policy import checkpoints, runs
@@ -30,48 +31,6 @@ LOCK = ".lock"
 MAX_SEEDS = 1024
 PACKAGES = ("carpark_mj", "mujoco", "mujoco-mjx", "jax", "brax", "numpy")
 RESUME_FLAGS = ("--resume", "--time-limit")  # what may differ when a run is resumed
-
-
-@dataclasses.dataclass(frozen=True)
-class RunConfig(CheckedConfig):
-    """Settings of every trainer.
-
-    Attributes:
-        preset: settings the other flags start from.
-        name: folder under `runs_dir`; empty = named by preset and seed.
-        runs_dir: folder of all runs.
-        resume: folder of a run to continue with its own settings.
-        time_limit: time after which to save a checkpoint and stop [min]; 0 = no limit.
-        seed: random seed.
-        checkpoint_minutes: time between checkpoints [min].
-        logger: where metrics, settings and the video go besides the folder:
-            tensorboard, wandb, mlflow or a registered one; several with commas.
-    """
-
-    preset: str = ""
-    name: str = ""
-    runs_dir: str = "runs"
-    resume: str = ""
-    time_limit: NonNegative = 0.0
-    seed: int = 0
-    checkpoint_minutes: Positive = 1.0
-    logger: str = "tensorboard"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_seed(self.seed)
-        bare = re.fullmatch(r"[^/\\]*[^/\\.\s][^/\\]*", self.name)
-        if self.name and not (bare and self.name.isprintable()):
-            raise ValueError(
-                f"name must be the name of one folder in runs_dir, not {self.name!r}"
-            )
-        if not self.runs_dir.strip():
-            raise ValueError(f"runs_dir must name a folder, not {self.runs_dir!r}")
-
-    @property
-    def default_name(self) -> str:
-        """Name of the folder of an unnamed run."""
-        return f"{self.preset}-{self.seed}"
 
 
 Config = TypeVar("Config", bound=RunConfig)
@@ -191,8 +150,8 @@ def read_settings(
     presets: Mapping[str, Config],
     arguments: Sequence[str] | None,
     description: str | None,
-    short: Sequence[str],
     summaries: Mapping[str, str],
+    common: type | None = None,
 ) -> Config:
     """Reads the flags of a trainer, `--config FILE` among them.
 
@@ -201,8 +160,8 @@ def read_settings(
         presets: by name.
         arguments: the command line; None = that of the process.
         description: at the head of the help.
-        short: settings that the short help lists.
         summaries: purpose of each preset, for the help.
+        common: base of the settings that `--help` lists; None = all.
     """
     from carpark_mj.cli.flags import read_flags  # tyro is of an extra
     from carpark_mj.cli.listing import describe_environment
@@ -221,7 +180,10 @@ def read_settings(
         env = getattr(known, "env", None)  # None: no car park
         lines[key] = summaries[key] + (f": {describe_environment(env)}" if env else "")
     text = f"{description or ''}\nPresets:\n{table(lines, indent=4)}\n"
-    config = read_flags(type(default), arguments, preset, text, short)
+    if common and {"-h", "--help"} & {*arguments}:
+        values = {x.name: getattr(preset, x.name) for x in dataclasses.fields(common)}
+        read_flags(common, ["--help"], common(**values), text)
+    config = read_flags(type(default), arguments, preset, text)
     if config.preset not in ("", "auto", *presets):
         raise ValueError(unknown_name("preset", config.preset, presets))
     words = [word.partition("=")[0] for word in arguments if word.startswith("--")]
@@ -267,8 +229,7 @@ def _read_file(
         if "resume" in found:
             raise ValueError("resume is a flag: a resumed run has its own settings")
         if name and not named:
-            if name not in presets:
-                raise ValueError(unknown_name("preset", name, presets))
+            require_name("preset", name, presets)
             default = presets[name]
         return read_flags(type(default), as_flags(found, default), default)
     except ValueError as error:

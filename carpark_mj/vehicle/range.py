@@ -4,11 +4,7 @@
 same, when an environment is built: each is data like a preset, so their number costs
 nothing in a step.
 
-Ranges hold these data sheets, quoted from memory: Smart fortwo (2.70 m x 1.66 m,
-wheelbase 1.87 m, circle 6.95 m), Suzuki Alto (3.40 m x 1.48 m, 2.46 m), VW ID.4 (4.58 m
-x 1.85 m, 2.77 m), Mercedes S-Class long (5.29 m x 1.95 m, 3.22 m), Ford Transit L3H2
-(5.98 m x 2.06 m, 3.75 m, circle 13.3 m), Mercedes Sprinter L3 (6.97 m x 2.02 m, 4.33
-m). What data sheets do not say is [est].
+Ranges hold the data sheets of `carpark_mj.suite.lots`. What these do not say is [est].
 """
 
 import dataclasses
@@ -80,6 +76,14 @@ def usual_width(length: float) -> float:
     return 1.15 + 0.145 * length
 
 
+def usual_wheels(length: float) -> dict[str, float]:
+    """Radius and width of the wheels of cars of a length, all in m [est]."""
+    return {
+        "wheel_radius": 0.24 + 0.016 * length,
+        "tyre_width": 0.14 + 0.013 * length,
+    }
+
+
 def _car(chance: Mapping[str, float]) -> VehicleParameters:
     """The car at a point of the range."""
 
@@ -97,9 +101,8 @@ def _car(chance: Mapping[str, float]) -> VehicleParameters:
         "wheelbase": wheelbase,
         "rear_overhang": drawn("rear_overhang") * (length - wheelbase),
         "mass": drawn("mass") * length * width,
-        "wheel_radius": 0.24 + 0.016 * length,
         "front_drive": math.floor(3 * chance["front_drive"]) / 2,
-        "tyre_width": 0.14 + 0.013 * length,
+        **usual_wheels(length),
     }
     quantities["track_width"] = width - quantities["tyre_width"] - 0.06
     quantities["turning_circle"] = kerb_to_kerb(

@@ -55,10 +55,10 @@ def test_trainers_refuse_impossible_names_seeds_and_numbers(cls):
 def test_trainers_have_their_own_presets():
     default = Q_PRESETS["tanner-qlearning"]
     name = "tanner-qlearning-rings"
-    arguments = (default, Q_PRESETS, ["--preset", name], None, (), Q_SUMMARIES)
+    arguments = (default, Q_PRESETS, ["--preset", name], None, Q_SUMMARIES)
     assert read_settings(*arguments) == Q_PRESETS[name]
     with pytest.raises(ValueError, match=r"'cpu' .*tanner-qlearning-rings"):
-        read_settings(default, Q_PRESETS, ["--preset", "cpu"], None, (), Q_SUMMARIES)
+        read_settings(default, Q_PRESETS, ["--preset", "cpu"], None, Q_SUMMARIES)
 
 
 @pytest.mark.parametrize("name", ["tanner-fixed-original", "tanner-dynamic"])

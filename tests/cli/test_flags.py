@@ -107,19 +107,10 @@ def test_a_range_is_two_numbers():
             read_flags(Settings, ["--span", *words])
 
 
-def test_a_short_help_lists_some_and_names_the_others(capsys):
-    with pytest.raises(SystemExit) as stop:
-        read_flags(Settings, ["-h"], short=("count",))
-    assert stop.value.code == 0
-    printed = capsys.readouterr().out
-    assert "how many there are" in printed
-    assert (
-        "which --help-all explains: --eye.*, --span, --part, --size, --at\n" in printed
-    )
-    assert "--eye.reach" not in printed
-    for arguments, short in ((["--help-all"], ("count",)), (["--help"], ())):
+def test_the_help_names_every_setting(capsys):
+    for arguments in (["--help-all"], ["--help"]):
         with pytest.raises(SystemExit):
-            read_flags(Settings, arguments, short=short)
+            read_flags(Settings, arguments)
         printed = capsys.readouterr().out
         assert "--eye.reach" in printed
         assert "--span LOW HIGH" in printed

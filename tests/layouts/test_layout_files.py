@@ -233,27 +233,27 @@ def test_a_tight_goal_gets_a_smaller_bay(tmp_path):
 
 
 BAD_CSV = [
-    ("1,2,3\n4,5,6\n", 2, r"7 numbers\), not 6"),
-    ("1,2,3\n4,5,pi\n", 2, "'pi' is not a number"),
-    ("0,0,0,5,12,0\n1.5,3\n", 2, "number of obstacles must be a whole number"),
-    ("0,0,0,5,12,0\n3,4\n", 2, "3 obstacles need 3 vertex counts, there are 1"),
-    ("0,0,0,5,12,0\n1\n2\n", 3, "vertex count of obstacle 0 .* at least 3, not 2"),
-    ("0,0,0,5,12,0,1,3\n1,1,2,2,3\n", 2, "make 14 numbers, not 13"),
-    ("0,0,0\n5,12,90\n0\n", 2, "heading must be at most 12.57 rad either way, not 90"),
-    ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", 2, "at the goal would stand in an"),
-    ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", 1, "at the start would stand in an"),
-    ("0,0,0\n5,1e30,0\n0\n", 2, r"a coordinate must be at most 1e\+10 m, not 1e\+30"),
-    ("3e9,0,0\n3e9,2e4,0\n0\n", 2, "at most 10000 m from the start's, not 20000 m"),
-    ("0,0,0,5,12,0,2,3,4\n9,9,9,8,8,8\n7,7,9,9,9,7,7,9\n", 3, "obstacle 1 has no"),
+    ("1,2,3\n4,5,6\n", r"7 numbers\), not 6"),
+    ("1,2,3\n4,5,pi\n", "'pi' is not a number"),
+    ("0,0,0,5,12,0\n1.5,3\n", "number of obstacles must be a whole number"),
+    ("0,0,0,5,12,0\n3,4\n", "3 obstacles need 3 vertex counts, there are 1"),
+    ("0,0,0,5,12,0\n1\n2\n", "vertex count of obstacle 0 .* at least 3, not 2"),
+    ("0,0,0,5,12,0,1,3\n1,1,2,2,3\n", "make 14 numbers, not 13"),
+    ("0,0,0\n5,12,90\n0\n", "heading must be at most 12.57 rad either way, not 90"),
+    ("0,0,0\n5,12,0\n1,4\n5,11,7,11,7,13,5,13\n", "at the goal would stand in an"),
+    ("0,0,0\n5,12,0\n1,4\n0,0,1,0,1,1,0,1\n", "at the start would stand in an"),
+    ("0,0,0\n5,1e30,0\n0\n", r"a coordinate must be at most 1e\+10 m, not 1e\+30"),
+    ("3e9,0,0\n3e9,2e4,0\n0\n", "at most 10000 m from the start's, not 20000 m"),
+    ("0,0,0,5,12,0,2,3,4\n9,9,9,8,8,8\n7,7,9,9,9,7,7,9\n", "obstacle 1 has no"),
 ]
 
 
-@pytest.mark.parametrize(("text", "line", "message"), BAD_CSV)
-def test_bad_tpcap_cases_are_told_what_and_where(text, line, message, tmp_path):
+@pytest.mark.parametrize(("text", "message"), BAD_CSV)
+def test_bad_tpcap_cases_are_told_what_is_wrong(text, message, tmp_path):
     path = case(tmp_path, [], text=text)
     with pytest.raises(ValueError, match=message) as caught:
         make_layout(str(path))
-    assert f"{path}, line {line}: " in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
 
 

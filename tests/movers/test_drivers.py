@@ -11,8 +11,8 @@ from helpers.states import parked_in, state_of
 
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
+from carpark_mj.layouts import MixtureConfig
 from carpark_mj.layouts.base import LAYOUTS
-from carpark_mj.layouts.registry import MixtureConfig
 from carpark_mj.movers import Drivers, driving
 from carpark_mj.movers.traffic import AWAY, DRIVE, SIZE, STAY, track_path
 from carpark_mj.obstacles import hit_kinds, make_movers

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
+from helpers.drawn_cases import draw_hope
 from helpers.scenes import polygons
 
 from carpark_mj.config import LAYOUTS
@@ -16,7 +17,7 @@ from carpark_mj.layouts.registry import TEST, lot_key
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.suite import levels as held_out
 from carpark_mj.suite.hope import HopeConfig
-from carpark_mj.suite.levels import CASES, HOPE_LEVELS, draw_cases, load_held_out
+from carpark_mj.suite.levels import CASES, HOPE_LEVELS, load_held_out
 from carpark_mj.suite.tpcap import TPCAP_CAR
 
 LENGTH, WIDTH = TPCAP_CAR.size
@@ -76,9 +77,9 @@ def test_held_out_cases_are_valid_lots_for_the_car(level):
     assert {name: int(at.sum()) for name, at in faults.items() if at.any()} == {}
 
 
-def test_the_command_draws_the_same_cases_again():
+def test_the_stored_cases_are_those_drawn():
     level = "extreme"
-    first = draw_cases(level, 3)
+    first = draw_hope(level, 3)
     with np.load(held_out.FILE) as file:
         for name, array in first.items():
             kept = file[f"{level}_{name}"]

@@ -12,6 +12,7 @@ from rich import jupyter
 from rich.console import Console
 
 from carpark_mj.analysis import read_curve
+from carpark_mj.cli.settings.training import RunConfig
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.rendering.video import write_video
 from carpark_mj.training import loop as loops
@@ -23,7 +24,7 @@ from carpark_mj.training.loop import (
     smooth,
 )
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.run_folder import RunConfig, open_run
+from carpark_mj.training.run_folder import open_run
 
 
 def test_half_a_line_in_a_notebook_stops_no_training(monkeypatch):

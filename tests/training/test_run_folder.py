@@ -7,10 +7,11 @@ import shutil
 import pytest
 from jax.errors import JaxRuntimeError
 
+from carpark_mj.cli.settings.training import TrainConfig
 from carpark_mj.files import write_json
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import CONFIG_VERSION, latest_checkpoint, save_checkpoint
-from carpark_mj.training.ppo.config import RUN_SETTINGS, PPOConfig
+from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS, summaries
 from carpark_mj.training.run_folder import (
     LOCK,
@@ -156,8 +157,16 @@ def test_settings_of_nonsense_are_not_resumed_from(tmp_path):
 
 
 def read(*arguments):
-    given = PRESETS["cpu"], PRESETS, arguments, None, RUN_SETTINGS
-    return read_settings(*given, summaries())
+    return read_settings(PRESETS["cpu"], PRESETS, arguments, None, summaries())
+
+
+def test_the_help_lists_common_settings_with_their_values_in_a_preset(capsys):
+    given = PRESETS["cpu"], PRESETS, ["--help", "--preset=square"], None, summaries()
+    with pytest.raises(SystemExit):
+        read_settings(*given, TrainConfig)
+    printed = capsys.readouterr().out
+    assert f"default: {PRESETS['square'].num_lots}" in printed
+    assert "--env" not in printed
 
 
 def test_a_preset_gives_the_defaults_and_flags_change_them():

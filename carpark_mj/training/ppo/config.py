@@ -6,7 +6,7 @@ from typing import Annotated
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
+from carpark_mj.cli.settings.training import TrainConfig
 from carpark_mj.config import EnvConfig, data
 from carpark_mj.config.checks import (
     LARGEST_WHOLE,
@@ -20,7 +20,6 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.training.ppo.parts import BRAX, VARIANTS
-from carpark_mj.training.run_folder import RunConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,30 +66,15 @@ class CurriculumConfig(CheckedConfig):
     teacher_until: Ratio = 0.5
 
 
-# What the short help lists.
-RUN_SETTINGS = (
-    *("preset", "name", "runs_dir", "resume", "time_limit", "seed", "num_steps"),
-    *("minutes", "num_lots", "checkpoint_minutes", "logger", "eval_episodes"),
-    "video_seconds",
-)
-
-
 @dataclasses.dataclass(frozen=True)
-class PPOConfig(RunConfig):
+class PPOConfig(TrainConfig):
     """Settings of `carpark_mj train`; every field is a flag.
 
-    The settings of `RunConfig` come first.
+    The settings of `TrainConfig` come first.
 
     Attributes:
-        preset: settings the other flags start from; `auto` is `gpu` where JAX finds
-            one, else `cpu`.
         warm_start: run whose networks the training starts from instead of random ones:
             folder, checkpoint, or name of a pretrained policy with `critic_steps`.
-        num_steps: total number of agent steps, see `steps_per_update`.
-        minutes: limit of the training time, from the end of the first update, which
-            compiles [min]; 0 = none. Schedules follow the share of steps or time,
-            whichever is larger.
-        num_lots: number of lots simulated in parallel.
         lot_life: largest number of updates before a random lot is replaced; a few are
             replaced after every update. 0 = never.
         stored_lots: number of lots drawn once and kept in the user's cache
@@ -115,18 +99,12 @@ class PPOConfig(RunConfig):
             over about this many updates; 1 = the last one.
         critic_steps: agent steps at the start in which only the critic learns, rounded
             up to updates; for warm starts from a policy without a critic.
-        eval_episodes: episodes of the evaluation at the end; 0 = none.
-        video_seconds: length of the video at the end [s]; 0 = none.
         curriculum: settings of training that evaluations do not have.
         networks: layers of actor and critic.
         env: the environment.
     """
 
-    preset: str = "auto"
     warm_start: str = ""
-    num_steps: int = 40_000_000
-    minutes: NonNegative = 0.0
-    num_lots: Count = 64
     lot_life: Natural = 16
     stored_lots: Natural = 0
     unroll_length: Count = 64
@@ -145,8 +123,6 @@ class PPOConfig(RunConfig):
     variant: str = BRAX
     averaged_updates: Count = 32
     critic_steps: int = 0
-    eval_episodes: Annotated[int, Bounds(ge=0, le=MAX_EPISODES)] = 1024
-    video_seconds: Annotated[float, Bounds(ge=0.0, le=MAX_SECONDS)] = 20.0
     curriculum: CurriculumConfig = dataclasses.field(default_factory=CurriculumConfig)
     networks: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
     env: EnvConfig = dataclasses.field(default_factory=EnvConfig)

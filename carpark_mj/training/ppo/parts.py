@@ -20,8 +20,8 @@ VARIANTS.register(BRAX, Entry("carpark_mj.training.ppo.variants:BRAX"))
 def summaries() -> dict[str, str]:
     """What each preset is for, in a line."""
     lines: dict[str, str] = {}
-    for name, summary in PRESETS.summaries.items():
-        config = PRESETS[name]
+    for name in PRESETS:  # imports the extensions
+        config, summary = PRESETS[name], PRESETS.summaries[name]
         minutes = f" or {config.minutes:g} min" if config.minutes else ""
         steps = f"{config.num_steps / 1e6:g} M steps{minutes}"
         lines[name] = f"{summary or 'GPU'}, {steps}"

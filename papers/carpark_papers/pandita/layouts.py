@@ -66,6 +66,7 @@ class SlotsConfig(LayoutConfig):
     start: tuple[float, float] = (10.0, 0.0)
     start_heading: Finite | None = math.pi
     family: str = "slots"
+    is_enclosed = False  # cars can leave
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,11 +97,6 @@ class SlotsConfig(LayoutConfig):
                 f"{CAR.length} m x {CAR.width} m can stand at start {self.start}, not "
                 f"{self.half_corridor}"
             )
-
-    @property
-    def is_enclosed(self) -> bool:
-        """Cars can leave; no walls stand around the lot."""
-        return False
 
     @property
     def min_bays(self) -> int:

@@ -2,25 +2,11 @@
 
 from carpark_mj.extensions import Entry
 from carpark_mj.policy.runs import ALGORITHMS
-from carpark_mj.programs import STUDY_PROGRAMS
 from carpark_mj.training.ppo.parts import PRESETS, VARIANTS
 from carpark_papers.tanner import environments, grid, indices, observation
 
 __all__ = ["environments", "grid", "indices", "observation"]
 
-STUDY_PROGRAMS.register(
-    "q_learning",
-    Entry(
-        "carpark_papers.tanner.q_learning.program:run",
-        "tabular Q-learning on the grid, Tanner 2022",
-    ),
-)
-STUDY_PROGRAMS.register(
-    "tanner",
-    Entry(
-        "carpark_papers.tanner.experiments.program:run", "the figures of Tanner 2022"
-    ),
-)
 
 ALGORITHMS.register(
     "q_learning", Entry("carpark_papers.tanner.q_learning.tables:TABLES")

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 import jax
 
 from carpark_mj.cli.process import MAX_EPISODES
+from carpark_mj.cli.settings.training import RunConfig
 from carpark_mj.config.checks import Bounds, Count, Natural
 from carpark_mj.evaluation.keys import evaluation_key
-from carpark_mj.training.run_folder import RunConfig
 from carpark_papers.cederle.junction import JunctionConfig, RasterConfig, RewardRules
 from carpark_papers.cederle.junction.config import (
     ActionKind,
@@ -33,28 +33,6 @@ Algorithm = Literal[
 ScenarioName = Literal["2av", "2av-hd", "3av", "3av-hd"]
 
 VECTOR_SCALE = 20.0  # m; divides vectors, whose largest numbers are distances
-
-# What the short help lists.
-RUN_SETTINGS = (
-    "preset",
-    "name",
-    "runs_dir",
-    "resume",
-    "time_limit",
-    "seed",
-    "algorithm",
-    "scenario",
-    "cars",
-    "observation",
-    "action",
-    "shared",
-    "end",
-    "num_junctions",
-    "total_steps",
-    "eval_period",
-    "eval_episodes",
-    "video_episodes",
-)
 
 
 @dataclasses.dataclass(frozen=True)

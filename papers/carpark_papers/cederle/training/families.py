@@ -11,11 +11,7 @@ from carpark_papers.cederle.benchmarl.config import (
     benchmarl_presets,
 )
 from carpark_papers.cederle.dqn.config import DQN_SUMMARIES, dqn_presets
-from carpark_papers.cederle.training.config import (
-    RUN_SETTINGS,
-    Algorithm,
-    JunctionRunConfig,
-)
+from carpark_papers.cederle.training.config import Algorithm, JunctionRunConfig
 
 DQN: tuple[Algorithm, ...] = ("idqn", "double", "dueling", "double-dueling")
 # Extras of a loop, and the name in the message if one is missing.
@@ -47,9 +43,8 @@ def read_junction_settings(
     known = algorithm if algorithm in get_args(Algorithm) else DQN[-1]
     presets = presets_of(known)
     summaries = DQN_SUMMARIES if known in DQN else BENCHMARL_SUMMARIES
-    return read_settings(
-        presets["parallel"], presets, arguments, description, RUN_SETTINGS, summaries
-    )
+    given = presets["parallel"], presets, arguments, description, summaries
+    return read_settings(*given, JunctionRunConfig)
 
 
 def train_run(config: JunctionRunConfig) -> tuple[Path, bool]:

@@ -5,6 +5,7 @@ import re
 from typing import Annotated, Literal
 
 from carpark_mj.cli.process import MAX_EPISODES, MAX_SECONDS
+from carpark_mj.cli.settings.training import RunConfig
 from carpark_mj.config import EnvConfig, LayoutConfig
 from carpark_mj.config.checks import (
     Bounds,
@@ -16,7 +17,6 @@ from carpark_mj.config.checks import (
 )
 from carpark_mj.layouts import MixtureConfig, layout_config
 from carpark_mj.registry import environment
-from carpark_mj.training.run_folder import RunConfig
 from carpark_papers.pandita.layouts import SlotsConfig
 from carpark_papers.pandita.slots_env import slots_config
 
@@ -84,23 +84,6 @@ SACPreset = Literal["slots", "study", "pandita"]
 Replay = Literal["her", "plain", "none"]
 Environment = Literal["pandita", "slots"]
 AtSwitch = Literal["keep", "clear", "balance"]
-
-# What the short help lists.
-RUN_SETTINGS = (
-    "preset",
-    "name",
-    "runs_dir",
-    "resume",
-    "time_limit",
-    "seed",
-    "phases",
-    "replay",
-    "environment",
-    "num_cars",
-    "rehearsal",
-    "eval_episodes",
-    "video_seconds",
-)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.evaluation.keys import evaluation_key
-from carpark_mj.files import write_atomically
+from carpark_mj.files import drawn_axes
 from carpark_mj.policy.acting import Carry, Step, roll_out
 from carpark_mj.training.loop import plot_learning_curve, read_metrics
 from carpark_mj.types import State
@@ -45,23 +45,15 @@ def plot_matrix(
     path: Path, matrix: np.ndarray, phases: Sequence[str], kinds: Sequence[str]
 ) -> Path:
     """Draws success rates (phases, kinds): a row per phase, a column per kind."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     size = (2.2 + 1.3 * len(kinds), 1.4 + 0.5 * len(phases))
-    figure, axes = plt.subplots(figsize=size, layout="constrained")
-    try:
+    with drawn_axes(path, size, "success rate", "deployed on") as (axes,):
         axes.imshow(matrix, cmap="RdYlGn", vmin=-0.3, vmax=1.3, aspect="auto")
         for (row, column), value in np.ndenumerate(matrix):
             axes.text(column, row, f"{value:.0%}", ha="center", va="center")
         axes.set_xticks(range(len(kinds)), kinds)
         axes.set_yticks(range(len(phases)), phases)
-        axes.set(xlabel="deployed on", ylabel="after", title="success rate")
-        write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120))
-    finally:
-        plt.close(figure)
+        axes.set_ylabel("after")
+        axes.grid(visible=False)
     return path
 
 

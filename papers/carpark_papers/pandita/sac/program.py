@@ -6,7 +6,6 @@
     carpark_mj study sac --phases slots:150episodes slots_diagonal:150episodes
     carpark_mj study sac --preset pandita             # the settings of Pandita 2022
     carpark_mj study sac --resume runs/slots-0        # continues where it stopped
-    carpark_mj study sac --help-all                   # every setting
 
 It needs `pip install "./papers[sb3]"`. After every phase the policy is deployed
 on all kinds of lots. Ctrl-C saves a checkpoint and stops; a second one stops at once.
@@ -23,19 +22,10 @@ def run(arguments: Sequence[str] | None = None) -> None:
     choose_gl()  # before MuJoCo is imported; without GL there is no video at the end
     enable_output_fusion()
     from carpark_mj.training.run_folder import read_settings
-    from carpark_papers.pandita.sac.config import (
-        RUN_SETTINGS,
-        SAC_PRESETS,
-        SAC_SUMMARIES,
-    )
+    from carpark_papers.pandita.sac.config import SAC_PRESETS, SAC_SUMMARIES
 
     config = read_settings(
-        SAC_PRESETS["slots"],
-        SAC_PRESETS,
-        arguments,
-        __doc__,
-        RUN_SETTINGS,
-        SAC_SUMMARIES,
+        SAC_PRESETS["slots"], SAC_PRESETS, arguments, __doc__, SAC_SUMMARIES
     )
     from carpark_papers.pandita.sac.train import train_run
 

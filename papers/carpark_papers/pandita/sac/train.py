@@ -22,7 +22,7 @@ from carpark_mj.policy.networks import Policy
 from carpark_mj.rendering.gl import choose_gl
 from carpark_mj.rendering.recording import num_frames, record, recording_stage
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
-from carpark_mj.rendering.video import draw_frame, frame_stride, write_video
+from carpark_mj.rendering.video import draw_frame, frame_indices, write_video
 from carpark_mj.training.loop import Loop, MetricsLog
 from carpark_mj.training.run_folder import list_settings, open_run, read_header
 from carpark_mj.wrappers.goal import GoalParking
@@ -298,9 +298,9 @@ def _draw(
     frames = round(num_frames(recording) * min(1.0, shown / num_steps))
     renderer = LotRenderer(recording_stage(env, recording), "topdown", SIZE)
     try:
-        stride = frame_stride(recording, FPS)
-        for index in range(stride - 1, frames, stride):
-            yield draw_frame(recording, renderer, index)
+        for index in frame_indices(recording, FPS)[0]:
+            if index < frames:
+                yield draw_frame(recording, renderer, index)
     finally:
         renderer.close()
 

@@ -3,9 +3,9 @@
 import dataclasses
 from typing import Literal
 
+from carpark_mj.cli.settings.training import RunConfig
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import Count, Natural, Ratio
-from carpark_mj.training.run_folder import RunConfig
 from carpark_papers.tanner.environments import (
     TANNER_QLEARNING,
     TANNER_QLEARNING_RECORDED,
@@ -16,25 +16,10 @@ QLearningPreset = Literal[
     "tanner-qlearning", "tanner-qlearning-recorded", "tanner-qlearning-rings"
 ]
 
-# What the short help lists.
-RUN_SETTINGS = (
-    "preset",
-    "name",
-    "runs_dir",
-    "resume",
-    "time_limit",
-    "seed",
-    "num_seeds",
-    "num_lots",
-    "episodes",
-    "eval_episodes",
-    "checkpoint_minutes",
-)
-
 
 @dataclasses.dataclass(frozen=True)
-class QLearningConfig(RunConfig):
-    """Settings of `carpark_mj study q_learning`; every field is a flag.
+class QLearningSettings(RunConfig):
+    """Settings of `carpark_mj study q_learning` but those of the environment.
 
     The settings of `RunConfig` come first. Rates follow Tanner 2022, section 5.1.1,
     names its table C.6.
@@ -55,7 +40,6 @@ class QLearningConfig(RunConfig):
         bootstrap_terminals: bootstrap after parking and crashing too, as the reference
             implementation does by mistake.
         window: episodes over which the plot and the table of metrics average.
-        env: the environment.
     """
 
     preset: QLearningPreset = "tanner-qlearning"
@@ -70,12 +54,24 @@ class QLearningConfig(RunConfig):
     epsilon_min: Ratio = 0.001
     bootstrap_terminals: bool = False
     window: Count = 500
-    env: EnvConfig = TANNER_QLEARNING
 
     @property
     def total_episodes(self) -> int:
         """Episodes of each seed, training and evaluation."""
         return self.episodes + self.eval_episodes
+
+
+@dataclasses.dataclass(frozen=True)
+class QLearningConfig(QLearningSettings):
+    """Settings of `carpark_mj study q_learning`; every field is a flag.
+
+    The settings of `QLearningSettings` come first.
+
+    Attributes:
+        env: the environment.
+    """
+
+    env: EnvConfig = TANNER_QLEARNING
 
 
 Q_PRESETS: dict[str, QLearningConfig] = {

@@ -23,14 +23,13 @@ def run(arguments: Sequence[str] | None = None) -> None:
     from carpark_papers.tanner.q_learning.config import (
         Q_PRESETS,
         Q_SUMMARIES,
-        RUN_SETTINGS,
         QLearningConfig,
+        QLearningSettings,
     )
     from carpark_papers.tanner.q_learning.train import QLearner, train
 
-    config = read_settings(
-        QLearningConfig(), Q_PRESETS, arguments, __doc__, RUN_SETTINGS, Q_SUMMARIES
-    )
+    defaults = QLearningConfig(), Q_PRESETS, arguments
+    config = read_settings(*defaults, __doc__, Q_SUMMARIES, QLearningSettings)
     learner = QLearner(config)  # refuses impossible lots before a folder is made
     with open_run(config) as folder:
         if train(config, learner, folder):
