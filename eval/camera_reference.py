@@ -1,14 +1,7 @@
-"""MuJoCo's images of a state, resampled at the rays of any camera.
-
-Six pinhole images make a cube about the camera. On a plane the inverse of the depth
-is linear across a picture, so it is interpolated between the four pixels about a ray
-exactly if all four show one object; otherwise the ray is on an edge.
-"""
-
-from __future__ import annotations
+"""What rays of any camera meet in MuJoCo: the oracle of depths and classes."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import mujoco
@@ -26,27 +19,14 @@ from carpark_mj.vehicle.parameters import VehicleParameters
 
 BLOCK_GROUP = 4  # of cars as blocks
 LOOK_GROUP = 2  # of cars as meshes
-PIXELS = 512  # of a side of a face
-_SPAN = 1.02  # half a face over its distance: neighbours of every ray are on it
-_NEAR = 0.004  # m, the nearest that MuJoCo draws
-_FACES = np.array(  # axis, left and up of each face
-    [
-        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
-        [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-        [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
-        [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
-        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-    ],
-    float,
-)
+_STEP = 1e-6  # m, behind a face that is seen from its back
 
 
 class BlockStage(Stage):
     """A lot's scene with the mesh of every car and the blocks that cameras see."""
 
     def build(self) -> mujoco.MjSpec:
-        """The scene with blocks, and a camera `free`."""
+        """The scene with blocks."""
         spec = super().build()
         for agent in range(self.num_agents):
             for kind, params in enumerate(self._kinds):
@@ -57,11 +37,6 @@ class BlockStage(Stage):
         for geom in spec.geoms:
             if "/digit" in geom.name:  # cameras do not see the numbers of bays
                 geom.group = HULL_GROUP
-        spec.worldbody.add_camera(name="free", fovy=2 * math.degrees(math.atan(_SPAN)))
-        spec.visual.quality.offsamples = 0
-        spec.visual.global_.offwidth = spec.visual.global_.offheight = PIXELS
-        spec.visual.map.znear = _NEAR / spec.stat.extent
-        spec.visual.map.zfar = 5000.0 / spec.stat.extent
         return spec
 
 
@@ -71,121 +46,78 @@ def _add_blocks(body: Any, params: VehicleParameters, prefix: str) -> None:
         bottom, top = max(low * params.height, GROUND_CLEARANCE), high * params.height
         half = params.length / 2
         ahead = params.centre_offset + half * (rear + front) / 2
+        # A gap between the blocks: a ray leaves one before it meets the other.
+        size = half * (front - rear), wide * params.width, top - bottom - 10 * _STEP
         body.add_geom(
             name=f"{prefix}block/{name}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=[ahead, 0.0, (bottom + top) / 2],
-            size=np.array([half * (front - rear), wide * params.width, top - bottom])
-            / 2,
+            size=np.array(size) / 2,
             group=BLOCK_GROUP,
             **dict.fromkeys(("contype", "conaffinity", "mass"), 0),
         )
 
 
-class Reference(NamedTuple):
-    """MuJoCo's image along rays (...): depths [m], inf in the sky, and `Seen`.
+class Reference:
+    """A state of a lot in MuJoCo."""
 
-    On an edge (bool) objects meet, and the depth belongs to none.
-    """
-
-    depth: np.ndarray
-    seen: np.ndarray
-    on_edge: np.ndarray
-
-
-class Renderer:
-    """Draws the states of one lot after another."""
-
-    def __init__(self, env: ParkingEnv, state: State, meshes: bool = False) -> None:
-        """Compiles the scene of a lot; `meshes` draws cars as meshes, not as blocks."""
+    def __init__(self, env: ParkingEnv, state: State) -> None:
+        """Compiles the scene of the lot."""
         self._layout = jax.tree.map(np.asarray, state.layout)
         self._state = state
-        self._stage = BlockStage.of(env, state)
-        self._stage.place(snapshot_of(state))
+        stage = BlockStage.of(env, state)
+        stage.place(snapshot_of(state))
+        self._model, self._data = stage.model, stage.data
         self._heights = [
             env.fleet.agents[0 if state.kind is None else int(state.kind[k])].height
             for k in range(env.config.num_agents)
         ]
-        self._renderer = mujoco.Renderer(self._stage.model, PIXELS, PIXELS)
-        self._options = mujoco.MjvOption()
-        shown = (0, 1, LOOK_GROUP if meshes else BLOCK_GROUP)
-        self._options.geomgroup[:] = [k in shown for k in range(6)]
-        self._kinds, self._owner = _read_geoms(self._stage.model, state)
+        self._kinds, self._owner = _read_geoms(self._model, state)
 
-    def close(self) -> None:
-        """Frees the GL context."""
-        self._renderer.close()
+    def look(
+        self, rig: Rig, agent: int, meshes: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Depths [m], inf in the sky, and `Seen` of an agent's cameras.
 
-    def show(self, rig: Rig, agent: int) -> Reference:
-        """Pictures (cameras, height, width) of an agent's cameras."""
+        Cars are meshes or the blocks that cameras see. Both are (cameras, height,
+        width).
+        """
         x, y, yaw = np.asarray(self._state.motion.pose_w[agent], float)
         length, width = np.asarray(self._state.motion.size[agent], float)
         scale = np.array([length / 2, width / 2, self._heights[agent]])
         cos, sin = math.cos(yaw), math.sin(yaw)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        shots = []
+        shown = (0, 1, LOOK_GROUP if meshes else BLOCK_GROUP)
+        groups = np.array([k in shown for k in range(6)], np.uint8)
+        depths, kinds = [], []
         for camera, rays in zip(rig.cameras, rig.directions, strict=True):
             eye = turn @ (np.array(camera.position) * scale) + [x, y, 0.0]
-            shots.append(self._shoot(eye, rays @ turn.T, agent))
-        return Reference(*(np.stack(part) for part in zip(*shots, strict=True)))
+            rays = rays.reshape(-1, 3) @ turn.T
+            depth, geom = self._cast(eye, rays, groups)
+            seen = np.where(self._owner[geom] == agent, Seen.OWN_CAR, self._kinds[geom])
+            seen[geom < 0] = Seen.SKY
+            # Bays are areas of the ground.
+            on = geom == self._model.geom(GROUND).id
+            points = (eye + depth[on, None] * rays[on])[:, :2]
+            seen[on] = _on_ground(self._layout, int(self._state.goal[agent]), points)
+            depths.append(depth)
+            kinds.append(seen)
+        shape = len(rig.cameras), rig.height, rig.width
+        return np.reshape(depths, shape), np.reshape(kinds, shape)
 
-    def _shoot(self, eye: np.ndarray, rays: np.ndarray, agent: int) -> tuple[Any, ...]:
-        """Depth, what is seen and edges along rays (..., 3) of the world."""
-        depth = np.full(rays.shape[:-1], np.inf)
-        geom = np.full(rays.shape[:-1], -1)
-        edge = np.zeros(rays.shape[:-1], bool)
-        along = rays @ _FACES[:, 0].T
-        facing = np.argmax(along, axis=-1)
-        for face, axes in enumerate(_FACES):
-            here = facing == face
-            if here.any():
-                inverse, ids = self._face(eye, axes)
-                mine = rays[here] @ axes.T
-                near, geom[here], edge[here] = _sample(
-                    inverse, ids, mine[:, 1:] / mine[:, :1]
-                )
-                with np.errstate(divide="ignore"):
-                    depth[here] = 1.0 / (near * mine[:, 0])
-        depth = np.where(geom < 0, np.inf, depth)
-        seen = np.where(geom < 0, Seen.SKY, self._kinds[geom])
-        seen[(geom >= 0) & (self._owner[geom] == agent)] = Seen.OWN_CAR
-        # Bays are areas of the ground.
-        on = geom == self._stage.model.geom(GROUND).id
-        points = eye[:2] + rays[on][:, :2] * (-eye[2] / rays[on][:, 2:])
-        seen[on] = _on_ground(self._layout, int(self._state.goal[agent]), points)
-        return depth, seen, edge
-
-    def _face(self, eye: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Inverse depths [1/m] and geoms (rows, columns) of one face."""
-        model, data = self._stage.model, self._stage.data
-        camera = model.camera("free").id
-        axis, left, up = axes
-        data.cam_xpos[camera] = eye
-        data.cam_xmat[camera] = np.stack([-left, up, -axis], axis=1).ravel()
-        self._renderer.update_scene(data, camera="free", scene_option=self._options)
-        self._renderer.enable_depth_rendering()
-        inverse = 1.0 / self._renderer.render().astype(float)
-        self._renderer.disable_depth_rendering()
-        self._renderer.enable_segmentation_rendering()
-        ids = self._renderer.render()[..., 0]
-        self._renderer.disable_segmentation_rendering()
-        return inverse, ids
-
-
-def _sample(
-    inverse: np.ndarray, ids: np.ndarray, slopes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inverse depths, geoms and edges at slopes (n, 2) to the left and up."""
-    column = (1.0 - slopes[:, 0] / _SPAN) * PIXELS / 2 - 0.5
-    row = (1.0 - slopes[:, 1] / _SPAN) * PIXELS / 2 - 0.5
-    left, top = np.floor(column).astype(int), np.floor(row).astype(int)
-    x, y = column - left, row - top
-    corners = [(top + i, left + j) for i in (0, 1) for j in (0, 1)]
-    shares = [(1 - y) * (1 - x), (1 - y) * x, y * (1 - x), y * x]
-    near = sum(share * inverse[at] for share, at in zip(shares, corners, strict=True))
-    around = np.stack([ids[at] for at in corners])
-    nearest = ids[np.rint(row).astype(int), np.rint(column).astype(int)]
-    return np.asarray(near), nearest, (around != nearest).any(axis=0)
+    def _cast(
+        self, eye: np.ndarray, rays: np.ndarray, groups: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Depths and geoms (-1: none) that rays (n, 3) meet first from outside."""
+        depth, geom = np.zeros(len(rays)), np.zeros(len(rays), np.int32)
+        normal, scene = np.empty(3), (self._model, self._data)
+        for k, ray in enumerate(rays):
+            normal[:] = ray
+            while geom[k] >= 0 and normal @ ray > 0.0:  # in a cabin: faces' backs
+                start, found = eye + depth[k] * ray, (geom[k : k + 1], normal)
+                far = mujoco.mj_ray(*scene, start, ray, groups, True, -1, *found)
+                depth[k] += far + _STEP
+        return np.where(geom < 0, np.inf, depth), geom
 
 
 def _read_geoms(model: mujoco.MjModel, state: State) -> tuple[np.ndarray, np.ndarray]:

@@ -71,11 +71,12 @@ def run(config: CarParksConfig) -> None:
     result = evaluate(env, driver.policy(env), config.episodes, config.seed)
     # The parts are samples of a car park, as lots are of a family.
     owners = [name for name, found in parts.items() for _ in found]
-    index = {name: k for k, name in enumerate(member_shares(lots))}
-    rows = [
-        row | {"family": owners[index[row["family"]]], "lot": index[row["family"]]}
-        for row in result.episodes
-    ]
+    names = member_shares(lots)
+    part = {
+        name: {"family": owner, "lot": k}
+        for k, (name, owner) in enumerate(zip(names, owners, strict=True))
+    }
+    rows = [row | part[row["family"]] for row in result.episodes]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_csv(path, rows)
     for name in parts:
@@ -88,14 +89,13 @@ def by_agents(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
 
     The `lot` of an episode is the number of its part.
     """
+    groups: dict[int, list[dict[str, Any]]] = {}
     own = [row for row in rows if row["family"] == name]
-    counts = sorted({int(row["agents_present"]) for row in own})
-    groups = {
-        str(count): summarize([row for row in own if row["agents_present"] == count])
-        for count in counts
-    }
+    for row in own:
+        groups.setdefault(int(row["agents_present"]), []).append(row)
+    found = {str(count): summarize(groups[count]) for count in sorted(groups)}
     # A part is one cluster for all numbers of agents.
-    return {**groups, "all": summarize([row | {"agents_present": 0} for row in own])}
+    return {**found, "all": summarize([row | {"agents_present": 0} for row in own])}
 
 
 main = command(CarParksConfig, run, __doc__, fused=True)

@@ -11,7 +11,6 @@ from carpark_mj.cli.process import enter
 if __name__ == "__main__":  # before the imports, which take seconds
     enter("crowds", "crowds:main")
 
-import dataclasses
 import functools
 import itertools
 import math
@@ -26,7 +25,7 @@ from carpark_mj.files import require_writable, write_atomically, write_csv
 from carpark_mj.geometry import norm
 from carpark_mj.movers import bodies
 from carpark_mj.movers.bodies import go_round, outlines, room_among, room_to
-from shell import command
+from shell import Folder, command
 
 DT = 0.2  # s, the control period
 RADIUS = 0.3  # m
@@ -46,17 +45,6 @@ SPEEDS = (0.8, 1.34, 2.0, 3.0, 4.5)  # m/s, desired at the door
 SEEDS = 5
 BAND = 0.6  # m, half the width of the strip in which a walker looks for others
 STRIP = 4.0  # m, half its length
-
-
-@dataclasses.dataclass(frozen=True)
-class CrowdsConfig:
-    """Settings of `python eval/crowds.py`.
-
-    Attributes:
-        out: folder of the figure and the table.
-    """
-
-    out: str = "docs/people"
 
 
 def apart(xy: jax.Array, length: float) -> bodies.Pair:
@@ -135,22 +123,20 @@ def paces(key: jax.Array, count: int) -> jax.Array:
 
 def walk(key: jax.Array, pushes: bool) -> tuple[jax.Array, ...]:
     """Places (n, 2) first and last, directions (n,), and the order over time."""
-    length, width = CORRIDOR
     place_key, speed_key, way_key = jax.random.split(key, 3)
     xy = spread(place_key, WALKERS, CORRIDOR)
     way = jnp.where(jnp.arange(WALKERS) % 2 == 0, 1.0, -1.0)
     way = jax.random.permutation(way_key, way)
     heading = jnp.stack([way, jnp.zeros(WALKERS)], axis=-1)
-    aim = aiming(paces(speed_key, WALKERS), heading)
-    borders = corridor(length, width)
+    aim, borders = aiming(paces(speed_key, WALKERS), heading), corridor(*CORRIDOR)
 
     def step(carry, _):
         xy, velocity = carry
         if pushes:
-            xy, velocity = move(xy, velocity, aim, borders, length)
+            xy, velocity = move(xy, velocity, aim, borders, CORRIDOR[0])
         else:
             xy = xy + DT * velocity
-        xy = xy.at[:, 0].set(xy[:, 0] % length)
+        xy = xy.at[:, 0].set(xy[:, 0] % CORRIDOR[0])
         return (xy, velocity), order(xy, way)
 
     steps = round(WALK_TIME / DT)
@@ -220,7 +206,7 @@ def flow(left: np.ndarray) -> float:
     return (min(int(left[-1]), 80) - 10) / (DT * (last - first))
 
 
-def run(config: CrowdsConfig) -> None:
+def run(config: Folder) -> None:
     """Simulates, and writes figure and table."""
     out = Path(config.out)
     require_writable(out / "crowds.csv", new_folders=True)
@@ -232,28 +218,25 @@ def run(config: CrowdsConfig) -> None:
     leaving = jax.jit(jax.vmap(jax.vmap(leave, (0, None)), (None, 0)))
     left = np.asarray(leaving(keys, jnp.array(SPEEDS)))
     flows = np.array([[flow(one) for one in row] for row in left])
-    end = round(20.0 / DT)
     rows: dict[tuple[str, str], np.ndarray] = {}
     for (density, radius), dt in itertools.product(CROWDED, PERIODS):
         what = f"speed at {density:g} 1/m2, radius {radius:g} m, steps of {dt:g} s"
         rows[what, "m/s"] = np.asarray(speeds(keys, density, radius, dt))
-    for what, pushes in (
-        ("order of lanes, last 20 s", True),
-        ("order of lanes without forces", False),
-    ):
-        rows[what, ""] = walks[pushes][3][:, -end:].mean(axis=1)
+    late = {
+        pushes: walked[3][:, -round(20.0 / DT) :] for pushes, walked in walks.items()
+    }
+    rows["order of lanes, last 20 s", ""] = late[True].mean(axis=1)
+    rows["order of lanes without forces", ""] = late[False].mean(axis=1)
     for speed, row in zip(SPEEDS, flows, strict=True):
         rows[f"flow through the door at {speed:g} m/s", "1/s"] = row
     out.mkdir(parents=True, exist_ok=True)
-    table = [
-        {"what": what, "unit": unit}
-        | {f"seed {k}": f"{x:.3f}" for k, x in enumerate(values)}
-        for (what, unit), values in rows.items()
-    ]
-    write_csv(out / "crowds.csv", table)
-    draw(out / "crowds.png", walks, flows)
+    table = []
     for (what, unit), values in rows.items():
         print(f"{what}: {np.mean(values):.2f} ± {np.std(values):.2f} {unit}")
+        seeds = {f"seed {k}": f"{x:.3f}" for k, x in enumerate(values)}
+        table.append({"what": what, "unit": unit, **seeds})
+    write_csv(out / "crowds.csv", table)
+    draw(out / "crowds.png", walks, flows)
 
 
 def draw(path: Path, walks: dict[bool, tuple], flows: np.ndarray) -> None:
@@ -280,4 +263,4 @@ def draw(path: Path, walks: dict[bool, tuple], flows: np.ndarray) -> None:
     write_atomically(path, lambda file: figure.savefig(file, dpi=110, format="png"))
 
 
-main = command(CrowdsConfig, run, __doc__)
+main = command(Folder("docs/people"), run, __doc__)

@@ -39,14 +39,11 @@ OPTIONS: Any = {"xla_backend_optimization_level": 1}
 def configs() -> dict[str, EnvConfig]:
     """Every environment by name; `name/mjx` is stepped by `mjx.step`."""
     found = {"default": EnvConfig(), **ENVIRONMENTS}
-    mjx = {
-        f"{name}/mjx": dataclasses.replace(
-            config, sim=dataclasses.replace(config.sim, stepper="mjx")
-        )
-        for name, config in found.items()
-        if config.physics_config.back_end == "mjx"
-    }
-    return found | mjx
+    for name, config in [*found.items()]:
+        if config.physics_config.back_end == "mjx":
+            sim = dataclasses.replace(config.sim, stepper="mjx")
+            found[f"{name}/mjx"] = dataclasses.replace(config, sim=sim)
+    return found
 
 
 def digest(tree: Any) -> str:
@@ -95,19 +92,16 @@ def compare(config: FingerprintsConfig) -> int:
     """Prints what differs; exit code 1 if anything does."""
     known = read_object(Path(config.against)) if config.against else {}
     found: dict[str, dict[str, str]] = {}
-    wrong = 0
-    for name, env in sorted(configs().items()):
-        if config.only and name not in config.only:
-            continue
-        found[name] = fingerprint(env)
-        old = known.get(name, {})
-        other = [part for part in found[name] if found[name][part] != old.get(part)]
-        wrong += bool(known and other)
+    envs, wrong = configs(), False
+    for name in sorted({*envs} & {*(config.only or envs)}):
+        new = found[name] = fingerprint(envs[name])
+        other = [part for part in new if new[part] != known.get(name, {}).get(part)]
+        wrong |= bool(known and other)
         verdict = f"differs: {', '.join(other)}" if other else "equal"
-        print(f"{name:24} {verdict if known else found[name]['steps']}", flush=True)
+        print(f"{name:24} {verdict if known else new['steps']}", flush=True)
         if config.out:
             write_json(Path(config.out), found)
-    return min(wrong, 1)
+    return int(wrong)
 
 
 main = command(FingerprintsConfig, compare, __doc__)

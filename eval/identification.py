@@ -26,11 +26,11 @@ from carpark_mj.config.checks import CheckedConfig, Count, Natural
 from carpark_mj.evaluation.tables import print_rows
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.identification.fit import identify
-from carpark_mj.identification.log import POSE, RATES, DriveLog
+from carpark_mj.identification.log import POSE, RATES
 from carpark_mj.identification.simulation import SIM_DT, Sought
 from carpark_mj.vehicle import COMPACT
 from shell import command
-from vehicle_suite.logs import Drive, DriveName, SingleTrack, drive_single_track, record
+from vehicle_suite.logs import SINGLE_TRACK, Drive, DriveName, record
 
 # Least and largest true values; the compact car has a stiffness of 12, 2 and 4 m/s^2.
 TRUE = Sought(
@@ -46,7 +46,6 @@ TRUE = Sought(
     lateral_relaxation=(0.3, 0.7),
     patch_radius=(0.06, 0.1),
 )
-SINGLE_TRACK = "stops", "rolling"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,13 +79,6 @@ def truth(seed: int, kind: DriveName) -> Sought:
     return true._replace(patch_radius=0.0) if kind in SINGLE_TRACK else true
 
 
-def _log(drive: Drive, *sensors: Any) -> DriveLog:
-    if drive.kind not in SINGLE_TRACK:
-        return record(drive, *sensors)
-    car = SingleTrack(**drive.true._asdict())
-    return drive_single_track(car, drive.seed, drive.kind == "stops", *sensors)
-
-
 def run(config: IdentificationConfig) -> None:
     """Drives, identifies, writes the rows and prints them with the coverage."""
     path = Path(config.out) / "identification.csv"
@@ -96,7 +88,7 @@ def run(config: IdentificationConfig) -> None:
     rows = []
     for kind, seed in itertools.product(config.kinds, seeds):
         true = truth(seed, kind)
-        log = _log(Drive(true, COMPACT, kind, seed), measured, config.noise)
+        log = record(Drive(true, COMPACT, kind, seed), measured, config.noise)
         found = identify(log, COMPACT, 0.0, config.sim_dt).estimates
         for name, value in true._asdict().items():
             row: dict[str, Any] = {"drive": kind, "seed": seed}

@@ -61,26 +61,22 @@ def core(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
 
     episode = EpisodeConfig(final_observation=True)
     env = share(ParkingEnv, EnvConfig(num_agents=1, episode=episode))
-    batch, numpy_batch = Batch(env, lots), NumpyBatch(env, lots)
-    torch_batch = TorchBatch(env, lots)
-    for each in (batch, numpy_batch, torch_batch):
+    batches = Batch(env, lots), NumpyBatch(env, lots), TorchBatch(env, lots)
+    for each in batches:
         each.reset(0)
+    batch, numpy_batch, torch_batch = batches
     action = random_actions((lots, 1, 2))
     tensor = torch.as_tensor(action, device=torch_batch.device)
     vector = gymnasium.make_vec(MANY, lots, agents=1)
-    stack.enter_context(contextlib.closing(vector))
-    vec_env = stack.enter_context(contextlib.closing(ParkVecEnv(MANY, lots, agents=1)))
-    first = "core, JAX"
-    steps: dict[str, Callable[[], object]] = {
-        first: lambda: jax.block_until_ready(batch.step(action)),
-        "NumPy batch": lambda: numpy_batch.step_numpy(action),
-        "torch batch": lambda: torch_batch.step(tensor),
-        "Gymnasium vector": stepper(vector),
-        "SB3 VecEnv": stepper(vec_env),
-    }
+    first, vec_env = "core, JAX", ParkVecEnv(MANY, lots, agents=1)
+    for each in (vector, vec_env):
+        stack.enter_context(contextlib.closing(each))
     return [
-        Subject(name, lots, step, "" if name == first else first)
-        for name, step in steps.items()
+        Subject(first, lots, lambda: jax.block_until_ready(batch.step(action))),
+        Subject("NumPy batch", lots, lambda: numpy_batch.step_numpy(action), first),
+        Subject("torch batch", lots, lambda: torch_batch.step(tensor), first),
+        Subject("Gymnasium vector", lots, stepper(vector), first),
+        Subject("SB3 VecEnv", lots, stepper(vec_env), first),
     ]
 
 
@@ -95,29 +91,26 @@ def highway(lots: int, stack: contextlib.ExitStack) -> list[Subject]:
     from carpark_mj.wrappers.sb3 import ParkVecEnv
 
     cores = os.cpu_count() or 1
-    spawn = {"context": "spawn"}
-    theirs: list[Any] = [
-        gymnasium.make(PARKING),
-        gymnasium.make_vec(
-            PARKING, cores, vectorization_mode="async", vector_kwargs=spawn
+    spawn: Any = {"vectorization_mode": "async", "vector_kwargs": {"context": "spawn"}}
+    pairs: dict[str, tuple[Any, Any]] = {
+        "single": (gymnasium.make(PARKING), gymnasium.make(GOAL, parked_cars=0)),
+        "vectorised": (
+            gymnasium.make_vec(PARKING, cores, **spawn),
+            gymnasium.make_vec(GOAL, lots, parked_cars=0),
         ),
-        SubprocVecEnv([lambda: gymnasium.make(PARKING)] * cores, "spawn"),
-    ]
-    ours: list[Any] = [
-        gymnasium.make(GOAL, parked_cars=0),
-        gymnasium.make_vec(GOAL, lots, parked_cars=0),
-        ParkVecEnv(GOAL, lots, parked_cars=0),
-    ]
+        "SB3 VecEnv": (
+            SubprocVecEnv([lambda: gymnasium.make(PARKING)] * cores, "spawn"),
+            ParkVecEnv(GOAL, lots, parked_cars=0),
+        ),
+    }
     found: list[Subject] = []
-    for how, their, our in zip(
-        ("single", "vectorised", "SB3 VecEnv"), theirs, ours, strict=True
-    ):
-        for env in (their, our):
+    for how, pair in pairs.items():
+        beside = ""
+        for whose, env in zip(("highway-env", "carpark_mj"), pair, strict=True):
             stack.enter_context(contextlib.closing(env))
-        name = f"highway-env, {how}"
-        found.append(Subject(name, getattr(their, "num_envs", 1), stepper(their)))
-        agents = getattr(our, "num_envs", 1)
-        found.append(Subject(f"carpark_mj, {how}", agents, stepper(our), name))
+            agents, name = getattr(env, "num_envs", 1), f"{whose}, {how}"
+            found.append(Subject(name, agents, stepper(env), beside))
+            beside = name
     return found
 
 

@@ -14,7 +14,6 @@ if __name__ == "__main__":  # before the imports, which take seconds
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
 
 import jax
 
@@ -23,16 +22,14 @@ from carpark_mj.vehicle import PRESETS, preset
 from shell import command
 from vehicle_suite import chassis, driver, engines, turns
 from vehicle_suite.report import Study, write_report
-from vehicle_suite.testbeds import BrushTestbed, ContactTestbed
+from vehicle_suite.testbeds import BrushTestbed, ContactTestbed, Tyres
 
-Tyres = Literal["brush", "contact"]
 Manoeuvre = Callable[[Study], None]
 
 COMMON: tuple[Manoeuvre, ...] = (
-    turns.turning, chassis.stops, chassis.coast_down, chassis.load_transfer,
-    chassis.axle_loads, chassis.slope_hold, chassis.slip_threshold,
-    chassis.energy_balance, engines.mirror, turns.lateral_limit, chassis.scrub_torque,
-    engines.convergence,
+    turns.turning, chassis.stops, chassis.straight, chassis.slope_hold,
+    chassis.slip_threshold, chassis.energy_balance, engines.mirror,
+    turns.lateral_limit, chassis.scrub_torque, engines.convergence,
 )  # fmt: skip
 SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
     "brush": (
@@ -78,25 +75,24 @@ def run(config: ReportConfig) -> int:
     out = Path(config.out)
     require_writable(out / "report.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # few cars: no work for a GPU
-    studies = []
-    for tyres in config.tyres:
-        bed = TESTBEDS[tyres]()
-        for name in config.presets or sorted(PRESETS):
-            studies.append(Study(bed, name, preset(name), config.quick))
-            for manoeuvre in SUITES[tyres]:
-                manoeuvre(studies[-1])
-            print(f"{name}, {tyres}: done", flush=True)
-    rows = [row for study in studies for row in study.rows]
+    studies = [
+        Study(bed, name, preset(name), config.quick)
+        for bed in (TESTBEDS[tyres]() for tyres in config.tyres)
+        for name in config.presets or sorted(PRESETS)
+    ]
+    for study in studies:
+        for manoeuvre in SUITES[study.tyres]:
+            manoeuvre(study)
+        print(f"{study.preset}, {study.tyres}: done", flush=True)
     parts = ["python eval/physics_report.py"]
     parts += ["--presets", *config.presets] * bool(config.presets)
     parts += ["--tyres", *config.tyres] * (config.tyres != ReportConfig.tyres)
     parts += ["--quick"] * config.quick
-    curves = [curve for study in studies for curve in study.curves]
-    write_report(out, rows, curves, " ".join(parts))
-    missed = [row for row in rows if not row.passes]
+    missed = write_report(out, studies, " ".join(parts))
     for row in missed:
         print(f"{row.preset}, {row.tyres}: {row.row}: {row.verdict}")
-    print(f"{len(rows)} rows, {len(missed)} missed; wrote {config.out}/report.md")
+    count = sum(len(study.rows) for study in studies)
+    print(f"{count} rows, {len(missed)} missed; wrote {config.out}/report.md")
     return 1 if missed else 0
 
 

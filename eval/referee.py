@@ -20,7 +20,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -30,16 +30,14 @@ from scipy import integrate
 from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import require_writable, write_atomically, write_text
 from carpark_mj.vehicle import COMPACT, VehicleParameters
-from shell import command
+from shell import Folder, command
 from vehicle_suite import formulas
-from vehicle_suite.testbeds import BrushTestbed
-from vehicle_suite.track import Run, Track
+from vehicle_suite.testbeds import BrushTestbed, Run, Track
 
 Inputs = Callable[[float], tuple[float, float]]  # steering angle [rad], m/s^2 asked
 
 
-@dataclasses.dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """A reference car: times (n,), its reference point (n, 2), and yaws (n,)."""
 
     time: np.ndarray
@@ -116,17 +114,16 @@ def our_run(
     params: VehicleParameters, inputs: Inputs, duration: float, speed: float
 ) -> Run:
     """The models' inputs for the car: m a at the wheels, driving or braking."""
-
-    def sample(time: np.ndarray) -> np.ndarray:
-        return np.array([inputs(float(t)) for t in time]).T
-
+    steering, asked = (
+        lambda time, k=k: np.array([inputs(float(t))[k] for t in time]) for k in (0, 1)
+    )
     return Run(
         params,
         duration,
         speed=speed,
-        steering=lambda time: sample(time)[0],
-        force=lambda time: params.mass * np.maximum(sample(time)[1], 0.0),
-        brake=lambda time: params.mass * np.maximum(-sample(time)[1], 0.0),
+        steering=steering,
+        force=lambda time: params.mass * np.maximum(asked(time), 0.0),
+        brake=lambda time: params.mass * np.maximum(-asked(time), 0.0),
     )
 
 
@@ -160,15 +157,15 @@ def solve(model: str, inputs: Inputs, duration: float, speed: float) -> Referenc
 
     time = np.linspace(0.0, duration, round(duration / 0.05) + 1)
     options: Any = {"method": "LSODA", "max_step": 0.02, "rtol": 1e-6, "atol": 1e-8}
-    span = 0.0, duration
-    solved = integrate.solve_ivp(rates, span, start(), t_eval=time, **options)
+    solved = integrate.solve_ivp(
+        rates, (0.0, duration), start(), t_eval=time, **options
+    )
     if not solved.success:
         raise ValueError(f"{model} could not be solved: {solved.message}")
     return Reference(time, solved.y[:2].T, solved.y[4])
 
 
-@dataclasses.dataclass(frozen=True)
-class Trial:
+class Trial(NamedTuple):
     """A manoeuvre of our car, and paths of the reference models by their names."""
 
     name: str
@@ -218,7 +215,6 @@ def parking(time: float) -> tuple[float, float]:
 def parking_run() -> Run:
     """The parking manoeuvre for our car, which holds the speed that KS has."""
     params = our_car(ackermann=1.0)
-    run = our_run(params, parking, 20.0, 0.0)
     corners = np.append(PARKING_TIMES, 21.0)
     gained = np.append(0.0, np.cumsum(np.diff(corners) * PARKING_ACCELERATIONS))
 
@@ -229,25 +225,26 @@ def parking_run() -> Run:
     def speed(time: np.ndarray) -> np.ndarray:
         return np.interp(time, corners, gained)
 
+    run = our_run(params, parking, 20.0, 0.0)
     return dataclasses.replace(run, force=force, brake=0.0, target=speed)
 
 
 def trials() -> list[Trial]:
     """Drives everything."""
-    bed = BrushTestbed()
-    found: list[Trial] = []
-    cases: list[tuple[str, Inputs, float, float]] = [
-        ("slalom at 3 m/s", slalom, 8.0, 3.0),
-        ("brake in a turn at 6 m/s", brake_in_turn, 3.6, 6.0),
-    ]
-    for name, inputs, duration, speed in cases:
-        run = our_run(our_car(), inputs, duration, speed)
-        (track,) = bed.drive([run])
-        paths = {m: solve(m, inputs, duration, speed) for m in ("MB", "STD")}
+    runs = {
+        "slalom at 3 m/s": (our_run(our_car(), slalom, 8.0, 3.0), slalom),
+        "brake in a turn at 6 m/s": (
+            our_run(our_car(), brake_in_turn, 3.6, 6.0),
+            brake_in_turn,
+        ),
+        "parking, two gear changes": (parking_run(), parking),
+    }
+    found = []
+    for name, (run, inputs) in runs.items():
+        (track,) = BrushTestbed().drive([run])
+        models = ("KS",) if inputs is parking else ("MB", "STD")
+        paths = {m: solve(m, inputs, run.duration, run.speed) for m in models}
         found.append(Trial(name, track, paths))
-    (track,) = bed.drive([parking_run()])
-    path = solve("KS", parking, 20.0, 0.0)
-    found.append(Trial("parking, two gear changes", track, {"KS": path}))
     return found
 
 
@@ -257,18 +254,13 @@ def table(found: list[Trial]) -> str:
     for trial in found:
         for model, path in trial.paths.items():
             distance, yaw = trial.apart(model)
-            steps = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
-            rows.append(
-                {
-                    "manoeuvre": trial.name,
-                    "model": model,
-                    "path [m]": f"{steps.sum():.1f}",
-                    "largest distance [m]": f"{distance.max():.3f}",
-                    "final distance [m]": f"{distance[-1]:.3f}",
-                    "largest yaw difference [deg]": f"{np.degrees(abs(yaw).max()):.2f}",
-                    "final yaw difference [deg]": f"{math.degrees(yaw[-1]):+.2f}",
-                }
-            )
+            steps, degrees = np.diff(path.position, axis=0), np.degrees(yaw)
+            row = {"manoeuvre": trial.name, "model": model}
+            row["path [m]"] = f"{np.linalg.norm(steps, axis=1).sum():.1f}"
+            row["largest distance [m]"] = f"{distance.max():.3f}"
+            row["final distance [m]"] = f"{distance[-1]:.3f}"
+            row["largest yaw difference [deg]"] = f"{abs(degrees).max():.2f}"
+            rows.append(row | {"final yaw difference [deg]": f"{degrees[-1]:+.2f}"})
     return markdown(rows)
 
 
@@ -295,37 +287,21 @@ def draw(path: Path, found: list[Trial]) -> None:
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=110))
 
 
-def write_report(folder: Path, found: list[Trial]) -> None:
-    """Writes `referee.md` and `referee.png`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    numbers: dict[str, float] = {}
-    for name, trial in zip(("slalom_mb_std", "brake_mb_std"), found[:2], strict=True):
-        apart = trial.paths["MB"].position - trial.paths["STD"].position
-        numbers[name] = float(np.linalg.norm(apart, axis=1).max())
-    text = (Path(__file__).parent / "referee.md").read_text()
-    write_text(folder / "referee.md", text.format(table=table(found), **numbers))
-    draw(folder / "referee.png", found)
-
-
-@dataclasses.dataclass(frozen=True)
-class RefereeConfig:
-    """Settings of `python eval/referee.py`.
-
-    Attributes:
-        out: folder of the report.
-    """
-
-    out: str = "docs/physics"
-
-
-def run(config: RefereeConfig) -> None:
+def run(config: Folder) -> None:
     """Drives the trials, writes the page and the plot, prints the table."""
     out = Path(config.out)
     require_writable(out / "referee.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # one car: no work for a GPU
     found = trials()
-    write_report(out, found)
+    numbers: dict[str, float] = {}
+    for name, trial in zip(("slalom_mb_std", "brake_mb_std"), found[:2], strict=True):
+        apart = trial.paths["MB"].position - trial.paths["STD"].position
+        numbers[name] = float(np.linalg.norm(apart, axis=1).max())
+    text = (Path(__file__).parent / "referee.md").read_text()
+    out.mkdir(parents=True, exist_ok=True)
+    write_text(out / "referee.md", text.format(table=table(found), **numbers))
+    draw(out / "referee.png", found)
     print(f"{table(found)}\nwrote {config.out}/referee.md and referee.png")
 
 
-main = command(RefereeConfig, run, __doc__, fused=True)
+main = command(Folder("docs/physics"), run, __doc__, fused=True)

@@ -7,6 +7,7 @@ Each runs on a terminal in a new folder. A command with a page ends when the pag
 its picture.
 """
 
+import contextlib
 import dataclasses
 import math
 import os
@@ -79,10 +80,9 @@ def wait_for(command: list[str], folder: Path, cache: Path, is_page: bool) -> Wa
         readable, _, _ = select.select([terminal], [], [], 0.1)
         now = time.monotonic()
         if readable:
-            try:
+            said = b""
+            with contextlib.suppress(OSError):  # its end, on Linux
                 said = os.read(terminal, 65536)
-            except OSError:  # its end, on Linux
-                break
             if not said:
                 break
             first = first or now - started
@@ -120,14 +120,12 @@ def measure(only: Sequence[str] = ()) -> list[dict[str, object]]:
         for name in [name for name in USES if not only or name in only]:
             row: dict[str, object] = {"command": f"{name} {USES[name]}".strip()}
             for when in ("cold", "again"):
-                words = [*name.split(), *USES[name].format(when=when).split()]
+                words = f"{name} {USES[name].format(when=when)}".split()
                 program = [sys.executable, "-m", "carpark_mj", *words]
                 cache = folder / name.replace(" ", "-")
                 waited = wait_for(program, folder, cache, name in PAGES)
-                row |= {
-                    f"{field} {when} [s]": f"{getattr(waited, field):.1f}"
-                    for field in ("first", "silence", "total")
-                }
+                for field in ("first", "silence", "total"):
+                    row[f"{field} {when} [s]"] = f"{getattr(waited, field):.1f}"
                 if waited.code:
                     row["command"] = f"{row['command']}: exit code {waited.code}"
             print(*row.values(), sep=", ", file=sys.stderr, flush=True)

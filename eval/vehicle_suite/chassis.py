@@ -1,8 +1,9 @@
 """Stops, coasting, slopes, wheel loads, scrub torque, energy, and springs."""
 
-import dataclasses
 import itertools
 import math
+from functools import partial
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from carpark_mj.vehicle.mjcf import (
     STEER_STIFFNESS,
     WHEELS,
+    car_model,
     chassis_inertial,
     hub_positions,
 )
@@ -17,8 +19,17 @@ from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from vehicle_suite import formulas
 from vehicle_suite.formulas import brush_slip
 from vehicle_suite.report import Study
-from vehicle_suite.testbeds import ContactTestbed, contact_model, rigid_joints
-from vehicle_suite.track import LOCKING, Run, Track, circle_radius, ramp
+from vehicle_suite.testbeds import (
+    LEVEL,
+    LOCKING,
+    ContactTestbed,
+    Run,
+    Track,
+    circle_radius,
+    contact_model,
+    ramp,
+    rigid_joints,
+)
 from vehicle_suite.turns import turn_run
 
 HEADINGS = (0.0, 30.0, 45.0, 90.0)  # degrees
@@ -45,6 +56,18 @@ def braked_motion(track: Track) -> tuple[np.ndarray, np.ndarray]:
     return path[: stop + 1], speed[: stop + 1]
 
 
+def braking(
+    params: VehicleParameters,
+    force: float,
+    speed: float,
+    duration: float,
+    **others: Any,
+) -> Run:
+    """From a speed [m/s] against a brake force over the weight [g]."""
+    brake = force * params.mass * GRAVITY
+    return Run(params, duration, speed=speed, brake=brake, **others)
+
+
 def stops(study: Study) -> None:
     """Locked-wheel and 0.3 g stops at four headings.
 
@@ -52,26 +75,24 @@ def stops(study: Study) -> None:
     deceleration stops v dt / 2 short of v^2 / 2a, as if it began half a substep early.
     """
     params = study.params
+    stretch = formulas.locking_distance(params) if study.tyres == "brush" else 0.0
+    force = SERVICE * params.mass * GRAVITY + formulas.rolling_resistance(params)
+    kinds = {  # brake [g], deceleration [m/s^2] and what is added to the way [m]
+        "locked wheels": (LOCKING, params.tyre.friction * GRAVITY, stretch),
+        "0.3 g": (SERVICE, force / formulas.rolling_mass(params), 0.0),
+    }
     headings = HEADINGS[::2] if study.quick else HEADINGS
-    cases = [(LOCKING, 5.0, h) for h in headings]
-    cases += [(SERVICE, v, h) for v, h in itertools.product((5.0, 2.0), headings)]
-    weight = params.mass * GRAVITY
-    runs = [
-        Run(params, 1.0 + v / (min(g, 0.6) * GRAVITY), heading=math.radians(h),
-            speed=v, brake=g * weight) for g, v, h in cases
-    ]  # fmt: skip
-    for (g, v, heading), track in zip(cases, study.bed.drive(runs), strict=True):
-        if g == LOCKING:
-            what, stretch = "locked wheels", 0.0
-            if study.tyres == "brush":
-                stretch = formulas.locking_distance(params)
-            deceleration = params.tyre.friction * GRAVITY
-        else:
-            what, stretch = "0.3 g", 0.0
-            force = g * weight + formulas.rolling_resistance(params)
-            deceleration = force / formulas.rolling_mass(params)
+    starts = ("locked wheels", 5.0), ("0.3 g", 5.0), ("0.3 g", 2.0)
+    cases = [(*start, h) for start, h in itertools.product(starts, headings)]
+    runs = []
+    for what, v, h in cases:
+        brake = kinds[what][0]
+        duration = 1.0 + v / (min(brake, 0.6) * GRAVITY)
+        runs.append(braking(params, brake, v, duration, heading=math.radians(h)))
+    for (what, v, heading), track in zip(cases, study.bed.drive(runs), strict=True):
+        _, deceleration, more = kinds[what]
         path, speed = braked_motion(track)
-        expected = v**2 / (2 * deceleration) - v * track.dt / 2 + stretch
+        expected = v**2 / (2 * deceleration) - v * track.dt / 2 + more
         row = f"stop, {what}, {v:g} m/s, heading {heading:g} deg"
         study.row(row, float(path[-1]), expected)
         if heading == 0.0 and v == 5.0:
@@ -81,51 +102,38 @@ def stops(study: Study) -> None:
             study.curve("stops", what, theory, left, "--")
 
 
-def coast_down(study: Study) -> None:
-    """Deceleration of a car that rolls freely from 3 m/s."""
+def straight(study: Study) -> None:
+    """Coasting from 3 m/s, the load that a 0.3 g stop moves, and that at rest."""
     params = study.params
-    (track,) = study.bed.drive([Run(params, 5.0, speed=3.0)])
-    slope = track.trend(track.speed, 1.0, 5.0)
+    coasting, braked, stopped = study.bed.drive(
+        [
+            Run(params, 5.0, speed=3.0),
+            braking(params, SERVICE, 8.0, 2.4),
+            braking(params, SERVICE, 2.0, 6.0),
+        ]
+    )
     expected = formulas.rolling_resistance(params) / formulas.rolling_mass(params)
-    study.row("coast-down deceleration", -slope, expected)
-
-
-def load_transfer(study: Study) -> None:
-    """Load that a long 0.3 g stop moves to the front axle."""
-    params = study.params
-    run = Run(params, 2.4, speed=8.0, brake=SERVICE * params.mass * GRAVITY)
-    (track,) = study.bed.drive([run])
-    deceleration = -track.trend(track.speed, 1.4, 2.4)
-    front = track.load[track.at(1.4) : track.at(2.4), :2].sum(1).mean()
+    slowing = -coasting.trend(coasting.speed, 1.0, 5.0)
+    study.row("coast-down deceleration", slowing, expected)
+    still, _ = formulas.axle_loads(params)
     stance: formulas.Stance = "rigid" if study.tyres == "contact" else "patches"
-    expected = formulas.longitudinal_load_transfer(params, deceleration, stance)
-    moved = float(front) - formulas.axle_loads(params)[0]
-    study.row("longitudinal load transfer, 0.3 g", moved, expected)
-
-
-def axle_loads(study: Study) -> None:
-    """Front axle load of a car that drove and stopped."""
-    params = study.params
-    run = Run(params, 6.0, speed=2.0, brake=0.3 * params.mass * GRAVITY)
-    (track,) = study.bed.drive([run])
-    measured = track.late(track.load[:, :2].sum(1), 2.0)
-    study.row("static front axle load", measured, formulas.axle_loads(params)[0])
+    slowing = -braked.trend(braked.speed, 1.4, 2.4)
+    expected = formulas.longitudinal_load_transfer(params, slowing, stance)
+    front = braked.load[braked.at(1.4) : braked.at(2.4), :2].sum(1).mean()
+    study.row("longitudinal load transfer, 0.3 g", float(front) - still, expected)
+    front = stopped.late(stopped.load[:, :2].sum(1), 2.0)
+    study.row("static front axle load", front, still)
 
 
 def slope_hold(study: Study) -> None:
     """Creep of a car on its holding brake, the worst of four headings."""
-    params = study.params
-    duration = 12.0 if study.quick else 60.0
+    params, duration = study.params, 12.0 if study.quick else 60.0
     settled = duration / 3  # the suspension rocks for some seconds
     for slope in SLOPES[1:2] if study.quick else SLOPES:
-        runs = [
-            Run(params, duration, heading=math.radians(h), tilt=math.atan(slope),
-                brake=params.hold_deceleration * params.mass) for h in FACING
-        ]  # fmt: skip
-        creep = max(
-            track.distance(track.at(settled), -1) / (duration - settled)
-            for track in study.bed.drive(runs)
-        )
+        held = params.hold_deceleration * params.mass
+        run = partial(Run, params, duration, tilt=math.atan(slope), brake=held)
+        tracks = study.bed.drive([run(heading=math.radians(h)) for h in FACING])
+        creep = max(x.distance(x.at(settled)) / (duration - settled) for x in tracks)
         study.row(f"creep on a {100 * slope:g} % slope, {duration:g} s", creep)
 
 
@@ -138,11 +146,10 @@ def slip_threshold(study: Study) -> None:
         fast = np.minimum(time / 10.0, 1.0) * (expected - 4.0)
         return np.radians(fast + 0.25 * np.maximum(time - 15.0, 0.0))
 
-    brake = LOCKING * params.mass * GRAVITY
-    whole = Run(params, 36.0, tilt=tilt, brake=brake)
-    runs = [whole, dataclasses.replace(whole, heading=math.pi / 2)]
-    tracks = study.bed.drive(runs)
-    for facing, track in zip(("uphill", "sideways"), tracks, strict=True):
+    ways = {"uphill": 0.0, "sideways": math.pi / 2}
+    run = partial(braking, params, LOCKING, 0.0, 36.0, tilt=tilt)
+    tracks = study.bed.drive([run(heading=yaw) for yaw in ways.values()])
+    for facing, track in zip(ways, tracks, strict=True):
         speed = np.linalg.norm(track.qvel[:, :2], axis=1)
         speed[: track.at(15.0)] = 0.0  # settling
         row = int(np.argmax(speed > 0.01))
@@ -152,17 +159,15 @@ def slip_threshold(study: Study) -> None:
 
 def scrub_torque(study: Study) -> None:
     """Torque of the steering servos that turn the wheels of a standing car."""
-    params = study.params
-    lock = 0.3
-    brake = LOCKING * params.mass * GRAVITY
-    run = Run(params, 5.0, steering=ramp(lock, 0.5, 3.0), brake=brake)
+    params, lock = study.params, 0.3
+    run = braking(params, LOCKING, 0.0, 5.0, steering=ramp(lock, 0.5, 3.0))
     (track,) = study.bed.drive([run])
     target = np.array(formulas.front_wheel_angles(params, lock))
     torque = STEER_STIFFNESS * (target - track.wheel_angles)
     scrub = formulas.scrub_torque(params)
-    measured = track.late(torque.mean(1), 0.5)
     expected = scrub if study.tyres == "brush" else 0.0
-    study.row("scrub torque at standstill, a front wheel", measured, expected, scrub)
+    what = "scrub torque at standstill, a front wheel"
+    study.row(what, track.late(torque.mean(1), 0.5), expected, scrub)
 
 
 def energy_balance(study: Study) -> None:
@@ -180,8 +185,15 @@ def energy_balance(study: Study) -> None:
 
 
 def _gained(track: Track) -> float:
-    first, last = track.at(FIRST), track.at(LAST)
-    return track.kinetic_energy(last) - track.kinetic_energy(first)
+    """Kinetic energy [J] of all bodies, by MuJoCo's own mass matrix."""
+    data = mujoco.MjData(model := car_model(track.params, track.dt, LEVEL))
+    found = []
+    for row in (track.at(FIRST), track.at(LAST)):
+        data.qpos, data.qvel = track.qpos[row], track.qvel[row]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_energyVel(model, data)
+        found.append(float(data.energy[1]))
+    return found[1] - found[0]
 
 
 def _work(track: Track, torque: np.ndarray) -> float:
@@ -209,12 +221,13 @@ def slip_loss(track: Track, work: float) -> float:
     force = PULL * params.mass * GRAVITY
     acceleration = (force - rolling) / formulas.rolling_mass(params)
     shift = formulas.longitudinal_load_transfer(params, acceleration)
-    static = formulas.axle_loads(params)
-    loads = static[0] - shift, static[1] + shift
     drives = params.front_drive, 1.0 - params.front_drive
     spinning = 2 * params.wheel_inertia / params.wheel_radius**2 * acceleration
     loss = 0.0
-    for load, still, share in zip(loads, static, drives, strict=True):
+    for still, moved, share in zip(
+        formulas.axle_loads(params), (-shift, shift), drives, strict=True
+    ):
+        load = still + moved
         ground = share * force - params.tyre.rolling_resistance * load - spinning
         stiffness = params.tyre.slip_stiffness * still
         loss += abs(ground) * brush_slip(ground, stiffness, params.tyre.friction * load)
@@ -224,46 +237,44 @@ def slip_loss(track: Track, work: float) -> float:
 
 def suspension(study: Study) -> None:
     """What the optional suspension changes and what it does not."""
-    params = study.params
-    brake = SERVICE * params.mass * GRAVITY
-    steer = 0.1  # rad
-    radius = formulas.turning_radius(params, steer)
-    speed = math.sqrt(CORNERING * GRAVITY * radius)
+    params, steer = study.params, 0.1  # rad
+    speed = math.sqrt(CORNERING * GRAVITY * formulas.turning_radius(params, steer))
     rest = Run(params, 10.0)
     braked, turned, circle, locked, stood = SPRUNG.drive(
         [
-            Run(params, 2.4, speed=8.0, brake=brake),
+            braking(params, SERVICE, 8.0, 2.4),
             Run(params, 8.0, speed=speed, target=speed, steering=ramp(steer, 0.0, 2.0)),
             turn_run(params, params.max_steering, 1.0),
-            Run(params, 2.0, speed=5.0, brake=LOCKING * params.mass * GRAVITY),
+            braking(params, LOCKING, 5.0, 2.0),
             rest,
         ]
     )
     (rigid,) = ContactTestbed().drive([rest])
+
+    def row(what: str, measured: float, expected: float = 0.0) -> None:
+        study.row(f"suspension: {what}", measured, expected)
+
     height = 1000 * float(stood.cg[-1, 2] - rigid.cg[-1, 2])
-    study.row("suspension: ride height over the rigid car's", height)
-    drift = stood.distance(stood.at(1.0)) / 9.0
-    study.row("suspension: drift at rest, 10 s", drift)
+    row("ride height over the rigid car's", height)
+    row("drift at rest, 10 s", stood.distance(stood.at(1.0)) / 9.0)
     measured = bounce_frequency(params, SPRUNG.dt)
-    study.row("suspension: bounce frequency", measured, formulas.bounce(params)[0])
+    row("bounce frequency", measured, formulas.bounce(params)[0])
     deceleration = -braked.trend(braked.speed, 1.4, 2.4)
     shift = formulas.longitudinal_load_transfer(params, deceleration, "hubs")
     expected = formulas.tilt_angle(params, shift, params.wheelbase)
     pitch = braked.late(-np.arcsin(braked.rotation[:, 2, 0]), 0.5)
-    what = f"suspension: pitch braking at {SERVICE:g} g"
-    study.row(what, math.degrees(pitch), math.degrees(expected))
+    row("pitch braking at 0.3 g", math.degrees(pitch), math.degrees(expected))
     lateral = turned.late(turned.yaw_rate, 1.0) * turned.late(turned.speed, 1.0)
     shift = formulas.lateral_load_transfer(params, lateral, "hubs")
     expected = formulas.tilt_angle(params, shift, params.track_width)
     roll = turned.late(np.arcsin(turned.rotation[:, 2, 1]), 1.0)
-    what = f"suspension: roll cornering at {CORNERING:g} g"
-    study.row(what, math.degrees(roll), math.degrees(expected))
+    row("roll cornering at 0.2 g", math.degrees(roll), math.degrees(expected))
     radius = circle_radius(circle.position[circle.at(7.0) :])
     expected = formulas.turning_radius(params, params.max_steering)
-    study.row("suspension: turning radius, full lock, 1 m/s", radius, expected)
+    row("turning radius, full lock, 1 m/s", radius, expected)
     path, _ = braked_motion(locked)
     expected = 25.0 / (2 * params.tyre.friction * GRAVITY) - 5.0 * locked.dt / 2
-    study.row("suspension: stop, locked wheels, 5 m/s", float(path[-1]), expected)
+    row("stop, locked wheels, 5 m/s", float(path[-1]), expected)
 
 
 def bounce_frequency(params: VehicleParameters, dt: float) -> float:
@@ -275,7 +286,8 @@ def bounce_frequency(params: VehicleParameters, dt: float) -> float:
     for _ in range(round(1.0 / dt)):
         mujoco.mj_step(model, data)  # onto its contacts
     mass, com, inertia = chassis_inertial(params)
-    heave, pitch = 0.05 * formulas.bounce(params)[1] / formulas.bounce(params)[1][0]
+    _, shape = formulas.bounce(params)
+    heave, pitch = 0.05 * shape / shape[0]
     data.qvel[dofs[2]] = heave + pitch * com[0]  # of the rear axle
     data.qvel[dofs[4]] = pitch
     for wheel, ahead in zip(WHEELS, hub_positions(params)[:, 0] - com[0], strict=True):

@@ -3,10 +3,9 @@
 Unlike the other manoeuvres these have a pedal: `MjxPhysics` drives as in training.
 """
 
-import functools
 import itertools
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,18 +19,18 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.collisions import KERB_HEIGHT
 from carpark_mj.observations.sensors import reckon
 from carpark_mj.physics.forces import grade_at
-from carpark_mj.physics.mjx import CarState, MjxPhysics
-from carpark_mj.physics.mjx_step import ContactPhysics
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.types import Motion, Odometry
+from carpark_mj.types import Odometry
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import CREEP_SPEED, HOLD_PEDAL, HOLD_SPEED, SWITCH_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import SURFACES, with_grip
 from vehicle_suite.formulas import rolling_mass, rolling_resistance
 from vehicle_suite.report import Study
+from vehicle_suite.shipped import Driver, drive
 
 GRADES = (0.0, 0.05, 0.1, 0.15)  # rise over run
+STEEP, TILT = GRADES[-1], math.atan(GRADES[-1])  # the steepest, in rad
 PEDALS = (0.0, 1e-6, 0.04, HOLD_PEDAL, 0.06, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.85, 1.0)
 STARTS = (1.0, 2.0)  # m/s, above `HOLD_SPEED`
 BOTH_WAYS = (1.0, -1.0)  # along the car's x
@@ -55,72 +54,6 @@ PEDAL_STEPS = 20  # of a random drive
 CREEP = 0.4  # m/s^2, 14 N m at the clutch through 15:1 in a car of 1.4 t
 ERROR = (0.01, 1.3e-3, 0.01)  # m/m, rad/m and rad/rad of the odometry
 DELAYS = (0.24, 0.1)  # s, steering and pedal in `simple_planning_simulator` of Autoware
-
-
-class Driver(NamedTuple):
-    """What a driver adds to the pedal: speed control, and letting go.
-
-    Attributes:
-        target: speed to be controlled [m/s].
-        gain: pedal per m/s below it; 0 is no control.
-        release: speed below which the pedal is let go for good [m/s]; 0 is never.
-        after: control step before which it is not.
-        period: of the driver [control steps].
-    """
-
-    target: float = 0.0
-    gain: float = 0.0
-    release: float = 0.0
-    after: int = 0
-    period: int = 1
-
-
-@functools.cache
-def _program(sim: SimConfig, dtype: Any):
-    """The physics, and a compiled drive in the precision that is switched on."""
-    del dtype  # a key of the cache
-    physics = (ContactPhysics if sim.tyres == "contact" else MjxPhysics)(sim)
-
-    @jax.jit
-    def run(state: CarState, controls: jax.Array, driver: Driver) -> Motion:
-        def step(carry: tuple[CarState, jax.Array, jax.Array], now: tuple):
-            state, pedal, released = carry
-            instant, command = now
-            speed = physics.read(state).speed
-            asked = command[..., 1] + driver.gain * (driver.target - speed)
-            slow = (jnp.abs(speed) < driver.release) & (instant >= driver.after)
-            lets_go = released | slow
-            asked = jnp.where(lets_go, 0.0, jnp.clip(asked, -1.0, 1.0))
-            acts = instant % driver.period == 0
-            pedal = jnp.where(acts, asked, pedal)
-            released = jnp.where(acts, lets_go, released)
-            state = physics.step(state, jnp.stack([command[..., 0], pedal], -1))
-            return (state, pedal, released), physics.read(state)
-
-        pedal = jnp.zeros_like(controls[0, ..., 1])
-        start = state, pedal, jnp.zeros(pedal.shape, bool)
-        return jax.lax.scan(step, start, (jnp.arange(len(controls)), controls))[1]
-
-    return physics, run
-
-
-def drive(
-    sim: SimConfig,
-    cars: Vehicle,
-    controls: np.ndarray,
-    speed: ArrayLike = 0.0,
-    yaw: ArrayLike = 0.0,
-    driver: Driver = Driver(),  # noqa: B008
-) -> Motion:
-    """The motion (T, ...) of cars (...) after each of the control steps (T, ..., 2)."""
-    dtype = jnp.result_type(float)
-    physics, run = _program(sim, dtype)
-    pose = np.zeros((*controls.shape[1:-1], 3))
-    pose[..., 2] = yaw
-    state = physics.init(jnp.array(pose, dtype), cars)
-    if np.any(speed):
-        state = physics.set_speed(state, jnp.array(speed, dtype))
-    return jax.device_get(run(state, jnp.array(controls, dtype), driver))
 
 
 def drive_pedals(
@@ -150,9 +83,9 @@ def drive_pedals(
     controls = np.zeros((len(TIME), WIDTH, 2))
     controls[..., 1] = np.broadcast_to(pedal, (len(TIME), n))[:, fill]
     cars = jax.tree.map(lambda x: jnp.stack([x] * WIDTH), car)
-    yaw = np.where(facing > 0, 0.0, math.pi)[fill]
+    pose = np.outer(facing[fill] < 0, [0.0, 0.0, math.pi])
     sim = SimConfig(grade_x=grade, ctrl_dt=DT, trace_dt=DT)
-    motion = drive(sim, cars, controls, start[fill], yaw, driver)
+    motion = drive(sim, cars, controls, start[fill], pose, driver).motion
     way, speed = np.asarray(motion.pose_w)[..., 0], np.asarray(motion.speed)
     return way[:, :n].astype(float) * facing, speed[:, :n].astype(float)
 
@@ -165,6 +98,12 @@ def cases(*values: tuple[float, ...]) -> np.ndarray:
 def grip_on(params: VehicleParameters, surface: Surface = "dry") -> Vehicle:
     """The car with the grip it has on a surface."""
     return with_grip(make_vehicle(params), SURFACES[surface] / SURFACES["dry"])
+
+
+def downhill(params: VehicleParameters, tilt: float) -> float:
+    """What gravity less rolling resistance accelerates by down a slope [m/s^2]."""
+    resistance = params.tyre.rolling_resistance * math.cos(tilt)
+    return GRAVITY * (math.sin(tilt) - resistance)
 
 
 def harder_is_slower(study: Study) -> None:
@@ -185,15 +124,13 @@ def harder_is_slower(study: Study) -> None:
 
 def hold_on_ice(study: Study) -> None:
     """A car without a pedal on a slope of ice slides as on locked wheels, no faster."""
-    grade, tilt = GRADES[-1], math.atan(GRADES[-1])
-    _, speed = drive_pedals(
-        grip_on(study.params, "ice"), 0.0, facing=BOTH_WAYS, grade=grade
-    )
+    car = grip_on(study.params, "ice")
+    _, speed = drive_pedals(car, 0.0, facing=BOTH_WAYS, grade=STEEP)
     friction = SURFACES["ice"] / SURFACES["dry"] * study.params.tyre.friction
-    expected = GRAVITY * (math.sin(tilt) - friction * math.cos(tilt))
+    expected = GRAVITY * (math.sin(TILT) - friction * math.cos(TILT))
     for where, rows in zip(("uphill", "downhill"), speed.T, strict=True):
         slope = np.polyfit(TIME[LATE], np.abs(rows[LATE]), 1)[0]
-        what = f"held on a {100 * grade:g} % slope of ice, facing {where}"
+        what = f"held on a {100 * STEEP:g} % slope of ice, facing {where}"
         study.row(what, float(slope), expected)
 
 
@@ -203,18 +140,16 @@ def creep(study: Study) -> None:
     It faces uphill and drives forwards, or downhill in reverse. The hold, a_hold v /
     v_switch below `SWITCH_SPEED`, bears what the drive does not.
     """
-    params, grade, tilt = study.params, GRADES[-1], math.atan(GRADES[-1])
+    params, slope = study.params, f"{100 * STEEP:g} % slope"
     facing, pedal = cases(BOTH_WAYS, WEAK)
     car = grip_on(params)
-    _, speed = drive_pedals(car, facing * pedal, facing=facing, grade=grade)
-    slope = f"{100 * grade:g} % slope"
+    _, speed = drive_pedals(car, facing * pedal, facing=facing, grade=STEEP)
     what = f"rolling back before a weak drive holds, {slope}"
     study.row(what, max(float(-(speed * facing).min()), 0.0))
-    down = GRAVITY * (math.sin(tilt) - params.tyre.rolling_resistance * math.cos(tilt))
     both = np.abs(speed[LATE].mean(0)).reshape(2, len(WEAK)).max(0)
     for weak, found in zip(WEAK, both, strict=True):
-        expected = SWITCH_SPEED * (down - weak * params.max_acceleration)
-        expected /= params.hold_deceleration
+        rest = downhill(params, TILT) - weak * params.max_acceleration
+        expected = SWITCH_SPEED * rest / params.hold_deceleration
         what = f"creep against the drive, {slope}, pedal {weak:g}"
         study.row(what, float(found), expected)
 
@@ -244,9 +179,8 @@ def stop_from_a_walk(study: Study) -> None:
     pedal, start = cases(STOPS, WALK)
     driver = Driver(release=HOLD_SPEED, period=STEP)
     _, speed = drive_pedals(make_vehicle(study.params), pedal, start, driver=driver)
-    _rock_rows(
-        study, {f"stop from a walk, pedal {p:g}": pedal == p for p in STOPS}, speed
-    )
+    groups = {f"stop from a walk, pedal {p:g}": pedal == p for p in STOPS}
+    _rock_rows(study, groups, speed)
 
 
 def taps(study: Study) -> None:
@@ -270,9 +204,8 @@ def _rock_rows(
     Rows of the fastest speed backwards and of the greatest jerk [m/s^3] below 0.05 m/s,
     from an instant (n,) on.
     """
-    kernel = np.ones(SMOOTH) / SMOOTH
     acceleration = np.diff(speed, axis=0) / DT
-    smooth = np.array([np.convolve(a, kernel, "valid") for a in acceleration.T]).T
+    smooth = np.lib.stride_tricks.sliding_window_view(acceleration, SMOOTH, 0).mean(-1)
     jerk = np.abs(np.diff(smooth, axis=0) / DT)
     middle = (SMOOTH + 1) // 2  # of the instants that a jerk is computed from
     counts = np.abs(speed[middle : middle + len(jerk)]) < 0.05
@@ -285,17 +218,16 @@ def _rock_rows(
 
 def speed_control(study: Study) -> None:
     """A proportional controller asks for 0.2 m/s on a slope of 3 %, both ways."""
-    params = study.params
+    params, car, tilt = study.params, grip_on(study.params), math.atan(GRADE)
     for rate, gain in GAINS.items():
         driver = Driver(SLOW, gain, period=round(1 / (rate * DT)))
-        car = grip_on(params)
         _, speed = drive_pedals(car, 0.0, 0.0, BOTH_WAYS, GRADE, driver)
-        for facing, late in zip(BOTH_WAYS, speed[TIME > 3.0].T, strict=True):
-            tilt = math.atan(GRADE) * facing
-            load = math.sin(tilt) + params.tyre.rolling_resistance * math.cos(tilt)
-            most = params.max_acceleration if load > 0 else params.max_deceleration
-            expected = SLOW - GRAVITY * load / (gain * most)
-            where = "uphill" if facing > 0 else "downhill"
+        up, down = speed[TIME > 3.0].T
+        for where, late, load, most in (
+            ("uphill", up, -downhill(params, -tilt), params.max_acceleration),
+            ("downhill", down, -downhill(params, tilt), params.max_deceleration),
+        ):
+            expected = SLOW - load / (gain * most)
             what = f"speed control at {SLOW:g} m/s, {rate} Hz, 3 % {where}"
             study.row(f"{what}, mean", float(late.mean()), expected)
             study.row(f"{what}, least", float(late.min()), expected)
@@ -304,16 +236,17 @@ def speed_control(study: Study) -> None:
 def reversing(study: Study) -> None:
     """Path errors of a time step of 10 ms under random pedals, in float64."""
     drives = 8 if study.quick else 48
+    surfaces: tuple[Surface, ...] = ("dry", "ice")
     controls = np.zeros((PEDAL_STEPS, drives, 2))
     dice = np.random.default_rng(0)
     controls[..., 1] = dice.uniform(-1.0, 1.0, (PEDAL_STEPS, drives))
-    surfaces: tuple[Surface, ...] = ("dry", "ice")
     with jax.enable_x64(True):
         cars = [grip_on(study.params, s) for s in surfaces for _ in range(drives)]
         fleet = jax.tree.map(lambda *x: jnp.stack(x), *cars)
         twice = np.tile(controls, (1, len(surfaces), 1))
         sims = (SimConfig(sim_dt=dt, trace_dt=0.1) for dt in (0.01, 0.001))
-        paths = (np.asarray(drive(sim, fleet, twice).trace_w)[..., 0] for sim in sims)
+        motions = (drive(sim, fleet, twice).motion for sim in sims)
+        paths = (np.asarray(motion.trace_w)[..., 0] for motion in motions)
         coarse, exact = (np.moveaxis(x, 2, 1).reshape(-1, len(cars)) for x in paths)
     length = np.abs(np.diff(exact, axis=0)).sum(0)
     error = 100 * np.abs(coarse - exact).max(0) / length
@@ -331,20 +264,21 @@ def delays(study: Study) -> None:
     steps = 10 if study.quick else 30
     controls = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, 2))
     controls[:, 1] = np.abs(controls[:, 1])
-    driven = drive(late, car, controls)
+    driven = drive(late, car, controls).motion
     held = np.repeat(controls, late.num_substeps, axis=0)
     for column, delay in enumerate(DELAYS):
         count = round(delay / late.sim_dt)
         held[:, column] = np.concatenate([np.zeros(count), held[:-count, column]])
-    given = drive(SimConfig(ctrl_dt=late.sim_dt, trace_dt=late.sim_dt), car, held)
-    ends = slice(late.num_substeps - 1, None, late.num_substeps)
-    apart = driven.pose_w[:, :2] - given.pose_w[ends, :2]
+    fine = SimConfig(ctrl_dt=late.sim_dt, trace_dt=late.sim_dt)
+    given = drive(fine, car, held).motion.pose_w[
+        late.num_substeps - 1 :: late.num_substeps
+    ]
+    apart = driven.pose_w[:, :2] - given[:, :2]
     what = f"steering {DELAYS[0]:g} s and pedal {DELAYS[1]:g} s late, way"
     study.row(what, float(np.abs(apart).max()))
-    turned = drive(late, car, np.tile([1.0, 0.0], (2, 1))).steering[-1]
-    turning = float(turned) / params.steering_rate
-    what = "steering late, full lock at standstill"
-    study.row(what, 2 * late.ctrl_dt - turning, DELAYS[0])
+    turned = drive(late, car, np.tile([1.0, 0.0], (2, 1))).motion.steering
+    found = 2 * late.ctrl_dt - float(turned[-1]) / params.steering_rate
+    study.row("steering late, full lock at standstill", found, DELAYS[0])
 
 
 def automatic(study: Study) -> None:
@@ -356,7 +290,7 @@ def automatic(study: Study) -> None:
     params, seconds = study.params, 4.0 if study.quick else 12.0
     sim = SimConfig(creep=CREEP)
     controls = np.zeros((round(seconds / sim.ctrl_dt), 2))
-    speed = drive(sim, make_vehicle(params), controls, 0.5).speed
+    speed = drive(sim, make_vehicle(params), controls, 0.5).motion.speed
     last = CREEP_SPEED * (1.0 - GRAVITY * params.tyre.rolling_resistance / CREEP)
     rate = CREEP / CREEP_SPEED * params.mass / rolling_mass(params)
     for time in (1.0, seconds):
@@ -370,44 +304,43 @@ def odometry(study: Study) -> None:
     car = make_vehicle(study.params)
     offset = jnp.float32(study.params.centre_offset)
 
-    def believe(poses: Any, error: tuple[float, ...]) -> np.ndarray:
-        """What it believes too much of its pose (3,)."""
-
+    @jax.jit
+    def believe(poses: jax.Array, error: jax.Array) -> jax.Array:
         def step(carry: tuple[Odometry, jax.Array], pose: jax.Array):
             return (reckon(*carry, pose, offset), pose), None
 
-        first = Odometry(jnp.zeros(3), jnp.array(error)), jnp.zeros(3)
-        (after, _), _ = jax.jit(lambda p: jax.lax.scan(step, first, p))(poses)
-        wrong = np.asarray(after.pose_w) - poses[-1]
-        wrong[2] = (wrong[2] + np.pi) % (2 * np.pi) - np.pi
-        return wrong
+        start = Odometry(jnp.zeros(3), error), jnp.zeros(3)
+        return jax.lax.scan(step, start, poses)[0][0].pose_w
 
-    for what, steer, k, place in (
-        ("distance ahead", 0.0, 0, 0),
-        ("heading ahead", 0.0, 1, 2),
-        ("heading on full lock", 1.0, 2, 2),
+    for k, (what, steer, place) in enumerate(
+        [
+            ("distance ahead", 0.0, 0),
+            ("heading ahead", 0.0, 2),
+            ("heading on full lock", 1.0, 2),
+        ]
     ):
         controls = np.tile([steer, 0.5], (20 if study.quick else 50, 1))
-        poses = drive(SimConfig(), car, controls).pose_w
+        poses = drive(SimConfig(), car, controls).motion.pose_w
         turned = np.unwrap(np.append(0.0, poses[:, 2]))[-1]
         way = turned if steer else float(poses[-1, 0])
-        error = tuple(ERROR[k] * (k == j) for j in range(3))
-        wrong = believe(poses, error)[place]
-        study.row(f"odometry, {what}", float(wrong), ERROR[k] * way)
+        believed = np.asarray(believe(poses, jnp.array(ERROR) * (np.arange(3) == k)))
+        wrong = float((believed - poses[-1])[place])
+        if place == 2:
+            wrong = (wrong + np.pi) % (2 * np.pi) - np.pi
+        study.row(f"odometry, {what}", wrong, ERROR[k] * way)
 
 
 def wheel_stop(study: Study) -> None:
     """A car reverses into a bay until a wheel stop stops its rear tyres."""
     params, distance = study.params, 0.9
-    episode = EpisodeConfig(
-        parked_rule="precise", kerb_speed=0.6, wheel_stops=distance, respawn=False
-    )
+    rules: Any = {"parked_rule": "precise", "kerb_speed": 0.6, "respawn": False}
+    episode = EpisodeConfig(wheel_stops=distance, **rules)
     config = EnvConfig(num_agents=1, num_parked_cars=0, episode=episode)
     env = ParkingEnv(config, vehicle=params)
     layout = make_layout(env.layout_config)
     bay, (length, _) = layout.bay_pose[0], layout.bay_size[0]
-    start = move_forward(bay, 1.0)
-    options = ResetOptions(pose=start[None], goal=jnp.zeros(1, jnp.int32))
+    start = move_forward(bay, 1.0)[None]
+    options = ResetOptions(pose=start, goal=jnp.zeros(1, jnp.int32))
     state, _ = jax.jit(env.reset)(jax.random.key(0), options=options)
     step, speed = jax.jit(env.step), 0.0
     for _ in range(60):  # drives back at a walk
@@ -428,7 +361,7 @@ def ramp(study: Study) -> None:
     params, car = study.params, make_vehicle(study.params)
     sim = SimConfig(ramp=(2.0, 3.0, 0.05))
     coast = np.zeros((20 if study.quick else 24, 2))
-    driven = drive(sim, car, coast, 2.8)
+    driven = drive(sim, car, coast, 2.8).motion
     # Of the centre of gravity, which is where the slope is.
     ahead = params.cg_to_rear_axle - params.centre_offset
     x = np.linspace(ahead, ahead + float(driven.pose_w[-1, 0]), 4001)
@@ -440,7 +373,7 @@ def ramp(study: Study) -> None:
     study.row(what, float(driven.speed[-1]), float(expected))
     controls = np.random.default_rng(0).uniform(-1.0, 1.0, (len(coast), 2))
     wide, steady = (
-        drive(sim, car, controls).pose_w[:, :2]
+        drive(sim, car, controls).motion.pose_w[:, :2]
         for sim in (SimConfig(ramp=(-99.0, 99.0, 0.1)), SimConfig(grade_x=0.1))
     )
     study.row("ramp of 10 %, driving on it", float(np.abs(wide - steady).max()))

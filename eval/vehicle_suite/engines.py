@@ -11,11 +11,9 @@ from carpark_mj.config import CONTACT_SIM_DT, SimConfig
 from carpark_mj.physics.mjx_step import contact_car_model
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-from vehicle_suite.driver import drive
-from vehicle_suite.in_c import CCar
 from vehicle_suite.report import Study
-from vehicle_suite.testbeds import BrushTestbed, Testbed
-from vehicle_suite.track import Run
+from vehicle_suite.shipped import CCar, drive
+from vehicle_suite.testbeds import BrushTestbed, Run, Testbed
 
 STEPS = {"brush": (0.01, 0.005, 0.002, 0.001), "contact": (0.004, 0.002, 0.001)}  # s
 FINEST = 0.0005  # s, the reference
@@ -28,18 +26,15 @@ PEDALS = np.repeat(
 
 def wander(params: VehicleParameters, side: float = 1.0) -> Run:
     """Six seconds: pull away, steer left and right, brake to a stop in a turn."""
-    weight = params.mass * GRAVITY
-
-    def braking(time: np.ndarray) -> np.ndarray:
-        return time > 4.9999  # s, on a substep of every time step
-
+    weight, lock = params.mass * GRAVITY, side * 0.8 * params.max_steering
+    until = 4.9999  # s, on a substep of every time step
     return Run(
         params,
         6.0,
         speed=0.5,
-        steering=lambda time: side * 0.8 * params.max_steering * np.sin(1.5 * time),
-        force=lambda time: np.where(braking(time), 0.0, 0.06 * weight),
-        brake=lambda time: np.where(braking(time), 0.3 * weight, 0.0),
+        steering=lambda time: lock * np.sin(1.5 * time),
+        force=lambda time: np.where(time > until, 0.0, 0.06 * weight),
+        brake=lambda time: np.where(time > until, 0.3 * weight, 0.0),
     )
 
 
@@ -50,21 +45,20 @@ def in_float64(bed: Testbed) -> Testbed:
 
 def mirror(study: Study) -> None:
     """A mirrored manoeuvre drives the mirrored path, in float64."""
-    params = study.params
-    left, right = in_float64(study.bed).drive([wander(params), wander(params, -1.0)])
+    runs = [wander(study.params), wander(study.params, -1.0)]
+    left, right = in_float64(study.bed).drive(runs)
     apart = np.abs(left.position - right.position * [1, -1]).max()
     study.row("mirror symmetry, 6 s", float(apart))
 
 
 def convergence(study: Study) -> None:
     """Path error of time steps against the finest, in float64."""
-    params = study.params
-    steps = STEPS[study.tyres]
-    steps, finest = (steps[:2], steps[-1]) if study.quick else (steps, FINEST)
-    exact = in_float64(study.bed)
+    steps, finest = STEPS[study.tyres], FINEST
+    if study.quick:
+        steps, finest = steps[:2], steps[-1]
 
     def path(dt: float) -> np.ndarray:
-        (track,) = exact.drive([wander(params)], dt)
+        (track,) = in_float64(study.bed).drive([wander(study.params)], dt)
         return track.position[:: track.at(0.1)]
 
     best = path(finest)
@@ -85,16 +79,13 @@ def convergence(study: Study) -> None:
 def brush_engines(study: Study) -> None:
     """One second of the unrolled step against C MuJoCo and `mjx.step`, same tyres."""
     sim = SimConfig(ctrl_dt=TICK, trace_dt=TICK)
+    stepped = dataclasses.replace(sim, stepper="mjx")
     path = drive_in_c(study.params, sim)
     for bits in (32,) if study.quick else (32, 64):
-        ours = drive_in_mjx(study.params, sim, bits)
-        stepped = dataclasses.replace(sim, stepper="mjx")
+        ours, mjx = (drive_in_mjx(study.params, s, bits) for s in (sim, stepped))
         for what, other in (
             ("C MuJoCo against MJX", path),
-            (
-                "unrolled step against mjx.step",
-                drive_in_mjx(study.params, stepped, bits),
-            ),
+            ("unrolled step against mjx.step", mjx),
         ):
             apart = float(np.abs(ours - other).max())
             study.row(f"{what} in float{bits}, 1 s", apart)
@@ -128,7 +119,7 @@ def contact_engines(study: Study) -> None:
 def drive_in_mjx(params: VehicleParameters, sim: SimConfig, bits: int) -> np.ndarray:
     """Positions (T, 2) of a car that rolls at first, with `PEDALS`."""
     with jax.enable_x64(bits == 64):
-        motion = drive(sim, make_vehicle(params), PEDALS, ROLLING)
+        motion = drive(sim, make_vehicle(params), PEDALS, ROLLING).motion
         return np.asarray(motion.pose_w, float)[:, :2]
 
 

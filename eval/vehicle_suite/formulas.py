@@ -5,9 +5,8 @@ Tyre and Vehicle Dynamics (2012), ch. 1, 3, 5 and 7.2. Signs: x forward, y left,
 left. Axle quantities are (front, rear).
 """
 
-import dataclasses
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import linalg, optimize
@@ -42,13 +41,11 @@ def rolling_drag(params: VehicleParameters, steering: float) -> float:
     sum c_rr F_i v_i over the mean speed of the driven wheels: the hubs' speeds v_i
     differ, and power is what balances.
     """
-    kappa = math.tan(steering) / params.wheelbase
-    half = params.track_width / 2
-    ahead = kappa * params.wheelbase
-    speeds = [
-        (math.hypot(1 - s, ahead), abs(1 - s)) for s in (kappa * half, -kappa * half)
-    ]
-    front, rear = (sum(pair) / 2 for pair in zip(*speeds, strict=True))
+    ahead = math.tan(steering)
+    aside = ahead / params.wheelbase * params.track_width / 2
+    sides = 1 - aside, 1 + aside
+    front = sum(math.hypot(side, ahead) for side in sides) / 2
+    rear = sum(map(abs, sides)) / 2
     loads = axle_loads(params)
     power = params.tyre.rolling_resistance * (loads[0] * front + loads[1] * rear)
     return power / (params.front_drive * front + (1 - params.front_drive) * rear)
@@ -69,9 +66,8 @@ def axle_stiffness(
     params: VehicleParameters, factors: tuple[float, float] = (1.0, 1.0)
 ) -> tuple[float, float]:
     """Cornering stiffness c_y F_z of the axles [N/rad]."""
-    front, rear = axle_loads(params)
-    c = params.tyre.cornering_stiffness
-    return c * front * factors[0], c * rear * factors[1]
+    c, loads = params.tyre.cornering_stiffness, axle_loads(params)
+    return c * loads[0] * factors[0], c * loads[1] * factors[1]
 
 
 def turning_radius(params: VehicleParameters, steering: float) -> float:
@@ -194,8 +190,7 @@ def scrub_torque(params: VehicleParameters) -> float:
     return 2 / 3 * params.tyre.friction * load * params.tyre.patch_radius
 
 
-@dataclasses.dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """A steady turn: rear-axle radius [m], wheels' drag to be driven against [N]."""
 
     radius: float
@@ -247,29 +242,20 @@ def steady_turn(
         along, across = forward * cos + left * sin, left * cos - forward * sin
         rolling = way * tyre.rolling_resistance * load
         # Unknown of a locked axle is its speed, else the drive force; both about 1.
-        slip_x = axle * (speed * (1 + drive / 100) - along) / np.abs(along)
-        slip_y = -across / np.abs(along)
-        pull = tyre.slip_stiffness * static * slip_x
-        push = cornering * slip_y
-        limit = tyre.friction * load
-        total = np.hypot(pull, push)
-        shape = np.array(list(map(brush_shape, total, limit)))
+        slip = axle * (speed * (1 + drive / 100) - along) / np.abs(along)
+        pull = tyre.slip_stiffness * static * slip
+        push = -cornering * across / np.abs(along)
+        shape = np.vectorize(brush_shape)(np.hypot(pull, push), tyre.friction * load)
         given = share * drive * params.mass - rolling
-        force_x = np.where(axle > 0, pull * shape, given)
-        force_y = push * shape
+        force_x, force_y = np.where(axle > 0, pull * shape, given), push * shape
         total_x = force_x * cos - force_y * sin
         total_y = force_x * sin + force_y * cos
-        arm = params.cg_to_rear_axle
-        rest = np.array(
-            [
-                total_x.sum() + params.mass * yaw_rate * (side + arm * yaw_rate),
-                total_y.sum() - params.mass * yaw_rate * speed,
-                (x * total_y - y * total_x + scrub).sum()
-                - params.mass * arm * yaw_rate * speed,
-            ]
-        )
+        m, arm = params.mass, params.cg_to_rear_axle
+        ahead = total_x.sum() + m * yaw_rate * (side + arm * yaw_rate)
+        aside = total_y.sum() - m * yaw_rate * speed
+        moment = (x * total_y - y * total_x + scrub).sum() - m * arm * yaw_rate * speed
         drag = way * np.sum((force_x + rolling) * (share > 0))
-        return rest / static.sum(), float(drag)
+        return np.array([ahead, aside, moment]) / static.sum(), float(drag)
 
     yaw_rate = speed * math.tan(steering) / params.wheelbase
     guess = np.array([0.0, yaw_rate, way * GRAVITY / 50])
@@ -301,36 +287,31 @@ def step_response(
     """Yaw rate (T,) per steering angle [1/s] after a step of the front wheels at t = 0.
 
     Linear single-track car with roll about an axis on the ground and relaxing tyres:
-    states v_y, yaw rate, roll angle and rate, and the bristles w of the axles,
-    dw/dt = v_contact - v w / sigma, F = -(C / sigma w + d dw/dt).
+    states v_y, yaw rate r, roll angle phi and rate, the axles' bristles w and the step
+    delta; dw/dt = v_contact - v w / sigma, F = -(C / sigma w + d dw/dt).
     """
     m, v, h = params.mass, speed, params.cg_height
     a, b = params.cg_to_front_axle, params.cg_to_rear_axle
     tyre = params.tyre
-    k_w = np.array(axle_stiffness(params)) / tyre.lateral_relaxation
-    d_w, rate = 2 * tyre.lateral_damping, v / tyre.lateral_relaxation
-    roll_stiffness = tyre.vertical_stiffness * params.track_width**2
-    roll_damping = tyre.vertical_damping * params.track_width**2
-    # Bristle rates and axle forces as rows over (v_y, r, phi, phi', w_f, w_r, delta).
-    w_rate = np.array(
-        [[1, a, 0, 0, -rate, 0, -v], [1, -b, 0, 0, 0, -rate, 0]], dtype=float
+    rate = v / tyre.lateral_relaxation
+    stiffness, damping = (
+        k * params.track_width**2
+        for k in (tyre.vertical_stiffness, tyre.vertical_damping)
     )
-    force = -d_w * w_rate
-    force[0, 4] -= k_w[0]
-    force[1, 5] -= k_w[1]
+    # Rows over the states (v_y, r, phi, phi', w_f, w_r, delta).
+    w_rate = np.array([[1.0, a, 0, 0, -rate, 0, -v], [1.0, -b, 0, 0, 0, -rate, 0]])
+    force = -2 * tyre.lateral_damping * w_rate
+    force[[0, 1], [4, 5]] -= np.array(axle_stiffness(params)) / tyre.lateral_relaxation
     # m (v_y' + v r - h phi'') = F and I phi'' = h F + (m g h - k) phi - c phi'.
-    spring = np.array(
-        [0, 0, m * GRAVITY * h - roll_stiffness, -roll_damping, 0, 0, 0], dtype=float
-    )
+    spring = np.array([0, 0, m * GRAVITY * h - stiffness, -damping, 0, 0, 0])
     total = force.sum(0)
     roll_rate = (h * total + spring) / params.roll_inertia
     side = total / m + h * roll_rate
     side[1] -= v
     yaw = (a * force[0] - b * force[1]) / params.yaw_inertia
-    roll = np.array([0, 0, 0, 1, 0, 0, 0], dtype=float)
-    system = np.vstack([side, yaw, roll, roll_rate, w_rate, np.zeros(7)])
+    system = np.vstack([side, yaw, np.eye(7)[3], roll_rate, w_rate, np.zeros(7)])
     step = linalg.expm(system * (time[1] - time[0]))
-    state, found = np.array([0, 0, 0, 0, 0, 0, 1.0]), []
+    state, found = np.eye(7)[6], []
     for _ in time:
         found.append(state[1])
         state = step @ state

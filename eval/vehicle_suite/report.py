@@ -3,6 +3,7 @@
 `rows.csv` has the formula, the unit and the tolerance of every row. The first line
 whose name (`*` stands for any text) and tyres (none: all) match is the row's. A
 tolerance is the larger of a share of the expected value and an absolute one.
+`figures.csv` has the plots: small multiples, one panel a car and tyre model.
 """
 
 import dataclasses
@@ -21,31 +22,10 @@ from carpark_mj.evaluation import tables
 from carpark_mj.files import write_atomically, write_csv, write_text
 from carpark_mj.reading import read_csv
 from carpark_mj.vehicle import VehicleParameters
-from vehicle_suite.testbeds import Testbed
+from vehicle_suite.testbeds import Testbed, Tyres
 
 HERE = Path(__file__).parent
-COLUMNS = ("row", "preset", "tyres", "formula", "unit", "measured", "expected",
-           "tolerance", "verdict")  # fmt: skip
 SHOWN = "compact"  # the preset whose rows are in the report, if it was driven
-# Small multiples, one panel a car and tyre model: title, x axis, y axis, logarithmic.
-FIGURES = {
-    "understeer": (
-        "Understeer at 20 m/s (ISO 4138): measured (o), brush (--), linear (:)",
-        *("lateral acceleration [g]", "steering angle above atan(L / R) [deg]", False),
-    ),
-    "step_steer": (
-        "Step steer (ISO 7401): measured (-), linear single track (--)",
-        *("time from half the step [s]", "yaw rate / steady yaw rate", False),
-    ),
-    "stops": (
-        "Stops from 5 m/s: measured (-), formula (--)",
-        *("distance [m]", "speed [m/s]", False),
-    ),
-    "convergence": (
-        "Path error over the time step, 6 s of driving",
-        *("time step [ms]", "largest error [mm]", True),
-    ),
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,18 +54,18 @@ class Row:
     def verdict(self) -> str:
         """One line: pass or MISS, how far off, and the reason of the tolerance."""
         off = self.measured - self.expected
+        by = f"{off:+.2g} of ±{self.tolerance:.2g} {self.unit}".rstrip()
         if self.expected and self.tolerance < abs(self.expected):
             scale = 100 / abs(self.expected)
             by = f"{off * scale:+.2g} % of ±{self.tolerance * scale:.2g} %"
-        else:
-            by = f"{off:+.2g} of ±{self.tolerance:.2g} {self.unit}".rstrip()
         reason = f"; {self.why}" if self.why else ""
         return f"{'pass' if self.passes else 'MISS'}: {by}{reason}"
 
     def cells(self) -> dict[str, str]:
         """The row's text in every column."""
-        values = ((name, getattr(self, name)) for name in COLUMNS)
-        return {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in values}
+        values = vars(self) | {"verdict": self.verdict}
+        del values["why"]
+        return {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in values.items()}
 
 
 class Curve(NamedTuple):
@@ -110,11 +90,13 @@ class Study:
     preset: str
     params: VehicleParameters
     quick: bool = False
-    rows: list[Row] = dataclasses.field(default_factory=lambda: [])
-    curves: list[Curve] = dataclasses.field(default_factory=lambda: [])
+    rows: list[Row] = dataclasses.field(default_factory=list)
+    curves: list[Curve] = dataclasses.field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self.tyres = self.bed.tyres
+    @property
+    def tyres(self) -> Tyres:
+        """The model of the testbed."""
+        return self.bed.tyres
 
     def row(
         self, row: str, measured: float, expected: float = 0.0, scale: float = math.nan
@@ -137,24 +119,17 @@ class Study:
 
 
 @functools.cache
-def facts() -> list[dict[str, str]]:
-    """The lines of `rows.csv`."""
-    return [row.cells for row in read_csv(HERE / "rows.csv")]
+def lines_of(file: str) -> list[dict[str, str]]:
+    """The lines of a table beside this file."""
+    return [row.cells for row in read_csv(HERE / file)]
 
 
 def declared(row: str, tyres: str) -> dict[str, str]:
     """The line of `rows.csv` of a row; raises `ValueError` if there is none."""
-    for fact in facts():
+    for fact in lines_of("rows.csv"):
         if fact["tyres"] in ("", tyres) and fnmatchcase(row, fact["row"]):
             return fact
     raise ValueError(f"rows.csv has no {row!r} on {tyres} tyres")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The table as markdown, one line a row."""
-    return tables.markdown(
-        [{k: v.replace("|", "\\|") for k, v in row.cells().items()} for row in rows]
-    )
 
 
 def excerpt(report: Path, preset: str = SHOWN) -> str:
@@ -165,25 +140,22 @@ def excerpt(report: Path, preset: str = SHOWN) -> str:
         own = {row.cells["tyres"]: row for row in rows if row.cells["row"] == name}
         if not own:
             continue
-        numbers = dict.fromkeys(f"{row.number('expected'):.4g}" for row in own.values())
+        wanted = dict.fromkeys(f"{row.number('expected'):.4g}" for row in own.values())
         unit = next(iter(own.values())).cells["unit"]
-        line = {"manoeuvre": name, "expected": f"{', '.join(numbers)} {unit}"}
-        for tyres in ("brush", "contact"):
-            found = own.get(tyres)
-            line[tyres] = f"{found.number('measured'):.4g}" if found else "–"
-        lines.append(line)
+        line = {"manoeuvre": name, "expected": f"{', '.join(wanted)} {unit}"}
+        found = {tyres: f"{row.number('measured'):.4g}" for tyres, row in own.items()}
+        lines.append({**line, "brush": "–", "contact": "–", **found})
     return tables.markdown(lines)
 
 
-def draw(path: Path, name: str, curves: Sequence[Curve]) -> None:
-    """Writes a figure of its curves as PNG."""
-    title, x_label, y_label, logarithmic = FIGURES[name]
+def draw(path: Path, look: dict[str, str], curves: Sequence[Curve]) -> None:
+    """Writes a figure of its curves as PNG; `look` is its line of `figures.csv`."""
     panels = list(dict.fromkeys(c.panel for c in curves))
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure((1.0 + 4.2 * columns, 1.0 + 3.0 * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axis, panel in zip(axes.flat, panels, strict=False):
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flat
+    for axis, panel in zip(axes, panels, strict=False):
         colours: dict[str, str] = {}
         for curve in (c for c in curves if c.panel == panel):
             label = "" if curve.label in colours else curve.label
@@ -193,24 +165,22 @@ def draw(path: Path, name: str, curves: Sequence[Curve]) -> None:
         axis.set_title(panel, fontsize=10)
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8)
-        if logarithmic:
-            axis.set_xscale("log")
-            axis.set_yscale("log")
-    for axis in axes.flat[len(panels) :]:
+        axis.set(xscale=look["scale"], yscale=look["scale"])
+    for axis in axes[len(panels) :]:
         axis.remove()
-    figure.suptitle(title)
-    figure.supxlabel(x_label)
-    figure.supylabel(y_label)
+    figure.suptitle(look["title"])
+    figure.supxlabel(look["x"])
+    figure.supylabel(look["y"])
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=110))
 
 
-def write_report(
-    folder: Path, rows: Sequence[Row], curves: Sequence[Curve], command: str
-) -> None:
-    """Writes `report.csv`, `report.md` and the plots."""
+def write_report(folder: Path, studies: Sequence[Study], command: str) -> list[Row]:
+    """Writes `report.csv`, `report.md` and the plots; returns the missed rows."""
+    rows = [row for study in studies for row in study.rows]
+    curves = [curve for study in studies for curve in study.curves]
+    missed = [row for row in rows if not row.passes]
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(folder / "report.csv", [row.cells() for row in rows])
-    missed = [row for row in rows if not row.passes]
     presets = list(dict.fromkeys(row.preset for row in rows))
     shown = SHOWN if SHOWN in presets else presets[0]
     parts = [
@@ -219,14 +189,16 @@ def write_report(
         "[report.csv](report.csv) has all with formula, tolerance and verdict.\n",
     ]
     if missed:
-        parts.append(f"## Outside their tolerance\n\n{markdown(missed)}\n")
-    for name, (title, *_) in FIGURES.items():
+        table = tables.markdown([row.cells() for row in missed])
+        parts.append(f"## Outside their tolerance\n\n{table}\n")
+    for look in lines_of("figures.csv"):
+        name, title = look["figure"], look["title"]
         if own := [curve for curve in curves if curve.figure == name]:
-            draw(folder / f"{name}.png", name, own)
+            draw(folder / f"{name}.png", look, own)
             parts.append(f"![{title}]({name}.png)\n\n*{title}.*\n")
-    models = list(dict.fromkeys(row.tyres for row in rows))
-    if len(models) > 1:
+    if len({row.tyres for row in rows}) > 1:
         parts.append((HERE / "absent.md").read_text())
     if table := excerpt(folder / "report.csv", shown):
         parts.append(f"## Excerpt for `{shown}`\n\n{table}\n")
     write_text(folder / "report.md", "\n".join(parts))
+    return missed

@@ -1,13 +1,20 @@
-"""Testbeds: they drive runs on a tyre model and return the cars' tracks."""
+"""Runs of a test driver on either tyre model, and the tracks recorded of them.
+
+The driver's inputs act at once: no pedal, rate limit or speed limiter stands between
+the standard's manoeuvre and the car.
+"""
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from carpark_mj.physics.coordinates import (
     CarIndex,
@@ -20,24 +27,178 @@ from carpark_mj.physics.coordinates import (
 from carpark_mj.physics.forces import roll
 from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.precision import full_float32
-from carpark_mj.vehicle import Vehicle, make_vehicle
+from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 from carpark_mj.vehicle.contact_wheels import (
     TIMESTEP,
     add_contact_wheels,
     set_contact_options,
 )
 from carpark_mj.vehicle.drive import WheelTorques, ackermann
-from carpark_mj.vehicle.mjcf import WHEELS, add_car
+from carpark_mj.vehicle.mjcf import WHEELS, add_car, car_model, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from carpark_mj.vehicle.vehicle import wheels_of
 from vehicle_suite.formulas import front_wheel_angles
-from vehicle_suite.track import INDEX, Run, Track, gravity_of
 
+Tyres = Literal["brush", "contact"]
+Signal = float | Callable[[np.ndarray], np.ndarray]  # a constant, or of time (T,) [s]
+
+LOCKING = 20.0  # g, a brake force over the weight that locks every wheel at once
+SPEED_GAIN = 3.0  # 1/s, acceleration per speed error of the test driver
+HOLD_LIMIT = 0.3  # g, the most that holding a speed may ask for
 CHUNK = 100  # substeps of one call of the compiled program
+WIDTH = 16  # cars of one call; fewer are filled up
 # A locked axle is an integral servo on its wheels' difference in speed.
 AXLE_GAIN = 40.0  # N m s/rad per substep; a wheel and its tyre yield about 1/200 of it
-HOLD_LIMIT = 0.3  # g, the most that holding a speed may ask for
-WIDTH = 16  # cars of one call; fewer are filled up
+LEVEL = (0.0, 0.0, -GRAVITY)
+INDEX = CarIndex(car_model(COMPACT, 0.01, LEVEL))
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One car and its manoeuvre.
+
+    Attributes:
+        params: the car.
+        duration: [s].
+        heading: of the car at the start [rad].
+        speed: at the start, with rolling wheels [m/s].
+        steering: bicycle angle [rad], both wheels by the Ackermann condition.
+        force: drive force at the wheels, all together [N].
+        brake: brake force at the wheels, all together [N], >= 0.
+        target: speed to hold by proportional control [m/s]; None drives by `force`.
+        tilt: of the ground, uphill along world x [rad].
+        locked_axle: the wheels of the driven axle turn as one (no differential).
+        stiffness: factors on the cornering stiffness, front and rear.
+    """
+
+    params: VehicleParameters
+    duration: float
+    heading: float = 0.0
+    speed: float = 0.0
+    steering: Signal = 0.0
+    force: Signal = 0.0
+    brake: Signal = 0.0
+    target: Signal | None = None
+    tilt: Signal = 0.0
+    locked_axle: bool = False
+    stiffness: tuple[float, float] = (1.0, 1.0)
+
+    def signals(self, dt: float) -> np.ndarray:
+        """(T, 6) steering, force, brake, target, gain [N s/m], tilt per substep."""
+        time = np.arange(round(self.duration / dt)) * dt
+        target, gain = self.target, SPEED_GAIN * self.params.mass
+        hold = (0.0, 0.0) if target is None else (target, gain)
+        values = [self.steering, self.force, self.brake, *hold, self.tilt]
+        columns = [v(time) if callable(v) else np.full(len(time), v) for v in values]
+        return np.stack(columns, axis=-1)
+
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """`qpos` (13,) and `qvel` (12,) of the rolling car, rear axle in the origin."""
+        qpos, qvel = np.zeros(13), np.zeros(12)
+        qpos[3], qpos[6] = math.cos(self.heading / 2), math.sin(self.heading / 2)
+        ahead = np.array([math.cos(self.heading), math.sin(self.heading)])
+        qvel[:2] = self.speed * ahead
+        qvel[INDEX.spin_dof] = self.speed / self.params.wheel_radius
+        return qpos, qvel
+
+
+def step(final: float, start: float) -> Signal:
+    """Zero until `start` [s], then `final`."""
+    return lambda time: np.where(time < start - 1e-9, 0.0, final)
+
+
+def ramp(final: float, start: float, rise: float) -> Signal:
+    """Zero until `start` [s], then linearly to `final` within `rise` [s]."""
+    return lambda time: final * np.clip((time - start) / rise, 0.0, 1.0)
+
+
+def gravity_of(tilt: np.ndarray) -> np.ndarray:
+    """Gravity (..., 3) [m/s^2] over ground that rises along x by an angle [rad]."""
+    x, z = np.sin(tilt), np.cos(tilt)
+    return -GRAVITY * np.stack([x, np.zeros_like(x), z], axis=-1)
+
+
+class Track:
+    """A recorded run; row i is the state after i substeps, loads act during row i.
+
+    Attributes:
+        run, params, dt: its inputs, the car and the substep [s].
+        time: (T + 1,) [s].
+        qpos, qvel: (T + 1, 13) and (T + 1, 12), rear axle at the root.
+        load, drive: (T, 4) vertical loads [N] and drive torques [N m] of the wheels.
+        position, yaw: (T + 1, 2) [m] and (T + 1,) [rad] of the rear axle, unwrapped.
+        speed, yaw_rate: (T + 1,) forward [m/s], [rad/s].
+        spin: (T + 1, 4) [rad/s].
+        wheel_angles: (T + 1, 2) of the front wheels about their kingpins [rad].
+        rotation: (T + 1, 3, 3) body to world.
+        cg, cg_velocity: (T + 1, 3) of the centre of gravity [m], [m/s], world frame.
+    """
+
+    def __init__(self, run: Run, dt: float, *motion: np.ndarray) -> None:
+        """Works out motions from what was recorded: `qpos`, `qvel`, `load`, `drive`."""
+        self.run, self.params, self.dt = run, run.params, dt
+        self.qpos, self.qvel, self.load, self.drive = qpos, qvel, *_ = motion
+        self.time = np.arange(len(qpos)) * dt
+        w, x, y, z = qpos[:, 3:7].T
+        yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+        self.position, self.yaw, self.yaw_rate = qpos[:, :2], np.unwrap(yaw), qvel[:, 5]
+        self.speed = qvel[:, 0] * np.cos(yaw) + qvel[:, 1] * np.sin(yaw)
+        self.spin = qvel[:, INDEX.spin_dof]
+        self.wheel_angles = qpos[:, INDEX.steer_qpos]
+        rotation = Rotation.from_quat(qpos[:, 3:7], scalar_first=True)
+        cg_b = np.array([run.params.cg_to_rear_axle, 0.0, run.params.cg_height])
+        self.rotation = rotation.as_matrix()
+        self.cg = qpos[:, :3] + self.rotation @ cg_b
+        turning = np.cross(qvel[:, 3:6], cg_b)
+        self.cg_velocity = qvel[:, :3] + (self.rotation @ turning[..., None])[..., 0]
+
+    @property
+    def steering(self) -> np.ndarray:
+        """(T + 1,) bicycle angle of the mean cotangent of the front wheels' [rad]."""
+        tan = np.tan(self.wheel_angles)
+        total, out = tan.sum(1), np.zeros(len(tan))
+        turned = np.abs(total) >= 1e-12
+        return np.arctan(np.divide(2 * tan.prod(1), total, out=out, where=turned))
+
+    @property
+    def lateral_acceleration(self) -> np.ndarray:
+        """(T + 1,) of the centre of gravity, square to its course [m/s^2]."""
+        x, y, _ = self.cg_velocity.T
+        course = np.unwrap(np.arctan2(y, x))
+        return np.hypot(x, y) * np.gradient(course, self.dt)
+
+    def at(self, seconds: float) -> int:
+        """Index of an instant."""
+        return round(seconds / self.dt)
+
+    def late(self, values: np.ndarray, seconds: float) -> float:
+        """Mean of values (T or T + 1,) over the last seconds."""
+        return float(values[-self.at(seconds) :].mean())
+
+    def trend(self, values: np.ndarray, first: float, last: float) -> float:
+        """Slope [1/s] of values (T + 1,) between two instants."""
+        rows = slice(self.at(first), self.at(last) + 1)
+        return float(np.polyfit(self.time[rows], values[rows], 1)[0])
+
+    def distance(self, first: int) -> float:
+        """Straight distance of the rear-axle centre from a row to the end [m]."""
+        return float(np.linalg.norm(self.position[-1] - self.position[first]))
+
+
+def circle_radius(path: np.ndarray) -> float:
+    """Radius of the circle that fits points (T, 2) best (Kasa's linear fit)."""
+    path = path - path.mean(0)
+    rows = np.column_stack([2 * path, np.ones(len(path))])
+    (x, y, c), *_ = np.linalg.lstsq(rows, (path**2).sum(1), rcond=None)
+    return math.sqrt(c + x**2 + y**2)
+
+
+def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
+    """Abscissa at which y first reaches a level from below; NaN if never."""
+    i = int(np.argmax(y >= level))
+    if y[i] < level:
+        return math.nan
+    return float(np.interp(level, y[i - 1 : i + 1], x[i - 1 : i + 1]) if i else x[0])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,54 +207,40 @@ class BrushTestbed:
 
     dt: float = 0.01
     x64: bool = False
-    tyres: str = "brush"
+    tyres: Tyres = "brush"
 
     def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
-        """Drives the runs, `WIDTH` at a time and the longest first."""
-        step = dt or self.dt
-        order = sorted(range(len(runs)), key=lambda i: -runs[i].duration)
-        tracks: dict[int, Track] = {}
+        """Drives the runs, `WIDTH` at a time."""
+        groups = (runs[i : i + WIDTH] for i in range(0, len(runs), WIDTH))
         with jax.enable_x64(self.x64):
-            for first in range(0, len(order), WIDTH):
-                group = order[first : first + WIDTH]
-                driven = self._drive([runs[i] for i in group], step)
-                tracks |= dict(zip(group, driven, strict=True))
-        return [tracks[i] for i in range(len(runs))]
+            return [x for runs in groups for x in self._drive(runs, dt or self.dt)]
 
-    def _drive(self, runs: list[Run], dt: float) -> list[Track]:
-        cars = runs + [runs[-1]] * (WIDTH - len(runs))
+    def _drive(self, runs: Sequence[Run], dt: float) -> list[Track]:
+        cars = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
         signals = [run.signals(dt) for run in cars]
         length = -(-max(map(len, signals)) // CHUNK) * CHUNK
-        table = np.stack(
-            [np.pad(s, ((0, length - len(s)), (0, 0)), mode="edge") for s in signals], 1
-        )
+        instants = np.arange(length)
+        table = np.stack([s[np.minimum(instants, len(s) - 1)] for s in signals], 1)
         dtype = jnp.result_type(float)
         starts = [np.stack(x) for x in zip(*(r.start() for r in cars), strict=True)]
         vehicles = jax.tree.map(lambda *x: jnp.stack(x), *map(vehicle_of, cars))
         locked = jnp.array([locked_wheels(run) for run in cars], dtype)
-        tyres = jax.tree.map(
-            lambda x: jnp.broadcast_to(x, (WIDTH, 4)), init_tyres(dtype)
-        )
+        bristles = jax.tree.map(lambda x: jnp.tile(x, (WIDTH, 1)), init_tyres(dtype))
         qpos, qvel = (jnp.array(x, dtype) for x in starts)
-        carry = qpos, qvel, tyres, jnp.zeros(WIDTH, dtype)
-        rows = []
-        for first in range(0, length, CHUNK):
-            part = table[first : first + CHUNK]
-            gravity = jnp.array(gravity_of(part[..., 5]), dtype)
-            carry, seen = _program(self.x64)(
-                carry, vehicles, locked, jnp.array(part, dtype), gravity, dtype.type(dt)
-            )
+        carry, rows = (qpos, qvel, bristles, jnp.zeros(WIDTH, dtype)), []
+        for part in np.split(table, length // CHUNK):
+            inputs = (jnp.array(x, dtype) for x in (part, gravity_of(part[..., 5])))
+            program = _program(self.x64)
+            carry, seen = program(carry, vehicles, locked, *inputs, dtype.type(dt))
             rows.append(jax.device_get(seen))
         seen = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
-        tracks = []
-        for i, run in enumerate(runs):
-            qpos, qvel, load, torque = (x[: len(signals[i]), i] for x in seen)
-            qpos, qvel = (
-                np.vstack([starts[0][i], qpos]),
-                np.vstack([starts[1][i], qvel]),
-            )
-            tracks.append(Track(run, dt, qpos, qvel, load, torque))
-        return tracks
+        for k, start in enumerate(starts):  # of the states, which have one row more
+            seen[k] = np.concatenate([start[None], seen[k]])
+        ends = [len(s) for s in signals]
+        return [
+            Track(run, dt, *(x[: ends[i] + (k < 2), i] for k, x in enumerate(seen)))
+            for i, run in enumerate(runs)
+        ]
 
 
 @functools.cache
@@ -163,9 +310,8 @@ def vehicle_of(run: Run) -> Vehicle:
 
 def locked_wheels(run: Run) -> list[float]:
     """(4,) signs of the couple between the wheels of a locked driven axle, else 0."""
-    lock = float(run.locked_axle)
-    front, rear = run.params.front_drive >= 0.5, run.params.front_drive < 0.5
-    return [lock * front, -lock * front, lock * rear, -lock * rear]
+    lock, front = float(run.locked_axle), run.params.front_drive >= 0.5
+    return [lock * front, -lock * front, lock * (not front), -lock * (not front)]
 
 
 def contact_model(
@@ -175,9 +321,8 @@ def contact_model(
     spec = mujoco.MjSpec()
     set_contact_options(spec)
     spec.option.timestep = dt
-    spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1]
-    )
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    spec.worldbody.add_geom(name="ground", type=plane, size=[0, 0, 1])
     add_car(spec.worldbody, spec, params, prefix="", suspension=suspension)
     add_contact_wheels(spec, params, "", "ground", suspension)
     return spec.compile()
@@ -200,7 +345,7 @@ class ContactTestbed:
 
     dt: float = TIMESTEP
     suspension: bool = False
-    tyres: str = "contact"
+    tyres: Tyres = "contact"
 
     def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
         """Drives the runs, one after the other."""
@@ -213,37 +358,32 @@ class ContactTestbed:
         data.qpos[positions], data.qvel[velocities] = run.start()
         spin = CarIndex(model).spin_dof
         rolling = model.dof_frictionloss[spin].copy()
-        drive_share = np.repeat([params.front_drive, 1 - params.front_drive], 2) / 2
-        brake_share = np.repeat([params.front_brake, 1 - params.front_brake], 2) / 2
+        shares = np.array(
+            [per_wheel(params.front_drive), per_wheel(params.front_brake)]
+        )
         most = HOLD_LIMIT * GRAVITY * params.mass
-        geoms = [model.geom(i).name.removeprefix("tyre_") for i in range(model.ngeom)]
-        wheels = {
-            i: WHEELS.index(name) for i, name in enumerate(geoms) if name in WHEELS
-        }
-        signals, torques = run.signals(dt), []
+        tyres = {model.geom(f"tyre_{name}").id: k for k, name in enumerate(WHEELS)}
         qpos, qvel = [data.qpos[positions]], [data.qvel[velocities]]
-        load, rotation, contact = np.zeros((len(signals), 4)), np.zeros(9), np.zeros(6)
-        for i, (steering, force, brake, target, gain, tilt) in enumerate(signals):
+        loads, torques, rotation, contact = [], [], np.zeros(9), np.zeros(6)
+        for steering, force, brake, target, gain, tilt in run.signals(dt):
             mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
             hold = gain * (target - rotation[::3] @ data.qvel[:3])
             force = force + np.clip(hold, -most, most)
-            torques.append(force * params.wheel_radius * drive_share)
+            torques.append(force * params.wheel_radius * shares[0])
             data.qfrc_applied[spin] = torques[-1]
-            brakes = brake * params.wheel_radius * brake_share
+            brakes = brake * params.wheel_radius * shares[1]
             model.dof_frictionloss[spin] = rolling + brakes
             data.ctrl = front_wheel_angles(params, float(steering))
             model.opt.gravity = gravity_of(tilt)
             mujoco.mj_step(model, data)
             qpos.append(data.qpos[positions])
             qvel.append(data.qvel[velocities])
-            for c in range(data.ncon):
+            loads.append(np.zeros(4))
+            for c, pair in enumerate(data.contact.geom):
                 mujoco.mj_contactForce(model, data, c, contact)
-                pressed = [
-                    wheels[geom] for geom in data.contact[c].geom if geom in wheels
-                ]
-                load[i, pressed] += contact[0]
-        motion = np.array(qpos), np.array(qvel), load, np.array(torques)
-        return Track(run, dt, *motion)
+                pressed = [tyres[geom] for geom in pair if geom in tyres]
+                loads[-1][pressed] += contact[0]
+        return Track(run, dt, *map(np.array, (qpos, qvel, loads, torques)))
 
 
 Testbed = BrushTestbed | ContactTestbed

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from vehicle_suite import formulas
 from vehicle_suite.formulas import Turn, steady_turn, step_response
 from vehicle_suite.report import Study
-from vehicle_suite.track import Run, Track, circle_radius, crossing, ramp, step
+from vehicle_suite.testbeds import Run, Track, circle_radius, crossing, ramp, step
 
 LOCKS = (0.3, 0.6, 0.85, 1.0)  # of full lock
 SPEEDS = (0.5, 1.0, 3.0, -1.0)  # m/s
@@ -35,12 +36,16 @@ def turn_run(
     return Run(params, 8.0 + 10.0 / abs(speed), locked_axle=locked_axle, **signals)
 
 
+def drag_of(track: Track) -> float:
+    """Drive force [N] over the last second."""
+    return track.late(track.drive.sum(1), 1.0) / track.params.wheel_radius
+
+
 def turning(study: Study) -> None:
     """Radius over steering angle and speed, kerb circle and drag at full lock."""
     params = study.params
-    speeds = (1.0, -1.0) if study.quick else SPEEDS
-    locks = [f * params.max_steering for f in (LOCKS[-1:] if study.quick else LOCKS)]
-    cases = list(itertools.product(speeds, locks))
+    speeds, locks = ((1.0, -1.0), LOCKS[-1:]) if study.quick else (SPEEDS, LOCKS)
+    cases = [(v, f * params.max_steering) for v, f in itertools.product(speeds, locks)]
     tracks = study.bed.drive([turn_run(params, lock, speed) for speed, lock in cases])
     for (speed, lock), track in zip(cases, tracks, strict=True):
         if study.tyres == "brush":
@@ -48,24 +53,21 @@ def turning(study: Study) -> None:
         else:  # geometry alone
             radius = formulas.turning_radius(params, lock)
             expected = Turn(radius, formulas.rolling_drag(params, lock))
-        angle, way = math.degrees(lock), "forwards" if speed > 0 else "reverse"
-        what = f"turning radius, {angle:.1f} deg, {abs(speed):g} m/s {way}"
+        what, way = f"{math.degrees(lock):.1f} deg, {abs(speed):g} m/s", speed > 0
+        what = f"turning radius, {what} {'forwards' if way else 'reverse'}"
         radius = circle_radius(track.position[track.at(7.0) :])
         study.row(what, radius, expected.radius)
         if lock == params.max_steering and speed == 1.0:
-            circle = kerb_circle(track)
-            geometry = formulas.kerb_circle(params)
+            circle, geometry = kerb_circle(track), formulas.kerb_circle(params)
             study.row("kerb-to-kerb circle, geometry", circle, geometry)
             study.row("kerb-to-kerb circle, published", circle, params.turning_circle)
-            drag = track.late(track.drive.sum(1), 1.0) / params.wheel_radius
             what = "drag at full lock, open differential, 1 m/s"
-            study.row(what, drag, expected.drag)
+            study.row(what, drag_of(track), expected.drag)
 
 
 def kerb_circle(track: Track) -> float:
     """Diameter [m] of the circle of the outer front tyre."""
-    params = track.params
-    late = slice(track.at(7.0), None)
+    params, late = track.params, slice(track.at(7.0), None)
     cos, sin = np.cos(track.yaw[late]), np.sin(track.yaw[late])
     x, y = params.wheelbase, -params.track_width / 2
     hub = track.position[late] + np.stack([x * cos - y * sin, x * sin + y * cos], -1)
@@ -83,72 +85,75 @@ def locked_axle(study: Study) -> None:
     (track,) = study.bed.drive([turn_run(params, lock, 1.0, locked_axle=True)])
     expected = steady_turn(params, lock, track.late(track.speed, 1.0), locked=True)
     what = f"locked axle, {math.degrees(lock):.1f} deg, 1 m/s"
-    drag = track.late(track.drive.sum(1), 1.0) / params.wheel_radius
     radius = circle_radius(track.position[track.at(10.0) :])
-    study.row(f"drag, {what}", drag, expected.drag)
+    study.row(f"drag, {what}", drag_of(track), expected.drag)
     study.row(f"radius, {what}", radius, expected.radius)
+
+
+def fast_turns(
+    study: Study, factors: tuple[float, float] = (1.0, 1.0)
+) -> list[tuple[float, Track]]:
+    """Steering commands [rad] for `ACCELERATIONS`, and the tracks at `SPEED`."""
+    commands = np.arctan(study.params.wheelbase * ACCELERATIONS / SPEED**2).tolist()
+    fast: Any = {"speed": SPEED, "target": SPEED, "stiffness": factors}
+    runs = [
+        Run(study.params, 12.0, steering=ramp(angle, 0.0, 2.0), **fast)
+        for angle in commands
+    ]
+    return list(zip(commands, study.bed.drive(runs), strict=True))
 
 
 def understeer(study: Study) -> None:
     """Gradient of the excess steering angle over lateral acceleration, to 0.2 g."""
     params = study.params
-    commands = np.arctan(params.wheelbase * ACCELERATIONS / SPEED**2)
     for axles, factors in AXLES.items():
-        tracks = study.bed.drive([_fast_turn(params, c, factors) for c in commands])
-        measured = [_excess(track) for track in tracks]
+        turns = fast_turns(study, factors)
+        measured = [_excess(track) for _, track in turns]
         corrected: list[tuple[float, float]] = []
-        for command, track in zip(commands.tolist(), tracks, strict=True):
+        for command, track in turns:
             speed = track.late(track.speed, STEADY)
             turn = steady_turn(params, command, speed, factors=factors)
             angle = math.atan(params.wheelbase / turn.radius)
             corrected.append((speed**2 / turn.radius, command - angle))
-        gradient, brush = (DEGREES * _slope(points) for points in (measured, corrected))
-        linear = DEGREES * formulas.understeer_gradient(params, factors)
-        study.row(f"understeer gradient, {axles}, linear", gradient, linear)
-        study.row(f"understeer gradient, {axles}, brush", gradient, brush)
+        linear = formulas.understeer_gradient(params, factors)
+        name = f"understeer gradient, {axles}"
+        study.row(f"{name}, linear", _gradient(measured), DEGREES * linear)
+        study.row(f"{name}, brush", _gradient(measured), _gradient(corrected))
+        straight = [(a, linear * a) for a in ACCELERATIONS]
         for points, label, style in (
             (measured, axles, "o"),
             (corrected, f"{axles}, brush", "--"),
+            (straight, f"{axles}, linear", ":"),
         ):
             x, y = np.transpose(points)
             study.curve("understeer", label, x / GRAVITY, np.degrees(y), style)
-        x = ACCELERATIONS / GRAVITY
-        study.curve("understeer", f"{axles}, linear", x, linear * x, ":")
         if axles == "preset":
-            _load_transfer(study, tracks[-1], "patches")
+            _load_transfer(study, turns[-1][1], "patches")
 
 
 def rolling_turns(study: Study) -> None:
     """Fast turns on wheels that roll without slip, in the direction they point."""
-    params = study.params
-    commands = np.arctan(params.wheelbase * ACCELERATIONS / SPEED**2)
-    tracks = study.bed.drive([_fast_turn(params, c) for c in commands])
-    gradient = DEGREES * _slope([_excess(track) for track in tracks])
-    study.row("understeer gradient, preset, rolling", gradient)
+    tracks = [track for _, track in fast_turns(study)]
+    excess = [_excess(track) for track in tracks]
+    study.row("understeer gradient, preset, rolling", _gradient(excess))
     _load_transfer(study, tracks[-1], "rigid")
-    for v, angle, track in _step_steers(study):
-        gain = math.tan(angle) / angle / params.wheelbase
+    for name, angle, track in _step_steers(study):
+        gain = math.tan(angle) / angle / study.params.wheelbase
         expected = gain * track.late(track.speed, 1.0)
         found = track.late(track.yaw_rate, 1.0) / angle
-        study.row(f"step steer, yaw-rate gain, {v:g} m/s", found, expected)
+        study.row(f"step steer, yaw-rate gain, {name}", found, expected)
 
 
-def _fast_turn(
-    params: VehicleParameters, angle: float, stiffness: tuple[float, float] = (1.0, 1.0)
-) -> Run:
-    steering = ramp(angle, 0.0, 2.0)
-    return Run(params, 12.0, 0.0, SPEED, steering, target=SPEED, stiffness=stiffness)
-
-
-def _step_steers(study: Study) -> list[tuple[float, float, Track]]:
-    """Speeds [m/s], steps of the steering [rad] after 1 s, and the tracks."""
+def _step_steers(study: Study) -> Iterator[tuple[str, float, Track]]:
+    """Speeds, steps of the steering [rad] after 1 s, and the tracks."""
     speeds = STEP_SPEEDS[1:2] if study.quick else STEP_SPEEDS
     angles = [study.params.wheelbase * STEP / v**2 for v in speeds]
     runs = [
         Run(study.params, 6.0, speed=v, target=v, steering=step(angle, 1.0))
         for v, angle in zip(speeds, angles, strict=True)
     ]
-    return list(zip(speeds, angles, study.bed.drive(runs), strict=True))
+    names = [f"{v:g} m/s" for v in speeds]
+    return zip(names, angles, study.bed.drive(runs), strict=True)
 
 
 def _excess(track: Track) -> tuple[float, float]:
@@ -167,42 +172,40 @@ def _load_transfer(study: Study, track: Track, stance: formulas.Stance) -> None:
     study.row("lateral load transfer, 0.2 g", moved, expected)
 
 
-def _slope(points: list[tuple[float, float]]) -> float:
+def _gradient(points: list[tuple[float, float]]) -> float:
+    """Slope of angles [rad] over accelerations [m/s^2], in deg/g."""
     x, y = np.transpose(points)
-    return float(np.polyfit(x, y, 1)[0])
+    return DEGREES * float(np.polyfit(x, y, 1)[0])
 
 
 def step_steer(study: Study) -> None:
     """Steady yaw-rate gain, and the time to 90 % from half the steering step."""
     params = study.params
-    for v, angle, track in _step_steers(study):
+    for name, angle, track in _step_steers(study):
         final = track.late(track.yaw_rate, 1.0)
         start = crossing(track.time, track.steering, angle / 2)
         rise = crossing(track.time, track.yaw_rate, 0.9 * final) - start
-        reached = track.late(track.speed, 1.0)
-        gain = reached / steady_turn(params, angle, reached).radius / angle
-        study.row(f"step steer, yaw-rate gain, {v:g} m/s", final / angle, gain)
+        speed = track.late(track.speed, 1.0)
+        gain = speed / steady_turn(params, angle, speed).radius / angle
+        study.row(f"step steer, yaw-rate gain, {name}", final / angle, gain)
         time = np.arange(0.0, 4.0, 0.001)
-        theory = step_response(params, v, time)
+        theory = step_response(params, float(name.split()[0]), time)
         expected = crossing(time, theory, 0.9 * theory[-1])
-        study.row(f"step steer, time to 90 %, {v:g} m/s", rise, expected)
+        study.row(f"step steer, time to 90 %, {name}", rise, expected)
         rows = slice(track.at(0.9), track.at(2.5))
-        label, shifted = f"{v:g} m/s", track.time[rows] - start
-        study.curve("step_steer", label, shifted, track.yaw_rate[rows] / final)
-        study.curve("step_steer", label, time[:1500], theory[:1500] / theory[-1], "--")
+        shifted, rates = track.time[rows] - start, track.yaw_rate[rows] / final
+        study.curve("step_steer", name, shifted, rates)
+        study.curve("step_steer", name, time[:1500], theory[:1500] / theory[-1], "--")
 
 
 def lateral_limit(study: Study) -> None:
     """Largest lateral acceleration of a coasting car under increasing steering."""
-    params = study.params
-    run = Run(params, 6.0, speed=15.0, steering=ramp(0.3, 0.0, 6.0))
+    run = Run(study.params, 6.0, speed=15.0, steering=ramp(0.3, 0.0, 6.0))
     (track,) = study.bed.drive([run])
-    grip = params.tyre.friction * GRAVITY
-    window = track.at(0.5)
-    smooth = np.ones(window) / window
-    mean = np.convolve(track.lateral_acceleration, smooth, "valid") / grip
-    what = "lateral limit, 15 m/s, coasting"
+    share = track.lateral_acceleration / (study.params.tyre.friction * GRAVITY)
+    what, window = "lateral limit, 15 m/s, coasting", track.at(0.5)
     if study.tyres == "brush":
+        mean = np.convolve(share, np.ones(window) / window, "valid")
         study.row(what, float(mean.max()), 0.935)
     else:  # sliding contact wheels hop: only long means have a meaning
-        study.row(what, track.late(track.lateral_acceleration, STEADY) / grip, 0.965)
+        study.row(what, track.late(share, STEADY), 0.965)

@@ -181,13 +181,11 @@ def test_faults_turn_shift_hide_and_darken():
     assert spread == pytest.approx(0.02, rel=0.1)
 
 
-def test_depth_and_classes_are_those_that_mujoco_draws():
-    # No skip without GL: CI installs it, and a silent skip would hide its loss.
+def test_depth_and_classes_are_those_of_mujocos_rays():
     env = environment("lot")
     state = jax.jit(lambda key: env.reset(key)[0])(jax.random.key(1))
     found = compare(env, [state], meshes=False)
     assert found.pixels == 2 * 5 * 64 * 48  # of two agents with five cameras
-    assert found.on_edge < 0.05
     assert found.depth >= ENOUGH
     assert found.classes >= ENOUGH
 

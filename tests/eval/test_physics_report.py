@@ -7,16 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.drives import VAN
 
 import physics_report
-from carpark_mj.config import SimConfig
-from carpark_mj.files import write_csv
-from carpark_mj.vehicle import COMPACT, PRESETS, preset
-from vehicle_suite import chassis, driver, engines, formulas, turns
-from vehicle_suite.report import Row, Study, declared, facts, markdown
-from vehicle_suite.testbeds import BrushTestbed
-from vehicle_suite.track import Run, circle_radius, crossing, ramp, step
+from carpark_mj.vehicle import COMPACT
+from vehicle_suite import formulas
+from vehicle_suite.report import Row, Study, declared, lines_of
+from vehicle_suite.testbeds import Run, circle_radius, crossing, ramp, step
 
 # Round numbers for sums by hand.
 PLAIN = dataclasses.replace(
@@ -31,11 +27,6 @@ PLAIN = dataclasses.replace(
     wheel_inertia=0.9,
     front_drive=1.0,
 )
-
-
-@pytest.fixture(scope="module")
-def bed() -> BrushTestbed:
-    return BrushTestbed()
 
 
 # Formulas
@@ -151,128 +142,16 @@ def test_crossings_and_circles():
     assert circle_radius(arc) == pytest.approx(4.0, rel=1e-9)
 
 
-# Rows of the suite, quick
-
-
-def check(manoeuvre, bed, params=COMPACT, quick=True) -> Study:
-    study = Study(bed, "car", params, quick)
-    manoeuvre(study)
-    assert study.rows
-    missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
-    assert missed == []
-    return study
-
-
-# Taps and brush engines are below; `tests/physics` has springs and contact engines.
-ELSEWHERE = driver.taps, engines.brush_engines
-ELSEWHERE += chassis.suspension, engines.contact_engines
-COSTLY = turns.turning, chassis.slope_hold
-COSTLY += engines.mirror, engines.convergence  # they compile float64
-
-
-def case(tyres: str, manoeuvre):
-    costly = manoeuvre in COSTLY or manoeuvre.__module__ == driver.__name__
-    name = f"{tyres}-{manoeuvre.__name__}"
-    marks = [pytest.mark.slow] if costly else []
-    return pytest.param(tyres, manoeuvre, id=name, marks=marks)
-
-
-@pytest.mark.parametrize(
-    ("tyres", "manoeuvre"),
-    [
-        case(tyres, manoeuvre)
-        for tyres, suite in physics_report.SUITES.items()
-        for manoeuvre in suite
-        if manoeuvre not in ELSEWHERE
-    ],
-)
-def test_the_compact_passes(tyres, manoeuvre):
-    check(manoeuvre, physics_report.TESTBEDS[tyres]())
-
-
-# Differs from the car that MJX compiles in everything that a batch may mix.
-UNLIKE = dataclasses.replace(
-    VAN,
-    track_width=1.7,
-    width=1.95,
-    wheel_radius=0.35,
-    wheel_mass=28.0,
-    wheel_inertia=1.8,
-    wheel_tilt_inertia=1.0,
-    knuckle_mass=14.0,
-    ackermann=0.6,
-)
-
-
-@pytest.mark.parametrize("car", [COMPACT, UNLIKE], ids=["compact", "van"])
-def test_a_second_of_driving_agrees_with_c_mujoco_and_mjx(car, bed):
-    study = check(engines.brush_engines, bed, car, quick=False)
-    assert len(study.rows) == 4  # in float32 and float64
-    assert max(row.measured for row in study.rows) < 5e-6  # measured up to 1e-6
-    path = engines.drive_in_c(car, SimConfig(ctrl_dt=0.02, trace_dt=0.02))
-    assert np.linalg.norm(path[-1]) > 1.0  # m
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_a_tap_on_the_pedal_ends_without_rocking(name, bed):
-    check(driver.taps, bed, preset(name))
-
-
-def test_a_tall_soft_car_slides_before_it_tips_over(bed):
-    # Its static threshold is (T / 2h - lean) g = 1.0 g, above mu g = 0.9 g. With forces
-    # at patches that lean into the ground with the car it fell over.
-    tyre = dataclasses.replace(COMPACT.tyre, vertical_stiffness=25_000.0)
-    car = dataclasses.replace(COMPACT, cg_height=0.65, height=1.7, tyre=tyre)
-    check(turns.lateral_limit, bed, car)
-
-
-def test_a_car_with_other_tyres_than_expected_misses(bed):
-    slippery = dataclasses.replace(COMPACT.tyre, friction=0.8)
-    car = dataclasses.replace(COMPACT, tyre=slippery)
-    run = Run(car, 2.0, speed=5.0, brake=20 * car.mass * 9.81)
-    path, _ = chassis.braked_motion(*bed.drive([run]))
-    study = Study(bed, "car", COMPACT)
-    study.row("stop, locked wheels, 5 m/s", path[-1], 25 / (2 * 0.9 * 9.81))
-    (row,) = study.rows
-    assert not row.passes
-    assert row.verdict.startswith("MISS: +1")  # 12.5 % longer
-
-
-def test_runs_of_one_batch_do_not_touch_each_other(bed):
-    runs = [Run(COMPACT, t, speed=v) for t, v in ((0.5, 1.0), (1.0, 2.0), (0.7, 3.0))]
-    together = bed.drive(runs)
-    for run, track in zip(runs, together, strict=True):
-        assert len(track.qpos) == round(run.duration / bed.dt) + 1
-        assert track.speed[0] == pytest.approx(run.speed)
-        assert np.array_equal(bed.drive([run])[0].qpos, track.qpos)
-
-
 # Table, files, command
 
 
-ROWS = [
-    Row("good", "compact", "brush", "a, b", "m", 1.004, 1.0, 0.01, "a | reason"),
-    Row("bad", "compact", "brush", "c", "deg", 3.0, 0.0, 0.5),
-    Row("nan", "compact", "brush", "d", "", math.nan, 1.0, 0.1),
-]
-
-
 def test_verdicts():
-    assert [row.passes for row in ROWS] == [True, False, False]
-    assert ROWS[0].verdict == "pass: +0.4 % of ±1 %; a | reason"
-    assert ROWS[1].verdict == "MISS: +3 of ±0.5 deg"
-    assert ROWS[2].verdict.startswith("MISS: +nan")
-
-
-def test_csv_and_markdown_say_the_same(tmp_path):
-    write_csv(tmp_path / "report.csv", [row.cells() for row in ROWS])
-    with (tmp_path / "report.csv").open(newline="") as file:
-        table = list(csv.DictReader(file))
-    lines = markdown(ROWS).splitlines()
-    assert len(table) == len(lines) - 2 == len(ROWS)
-    for cells, line in zip(table, lines[2:], strict=True):
-        shown = [c.strip() for c in line.replace("\\|", "\0").split("|")[1:-1]]
-        assert [c.replace("\0", "|") for c in shown] == list(cells.values())
+    texts = "row", "compact", "brush", "a, b"
+    good = Row(*texts, "m", 1.004, 1.0, 0.01, "reason")
+    bad = Row(*texts, "deg", 3.0, 0.0, 0.5)
+    assert (good.passes, good.verdict) == (True, "pass: +0.4 % of ±1 %; reason")
+    assert (bad.passes, bad.verdict) == (False, "MISS: +3 of ±0.5 deg")
+    assert not dataclasses.replace(good, measured=math.nan).passes
 
 
 def test_the_rows_declared_are_those_of_the_report():
@@ -283,7 +162,7 @@ def test_the_rows_declared_are_those_of_the_report():
             fact = declared(row["row"], row["tyres"])
             assert (fact["formula"], fact["unit"]) == (row["formula"], row["unit"])
             used.append(fact)
-    assert [fact for fact in facts() if fact not in used] == []
+    assert [fact for fact in lines_of("rows.csv") if fact not in used] == []
     with pytest.raises(ValueError, match="no 'top speed' on brush"):
         declared("top speed", "brush")
 

@@ -1,6 +1,7 @@
 """Cars from logs: parameters of C MuJoCo's cars come back, with honest intervals."""
 
 import csv
+import dataclasses
 import math
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from carpark_mj.identification.fit import PARAMETERS, identify
 from carpark_mj.identification.log import read_log
 from carpark_mj.identification.simulation import Replay, Sought
 from carpark_mj.vehicle import COMPACT, preset
-from vehicle_suite.logs import Drive, SingleTrack, drive_single_track, record
+from vehicle_suite.logs import Drive, record
 
 TRUE = Sought(0.12, 0.2, 16.0, 0.015, 9.0, 1.7, 3.4, 0.015, 0.1, 0.4, 0.07)
 SECONDS, SIM_DT = 21.0, 0.01
@@ -73,10 +74,10 @@ def test_all_parameters_come_back_with_intervals_that_cover_them(logs):
     assert found.residuals["yaw"] == pytest.approx(0.003, rel=0.1)
 
 
-@pytest.mark.parametrize(("stops", "car"), [(True, {}), (False, ALONG)], ids=str)
-def test_intervals_cover_a_car_of_other_equations(stops, car):
-    true = SingleTrack(**car)
-    log = drive_single_track(true, 1, stops, seconds=30.0)
+@pytest.mark.parametrize(("kind", "car"), [("stops", {}), ("rolling", ALONG)])
+def test_intervals_cover_a_car_of_other_equations(kind, car):
+    true = Sought(0.08, 0.18, 15.4, 0.01, 10.0, 1.7, 3.5, 0.015, 0.12, 0.4, 0.0)
+    log = record(Drive(true, dataclasses.replace(COMPACT, **car), kind, 1, 30.0))
     estimates = identify(log, COMPACT, 0.0, SIM_DT).estimates
     told = {name: e for name, e in estimates.items() if e.identifiable}
     assert {"pedal_delay", "steering_ratio", "rolling_resistance"} <= {*told}

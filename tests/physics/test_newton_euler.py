@@ -179,22 +179,6 @@ def test_momentum_changes_by_the_forces_alone():
         assert torque == pytest.approx(rotation @ moment, abs=0.1)
 
 
-def test_cars_of_a_batch_are_stepped_one_by_one():
-    rng = np.random.default_rng(6)
-    cars = [make_vehicle(params) for params in PRESETS.values()]
-    states = [harsh_state(rng) for _ in cars]
-    forces = [harsh_forces(rng) for _ in cars]
-    targets = np.stack([targets_near(qpos, rng) for qpos, _ in states])
-    both = (jax.tree.map(lambda *x: jnp.stack(x), *each) for each in (cars, forces))
-    stack, force = both
-    qpos, qvel = (np.stack(x) for x in zip(*states, strict=True))
-    together = unrolled(stack, qpos, qvel, force, targets.T)
-    for i, (car, state, force) in enumerate(zip(cars, states, forces, strict=True)):
-        alone = unrolled(car, *state, force, targets[i])
-        for found, expected in zip(together, alone, strict=True):
-            assert found[i] == pytest.approx(np.asarray(expected), abs=1e-12)
-
-
 def test_a_heavier_corner_slows_its_steering_down():
     """By hand: with the body held still by its inertia, torque over inertia."""
     vehicle = make_vehicle(COMPACT)

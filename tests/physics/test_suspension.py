@@ -1,4 +1,4 @@
-"""Contact wheels on springs: as high as without, and moving as formulas say."""
+"""Contact wheels: their losses, and springs that leave a car as high as it was."""
 
 import dataclasses
 import math
@@ -13,6 +13,7 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.physics.coordinates import CarIndex
 from carpark_mj.physics.mjx_step import (
     WheelIndex,
+    axle_friction,
     contact_car_model,
     mjx,  # pyright: ignore[reportAttributeAccessIssue]
     with_wheels,
@@ -21,8 +22,7 @@ from carpark_mj.scene.build import drivable_scene
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS
 from vehicle_suite import chassis, formulas
-from vehicle_suite.report import Study
-from vehicle_suite.testbeds import ContactTestbed, contact_model
+from vehicle_suite.testbeds import contact_model
 
 DT = 0.002
 SPRUNG = SimConfig(sim_dt=0.004, tyres="contact", suspension=True)
@@ -67,38 +67,18 @@ def test_a_balanced_car_bounces_at_its_natural_frequency():
     tyre = dataclasses.replace(COMPACT.tyre, vertical_damping=1.0)
     middle = COMPACT.wheelbase / 2 - knuckles
     car = dataclasses.replace(COMPACT, cg_to_front_axle=middle, tyre=tyre)
-    model = contact_model(car, DT, True)
-    data = mujoco.MjData(model)
-    data.qvel[2] = 0.1
-    for wheel in WHEELS:
-        data.joint(f"travel_{wheel}").qvel = -0.1
-    height = []
-    for _ in range(round(3.0 / DT)):
-        mujoco.mj_step(model, data)
-        height.append(data.qpos[2])
-    ups = np.flatnonzero(np.diff(np.sign(height)) > 0) * DT
     sprung = car.mass - 4 * car.wheel_mass - 2 * car.knuckle_mass
     expected = math.sqrt(4 * tyre.vertical_stiffness / sprung) / (2 * math.pi)
     assert 1.3 < expected < 1.6  # Hz, a passenger car's
-    assert 1 / np.diff(ups).mean() == pytest.approx(expected, rel=0.01)
-    assert np.ptp(data.qpos[4:6]) < 1e-3  # it does not pitch
+    assert formulas.bounce(car)[0] == pytest.approx(expected, rel=1e-3)
+    assert chassis.bounce_frequency(car, DT) == pytest.approx(expected, rel=0.01)
 
 
-def test_it_pitches_rolls_turns_and_stops_by_the_formulas():
-    study = Study(ContactTestbed(), "compact", COMPACT, quick=True)
-    chassis.suspension(study)
-    missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
-    assert missed == []
-    by_name = {row.row: row for row in study.rows}
-    # By hand for 0.3 g and 0.2 g, where the driver's speed is within a few per cent.
-    moment = 1380 * 0.54 + 4 * COMPACT.wheel_inertia / 0.316
-    lean = 1380 * 9.81 * (0.54 - 0.316)
-    pitch = math.degrees(moment * 0.3 * 9.81 / (28_000 * 2.637**2 - lean))
-    roll = math.degrees(moment * 0.2 * 9.81 / (28_000 * 1.54**2 - lean))
-    found = by_name["suspension: pitch braking at 0.3 g"].measured
-    assert found == pytest.approx(pitch, rel=0.03)
-    found = by_name["suspension: roll cornering at 0.2 g"].measured
-    assert found == pytest.approx(roll, rel=0.03)
+def test_friction_of_the_axles_is_rolling_resistance_and_brake():
+    van = PRESETS["van"]
+    loss = axle_friction(make_vehicle(van), jnp.array([10.0, 10.0, 0.0, 0.0]))
+    rolling = formulas.rolling_resistance(van) * van.wheel_radius
+    assert float(loss.sum()) == pytest.approx(rolling + 20.0, rel=1e-5)
 
 
 def test_in_mjx_the_springs_are_each_cars_own():

@@ -11,6 +11,7 @@ from carpark_mj.physics.mjx_step import ContactPhysics, MjxStep
 from carpark_mj.physics.unrolled import UnrolledStep
 from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.vehicle import PRESETS, make_vehicle
+from vehicle_suite.shipped import drive
 
 VARIED = RandomizationConfig(
     mass=(0.75, 1.25),
@@ -23,33 +24,23 @@ VARIED = RandomizationConfig(
 )
 
 
-def drive(stepper: str, x64: bool, **ground) -> np.ndarray:
+def driven(stepper: str, x64: bool, **ground) -> np.ndarray:
     """Five seconds of random driving of all presets, as they are and randomized.
 
     Returns:
         (25, 12, 25) `qpos` and `qvel` after every control step.
     """
     with jax.enable_x64(x64):
-        dtype = jnp.result_type(float)
         cars = [make_vehicle(params) for params in PRESETS.values()]
         fleet = jax.tree.map(lambda *x: jnp.stack(x), *cars)
         varied = randomize_all(VARIED, fleet, jax.random.key(0))
         fleet = jax.tree.map(lambda *x: jnp.concatenate(x), fleet, varied)
-        count = 2 * len(cars)
-        physics = MjxPhysics(SimConfig(stepper=stepper, **ground))
-        rng = np.random.default_rng(0)
-        state = physics.init(jnp.array(rng.normal(size=(count, 3)), dtype), fleet)
-        controls = jnp.array(rng.uniform(-1, 1, (25, count, 2)), dtype)
-
-        @jax.jit
-        def run(state, controls):
-            def step(state, control):
-                state = physics.step(state, control)
-                return state, jnp.concatenate([state.qpos, state.qvel], -1)
-
-            return jax.lax.scan(step, state, controls)[1]
-
-        return np.asarray(run(state, controls))
+        rng, count = np.random.default_rng(0), 2 * len(cars)
+        poses = rng.normal(size=(count, 3))
+        controls = rng.uniform(-1, 1, (25, count, 2))
+        sim = SimConfig(stepper=stepper, **ground)
+        _, qpos, qvel = drive(sim, fleet, controls, pose=poses)
+        return np.concatenate([qpos, qvel], -1)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +58,7 @@ def drive(stepper: str, x64: bool, **ground) -> np.ndarray:
     ],
 )
 def test_five_seconds_of_driving_agree_with_mjx(x64, tolerance, ground):
-    ours, expected = (drive(name, x64, **ground) for name in ("unrolled", "mjx"))
+    ours, expected = (driven(name, x64, **ground) for name in ("unrolled", "mjx"))
     assert np.abs(expected[-1, :, :2] - expected[0, :, :2]).max() > 0.5  # they moved
     assert np.abs(ours - expected).max() < tolerance
 

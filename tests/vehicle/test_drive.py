@@ -30,6 +30,7 @@ from carpark_mj.vehicle.drive import (
     roll_freely,
     steer_towards,
 )
+from vehicle_suite.formulas import front_wheel_angles
 
 ANGLES = np.radians([-34.2, -20.0, -5.0, 5.0, 20.0, 34.2])
 FORCE_TO_TORQUE = COMPACT.mass * COMPACT.wheel_radius
@@ -60,10 +61,9 @@ def grid(pedals: np.ndarray, speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray
 @pytest.mark.parametrize("fraction", [0.0, 0.6, 1.0])
 def test_front_wheels_share_track_over_wheelbase_in_cotangents(fraction: float):
     """The inner wheel turns more; without Ackermann both are parallel."""
-    vehicle = make_vehicle(dataclasses.replace(COMPACT, ackermann=fraction))
-    wheels = np.asarray(ackermann(vehicle, jnp.array(ANGLES)))
-    half = fraction * COMPACT.track_width / (2 * COMPACT.wheelbase)
-    expected = np.arctan(1 / (1 / np.tan(ANGLES) - half * np.array([[1.0], [-1.0]])))
+    params = dataclasses.replace(COMPACT, ackermann=fraction)
+    wheels = np.asarray(ackermann(make_vehicle(params), jnp.array(ANGLES)))
+    expected = np.transpose([front_wheel_angles(params, angle) for angle in ANGLES])
     np.testing.assert_allclose(wheels, expected, rtol=1e-6)  # float32
     np.testing.assert_array_equal(wheels[::-1, ::-1], -wheels)
 

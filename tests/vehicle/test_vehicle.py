@@ -22,6 +22,7 @@ from carpark_mj.vehicle.parameters import (
 )
 from carpark_mj.vehicle.presets import COMPACT
 from carpark_mj.vehicle.vehicle import wheels_of
+from vehicle_suite.formulas import axle_loads
 
 LIGHT = dataclasses.replace(
     COMPACT,
@@ -70,12 +71,8 @@ def test_chassis_and_wheels_recombine_to_the_whole_car(params: VehicleParameters
 @pytest.mark.parametrize("params", CARS)
 def test_static_axle_loads_follow_from_the_lever_arms(params: VehicleParameters):
     load = np.asarray(make_vehicle(params).tyres.static_load)
-    weight, base = params.mass * GRAVITY, params.wheelbase
     # float32 rounding, measured below 1e-7.
-    front = weight * params.cg_to_rear_axle / base
-    assert load[:2].sum() == pytest.approx(front, rel=1e-6)
-    rear = weight * params.cg_to_front_axle / base
-    assert load[2:].sum() == pytest.approx(rear, rel=1e-6)
+    assert load == pytest.approx(np.repeat(axle_loads(params), 2) / 2, rel=1e-6)
     assert load[0] == load[1]
     assert load[2] == load[3]
 

@@ -1,14 +1,15 @@
-"""Cars in C MuJoCo with the driver and the tyres of `carpark_mj`: the oracle of MJX."""
+"""The shipped driver and tyres, in MJX as in training and in C MuJoCo, its oracle."""
 
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.coordinates import (
@@ -20,11 +21,87 @@ from carpark_mj.physics.coordinates import (
     unpack_coordinates,
 )
 from carpark_mj.physics.forces import gravity_vector, substep_forces
-from carpark_mj.physics.mjx_step import axle_friction, contact_car_model
+from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.physics.mjx_step import ContactPhysics, axle_friction, contact_car_model
+from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 from carpark_mj.vehicle.drive import actuate, init_actuators, roll_freely
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import VehicleParameters
+
+
+class Driver(NamedTuple):
+    """What a driver adds to the pedal: speed control, and letting go.
+
+    Attributes:
+        target: speed to be controlled [m/s].
+        gain: pedal per m/s below it; 0 is no control.
+        release: speed below which the pedal is let go for good [m/s]; 0 is never.
+        after: control step before which it is not.
+        period: of the driver [control steps].
+    """
+
+    target: float = 0.0
+    gain: float = 0.0
+    release: float = 0.0
+    after: int = 0
+    period: int = 1
+
+
+class Recording(NamedTuple):
+    """What cars (...) did: after each of T control steps."""
+
+    motion: Motion  # (T, ...)
+    qpos: jax.Array  # (T, ..., 13)
+    qvel: jax.Array  # (T, ..., 12)
+
+
+@functools.cache
+def _program(sim: SimConfig, dtype: Any):
+    """The physics, and a compiled drive in the precision that is switched on."""
+    del dtype  # a key of the cache
+    physics = (ContactPhysics if sim.tyres == "contact" else MjxPhysics)(sim)
+
+    @jax.jit
+    def run(state: CarState, controls: jax.Array, driver: Driver) -> Recording:
+        def step(carry: tuple[CarState, jax.Array, jax.Array], now: tuple):
+            state, pedal, released = carry
+            instant, command = now
+            speed = physics.read(state).speed
+            asked = command[..., 1] + driver.gain * (driver.target - speed)
+            slow = (jnp.abs(speed) < driver.release) & (instant >= driver.after)
+            lets_go = released | slow
+            asked = jnp.where(lets_go, 0.0, jnp.clip(asked, -1.0, 1.0))
+            acts = instant % driver.period == 0
+            pedal = jnp.where(acts, asked, pedal)
+            released = jnp.where(acts, lets_go, released)
+            state = physics.step(state, jnp.stack([command[..., 0], pedal], -1))
+            seen = Recording(physics.read(state), state.qpos, state.qvel)
+            return (state, pedal, released), seen
+
+        pedal = jnp.zeros_like(controls[0, ..., 1])
+        start = state, pedal, jnp.zeros(pedal.shape, bool)
+        return jax.lax.scan(step, start, (jnp.arange(len(controls)), controls))[1]
+
+    return physics, run
+
+
+def drive(
+    sim: SimConfig,
+    cars: Vehicle,
+    controls: np.ndarray,
+    speed: ArrayLike = 0.0,
+    pose: ArrayLike = (0.0, 0.0, 0.0),
+    driver: Driver = Driver(),  # noqa: B008
+) -> Recording:
+    """Drives cars (...) by control steps (T, ..., 2) from poses (..., 3) and speeds."""
+    dtype = jnp.result_type(float)
+    physics, run = _program(sim, dtype)
+    pose = np.broadcast_to(pose, (*controls.shape[1:-1], 3))
+    state = physics.init(jnp.array(pose, dtype), cars)
+    if np.any(speed):
+        state = physics.set_speed(state, jnp.array(speed, dtype))
+    return jax.device_get(run(state, jnp.array(controls, dtype), driver))
 
 
 class CCar:
@@ -79,18 +156,18 @@ class CCar:
         for control in controls:
             for _ in range(self._sim.num_substeps):
                 self.step(control)
-            poses.append(self.pose)
+            x, y, yaw, *_ = self.motion
+            ahead = self._offset * np.array([math.cos(yaw), math.sin(yaw), 0.0])
+            poses.append(np.array([x, y, yaw]) + ahead)
         return np.array(poses)
 
     @property
-    def pose(self) -> np.ndarray:
-        """Pose (3,) of the footprint's centre [m, m, rad]."""
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, self.data.qpos[3:7])
-        yaw = math.atan2(rotation[3], rotation[0])
-        x, y = self.data.qpos[:2]
-        x, y = x + self._offset * math.cos(yaw), y + self._offset * math.sin(yaw)
-        return np.array([x, y, yaw])
+    def motion(self) -> tuple[float, ...]:
+        """x, y [m], yaw [rad], speed [m/s] and yaw rate [rad/s] of the rear axle."""
+        x, y, _, w, i, j, k, *_ = self.data.qpos.tolist()
+        v_x, v_y, _, _, _, rate, *_ = self.data.qvel.tolist()
+        yaw = math.atan2(2 * (i * j + w * k), 1 - 2 * (j * j + k * k))
+        return x, y, yaw, v_x * math.cos(yaw) + v_y * math.sin(yaw), rate
 
 
 def car_in_c(params: VehicleParameters, sim: SimConfig) -> mujoco.MjModel:
@@ -118,15 +195,13 @@ def _forces(sim: SimConfig, dtype: Any):
     @jax.jit
     def forces(vehicle: Vehicle, car: CarDynamics, controls: jax.Array):
         if sim.tyres == "brush":
-            qfrc, targets, tyres, actuators = substep_forces(
-                index, vehicle, car, controls, dt
-            )
-            return qfrc, targets, None, tyres, actuators
-        at, (steer, pedal) = unpack_coordinates(index, car.qpos, car.qvel), controls
+            acting = substep_forces(index, vehicle, car, controls, dt)
+            return *acting[:2], None, *acting[2:]
+        at, pedals = unpack_coordinates(index, car.qpos, car.qvel), tuple(controls)
         ahead = dot(column(at.rotation, 0), at.velocity)
         rolled = vehicle.wheel_radius * (jnp.stack(at.spin) @ vehicle.drive_share)
         actuators, angles, brake = actuate(
-            vehicle, car.actuators, (steer, pedal), ahead, rolled, dt
+            vehicle, car.actuators, pedals, ahead, rolled, dt
         )
         torque = actuators.drive * vehicle.drive_share
         qfrc = jnp.zeros_like(car.qvel).at[index.spin_dof].set(torque)
