@@ -6,17 +6,19 @@ from helpers.sliding import SlidePhysics
 
 from carpark_mj.config import EnvConfig, EpisodeConfig, MetricsConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.evaluation.evaluator import Evaluation, evaluate
+from carpark_mj.evaluation.evaluator import evaluate
 
 
-def onwards(observation, key):
-    """Drives ahead, swerving at random."""
-    action = jax.random.uniform(key, (*observation.shape[:-1], 2), minval=-1.0)
-    return action.at[..., 1].set(0.8), {}
+def evaluate_onwards(metrics):
+    """Ninety episodes of up to 20 steps, three agents in each of three lots.
 
+    They drive ahead, swerving at random.
+    """
 
-def evaluate_onwards(metrics: MetricsConfig) -> Evaluation:
-    """Ninety episodes of up to 20 steps, three agents in each of three lots."""
+    def onwards(observation, key):
+        action = jax.random.uniform(key, (*observation.shape[:-1], 2), minval=-1.0)
+        return action.at[..., 1].set(0.8), {}
+
     config = EnvConfig(
         num_agents=3,
         num_parked_cars=10,
@@ -28,12 +30,12 @@ def evaluate_onwards(metrics: MetricsConfig) -> Evaluation:
 
 
 @pytest.fixture(scope="session")
-def everything() -> Evaluation:
+def everything():
     """All that can be measured where goals are fixed."""
     return evaluate_onwards(MetricsConfig(driving=True, safety=True))
 
 
 @pytest.fixture(scope="session")
-def plain() -> Evaluation:
+def plain():
     """The same without measurements that cost time."""
     return evaluate_onwards(MetricsConfig())

@@ -1,10 +1,14 @@
 """Episodes add up exactly, under the names and in the units of the catalogue."""
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.pages import cells, section
 
+from carpark_mj.evaluation import catalogue
 from carpark_mj.evaluation.aggregation import (
     HITS,
     complete_row,
@@ -14,7 +18,10 @@ from carpark_mj.evaluation.aggregation import (
     summarize,
     wilson_interval,
 )
-from carpark_mj.evaluation.catalogue import metrics
+from carpark_mj.evaluation.catalogue import GOALS, POOLS, metrics
+from carpark_mj.geometry.obstacles import ObstacleKind
+from carpark_mj.mdp.metrics import CONTEXTS, COUNTS, METRICS
+from carpark_mj.obstacles import hit_kinds
 from carpark_mj.types import ENDINGS
 
 BY_NAME = {metric.name: metric for metric in metrics()}
@@ -119,12 +126,6 @@ def test_a_summary_is_what_a_hand_count_gives():
     assert summary["final_heading"] == pytest.approx(0.2)
 
 
-def test_a_summary_has_each_metric_of_the_catalogue_once():
-    rows = random_episodes(3)
-    names = [metric.name for metric in metrics() if metric.name in rows[0]]
-    assert list(summarize(rows)) == ["episodes", *names, "mean_returns"]
-
-
 def test_no_episodes_have_rates_that_could_be_anything():
     summary = summarize([])
     assert summary["episodes"] == 0
@@ -189,19 +190,6 @@ def test_two_lots_of_three_episodes_by_hand():
     assert effective_episodes("parked", families) == pytest.approx(6 / 2.5)
 
 
-def test_differences_of_families_leave_no_doubt_of_a_rate():
-    rows = in_lots([[1, 1, 1, 1, 0]] * 10 + [[1, 0, 0, 0, 0]] * 10)
-    apart = [row | {"family": "ab"[row["lot"] >= 10]} for row in rows]
-    assert effective_episodes("parked", apart) == 100
-    assert effective_episodes("parked", rows) < 60
-    narrow, wide = (pool(BY_NAME["parked"], some) for some in (apart, rows))
-    assert narrow["rate"] == wide["rate"] == 0.5
-    pairs = [[1, 1], [0, 0]] * 10  # as two agents that crash together
-    wide = pool(BY_NAME["parked"], in_lots(pairs))
-    low, high = wilson_interval(10, 20)  # of 20 pairs, not 40 episodes
-    assert (wide["low"], wide["high"]) == pytest.approx((low, high), abs=0.01)
-
-
 @pytest.mark.parametrize("outcomes", [[[1, 1]] * 3, [[0, 0]] * 3, [[1, 0, 1, 0]]])
 def test_episodes_count_in_full_where_lots_do_not_differ(outcomes):
     rows = in_lots(outcomes)
@@ -249,3 +237,85 @@ def test_without_a_contact_there_is_an_upper_bound():
     assert found["1..2"]["high"] == pytest.approx(1e-4, rel=0.05)
     assert contacts([]) is None
     assert contacts([{"path": 1.0}]) is None
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
+
+
+def test_every_context_of_giving_way_has_a_conformity_of_its_own():
+    conformities = [m for m in GOALS if m.name.startswith("conformity_")]
+    assert [m.name.removeprefix("conformity_") for m in conformities] == [*CONTEXTS]
+    for metric, name in zip(conformities, CONTEXTS, strict=True):
+        assert metric.ratio == (f"gave_way_{name}", f"met_{name}")
+    assert len({metric.meaning for metric in conformities}) == len(CONTEXTS)
+    # And every count of goals is a metric or a part of one.
+    used = {metric.name for metric in GOALS}
+    used |= {name for metric in GOALS for name in metric.ratio or ()}
+    assert set(COUNTS) <= used
+
+
+def test_the_page_of_metrics_has_the_aggregations():
+    expected = "\n".join(f"- *{name}*: {text}" for name, text in POOLS.items())
+    assert section(PAGE.read_text(), "pools") == expected, f"paste this:\n{expected}"
+
+
+@pytest.mark.parametrize("part", ["outcome", "driving", "safety", "goals"])
+def test_the_page_of_metrics_has_those_of_the_catalogue(part):
+    page = PAGE.read_text()
+    stands_for = {"KIND": [row[0] for row in cells(page, "kinds")], "CONTEXT": CONTEXTS}
+    expected = {m.name: m for m in getattr(catalogue, part.upper())}
+    found = []
+    for name, unit, meaning, how in cells(page, part):
+        word = name.rpartition("_")[2]
+        names = [name.replace(word, x) for x in stands_for.get(word, [word])]
+        found += [(one, unit, how) for one in names]
+        if names == [name]:
+            assert meaning == expected[name].meaning.strip("`"), name
+    assert sorted(found) == sorted((m.name, m.unit, m.pool) for m in expected.values())
+
+
+def test_every_number_of_an_episode_is_in_the_catalogue(everything):
+    assert len(BY_NAME) == len([*metrics()])
+    known = set(BY_NAME) | {"lot", "agent", "episode", "agents_present", "family"}
+    known |= {"vehicle"}
+    known |= {name for metric in metrics() for name in metric.ratio or ()}
+    # No lanes and nobody else in this lot, and the goals are fixed.
+    others = {kind.label for kind in ObstacleKind} - {k.label for k in hit_kinds(())}
+    absent = {"wrong_way", "wrong_way_share"} | {metric.name for metric in GOALS}
+    absent |= {n for n in BY_NAME if n.endswith(tuple(f"_{kind}" for kind in others))}
+    absent |= {n for n in METRICS if METRICS[n].kind is not None}
+    absent |= {name for metric in GOALS for name in metric.ratio or ()} - {"length"}
+    for row in everything.episodes:
+        assert known - set(row) == absent
+        returns = {name for name in row if name.startswith("return_")}
+        assert set(row) - returns <= known
+    others = {"episodes", "mean_returns"}
+    assert everything.summary.keys() - others == set(BY_NAME) - absent
+    assert {metric.pool for metric in metrics()} == set(POOLS)
+
+
+def test_a_clearance_is_zero_to_what_was_hit_only(everything):
+    rows = everything.episodes
+    for kind in (kind.label for kind in hit_kinds(())):
+        zero = [row[f"min_clearance_{kind}"] == 0.0 for row in rows]
+        assert zero == [row[f"hit_{kind}"] == 1.0 for row in rows]
+        assert any(zero)
+    assert sum(row["crashed"] for row in rows) < len(rows)
+
+
+def test_tallies_start_anew_with_every_episode(everything):
+    rows = everything.episodes
+    assert len({row["episode"] for row in rows}) == 10
+    for row in rows:
+        assert row["goal_steps"] == row["nearest_car_steps"] == row["length"]
+        # Always 0.8 of 2.5 m/s, 0.5 m a step.
+        assert row["speed"] == pytest.approx(2.0)
+        assert row["path"] == pytest.approx(0.4 * row["length"], rel=1e-4)
+
+
+def test_measuring_leaves_the_episodes_as_they_are(everything, plain):
+    for row, more in zip(plain.episodes, everything.episodes, strict=True):
+        kept = {name: more[name] for name in row}
+        assert json.dumps(kept) == json.dumps(row)  # NaN like NaN
+    assert plain.summary["length"] == everything.summary["length"]
+    assert "speed" not in plain.summary

@@ -73,42 +73,32 @@ def test_every_crash_stands_in_a_row_of_what_was_hit(capsys):
     assert "1 more hits" in capsys.readouterr().out
 
 
-def test_a_mixture_s_table_has_a_row_per_family_and_one_for_all(everything, tmp_path):
-    members = ["square_compact", "street"]
-    rows = [r | {"family": members[r["lot"] == 2]} for r in everything.episodes]
-    parts = {n: summarize([r for r in rows if r["family"] == n]) for n in members}
-    mixed = dataclasses.replace(everything, episodes=rows, families=parts)
-    files = write_evaluation(tmp_path, mixed, {})
-    assert files[2].name == "families.csv"
-    with files[2].open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["family"] for row in rows] == ["square_compact", "street", "all"]
-    assert [int(row["episodes"]) for row in rows] == [60, 30, 90]
+@pytest.mark.parametrize(
+    ("part", "stem", "column", "names"),
+    [
+        ("families", "families", "family", ("square_compact", "street")),
+        ("agent_counts", "agents_present", "agents_present", (1, 2)),
+        ("vehicles", "vehicles", "vehicle", ("city", "van")),
+    ],
+)
+def test_parts_have_tables_with_a_row_each_and_one_for_all(
+    part, stem, column, names, everything, tmp_path, capsys
+):
+    thirds = (everything.episodes[:60], everything.episodes[60:])
+    parts = dict(zip(names, map(summarize, thirds), strict=True))
+    result = dataclasses.replace(everything, **{part: parts})
+    *_, table = write_evaluation(tmp_path, result, {})
+    assert table.stem == stem
+    with table.open() as opened:
+        rows = list(csv.DictReader(opened))
+    found = [(row[column], row["episodes"]) for row in rows]
+    assert found == [(str(names[0]), "60"), (str(names[1]), "30"), ("all", "90")]
     for row in rows:
         rates = [float(row[f"{outcome}_rate"]) for outcome in ENDINGS]
         assert sum(rates) == pytest.approx(1.0)
         assert float(row["parked_low"]) <= rates[0] <= float(row["parked_high"])
-    stored = json.loads(files[1].read_text())
-    assert stored["families"]["street"]["episodes"] == 30
-
-
-@pytest.mark.parametrize(
-    ("part", "column", "names"),
-    [
-        ("agent_counts", "agents_present", (1, 2)),
-        ("vehicles", "vehicle", ("city", "van")),
-    ],
-)
-def test_numbers_of_agents_and_vehicles_have_tables_of_their_own(
-    part, column, names, everything, tmp_path, capsys
-):
-    parts = {n: everything.summary | {"episodes": 10 + k} for k, n in enumerate(names)}
-    result = dataclasses.replace(everything, **{part: parts})
-    *_, table = write_evaluation(tmp_path, result, {})
-    assert table.stem.startswith(column)
-    with table.open() as opened:
-        rows = [(row[column], row["episodes"]) for row in csv.DictReader(opened)]
-    assert rows == [(str(names[0]), "10"), (str(names[1]), "11"), ("all", "90")]
+    stored = json.loads((tmp_path / "evaluation.json").read_text())
+    assert stored[stem][str(names[1])]["episodes"] == 30
     print_report(result, "a title")
     assert f"by {column.replace('_', ' ')}" in capsys.readouterr().out
 
@@ -121,18 +111,6 @@ def test_the_file_names_the_policy_however_it_was_given(flag, everything, tmp_pa
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["settings"]["policy"] == "runs/a"
     assert stored["settings"]["seed"] == 0
-
-
-@pytest.mark.parametrize("more", [0, 1])
-def test_episodes_beyond_those_asked_for_are_announced(
-    more, everything, tmp_path, capsys
-):
-    made = len(everything.episodes)
-    config, env = EvaluateConfig("runs/a", episodes=made - more), ParkingEnv(BICYCLES)
-    task = Task("runs/a", zero_policy(env.action_spec), env, tmp_path)
-    report(config, task, everything)
-    said = f"({made - more:,} asked for" in capsys.readouterr().out
-    assert said == bool(more)
 
 
 def test_an_evaluation_is_written_before_it_is_printed(

@@ -1,22 +1,13 @@
 """Cars on four locked Coulomb wheels in the plane, apart from MuJoCo and JAX."""
 
-from collections.abc import Callable
-
 import numpy as np
 
-from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from carpark_mj.vehicle.parameters import GRAVITY
 
 STICK = 1e-3  # m/s, below which friction falls off, so that a car comes to rest
 
 
-def slide(
-    params: VehicleParameters,
-    pose: np.ndarray,
-    rates: np.ndarray,
-    seconds: float,
-    push: Callable[[float], tuple[float, float]] = lambda t: (0.0, 0.0),
-    dt: float = 2e-4,
-) -> np.ndarray:
+def slide(params, pose, rates, seconds, push=lambda t: (0.0, 0.0), dt=2e-4):
     """Poses (n, 3) of rear axles after n slides.
 
     Args:

@@ -2,12 +2,10 @@
 
 import functools
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 
-from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.policy.loading import LoadedPolicy
@@ -23,7 +21,7 @@ from carpark_mj.policy.onnx_export import random_observations
 
 
 @functools.cache
-def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPolicy:
+def untrained(env, encoder="set", seed=1):
     """A policy with random weights, whose statistics are those of random numbers."""
     config = NetworkConfig((16,), (16,), encoder)
     fields = make_fields(env)
@@ -31,7 +29,7 @@ def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPoli
     inputs = network_inputs(config, fields)
 
     @jax.jit
-    def draw(key: jax.Array) -> Any:
+    def draw(key):
         keys = jax.random.split(key)
         seen = 0.3 + 0.5 * jax.random.normal(keys[0], (100, observation_size(env)))
         normalizer = update_normalizer(inputs, init_normalizer(inputs), seen)
@@ -41,6 +39,6 @@ def untrained(env: EnvConfig, encoder: str = "set", seed: int = 1) -> LoadedPoli
     return LoadedPolicy(env, policy, 0, Path("none"))
 
 
-def observations(env: EnvConfig, count: int = 10_000) -> np.ndarray:
+def observations(env, count=10_000):
     typical = np.random.default_rng(0).normal(0.3, 0.5, (count, observation_size(env)))
     return random_observations(env, typical, seed=1)

@@ -1,15 +1,11 @@
 """Instants for pictures, and colours in these."""
 
-from typing import Any
-
 import numpy as np
 
 from carpark_mj.rendering.stage import Snapshot
 
 
-def instant(
-    pose: Any, parked: Any = (), layout: Any = None, goal: Any = (), **more: Any
-) -> Snapshot:
+def instant(pose, parked=(), layout=None, goal=(), **more):
     """Agents and parked cars at poses (n, 3), with goals in a layout or without."""
     pose = np.asarray(pose, float).reshape(-1, 3)
     goal_pose = np.full_like(pose, np.nan)
@@ -28,7 +24,7 @@ def instant(
     )
 
 
-def hue_distance(pixel: Any, colour: Any) -> np.ndarray:
+def hue_distance(pixel, colour):
     """Angles [deg] between colours (..., 3) and one, however bright each is."""
     a, b = np.asarray(pixel, float), np.asarray(colour[:3], float)
     cos = a @ b / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b) + 1e-9)

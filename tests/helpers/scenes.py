@@ -1,39 +1,38 @@
 """Scenes, stand-ins and shared compiled environments for the tests of the task."""
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import shapely
-from helpers.states import array_module
+from helpers.states import array_module, parked_at
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import Layout, build, make_layout
+from carpark_mj.layouts import build, make_layout
 from carpark_mj.observations import make_fields
-from carpark_mj.types import Motion, State, TimeStep
+from carpark_mj.types import Motion
 
 CAR = (4.0, 2.0)  # m, a round footprint for hand-worked numbers
 
 
 def cars(
-    pose: Any,
-    speed: Any = 0.0,
-    steering: Any = 0.0,
-    yaw_rate: Any = 0.0,
-    sideways: Any = 0.0,
-    size: Any = CAR,
-    trace: Any = None,
-    finite: Any = True,
-) -> Motion:
+    pose,
+    speed=0.0,
+    steering=0.0,
+    yaw_rate=0.0,
+    sideways=0.0,
+    size=CAR,
+    trace=None,
+    finite=True,
+):
     """Cars (..., ) by hand; scalars hold for all of them, the trace stands still."""
     xp = array_module(pose, speed, steering, yaw_rate, sideways, size, trace, finite)
     pose = xp.asarray(pose, np.float32)
     lead = pose.shape[:-1]
 
-    def full(value: Any, *shape: int) -> Any:
+    def full(value, *shape):
         return xp.broadcast_to(xp.asarray(value, np.float32), (*lead, *shape))
 
     motion = Motion(
@@ -49,13 +48,13 @@ def cars(
 
 
 def lot(
-    bays: Any,
-    walls: Any = (),
-    bay_size: Any = (6.0, 3.0),
-    wall_size: Any = (1.0, 1.0),
-    spawn_size: Any = (10.0, 10.0),
-    discs: Any = (),
-) -> Layout:
+    bays,
+    walls=(),
+    bay_size=(6.0, 3.0),
+    wall_size=(1.0, 1.0),
+    spawn_size=(10.0, 10.0),
+    discs=(),
+):
     """A layout by hand with one spawn region at the origin; discs are x, y, radius."""
     rows = [np.asarray(x, np.float32).reshape(-1, 3) for x in (bays, walls, discs)]
     sizes = [np.asarray(x, np.float32) for x in (bay_size, wall_size, spawn_size)]
@@ -73,7 +72,15 @@ def _assembled(bays, walls, discs, bay_size, wall_size, spawn_size):
     )
 
 
-def moved(pose: Any, motion: tuple[float, float, float]) -> jax.Array:
+def crossing(trace_between):
+    """Agent 0 passes through agent 1 (standing) from one instant to the next."""
+    x = [-6.0, 0.0, 6.0, 6.0] if trace_between else [6.0, 6.0, 6.0, 6.0]
+    moving = [(value, 0.0, 0.0) for value in x]
+    standing = [(0.0, 0.0, np.pi / 2)] * 4
+    return cars([moving[-1], standing[-1]], trace=[moving, standing])
+
+
+def moved(pose, motion):
     """Poses (..., 3) after a rigid motion: turn about the origin, then shift."""
     pose = np.asarray(pose, np.float64)
     xy = (pose[..., 0] + 1j * pose[..., 1]) * np.exp(1j * motion[2])
@@ -81,13 +88,13 @@ def moved(pose: Any, motion: tuple[float, float, float]) -> jax.Array:
     return jnp.asarray(np.stack([x, y, pose[..., 2] + motion[2]], -1), jnp.float32)
 
 
-def moved_cars(vehicle: Motion, motion: Any) -> Motion:
+def moved_cars(vehicle, motion):
     return vehicle.replace(
         pose_w=moved(vehicle.pose_w, motion), trace_w=moved(vehicle.trace_w, motion)
     )
 
 
-def moved_lot(layout: Layout, motion: Any) -> Layout:
+def moved_lot(layout, motion):
     return layout.replace(
         bay_pose=moved(layout.bay_pose, motion),
         wall_pose=moved(layout.wall_pose, motion),
@@ -97,7 +104,7 @@ def moved_lot(layout: Layout, motion: Any) -> Layout:
     )
 
 
-def polygons(pose: Any, size: Any) -> np.ndarray:
+def polygons(pose, size):
     """Boxes as shapely polygons, worked out apart from `carpark_mj.geometry`."""
     pose, size = np.asarray(pose, np.float64), np.asarray(size, np.float64)
     centre = pose[..., 0] + 1j * pose[..., 1]
@@ -111,12 +118,46 @@ def polygons(pose: Any, size: Any) -> np.ndarray:
     return shapely.polygons(np.stack([ring.real, ring.imag], axis=-1))
 
 
+def random_lots(count, reach, seed=0, agents=4, parked=5, walls=3, discs=4):
+    """Layouts, cars and parked cars anywhere within `reach` [m] (count,) or ().
+
+    A third of what stands does not count.
+    """
+    rng = np.random.default_rng(seed)
+    reach = np.broadcast_to(reach, count)[:, None, None]
+
+    def poses(n):
+        place = rng.uniform(-1, 1, (count, n, 2)) * reach
+        yaw = rng.uniform(-np.pi, np.pi, (count, n, 1))
+        return np.float32(np.concatenate([place, yaw], axis=-1))
+
+    def sizes(n):
+        return np.float32(rng.uniform(0.5, 5.0, (count, n, 2)))
+
+    def some(n):
+        return rng.uniform(size=(count, n)) < 0.7
+
+    pose = poses(agents)[:, :, None]
+    way = rng.uniform(-0.7, 0.7, (count, agents, 1, 3))
+    trace = pose + way * np.linspace(-1, 0, 3)[:, None]
+    motion = cars(trace[..., -1, :], size=sizes(agents), trace=trace)
+    plan = lot(np.zeros((1, 3)), np.zeros((walls, 3)), discs=np.zeros((discs, 3)))
+    layout = jax.tree.map(lambda x: jnp.stack([x] * count), plan).replace(
+        wall_pose=poses(walls),
+        wall_size=sizes(walls),
+        wall_mask=some(walls),
+        disc_centre=poses(discs)[..., :2],
+        disc_radius=np.float32(rng.uniform(0.1, 1.5, (count, discs))),
+        disc_mask=some(discs),
+    )
+    stands = jax.vmap(parked_at)(poses(parked), sizes(parked), some(parked))
+    return layout, motion, stands
+
+
 NOISE = 1e-4  # m; float32 at 50 m resolves 4e-6 m, a sum of a few such errors
 
 
-def overlap_oracle(
-    pose_a: Any, size_a: Any, pose_b: Any, size_b: Any
-) -> tuple[np.ndarray, np.ndarray]:
+def overlap_oracle(pose_a, size_a, pose_b, size_b):
     """Shapely's answer, and where it holds with box a one `NOISE` larger or smaller."""
     b, size_a = polygons(pose_b, size_b), np.asarray(size_a, np.float64)
     shrunk = shapely.intersects(polygons(pose_a, size_a - 2 * NOISE), b)
@@ -124,7 +165,7 @@ def overlap_oracle(
     return grown, grown == shrunk
 
 
-def fields_of(observation: Any, config: EnvConfig) -> dict[str, np.ndarray]:
+def fields_of(observation, config):
     """An observation (..., size) cut into its named fields (..., k)."""
     observation = np.asarray(observation)
     named, start = {}, 0
@@ -135,7 +176,7 @@ def fields_of(observation: Any, config: EnvConfig) -> dict[str, np.ndarray]:
     return named
 
 
-def check_occupancy(goal: Any, parked_bay: Any, bay_mask: Any) -> None:
+def check_occupancy(goal, parked_bay, bay_mask):
     """Asserts the plan's invariants for histories (..., agents) and (..., cars)."""
     goal, parked_bay = np.asarray(goal), np.asarray(parked_bay)
     held = np.sort(np.concatenate([goal, parked_bay], axis=-1), axis=-1)
@@ -148,7 +189,7 @@ LOTS = 4
 
 
 @functools.cache
-def mjx_env() -> ParkingEnv:
+def mjx_env():
     """The environment whose compiled step the slow tests share."""
     return ParkingEnv(
         EnvConfig(num_agents=3, num_parked_cars=8, episode=EpisodeConfig(max_steps=60))
@@ -165,7 +206,7 @@ def mjx_step():
     return jax.jit(jax.vmap(mjx_env().step))
 
 
-def mixed_lots() -> Layout:
+def mixed_lots():
     """Two `square` and two `square_compact` lots as one batch."""
     layouts = [
         make_layout(n) for n in ("square", "square_compact", "square", "square_compact")
@@ -173,13 +214,13 @@ def mixed_lots() -> Layout:
     return jax.tree.map(lambda *rows: jnp.stack(rows), *layouts)
 
 
-def mjx_start(seed: int = 0) -> tuple[State, jax.Array]:
+def mjx_start(seed=0):
     """The shared environment's lots, freshly started."""
     return mjx_reset()(mixed_lots(), jax.random.split(jax.random.key(seed), LOTS))
 
 
 @functools.cache
-def mjx_rollout() -> tuple[State, jax.Array, list[State], list[TimeStep]]:
+def mjx_rollout():
     """Random driving: start, first observation, then states and time steps (numpy)."""
     state, observation = mjx_start()
     rng = np.random.default_rng(0)
@@ -196,6 +237,6 @@ def mjx_rollout() -> tuple[State, jax.Array, list[State], list[TimeStep]]:
     return mjx_start()[0], observation, states, timesteps
 
 
-def stacked(items: list[Any]) -> Any:
+def stacked(items):
     """A list of equal trees as one tree with a leading time axis."""
     return jax.tree.map(lambda *rows: np.stack(rows), *items)

@@ -8,7 +8,6 @@ import importlib.metadata
 import os
 import platform
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 os.environ["JAX_PLATFORMS"] = os.environ.get("TEST_PLATFORM", "cpu")
@@ -26,7 +25,7 @@ MAX_MAPS = 4000  # memory maps of a process between files, 2 GB [est]
 MAX_KEPT = 2e9  # bytes of compiled programs; a run leaves 0.1e9
 
 
-def kept_programs() -> Path:
+def kept_programs():
     """Folder of compiled programs, for all runs with this JAX on such a processor."""
     processor = platform.processor()
     with contextlib.suppress(OSError):
@@ -53,18 +52,18 @@ choose_gl()  # before anything imports MuJoCo
 import jax
 import pytest
 
-from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
+from carpark_mj.vehicle import COMPACT, make_vehicle
 
 LONG = {"integration", "training", "wrappers", "policy"}  # folders of long files
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Begins with the slow files: no process has one left when the others are done."""
     items.sort(key=lambda item: LONG.isdisjoint(item.path.parts))
 
 
 @pytest.fixture(scope="module", autouse=True)
-def released_programs() -> Iterator[None]:
+def released_programs():
     """Releases compiled programs between two files where there are many.
 
     Files share the small programs of single operations. Each program takes tens of
@@ -78,5 +77,5 @@ def released_programs() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def compact() -> Vehicle:
+def compact():
     return make_vehicle(COMPACT)

@@ -1,7 +1,6 @@
 """Sliding cars: a stand-in back end for hand-worked steps, and lots of them."""
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +11,7 @@ from carpark_mj.config import PHYSICS, EnvConfig, EpisodeConfig, RayConfig, Ring
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.physics.base import Physics
-from carpark_mj.types import Motion, State
+from carpark_mj.types import Motion
 from carpark_mj.vehicle import Vehicle
 
 MAX_STEPS = 10
@@ -24,12 +23,15 @@ HALT = np.zeros((3, 2), np.float32)
 
 
 @functools.cache
-def slide(respawn=True, rule="strict"):
+def sliding(config):
     """An environment on sliding cars with its compiled functions."""
-    episode = EpisodeConfig(parked_rule=rule, max_steps=MAX_STEPS, respawn=respawn)
-    config = EnvConfig(num_agents=3, num_parked_cars=5, episode=episode)
     env = ParkingEnv(config, SlidePhysics())
     return env, jax.jit(env.reset), jax.jit(env.step)
+
+
+def slide(respawn=True, rule="strict"):
+    episode = EpisodeConfig(parked_rule=rule, max_steps=MAX_STEPS, respawn=respawn)
+    return sliding(EnvConfig(num_agents=3, num_parked_cars=5, episode=episode))
 
 
 def start(respawn=True, pose=APART, seed=0):
@@ -65,7 +67,7 @@ class SlidePhysics(Physics[SlideState]):
 
     config = PHYSICS["mjx"]
 
-    def init(self, pose_w: jax.Array, vehicle: Vehicle) -> SlideState:
+    def init(self, pose_w, vehicle):
         zero = jnp.zeros(pose_w.shape[:-1], jnp.float32)
         return SlideState(
             pose_w=pose_w,
@@ -76,7 +78,7 @@ class SlidePhysics(Physics[SlideState]):
             vehicle=vehicle,
         )
 
-    def step(self, state: SlideState, controls: jax.Array) -> SlideState:
+    def step(self, state, controls):
         finite = jnp.isfinite(state.speed)
         controls = jnp.where(finite[..., None], controls, 0.0)
         yaw = state.pose_w[..., 2] + 0.2 * controls[..., 0]
@@ -94,7 +96,7 @@ class SlidePhysics(Physics[SlideState]):
             finite=finite,
         )
 
-    def read(self, state: SlideState) -> Motion:
+    def read(self, state):
         return Motion(
             pose_w=state.pose_w,
             velocity_b=jnp.stack([state.speed, jnp.zeros_like(state.speed)], axis=-1),
@@ -106,12 +108,12 @@ class SlidePhysics(Physics[SlideState]):
         )
 
 
-def placed(env: ParkingEnv, state: State, pose: Any) -> State:
+def placed(env, state, pose):
     """The state with its cars standing at the given poses (lots, agents, 3)."""
     return _placed(env, state, np.asarray(pose, np.float32))
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _placed(env: ParkingEnv, state: State, pose: jax.Array) -> State:
+def _placed(env, state, pose):
     physics = env.physics.init(pose, state.physics.vehicle)
     return state.replace(physics=physics, motion=env.physics.read(physics))

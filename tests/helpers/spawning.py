@@ -1,31 +1,26 @@
 """What a start pose keeps away from, by hand, and whom it would meet."""
 
 import dataclasses
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from helpers.states import parked_at
 
-from carpark_mj.config import SpawnConfig
-from carpark_mj.layouts import Layout
+from carpark_mj.config import EnvConfig
 from carpark_mj.obstacles import lot_obstacles
-from carpark_mj.spawning.placing import (
-    Placing,
-    SpawnInputs,
-    Surroundings,
-    start_placing,
-)
+from carpark_mj.spawning.goals import place_agent
+from carpark_mj.spawning.placing import SpawnInputs, Surroundings, start_placing
+from carpark_mj.vehicle import COMPACT, make_vehicle
 
 
-def many(draw: Any, count: int, seed: int = 0) -> Any:
+def many(draw, count, seed=0):
     """What a function draws with each of many keys, as NumPy arrays."""
     keys = jax.random.split(jax.random.key(seed), count)
     return jax.device_get(jax.jit(jax.vmap(draw))(keys))
 
 
-def placing_one(inputs: SpawnInputs, goal: Any, pose: Any = (0.0,) * 3) -> Placing:
+def placing_one(inputs, goal, pose=(0.0,) * 3):
     """The first of some agents about to be placed, () or (num_agents,) of goals."""
     goal = jnp.atleast_1d(jnp.asarray(goal, jnp.int32))
     pose = jnp.broadcast_to(jnp.asarray(pose, jnp.float32), (*goal.shape, 3))
@@ -33,13 +28,20 @@ def placing_one(inputs: SpawnInputs, goal: Any, pose: Any = (0.0,) * 3) -> Placi
     return start_placing(goal, inputs.parked_cars.bay, pose, waiting)
 
 
-def surroundings_of(
-    layout: Layout,
-    xy: Any = ((0.0, 0.0),),
-    others: Any = False,
-    size: Any = None,
-    outlines: Any = None,
-) -> Surroundings:
+def begun(layout, spawn, agents=((0.0,) * 3,), count=1500):
+    """Poses (count, 3) of agent 0, whose goal is bay 0, in a lot that begins."""
+    config, car = EnvConfig(spawn=spawn), make_vehicle(COMPACT)
+    cars = jax.tree.map(lambda x: jnp.stack([x] * len(agents)), car)
+    inputs = SpawnInputs(layout, parked_at(), cars=cars, first=True)
+    placing = placing_one(inputs, range(len(agents)), agents)
+
+    def one(key):
+        return place_agent(config, inputs, placing, jnp.array(0), key).pose_w[0]
+
+    return many(one, count, 3)
+
+
+def surroundings_of(layout, xy=((0.0, 0.0),), others=False, size=None, outlines=None):
     """Agents at xy (num_agents, 2), to keep away from where `others`; nobody parked.
 
     All head east; `outlines` (num_agents, 2) of their cars, the first of which starts.
@@ -55,7 +57,7 @@ def surroundings_of(
     )
 
 
-def walled(layout: Layout, centre: Any, size: Any) -> Layout:
+def walled(layout, centre, size):
     """The layout with a wall instead of its first one."""
     return dataclasses.replace(
         layout,
@@ -65,12 +67,10 @@ def walled(layout: Layout, centre: Any, size: Any) -> Layout:
     )
 
 
-def meetings(
-    start: np.ndarray, goal: np.ndarray, other: np.ndarray, other_goal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def meetings(start, goal, other, other_goal):
     """Ways (...) driven when two agents (..., 2) are nearest, and how near that is."""
 
-    def ahead(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def ahead(a, b):
         return (b - a) / np.linalg.norm(b - a, axis=-1, keepdims=True)
 
     gap = start - other
@@ -79,13 +79,7 @@ def meetings(
     return way, np.linalg.norm(gap + way[..., None] * speed, axis=-1)
 
 
-def meets(
-    config: SpawnConfig,
-    pose: np.ndarray,
-    xy: np.ndarray,
-    goal: np.ndarray,
-    tolerance: float = 2e-3,
-) -> np.ndarray:
+def meets(config, pose, xy, goal, tolerance=2e-3):
     """(n, agents - 1) bool: agent 0 at poses (n, 3) would meet them by the rule.
 
     Where the agents are, and their goals, is (agents, 2) or (n, agents, 2).

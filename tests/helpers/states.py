@@ -1,19 +1,17 @@
 """States of a lot by hand, without an environment."""
 
 import collections
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from carpark_mj.config import EnvConfig, GoalConfig, ObservationConfig
-from carpark_mj.layouts import Layout
-from carpark_mj.types import NO_BAY, EpisodeStats, Motion, ParkedCars, State
+from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.types import NO_BAY, EpisodeStats, ParkedCars, State
 
 
-def array_module(*values: Any) -> Any:
+def array_module(*values):
     """NumPy, in which a scene by hand compiles nothing, or JAX for traced values."""
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(values))
     return jnp if traced else np
@@ -42,7 +40,7 @@ class HandPhysics:
     vehicle: HandCar
 
 
-def hand_cars(motion: Motion, **parameters: Any) -> HandCar:
+def hand_cars(motion, **parameters):
     """Parameters of the cars of a motion; scalars hold for all of them."""
     values = CAR | parameters
     lead, xp = motion.yaw_rate.shape, array_module(values)
@@ -53,9 +51,7 @@ def hand_cars(motion: Motion, **parameters: Any) -> HandCar:
     return HandCar(size=motion.size, **full)
 
 
-def parked_at(
-    pose: Any = (), size: Any = (4.0, 2.0), present: Any = True
-) -> ParkedCars:
+def parked_at(pose=(), size=(4.0, 2.0), present=True):
     """Parked cars at poses (num_parked_cars, 3), in the first bays of the lot."""
     xp = array_module(pose, size, present)
     pose = xp.asarray(pose, np.float32).reshape(-1, 3)
@@ -68,7 +64,7 @@ def parked_at(
     return jax.tree.map(jnp.asarray, cars)
 
 
-def parked_in(layout: Layout, bay: Any, size: Any = (4.0, 2.0)) -> ParkedCars:
+def parked_in(layout, bay, size=(4.0, 2.0)):
     """Parked cars in the middle of bays (num_parked_cars,) of a lot."""
     xp = array_module(layout, bay)
     bay = xp.asarray(bay, np.int32)
@@ -77,14 +73,10 @@ def parked_in(layout: Layout, bay: Any, size: Any = (4.0, 2.0)) -> ParkedCars:
     return parked_at(pose, size).replace(bay=jnp.asarray(bay))
 
 
-def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State:
+def state_of(layout, motion, goal, **changes):
     """A state by hand: nobody parked, goals fixed, true sensors, at the first step.
 
-    Args:
-        layout: the lot.
-        motion: the agents (num_agents,).
-        goal: (num_agents,) bays, or one for all.
-        changes: other attributes of the state; `tracked_bays` may be a list.
+    `goal` is (num_agents,) bays, or one for all; `changes` are other attributes.
     """
     lead = motion.yaw_rate.shape
     if changes.get("tracked_bays") is not None:
@@ -117,9 +109,7 @@ def state_of(layout: Layout, motion: Motion, goal: Any, **changes: Any) -> State
     return state.replace(**changes)
 
 
-def config_of(
-    observation: ObservationConfig, num_tracked_bays: int = 0, **settings: Any
-) -> EnvConfig:
+def config_of(observation, num_tracked_bays=0, **settings):
     """An environment of kinematic cars; without tracked bays its goals are fixed.
 
     It has agents enough for all slots of the default observation.
@@ -129,6 +119,6 @@ def config_of(
     return EnvConfig(observation=observation, goals=goals, **settings)
 
 
-def any_hit(hits: dict[str, jax.Array]) -> jax.Array:
+def any_hit(hits):
     """(num_agents,) bool, who touched anything; `hits` as of `find_hits`."""
     return jnp.any(jnp.stack([*hits.values()]), axis=0)

@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import time
-from pathlib import Path
 
 from carpark_mj.sweeps import run_folder
 from carpark_mj.sweeps.plan import Plan, checked_runs, read_axis, settings_of
@@ -19,7 +18,7 @@ def plan_runs(*texts, repeats=1):
     return plan, checked_runs(plan)
 
 
-def write_run(folder: Path, config, **metrics: float) -> None:
+def write_run(folder, config, **metrics):
     """What an evaluated run leaves, as far as analyses read it."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "config.json").write_text(json.dumps(describe(config)))

@@ -20,7 +20,7 @@ TINY = PPOConfig(
 )
 
 
-def parked_learner(config: PPOConfig) -> Learner:
+def parked_learner(config):
     """A learner for initial states only; its lots are a random number each."""
     learner = Learner(config)
 

@@ -1,19 +1,15 @@
 """A transition by hand, for what reads one."""
 
 import dataclasses
-from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from helpers.states import state_of
 
-from carpark_mj.config import EnvConfig
-from carpark_mj.layouts import Layout
 from carpark_mj.mdp import metrics
 from carpark_mj.mdp.metrics import CONTEXTS
 from carpark_mj.mdp.rewards import term_weights
-from carpark_mj.types import Events, GoalEvents, Motion, Transition
+from carpark_mj.types import Events, GoalEvents, Transition
 
 # What an agent can do with its goal, as fields of `GoalEvents`.
 CHOICES = (
@@ -25,14 +21,14 @@ CHOICES = (
 )
 
 
-def no_events(count: int, **true: Any) -> Events:
+def no_events(count, **true):
     """Nothing happened to anybody, except what is given as flags (count,)."""
     nobody = jnp.asarray(np.zeros(count, bool))
     flags = {f.name: nobody for f in dataclasses.fields(Events)}
     return Events(**(flags | {name: jnp.asarray(x, bool) for name, x in true.items()}))
 
 
-def no_goal_events(count: int, **true: Any) -> GoalEvents:
+def no_goal_events(count, **true):
     """The same of goals; contexts are given by their names among the others."""
     names = {f.name for f in dataclasses.fields(GoalEvents)} - {"contexts"}
     unknown = set(true) - names - set(CONTEXTS)
@@ -45,38 +41,23 @@ def no_goal_events(count: int, **true: Any) -> GoalEvents:
     )
 
 
-def no_terms(config: EnvConfig) -> dict[str, jax.Array]:
+def no_terms(config):
     """A reward of nothing."""
     zero = jnp.asarray(np.zeros(config.num_agents, np.float32))
     return dict.fromkeys(term_weights(config), zero)
 
 
-def transition(
-    config: EnvConfig,
-    layout: Layout,
-    before: Motion,
-    after: Motion,
-    of_state: dict[str, Any] | None = None,
-    goal: Any = 0,
-    **more: Any,
-) -> Transition:
+def transition(config, layout, before, after, of_state=None, goal=0, **more):
     """A step of cars (num_agents,), in which nothing happens but what is given.
 
-    Args:
-        config: says what is measured.
-        layout: the lot.
-        before: the agents at the start.
-        after: at the end.
-        of_state: attributes of the state before and after; statistics are those of new
-            episodes if not given.
-        goal: (num_agents,) bays held during the step.
-        more: other attributes of the transition.
+    `of_state` has attributes of the states, `more` of the transition; statistics are
+    those of new episodes if not given.
     """
     count = before.yaw_rate.shape[0]
     assert count == config.num_agents
     state = state_of(layout, before, goal, stats=metrics.init_stats(config, layout))
     state = dataclasses.replace(state, **(of_state or {}))
-    usual: dict[str, Any] = {
+    usual = {
         "target_pose": layout.bay_pose[state.goal],
         "events": no_events(count),
         "goal_events": None,

@@ -1,4 +1,4 @@
-"""`python train/ppo.py` as a user runs it: a whole tiny run, kills, resumes, errors."""
+"""`train/ppo.py` and `train/sweep.py` as a user runs them: runs, kills, errors."""
 
 import csv
 import json
@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.programs import ROOT, assert_refused, python
+
+from carpark_mj.cli import evaluate
 
 pytestmark = pytest.mark.slow
 
@@ -36,14 +38,14 @@ def environment(tmp_path_factory):
     return given | {"JAX_COMPILATION_CACHE_DIR": cache}
 
 
-def run(environment, script: str, *arguments: str) -> subprocess.CompletedProcess:
+def run(environment, script, *arguments):
     return python(ROOT / script, *arguments, **environment)
 
 
-def begin(environment, *arguments: str) -> subprocess.Popen:
+def begin(environment, *arguments, script="train/ppo.py"):
     """A training that goes on."""
     return subprocess.Popen(
-        [sys.executable, str(ROOT / "train/ppo.py"), *arguments],
+        [sys.executable, str(ROOT / script), *arguments],
         env=os.environ | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -51,7 +53,7 @@ def begin(environment, *arguments: str) -> subprocess.Popen:
     )
 
 
-def wait_for_rows(process: subprocess.Popen, folder: Path, rows: int) -> None:
+def wait_for_rows(process, folder, rows):
     """Until the run has logged more updates than that."""
     path, deadline = folder / "metrics.csv", time.monotonic() + 300
     while time.monotonic() < deadline and process.poll() is None:
@@ -60,12 +62,16 @@ def wait_for_rows(process: subprocess.Popen, folder: Path, rows: int) -> None:
         time.sleep(0.002)
 
 
-def metrics(folder: Path) -> list[dict[str, str]]:
-    with (folder / "metrics.csv").open() as file:
+def rows(path):
+    with path.open(newline="") as file:
         return list(csv.DictReader(file))
 
 
-def checkpoint(folder: Path) -> Path:
+def metrics(folder):
+    return rows(folder / "metrics.csv")
+
+
+def checkpoint(folder):
     return sorted((folder / "checkpoints").glob("*.npz"))[-1]
 
 
@@ -135,7 +141,7 @@ def test_a_run_killed_twice_ends_like_an_undisturbed_one(finished, environment):
         assert ours == theirs
 
 
-def on_two_hosts(environment, *arguments: str) -> list[subprocess.CompletedProcess]:
+def on_two_hosts(environment, *arguments):
     """Trains in two processes with a device each."""
     with socket.socket() as free:
         free.bind(("localhost", 0))
@@ -251,26 +257,73 @@ def test_a_run_renders_to_a_still_and_a_video(finished, environment, tmp_path):
     assert mp4.read_bytes()[4:8] == b"ftyp"
 
 
-CALLS = [
-    ("train", "--preset cpu --env.num-agents 0", "num_agents must be at least 1"),
-    ("train", "--preset cpu --env.num-parked-cars 35", "at most 34"),
-    ("train", "--preset cpu --num-minibatches 7", "multiple of num_minibatches 7"),
-    ("train", "--preset cpu --resume nowhere", "no run at nowhere"),
-    ("train", "--preset cpu --resume nowhere --seed 1", "drop --seed"),
-    ("train", "--preset cpu --seeds 0-3", "seeds must be like 0..7 or 1,5,9"),
-    ("train", "--preset cpu --runs-dir /proc/runs", "/proc/runs"),
-    ("train", "--preset cpu --num-lot 3", "perhaps you meant --num-lots"),
-    ("train", "--preset cpu --name ../../x", "not '../../x'"),
-    ("evaluate", "", "give a pretrained policy, a run folder"),
-    ("evaluate", "nowhere", "no run folder or checkpoint at nowhere"),
-    ("evaluate", "--policy zero --out /proc/x", "/proc/x"),
-]
-
-
-@pytest.mark.parametrize(("program", "words", "said"), CALLS)
+@pytest.mark.parametrize(
+    ("program", "words", "said"),
+    [
+        ("train", "--preset cpu --env.num-agents 0", "num_agents must be at least 1"),
+        ("train", "--preset cpu --env.num-parked-cars 35", "at most 34"),
+        ("train", "--preset cpu --num-minibatches 7", "multiple of num_minibatches 7"),
+        ("train", "--preset cpu --resume nowhere", "no run at nowhere"),
+        ("train", "--preset cpu --resume nowhere --seed 1", "drop --seed"),
+        ("train", "--preset cpu --seeds 0-3", "seeds must be like 0..7 or 1,5,9"),
+        ("train", "--preset cpu --runs-dir /proc/runs", "/proc/runs"),
+        ("train", "--preset cpu --num-lot 3", "perhaps you meant --num-lots"),
+        ("train", "--preset cpu --name ../../x", "not '../../x'"),
+        ("evaluate", "", "give a pretrained policy, a run folder"),
+        ("evaluate", "nowhere", "no run folder or checkpoint at nowhere"),
+        ("evaluate", "--policy zero --out /proc/x", "/proc/x"),
+    ],
+)
 def test_bad_input_is_one_clear_sentence_and_leaves_nothing(
     program, words, said, capsys, monkeypatch, tmp_path
 ):
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, program, words.split(), said)
     assert list(tmp_path.iterdir()) == []
+
+
+pytestmark = pytest.mark.slow
+
+NAMES = ("discount=0.9,seed=0", "discount=0.99,seed=0")
+SWEPT = 200  # updates
+SWEEP = (
+    # In one process, so that the kill leaves none behind.
+    *("--base", "cpu", "--name", "tiny", "--stochastic", "--cluster", "debug"),
+    *("--set", "discount=0.9,0.99", "minutes=0", "eval_episodes=4", "num_agents=1"),
+    *("num_lots=4", "num_minibatches=2", "unroll_length=4"),
+    *(f"num_steps={16 * SWEPT}", "checkpoint_minutes=1e-9"),
+    *("num_parked_cars=4", "sim_dt=0.02", "physics=bicycle"),
+    *("policy_layers=16", "value_layers=16"),
+)
+
+
+def test_a_killed_sweep_goes_on_from_its_checkpoints(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given, sweep = (
+        {"JAX_NUM_CPU_DEVICES": "1", "COLUMNS": "200"},
+        tmp_path / "runs/tiny",
+    )
+    folders = [sweep / "runs" / name for name in NAMES]
+    process = begin(given, *SWEEP, script="train/sweep.py")
+    wait_for_rows(process, folders[1], 30)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    before = [metrics(folder) for folder in folders]
+    assert all(30 <= len(found) < SWEPT for found in before)
+    done = run(given, "train/sweep.py", *SWEEP)
+    assert done.returncode == 0, done.stderr
+    for folder, found in zip(folders, before, strict=True):
+        after = metrics(folder)
+        assert [int(row["update"]) for row in after] == list(range(1, SWEPT + 1))
+        assert after[:20] == found[:20]  # not trained again: seconds are in it
+    table = rows(sweep / "sweep.csv")
+    assert [(row["run"], row["status"]) for row in table] == [
+        (n, "done") for n in NAMES
+    ]
+    assert [row["discount"] for row in table] == ["0.9", "0.99"]
+    assert all(0 <= float(row["parked"]) <= 1 for row in table)
+    more = {"episodes": 4, "stochastic": True, "out": str(tmp_path / "alone")}
+    evaluate.main(evaluate.EvaluateConfig(str(folders[1]), **more))
+    alone = rows(tmp_path / "alone/evaluation.csv")
+    assert alone == rows(folders[1] / "evaluation.csv")

@@ -8,7 +8,7 @@ import referee
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[str, referee.Trial]:
+def found():
     return {trial.name: trial for trial in referee.trials()}
 
 

@@ -29,25 +29,15 @@ LOTS, STEPS = 6, 40  # 8 s
 
 
 @functools.cache
-def scene() -> ScenePhysics:
-    return ScenePhysics(SIM, LAYOUT, COMPACT, AGENTS, PARKED)
+def scene():
+    """The physics of one lot, which begins at rest, and its compiled functions."""
+    physics = ScenePhysics(SIM, LAYOUT, COMPACT, AGENTS, PARKED)
 
+    def begin(pose, parked):
+        vehicle = jax.tree.map(lambda x: x[0], fleet(1))
+        return physics.set_parked_poses(physics.init(pose, vehicle), parked)
 
-def begun(pose, parked):
-    """One lot at rest."""
-    return _begun(scene(), pose, parked)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _begun(physics, pose, parked):
-    vehicle = jax.tree.map(lambda x: x[0], fleet(1))
-    return physics.set_parked_poses(physics.init(pose, vehicle), parked)
-
-
-@functools.cache
-def compiled_step():
-    """The control step of one lot."""
-    return jax.jit(scene().step)
+    return physics, jax.jit(begin), jax.jit(physics.step)
 
 
 def fleet(num_lots):
@@ -89,9 +79,8 @@ def driven():
         state = jax.vmap(physics.set_parked_poses)(state, parked)
         return jax.lax.scan(step, state, controls)[1]
 
-    factored, judged = (
-        run(each, pose, controls) for each in (MjxPhysics(SIM), scene())
-    )
+    both = MjxPhysics(SIM), scene()[0]
+    factored, judged = (run(each, pose, controls) for each in both)
     return jax.device_get((factored, judged))
 
 
@@ -144,8 +133,7 @@ def configurations():
     """Random cars, tilted a little: boxes and contacts, (10,000 lots x 3 kinds)."""
     rng = np.random.default_rng(11)
     count = 10_000
-    physics = scene()
-    half = 19.0
+    physics, half = scene()[0], 19.0
     pose = rng.uniform((-half, -half, -np.pi), (half, half, np.pi), (count, AGENTS, 3))
     tilt = rng.uniform(-0.02, 0.02, (count, AGENTS, 2))  # pitch and roll [rad]
     bays = np.argsort(rng.random((count, LAYOUT.num_bays)))[:, :PARKED]
@@ -227,12 +215,13 @@ def crash(gap_speed=2.5):
         [[-6, 0, 0], [2, 0, np.pi / 2]] + [[8, -9 + 4 * k, 0] for k in range(5)],
         np.float32,
     )
-    state = begun(pose, LAYOUT.bay_pose[:PARKED])
+    _, begin, step = scene()
+    state = begin(pose, LAYOUT.bay_pose[:PARKED])
     controls = np.zeros((AGENTS, 2), np.float32)
     controls[0, 1] = 1.0
     states = [state]
     for _ in range(30):
-        states.append(compiled_step()(states[-1], controls.copy()))
+        states.append(step(states[-1], controls.copy()))
         if bool(states[-1].touched[0, 0]):
             controls[0, 1] = 0.0
     return [jax.device_get(s) for s in states]
@@ -267,7 +256,8 @@ def test_a_hit_parked_car_turns_as_on_four_wheels():
     parked = np.array(LAYOUT.bay_pose[:PARKED])
     parked[0] = COMPACT.centre_offset, 0.0, 0.0  # its rear axle at the origin
     pose[0] = 0.0, -reach - 0.05, np.pi / 2
-    state = begun(pose, parked)
+    _, begin, step = scene()
+    state = begin(pose, parked)
     rolling = state.cars.qvel.at[0, 1].set(3.0)
     for dof in MjxPhysics(SIM).index.spin_dof:
         rolling = rolling.at[0, dof].set(3.0 / COMPACT.wheel_radius)
@@ -275,7 +265,6 @@ def test_a_hit_parked_car_turns_as_on_four_wheels():
     actuators = roll_freely(state.cars.actuators, speed)
     cars = state.cars.replace(qvel=rolling, actuators=actuators)
     state = state.replace(cars=cars)
-    step = compiled_step()
     coast, brake = np.zeros((2, AGENTS, 2), np.float32)
     brake[0, 1] = -1.0
     state = step(state, coast)
@@ -316,8 +305,8 @@ def test_an_agent_that_finishes_stays_in_the_way_and_is_pushed():
 
 
 def test_parked_cars_are_moved_and_stay_pushed():
-    physics, intended = scene(), LAYOUT.bay_pose[:PARKED]
-    state = begun(starts(np.random.default_rng(0), 1)[0], intended)
+    (physics, begin, _), intended = scene(), LAYOUT.bay_pose[:PARKED]
+    state = begin(starts(np.random.default_rng(0), 1)[0], intended)
     np.testing.assert_allclose(
         physics.parked_poses(state, intended), intended, atol=1e-5
     )
@@ -331,11 +320,11 @@ def test_parked_cars_are_moved_and_stay_pushed():
 
 
 def test_a_non_finite_car_is_contained_and_flagged():
-    physics = scene()
-    state = begun(starts(np.random.default_rng(0), 1)[0], LAYOUT.bay_pose[:PARKED])
+    physics, begin, step = scene()
+    state = begin(starts(np.random.default_rng(0), 1)[0], LAYOUT.bay_pose[:PARKED])
     cars = state.cars.replace(qvel=state.cars.qvel.at[3, 0].set(jnp.nan))
     halt = np.zeros((AGENTS, 2), np.float32)
-    after = compiled_step()(state.replace(cars=cars), halt)
+    after = step(state.replace(cars=cars), halt)
     read = physics.read(after)
     assert list(np.asarray(read.finite)) == [k != 3 for k in range(AGENTS)]
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(read))
@@ -345,10 +334,10 @@ def test_a_lot_does_not_depend_on_its_batch():
     pose = starts(np.random.default_rng(2), 3)
     parked = jnp.broadcast_to(LAYOUT.bay_pose[:PARKED], (3, PARKED, 3))
     controls = np.full((3, AGENTS, 2), 0.7, np.float32)
-    batch = jax.vmap(begun)(pose, parked)
-    step_all = jax.jit(jax.vmap(scene().step))
-    alone = begun(pose[1], parked[1])
+    physics, begin, step = scene()
+    batch, step_all = jax.vmap(begin)(pose, parked), jax.jit(jax.vmap(physics.step))
+    alone = begin(pose[1], parked[1])
     for _ in range(3):
         batch = step_all(batch, controls)
-        alone = compiled_step()(alone, controls[1])
+        alone = step(alone, controls[1])
     np.testing.assert_allclose(batch.cars.qpos[1], alone.cars.qpos, atol=1e-6)

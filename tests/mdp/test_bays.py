@@ -46,7 +46,7 @@ from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _poses_in_bay
-from carpark_mj.spawning.fleet import Wanted, draw_bays, kind_logits, shuffled_bays
+from carpark_mj.spawning.fleet import Wanted, draw_bays, kind_logits
 from carpark_mj.spawning.goals import goal_of_start
 from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
@@ -100,20 +100,6 @@ def test_no_bay_marks_nothing_and_padding_is_never_free():
     bays = jnp.array([2, NO_BAY], jnp.int32)
     assert free_bays(layout, bays).tolist() == [True, True, False, True, False, False]
     assert marked(layout, bays).tolist() == [False, False, True, False, False, False]
-
-
-def test_shuffled_bays_have_the_padding_last():
-    layout = pad_layout(make_layout("square"), Maxima(40, 8, 0, 0, 1))
-    order = many(lambda key: shuffled_bays(layout, key), 3600)
-    assert order.dtype == np.int32
-    real, padding = np.sort(order[:, :36], axis=1), np.sort(order[:, 36:], axis=1)
-    np.testing.assert_array_equal(real, [range(36)] * 3600)
-    np.testing.assert_array_equal(padding, [range(36, 40)] * 3600)
-    # Binomial with mean 100 and deviation 10: five of them, in the first place and in
-    # the last.
-    for place in (0, 35):
-        count = np.bincount(order[:, place], minlength=36)[:36]
-        np.testing.assert_allclose(count, 100, atol=50)
 
 
 def draw_many(wanted, free, count=4000):

@@ -4,7 +4,6 @@ Cars slide (`helpers.sliding`) where only the task matters.
 """
 
 import dataclasses
-import functools
 import math
 from types import SimpleNamespace
 
@@ -13,20 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import cars, lot
-from helpers.sliding import SlidePhysics, placed
+from helpers.sliding import SlidePhysics, placed, sliding
 from helpers.states import parked_in, state_of
 from helpers.transitions import CHOICES, no_events
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig, GoalConfig
+from carpark_mj.config import EnvConfig, EpisodeConfig, FleetConfig, GoalConfig, insert
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import Maxima, make_layout, pad_layout
-from carpark_mj.mdp.goals import (
-    choose_goals,
-    nearest_bays,
-    target_bay,
-    track_bays,
-    update_goals,
-)
+from carpark_mj.mdp.goals import choose_goals, target_bay, track_bays, update_goals
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.types import NO_BAY
 
@@ -40,18 +33,13 @@ CONFIG = EnvConfig(
 APART = np.array([[-7.0, 0, 0], [0.0, 0, 0], [7.0, 0, 0], [0.0, 7, 0]], np.float32)
 
 
-@functools.cache
 def slide(respawn=True):
-    """An environment on sliding cars with its compiled functions."""
-    episode = dataclasses.replace(CONFIG.episode, respawn=respawn)
-    env = ParkingEnv(dataclasses.replace(CONFIG, episode=episode), SlidePhysics())
-    return env, jax.jit(env.reset), jax.jit(env.step)
+    return sliding(insert(CONFIG, {"episode.respawn": respawn}))
 
 
-def act(choice, controls=(0.0, 0.0)):
-    """Actions (agents, 3) that all steer and drive alike."""
-    choice = np.asarray(choice, np.float32)[:, None]
-    return np.concatenate([np.tile(np.float32(controls), (len(choice), 1)), choice], 1)
+def act(choice):
+    """Actions (agents, 3) of cars that stand."""
+    return np.pad(np.float32(choice)[:, None], ((0, 0), (2, 0)))
 
 
 def start(respawn=True, pose=APART, goal=None):
@@ -88,29 +76,6 @@ def test_agents_start_exploring_near_free_bays():
         assert tracked.tolist() == order[:SLOTS]
     assert len(np.unique(state.parked_cars.bay)) == 16
     assert np.isfinite(observation).all()
-
-
-def test_slots_are_sorted_by_distance_if_asked_for():
-    goals = dataclasses.replace(CONFIG.goals, slots_by_distance=True)
-    env = ParkingEnv(dataclasses.replace(CONFIG, goals=goals), SlidePhysics())
-
-    def advance(state, key):
-        controls = jax.random.uniform(key, (AGENTS, 2), minval=-1.0)
-        first = jnp.ones((AGENTS, 1))  # choose the first slot
-        after, timestep = env.step(state, jnp.concatenate([controls, first], axis=1))
-        return after, (timestep.goal == state.tracked_bays[:, 0], slot_gaps(after))
-
-    state, _ = jax.jit(env.reset)(jax.random.key(0))
-    keys = jax.random.split(jax.random.key(1), 100)
-    _, (is_first, gap) = jax.jit(lambda s: jax.lax.scan(advance, s, keys))(state)
-    assert is_first.all()
-    assert (jnp.diff(gap) >= 0.0).all()
-
-
-def slot_gaps(state):
-    """Distances (agents, slots) [m] of tracked bays."""
-    bay = state.layout.bay_pose[state.tracked_bays, :2]
-    return jnp.linalg.norm(bay - state.motion.xy[:, None], axis=-1)
 
 
 # Steps by hand
@@ -158,23 +123,21 @@ def test_parked_agent_keeps_its_bay_without_respawn():
 # Whatever happens
 
 
-def drive(env, num_steps, seed, parks):
+def drive(env, num_steps=300, parks=0.1):
     """Random driving and choosing; states before and after every step, numpy.
 
     With a chance of `parks` an agent with a goal is put into its bay beforehand.
     """
-    agents = env.num_agents
 
     def one(state, key):
-        keys = jax.random.split(key, 4)
-        index = jax.random.randint(keys[0], (agents,), 0, 1 + SLOTS)
-        goal = state.goal
+        keys, goal = jax.random.split(key, 4), state.goal
+        index = jax.random.randint(keys[0], (AGENTS,), 0, 1 + SLOTS)
         held = jnp.argmax(state.tracked_bays == goal[:, None], axis=1) + 1
         held = jnp.where(goal == NO_BAY, 0, held)
-        keep = jax.random.bernoulli(keys[1], 0.7, (agents,))
+        keep = jax.random.bernoulli(keys[1], 0.7, (AGENTS,))
         index = jnp.where(keep, held, index)[:, None]
-        numbers = jax.random.uniform(keys[2], (agents, 2), minval=-0.5)
-        put = jax.random.bernoulli(keys[3], parks, (agents,)) & (goal != NO_BAY)
+        numbers = jax.random.uniform(keys[2], (AGENTS, 2), minval=-0.5)
+        put = jax.random.bernoulli(keys[3], parks, (AGENTS,)) & (goal != NO_BAY)
         pose = state.layout.bay_pose[jnp.minimum(goal, BAYS - 1)]
         physics = env.physics.place(state.physics, put, pose, state.physics.vehicle)
         state = state.replace(physics=physics, motion=env.physics.read(physics))
@@ -186,7 +149,7 @@ def drive(env, num_steps, seed, parks):
         state, _ = env.reset(key)
         return jax.lax.scan(one, state, jax.random.split(key, num_steps))[1]
 
-    return jax.device_get(jax.jit(run)(jax.random.key(seed)))
+    return jax.device_get(jax.jit(run)(jax.random.key(1)))
 
 
 def tracks(state, goal):
@@ -194,34 +157,34 @@ def tracks(state, goal):
     return (state.tracked_bays == goal[..., None]).any(axis=-1)
 
 
-def check(env, before, after, timestep):
-    """The invariants of dynamic goals over a stretch of time."""
-    events, goals = timestep.events, timestep.goal_events
-    agents = env.num_agents
+def test_invariants_when_many_park_start_close_and_share_goals():
+    env = ParkingEnv(insert(CONFIG, {"spawn.close_ratio": 1.0}), SlidePhysics())
+    before, after, timestep = drive(env)
+    events, goals, goal = timestep.events, timestep.goal_events, after.goal
     parked_bay = np.sort(after.parked_cars.bay, axis=1)
     assert (np.diff(parked_bay, axis=1) > 0).all()  # none lost, none doubled
     assert (parked_bay >= 0).all()
     assert (parked_bay < BAYS).all()
+    assert events.parked.sum() > 20
     # Tracked bays are the nearest free ones.
     bays = after.layout.bay_pose[0, :, :2]
     free = np.ones((len(parked_bay), BAYS), bool)
     np.put_along_axis(free, parked_bay, False, axis=1)
     xy = after.motion.pose_w[:, :, None, :2]
     gap = np.where(free[:, None], np.linalg.norm(xy - bays, axis=-1), np.inf)
-    count = env.config.goals.num_tracked_bays
-    nearest = np.sort(gap, axis=-1)[..., :count]
+    nearest = np.sort(gap, axis=-1)[..., :SLOTS]
     found = np.sort(np.take_along_axis(gap, after.tracked_bays, axis=-1), axis=-1)
     np.testing.assert_allclose(found, nearest, atol=1e-4)
     # A bay that stays among them keeps its slot.
-    old, new = before.tracked_bays[~events.done], after.tracked_bays[~events.done]
+    goes_on = ~events.done
+    old, new = before.tracked_bays[goes_on], after.tracked_bays[goes_on]
     stays = (old[:, :, None] == new[:, None, :]).any(axis=2)
     np.testing.assert_array_equal(old[stays], new[stays])
     # Goals are tracked, those that new episodes start with too; lost ones are none.
-    goal, goes_on = after.goal, ~events.done
     assert ((goal == NO_BAY) | tracks(after, goal)).all()
     # Taken is one in which another has just parked.
-    others = ~np.eye(AGENTS, dtype=bool)
-    same = (timestep.goal[:, :, None] == timestep.goal[:, None]) & others
+    same = timestep.goal[:, :, None] == timestep.goal[:, None]
+    same &= ~np.eye(AGENTS, dtype=bool)
     has = goes_on & (timestep.goal != NO_BAY)
     taken = has & (same & events.parked[:, None]).any(axis=2)
     np.testing.assert_array_equal(goals.lost_taken, taken)
@@ -230,51 +193,39 @@ def check(env, before, after, timestep):
     kept = np.where(taken | untracked, NO_BAY, timestep.goal)
     np.testing.assert_array_equal(goal[goes_on], kept[goes_on])
     np.testing.assert_array_equal(goals.exploring, timestep.goal == NO_BAY)
-    # One transition each; rewards are what the transitions pay.
-    names = CHOICES
-    flags = np.stack([getattr(goals, name) for name in names])
-    assert (flags.sum(axis=0) == 1).all()
+    # One transition each, every one of them happens, and they are paid by name.
     terms, pay = timestep.reward_terms, env.config.reward.goals
-    paid = {name: getattr(pay, name) for name in names} | {"stop_goal": pay.stop}
-    for name, flag in zip(names, flags, strict=True):
+    paid = {name: getattr(pay, name) for name in CHOICES} | {"stop_goal": pay.stop}
+    for name in CHOICES:
+        flag = getattr(goals, name)
+        assert flag.any(), name
         np.testing.assert_allclose(terms[name], paid[name] * flag, atol=1e-7)
-    np.testing.assert_allclose(terms["lost_goal"], pay.stop * goals.lost_untracked)
+    assert (sum(getattr(goals, name).astype(int) for name in CHOICES) == 1).all()
+    assert untracked.any()
+    assert taken.any()
+    np.testing.assert_allclose(terms["lost_goal"], pay.stop * untracked)
     np.testing.assert_allclose(timestep.reward, sum(terms.values()), atol=1e-5)
     assert not (events.parked & goals.exploring).any()
     assert (terms["progress"][goals.exploring] <= 0).all()
     # Metrics of an episode are the sums of what happened in it.
-    sums = {name: np.zeros(agents) for name in timestep.metrics if name in vars(goals)}
-    assert {"lost_untracked", "lost_taken", "stop_goal", "change_goal"} <= set(sums)
-    explored, length = np.zeros(agents), np.zeros(agents)
-    for t in range(len(goal)):
-        explored, length = explored + goals.exploring[t], length + 1
-        steps = timestep.metrics["explored_steps"][t], timestep.metrics["length"][t]
-        np.testing.assert_array_equal(steps, (explored, length))
-        for name in sums:
-            sums[name] += getattr(goals, name)[t]
-            np.testing.assert_array_equal(timestep.metrics[name][t], sums[name])
-            sums[name][events.done[t]] = 0
-        explored[events.done[t]], length[events.done[t]] = 0, 0
+    sums = {
+        name: flag for name, flag in vars(goals).items() if name in timestep.metrics
+    }
+    assert {"lost_untracked", "lost_taken", "stop_goal", "change_goal"} <= {*sums}
+    sums |= {"explored_steps": goals.exploring, "length": np.ones_like(goals.exploring)}
+    for name, flag in sums.items():
+        total = np.zeros(AGENTS)
+        for t in range(len(goal)):
+            total = total + flag[t]
+            np.testing.assert_array_equal(timestep.metrics[name][t], total)
+            total[events.done[t]] = 0
     assert np.isfinite(timestep.observation).all()
-    return goals, events
-
-
-def test_invariants_when_many_park_start_close_and_share_goals():
-    spawn = dataclasses.replace(CONFIG.spawn, close_ratio=1.0)
-    env = ParkingEnv(dataclasses.replace(CONFIG, spawn=spawn), SlidePhysics())
-    before, after, timestep = drive(env, 300, seed=1, parks=0.1)
-    goals, events = check(env, before, after, timestep)
-    assert events.parked.sum() > 20
-    for name in (*CHOICES, "lost_untracked", "lost_taken"):
-        assert getattr(goals, name).any(), name
-    # Slots are not by distance; half of the close starts have the bay beside them for a
-    # goal: it may be taken, or not be among the nearest.
-    assert (np.diff(jax.vmap(slot_gaps)(after)) < 0.0).any()
-    fresh = events.done
-    begun = after.goal[fresh]
+    # Half of the close starts have the bay beside them for a goal: it may be taken, or
+    # not be among the nearest.
+    begun = goal[events.done]
     assert len(begun) > 50
     assert 0.25 < (begun != NO_BAY).mean() < 0.6
-    tracked = (after.tracked_bays[fresh] == begun[:, None]).any(axis=1)
+    tracked = (after.tracked_bays[events.done] == begun[:, None]).any(axis=1)
     np.testing.assert_array_equal(tracked, begun != NO_BAY)
 
 
@@ -338,13 +289,6 @@ def track(state, usable=None, by_distance=False):
     return track_bays(config, state).tracked_bays
 
 
-def tracked_at(x, taken, tracked, by_distance=False):
-    """Bays tracked by one agent at (x, 0), by the parked cars that there are."""
-    motion, parked = cars([(x, 0.0, 0.0)]), parked_in(LINE, list(taken))
-    state = state_of(LINE, motion, NO_BAY, parked_cars=parked, tracked_bays=[tracked])
-    return track(state, None, by_distance)[0].tolist()
-
-
 NONE = [NO_BAY] * 2
 
 
@@ -366,8 +310,10 @@ NONE = [NO_BAY] * 2
     ],
 )
 def test_slots_by_hand(x, taken, tracked, slots, by_distance):
-    assert tracked_at(x, taken, tracked) == slots
-    assert tracked_at(x, taken, tracked, by_distance=True) == by_distance
+    motion, parked = cars([(x, 0.0, 0.0)]), parked_in(LINE, list(taken))
+    state = state_of(LINE, motion, NO_BAY, parked_cars=parked, tracked_bays=[tracked])
+    assert track(state).tolist() == [slots]
+    assert track(state, by_distance=True).tolist() == [by_distance]
 
 
 def test_bays_of_finished_agents_and_useless_ones_are_left_out():
@@ -377,34 +323,6 @@ def test_bays_of_finished_agents_and_useless_ones_are_left_out():
     assert track(state).tolist() == [[1, 2]] * 3
     usable = jnp.ones((3, 8), bool).at[0].set(jnp.arange(8) == 3)
     assert track(state, usable).tolist() == [[3, NO_BAY], [1, 2], [1, 2]]
-
-
-def test_tracking_keeps_slots_and_finds_the_nearest():
-    layout, agents, count = make_layout("square"), 5, 4
-
-    def step(tracked, key):
-        place, cars_key = jax.random.split(key)
-        xy = jax.random.uniform(place, (agents, 2), minval=-20, maxval=20)
-        free = jax.random.bernoulli(cars_key, 0.12, (agents, 36))
-        after = nearest_bays(layout, xy, free, tracked)
-        return after, (xy, free, tracked, after)
-
-    keys = jax.random.split(jax.random.key(0), 300)
-    empty = jnp.full((agents, count), NO_BAY, jnp.int32)
-    _, seen = jax.jit(lambda k: jax.lax.scan(step, empty, k))(keys)
-    bays, full = np.asarray(layout.bay_pose)[:, :2], 0
-    rows = [np.asarray(x).reshape(-1, *x.shape[2:]) for x in seen]
-    for xy, free, before, after in zip(*rows, strict=True):
-        gap = np.where(free, np.linalg.norm(bays - xy, axis=-1), np.inf)
-        nearest = np.argsort(gap, kind="stable")[: min(count, free.sum())]
-        assert sorted(after[after != NO_BAY]) == sorted(nearest)
-        stays = np.isin(before, nearest)
-        np.testing.assert_array_equal(after[stays], before[stays])
-        newcomers = [bay for bay in nearest if bay not in before]
-        entered = [bay for bay in after[~stays] if bay != NO_BAY]
-        assert entered == newcomers  # the nearest into the first empty slot
-        full += len(nearest) == count
-    assert 300 < full < 1500
 
 
 def test_target_is_the_goal_or_the_nearest_tracked_bay():

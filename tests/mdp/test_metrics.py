@@ -1,6 +1,7 @@
 """Statistics of hand-worked episodes, and what is reported of them."""
 
 import dataclasses
+import functools
 import itertools
 import math
 
@@ -41,43 +42,40 @@ PLAN = lot([(0, 0, 0)])
 STANDING = cars([(0.0, 0.0, 0.0)])
 
 
-def step(config, stats, before, after, terms=(), active=True, **more):
-    """Statistics with a step added, whose reward is nothing except the terms given."""
-    state = {"stats": stats, "active": jnp.asarray(active)}
-    happened = transition(config, PLAN, before, after, state, **more)
-    return update_stats(config, happened, no_terms(config) | dict(terms))
+@functools.cache
+def stepped(config):
+    """A compiled step, and the statistics with it."""
+    terms = no_terms(config)
+
+    @jax.jit
+    def step(stats, before, after, parked, goal):
+        state = {"stats": stats, "parked_cars": parked}
+        happened = transition(config, PLAN, before, after, state, goal)
+        return happened, update_stats(config, happened, terms)
+
+    return step
+
+
+def driven(config, states, parked=None, goal=0):
+    """The last step of cars that pass through some states, and their statistics."""
+    happened, stats = None, init_stats(config, PLAN)
+    parked = parked_at() if parked is None else parked
+    for before, after in itertools.pairwise(states):
+        happened, stats = stepped(config)(stats, before, after, parked, goal)
+    return happened, stats
 
 
 def after_speeds(speeds):
     """Statistics of one car that ends its steps at the given speeds."""
-    stats = init_stats(ONE, PLAN)
-    for speed in speeds:
-        stats = step(ONE, stats, STANDING, cars([(0.0, 0.0, 0.0)], speed=speed))
-    return stats
-
-
-def test_return_length_and_invalid_actions_are_sums_over_steps():
-    stats, standing = init_stats(TWO, PLAN), cars([(0.0, 0.0, 0.0)] * 2)
-    for park, time in (
-        ([1.5, -2.0], [-0.5, 0.0]),
-        ([0.5, 0.0], [0.0, 0.25]),
-        ([-1.0, 0.0], [-2.0, 0.0]),
-    ):
-        terms = {"park": jnp.array(park), "time": jnp.array(time)}
-        invalid = jnp.array([True, False])
-        stats = step(TWO, stats, standing, standing, terms, invalid_action=invalid)
-    np.testing.assert_array_equal(stats.episode_return, [-1.5, -1.75])
-    np.testing.assert_array_equal(stats.length, [3.0, 3.0])
-    np.testing.assert_array_equal(stats.invalid_actions, [3.0, 0.0])
+    states = [cars([(0.0, 0.0, 0.0)], speed=speed) for speed in speeds]
+    return driven(ONE, [STANDING, *states])[1]
 
 
 def test_path_is_measured_along_the_trace():
     trace = [[(3.0, 0.0, 0.0), (3.0, 4.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 0.0)]]
     after = cars([(0.0, 0.0, 0.0)], trace=trace)
-    stats = step(ONE, init_stats(ONE, PLAN), STANDING, after)
-    np.testing.assert_allclose(stats.path, [3 + 4 + 3 + 4], rtol=1e-6)
-    stats = step(ONE, stats, STANDING, after)
-    np.testing.assert_allclose(stats.path, [28.0], rtol=1e-6)
+    _, stats = driven(ONE, [STANDING, after, after])
+    np.testing.assert_allclose(stats.path, [2 * (3 + 4 + 3 + 4)], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -103,28 +101,14 @@ def test_the_statistics_of_finished_agents_stay_as_they_are():
     terms = {"time": jnp.full(2, -1.0)}
     first = init_stats(config, PLAN)
     active = jnp.array([False, True])
-    stats = step(config, first, before, after, terms, active=active)
+    state = {"stats": first, "active": active}
+    happened = transition(config, PLAN, before, after, state)
+    stats = update_stats(config, happened, no_terms(config) | terms)
     for old, new in zip(jax.tree.leaves(first), jax.tree.leaves(stats), strict=True):
         assert new[0] == old[0]
     assert stats.length[1] == 1.0
     assert stats.tallies["return_time"][1] == -1.0
     assert stats.tallies["speed_sum"][1] == 2.0
-
-
-def test_lots_without_lanes_count_no_metres_against_them():
-    first = init_stats(ONE, PLAN)
-    assert first.wrong_way is None
-    plan = dataclasses.replace(PLAN, lane_mask=jnp.ones(1, bool))
-    stats = init_stats(ONE, plan)
-    assert stats.wrong_way is not None
-    for wrong in (True, False, True):
-        way = {"wrong_way": jnp.array([wrong])}
-        after = cars([(2.0, 0, 0)])
-        happened = transition(ONE, plan, STANDING, after, {"stats": stats}, **way)
-        stats = update_stats(ONE, happened, no_terms(ONE))
-    assert stats.wrong_way.tolist() == [4.0]
-    named = episode_metrics(happened, stats)
-    assert (float(named["wrong_way"][0]), float(named["path"][0])) == (4.0, 6.0)
 
 
 def test_metrics_tell_how_a_car_stands_to_its_goal():
@@ -156,52 +140,14 @@ def test_every_event_and_every_sum_has_a_metric_of_its_own():
         assert value.dtype == jnp.float32
 
 
-def test_reward_terms_are_summed_by_name():
-    config = dataclasses.replace(TWO, metrics=MetricsConfig(safety=True))
-    stats, standing = init_stats(config, PLAN), cars([(0.0, 0.0, 0.0)] * 2)
-    for park, time in (([0.0, 1.0], [-0.5, -0.5]), ([3.0, 0.0], [-0.25, 0.0])):
-        terms = {"time": jnp.array(time), "park": jnp.array(park)}
-        stats = step(config, stats, standing, standing, terms)
-    happened = transition(config, PLAN, standing, standing)
-    metrics = episode_metrics(happened, stats)
-    np.testing.assert_array_equal(metrics["return_park"], [3.0, 1.0])
-    np.testing.assert_array_equal(metrics["return_time"], [-0.75, -0.5])
-    names = {f"return_{name}" for name in no_terms(config)}
-    assert {name for name in metrics if name.startswith("return_")} == names
-    assert "last_acceleration_x" in stats.tallies
-    assert not any(name.startswith("last_") for name in metrics)
-
-
-def test_a_step_keeps_the_type_of_the_statistics():
-    everything = MetricsConfig(driving=True, safety=True)
-    config = dataclasses.replace(TWO, metrics=everything)
-    first, standing = init_stats(config, PLAN), cars([(0.0, 0.0, 0.0)] * 2)
-    found = jax.eval_shape(lambda: step(config, first, standing, standing))
-    assert jax.tree.structure(found) == jax.tree.structure(first)
-    for leaf in jax.tree.leaves(found):
-        assert (leaf.shape, leaf.dtype, leaf.weak_type) == ((2,), jnp.float32, False)
-
-
 DT = SimConfig().ctrl_dt
 SAFETY, DRIVING = MetricsConfig(safety=True), MetricsConfig(driving=True)
 
 
-def tally(measured, states, parked=None, goal=0):
+def tally(measured, states, **more):
     """Tallies of the first of the cars that pass through some states."""
-    count, plan = states[0].size.shape[0], lot([(0.0, 0.0, 0.0)])
-    config = EnvConfig(num_agents=count, metrics=measured)
-    terms = no_terms(config)
-
-    @jax.jit
-    def step(stats, before, after):
-        cars = parked_at() if parked is None else parked
-        state = {"stats": stats, "parked_cars": cars}
-        happened = transition(config, plan, before, after, state, goal)
-        return update_stats(config, happened, terms)
-
-    stats = init_stats(config, plan)
-    for before, after in itertools.pairwise(states):
-        stats = step(stats, before, after)
+    config = EnvConfig(num_agents=states[0].size.shape[0], metrics=measured)
+    _, stats = driven(config, states, **more)
     found = {name: float(value[0]) for name, value in stats.tallies.items()}
     return {name: x for name, x in found.items() if not name.startswith("return_")}
 
@@ -317,7 +263,6 @@ def test_giving_up_a_goal_in_a_context_is_giving_way():
         assert found[f"met_{name}"] == found[f"gave_way_{name}"] == [0] * 5
 
 
-SPEEDS = [(0.0, 0.0), (3.0, -1.0), (1.0, -2.0)]
 POOLS = {"count": "mean", "pace": "steps", "min_pace": "least", "peak_pace": "most"}
 
 
@@ -333,12 +278,9 @@ def registered(monkeypatch):
 def episode(extra):
     """Metrics of two cars after two steps."""
     config = EnvConfig(num_agents=2, metrics=MetricsConfig(extra=extra))
-    stats = init_stats(config, PLAN)
-    states = [cars([(0.0, 0.0, 0.0)] * 2, speed=list(speed)) for speed in SPEEDS]
-    for before, after in itertools.pairwise(states):
-        happened = transition(config, PLAN, before, after, {"stats": stats})
-        stats = update_stats(config, happened, no_terms(config))
-    found = episode_metrics(happened, stats)
+    speeds = [(0.0, 0.0), (3.0, -1.0), (1.0, -2.0)]
+    states = [cars([(0.0, 0.0, 0.0)] * 2, speed=speed) for speed in speeds]
+    found = episode_metrics(*driven(config, states))
     return {name: np.asarray(value).tolist() for name, value in found.items()}
 
 

@@ -35,46 +35,33 @@ COUNT = 3000
 ROUNDING = 2e-4  # m, float32 at coordinates of some 30 m and arcs near their ends
 
 
-@pytest.fixture(scope="module")
-def standing():
-    """Random cars in random bays: bay, its size, car's size, wish, pose."""
+def test_a_car_stands_within_the_lines_as_it_wishes_if_these_allow():
+    """Random cars in random bays; a wish is an offset from the middle."""
     rng = np.random.default_rng(0)
     bay = rng.uniform((-30, -30, -np.pi), (30, 30, np.pi), (COUNT, 3))
     bay_size = rng.uniform((3.5, 1.8), (6.5, 3.0), (COUNT, 2))
     size = rng.uniform((3.3, 1.5), (5.2, 2.2), (COUNT, 2))
     wish = rng.normal(0, (0.5, 0.3, 0.3), (COUNT, 3))
     args = [x.astype(np.float32) for x in (bay, bay_size, size, wish)]
-    return (*args, np.asarray(jax.jit(stand_in_bay)(*args)))
-
-
-def test_a_car_that_fits_stays_within_the_lines(standing):
-    bay, bay_size, size, _, pose = standing
+    pose, (bay, bay_size, size, wish) = np.asarray(jax.jit(stand_in_bay)(*args)), args
     fit = (size <= bay_size).all(axis=1)
     assert 500 < fit.sum() < COUNT - 500
-    lines = shapely.buffer(polygons(bay, bay_size), ROUNDING)
-    assert shapely.covers(lines, polygons(pose, size))[fit].all()
-
-
-def test_offset_is_at_most_as_wished_and_exact_if_possible(standing):
-    bay, bay_size, size, wish, pose = standing
+    lines = polygons(bay, bay_size)
+    within = shapely.covers(shapely.buffer(lines, ROUNDING), polygons(pose, size))
+    assert within[fit].all()
+    # The offset is at most as wished, and exact if possible.
     off = np.asarray(to_local(bay, pose))
     assert (np.abs(off) <= np.abs(wish) + ROUNDING).all()
     assert (off * wish >= -ROUNDING).all()
     wished = np.asarray(to_world(bay, wish))
-    inside = shapely.covers(polygons(bay, bay_size), polygons(wished, size))
+    inside = shapely.covers(lines, polygons(wished, size))
     assert inside.sum() > 50
     np.testing.assert_allclose(off[inside], wish[inside], atol=ROUNDING)
-
-
-def test_the_heading_is_cut_no_more_than_the_lines_demand(standing):
-    bay, bay_size, size, wish, pose = standing
-    turned = np.asarray(to_local(bay, pose))[:, 2]
-    fit = (size <= bay_size).all(axis=1)
-    cut = fit & (np.abs(turned) < np.abs(wish[:, 2]) - 0.02)
+    # The heading is cut no more than the lines demand.
+    cut = fit & (np.abs(off[:, 2]) < np.abs(wish[:, 2]) - 0.02)
     assert cut.sum() > 300
     more = bay.copy()
-    more[:, 2] += turned + 0.01 * np.sign(wish[:, 2])
-    lines = polygons(bay, bay_size)
+    more[:, 2] += off[:, 2] + 0.01 * np.sign(wish[:, 2])
     assert not shapely.covers(lines, polygons(more, size))[cut].any()
 
 
@@ -141,11 +128,6 @@ def relocated(config, state, parked, key=None):
     return relocate_parked_cars(config, state, events, key)
 
 
-def relocations(config, state, parked, count=1000):
-    """Bays of the parked cars after many draws (count, num_parked_cars)."""
-    return many(lambda key: relocated(config, state, parked, key).bay, count)
-
-
 def test_the_car_farthest_from_all_agents_moves_into_the_bay():
     # Gaps to the nearer of the agents at x = 0 and 48: cars at 10, 30, 40 have 10,
     # 18, 8. The car at 40 is farthest from agent 0 alone, yet the one at 30 moves.
@@ -164,7 +146,7 @@ def test_a_random_car_moves_that_no_agent_tracks():
     state = row_of([0, 5], [1, 2, 3, 4], [0, 48])
 
     def moves(rule):
-        after = relocations(rule, state, [0])
+        after = many(lambda key: relocated(rule, state, [0], key).bay, 1000)
         moved = after != np.array([1, 2, 3, 4])
         assert (moved.sum(axis=1) == 1).all()
         assert (after[moved] == 0).all()
@@ -239,7 +221,6 @@ class PushedPhysics(SlidePhysics):
         self.pose_w = jnp.asarray(pose_w, jnp.float32)
 
     def parked_poses(self, state, intended):
-        del state, intended
         return self.pose_w
 
 

@@ -23,12 +23,10 @@ from carpark_mj.config import (
     RewardConfig,
     RewardTerm,
     insert,
-    is_data,
 )
 from carpark_mj.layouts import Maxima, pad_layout
 from carpark_mj.mdp.goals import target_bay
 from carpark_mj.mdp.rewards import TERMS, dynamic_progress, reward_terms, term_weights
-from carpark_mj.observations import ContinuousObservation
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.training.ppo.group import make_learner, program
 from carpark_mj.training.ppo.parts import PRESETS
@@ -103,13 +101,6 @@ def test_settings_come_back_from_json_in_their_order():
     assert found != RewardConfig(extra=dict(sorted(reward.extra.items())))
 
 
-def test_what_may_be_traced_is_a_property_of_the_term():
-    extra = {"hurry": 1.0, "hurry.above": 2.0, "hurry.kind": 1.0}
-    config = EnvConfig(reward=RewardConfig(extra=extra))
-    data = [name for name in extra if is_data(config, f"reward.extra.{name}")]
-    assert data == ["hurry", "hurry.above"]
-
-
 def test_runs_side_by_side_differ_in_a_term_as_far_as_it_says():
     def run(**changes):
         extra = {"hurry": 1.0, "hurry.above": 2.0, "hurry.kind": 1.0} | changes
@@ -153,12 +144,9 @@ def standing(config, goal_events, tracked=(0,)):
     return goal_step(config, *steps, goal_events=goal_events)
 
 
-WAY = RewardConfig(progress=0.2, alignment=0.0)
-
-
 def progress(poses, goals, tracked=(0, 4)):
     """Progress of one agent over moves ((x, y, yaw) ...) with goals before each."""
-    config = config_of(WAY)
+    config = config_of(RewardConfig(progress=0.2, alignment=0.0))
     poses, goals = [cars([pose]) for pose in poses], [[goal] for goal in goals]
     steps = zip(itertools.pairwise(goals), itertools.pairwise(poses), strict=True)
     made = (goal_step(config, chosen, tracked, *moved) for chosen, moved in steps)
@@ -272,19 +260,6 @@ def test_a_bad_goal_pays_its_own_reward_instead():
     paid = bad_goals(None)
     np.testing.assert_array_equal(paid["continue_goal"], np.float32([0.01, 0, 0.01, 0]))
     assert "bad_goal" not in paid
-
-
-@pytest.mark.parametrize("scheme", ["G,G,A", "G,G,S"])
-def test_only_the_enforced_context_makes_a_goal_bad(scheme):
-    config = EnvConfig(
-        num_agents=1,
-        goals=GoalConfig(dynamic=True),
-        giving_way=GivingWayConfig(scheme, -0.1),
-        observation=ContinuousObservation(global_information=True),
-    )
-    events = no_goal_events(1, continue_goal=[True], global_any=[True])
-    paid = reward_terms(config, standing(config, events))["bad_goal"]
-    assert paid[0] == np.float32(-0.1 if scheme == "G,G,A" else 0.0)
 
 
 def test_diverged_or_finished_agents_get_no_goal_rewards():

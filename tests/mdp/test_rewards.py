@@ -38,19 +38,11 @@ PUBLISHED = RewardConfig(  # Tanner 2022, table C.9
     extra={"approach": 0.15, "smoothness": 0.05, "reverse": 0.1},
 )
 SHAPED = REWARDS["shaped"]
-LIMITED_RADIUS = 2.5 / math.tan(0.6)  # m, of the rear axle of `hand_cars`
 
 
 def test_every_term_of_a_hand_worked_step():
-    config = RewardConfig(
-        park=4.0,
-        crash=1.5,
-        time=1.0,
-        progress=0.2,
-        alignment=0.5,
-        closeness=0.0,  # below
-        extra={"approach": 0.15, "smoothness": 0.05, "reverse": 0.1},
-    )
+    weights = {"park": 4.0, "crash": 1.5, "time": 1.0, "progress": 0.2}
+    config = dataclasses.replace(PUBLISHED, alignment=0.5, **weights)
     # Agent 0 comes 1 m nearer on the axis at a third of its 3 m/s; agent 1 reverses
     # from 3 m to 5 m, turning from along the bay to 60 deg across it, with half the
     # possible steering change.
@@ -95,17 +87,6 @@ def test_closeness_is_of_the_nearest_agent_within_range():
     assert terms(config, alone, alone, GOAL)["closeness"] == 0.0
 
 
-def test_potential_is_minus_the_weighted_way_left():
-    config = RewardConfig(progress=0.2, alignment=0.5)
-    pose = jnp.array([[10.0, 0.0, 0.0], [6.0, 3.0, 0.0], [10.0, 4.0, -math.pi / 2]])
-    potential = goal_potential(config, pose, jnp.array(GOAL))
-    expected = [0.0, -1.0, -0.8 - 0.5 * math.pi / 2 * math.exp(-1)]
-    np.testing.assert_allclose(potential, expected, atol=1e-6)
-    pose = jnp.array([[9.0, 0.5, 0.3], [9.0, 0.5, 0.3 - math.pi]])
-    nose_in, nose_out = goal_potential(SHAPED, pose, jnp.array(GOAL))
-    assert float(nose_in) == pytest.approx(float(nose_out), abs=1e-6)  # float32
-
-
 def random_path(steps, seed=0):
     rng = np.random.default_rng(seed)
     return np.float32(rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (steps + 1, 3)))
@@ -145,7 +126,7 @@ def test_progress_can_count_the_way_along_the_lanes():
 
 def test_near_the_goal_every_metre_of_a_maneuver_can_pay():
     """Along a circle into the bay, which its straight distance hardly pays for."""
-    radius = LIMITED_RADIUS
+    radius = 2.5 / math.tan(0.6)  # m, of the rear axle of `hand_cars`
     reward = RewardConfig(progress=1.0, alignment=0.0, reeds_shepp_reach=100.0)
     angle = np.array([0.0, 0.1, 0.2])  # of the rear axle about the turn's centre
     rear = radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=-1)
@@ -206,9 +187,6 @@ def test_rewards_do_not_depend_on_the_frame(config):
         np.testing.assert_allclose(there[name], term, atol=1e-5, err_msg=name)
 
 
-POINT = WORLD_UNIT / 16  # m, of the finer grid
-
-
 def test_nearer_on_the_grid_is_exactly_what_whole_numbers_say():
     """Moves of up to 16 points; ties of x^2 + y^2 abound."""
     rng = np.random.default_rng(0)
@@ -218,7 +196,7 @@ def test_nearer_on_the_grid_is_exactly_what_whole_numbers_say():
     after = before + rng.integers(-16, 17, (20_000, 2))
     # Some swap their coordinates about the goal: exactly as far as before.
     after[:3000] = goal[:3000] + (before[:3000] - goal[:3000])[:, ::-1]
-    metres = [jnp.float32(points * POINT) for points in (before, after, goal)]
+    metres = [jnp.float32(points * WORLD_UNIT / 16) for points in (before, after, goal)]
     far, near = ((before - goal) ** 2).sum(axis=1), ((after - goal) ** 2).sum(axis=1)
     assert (far == near).sum() > 3000
     np.testing.assert_array_equal(is_nearer(*metres), near < far)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.scenes import cars, lot, polygons
+from helpers.scenes import cars, lot, polygons, random_lots
 from helpers.states import parked_at, state_of
 
 from carpark_mj.geometry import box_contact_time, box_disc_contact_time, rotate
@@ -21,51 +21,11 @@ from carpark_mj.mdp.collisions import (
 )
 from carpark_mj.obstacles import lot_obstacles
 
-LOTS, AGENTS, PARKED, WALLS, DISCS, TRACES = 300, 4, 5, 3, 4, 3
-TEMPLATE = lot(np.zeros((1, 3)), np.zeros((WALLS, 3)), discs=np.zeros((DISCS, 3)))
+LOTS, AGENTS = 300, 4
 
 
 def gaps_of(layout, motion, parked):
     return clearances(motion, lot_obstacles(layout, motion, parked))
-
-
-@jax.jit
-@jax.vmap
-def run(layout, motion, parked):
-    hits = find_hits(state_of(layout, motion, 0, parked_cars=parked))
-    return gaps_of(layout, motion, parked), hits
-
-
-@pytest.fixture(scope="module")
-def scene():
-    """Dense lots and wide ones, with rows that do not count."""
-    rng = np.random.default_rng(0)
-    reach = np.where(np.arange(LOTS) % 2, 12.0, 60.0)[:, None, None]
-
-    def poses(count):
-        place = rng.uniform(-1, 1, (LOTS, count, 2)) * reach
-        yaw = rng.uniform(-np.pi, np.pi, (LOTS, count, 1))
-        return np.float32(np.concatenate([place, yaw], axis=-1))
-
-    def sizes(count):
-        return np.float32(rng.uniform(0.5, 5.0, (LOTS, count, 2)))
-
-    pose = poses(AGENTS)[:, :, None]
-    way = rng.uniform(-0.7, 0.7, (LOTS, AGENTS, 1, 3))
-    trace = np.float32(pose + way * np.linspace(-1, 0, TRACES)[:, None])
-    motion = cars(trace[..., -1, :], size=sizes(AGENTS), trace=trace)
-    layout = jax.tree.map(lambda x: jnp.stack([x] * LOTS), TEMPLATE).replace(
-        wall_pose=poses(WALLS),
-        wall_size=sizes(WALLS),
-        wall_mask=rng.uniform(size=(LOTS, WALLS)) < 0.7,
-        disc_centre=poses(DISCS)[..., :2],
-        disc_radius=np.float32(rng.uniform(0.1, 1.5, (LOTS, DISCS))),
-        disc_mask=rng.uniform(size=(LOTS, DISCS)) < 0.7,
-    )
-    parked = jax.vmap(parked_at)(
-        poses(PARKED), sizes(PARKED), rng.uniform(size=(LOTS, PARKED)) < 0.7
-    )
-    return layout, motion, parked
 
 
 def oracle(scene):
@@ -92,8 +52,15 @@ def oracle(scene):
     return {name: np.clip(gap, 0.0, RANGE) for name, gap in found.items()}
 
 
-def test_clearance_is_shapely_s_and_0_where_cars_are_hit(scene):
-    got, hits = run(*scene)
+def test_clearance_is_shapely_s_and_0_where_cars_are_hit():
+    # Dense lots and wide ones.
+    scene = random_lots(LOTS, np.where(np.arange(LOTS) % 2, 12.0, 60.0))
+
+    def find(layout, motion, parked):
+        hits = find_hits(state_of(layout, motion, 0, parked_cars=parked))
+        return gaps_of(layout, motion, parked), hits
+
+    got, hits = jax.jit(jax.vmap(find))(*scene)
     expected = oracle(scene)
     for name, gap in expected.items():
         # Coordinates up to 60 m resolve 4e-6 m in float32.
@@ -207,45 +174,32 @@ def test_contact_times_of_discs_match_small_steps(pairs):
     check(np.asarray(found, np.float64), gap_at, velocity.any(axis=1))
 
 
-@jax.jit
-def times_of(layout, motion, parked):
-    return collision_times(motion, lot_obstacles(layout, motion, parked))
-
-
 def test_search_among_many_finds_what_all_pairs_give():
-    rng = np.random.default_rng(1)
-    agents, others, discs = 12, 30, 20
-
-    def poses(count):
-        pose = rng.uniform((-25, -25, -3.1), (25, 25, 3.1), (count, 3))
-        return jnp.asarray(pose, jnp.float32)
-
-    walls = poses(others)
-    parked = parked_at(poses(others), 2.0, jnp.arange(others) % 3 > 0)
-    plan = lot([(0, 0, 0)], walls, discs=np.float32(rng.uniform(0.2, 1, (discs, 3))))
-    plan = plan.replace(disc_centre=poses(discs)[:, :2])
-    motion = cars(poses(agents), speed=rng.uniform(-3, 3, agents))
-    found = times_of(plan, motion, parked)
+    lots = random_lots(1, 25.0, seed=1, agents=12, parked=30, walls=30, discs=20)
+    layout, motion, parked = jax.tree.map(lambda x: x[0], lots)
+    velocity = np.random.default_rng(1).uniform(-3, 3, (12, 2))
+    motion = motion.replace(velocity_b=jnp.asarray(velocity, jnp.float32))
 
     @jax.jit
-    def all_pairs():
+    def times(layout, motion, parked):
+        found = collision_times(motion, lot_obstacles(layout, motion, parked))
         velocity = rotate(motion.velocity_b, motion.pose_w[:, 2])[:, None]
         own = motion.pose_w[:, None], motion.size[:, None]
         relative = velocity - jnp.swapaxes(velocity, 0, 1)
         to_agents = box_contact_time(*own, motion.pose_w, motion.size, relative)
         to_parked = box_contact_time(*own, parked.pose_w, parked.size, velocity)
-        to_walls = box_contact_time(*own, walls, plan.wall_size, velocity)
-        disc = plan.disc_centre, plan.disc_radius
+        to_walls = box_contact_time(*own, layout.wall_pose, layout.wall_size, velocity)
+        disc = layout.disc_centre, layout.disc_radius
         to_discs = box_disc_contact_time(*own, *disc, velocity)
-        to_agents = jnp.where(jnp.eye(agents, dtype=bool), jnp.inf, to_agents)
-        return to_agents, to_parked, to_walls, to_discs
+        mask = jnp.concatenate([layout.wall_mask, layout.disc_mask])
+        solid = jnp.concatenate([to_walls, to_discs], axis=1)
+        return found, {
+            "agent": jnp.where(jnp.eye(12, dtype=bool), jnp.inf, to_agents),
+            "parked_car": jnp.where(parked.present, to_parked, jnp.inf),
+            "wall": jnp.where(mask, solid, jnp.inf),
+        }
 
-    to_agents, to_parked, to_walls, to_discs = all_pairs()
-    expected = {
-        "agent": to_agents,
-        "parked_car": jnp.where(parked.present, to_parked, jnp.inf),
-        "wall": jnp.concatenate([to_walls, to_discs], axis=1),
-    }
+    found, expected = times(layout, motion, parked)
     for kind, time in expected.items():
         nearest = jnp.minimum(jnp.min(time, axis=1), HORIZON)
         np.testing.assert_allclose(found[kind], nearest, rtol=1e-5, err_msg=kind)

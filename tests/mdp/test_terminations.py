@@ -7,15 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.crowds import crossing, random_lots
 from helpers.registering import restore_after
 from helpers.rules import LIMITS
-from helpers.scenes import cars, lot, moved, moved_cars
+from helpers.scenes import cars, crossing, lot, moved, moved_cars
 from helpers.states import parked_at, parked_in, state_of
 
 from carpark_mj.config import PARKED_RULES, EpisodeConfig, ParkedRule
 from carpark_mj.mdp.terminations import detect_events, is_parked
-from carpark_mj.types import NO_BAY
 
 detect_jit = jax.jit(detect_events, static_argnums=0)
 
@@ -86,12 +84,11 @@ CASES = {
     ],
 }
 CASES["exact"] = CASES["precise"]  # the lines are farther away; see below
+
+
 # The bay lies anywhere and points anywhere; the rules are those of its own frame.
-BAYS = [(0.0, 0.0, 0.0), (3.0, -18.0, math.pi / 2), (-7.0, 5.0, 2.5)]
-
-
-@pytest.mark.parametrize("bay", BAYS)
-@pytest.mark.parametrize("rule", sorted(CASES))
+@pytest.mark.parametrize("bay", [(0.0, 0.0, 0.0), (3.0, -18.0, 1.57), (-7.0, 5.0, 2.5)])
+@pytest.mark.parametrize("rule", sorted(LIMITS))
 def test_parked_rules_hold_up_to_their_thresholds(rule, bay):
     local = np.array([pose for pose, _, _ in CASES[rule]])
     local[:, 2] = np.radians(local[:, 2])
@@ -120,10 +117,6 @@ def test_exact_is_strict_and_precise_in_a_narrow_bay():
     assert (strict & ~precise).any()
     assert (precise & ~strict).any()
     np.testing.assert_array_equal(exact, strict & precise)
-
-
-def test_every_rule_is_probed():
-    assert CASES.keys() == LIMITS.keys()
 
 
 FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
@@ -191,15 +184,6 @@ def test_what_a_step_ends_with(poses, settings, outcomes):
         assert not (events.hit_agent | events.hit_parked_car | events.hit_wall).any()
 
 
-def test_nobody_parks_without_a_goal():
-    # JAX reads a row past the end as the last: no goal must not mean the last bay.
-    free = FAR_LOT.replace(bay_pose=FAR_LOT.bay_pose[::-1])
-    motion = cars([IN_BAY_0, AWAY])
-    events = detected(motion, "tanner", layout=free, goal=[NO_BAY, NO_BAY])
-    assert flags(events) == ["crashed", "drives on"]
-    assert flags(detected(motion, "tanner", layout=free, goal=[2, 2]))[0] == "parked"
-
-
 @pytest.mark.parametrize(("step", "outcome"), [(9, "parked"), (10, "timed_out")])
 def test_a_rule_may_put_the_timeout_first(monkeypatch, step, outcome):
     restore_after(monkeypatch, PARKED_RULES)
@@ -215,19 +199,8 @@ def test_both_agents_of_a_collision_crash_that_are_active():
     assert not (events.hit_parked_car | events.hit_wall).any()
     events = detected(crossing(True), active=jnp.array([True, False]))
     assert flags(events) == ["crashed", "drives on"]  # of a finished agent and another
-
-
-def test_a_crash_says_what_was_hit():
-    layout = FAR_LOT.replace(
-        wall_pose=jnp.array([[0.0, 10.0, 0.0]]),
-        wall_size=jnp.ones((1, 2)),
-        wall_mask=jnp.ones(1, bool),
-    )
-    events = detected(cars([ON_THE_PARKED_CAR, (0.0, 10.5, 0.0)]), layout=layout)
-    assert flags(events) == ["crashed", "crashed"]
-    np.testing.assert_array_equal(events.hit_parked_car, [True, False])
-    np.testing.assert_array_equal(events.hit_wall, [False, True])
-    np.testing.assert_array_equal(events.hit_agent, [False, False])
+    # At the end of the step alone nothing is to be seen.
+    assert flags(detected(crossing(False))) == ["drives on"] * 2
 
 
 @pytest.mark.parametrize(
@@ -254,17 +227,28 @@ def test_scaled_hitboxes_do_not_make_parking_harder():
 
 @functools.cache
 def random_states():
-    """Crowded lots; half of the first agents stand in or almost in their bays."""
+    """Lots of 3 moving agents, 4 bays and 3 walls, crowded into 20 m.
+
+    Half of the first agents stand in or almost in their bays.
+    """
     rng, count = np.random.default_rng(1), 1000
-    motion, bays, walls, wall_size = random_lots(rng, count)
+
+    def poses(*shape):
+        return np.float32(rng.uniform([-10, -10, -3.1], [10, 10, 3.1], (*shape, 3)))
+
+    start, end = poses(count, 3), poses(count, 3)
+    share = np.linspace(0.25, 1.0, 4)[:, None]
+    trace = np.float32(start[..., None, :] + 0.15 * share * (end - start)[..., None, :])
+    size = np.float32(rng.uniform((3.0, 1.5), (5.0, 2.0), (count, 3, 2)))
+    bays, walls = poses(count, 4), poses(count, 3)
+    wall_size = np.float32(rng.uniform(0.5, 4.0, (count, 3, 2)))
     near = rng.normal(0, (0.2, 0.2, 0.04), (count, 3))
-    pose, trace = np.array(motion.pose_w), np.array(motion.trace_w)
-    half = slice(0, count // 2)
+    pose, half = trace[..., -1, :].copy(), slice(0, count // 2)
     pose[half, 0] = (bays[:, 0] + near)[half]
     trace[half, 0] = pose[half, 0, None]
     speed = rng.normal(0, 0.1, (count, 3))
     finite = rng.uniform(size=(count, 3)) > 0.1
-    motion = cars(pose, speed, size=motion.size, trace=trace, finite=finite)
+    motion = cars(pose, speed, size=size, trace=trace, finite=finite)
     step = rng.integers(5, 12, (count, 3))
     active = rng.uniform(size=(count, 3)) > 0.1
     return motion, bays, walls, wall_size, step, active

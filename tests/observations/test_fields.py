@@ -1,9 +1,7 @@
 """Fields of observations, sets of entities, and encoders from outside."""
 
 import dataclasses
-import itertools
 import json
-import re
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.observing import BAYS, CONFIGS, observed
 from helpers.scenes import cars, lot
-from helpers.sliding import SlidePhysics, placed
+from helpers.sliding import placed, sliding
 from helpers.states import config_of, state_of
 
 from carpark_mj.config import (
@@ -24,14 +22,12 @@ from carpark_mj.config import (
     RingConfig,
     ShareConfig,
 )
-from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import tracks_parked_cars
 from carpark_mj.observations import (
     ContinuousObservation,
     make_fields,
-    markdown_table,
     observation_size,
     observe,
 )
@@ -78,44 +74,6 @@ def test_by_default_all_lots_lie_within_the_ranges():
         across = 2.0 * np.linalg.norm(lots.extent, axis=-1)
         most = max(most, float(across.max()))
     assert 80.0 < most < FAR * FARTHEST
-
-
-def test_table_has_each_field_of_the_first_entity():
-    config = config_of(ContinuousObservation(3, 2), num_tracked_bays=4)
-    rows = markdown_table(make_fields(config)).splitlines()[2:]
-    listed = [re.findall(r"`([^`]+)`", row.split("|")[1]) for row in rows]
-    once = config_of(ContinuousObservation(1, 1), num_tracked_bays=1)
-    names = [field.name for field in make_fields(once)]
-    assert list(itertools.chain(*listed)) == names
-
-
-@pytest.mark.parametrize("num_tracked_bays", [0, 3])
-@pytest.mark.parametrize("config", CONFIGS)
-def test_entities_of_a_group_have_the_same_fields(config, num_tracked_bays):
-    fields = make_fields(config_of(config, num_tracked_bays))
-    groups = itertools.groupby(fields, lambda field: field.group)
-    counts = {}
-    for group, members in groups:
-        assert group not in counts  # a group is one piece of the vector
-        rows = [list(row) for _, row in itertools.groupby(members, lambda f: f.index)]
-        counts[group] = len(rows)
-        if not group:
-            counts.pop(group)
-            continue
-        for index, row in enumerate(rows):
-            start = f"{group}_{index}_"
-            assert [field.name for field in row] == [
-                f.name.replace(f"{group}_0_", start) for f in rows[0]
-            ]
-            for field, first in zip(row, rows[0], strict=True):
-                assert (field.group, field.index) == (group, index)
-                assert dataclasses.replace(field, name="", index=0) == (
-                    dataclasses.replace(first, name="")
-                )
-    expected = {"bay": num_tracked_bays}
-    expected["agent"] = config.tracked_agents
-    expected["parked_car"] = config.tracked_parked_cars
-    assert counts == {group: count for group, count in expected.items() if count}
 
 
 @pytest.mark.parametrize(
@@ -171,7 +129,7 @@ def test_every_number_goes_to_the_entity_that_its_field_names(name):
     sets = observation_sets(fields)
     vector = jnp.arange(2 * sets.size).reshape(2, sets.size)  # each number is its place
     parts = {k: np.asarray(part) for k, part in sets.split(vector).items()}
-    wanted: dict[str, list] = {OWN: []}
+    wanted = {OWN: []}
     start = 0
     for field in fields:
         numbers = list(range(start, start + field.size))
@@ -192,7 +150,7 @@ def test_every_number_goes_to_the_entity_that_its_field_names(name):
             np.testing.assert_array_equal(parts[part][row], expected_row)
 
 
-def test_entities_are_present_where_their_mask_is_1():
+def test_entities_are_present_where_their_mask_is_1_or_missing():
     fields = make_fields(CONFIGS_OF_SETS["dynamic"])
     sets = observation_sets(fields)
     counts = {part.group: part.count for part in sets.sets}
@@ -209,16 +167,11 @@ def test_entities_are_present_where_their_mask_is_1():
         assert present[group][index] == bit
     assert sum(map(len, present.values())) == len(masks)
     assert 0 < sum(masks.values()) < len(masks)
-
-
-def test_entities_without_a_mask_are_always_present():
+    # Without a mask they always are.
     cars = [Field("car_x", 1, -1, 1, "", "car", index) for index in range(3)]
     sets = observation_sets([Field("speed", 1, -1, 1, ""), *cars])
     present = sets.present(sets.split(jnp.zeros((2, sets.size))))
     np.testing.assert_array_equal(present["car"], np.ones((2, 3), bool))
-
-
-LOT = lot([(0.0, 0.0, 0.0)])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -250,20 +203,14 @@ class Speedometer(ObservationConfig):
         return {"speed": state.motion.speed[:, None] / self.scale}
 
 
-@pytest.fixture
-def speedometer(monkeypatch):
-    """It has a name, until the test ends."""
-    monkeypatch.setitem(ENCODERS._parts, "speedometer", Speedometer)
-
-
 def test_an_encoder_of_its_own_fills_the_vector_and_remembers():
     config = EnvConfig(num_agents=2, num_parked_cars=0, observation=Speedometer())
-    env = ParkingEnv(config, SlidePhysics())
-    state, first = jax.jit(env.reset)(jax.random.key(0))
+    env, reset, step = sliding(config)
+    state, first = reset(jax.random.key(0))
     assert first.shape == (2, env.observation_size) == (2, 2)
     np.testing.assert_array_equal(first[:, 1], 0.0)
     state = placed(env, state, [[-4.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
-    step, ahead = jax.jit(env.step), jnp.array([[0.0, 1.0], [0.0, 0.5]])
+    ahead = jnp.array([[0.0, 1.0], [0.0, 0.5]])
     state, one = step(state, ahead)
     _, two = step(state, jnp.zeros((2, 2)))
     speed = np.asarray(one.motion.speed) / 5.0
@@ -278,19 +225,15 @@ def test_an_encoder_of_its_own_fills_the_vector_and_remembers():
 
 
 def test_what_an_encoder_does_not_say_is_no():
-    seen = Speedometer()
-    assert not seen.sees_own_car
-    assert not seen.sees_routes
-    assert not seen.sees_everywhere
-    config = config_of(seen)
-    state = state_of(LOT, cars(np.zeros((3, 3))), 0)
-    assert not tracks(config, state).any()
-    assert not tracks_parked_cars(config, state).any()
+    state = state_of(lot([(0.0, 0.0, 0.0)]), cars(np.zeros((3, 3))), 0)
+    for which in (tracks, tracks_parked_cars):
+        assert not which(config_of(Speedometer()), state).any()
     with pytest.raises(ValueError, match=r"fleet.agents needs observation.own_car"):
-        EnvConfig(observation=seen, fleet=FleetConfig(("city",)))
+        EnvConfig(observation=Speedometer(), fleet=FleetConfig(("city",)))
 
 
-def test_an_encoder_is_read_back_by_its_name(speedometer):
+def test_an_encoder_is_read_back_by_its_name(monkeypatch):
+    monkeypatch.setitem(ENCODERS._parts, "speedometer", Speedometer)
     config = EnvConfig(observation=Speedometer(scale=3.0))
     data = json.loads(json.dumps(dataclasses.asdict(config)))
     assert from_dict(EnvConfig, data) == config
@@ -330,11 +273,6 @@ def encoder(names, filled):
 )
 def test_values_that_are_not_those_of_the_fields_are_refused(names, filled, message):
     config = config_of(encoder(names, filled))
-    state = state_of(LOT, cars(np.zeros((3, 3))), 0)
+    state = state_of(lot([(0.0, 0.0, 0.0)]), cars(np.zeros((3, 3))), 0)
     with pytest.raises(ValueError, match=message):
         jax.eval_shape(lambda state: observe(config, state), state)
-
-
-def test_fields_in_the_order_of_the_declaration():
-    config = config_of(encoder("ba", {"a": (3, 1), "b": (3, 1)}))
-    assert [field.name for field in make_fields(config)] == ["b", "a"]

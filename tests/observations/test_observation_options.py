@@ -7,22 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.observing import observe_jit
 from helpers.scenes import cars, fields_of, lot, moved, moved_cars, moved_lot
 from helpers.states import config_of, parked_at, state_of
 
-from carpark_mj.config import (
-    EnvConfig,
-    RayConfig,
-    RingConfig,
-    SensorConfig,
-    ShareConfig,
-)
+from carpark_mj.config import EnvConfig, RayConfig, RingConfig, ShareConfig
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import tracks_parked_cars
-from carpark_mj.observations import ContinuousObservation, make_fields, observe
-from carpark_mj.observations.sensors import init_sensors
+from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.types import NO_BAY
 
 BASE = ContinuousObservation()
@@ -32,8 +26,6 @@ RICH = ContinuousObservation(
     rings=RingConfig((5.0, 6.2, 8.0), cars=True, history=2),
     global_information=True,
 )
-
-observe_jit = jax.jit(observe, static_argnums=0)
 
 
 def observed(config, layout, motion, goal, parked=(), bays=None, history=None):
@@ -197,22 +189,11 @@ def test_nearest_agents_and_parked_cars_are_tracked():
     assert not any(matrix.any() for matrix in matrices(ContinuousObservation(0, 0)))
 
 
-def test_agents_track_where_their_sensors_see_others():
-    # Late by a step, agent 0 still believes to be on the other side.
-    config = SensorConfig(delay_min=1, delay_max=1)
-    before = cars([(10.0, 0.0, 0.0), (0.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
-    after = cars([(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
-    sensors = init_sensors(config, before, jax.random.key(0))
-    one = config_of(ContinuousObservation(tracked_agents=1))
-    late = tracks(one, state_of(BAYS, after, 0, sensors=sensors))
-    np.testing.assert_array_equal(late, [[0, 0, 1], [0, 0, 1], [1, 0, 0]])
-    true = tracks(one, state_of(BAYS, after, 0))
-    np.testing.assert_array_equal(true, [[0, 1, 0], [1, 0, 0], [1, 0, 0]])
-
-
-def scene(count=6):
-    """Cars anywhere in a `square` lot, and bays they track."""
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize("chosen", [False, True])
+def test_motions_and_the_order_of_others_change_nothing(chosen):
+    config = dataclasses.replace(RICH, share=ShareConfig(steering=True))
+    # Cars anywhere in a `square` lot, and bays they track.
+    rng, count = np.random.default_rng(0), 6
     low, high = (-15, -15, -3.1), (15, 15, 3.1)
     motion = cars(rng.uniform(low, high, (count, 3)), rng.uniform(-1, 3, count))
     layout = make_layout("square")
@@ -221,15 +202,7 @@ def scene(count=6):
     tracked = np.stack([rng.permutation(bays[10:14])[:2] for _ in range(count)])
     goal = np.array([bays[10], NO_BAY, *bays[10 : 10 + count - 2]])
     history = jnp.array(rng.integers(0, 3, (count, 2, 3)), jnp.int32)
-    return layout, motion, goal, parked, tracked, history
-
-
-@pytest.mark.parametrize("chosen", [False, True])
-def test_motions_and_the_order_of_others_change_nothing(chosen):
-    config = dataclasses.replace(RICH, share=ShareConfig(steering=True))
-    layout, motion, goal, parked, bays, history = scene()
-    if not chosen:
-        bays, goal = None, np.arange(6)
+    bays, goal = (tracked, goal) if chosen else (None, np.arange(6))
     here = observed(config, layout, motion, goal, parked, bays, history)
     shift = (3.0, -7.0, 0.6)
     there = (moved_lot(layout, shift), moved_cars(motion, shift), goal)

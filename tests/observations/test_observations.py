@@ -1,7 +1,6 @@
 """What agents observe: scenes by hand, invariances, ranges while driving, movers."""
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -126,20 +125,12 @@ def test_cars_that_do_not_exist_are_all_zeros():
             assert not name.endswith("present") or (pair[name] == there).all()
 
 
-def random_scene(count=6):
-    """A `square` lot with cars anywhere, and its plan."""
-    rng = np.random.default_rng(2)
-    pose = rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (count, 3))
-    motion = cars(pose, size=rng.uniform((3.5, 1.6), (4.8, 1.9), (count, 2)))
-    bays = rng.permutation(36)[: count + 16]
-    parked_size = rng.uniform((3.5, 1.6), (4.8, 1.9), (16, 2)).astype(np.float32)
-    return motion, bays[:count], bays[count:], parked_size
-
-
 def test_tracked_cars_are_the_nearest_in_order():
     config, layout = ContinuousObservation(2, 2), make_layout("square")
-    motion, goal, parked_bay, parked_size = random_scene()
-    named = observed(config, layout, motion, goal, parked_bay, parked_size)
+    rng = np.random.default_rng(2)
+    motion = cars(rng.uniform([-15, -15, -3.1], [15, 15, 3.1], (6, 3)))
+    goal, parked_bay = np.split(rng.permutation(36)[:22], [6])
+    named = observed(config, layout, motion, goal, parked_bay)
     xy = np.asarray(motion.pose_w[:, :2])
     parked_xy = np.asarray(layout.bay_pose)[parked_bay, :2]
     for kind, other in (("agent", xy), ("parked_car", parked_xy)):
@@ -293,5 +284,5 @@ def test_they_are_a_group_of_the_set_encoder_and_none_by_default():
     parts = sets.split(vector)
     weights = encoder.init(jax.random.key(0), parts, sets.present(parts))
     assert "mover_0" in weights["params"]
-    found: Any = encoder.apply(weights, parts, sets.present(parts))
+    found = encoder.apply(weights, parts, sets.present(parts))
     assert np.isfinite(found).all()

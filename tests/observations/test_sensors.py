@@ -1,5 +1,4 @@
 import dataclasses
-import functools
 import itertools
 import math
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.observing import CONFIGS, observe_jit
 from helpers.scenes import cars, fields_of, lot
-from helpers.sliding import SlidePhysics, placed
+from helpers.sliding import placed, sliding
 from helpers.states import config_of, parked_at, state_of
 
 from carpark_mj.config import (
@@ -19,7 +18,6 @@ from carpark_mj.config import (
     SensorConfig,
     ShareConfig,
 )
-from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.observations import ContinuousObservation
@@ -207,14 +205,8 @@ SCENES = [
 ]
 
 
-@functools.cache
 def late_scene(config):
-    """Fields of a lot whose agents' sensors are a step late.
-
-    Returns:
-        What is observed, what would be if all stood where the sensors put them, and
-        what if the sensors were exact.
-    """
+    """Fields with late sensors, if all were where these say, and with exact ones."""
     believed, true = scattered(0), scattered(1)
     bays = [[k, (k + 1) % 8, (k + 3) % 8] for k in range(5)]
 
@@ -271,20 +263,18 @@ def test_memory_of_rings_and_tracking_of_others_follow_them_too():
         assert not np.array_equal(found, truly)
 
 
-def slide(sensors):
-    config = EnvConfig(num_agents=2, num_parked_cars=2, sensors=sensors)
-    return ParkingEnv(config, SlidePhysics())
+SLIDING = EnvConfig(num_agents=2, num_parked_cars=2, sensors=LATE)
 
 
 def test_judging_rewards_and_motion_ignore_the_sensors():
     noisy = SensorConfig(position_noise=3.0, heading_noise=1.0, delay_max=3)
     runs = []
     for sensors in (SensorConfig(), noisy):
-        env = slide(sensors)
-        state, _ = jax.jit(env.reset)(KEY)
+        env, reset, step = sliding(dataclasses.replace(SLIDING, sensors=sensors))
+        state, _ = reset(KEY)
         pose = [[-5.0, 0.0, 0.0], [5.0, 0.0, 1.0]]
         state = placed(env, state, pose).replace(goal=jnp.array([0, 1]))
-        _, timestep = jax.jit(env.step)(state, jnp.array([[0.1, 0.5], [0.0, -0.5]]))
+        _, timestep = step(state, jnp.array([[0.1, 0.5], [0.0, -0.5]]))
         runs.append(timestep)
     truth, run = runs
     np.testing.assert_array_equal(truth.reward, run.reward)
@@ -294,9 +284,8 @@ def test_judging_rewards_and_motion_ignore_the_sensors():
 
 
 def test_late_sensors_start_afresh_after_a_respawn():
-    env = slide(LATE)
-    step = jax.jit(env.step)
-    state, _ = jax.jit(env.reset)(KEY)
+    env, reset, step = sliding(SLIDING)
+    state, _ = reset(KEY)
     # Far from everything, so that nothing ends the episode.
     state = placed(env, state, [[-4.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
     ahead = jnp.array([[0.0, 1.0], [0.0, 1.0]])

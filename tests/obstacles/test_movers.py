@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.packages import PACKAGES
+from helpers.programs import ROOT
 from helpers.scenes import cars, lot
 from helpers.sliding import SlidePhysics, placed
 from helpers.states import any_hit, state_of
@@ -199,7 +199,7 @@ def test_without_movers_nothing_is_kept_or_reported():
     assert ObstacleKind.MOVER in hit_kinds((Hands(),))
 
 
-FOLDER = PACKAGES / "rail_cart"
+FOLDER = ROOT / "examples" / "extensions" / "rail_cart"
 TRACES = 4  # of `SlidePhysics`
 
 

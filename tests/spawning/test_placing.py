@@ -50,11 +50,6 @@ def lots(count, seed=1):
     return start.goal, start.parked_cars, jnp.asarray(pose, jnp.float32)
 
 
-def alike(parked_cars, first=False):
-    """What agents are placed in when all cars are of one size."""
-    return SpawnInputs(LAYOUT, parked_cars, first=first)
-
-
 def place_all(config, inputs, placing, key):
     return place_waiting(functools.partial(place_agent, config), inputs, placing, key)
 
@@ -63,7 +58,7 @@ def place_all(config, inputs, placing, key):
 def place_lots(config, goal, parked_cars, pose, done, keys):
     def one(goal, parked_cars, pose, key):
         placing = start_placing(goal, parked_cars.bay, pose, done)
-        return place_all(config, alike(parked_cars), placing, key)
+        return place_all(config, SpawnInputs(LAYOUT, parked_cars), placing, key)
 
     return jax.vmap(one)(goal, parked_cars, pose, keys)
 
@@ -78,22 +73,15 @@ def placed(spawn, count=2000, done=FIRST):
     return np.asarray(goal), jax.device_get(after)
 
 
-def on_course(after):
-    """Lots in which agent 0 starts on a collision course with somebody."""
-    start = after.pose_w.astype(np.float64)
-    goal = BAY_XY[after.goal]
-    return meets(CONFLICT, start[:, 0], start[..., :2], goal).any(axis=1)
-
-
-def first_draws(spawn, key):
-    """The random numbers of agent 0."""
-    shapes = place_shapes(spawn, AGENTS, LAYOUT.num_bays)
-    return draw_uniform(shapes, jax.random.split(key, AGENTS)[0])
-
-
-def wanted(count=2000):
+def wanted():
     """Lots in which agent 0 is to start close, and on a collision course."""
-    return many(lambda key: draw_kind(MIXED, first_draws(MIXED, key)["kind"]), count, 2)
+    shapes = place_shapes(MIXED, AGENTS, LAYOUT.num_bays)
+
+    def kind(key):
+        draws = draw_uniform(shapes, jax.random.split(key, AGENTS)[0])
+        return draw_kind(MIXED, draws["kind"])
+
+    return many(kind, 2000, 2)
 
 
 def test_close_crash_and_random_starts_come_in_their_ratios():
@@ -103,25 +91,14 @@ def test_close_crash_and_random_starts_come_in_their_ratios():
     # Deviations 0.9 % and 1.1 %: five of them.
     assert close.mean() == pytest.approx(0.2, abs=0.045)
     assert crash.mean() == pytest.approx(0.5, abs=0.056)
-    course = on_course(after)
+    start, goal = after.pose_w.astype(np.float64), BAY_XY[after.goal]
+    course = meets(CONFLICT, start[:, 0], start[..., :2], goal).any(axis=1)
     assert course[~crash].mean() < 0.005  # by chance: within 2 mm of six agents' ways
     assert course[crash].mean() > 0.7  # of ten attempts one succeeds, among six others
-    nearest = np.clip(BAY_XY[after.goal[:, 0]], -AREA / 2, AREA / 2)
+    nearest = np.clip(goal[:, 0], -AREA / 2, AREA / 2)
     near = np.linalg.norm(after.pose_w[:, 0, :2] - nearest, axis=1) <= 0.5 + 1e-4
     assert near[close].mean() > 0.4  # where no other agent is
     assert near[~close].mean() < 0.01
-
-
-def test_crash_start_has_a_new_free_goal():
-    before, after = placed(MIXED)
-    check_occupancy(after.goal, after.parked_bay, np.ones((2000, 36), bool))
-    assert (after.goal[:, 0] != before[:, 0]).all()
-    np.testing.assert_array_equal(after.goal[:, 1:], before[:, 1:])
-    xy = after.pose_w[..., :2]
-    gap = np.linalg.norm(xy[:, :1] - xy[:, 1:], axis=-1).min(axis=1)
-    course = on_course(after)
-    assert course.any()
-    assert gap[course].min() > MIXED.min_distance
 
 
 def test_agents_that_end_together_are_no_targets():
@@ -131,8 +108,7 @@ def test_agents_that_end_together_are_no_targets():
     np.testing.assert_array_equal(old[:, 2:].astype(np.float32), after.pose_w[:, 2:])
     start, goal = after.pose_w.astype(np.float64), BAY_XY[after.goal]
 
-    def share(xy, goal):
-        """Of the lots in which agent 0 is to be on course for agents (n, k)."""
+    def share(xy, goal):  # of the lots in which agent 0 is to be on course
         ends = (start[:, :1, :2], goal[:, :1], xy[:, 1:, :2], goal[:, 1:])
         return (meetings(*ends)[1].min(axis=1) < 2e-3)[wanted()[1]].mean()
 
@@ -149,7 +125,7 @@ def test_reset_starts_are_on_course_for_earlier_agents():
 
     def place(goal, parked_cars, key):
         placing = start_placing(goal, parked_cars.bay, nowhere, everybody)
-        inputs = alike(parked_cars, True)
+        inputs = SpawnInputs(LAYOUT, parked_cars, first=True)
         return place_all(config_of(CONFLICT), inputs, placing, key)
 
     keys = jax.random.split(jax.random.key(5), 300)

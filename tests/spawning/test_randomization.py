@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 from helpers.cars import ROAD_CARS
-from helpers.sliding import SlidePhysics
+from helpers.sliding import sliding
 from helpers.trees import leaves, same
 
 from carpark_mj.config import EnvConfig, RandomizationConfig, SimConfig
-from carpark_mj.env import ParkingEnv
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.spawning.randomization import check_randomization, randomize
-from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
+from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import SURFACES, in_conditions, with_mass
@@ -37,15 +35,13 @@ KEY = jax.random.key(0)
 
 
 @pytest.fixture(scope="module")
-def fleet(compact: Vehicle) -> Vehicle:
+def fleet(compact):
     """2000 random cars."""
     make = jax.jit(jax.vmap(lambda key: randomize(EVERYTHING, compact, key)))
     return make(jax.random.split(KEY, 2000))
 
 
-def test_every_parameter_fills_its_range_and_stays_in_it(
-    fleet: Vehicle, compact: Vehicle
-):
+def test_every_parameter_fills_its_range_and_stays_in_it(fleet, compact):
     def factor(name):
         return np.asarray(getattr(fleet, name) / getattr(compact, name))
 
@@ -77,7 +73,7 @@ def test_every_parameter_fills_its_range_and_stays_in_it(
         assert (np.asarray(getattr(fleet, name)) == getattr(compact, name)).all()
 
 
-def test_parameters_are_drawn_independently_of_each_other(fleet: Vehicle):
+def test_parameters_are_drawn_independently_of_each_other(fleet):
     columns = [fleet.mass, fleet.cg[:, 0], fleet.cg[:, 2], fleet.tyres.friction]
     columns += [fleet.max_deceleration, fleet.steering_offset, fleet.steering_lag]
     correlation = np.corrcoef(np.stack(columns)) - np.eye(len(columns))
@@ -85,7 +81,7 @@ def test_parameters_are_drawn_independently_of_each_other(fleet: Vehicle):
     assert np.abs(correlation).max() < 0.09
 
 
-def test_switching_one_parameter_on_changes_no_other(compact: Vehicle):
+def test_switching_one_parameter_on_changes_no_other(compact):
     lag = RandomizationConfig(steering_lag=EVERYTHING.steering_lag)
     both = dataclasses.replace(lag, friction=EVERYTHING.friction)
     one, two = randomize(lag, compact, KEY), randomize(both, compact, KEY)
@@ -118,7 +114,7 @@ def test_a_loaded_car_has_the_mass_properties_of_one_built_so(params):
         np.testing.assert_allclose(got, expected, rtol=1e-5)
 
 
-def test_surfaces_scale_grip_and_scrub_alike(compact: Vehicle):
+def test_surfaces_scale_grip_and_scrub_alike(compact):
     assert same(in_conditions(compact, SimConfig()), compact)
     for name, friction in SURFACES.items():
         tyre = dataclasses.replace(COMPACT.tyre, friction=friction)
@@ -157,42 +153,31 @@ def test_ranges_that_overturn_a_car_only_together_are_refused(name, change, grad
         check()
 
 
-class Loaded(NamedTuple):
-    """A preset, its mass as a factor, its load on the front axle and its steering."""
-
-    name: str
-    mass: float
-    share: float
-    offset: float
-
-    def vehicle(self, scale: float) -> Vehicle:
-        """The car with the accepted height of the centre of gravity times a scale."""
-        params = PRESETS[self.name]
-        ahead = self.share * params.wheelbase
-        cg_x, off = (ahead / params.cg_to_rear_axle,) * 2, (-self.offset, self.offset)
-        mass, accepted = (self.mass,) * 2, []
-        for height in np.arange(0.5, 3.0, 0.05):
-            most = {"cg_height": (height, height), "steering_offset": off}
-            config = RandomizationConfig(mass, cg_x, **most)
-            try:
-                check_randomization(config, params)
-            except ValueError:
-                break
-            accepted.append(height * params.cg_height)
-        car = make_vehicle(params)
-        cg = jnp.array([ahead, 0.0, scale * accepted[-1]])
-        offset = jnp.asarray(self.offset, car.mass.dtype)
-        car = dataclasses.replace(car, steering_offset=offset)
-        return with_mass(car, self.mass * car.mass, cg)
+def loaded(name, mass, share, offset, scale=1.0):
+    """A preset with a load and its share ahead, as tall as accepted times a scale."""
+    params, accepted = PRESETS[name], 0.0
+    ahead = share * params.wheelbase
+    cg_x, off = (ahead / params.cg_to_rear_axle,) * 2, (-offset, offset)
+    for height in np.arange(0.5, 3.0, 0.05):
+        most = {"cg_height": (height, height), "steering_offset": off}
+        try:
+            check_randomization(RandomizationConfig((mass,) * 2, cg_x, **most), params)
+        except ValueError:
+            break
+        accepted = height * params.cg_height
+    car = make_vehicle(params)
+    cg = jnp.array([ahead, 0.0, scale * accepted])
+    car = dataclasses.replace(car, steering_offset=jnp.float32(offset))
+    return with_mass(car, mass * car.mass, cg)
 
 
 def test_accepted_cars_stay_upright():
     """Full steps of wheel and pedal; a car on its side is put back and flagged."""
-    grid = list(itertools.product(("city", "van"), (1.0, 2.0, 3.0), (0.2, 0.5, 0.8)))
-    cases = [Loaded(*car, offset) for offset in (0.0, 0.2) for car in grid]
-    runs, taller = 8, [case for case in cases if case.share == 0.5 > case.offset]
-    cars = [case.vehicle(1.0) for case in cases]
-    cars += [case.vehicle(2.0) for case in taller]
+    loads = (1.0, 2.0, 3.0), (0.2, 0.5, 0.8), (0.0, 0.2)  # mass, share, steering
+    cases, runs = [*itertools.product(("city", "van"), *loads)], 8
+    taller = [case for case in cases if case[2:] == (0.5, 0.0)]
+    cars = [loaded(*case) for case in cases]
+    cars += [loaded(*case, scale=2.0) for case in taller]
     vehicle = jax.tree.map(lambda *x: jnp.repeat(jnp.stack(x), runs, axis=0), *cars)
     physics, accepted = MjxPhysics(SimConfig()), len(cases) * runs
     rng = np.random.default_rng(0)
@@ -220,23 +205,15 @@ def test_accepted_cars_stay_upright():
 # In the environment
 
 
-@pytest.fixture(scope="module")
-def env() -> ParkingEnv:
-    config = EnvConfig(num_agents=3, num_parked_cars=2, randomization=EVERYTHING)
-    return ParkingEnv(config, SlidePhysics())
+CONFIG = EnvConfig(num_agents=3, num_parked_cars=2, randomization=EVERYTHING)
 
 
-@pytest.fixture(scope="module")
-def compiled(env):
-    return jax.jit(env.reset), jax.jit(env.step)
-
-
-def test_only_respawned_agents_get_new_cars(env, compiled):
-    reset, step = compiled
+def test_only_respawned_agents_get_new_cars():
+    _, reset, step = sliding(CONFIG)
     state, _ = reset(KEY)
     mass = np.asarray(state.physics.vehicle.mass)
     assert len(set(mass)) == 3
-    last = env.config.episode.max_steps - 1
+    last = CONFIG.episode.max_steps - 1
     state = state.replace(step=jnp.array([0, last, 0], jnp.int32))
     after, timestep = step(state, jnp.zeros((3, 2)))
     done = np.asarray(timestep.events.done)
@@ -254,22 +231,22 @@ def test_only_respawned_agents_get_new_cars(env, compiled):
     assert reset._cache_size() == 1
 
 
-def test_without_randomization_all_cars_are_the_nominal_one(env, compact: Vehicle):
-    off = dataclasses.replace(env.config, randomization=RandomizationConfig())
-    state, _ = jax.jit(ParkingEnv(off, SlidePhysics()).reset)(KEY)
+def test_without_randomization_all_cars_are_the_nominal_one(compact):
+    off = dataclasses.replace(CONFIG, randomization=RandomizationConfig())
+    state, _ = sliding(off)[1](KEY)
     both = leaves(state.physics.vehicle), leaves(compact)
     for got, nominal in zip(*both, strict=True):
         np.testing.assert_array_equal(got, np.broadcast_to(nominal, got.shape))
     assert state.sensors is None
 
 
-def test_no_key_is_used_twice(env, compiled):
+def test_no_key_is_used_twice():
     """The cars of consecutive steps and of neighbouring agents are all different."""
-    reset, step = compiled
+    _, reset, step = sliding(CONFIG)
     state, _ = reset(KEY)
     seen = list(np.asarray(state.physics.vehicle.mass))
     keys = [tuple(np.asarray(jax.random.key_data(state.key)))]
-    over = jnp.full(3, env.config.episode.max_steps, jnp.int32)
+    over = jnp.full(3, CONFIG.episode.max_steps, jnp.int32)
     for _ in range(5):
         state, _ = step(state.replace(step=over), jnp.zeros((3, 2)))
         seen += list(np.asarray(state.physics.vehicle.mass))

@@ -10,8 +10,8 @@ import pytest
 import shapely
 from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, polygons
-from helpers.spawning import many, placing_one
-from helpers.states import parked_at, parked_in
+from helpers.spawning import begun, many, placing_one
+from helpers.states import parked_in
 
 from carpark_mj.config import EnvConfig, SpawnConfig
 from carpark_mj.layouts import layout_config, layout_maxima, pad_layout
@@ -68,14 +68,6 @@ def maxima():
     return layout_maxima(jax.eval_shape(make, key) for make in makers)
 
 
-def inputs_of(layout, parked, cars, old=None):
-    return SpawnInputs(layout, parked, old, old, cars=cars)
-
-
-def keys_of(seed, count=LOTS):
-    return jax.random.split(jax.random.key(seed), count)
-
-
 @jax.jit
 def reverse_starts(layouts, cars, keys):
     """Agent 0 in each lot, with agent 1 anywhere near its goal."""
@@ -91,7 +83,7 @@ def reverse_starts(layouts, cars, keys):
         parked = parked.replace(pose_w=poses_in_bays(layout, parked))
         near = jax.random.uniform(near_key, (3,), minval=-6.0, maxval=6.0)
         pose = layout.bay_pose[goal[0]] + near
-        inputs = inputs_of(layout, parked, cars)
+        inputs = SpawnInputs(layout, parked, cars=cars)
         waiting = jnp.array([True, False])
         placing = start_placing(goal, bay, jnp.stack([pose, pose]), waiting)
         draws = draw_uniform(reverse_shapes(), draw_key)
@@ -156,11 +148,12 @@ def retrace(start, draws, bay_pose, vehicle):
 def test_a_start_is_free_and_the_way_back_ends_parked_in_the_bay(name):
     config = layout_config(name)
     make = lambda key: pad_layout(config.generate(key), maxima())  # noqa: E731
-    layouts = jax.jit(jax.vmap(make))(keys_of(0))
+    keys = jax.random.split(jax.random.key(0), LOTS)
+    layouts = jax.jit(jax.vmap(make))(keys)
     presets = [sorted(PRESETS)[k % len(PRESETS)] for k in range(LOTS)]
     fleet = jax.tree.map(lambda x: jnp.repeat(x[:, None], 2, 1), vehicles(presets))
     (pose, found), draws, goal, other, parked = reverse_starts(
-        layouts, fleet, keys_of(1)
+        layouts, fleet, jax.random.split(jax.random.key(1), LOTS)
     )
     number = np.arange(LOTS)
     bay_pose, bay_size = layouts.bay_pose[number, goal], layouts.bay_size[number, goal]
@@ -204,26 +197,12 @@ def test_a_start_is_free_and_the_way_back_ends_parked_in_the_bay(name):
         assert not shapely.intersects(solid, polygons(back[k, ::10], size[k])).any()
 
 
-def ends_of(layout, spawn, agents=((0.0, 40.0, 0.0),), parked=None, count=1500):
-    """Poses of agent 0, whose goal is bay 0, in a lot that begins around the others."""
-    parked = parked_at() if parked is None else parked
-    config = EnvConfig(spawn=spawn)
-    compact = vehicles(["compact"] * len(agents))
-    inputs = inputs_of(layout, parked, compact).replace(first=True)
-    placing = placing_one(inputs, range(len(agents)), agents)
-
-    def one(key):
-        return place_agent(config, inputs, placing, jnp.array(0), key).pose_w[0]
-
-    return many(one, count, 3)
-
-
 FAR = lot([(20.0, 0.0, np.pi), (20.0, 40.0, 0.0)], spawn_size=(1.0, 1.0))
 
 
 def test_the_share_of_reverse_starts_is_the_ratio():
     mixed = dataclasses.replace(REVERSE, close_ratio=0.1, reverse_ratio=0.4)
-    x = ends_of(FAR, mixed)[:, 0]
+    x = begun(FAR, mixed)[:, 0]
     # Deviation 1.3 %: five of them. Others start within 1 m of the origin.
     assert (x > 5.0).mean() == pytest.approx(0.4, abs=0.064)
     assert (np.abs(x) <= 0.5).mean() == pytest.approx(0.6, abs=0.064)
@@ -232,17 +211,18 @@ def test_the_share_of_reverse_starts_is_the_ratio():
 def test_a_start_falls_back_to_random_where_no_way_leads_out():
     walls = [(20.0, 1.2, 0.0), (20.0, -1.2, 0.0), (17.2, 0.0, 1.57), (22.8, 0.0, 1.57)]
     closed = lot(FAR.bay_pose, walls, wall_size=(6.0, 0.2), spawn_size=(1.0, 1.0))
-    assert np.abs(ends_of(closed, REVERSE)[:, 0]).max() <= 0.5
+    assert np.abs(begun(closed, REVERSE)[:, 0]).max() <= 0.5
     agents = [(20.0 + 6.0 * x, 6.0 * y, 0.0) for x in (-1, 0, 1) for y in (-1, 0, 1)]
     agents = [(0.0, 40.0, 0.0), *agents]  # who leave no room
-    assert np.abs(ends_of(FAR, REVERSE, agents)[:, 0]).max() <= 0.5
+    assert np.abs(begun(FAR, REVERSE, agents)[:, 0]).max() <= 0.5
 
 
 def test_parked_cars_count_where_they_stand_after_the_draw():
     """The new goal is bay 1, whose car makes way to bay 0, the old goal."""
     layout = lot([(10.0, 0.0, 0.0), (10.0, 3.0, 0.0)], spawn_size=(0.1, 0.1))
     parked, compact = parked_in(layout, [1]), vehicles(["compact"])
-    inputs, config = inputs_of(layout, parked, compact), EnvConfig(spawn=REVERSE)
+    inputs = SpawnInputs(layout, parked, cars=compact)
+    config = EnvConfig(spawn=REVERSE)
     place = functools.partial(place_agent, config)
     placing = placing_one(inputs, 0, 45.0)
     after = many(lambda key: place_waiting(place, inputs, placing, key), 500, 4)

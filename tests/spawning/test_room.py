@@ -172,7 +172,6 @@ def test_blocked_starts_wait_and_the_longest_wait_is_first():
     waiting = jnp.array([True, False, True, True])
 
     def place(inputs, placing, agent, key):
-        del inputs, key
         # The x of a start counts the starts made before it; that of agent 3 is taken.
         made = jnp.sum(~placing.waiting)
         x = jnp.where(agent == 3, 0.0, 100.0 * made)
@@ -244,8 +243,9 @@ def test_crowded_lane_start_has_the_most_room():
         np.testing.assert_allclose(own, max(room), atol=1e-4)
 
 
-@pytest.mark.parametrize("vehicle", ["van", "compact"])
-@pytest.mark.parametrize(("layout", "parked"), [("mixture", 8), ("dead_end", 2)])
+@pytest.mark.parametrize(
+    ("layout", "parked", "vehicle"), [("mixture", 8, "van"), ("dead_end", 2, "compact")]
+)
 def test_nobody_starts_on_people_or_on_what_stands(layout, parked, vehicle):
     """Lots have room for the compact car among what stands, but not for the van."""
     config = EnvConfig(

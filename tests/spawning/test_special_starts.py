@@ -11,6 +11,7 @@ import shapely
 from helpers.rules import LIMITS
 from helpers.scenes import cars, lot, polygons
 from helpers.spawning import (
+    begun,
     many,
     meetings,
     meets,
@@ -20,10 +21,9 @@ from helpers.spawning import (
 )
 from helpers.states import parked_at
 
-from carpark_mj.config import WORLD_UNIT, EnvConfig, SpawnConfig
+from carpark_mj.config import WORLD_UNIT, SpawnConfig
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.terminations import is_parked
-from carpark_mj.spawning.goals import place_agent
 from carpark_mj.spawning.placing import SpawnInputs, surroundings
 from carpark_mj.spawning.special_starts import (
     FARTHEST,
@@ -166,20 +166,6 @@ BAY = (20.0, 0.0, 0.5)
 COUNT = 1500
 
 
-def starts(layout, spawn=MISALIGNED, parked=None):
-    """Poses (COUNT, 3) of one car whose goal is bay 0, in a lot that begins."""
-    parked = parked_at() if parked is None else parked
-    config = EnvConfig(spawn=spawn)
-    car = jax.tree.map(lambda x: jnp.asarray(x)[None], make_vehicle(COMPACT))
-    inputs = SpawnInputs(layout, parked, cars=car, first=True)
-    placing = placing_one(inputs, 0)
-
-    def one(key):
-        return place_agent(config, inputs, placing, jnp.array(0), key).pose_w[0]
-
-    return many(one, COUNT, 3)
-
-
 def in_bay(pose, bay=BAY):
     """Offset along and across, and heading either way round, in the bay's frame."""
     off = (pose[:, 0] - bay[0] + 1j * (pose[:, 1] - bay[1])) * np.exp(-1j * bay[2])
@@ -197,7 +183,7 @@ TIGHT = lot(
 
 
 def test_misaligned_starts_cross_the_lines_of_the_bay():
-    pose = starts(TIGHT)
+    pose = begun(TIGHT, MISALIGNED, count=COUNT)
     along, across, askew, way = in_bay(pose)
     for values, most in zip((along, across, askew), FARTHEST, strict=True):
         assert 0.9 * most < np.abs(values).max() < most + 1e-3
@@ -216,7 +202,7 @@ def test_they_keep_clear_of_what_stands_beside_the_bay():
     gap, sizes = TIGHT.bay_size[0, 1] / 2 + 0.2, {"wall_size": (8.0, 0.2)}
     wall = BAY[0] - np.sin(BAY[2]) * gap, np.cos(BAY[2]) * gap, BAY[2]
     sizes |= {"bay_size": TIGHT.bay_size[0], "spawn_size": (1.0, 1.0)}
-    pose = starts(lot(TIGHT.bay_pose, [wall], **sizes))
+    pose = begun(lot(TIGHT.bay_pose, [wall], **sizes), MISALIGNED)
     wall = polygons(wall, sizes["wall_size"])
     gaps = shapely.distance(wall, polygons(pose, SIZE))
     assert MARGIN - 1e-3 < gaps.min() < MARGIN + 0.1
@@ -245,14 +231,12 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
     assert 0.0 < shapely.distance(cars_beside[1], own).min() < MARGIN
 
 
-def test_start_is_random_if_always_within_the_lines():
+def test_their_share_is_the_ratio_others_are_random():
+    # Those that would always be within the lines, too.
     sizes = {"bay_size": (SIZE[0] + 2.0, SIZE[1] + 2.0), "spawn_size": (1.0, 1.0)}
     wide = lot(TIGHT.bay_pose, **sizes)
-    assert np.abs(starts(wide)[:, :2]).max() <= 0.5
-
-
-def test_their_share_is_the_ratio():
+    assert np.abs(begun(wide, MISALIGNED)[:, :2]).max() <= 0.5
     mixed = dataclasses.replace(MISALIGNED, close_ratio=0.1, misaligned_ratio=0.3)
-    x = starts(TIGHT, mixed)[:, 0]
+    x = begun(TIGHT, mixed)[:, 0]
     # Deviation 1.2 %: five of them. Others start within 1 m of the origin.
     assert (x > 5.0).mean() == pytest.approx(0.3, abs=0.06)

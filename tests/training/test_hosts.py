@@ -6,20 +6,17 @@ import jax
 import numpy as np
 import pytest
 from helpers import splitting
-from helpers.sliding import SlidePhysics
+from helpers.learning import SMALL, sliding_learner
 
-from carpark_mj.config import EnvConfig
-from carpark_mj.env import ParkingEnv
+from carpark_mj.config import EnvConfig, insert
 from carpark_mj.layouts import StreetConfig
-from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.training import hosts
 from carpark_mj.training.hosts import Hosts, read_hosts
 from carpark_mj.training.ppo import learner as learner_module
 from carpark_mj.training.ppo.collect import AXIS
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.learner import Learner, num_devices
+from carpark_mj.training.ppo.learner import num_devices
 from carpark_mj.training.ppo.parts import PRESETS
-from carpark_mj.wrappers.brax import BraxParking
 
 
 def test_flags_of_hosts_are_taken_out_of_the_others():
@@ -52,6 +49,13 @@ def test_several_hosts_use_all_devices_or_none(monkeypatch):
     assert num_devices(config) == 6
     with pytest.raises(ValueError, match="over the 6 devices of 2 hosts"):
         num_devices(dataclasses.replace(config, num_lots=8))
+    # On one host lots and minibatches divide over the devices used.
+    monkeypatch.setattr(jax, "process_count", lambda: 1)
+    config = PPOConfig(num_lots=8, num_minibatches=4, env=EnvConfig(num_agents=2))
+    # 8 lots x 2 agents: 4 devices hold 4 agents each, one per minibatch; 5 and 6 do
+    # not divide the lots.
+    assert num_devices(config) == 4
+    assert num_devices(dataclasses.replace(config, num_minibatches=16)) == 1
 
 
 def test_what_fails_on_host_0_ends_the_others(monkeypatch):
@@ -80,33 +84,15 @@ def test_hosts_with_other_settings_are_refused(monkeypatch):
 
 
 @pytest.mark.slow
-def test_devices_learn_together_what_one_learns(tmp_path):
-    splitting.assert_alike(splitting.learned_by("brax", tmp_path / "learned.npz"))
-
-
-def test_lots_and_minibatches_divide_over_the_devices_used(monkeypatch):
-    monkeypatch.setattr(jax, "device_count", lambda: 6)
-    config = PPOConfig(num_lots=8, num_minibatches=4, env=EnvConfig(num_agents=2))
-    # 8 lots x 2 agents: 4 devices hold 4 agents each, one per minibatch; 5 and 6 do
-    # not divide the lots.
-    assert num_devices(config) == 4
-    assert num_devices(dataclasses.replace(config, num_minibatches=16)) == 1
+def test_devices_learn_together_what_one_learns():
+    splitting.assert_alike("brax")
 
 
 @pytest.mark.slow
 def test_devices_act_learn_and_draw_lots_differently(monkeypatch):
-    config = PPOConfig(
-        num_lots=2,
-        lot_life=1,  # all are drawn anew after the update
-        unroll_length=2,
-        num_minibatches=1,
-        networks=NetworkConfig((8,), (8,)),
-        env=EnvConfig(
-            layout=StreetConfig(bays_per_side=(3, 4)), num_agents=2, num_parked_cars=1
-        ),
-    )
-    learner = Learner(config)
-    learner.env = BraxParking(ParkingEnv(config.env, SlidePhysics()))
+    # All lots are drawn anew after the update.
+    changes = {"lot_life": 1, "env.layout": StreetConfig(bays_per_side=(3, 4))}
+    learner = sliding_learner(insert(SMALL, changes))
 
     def no_learning(config, networks, inputs, optimizer, state, rollout, key):
         learned = (state.normalizer, state.policy, state.value, state.optimizer)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from typing import Any
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from brax.training import pmap as brax_pmap
 from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.types import Transition
-from helpers.learning import assert_close, rollout
+from helpers.learning import SMALL, acted, assert_close, rollout
 from helpers.sliding import POSES
 from helpers.trees import same
 from jax.flatten_util import ravel_pytree
@@ -26,8 +26,7 @@ from carpark_mj.observations.compose import OWN
 from carpark_mj.observations.fields import Field
 from carpark_mj.policy.networks import MIN_DEVIATION, NetworkConfig, make_networks
 from carpark_mj.training.ppo import learner as learners
-from carpark_mj.training.ppo.collect import AXIS, Rollout, compute_advantages
-from carpark_mj.training.ppo.config import PPOConfig
+from carpark_mj.training.ppo.collect import AXIS, compute_advantages
 from carpark_mj.training.ppo.learn import learn, network_params
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.parts import PRESETS
@@ -65,7 +64,7 @@ def state(learner):
     return learner.init()
 
 
-def canned_data(learner, state, seed: int) -> Rollout:
+def canned_data(learner, state, seed):
     """A made-up unroll (time, agents, ...) with terminations.
 
     Nothing is truncated: Brax counts such steps where we do not.
@@ -75,18 +74,10 @@ def canned_data(learner, state, seed: int) -> Rollout:
     def normal(*size):
         return jnp.asarray(rng.normal(size=size), jnp.float32)
 
-    distribution = learner.networks.parametric_action_distribution
-
-    @jax.jit
-    def act(observation, noise):
-        apply = learner.networks.policy_network.apply
-        logits = apply(state.normalizer, state.policy, observation)
-        raw = distribution.sample_no_postprocessing(logits, jax.random.key(seed))
-        return raw, distribution.log_prob(logits, raw) + 0.1 * noise
-
     # Close to what the first normalizer expects, so that ratios stay finite after it.
     observation = 0.2 + 1.1 * normal(*SHAPE, size)
-    raw, log_prob = act(observation, normal(*SHAPE))
+    parts = learner.networks, state.normalizer, state.policy
+    raw, log_prob = acted(*parts, observation, normal(*SHAPE))
     return rollout(
         SHAPE,
         size,
@@ -99,7 +90,7 @@ def canned_data(learner, state, seed: int) -> Rollout:
     )
 
 
-def as_brax(steps: Rollout) -> Transition:
+def as_brax(steps):
     """The same as Brax takes it."""
     last = steps.final_observation[None]
     ends = {"truncation": steps.truncated, "episode_done": steps.terminated}
@@ -126,20 +117,6 @@ def on_one_device(function):
     return jax.jit(jax.shard_map(function, **spread))
 
 
-class StandInEnv:
-    """What Brax's trainer asks of an environment before it acts."""
-
-    def __init__(self, observation_size: int) -> None:
-        self.action_size = 2
-        self.observation_size = observation_size
-        self._obs = jnp.zeros((AGENTS, observation_size))
-
-    def reset(self, keys):
-        zero = jnp.zeros(keys.shape[0])
-        info = {"truncation": zero, "episode_done": zero, "episode_metrics": {}}
-        return State(None, self._obs, zero, zero, {}, info)
-
-
 def brax_update(learner, state, data, monkeypatch):
     """Parameters after one update of `brax.training.agents.ppo.train` on the data."""
 
@@ -152,9 +129,8 @@ def brax_update(learner, state, data, monkeypatch):
     monkeypatch.setattr(acting, "generate_unroll", lambda env, s, *_, **__: (s, data))
 
     def factory(observation_size, action_size, preprocess_observations_fn):
-        del preprocess_observations_fn
         fields = [Field("all", observation_size[-1], -1.0, 1.0, "")]
-        networks: Any = make_networks(TINY.networks, fields, ActionSpec(action_size))
+        networks = make_networks(TINY.networks, fields, ActionSpec(action_size))
 
         def take(network):  # Brax's statistics are of the vector as a whole
             return dataclasses.replace(
@@ -166,27 +142,26 @@ def brax_update(learner, state, data, monkeypatch):
             value_network=take(networks.value_network),
         )
 
+    size, zero = learner.env.observation_size, jnp.zeros(AGENTS)
+    info = {"truncation": zero, "episode_done": zero, "episode_metrics": {}}
+    start = State(None, jnp.zeros((AGENTS, size)), zero, zero, {}, info)
+    # What Brax's trainer asks of an environment before it acts.
+    asked = {"action_size": 2, "observation_size": size, "reset": lambda keys: start}
+    given = {"num_timesteps": 1, "wrap_env": False, "run_evals": False}
+    given |= {"num_envs": AGENTS, "batch_size": AGENTS, "max_devices_per_host": 1}
+    given |= {"episode_length": 100, "num_minibatches": 1, "network_factory": factory}
+    given |= {"normalize_observations": True, "entropy_cost": 0.0}
+    given |= {"restore_params": (state.normalizer[OWN], state.policy, state.value)}
     _, params, _ = brax_ppo.train(
-        StandInEnv(learner.env.observation_size),  # pyright: ignore
-        num_timesteps=1,
-        wrap_env=False,
-        num_envs=AGENTS,
-        episode_length=100,
+        SimpleNamespace(**asked),
         learning_rate=TINY.learning_rate,
-        entropy_cost=0.0,
         discounting=TINY.discount,
         unroll_length=TINY.unroll_length,
-        batch_size=AGENTS,
-        num_minibatches=1,
         num_updates_per_batch=TINY.num_epochs,
-        normalize_observations=True,
         clipping_epsilon=TINY.clip,
         gae_lambda=TINY.gae_lambda,
         max_grad_norm=TINY.max_grad_norm,
-        network_factory=factory,
-        max_devices_per_host=1,
-        run_evals=False,
-        restore_params=(state.normalizer[OWN], state.policy, state.value),
+        **given,
     )
     return params
 
@@ -341,19 +316,12 @@ def test_a_non_finite_update_is_dropped_whole(learner, update):
     assert min(jax.tree.leaves(apart)) > 1e-5
 
 
-ENCODED = PPOConfig(
-    num_lots=2,
-    unroll_length=4,
-    num_minibatches=1,
-    networks=NetworkConfig((16,), (16,), own_size=8, entity_size=16),
-    env=EnvConfig(physics="bicycle", observation=POSES, num_agents=2),
-)
-
-
 @pytest.mark.parametrize("half", [False, True])
 def test_on_a_gpu_sets_are_encoded_in_the_kernel(monkeypatch, half):
     monkeypatch.setattr(learners, "has_triton", lambda: True)
-    learner = Learner(dataclasses.replace(ENCODED, half_precision=half))
+    networks = NetworkConfig((16,), (16,), own_size=8, entity_size=16)
+    config = dataclasses.replace(SMALL, networks=networks, half_precision=half)
+    learner = Learner(config)
     traced = learner.compile().trace(learner.shapes())
     program = str(traced.jaxpr)
     assert "name=entities_gradient" in program

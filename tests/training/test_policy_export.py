@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import onnxruntime
 import pytest
+from helpers import tiny_policy
 from helpers.disks import no_printing
 from helpers.programs import assert_refused, exit_code
 from helpers.tiny_policy import parked_learner
@@ -14,20 +15,13 @@ from rich.console import Console
 
 from carpark_mj import pretrained
 from carpark_mj.cli import export as command
-from carpark_mj.config import EnvConfig
+from carpark_mj.config import insert
 from carpark_mj.observations import observation_size
 from carpark_mj.policy import loading
-from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.policy.onnx_export import split_observation
-from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.train import save
 
-TINY = PPOConfig(
-    num_lots=2,
-    num_minibatches=2,
-    networks=NetworkConfig((16,), (16,)),
-    env=EnvConfig(physics="bicycle", num_agents=3, min_agents=1, num_parked_cars=4),
-)
+TINY = insert(tiny_policy.TINY, {"env.num_agents": 3, "env.min_agents": 1})
 
 
 @pytest.fixture(scope="module")
@@ -39,31 +33,32 @@ def trained(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def known():
-    """Roll-outs of the policy and sensitivities of its actions, by their settings."""
-    return {}
+def once():
+    """Calls functions once for every environment and settings."""
+    known = {}
+
+    def remembered(function):
+        def call(loaded, *given):
+            settings = [
+                len(x["observation"]) if isinstance(x, dict) else x for x in given
+            ]
+            key = function.__name__, loaded.env, *settings
+            if key not in known:
+                known[key] = function(loaded, *given)
+            return known[key]
+
+        return call
+
+    return remembered
 
 
 @pytest.fixture
-def quick(monkeypatch, known):
+def quick(monkeypatch, once):
     """Fewer observations are compared, and each roll-out is driven once."""
+    export = command.onnx_export
     monkeypatch.setattr(command, "CHECKED", 200)
-    drive, disturb = command.rollout, command.onnx_export.sensitivity
-
-    def rollout(loaded, count, seed, rows=None):
-        key = "rollout", loaded.env, count, seed, rows
-        if key not in known:
-            known[key] = drive(loaded, count, seed, rows)
-        return known[key]
-
-    def sensitivity(loaded, rows, seen, seed):
-        key = "sensitivity", loaded.env, rows, len(seen["observation"]), seed
-        if key not in known:
-            known[key] = disturb(loaded, rows, seen, seed)
-        return known[key]
-
-    monkeypatch.setattr(command, "rollout", rollout)
-    monkeypatch.setattr(command.onnx_export, "sensitivity", sensitivity)
+    monkeypatch.setattr(command, "rollout", once(command.rollout))
+    monkeypatch.setattr(export, "sensitivity", once(export.sensitivity))
 
 
 def refused(capsys, *words, said):

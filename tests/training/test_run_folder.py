@@ -23,7 +23,6 @@ from carpark_mj.training.run_folder import (
 )
 
 LEFT = ".step_000000000064.0123456789abcdef.npz"  # by a process that was killed
-NAMES = ("/tmp/x", "a/b", "a\\b", "..", " ")
 
 
 def test_a_run_that_goes_on_begins_without_unfinished_files(tmp_path):
@@ -38,7 +37,7 @@ def test_a_run_that_goes_on_begins_without_unfinished_files(tmp_path):
         assert all(path.exists() for path in kept)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["/tmp/x", "a/b", "a\\b", "..", " "])
 def test_a_name_is_that_of_one_folder(name):
     with pytest.raises(ValueError, match="name must be the name of one folder"):
         PPOConfig(name=name)
@@ -85,15 +84,6 @@ def test_a_taken_name_is_refused_and_unnamed_runs_count_up(tmp_path):
     assert git.is_dir()
 
 
-ERRORS = (
-    ValueError("sizes"),
-    MemoryError(),
-    OSError(28, "No space left on device"),
-    JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"),
-    CheckpointError("other networks"),
-)
-
-
 def fail(config, error, write):
     """A run that writes something and then fails."""
     with open_run(config) as folder:
@@ -101,7 +91,17 @@ def fail(config, error, write):
         raise error
 
 
-@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize(
+    "error",
+    [
+        ValueError("sizes"),
+        MemoryError(),
+        OSError(28, "No space left on device"),
+        JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"),
+        CheckpointError("other networks"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
 def test_a_run_without_a_checkpoint_leaves_no_folder(tmp_path, error):
     config = PPOConfig(name="mine", runs_dir=str(tmp_path))
     for _ in range(2):  # the name is free again

@@ -7,22 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.training.types import UInt64
-from helpers.learning import assert_close
-from helpers.sliding import SlidePhysics
+from helpers.learning import assert_close, sliding_learner
 from helpers.tiny_policy import parked_learner
 from helpers.trees import same
 
-from carpark_mj.config import EnvConfig, RayConfig, ShareConfig
-from carpark_mj.env import ParkingEnv
+from carpark_mj.config import EnvConfig, RayConfig, ShareConfig, insert
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.policy.loading import save_policy
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer, update_normalizer
 from carpark_mj.training.ppo.group import make_learner
-from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import load_or_init, save
 from carpark_mj.training.ppo.warm_start import require_run, warm_start, widen
-from carpark_mj.wrappers.brax import BraxParking
 
 NETWORKS = ("normalizer", "policy", "average", "value")
 TINY = dataclasses.replace(
@@ -59,14 +55,20 @@ def test_networks_and_statistics_are_taken_and_the_rest_is_new(other, tmp_path):
     # The policy that was evaluated goes on, not the last one.
     theirs = dataclasses.replace(theirs, policy=theirs.average)
     wider = dataclasses.replace(TINY.networks, min_std=0.1)  # no weight's shape
-    config = dataclasses.replace(TINY, warm_start=str(folder), seed=3, networks=wider)
-    learner = parked_learner(config)
-    own, state = learner.init(), load_or_init(learner, [tmp_path])
+    config = dataclasses.replace(TINY, seed=3, networks=wider)
+    learner, state = started(config, folder, tmp_path)
+    own = learner.init()
     for name in vars(own):
         expected = getattr(theirs if name in NETWORKS else own, name)
         if jax.tree.leaves(expected):
             assert same(getattr(state, name), expected), name
     assert state.update == 0
+
+
+def started(config, run, folder):
+    """A learner that starts from a run, and its state."""
+    learner = parked_learner(dataclasses.replace(config, warm_start=str(run)))
+    return learner, jax.device_get(load_or_init(learner, [folder / "run"]))
 
 
 @pytest.mark.slow
@@ -96,8 +98,7 @@ def test_a_policy_alone_rests_while_a_critic_learns(other, tmp_path):
     steps = TINY.steps_per_update + 1
     config = dataclasses.replace(TINY, warm_start=str(alone), critic_steps=steps)
     require_run(config)
-    learner = Learner(config)
-    learner.env = BraxParking(ParkingEnv(config.env, SlidePhysics()))
+    learner = sliding_learner(config)
     state = load_or_init(learner, [tmp_path / "run"])
     start = jax.device_get(state)
     for actor in (start.policy, start.average):
@@ -114,24 +115,11 @@ def test_a_policy_alone_rests_while_a_critic_learns(other, tmp_path):
     assert now.skipped == 0
 
 
-WIDER = dataclasses.replace(
-    TINY,
-    env=dataclasses.replace(
-        TINY.env,
-        observation=ContinuousObservation(
-            own_car=True, lines=True, share=ShareConfig(steering=True, priority=True)
-        ),
-    ),
-)
-NEW = {
-    "own_size",
-    "own_wheelbase",
-    "own_rear_axle",
-    "own_turning_radius",
-    "line_room",
-    "agent_0_steering",
-    "agent_0_priority",
-}
+SHARE = ShareConfig(steering=True, priority=True)
+MORE = ContinuousObservation(own_car=True, lines=True, share=SHARE)
+WIDER = insert(TINY, {"env.observation": MORE})
+NEW = {"own_size", "own_wheelbase", "own_rear_axle", "own_turning_radius"}
+NEW |= {"line_room", "agent_0_steering", "agent_0_priority"}
 
 
 def names_of(env):
@@ -145,26 +133,18 @@ def outputs(learner, state, network, params, observation):
     return jax.jit(apply)(state.normalizer, params, observation)
 
 
-def memory(x):
-    """Address of an array."""
-    return x.addressable_data(0).unsafe_buffer_pointer()
-
-
 @pytest.mark.slow
 def test_a_policy_alone_is_widened_too(other, tmp_path):
     save_policy(other[0], tmp_path / "alone.npz")
-    config = dataclasses.replace(
-        WIDER, warm_start=str(tmp_path / "alone.npz"), critic_steps=1
-    )
+    alone = {"warm_start": str(tmp_path / "alone.npz"), "critic_steps": 1}
+    config = dataclasses.replace(WIDER, **alone)
     state = load_or_init(parked_learner(config), [tmp_path / "run"])
     # An update donates both: XLA aborts if memory is donated twice.
-    actor, average = (
-        {*map(memory, jax.tree.leaves(x))} for x in (state.policy, state.average)
-    )
-    assert not actor & average
+    both = jax.tree.leaves((state.policy, state.average))
+    memory = {x.addressable_data(0).unsafe_buffer_pointer() for x in both}
+    assert len(memory) == len(both)
     state = jax.device_get(state)
-    whole = dataclasses.replace(WIDER, warm_start=str(other[0]))
-    expected = jax.device_get(load_or_init(parked_learner(whole), [tmp_path / "run"]))
+    _, expected = started(WIDER, other[0], tmp_path)
     for name in ("normalizer", "average"):
         assert same(getattr(state, name), getattr(expected, name))
     assert same(state.policy, expected.average)
@@ -173,9 +153,7 @@ def test_a_policy_alone_is_widened_too(other, tmp_path):
 
 def test_agents_that_observe_more_act_as_before_and_learn(other, tmp_path):
     folder, theirs = other
-    config = dataclasses.replace(WIDER, warm_start=str(folder))
-    narrow, wide = parked_learner(TINY), parked_learner(config)
-    state = jax.device_get(load_or_init(wide, [tmp_path]))
+    narrow, (wide, state) = parked_learner(TINY), started(WIDER, folder, tmp_path)
     names, rng = names_of(WIDER.env), np.random.default_rng(1)
     more = rng.uniform(-1, 1, (50, names.size)).astype(np.float32)
     less = more[:, ~np.isin(names, sorted(NEW))]
@@ -223,20 +201,18 @@ def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
     np.testing.assert_allclose(again.std[new] ** 2, 0.5 + 1.5**2, rtol=1e-3)
 
 
-def with_rays(count, near, **more):
-    rays = RayConfig(count, near=near, **more)
-    return dataclasses.replace(TINY.env, observation=ContinuousObservation(rays=rays))
+def with_rays(count, **more):
+    rays = {"env.observation": ContinuousObservation(rays=RayConfig(count, **more))}
+    return insert(TINY, rays)
 
 
 def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path):
     folder, theirs = other
     assert TINY.env.observation.rays == RayConfig(24)
-    env = with_rays(72, 0.0)
-    config = dataclasses.replace(TINY, env=env, warm_start=str(folder))
-    narrow, wide = parked_learner(TINY), parked_learner(config)
-    state = jax.device_get(load_or_init(wide, [tmp_path]))
+    config = with_rays(72, near=0.0)
+    narrow, (wide, state) = parked_learner(TINY), started(config, folder, tmp_path)
     # Every third of 72 bearings is one of 24.
-    names, rng = names_of(env), np.random.default_rng(2)
+    names, rng = names_of(config.env), np.random.default_rng(2)
     kept = names != "rays"
     kept[np.flatnonzero(names == "rays")[::3]] = True
     more = rng.uniform(-1, 1, (20, names.size)).astype(np.float32)
@@ -246,20 +222,18 @@ def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path):
 
 
 def test_rays_of_another_reach_are_refused(other):
-    env = with_rays(72, 0.0, reach=20.0)
-    config = dataclasses.replace(TINY, warm_start=str(other[0]), env=env)
+    config = with_rays(72, near=0.0, reach=20.0)
+    config = dataclasses.replace(config, warm_start=str(other[0]))
     with pytest.raises(ValueError, match="trained on other observations: rays"):
         warm_start(config, other[1])
 
 
 def test_a_new_kind_of_entity_is_learned_from(tmp_path):
     seen = ContinuousObservation(tracked_parked_cars=0)
-    env = dataclasses.replace(TINY.env, observation=seen)
-    narrow = parked_learner(dataclasses.replace(TINY, env=env))
+    narrow = parked_learner(insert(TINY, {"env.observation": seen}))
     theirs = jax.device_get(narrow.init())
     save(tmp_path, narrow.config, theirs)
-    wide = parked_learner(dataclasses.replace(TINY, warm_start=str(tmp_path)))
-    state = jax.device_get(load_or_init(wide, [tmp_path / "run"]))
+    wide, state = started(TINY, tmp_path, tmp_path)
     names, rng = names_of(TINY.env), np.random.default_rng(3)
     kept = ~np.char.startswith(names, "parked_car")
     assert not kept.all()
@@ -277,12 +251,11 @@ def test_a_new_kind_of_entity_is_learned_from(tmp_path):
 
 def test_near_rays_keep_their_bearings():
     few, many = (with_rays(count, near=1.0) for count in (24, 72))
-    old, new = (own_names(env) == "rays_near" for env in (few, many))
-    theirs = init_normalizer(parked_learner(dataclasses.replace(TINY, env=few)).inputs)
+    old, new = (own_names(config.env) == "rays_near" for config in (few, many))
+    theirs = init_normalizer(parked_learner(few).inputs)
     numbered = np.arange(old.size, dtype=np.float32)
     theirs = theirs | {"own": theirs["own"].replace(mean=numbered)}
-    config = dataclasses.replace(TINY, env=many)
-    wide = widen(config, few, {"normalizer": theirs}, {"normalizer": {}})["normalizer"]
-    found = np.asarray(wide["own"].mean)[new]
+    wide = widen(many, few.env, {"normalizer": theirs}, {"normalizer": {}})
+    found = np.asarray(wide["normalizer"]["own"].mean)[new]
     np.testing.assert_array_equal(found[::3], numbered[old])
     np.testing.assert_array_equal(np.delete(found, np.s_[::3]), 0.0)

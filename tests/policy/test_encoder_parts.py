@@ -1,4 +1,4 @@
-"""Pictures in networks: beside the own numbers, the same layers for all views."""
+"""Layers of entities, the GPU kernel that must compute the same, and pictures."""
 
 import dataclasses
 
@@ -11,7 +11,9 @@ from flax import linen
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import OWN, observation_sets
 from carpark_mj.observations.fields import Field
+from carpark_mj.policy import entities
 from carpark_mj.policy.encoder import patches
+from carpark_mj.policy.entities import EntityLayers
 from carpark_mj.policy.networks import (
     Arithmetic,
     NetworkConfig,
@@ -20,6 +22,84 @@ from carpark_mj.policy.networks import (
     network_inputs,
     update_normalizer,
 )
+
+SIZE, FEATURES = 5, 16
+
+
+def draw(shape, seed):
+    return jnp.array(np.random.default_rng(seed).normal(size=shape), jnp.float32)
+
+
+def make_layers():
+    return EntityLayers(
+        first=(draw((SIZE, FEATURES), 0), draw((FEATURES,), 1)),
+        norm=(1.0 + 0.3 * draw((FEATURES,), 2), draw((FEATURES,), 3)),
+        second=(draw((FEATURES, FEATURES), 4), draw((FEATURES,), 5)),
+    )
+
+
+def in_kernel(layers, rows, present, dtype=jnp.float32):
+    return entities.largest_in_kernel(layers, rows, present, dtype, interpret=True)
+
+
+def test_layers_are_those_of_flax():
+    layers, rows = make_layers(), draw((3, 4, SIZE), 6)
+
+    def params(names, values):
+        return {"params": dict(zip(names, values, strict=True))}
+
+    dense, norm = linen.Dense(FEATURES), linen.LayerNorm(use_fast_variance=False)
+    hidden = dense.apply(params(("kernel", "bias"), layers.first), rows)
+    hidden = linen.swish(norm.apply(params(("scale", "bias"), layers.norm), hidden))
+    expected = dense.apply(params(("kernel", "bias"), layers.second), hidden)
+    np.testing.assert_allclose(entities.encode(layers, rows), expected, 1e-5, 1e-5)
+
+
+@pytest.mark.parametrize("lead", [(), (3,), (2, entities.BLOCK + 1)])
+def test_the_kernel_computes_the_same_with_the_same_gradients(lead):
+    layers, rows = make_layers(), draw((*lead, 4, SIZE), 7)
+    present = draw((*lead, 4), 8) > 0.0
+    weight = draw((*lead, FEATURES), 9)
+
+    def total(layers, largest):
+        found = largest(layers, rows, present)
+        assert found.shape == (*lead, FEATURES)
+        return jnp.sum(weight * found)
+
+    ours = jax.value_and_grad(total)(layers, in_kernel)
+    expected = jax.value_and_grad(total)(layers, entities.largest)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, 1e-3, 1e-3), ours, expected
+    )
+
+
+def test_half_precision_is_that_of_products_alone():
+    layers, rows = make_layers(), draw((8, 4, SIZE), 11)
+    present = jnp.ones((8, 4), bool)
+    exact = entities.largest(layers, rows, present)
+    half = in_kernel(layers, rows, present, jnp.bfloat16)
+    assert half.dtype == jnp.float32
+    size = np.abs(exact).max()
+    error = np.abs(half - exact).max() / size
+    assert 0.0 < error < 2.0**-5  # bfloat16 has 8 bits
+
+
+def test_the_kernel_is_lowered_for_gpus():
+    layers, rows = make_layers(), draw((70, 4, SIZE), 12)
+    present = jnp.ones((70, 4), bool)
+
+    def total(layers):
+        return entities.largest_in_kernel(layers, rows, present, jnp.bfloat16).sum()
+
+    traced = jax.jit(jax.grad(total)).trace(layers)
+    program = traced.lower(lowering_platforms=("cuda",)).as_text()
+    assert program.count("__gpu$xla.gpu.triton") >= 2
+
+
+@pytest.mark.parametrize(("features", "fits"), [(8, False), (16, True), (48, False)])
+def test_the_kernel_takes_powers_of_two(features, fits):
+    assert entities.fits(features) == fits
+
 
 VIEWS, ABOVE = (2, 6, 5), (7, 3)  # no side is a multiple of the kernels'
 KINDS = 4
@@ -47,19 +127,17 @@ def observations(count=3):
     return np.concatenate(columns, axis=1).astype(np.float32)
 
 
-def begin(key):
-    networks = (NETWORKS.policy_network, NETWORKS.value_network)
-    return init_normalizer(INPUTS), *(network.init(key) for network in networks)
-
-
-WEIGHTS = jax.jit(begin)(jax.random.key(0))
+ACTOR, CRITIC = (
+    jax.jit(network.init)(jax.random.key(0))
+    for network in (NETWORKS.policy_network, NETWORKS.value_network)
+)
 
 
 def outputs(observation, networks=NETWORKS):
     """What the actor and the critic make of observations."""
-    normalizer, actor, critic = WEIGHTS
-    action = networks.policy_network.apply(normalizer, actor, observation)
-    value = networks.value_network.apply(normalizer, critic, observation)
+    normalizer = init_normalizer(INPUTS)
+    action = networks.policy_network.apply(normalizer, ACTOR, observation)
+    value = networks.value_network.apply(normalizer, CRITIC, observation)
     return jnp.concatenate([action, value[..., None]], axis=-1)
 
 
@@ -116,7 +194,8 @@ def test_kinds_and_the_order_of_views_matter():
 
 
 def test_statistics_are_of_the_own_numbers_alone():
-    normalizer = update_normalizer(INPUTS, WEIGHTS[0], jnp.asarray(observations(9)))
+    start = init_normalizer(INPUTS)
+    normalizer = update_normalizer(INPUTS, start, jnp.asarray(observations(9)))
     assert normalizer.keys() == {OWN}
     assert normalizer[OWN].mean.shape == (4,)
 
@@ -124,7 +203,7 @@ def test_statistics_are_of_the_own_numbers_alone():
 def test_half_precision_changes_no_parameter_and_little_else():
     half = make_networks(CONFIG, FIELDS, ActionSpec(2), Arithmetic(dtype=jnp.bfloat16))
     own = jax.eval_shape(half.policy_network.init, jax.random.key(0))
-    kinds = jax.tree.map(lambda x: (x.shape, x.dtype), WEIGHTS[1])
+    kinds = jax.tree.map(lambda x: (x.shape, x.dtype), ACTOR)
     assert kinds == jax.tree.map(lambda x: (x.shape, x.dtype), own)
     vector = observations()
     expected, found = outputs(vector), outputs(vector, half)
