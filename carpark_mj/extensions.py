@@ -183,7 +183,7 @@ _PACKAGES = {
     "sb3,torchrl": "torch",
     "fmu": "pythonfmu3",
     "test": "vehiclemodels",
-    **{name: name for name in ("jaxmarl", "mlflow", "pettingzoo", "wandb")},
+    **{name: name for name in ("jaxmarl", "minari", "mlflow", "pettingzoo", "wandb")},
 }
 EXTRAS = {name: extra for extra, names in _PACKAGES.items() for name in names.split()}
 

@@ -61,6 +61,10 @@ COMMANDS = {
         "cli.render:main", "render episodes to a video or a still",
         "driving:RenderConfig", (choose_gl, *ACTING), drives=True,
     ),
+    "record": _command(
+        "cli.record:main", "record a policy's episodes as data to learn from",
+        "driving:RecordConfig", ACTING, drives=True,
+    ),
     "scene": _command(
         "cli.pages:scene", "write a car park as MJCF, or show it",
         "driving:SceneConfig", KEEPING, drives=True,

@@ -307,7 +307,7 @@ NEEDS = {  # words of snippets, and what they need
     "jaxmarl": "jaxmarl",
     "RecordVideo": "moviepy",
 }
-RUN = ("index", "troubleshooting", "sb3", "vehicle", "interfaces")
+RUN = ("index", "troubleshooting", "sb3", "vehicle", "interfaces", "data")
 SNIPPETS = [
     pytest.param(snippet, id=f"{page.stem} {number}")
     for page in (ROOT / "README.md", *(DOCS / f"{n}.md" for n in (*RUN, "multi_agent")))

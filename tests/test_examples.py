@@ -41,6 +41,24 @@ def test_ppo_in_one_file_learns_from_pictures(monkeypatch):
     assert (agent.eye[0].weight != before).any()
 
 
+def test_cloning_takes_the_mean_action_and_iql_a_better_one(monkeypatch):
+    torch = pytest.importorskip("torch")
+    monkeypatch.syspath_prepend(EXAMPLES)
+    offline = importlib.import_module("offline")
+    torch.manual_seed(0)
+    seen = torch.rand(2000, 3)
+    action = (torch.rand(2000, 1) < 0.5).float()  # 1 is better everywhere
+    reward = action[:, 0] + seen[:, 0]
+    names = (seen, seen, action, reward, torch.ones(2000))
+    rows = dict(zip(offline.ROWS, names, strict=True))
+    mean = {}
+    for method in ("bc", "iql"):
+        settings = offline.Settings(method=method, steps=400)
+        mean[method] = offline.learn(settings, rows)(seen).mean().item()
+    assert mean["bc"] == pytest.approx(action.mean().item(), abs=0.1)
+    assert mean["iql"] > 0.75
+
+
 @pytest.mark.parametrize(
     ("flags", "line"),
     [

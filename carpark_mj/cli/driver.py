@@ -14,7 +14,7 @@ from carpark_mj.layouts import layout_config
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.named import POLICIES, RECORDED, find_named
+from carpark_mj.policy.named import POLICIES, find_named
 from carpark_mj.policy.networks import Policy
 from carpark_mj.registry import environment
 from carpark_mj.spawning.checks import parked_cars_needed
@@ -39,9 +39,10 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
     if make := find_named(name):
         if not deterministic:
             raise ValueError(f"stochastic has no effect with {name}: leave it out")
-        env = environment(named) if named else EnvConfig()
-        folder = Path("runs") / Path(name.removeprefix(RECORDED)).stem
-        return Driver(env, folder, make)
+        own = getattr(make, "env", None)  # of a `HostPolicy`
+        own = environment(own) if isinstance(own, str) else own
+        folder = Path("runs") / Path(name.partition(":")[2] or name).stem
+        return Driver(_environment(own, named), folder, make)
     try:
         loaded = load_policy(name, deterministic)
     except CheckpointError as error:
@@ -49,15 +50,22 @@ def find_driver(name: str, named: str = "", deterministic: bool = True) -> Drive
             raise
         untrained = ", ".join(POLICIES)
         raise CheckpointError(f"{error}; untrained ones: {untrained}") from error
-    env = loaded.env
-    if named:  # with the policy's own observation and reward
-        own = {"observation": env.observation, "reward": env.reward}
-        env = dataclasses.replace(environment(named), **own)
 
     def make_policy(env: ParkingEnv) -> Policy:
         return load_policy(name, deterministic, env.config).policy
 
+    env = _environment(loaded.env, named)
     return Driver(env, output_folder(loaded.path), make_policy)
+
+
+def _environment(own: EnvConfig | None, named: str) -> EnvConfig:
+    """The named environment, with a policy's own observation and reward, if any."""
+    if not named:
+        return own or EnvConfig()
+    env = environment(named)
+    if own is None:
+        return env
+    return dataclasses.replace(env, observation=own.observation, reward=own.reward)
 
 
 def output_folder(checkpoint: Path) -> Path:

@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.extensions import Registry
+from carpark_mj.extensions import Entry, Registry
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.policy import host
 from carpark_mj.policy.acting import AnyPolicy, StatePolicy
 from carpark_mj.policy.networks import Policy
 from carpark_mj.reading import read_csv
 
-# Functions that make the policy for an environment, or raise `ValueError`.
-POLICIES: Registry[Callable[[ParkingEnv], AnyPolicy]] = Registry(
-    "policy", "carpark_mj.planning.policy"
-)
+# Makes the policy for an environment, or raises `ValueError`.
+Maker = Callable[[ParkingEnv], AnyPolicy]
+POLICIES: Registry[Maker] = Registry("policy", "carpark_mj.planning.policy")
 
 
 def zero_policy(action: ActionSpec) -> Policy:
@@ -70,11 +70,29 @@ def recorded_actions(env: ParkingEnv, path: Path) -> StatePolicy:
     return StatePolicy(lambda state: actions[jnp.minimum(state.step, len(rows))])
 
 
-def find_named(name: str) -> Callable[[ParkingEnv], AnyPolicy] | None:
-    """What makes a policy of `POLICIES` or `actions:FILE`; None for other names."""
-    if name.startswith(RECORDED):
-        path = Path(name.removeprefix(RECORDED))
-        return lambda env: recorded_actions(env, path)
+# What makes policies, by the word before the colon in names such as `onnx:FILE`.
+READERS: dict[str, Callable[[str], Maker]] = {
+    "actions": lambda file: lambda env: recorded_actions(env, Path(file)),
+    "onnx": host.from_onnx,
+    "sb3": lambda files: host.from_sb3(*files.split(",", 1)),
+    "torch": host.from_torch,
+    "function": lambda home: _given.get(home) or host.from_function(Entry(home).load()),
+}
+_given: dict[str, Maker] = {}
+
+
+def name_of(make: Maker) -> str:
+    """A name for a policy of this process, by which `find_named` finds it."""
+    own = getattr(make, "name", None) or getattr(make, "__name__", "policy")
+    _given[own] = make
+    return f"function:{own}"
+
+
+def find_named(name: str) -> Maker | None:
+    """What makes a policy of `POLICIES` or `READERS`; None for other names."""
+    kind, _, rest = name.partition(":")
+    if rest and kind in READERS:
+        return READERS[kind](rest)
     if name in POLICIES:
         return POLICIES[name]
     return None

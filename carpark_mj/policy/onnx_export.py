@@ -305,12 +305,13 @@ def describe(entry: PlainInput) -> str:
 
 
 def make_session(model: Any) -> Any:
-    """Runs a model on one core (`onnxruntime.InferenceSession`)."""
+    """Runs a model, or one in a file, on one core (`onnxruntime.InferenceSession`)."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
-    return onnxruntime.InferenceSession(model.SerializeToString(), options)
+    model = model if isinstance(model, str) else model.SerializeToString()
+    return onnxruntime.InferenceSession(model, options)
 
 
 def decisions(session: Any, values: dict[str, np.ndarray]) -> np.ndarray:

@@ -39,7 +39,7 @@ from carpark_mj.policy.acting import (
     choose_actions,
     roll_out,
 )
-from carpark_mj.policy.named import RECORDED
+from carpark_mj.policy.named import RECORDED, find_named
 from carpark_mj.spawning.reset_options import check_starts
 from carpark_mj.suite.hope import HopeConfig
 from carpark_mj.suite.levels import (
@@ -338,7 +338,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
     tasks: dict[str, list[tuple[CaseEvaluator, AnyPolicy, Planner | None]]] = {}
     # All are refused before one of them drives.
     for name in config.policies:
-        driver = find_driver(name)
+        driver = find_driver(name, config.environment if find_named(name) else "")
         base = policy_env(name, driver.env, config)
         evaluators = [evaluator_of(find_level(x).env(base)) for x in config.levels]
         pairs: dict[CaseEvaluator, tuple[AnyPolicy, Planner | None]] = {}

@@ -344,6 +344,6 @@ def main(config: "ScenarioConfig") -> list[dict[str, Any]]:
 
     level = f"{NAME}:{config.file}"
     scenario_level(config.file)  # refused before anything is compiled
-    names = ("policies", "seeds", "videos", "out")
+    names = ("policies", "environment", "seeds", "videos", "out")
     same = {name: getattr(config, name) for name in names}
     return evaluation.main(SuiteConfig(levels=(level,), **same))

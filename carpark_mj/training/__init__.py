@@ -25,6 +25,7 @@ choose_gl()  # before MuJoCo is imported, for `render`
 if TYPE_CHECKING:
     from carpark_mj.evaluation.evaluator import Evaluation
     from carpark_mj.policy.loading import LoadedPolicy
+    from carpark_mj.policy.named import Maker
     from carpark_mj.training.ppo.config import PPOConfig
     from carpark_mj.training.ppo.parts import PRESETS
 
@@ -73,7 +74,7 @@ class Run:
         return load_policy(self.folder)
 
 
-AnyRun: TypeAlias = "Run | LoadedPolicy | str | Path"
+AnyRun: TypeAlias = "Run | LoadedPolicy | Maker | str | Path"
 
 
 def train(config: "PPOConfig", callback: Callback | None = None) -> Run:
@@ -108,8 +109,9 @@ def evaluate(run: AnyRun, **settings: Any) -> "Evaluation":
     """Evaluates a policy on held-out seeds; prints the table and writes the files.
 
     Args:
-        run: a `Run`, a run's folder or checkpoint, a loaded policy, or the name of a
-            policy: a pretrained one, `zero`, `random` or `planner`.
+        run: a `Run`, a run's folder or checkpoint, a loaded policy, the name of a
+            policy (a pretrained one, `zero`, `random`, `planner`, `onnx:FILE`), or what
+            makes one for an environment, as `from_onnx` and `from_function` give it.
         **settings: of `carpark_mj.cli.evaluate.EvaluateConfig`.
 
     Raises:
@@ -146,8 +148,11 @@ def _argument(run: AnyRun) -> str:
     if isinstance(run, str):
         return run
     from carpark_mj.policy.loading import load_policy
+    from carpark_mj.policy.named import name_of
     from carpark_mj.training.run_folder import argument
 
+    if callable(run):
+        return name_of(run)
     if isinstance(run, Run | Path):
         return argument(run.folder if isinstance(run, Run) else run)
     if load_policy(run.path).env != run.env:

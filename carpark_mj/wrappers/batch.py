@@ -107,12 +107,21 @@ class Batch:
         self._state = state
         return observation
 
-    def restart(self, due: np.ndarray | jax.Array) -> Any:
-        """Resets some lots, `due` (num_lots,) bool, with their own random numbers.
+    def restart(
+        self, due: np.ndarray | jax.Array, seed: Seeds = None, key: Any = None
+    ) -> Any:
+        """Resets some lots, `due` (num_lots,) bool.
 
-        Returns observations as `reset` does; zeros for the other lots.
+        They go on with their own random numbers, or those of seeds, see `reset`, or of
+        keys (num_lots,). Returns observations as `reset` does; zeros for the others.
         """
-        self._state, seen = self._programs.restart(self.state, jnp.asarray(due))
+        due, state = jnp.asarray(due), self.state
+        if seed is not None:
+            key = self._programs.keys(_seeds(seed, self.num_lots))
+        if key is not None:
+            key = jnp.where(due, key, state.key)
+            state = dataclasses.replace(state, key=key)
+        self._state, seen = self._programs.restart(state, due)
         return seen
 
     def step(self, action: jax.Array | np.ndarray) -> TimeStep:

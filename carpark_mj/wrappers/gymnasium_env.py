@@ -17,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
+from carpark_mj.pytrees import own_buffers
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.wrappers.batch import (
     HEIGHT,
@@ -203,15 +204,12 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
     """`carpark_mj/Park-v0` many times; every environment is a lot with one agent.
 
     Environment i reset with a seed gives the episodes of `ParkEnv` reset with seed + i.
-    Environments auto-reset in the same step: `final_obs` and `final_info` of the infos
-    hold the end of the episode, as in Gymnasium's `SyncVectorEnv`.
+    Environments auto-reset as in Gymnasium's `SyncVectorEnv`, by default in the same
+    step: `final_obs` and `final_info` of the infos hold the end of the episode.
     """
 
-    autoreset_mode = AutoresetMode.SAME_STEP  # TorchRL reads it, Gymnasium the next
-    metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["rgb_array"],
-        "autoreset_mode": autoreset_mode,
-    }
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012
+    _modes = tuple(AutoresetMode)
 
     def __init__(
         self,
@@ -220,10 +218,20 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         camera: str = "topdown",
         width: int = WIDTH,
         height: int = HEIGHT,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **options: Unpack[Options],
     ) -> None:
-        """Makes environments; see `ParkEnv`. The render mode is None or `rgb_array`."""
+        """Makes environments; see `ParkEnv`. The render mode is None or `rgb_array`.
+
+        Modes by name are `SameStep`, `NextStep` and `Disabled`; in the last one
+        environments whose episode has ended stand still until they are reset.
+        """
         require_render_mode(render_mode, self.metadata["render_modes"])
+        mode = self.autoreset_mode = AutoresetMode(autoreset_mode)  # TorchRL reads it
+        if mode not in self._modes:
+            raise ValueError(
+                f"agents that share lots reset in the same step, not {mode}"
+            )
         env = self._make(options)
         require_count("num_envs", num_envs, 1)
         if num_envs % env.num_agents:
@@ -231,9 +239,12 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
                 "num_envs must be a multiple of the number of agents, "
                 f"{env.num_agents}, not {num_envs}"
             )
-        self._batch = NumpyBatch(env, num_envs // env.num_agents)
+        same = mode is AutoresetMode.SAME_STEP
+        self._batch = NumpyBatch(env, num_envs // env.num_agents, restart=same)
         self.num_envs = num_envs
         self.metadata = self._open(env, render_mode, camera, width, height)
+        self.metadata["autoreset_mode"] = mode
+        self._ended = np.zeros(num_envs, bool)  # those due in the next step
         self.single_observation_space = self._space(env)
         self.single_action_space = array_action_space(env.action_spec)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -251,13 +262,34 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
 
         Lot i gets seed + i, or the i-th of a sequence; see `Batch.reset`. Options are
         one dictionary for all environments, or one for each, see `ParkEnv.reset`, and
-        apply to the episodes that begin now only. Returns observations (num_envs, ...)
+        apply to the episodes that begin now only. Instead, `{"reset_mask": mask}`
+        resets some environments, (num_envs,) bool. Returns observations (num_envs, ...)
         and infos as `step` does.
         """
         super().reset(seed=seed if isinstance(seed, int) else None)
-        given = self.read_options(options)
         no = np.zeros(self.num_envs, bool)
-        return self._by_env(self._batch.reset_numpy(seed, given)), _infos(no, no, ~no)
+        if isinstance(options, dict) and {*options} == {"reset_mask"}:
+            due = np.asarray(options["reset_mask"], bool)
+            require_shape("reset_mask", due, no.shape)
+            lots = due.reshape(self.num_lots, -1)
+            if (lots != lots[:, :1]).any():
+                raise ValueError("reset_mask must have all agents of a lot, or none")
+            observation = self._restarted(due, seed)
+        else:
+            due, given = ~no, self.read_options(options)
+            observation = self._by_env(self._batch.reset_numpy(seed, given))
+        self._ended, self._seen = self._ended & ~due, observation
+        return jax.tree.map(np.copy, observation), _infos(no, no, due)
+
+    def _restarted(self, due: np.ndarray, seed: Seeds, key: Any = None) -> Any:
+        """Resets the environments that are due; observations of all of them."""
+        lots = due.reshape(self.num_lots, -1)[:, 0]
+        fresh = self._by_env(self._batch.restart(lots, seed, key))
+
+        def put(new: jax.Array, old: np.ndarray) -> np.ndarray:
+            return np.where(due.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+        return jax.tree.map(put, fresh, self._seen)
 
     def read_options(
         self, options: Given | list[dict[str, Any]]
@@ -277,12 +309,20 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         """Advances all environments by a control step; `actions` (num_envs, size)."""
         actions = np.asarray(actions)
         require_shape("actions", actions, self.action_space.shape)
+        mode, begins = self.autoreset_mode, self._ended
+        key = own_buffers(self._batch.state.key) if begins.any() else None
         step = self._batch.step_numpy(actions.reshape(self._batch.action_shape))
         terminated, truncated = step.terminated.ravel(), step.truncated.ravel()
         crashed = step.crashed.ravel()
         success, done = terminated & ~crashed, terminated | truncated
-        infos = _infos(success & ~done, crashed & ~done, np.ones_like(done))
-        if done.any():
+        self._seen = self._by_env(step.observation)
+        if begins.any():  # they stood in this step, and were paid nothing
+            self._seen = self._restarted(begins, None, key)
+        if mode is AutoresetMode.NEXT_STEP:
+            self._ended = done
+        fresh = done & (mode is AutoresetMode.SAME_STEP)
+        infos = _infos(success & ~fresh, crashed & ~fresh, np.ones_like(done))
+        if fresh.any():
             infos["final_info"] = _infos(success, crashed, done)
             final = np.full(self.num_envs, None)
             each = self._by_env(step.final_observation)
@@ -290,7 +330,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
                 final[index] = jax.tree.map(lambda x: x[index], each)  # noqa: B023
             infos["final_obs"] = final
             infos["_final_info"] = infos["_final_obs"] = done
-        observation = self._by_env(step.observation)
+        observation = jax.tree.map(np.copy, self._seen)
         return observation, step.reward.ravel(), terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -325,6 +365,8 @@ class ParkManyVectorEnv(ParkVectorEnv):
     the same lot and step while the others drive on, so lots keep their layouts until
     `reset`.
     """
+
+    _modes = (AutoresetMode.SAME_STEP,)
 
     def _make(self, options: Options) -> ParkingEnv:
         config = configure(options)

@@ -17,6 +17,8 @@ from carpark_mj.cli.settings.tables import ScenarioConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayEnd
+from carpark_mj.policy.loading import load_policy
+from carpark_mj.registry import FIRST
 from carpark_mj.suite import actors, evaluation, scenario
 from carpark_mj.suite.levels import pick_cases
 from carpark_mj.suite.scenario import make_scenario, read_scenario
@@ -148,6 +150,28 @@ def test_a_scenario_is_driven_as_written(tmp_path, monkeypatch):
         first = next(csv.DictReader(file))
     assert first["vehicle"] == "compact"
     assert "distance-0_1" in first["rule"]
+
+
+def test_policies_of_other_libraries_observe_as_in_their_environment(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("mine.yaml").write_text(yaml.safe_dump(LEAST))
+    Path("still.py").write_text("def act(seen): return 0 * seen[:, :2]\n")
+    seen = []
+
+    def made(env, filmed):
+        seen.append((env.config.observation, env.config.physics))
+        raise InterruptedError
+
+    monkeypatch.setattr(evaluation, "CaseEvaluator", made)
+    for name in ("function:still:act", "valet"):
+        config = ScenarioConfig("mine.yaml", (name,), environment="first", out="out")
+        with pytest.raises(InterruptedError):
+            scenario.main(config)
+    envs = FIRST, load_policy("valet").env
+    assert seen == [(env.observation, env.physics) for env in envs]
 
 
 def test_a_start_in_a_wall_is_refused(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """The Gymnasium environments: Gymnasium's own checks, and one as many."""
 
+import copy
 import dataclasses
 import itertools
 from concurrent.futures import ThreadPoolExecutor
@@ -134,6 +135,62 @@ def test_each_of_many_has_the_episodes_of_one(name):
     assert crashes
 
 
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_environments_reset_as_gymnasium_s_own(mode):
+    """Also those of a mask, with or without seeds; noise draws a key every step."""
+    noisy = dataclasses.replace(SHORT, sensors=SensorConfig(position_noise=0.1))
+    others = [lambda: gymnasium.make(PARK, config=noisy)] * COUNT
+    own = gymnasium.make_vec(PARK, COUNT, config=noisy, autoreset_mode=mode.value)
+    theirs = gymnasium.vector.SyncVectorEnv(others, autoreset_mode=mode)
+    assert own.metadata["autoreset_mode"] is mode
+    own.action_space.seed(0)
+    mask = np.array([True, False, False, True])
+    resets = {0: {"seed": 4}, 25: {"seed": 9, "options": {"reset_mask": mask}}}
+    done = np.zeros(COUNT, bool)
+
+    def both(call):
+        (seen, *one, infos), (expected, *other, told) = call(own), call(theirs)
+        assert_close(seen, expected)
+        assert_close(one, other)
+        assert {*infos} == {*told}
+        for key in told.keys() - {"final_obs", "final_info"}:
+            known = told.get(f"_{key}", True)  # of others it may be anything
+            np.testing.assert_array_equal(infos[key] & known, told[key])
+        seen[:] = np.nan  # the caller's own
+        return one
+
+    for step in range(45):  # two ends of time and more
+        if step in resets:
+            both(lambda env: env.reset(**copy.deepcopy(resets[step])))  # noqa: B023
+            done[:] = False
+        if mode is AutoresetMode.DISABLED and done.any():
+            ended = done.copy()
+            both(lambda env: env.reset(options={"reset_mask": ended}))  # noqa: B023
+        actions = own.action_space.sample()
+        actions[0] = (0.3, 1.0)  # into something
+        _, terminated, truncated = both(lambda env: env.step(actions))  # noqa: B023
+        done = terminated | truncated
+    assert terminated.shape == (COUNT,)
+
+
+def test_wrappers_of_observations_take_the_mode_next_step():
+    vector = gymnasium.make_vec(PARK, COUNT, config=SHORT, autoreset_mode="NextStep")
+    vector = gymnasium.wrappers.vector.NormalizeObservation(vector)
+    vector.reset(seed=0)
+    for _ in range(25):
+        seen, *_ = vector.step(np.zeros((COUNT, 2), np.float32))
+    assert np.abs(seen).max() < 20
+
+
+def test_environments_with_the_mode_disabled_stand_after_their_end():
+    vector = gymnasium.make_vec(PARK, 2, config=SHORT, autoreset_mode="Disabled")
+    vector.reset(seed=0)
+    ends = [vector.step(np.tile(AHEAD, (2, 1)))[1:4] for _ in range(30)]
+    rewards, terminated, truncated = (np.array(x) for x in zip(*ends, strict=True))
+    assert ((terminated | truncated).sum(axis=0) == 1).all()
+    assert (rewards[20:] == 0).all()
+
+
 def test_the_first_task_is_park_in_its_environment():
     first = gymnasium.make_vec(FIRST, 2).unwrapped._batch
     assert first.env is gymnasium.make_vec(PARK, 2, config="first").unwrapped._batch.env
@@ -178,7 +235,14 @@ def test_agents_of_many_share_lots_and_begin_alone():
     final = np.stack(infos["final_obs"])
     assert final.shape == seen.shape
     assert not np.isclose(final, seen).all(axis=1).any()
-    vector.step(np.zeros((8, 2), np.float32))
+    seen, *_ = vector.step(np.zeros((8, 2), np.float32))
+    second = np.arange(8) >= 4
+    after, _ = vector.reset(seed=3, options={"reset_mask": second})
+    np.testing.assert_array_equal((after == seen).all(axis=1), ~second)
+    with pytest.raises(ValueError, match="all agents of a lot"):
+        vector.reset(options={"reset_mask": np.arange(8) >= 3})
+    with pytest.raises(ValueError, match="same step"):
+        gymnasium.make_vec(MANY, 8, config=GARAGE, autoreset_mode="NextStep")
 
 
 def until_end(env):

@@ -13,6 +13,7 @@ from carpark_mj.config.checks import (
     Bounds,
     CheckedConfig,
     Count,
+    NonNegative,
     Positive,
     require_seed,
     require_unset,
@@ -62,8 +63,9 @@ class DriveSettings(LotSettings):
     """A policy, and overrides of its environment.
 
     Attributes:
-        run: pretrained policy, run folder, checkpoint file, or `zero`, `random` or
-            `planner`.
+        run: pretrained policy, run folder, checkpoint file, `zero`, `random` or
+            `planner`, or one of another library: `onnx:FILE`, `torch:FILE`, `sb3:FILE`
+            or `sb3:FILE,VECNORMALIZE`, `function:MODULE:NAME`.
         environment: name of an environment, see `carpark_mj.registry`; default: that of
             the run. A policy keeps the observation of its training.
         movers: moving obstacles with settings, `pedestrians:number=20`; default: those
@@ -131,6 +133,43 @@ class EvaluateConfig(DriveSettings):
         super().__post_init__()
         if self.rule is not None:
             config.find_rules(self.rule)
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordConfig(DriveSettings):
+    """Records episodes of a policy as data: a Minari data set and arrays of NumPy.
+
+    carpark_mj record planner --environment first --episodes 1000 --out data
+    carpark_mj record anywhere --layout street --noise 0.1 --out data/street
+
+    One car drives. Episode i is that of `carpark_mj/Park-v0` with the recorded config
+    after `reset(seed=SEED + i)`. Writes `episodes.npz`, `recording.json` with settings
+    and a hash, and a data set that `MINARI_DATASETS_PATH=OUT` makes loadable.
+
+    Attributes:
+        seed: of the first episode.
+        episodes: number of episodes.
+        num_lots: lots simulated side by side.
+        rule: parked rule; default: that of the run.
+        set: any other settings of the environment, as in `sim.steering_delay=0.24`.
+        noise: standard deviation of normal noise on steer and pedal.
+        minari: write the data set of Minari: `pip install "carpark_mj[minari]"`.
+        out: folder.
+    """
+
+    episodes: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 100
+    num_lots: Count = 64
+    rule: str | None = None
+    set: tuple[str, ...] = ()
+    noise: NonNegative = 0.0
+    minari: bool = True
+    out: str = "runs/data"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.run:
+            raise ValueError("give a policy, for example planner")
+        require_unset(self, "as one car drives", "num_agents")
 
 
 @dataclasses.dataclass(frozen=True)

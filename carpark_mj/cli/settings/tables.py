@@ -215,8 +215,10 @@ class SuiteConfig:
     and the numbers.
 
     Attributes:
-        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`
-            or `random`.
+        policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`,
+            `random`, or those of other libraries, `onnx:FILE`, `sb3:FILE`, `torch:FILE`
+            and `function:MODULE:NAME`.
+        environment: whose observation those of other libraries have.
         levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
             TPCAP's 20 published cases; `parkbench:FOLDER`, the half of ParkBench's
             files for development, and `parkbench:FOLDER:held_out`, the other, for
@@ -243,6 +245,7 @@ class SuiteConfig:
     """
 
     policies: Annotated[Names, tyro.conf.arg(metavar="POLICY")] = ()
+    environment: str = ""
     levels: tuple[str, ...] = ("normal", "complex", "extreme")
     cases: int | None = None
     first_case: int = 0
@@ -291,7 +294,9 @@ class ScenarioConfig:
     Attributes:
         file: the scenario, .yaml or .json.
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`,
-            `random`, or `actions:FILE.csv`, recorded actions.
+            `random`, `actions:FILE.csv`, recorded actions, or those of other libraries,
+            as in `carpark_mj suite`.
+        environment: whose observation those of other libraries have.
         seeds: of the planner's searches and of stochastic policies; each seed drives
             all repetitions.
         videos: number of worst repetitions to film for every policy, at most 10; needs
@@ -301,6 +306,7 @@ class ScenarioConfig:
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     policies: Annotated[Names, tyro.conf.arg(metavar="POLICY")]
+    environment: str = ""
     seeds: tuple[int, ...] = (0,)
     videos: int = 0
     out: str = "runs/scenario"
