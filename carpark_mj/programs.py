@@ -114,6 +114,14 @@ COMMANDS = {
         "tables:ScenarioConfig", (choose_gl, *ACTING), drives=True,
         needs=("matplotlib",),
     ),
+    "scenario import": _command(
+        "suite.exchange:read", "make a scenario of OpenSCENARIO, CommonRoad, ParkBench",
+        "tables:ScenarioImportConfig", KEEPING, needs=("shapely",),
+    ),
+    "scenario export": _command(
+        "suite.exchange:write", "write OpenSCENARIO, or drives for CommonRoad",
+        "tables:ScenarioExportConfig", KEEPING, needs=("shapely",),
+    ),
     "report": _command(
         "suite.acceptance:main", "write a page about tests, with limits",
         "tables:ReportConfig", needs=("matplotlib",),

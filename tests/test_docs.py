@@ -197,8 +197,8 @@ def check_command(line):
         flags = {w[2:].replace("-", "_") for w in arguments if w.startswith("--")}
         assert flags <= settings_in(ROOT / program)
         return
-    if program == "layouts" and arguments[0] in ("edit", "import"):
-        program, *arguments = f"layouts {arguments[0]}", *arguments[1:]
+    if (longer := f"{program} {arguments[0]}") in PROGRAMS:
+        program, *arguments = longer, *arguments[1:]
         if not arguments:
             return
     program = SCRIPTS.get(program, program)

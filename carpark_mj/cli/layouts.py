@@ -32,6 +32,7 @@ from carpark_mj.layouts.files import layout_text
 from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
+from carpark_mj.maps.exporting import lanelet2_text, opendrive_text
 from carpark_mj.rendering.local_pages import HOST
 
 CHUNK = 250  # layouts drawn at once
@@ -132,10 +133,11 @@ def run_scene(layout: Layout) -> list[str]:
 
 
 def _save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
-    """Writes a layout, or a part of it, and prints the file's name."""
+    """Writes a layout, or a part of it, by the suffix, and prints the file's name."""
     if part is not None:
         layout = crop(layout, part)
-    write_text(path, layout_text(layout))
+    texts = {".xodr": opendrive_text, ".osm": lanelet2_text}
+    write_text(path, texts.get(path.suffix, layout_text)(layout))
     bays = counted(int(layout.bay_mask.sum()), "bay")
     print(*said, f"wrote {path}: {bays}", sep="\n")
 

@@ -22,6 +22,7 @@ _TAGS: dict[str, Tag] = {
     "pillar": "pillar",
     "roadBoundary": "kerb",
     "medianStrip": "kerb",
+    "median_strip": "kerb",
 }
 _FARTHEST = 1e8  # m, of a coordinate: beyond it shapes would be rounded to nothing
 _ROOM = 0.1  # m around a car at its start
@@ -42,7 +43,7 @@ def commonroad_features(root: Any) -> Plan:
             borders = {side: points for side, points in sides if len(points) > 1}
             one_way = element.find("userBidirectional") is None
             add_lanelet(plan, name, borders, one_way)
-        elif element.tag == "staticObstacle":
+        elif element.tag in ("staticObstacle", "environmentObstacle"):
             _add_obstacle(plan, name, element)
         elif element.tag == "planningProblem":
             _add_problem(plan, name, element)
@@ -50,7 +51,9 @@ def commonroad_features(root: Any) -> Plan:
             plan.report.unknown[element.tag] += 1
     if plan.features:
         shapes = np.array([one.shape for one in plan.features])
-        xy = centred(shapely.get_coordinates(shapes))
+        drawn = shapely.get_coordinates(shapes)
+        xy = centred(drawn)
+        plan.report.shift = complex(*(xy[0] - drawn[0]))
         moved = zip(plan.features, shapely.set_coordinates(shapes, xy), strict=True)
         plan.features[:] = [dataclasses.replace(one, shape=x) for one, x in moved]
     return plan
@@ -58,10 +61,12 @@ def commonroad_features(root: Any) -> Plan:
 
 def _add_obstacle(plan: Plan, name: str, element: Any) -> None:
     kind = element.findtext("type", "").strip()
-    pose = _pose(element.find("initialState"))
-    shapes = _shapes(element.find("shape"))
+    # The shape of an `environmentObstacle` has a place of its own.
+    has_state = element.tag == "staticObstacle"
+    pose = state_pose(element.find("initialState")) if has_state else (0.0, 0.0, 0.0)
+    shapes = shapes_in(element.find("shape"))
     if pose is None or not shapes:
-        plan.report.unknown[f"staticObstacle {kind} without an outline and a pose"] += 1
+        plan.report.unknown[f"{element.tag} {kind} without an outline and a pose"] += 1
         return
     x, y, yaw = pose
     for shape in shapes:
@@ -72,7 +77,7 @@ def _add_obstacle(plan: Plan, name: str, element: Any) -> None:
 
 def _add_problem(plan: Plan, name: str, element: Any) -> None:
     """The start and the goals of a car."""
-    pose = _pose(element.find("initialState"))
+    pose = state_pose(element.find("initialState"))
     if pose is None:
         plan.report.unknown["initialState without a pose"] += 1
     else:
@@ -81,36 +86,36 @@ def _add_problem(plan: Plan, name: str, element: Any) -> None:
         plan.features.append(Feature("start", start.shape, name, yaw=pose[2]))
     for k, position in enumerate(element.iterfind("goalState/position")):
         goal = f"{name}.{k}" if k else name
-        shapes = _shapes(position)
+        shapes = shapes_in(position)
         if not shapes:
             plan.report.lost[goal] = "its goal has no outline"
         for shape in shapes:
             plan.features.append(Feature("bay", shape, goal))
 
 
-def _pose(state: Any) -> tuple[float, float, float] | None:
+def state_pose(state: Any) -> tuple[float, float, float] | None:
     """Position and heading of a state; the middle of an interval."""
     point = None if state is None else state.find("position/point")
     heading = None if state is None else state.find("orientation")
     if point is None or heading is None:
         return None
-    yaws = [_number(part, "orientation") for part in heading]
+    yaws = [number_of(part, "orientation") for part in heading]
     return (*_point(point), sum(yaws) / len(yaws)) if yaws else None
 
 
-def _shapes(parent: Any) -> list[Any]:
+def shapes_in(parent: Any) -> list[Any]:
     """Shapely polygons of the rectangles, circles and polygons in an element."""
     shapes = []
     for element in () if parent is None else parent:
         centre = element.find("center")
         x, y = (0.0, 0.0) if centre is None else _point(centre)
         if element.tag == "rectangle":
-            size = [_number(element.find(side), side) for side in ("length", "width")]
+            size = [number_of(element.find(side), side) for side in ("length", "width")]
             turn = element.find("orientation")
-            yaw = 0.0 if turn is None else _number(turn, "orientation")
+            yaw = 0.0 if turn is None else number_of(turn, "orientation")
             shape = Box(x, y, yaw, *size).shape
         elif element.tag == "circle":
-            radius = _number(element.find("radius"), "radius")
+            radius = number_of(element.find("radius"), "radius")
             shape = shapely.Point(x, y).buffer(radius)
         elif element.tag == "polygon" and len(points := _points(element)) > 2:
             shape = shapely.make_valid(shapely.Polygon(points))
@@ -129,10 +134,11 @@ def _points(element: Any) -> np.ndarray:
 
 
 def _point(element: Any) -> tuple[float, float]:
-    return _number(element.find("x"), "x"), _number(element.find("y"), "y")
+    return number_of(element.find("x"), "x"), number_of(element.find("y"), "y")
 
 
-def _number(element: Any, what: str) -> float:
+def number_of(element: Any, what: str) -> float:
+    """The number in an element; ValueError names what it is."""
     text = "nothing" if element is None else (element.text or "").strip()
     try:
         value = float(text)

@@ -104,6 +104,9 @@ class Report:
     # Names of spots lengthened into the aisle to hold the car, and left to parked cars.
     stretched: list[str] = dataclasses.field(default_factory=list)
     turned: float = 0.0  # angle by which the map was turned to the rows of bays [rad]
+    # From the map's frame to the lot's, after that turn: x + iy [m]; 0 in formats whose
+    # coordinates are projected.
+    shift: complex = 0j
     # Sentences on what was assumed.
     notes: list[str] = dataclasses.field(default_factory=list)
 

@@ -184,7 +184,8 @@ def assemble(plan: Plan) -> tuple[Layout, Report]:
             f"warning: walls keep cars that start in the lot from {len(closed)} of "
             f"{counted(len(bays), 'bay')}"
         )
-    layout = _layout(bays, solids, discs, lanes, starts)
+    layout, middle = _layout(bays, solids, discs, lanes, starts)
+    report.shift = report.shift * np.exp(1j * report.turned) - complex(*middle)
     if faults := describe_faults(layout):
         raise ValueError(f"the map gives no valid layout: {'; '.join(faults)}")
     return layout, report
@@ -365,7 +366,8 @@ def _layout(
     discs: list[_Disc],
     lanes: list[tuple[Box, bool]],
     starts: list[Box],
-) -> Layout:
+) -> tuple[Layout, np.ndarray]:
+    """The layout, and the place that became its origin (2,)."""
     shapes = [box.shape for box, _ in (*bays, *solids, *lanes)]
     left, low, right, high = shapely.union_all(shapes).bounds
     middle = np.array([(left + right) / 2, (low + high) / 2, 0.0])
@@ -382,7 +384,7 @@ def _layout(
 
     regions = rows([(box, build.LANE_SPREAD) for box in starts], "spread", float)
     columns = np.array(discs).reshape(-1, 3)
-    return build.from_columns(
+    layout = build.from_columns(
         extent,
         {
             "bays": rows(bays, "kind", int),
@@ -392,6 +394,7 @@ def _layout(
             "spawns": regions | {"size": np.array([_room(box) for box in starts])},
         },
     )
+    return layout, middle[:2]
 
 
 def free_starts(ground: Any, taken: Sequence[Any]) -> list[Box]:

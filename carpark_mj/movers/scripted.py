@@ -1,17 +1,19 @@
 """Persons, carts and cars that follow a script.
 
 A script begins when a car comes near or after some time, whatever that car does. Its
-mover goes straight, and back if it returns. One that yields never steps into the
-stopping zone of a car, as pedestrians (`carpark_mj.movers.stopping`): it waits, so that
-every contact can be avoided. It passes a car that stands at a smaller distance, or both
-would wait for each other.
+mover goes straight or along a path, and back if it returns. One that yields never steps
+into the stopping zone of a car, as pedestrians (`carpark_mj.movers.stopping`): it
+waits, so that every contact can be avoided. It passes a car that stands at a smaller
+distance, or both would wait for each other.
 """
 
 import dataclasses
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from carpark_mj.config.checks import NonNegative, Positive
@@ -25,6 +27,7 @@ from carpark_mj.types import State
 WAITS = -1.0  # s, clock of one that has not set out
 AT_REST = 0.05  # m/s, a car that is slower stands
 PASSING = 0.1  # m, the margin of the zone of a car that stands, instead of `MARGIN`
+TURN = 1.0  # m, or half a leg, before and after a corner of a path, where a mover turns
 
 
 @struct.dataclass
@@ -50,6 +53,9 @@ class Script:
     # () time since it set out, without the time it waited [s]; or `WAITS`
     clock: jax.Array
     velocity: jax.Array  # (2,) [m/s]
+    # (k, 4) of a path: way at `speed` [m]; x, y [m] and turn [rad] from the start, x
+    # along `direction`. None = straight on
+    path: jax.Array | None = None
 
     @property
     def pose(self) -> jax.Array:
@@ -62,8 +68,13 @@ class Script:
         along = speed * out - self.slowing * out**2 / 2
         back = speed * jnp.maximum(clock - there - self.pause, 0.0)
         along = jnp.where(self.returns, jnp.maximum(along - back, 0.0), along)
-        move = rotate(jnp.stack([along, jnp.zeros_like(along)]), self.direction)
-        return self.start.at[:2].add(move)
+        move = jnp.stack([along, jnp.zeros_like(along)])
+        if self.path is None:
+            return self.start.at[:2].add(rotate(move, self.direction))
+        columns = jax.vmap(jnp.interp, (None, None, 1))
+        x, y, turn = columns(along, self.path[:, 0], self.path[:, 1:])
+        move = rotate(jnp.stack([x, y]), self.direction)
+        return self.start + jnp.append(move, turn)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +94,9 @@ class Scripted(Mover):
         after: time since the lot began [s]; None = never.
         yields: whether it waits for cars that cannot stop.
         size: length and width [m]; of a person twice the radius.
+        path: further points [m], the speeds to them [m/s], and headings there [rad] or
+            none, instead of `direction` and `distance`; other values of `speed` than
+            this one's change the speeds in proportion.
         mover: fixed.
     """
 
@@ -98,6 +112,7 @@ class Scripted(Mover):
     after: NonNegative | None = None
     yields: bool = True
     size: tuple[float, float] = (0.6, 0.6)
+    path: tuple[tuple[float, ...], ...] = ()
     mover: str = ""
 
     def init(self, key: jax.Array, layout: Layout) -> Script:
@@ -105,6 +120,10 @@ class Scripted(Mover):
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         values |= {"after": math.inf if self.after is None else self.after}
         del values["mover"]
+        if self.path:
+            values |= _follow(self.start, np.array(self.path, float), self.speed)
+        else:
+            del values["path"]
         arrays = {
             name: jnp.asarray(value, bool if type(value) is bool else jnp.float32)
             for name, value in values.items()
@@ -127,6 +146,27 @@ class Scripted(Mover):
         after = dataclasses.replace(state, clock=clock, age=age)
         velocity = (after.pose - state.pose)[:2] / dt
         return dataclasses.replace(after, velocity=velocity)
+
+
+def _follow(start: tuple[float, ...], path: np.ndarray, speed: float) -> Any:
+    """Direction, distance and path of a script through points (n, 3 or 4)."""
+    points = np.vstack([start[:2], path[:, :2]])
+    legs = np.diff(points, axis=0)
+    length, yaw = np.hypot(*legs.T), np.arctan2(legs[:, 1], legs[:, 0])
+    corner = np.append(0.0, np.cumsum(length))
+    if path.shape[1] > 3:
+        turns, headings = corner, np.append(start[2], path[:, 3])
+    else:
+        reach = np.minimum(TURN, length / 2)
+        turns = np.stack([corner[:-1] + reach, corner[1:] - reach], axis=1).ravel()
+        headings = np.repeat(yaw, 2)
+    headings = np.unwrap(headings)
+    at = np.unique([*corner, *turns])
+    way = np.append(0.0, np.cumsum(length * speed / path[:, 2]))
+    local = (points - points[0]) @ [1, 1j] * np.exp(-1j * yaw[0])
+    columns = [np.interp(at, corner, part) for part in (way, local.real, local.imag)]
+    columns.append(np.interp(at, turns, headings - headings[0]))
+    return {"direction": yaw[0], "distance": way[-1], "path": np.stack(columns, 1)}
 
 
 def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:

@@ -4,6 +4,13 @@ Importing the package registers their layouts, cars, movers, environments and le
 """
 
 # They import the others: the cases of HOPE, TPCAP and MetaDrive.
-from carpark_mj.suite import busy, environments, lots, parkbench, scenario
+from carpark_mj.suite import (
+    busy,
+    environments,
+    lots,
+    parkbench,
+    scenario,
+    standard_tests,
+)
 
-__all__ = ["busy", "environments", "lots", "parkbench", "scenario"]
+__all__ = ["busy", "environments", "lots", "parkbench", "scenario", "standard_tests"]

@@ -1,6 +1,7 @@
 """What moves in a scenario, `carpark_mj.suite.scenario`, and what repetitions vary."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
@@ -39,7 +40,7 @@ class Spread(CheckedConfig):
     Attributes:
         place: of x and of y [m].
         heading: of the start, and of a mover's direction [rad].
-        speed: [m/s].
+        speed: [m/s]; of a path that of `speed`, the others in proportion.
         near: of a mover's distance to a car at which it sets out [m].
         after: of the time after which it sets out [s].
     """
@@ -53,15 +54,20 @@ class Spread(CheckedConfig):
 
 @dataclasses.dataclass(frozen=True)
 class Actor(CheckedConfig):
-    """What moves in a scenario: straight on from its start, once it sets out.
+    """What moves in a scenario, once it sets out: straight on, or along a path.
 
-    Without a trigger it sets out at once; of several the first counts.
+    Without a trigger it sets out at once; of several the first counts. Without `to` and
+    `path` it stands.
 
     Attributes:
         kind: a person is a disc, the others are boxes.
         start: its centre [m].
         to: where it goes [m].
+        path: instead of `to`, points [m] to go through, each with the speed on the way
+            there [m/s] if that is not `speed`, and the heading there [rad] if that is
+            not the direction of travel.
         between: two bays instead of `start` and `to`: it steps out between them.
+        heading: of one that stands [rad], or at the start of a path with headings.
         size: length and width, of a person twice the diameter [m]; default: by kind.
         speed: at first [m/s].
         slowing: deceleration [m/s²].
@@ -79,7 +85,9 @@ class Actor(CheckedConfig):
     kind: Literal["person", "cart", "car"] = "person"
     start: Pair | None = None
     to: Pair | None = None
+    path: tuple[tuple[float, ...], ...] | None = None
     between: tuple[Natural, Natural] | None = None
+    heading: Annotated[float, HEADING] | None = None
     size: Pair | None = None
     speed: Positive = 1.0
     slowing: NonNegative = 0.0
@@ -96,18 +104,52 @@ class Actor(CheckedConfig):
         super().__post_init__()
         for name, bounds in (("start", PLACE), ("to", PLACE), ("size", SIZE)):
             require(name, getattr(self, name), bounds)
-        given = self.start is not None, self.to is not None
-        if any(given) == (self.between is not None) or any(given) != all(given):
-            raise ValueError("a mover needs start and to, or two bays in between")
-        if self.start == self.to is not None:
-            raise ValueError(f"start and to of a mover must differ, not {self.start}")
+        given = [x is not None for x in (self.start, self.to, self.path, self.between)]
+        if given[0] == given[3] or sum(given[1:]) > 1:
+            raise ValueError(
+                "a mover needs a start, with to, with path, or with neither if it "
+                "stands; or two bays in between"
+            )
+        for row in self.path or ():
+            if len(row) not in (2, 3, 4):
+                raise ValueError(f"path must have rows [x, y, speed], not {row}")
+            require("a point of path", row[:2], PLACE)
+            require(
+                "the speed of a point of path", row[2:3], Bounds(gt=0.0, unit="m/s")
+            )
+            require("the heading of a point of path", row[3:], HEADING)
+        headed = {len(row) > 3 for row in self.path or ()}
+        if self.path is not None and (self.slowing or len(headed) != 1):
+            raise ValueError(
+                "a path has points, all with headings or none, and no slowing"
+            )
+        if not any(given[1:]) and any(x is not None for x in self.triggers):
+            raise ValueError("a mover that stands has no trigger")
+        if self.heading is not None and any(given[1:]) and headed != {True}:
+            raise ValueError("a mover with a way heads along it: leave heading out")
+        if any(a == b for a, b in itertools.pairwise(self.points)):
+            raise ValueError(f"points of a way must differ, not {self.points}")
+
+    @property
+    def triggers(self) -> tuple[float | None, float | None, float | None]:
+        """What sets it out."""
+        return self.near, self.ahead, self.after
+
+    @property
+    def points(self) -> list[Pair]:
+        """The points of its way, without those between bays."""
+        rows = [self.start, self.to, *(self.path or ())]
+        return [(row[0], row[1]) for row in rows if row is not None]
 
     def script(self, layout: Layout) -> Scripted:
         """The mover in a lot."""
-        if self.start is not None and self.to is not None:
-            start, way = np.array(self.start), np.subtract(self.to, self.start)
+        stands = len(self.points) == 1
+        if self.between is None:
+            yaw = self.heading or 0.0
+            ahead = np.array([math.cos(yaw), math.sin(yaw)])
+            start, *others = map(np.array, self.points)
+            way = ahead if stands else others[0] - start
         else:
-            assert self.between is not None
             require_bays("between", self.between, layout)
             pose = np.asarray(layout.bay_pose)[list(self.between)]
             front = np.asarray(layout.bay_size)[self.between[0], 0] / 2 - BEHIND
@@ -115,7 +157,7 @@ class Actor(CheckedConfig):
             start, way = pose[:, :2].mean(axis=0) + front * ahead, ACROSS * ahead
         direction = math.atan2(way[1], way[0])
         heading = math.remainder(direction + math.pi * self.backwards, math.tau)
-        triggers = (self.near, self.ahead, self.after)
+        heading = heading if self.heading is None else self.heading
         made = ScriptedPerson if self.kind == "person" else ScriptedBox
         same = ("speed", "slowing", "pause", "returns", "yields")
         return made(
@@ -125,8 +167,11 @@ class Actor(CheckedConfig):
             distance=math.hypot(*way),
             trigger=self.ahead or 0.0,
             near=self.near or 0.0,
-            after=0.0 if triggers == (None, None, None) else self.after,
+            after=self.after if stands or any(self.triggers) else 0.0,
             size=self.size or SIZES[self.kind],
+            path=tuple(
+                (*row, self.speed)[: max(len(row), 3)] for row in self.path or ()
+            ),
         )
 
 
@@ -155,7 +200,7 @@ def repeated(tree: Any, count: int) -> Any:
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *np.shape(x))), tree)
 
 
-def require(name: str, value: Pair | float | None, bounds: Bounds) -> None:
+def require(name: str, value: tuple[float, ...] | float | None, bounds: Bounds) -> None:
     """Refuses a value, or numbers of a tuple, beyond bounds."""
     if value is not None and not bounds.admit(value):
         raise ValueError(f"{name} must {bounds}, not {value}")

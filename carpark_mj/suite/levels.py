@@ -102,7 +102,7 @@ class CaseLevel:
 
 # Levels of other packages, `busy`, and those of whole lots (`carpark_mj.suite.lots`).
 EXTRA_LEVELS: Registry[CaseLevel] = Registry("level of the suite")
-# Levels of a user's files, `NAME:PATH`: readers of the path by name.
+# Levels of a user's files, `NAME:PATH`: readers of the path, if any, by name.
 FILE_LEVELS: dict[str, Callable[[str], CaseLevel]] = {}
 VERSION = 1
 FILE = Path(__file__).with_name(f"held_out_{VERSION}.npz")
@@ -172,8 +172,8 @@ LEVELS[TPCAP_LEVEL] = CaseLevel(
 
 def find_level(level: str) -> CaseLevel:
     """A level by name; `ValueError` if there is none, or its files are faulty."""
-    name, colon, path = level.partition(":")
-    if colon and name in FILE_LEVELS:
+    name, _, path = level.partition(":")
+    if name in FILE_LEVELS:
         return FILE_LEVELS[name](path)
     if level in LEVELS:
         return LEVELS[level]

@@ -29,7 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.config import EnvConfig, FleetConfig, MetricsConfig
+from carpark_mj.config import EnvConfig, FleetConfig, LayoutConfig, MetricsConfig
 from carpark_mj.config.checks import (
     Bounds,
     CheckedConfig,
@@ -125,7 +125,7 @@ class Scenario(CheckedConfig):
     """A case with its repetitions; the module shows a file.
 
     Attributes:
-        lot: name or file of a layout.
+        lot: name or file of a layout, or in Python a layout's config.
         vehicle: preset or data sheet of the car.
         start: pose of the centre of its footprint [m, m, rad].
         speed: at the start, forwards positive [m/s].
@@ -140,7 +140,7 @@ class Scenario(CheckedConfig):
         settings: further settings of the environment, by path.
     """
 
-    lot: str
+    lot: str | LayoutConfig
     start: Pose
     goal: int | Goal
     vehicle: str = "compact"
@@ -173,6 +173,7 @@ class Scenario(CheckedConfig):
                 f"parked must be distinct bays other than the goal, not {self.parked}"
             )
         _ = self.scripts
+        self._set(EnvConfig(layout="square"))
 
     @property
     def rule_name(self) -> str:
@@ -197,14 +198,8 @@ class Scenario(CheckedConfig):
 
     def env(self, env: EnvConfig) -> EnvConfig:
         """The scenario's environment, from that of a policy in the suite."""
-        from carpark_mj.cli.driver import with_settings  # tyro is of an extra
-
         # A flag cannot name the lots of configs.
-        env = dataclasses.replace(env, layout="square")
-        try:
-            env = with_settings(env, self.settings)
-        except ValueError as error:
-            raise ValueError(f"settings of the scenario: {error}") from None
+        env = self._set(dataclasses.replace(env, layout="square"))
         if self.parked and env.physics_config.contacts:
             raise ValueError(
                 f"parked cars of a scenario need physics without contacts, not "
@@ -223,6 +218,16 @@ class Scenario(CheckedConfig):
             metrics=MetricsConfig(safety=True, extra=extra),
             episode=dataclasses.replace(env.episode, **rule),
         )
+
+    def _set(self, env: EnvConfig) -> EnvConfig:
+        if not self.settings:
+            return env
+        from carpark_mj.cli.driver import with_settings  # tyro is of an extra
+
+        try:
+            return with_settings(env, self.settings)
+        except ValueError as error:
+            raise ValueError(f"settings of the scenario: {error}") from None
 
     def pick(self, which: slice, level: str = NAME) -> Cases:
         """Repetitions that follow each other, under the name of their level."""
@@ -292,7 +297,14 @@ def read_scenario(path: Path) -> Scenario:
 
 def make_scenario(data: Mapping[str, Any]) -> Scenario:
     """The scenario of a file's mapping; ValueError of a fault in it."""
-    found = dict(data)
+    try:
+        return _made(dict(data))
+    except ValueError as error:
+        # YAML and JSON have lists, which become tuples.
+        raise ValueError(str(error).replace("a tuple", "a list")) from None
+
+
+def _made(found: dict[str, Any]) -> Scenario:
     movers, settings = found.pop("movers", []), found.pop("settings", {})
     if not isinstance(movers, list):
         raise ValueError(f"movers must be a list, each `- kind: ...`, not {movers!r}")
@@ -313,18 +325,22 @@ def make_scenario(data: Mapping[str, Any]) -> Scenario:
     if own := [x for x in names if OWN_SETTINGS & {x, x.partition(".")[0]}]:
         raise ValueError(f"settings must leave {own[0]} to the scenario's entries")
     words = tuple(f"{name}={value}" for name, value in settings.items())
+    if not isinstance(found["lot"], str):
+        raise ValueError(f"lot must be a layout's name or file, not {found['lot']!r}")
     if not isinstance(goal := found["goal"], int | dict | Goal):
         raise ValueError(
             f"goal must be a bay's number or {{pose: [x, y, heading]}}, not {goal!r}"
         )
-    scenario = from_dict(Scenario, found)
-    return dataclasses.replace(scenario, movers=tuple(actors), settings=words)
+    return from_dict(Scenario, found | {"movers": actors, "settings": words})
 
 
 @functools.cache
 def scenario_level(path: str) -> CaseLevel:
-    """The level of a scenario's file."""
-    scenario = read_scenario(Path(path))
+    """The level of a scenario's file, `FILE` or `FILE:REPETITIONS`."""
+    file, _, count = path.rpartition(":")
+    scenario = read_scenario(Path(file if count.isdecimal() else path))
+    if count.isdecimal():
+        scenario = dataclasses.replace(scenario, repetitions=int(count))
     level, digest = f"{NAME}:{path}", hashlib.sha256(repr(scenario).encode())
     for leaf in jax.tree.leaves(scenario.layout):
         digest.update(np.ascontiguousarray(leaf).tobytes())
@@ -342,8 +358,9 @@ def main(config: "ScenarioConfig") -> list[dict[str, Any]]:
     from carpark_mj.cli.settings.tables import SuiteConfig  # tyro is of an extra
     from carpark_mj.suite import evaluation
 
-    level = f"{NAME}:{config.file}"
-    scenario_level(config.file)  # refused before anything is compiled
+    count = f":{config.repetitions}" * bool(config.repetitions)
+    level = f"{NAME}:{config.file}{count}"
+    scenario_level(config.file + count)  # refused before anything is compiled
     names = ("policies", "environment", "seeds", "videos", "out")
     same = {name: getattr(config, name) for name in names}
     return evaluation.main(SuiteConfig(levels=(level,), **same))

@@ -113,6 +113,23 @@ def test_the_shapes_of_a_scenario_keep_their_kinds(tmp_path):
     assert abs(across) == pytest.approx(3.3, abs=0.01)
 
 
+def test_obstacles_of_the_surroundings_stand_where_their_shapes_are(tmp_path):
+    x, y = 3000.0 + 3.3 * math.sin(TURN), -500.0 - 3.3 * math.cos(TURN)
+    pillar = (
+        "<environmentObstacle id='7'><type>pillar</type><shape><circle><radius>0.3"
+        f"</radius><center><x>{x}</x><y>{y}</y></center></circle></shape>"
+        "</environmentObstacle></commonRoad>"
+    )
+    text = commonroad().replace("</commonRoad>", pillar)
+    lot, report = import_map(write(tmp_path, "commonroad.xml", text))
+    [lane], [disc] = np.asarray(lot.lane_pose), np.asarray(lot.disc_centre)
+    local = (disc - lane[:2]) @ [1, 1j] * np.exp(-1j * lane[2])
+    assert abs(local.imag) == pytest.approx(3.3, abs=0.01)
+    # The report says where the map's frame is in the lot.
+    there = complex(x, y) * np.exp(1j * report.turned) + report.shift
+    assert abs(there - disc @ [1, 1j]) < 0.01
+
+
 FAR_SPOT, SMALL_SPOT = rectangle(2500, 0, 2505, 2), rectangle(0, 3, 2, 5)
 BROKEN = {
     "no XML": ("a.osm", "<osm><node", "not XML"),

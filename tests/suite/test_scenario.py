@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import math
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 import yaml
 from helpers.pages import ROOT, code
 from helpers.programs import layouts
@@ -20,7 +22,7 @@ from carpark_mj.layouts.types import BayEnd
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.registry import FIRST
 from carpark_mj.suite import actors, evaluation, scenario
-from carpark_mj.suite.levels import pick_cases
+from carpark_mj.suite.levels import find_level, pick_cases
 from carpark_mj.suite.scenario import make_scenario, read_scenario
 
 DOCS = ROOT / "docs"
@@ -93,13 +95,22 @@ def test_a_goal_of_its_own_is_one_more_bay():
         {"weather": "rain"},
         {"spread": {"place": -0.1}},
         {"movers": [WALKER | {"between": [1, 2]}]},
-        {"movers": [{"kind": "person", "start": [0.0, 0.0]}]},
+        {"movers": [{"kind": "person", "to": [0.0, 5.0]}]},
         {"movers": [WALKER | {"to": [0.0, 0.0]}]},
         {"movers": [WALKER | {"kind": "cloud"}]},
         {"movers": [{"between": [1, 99]}]},
         {"movers": [WALKER | {"size": [-1.0, 1.0]}]},
         {"movers": WALKER},
+        {"movers": [WALKER | {"to": None, "path": [[1.0]]}]},
+        {"movers": [WALKER | {"to": None, "path": [[1.0, 2.0, 0.0]]}]},
+        {"movers": [WALKER | {"to": None, "path": [[0.0, 0.0]]}]},
+        {"movers": [WALKER | {"path": [[1.0, 2.0]]}]},
+        {"movers": [WALKER | {"to": None, "path": [[1, 2], [3, 4, 1.0, 0.1]]}]},
+        {"movers": [{"start": [0.0, 0.0], "near": 2.0}]},
+        {"movers": [WALKER | {"heading": 1.0}]},
         {"settings": {"num_agents": 3}},
+        {"settings": {"sim.steering_delai": 0.2}},
+        {"settings": {"sim.steering_delay": "much"}},
         {"settings": ["sim.steering_delay=0.2"]},
     ],
     ids=str,
@@ -111,6 +122,95 @@ def test_impossible_entries_are_refused(change, tmp_path):
         read_scenario(path)
 
 
+def test_messages_speak_of_lists_as_files_do():
+    with pytest.raises(ValueError, match="start must be a list of 3"):
+        make_scenario(LEAST | {"start": [0.0, 1.0]})
+
+
+def poses(scripts, clocks):
+    """(scripts, clocks, 3) of scripts so many seconds after they set out."""
+    states = [one.init(jax.random.key(0), None) for one in scripts]
+    place = [
+        jax.vmap(lambda t, state=state: dataclasses.replace(state, clock=t).pose)
+        for state in states
+    ]
+    return np.stack([np.asarray(at(jnp.asarray(clocks, jnp.float32))) for at in place])
+
+
+def test_movers_go_through_their_points_at_their_speeds():
+    path = [[4.0, 0.0, 2.0], [4.0, 6.0], [1.0, 6.0, 0.5]]
+    walker = {"start": [0.0, 0.0], "path": path, "speed": 1.5}
+    data = [walker, walker | {"kind": "car", "returns": True, "pause": 2.0}]
+    scripts = make_scenario(LEAST | {"movers": data}).scripts
+    line = shapely.LineString([(0, 0), *[row[:2] for row in path]])
+    # 2 s for 4 m, 4 s for 6 m, 6 s for 3 m.
+    clocks = np.array([0.0, 1.0, 2.0, 3.0, 6.0, 9.0, 12.0, 20.0])
+    along = np.interp(clocks, [0.0, 2.0, 6.0, 12.0], [0.0, 4.0, 10.0, 13.0])
+    drawn = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
+    there, car = poses(scripts, clocks)
+    np.testing.assert_allclose(there[:, :2], drawn, atol=1e-5)
+    # It turns within a metre of a corner, and is back after the pause.
+    yaw = poses(scripts[:1], [1.0, 1.5, 2.0, 2.0 + 1.0 / 1.5, 5.0])[0, :, 2]
+    expected = np.pi * np.array([0.0, 0.0, 0.25, 0.5, 0.5])
+    np.testing.assert_allclose(yaw, expected, atol=1e-5)
+    np.testing.assert_allclose(car[:7, :2], there[:7, :2], atol=1e-5)
+    back = poses(scripts[1:], [14.0 + 6.0 + 1.0, 40.0])[0]
+    np.testing.assert_allclose(back, [[4.0, 4.5, np.pi / 2], [0, 0, 0]], atol=1e-5)
+
+
+def test_headings_of_a_path_are_those_of_its_points():
+    """A car backs out of a bay and drives on."""
+    path = [[0.0, 3.0, 1.0, -1.6], [4.0, 4.0, 2.0, 0.0]]
+    car = {"kind": "car", "start": [0.0, 0.0], "heading": -1.6, "path": path}
+    scripts = make_scenario(LEAST | {"movers": [car]}).scripts
+    half = 3.0 + math.hypot(4.0, 1.0) / 4  # s
+    there = poses(scripts, [0.0, 3.0, half, 9.0])[0]
+    np.testing.assert_allclose(there[:, 2], [-1.6, -1.6, -0.8, 0.0], atol=1e-5)
+    np.testing.assert_allclose(there[2, :2], [2.0, 3.5], atol=1e-5)
+
+
+def test_spreads_turn_and_hasten_whole_paths():
+    path = [[4.0, 0.0], [4.0, 6.0, 3.0]]
+    walker = {
+        "start": [1.0, 2.0],
+        "path": path,
+        "spread": {"heading": 0.3, "speed": 0.5},
+    }
+    made = make_scenario(LEAST | {"movers": [walker], "repetitions": 3})
+    (script,) = made.pick(slice(None)).start.movers
+    first, *others = (
+        jax.tree.map(lambda leaf, row=row: leaf[row], script) for row in range(3)
+    )
+    times = jnp.array([0.5, 1.5, 3.0])
+
+    def at(one, times):
+        place = jax.vmap(lambda t: dataclasses.replace(one, clock=t).pose)
+        return (np.asarray(place(times))[:, :2] - [1.0, 2.0]) @ [1, 1j]
+
+    for one in others:
+        turn = float(one.direction - first.direction)
+        faster = float(one.speed / first.speed)
+        assert (turn, faster) != (0.0, 1.0)
+        expected = at(first, faster * times) * np.exp(1j * turn)
+        np.testing.assert_allclose(at(one, times), expected, atol=1e-4)
+
+
+def test_a_mover_without_a_way_stands():
+    box = {"kind": "cart", "start": [3.0, 1.0], "heading": 0.7}
+    (script,) = make_scenario(LEAST | {"movers": [box]}).scripts
+    assert (script.after, script.near, script.trigger) == (None, 0.0, 0.0)
+    np.testing.assert_allclose(script.start, [3.0, 1.0, 0.7])
+
+
+def test_repetitions_of_a_flag_replace_those_of_the_file():
+    name = f"scenario:{CHILD}"
+    own, more = (find_level(level) for level in (name, f"{name}:150"))
+    assert (len(own.numbers), len(more.numbers)) == (100, 150)
+    few, many = (level.pick(slice(0, 3)).start.options for level in (own, more))
+    np.testing.assert_array_equal(few.pose, many.pose)
+    assert own.sha256 != more.sha256
+
+
 def test_a_scenario_is_driven_as_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ways = {"start": [-4.0, 4.0], "to": [4.0, 4.0], "speed": 2.0}
@@ -118,7 +218,7 @@ def test_a_scenario_is_driven_as_written(tmp_path, monkeypatch):
         "parked": [5, 7],
         "rule": {"distance": 0.1},
         "seconds": 4.0,
-        "repetitions": 2,
+        "repetitions": 5,
         "movers": [WALKER | ways | {"yields": False, "after": 1.0}],
         "settings": {"physics": "bicycle"},
     }
@@ -132,7 +232,8 @@ def test_a_scenario_is_driven_as_written(tmp_path, monkeypatch):
         return evaluators[-1]
 
     monkeypatch.setattr(evaluation, "CaseEvaluator", kept)
-    rows = scenario.main(ScenarioConfig("mine.yaml", ("zero",), videos=0, out="out"))
+    config = ScenarioConfig("mine.yaml", ("zero",), repetitions=2, videos=0, out="out")
+    rows = scenario.main(config)
     assert [(row["cases"], row["timed out"]) for row in rows] == [(2, 1.0)]  # it stands
     (evaluator,) = evaluators
     config = evaluator.env.config

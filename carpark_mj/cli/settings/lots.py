@@ -95,6 +95,7 @@ class LayoutsConfig(CheckedConfig):
     carpark_mj layouts my_lot.json --check 1 --paths 20
     carpark_mj layouts clutter_tight --check 200 --paths 1
     carpark_mj layouts lot --seed 3 --save lot.json
+    carpark_mj layouts lot.json --save lot.xodr
     carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
     carpark_mj layouts import car_park.osm --out lot.json
     carpark_mj layouts edit lot.json
@@ -111,7 +112,8 @@ class LayoutsConfig(CheckedConfig):
         vehicle: preset or file of the car that must fit into bays and spawn regions of
             the checked lots; by default their design car.
         run: number of scenes of each layout to run.
-        save: layout file to write, with the first lot of one layout.
+        save: layout file (`.json`) to write, with the first lot of one layout; or its
+            map, OpenDRIVE with parking spaces (`.xodr`) or Lanelet2 (`.osm`).
         crop: x and y of two opposite corners [m] of the part to save.
         seed: seed of the keys.
     """
@@ -139,7 +141,7 @@ class LayoutsConfig(CheckedConfig):
         if not self.save:
             require_unset(self, "without --save", "crop")
         require_suffix("plot", self.plot, *PICTURES)
-        require_suffix("save", self.save, ".json")
+        require_suffix("save", self.save, ".json", ".xodr", ".osm")
         if self.save and len(self.layouts) != 1:
             raise ValueError(
                 "--save writes one lot of one layout, not of "

@@ -224,7 +224,8 @@ class SuiteConfig:
             files for development, and `parkbench:FOLDER:held_out`, the other, for
             final results; `busy`, where people, a cart or a car get in the way;
             `metadrive`, `san_jose` and `dragon_lake`, lots of other sources; `sheets`,
-            twelve cars by data sheet; or registered ones.
+            twelve cars by data sheet; `scenario:FILE`; the standard tests `iso16787`,
+            `ncap_rear` and `r158`, of another car as `r158:CAR`; or registered ones.
         cases: number of cases of each level, all of levels with fewer; None = all from
             `first_case` on.
         first_case: first case of each level, from 0.
@@ -287,6 +288,9 @@ class ScenarioConfig:
 
     carpark_mj scenario child.yaml planner valet
     carpark_mj scenario child.yaml valet --videos 3 --out runs/child
+    carpark_mj scenario child.yaml valet --repetitions 1000
+    carpark_mj scenario import case.xosc --lot lot.json --out case.yaml
+    carpark_mj scenario export child.yaml --out child.xosc
 
     The documentation describes the file. The result is a table (Markdown, CSV, HTML)
     with 95 % intervals, as of `carpark_mj suite`.
@@ -295,8 +299,9 @@ class ScenarioConfig:
         file: the scenario, .yaml or .json.
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`,
             `random`, `actions:FILE.csv`, recorded actions, or those of other libraries,
-            as in `carpark_mj suite`.
-        environment: whose observation those of other libraries have.
+        as in `carpark_mj suite`.
+    environment: whose observation those of other libraries have.
+    repetitions: how many, instead of the file's; the first ones are the same.
         seeds: of the planner's searches and of stochastic policies; each seed drives
             all repetitions.
         videos: number of worst repetitions to film for every policy, at most 10; needs
@@ -307,6 +312,7 @@ class ScenarioConfig:
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     policies: Annotated[Names, tyro.conf.arg(metavar="POLICY")]
     environment: str = ""
+    repetitions: int = 0
     seeds: tuple[int, ...] = (0,)
     videos: int = 0
     out: str = "runs/scenario"
@@ -314,6 +320,65 @@ class ScenarioConfig:
     def __post_init__(self) -> None:
         if not self.policies:
             raise ValueError("name at least one policy, for example planner")
+        if self.repetitions < 0:
+            raise ValueError(f"repetitions must be positive, not {self.repetitions}")
+
+
+@dataclasses.dataclass(frozen=True)
+class ScenarioImportConfig:
+    """Makes a scenario file of another program's; needs the extra `maps`.
+
+    carpark_mj scenario import case.xosc --lot lot.json --out case.yaml
+    carpark_mj scenario import problem.xml --out problem.yaml
+    carpark_mj scenario import rear_in/1712150592.json --out case.yaml
+
+    Attributes:
+        file: OpenSCENARIO XML (`.xosc`), CommonRoad (`.xml`), or a case of ParkBench
+            (`.json`).
+        out: scenario file to write. The lot of CommonRoad and ParkBench is written
+            beside it, NAME.lot.json.
+        lot: name or file of the lot of an OpenSCENARIO file.
+        goal: number of the bay to park in, in the place of the file's goal.
+        vehicle: preset or data sheet of the car.
+    """
+
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    out: str
+    lot: str = ""
+    goal: int | None = None
+    vehicle: str = "compact"
+
+    def __post_init__(self) -> None:
+        require_suffix("file", self.file, ".xosc", ".xml", ".json")
+        require_suffix("out", self.out, ".yaml", ".yml")
+        if bool(self.lot) != self.file.endswith(".xosc"):
+            raise ValueError("--lot belongs to an OpenSCENARIO file, which has no lot")
+
+
+@dataclasses.dataclass(frozen=True)
+class ScenarioExportConfig:
+    """Writes a scenario as OpenSCENARIO XML, or drives in one as CommonRoad solutions.
+
+    carpark_mj scenario export child.yaml --out child.xosc
+    carpark_mj scenario export a.yaml --run runs/a --problem problem.xml --out a.xml
+
+    Attributes:
+        file: the scenario, .yaml or .json.
+        out: OpenSCENARIO XML (`.xosc`), with its map NAME.xodr beside it; with `run`,
+            solutions NAME.POLICY.CASE.xml (`.xml`).
+        run: folder of a run of this scenario, whose worst drives become solutions.
+        problem: the CommonRoad file that the scenario was imported from.
+    """
+
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    out: str
+    run: str = ""
+    problem: str = ""
+
+    def __post_init__(self) -> None:
+        require_suffix("out", self.out, ".xml" if self.run else ".xosc")
+        if bool(self.run) != bool(self.problem):
+            raise ValueError("--run and --problem belong together")
 
 
 @dataclasses.dataclass(frozen=True)
