@@ -334,13 +334,22 @@ def _made(found: dict[str, Any]) -> Scenario:
     return from_dict(Scenario, found | {"movers": actors, "settings": words})
 
 
-@functools.cache
 def scenario_level(path: str) -> CaseLevel:
     """The level of a scenario's file, `FILE` or `FILE:REPETITIONS`."""
-    file, _, count = path.rpartition(":")
-    scenario = read_scenario(Path(file if count.isdecimal() else path))
-    if count.isdecimal():
-        scenario = dataclasses.replace(scenario, repetitions=int(count))
+    name, _, count = path.rpartition(":")
+    file = Path(name if count.isdecimal() else path)
+    state = file.absolute(), file.stat().st_mtime_ns if file.exists() else 0
+    return _level(path, file, int(count) if count.isdecimal() else 0, state)
+
+
+@functools.cache
+def _level(
+    path: str, file: Path, repetitions: int, _state: tuple[Path, int]
+) -> CaseLevel:
+    """The level of a file, made anew when the file is another or has changed."""
+    scenario = read_scenario(file)
+    if repetitions:
+        scenario = dataclasses.replace(scenario, repetitions=repetitions)
     level, digest = f"{NAME}:{path}", hashlib.sha256(repr(scenario).encode())
     for leaf in jax.tree.leaves(scenario.layout):
         digest.update(np.ascontiguousarray(leaf).tobytes())
