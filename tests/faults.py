@@ -43,7 +43,7 @@ FAULTS = {
         "geometry/reeds_shepp.py",
         "share = (2.0 + other_rho) / 4.0",
         "share = (1.9 + other_rho) / 4.0",
-        "geometry/test_reeds_shepp.py",
+        "geometry/test_geometry.py",
     ),
     "two agents park in one bay": Fault(
         "mdp/terminations.py",

@@ -23,7 +23,6 @@ from carpark_mj.config import (
     SpawnConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.collisions import HORIZON, RANGE
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.spawning import goals as fixed_goals
 from carpark_mj.spawning import special_starts
@@ -55,7 +54,6 @@ DYNAMIC = dataclasses.replace(
     giving_way=GivingWayConfig(scheme="G,G,S"),
     spawn=SpawnConfig(close_ratio=0.3, conflict_ratio=0.3, relocation="random"),
 )
-CONFIGS = {"fixed": FIXED, "dynamic": DYNAMIC}
 
 
 def without_absent(state: State, count: int) -> State:
@@ -118,7 +116,7 @@ def random_action(env: ParkingEnv, rng: np.random.Generator) -> jax.Array:
     "name", ["dynamic", pytest.param("fixed", marks=pytest.mark.slow)]
 )
 def test_agents_drive_as_if_the_absent_did_not_exist(name):
-    env = ParkingEnv(CONFIGS[name])
+    env = ParkingEnv({"fixed": FIXED, "dynamic": DYNAMIC}[name])
     alone = ParkingEnv(dataclasses.replace(env.config, num_agents=PRESENT))
     reset, step, step_alone = map(jax.jit, (env.reset, env.step, alone.step))
     park = jax.jit(lambda state: park_first(env, state))
@@ -192,19 +190,6 @@ def test_absent_agents_stand_far_apart_and_see_zeros(physics):
     gap = np.linalg.norm(xy[:, None] - xy, axis=-1) + 1e9 * np.eye(len(xy))
     assert gap[:3].min() > 15.0
     assert np.linalg.norm(xy[:3], axis=-1).min() > 5000.0
-
-
-def test_an_agent_alone_in_an_empty_lot_has_no_nearest_car():
-    config = EnvConfig(
-        num_agents=3, num_parked_cars=0, physics="bicycle", metrics=EVERYTHING
-    )
-    env = ParkingEnv(config)
-    state, _ = jax.jit(env.reset)(jax.random.key(0), num_present=jnp.int32(1))
-    state, _ = jax.jit(env.step)(state, standing(env))
-    tallies = state.stats.tallies
-    assert tallies["nearest_car_steps"].tolist() == [0.0, 0.0, 0.0]
-    assert tallies["min_clearance_agent"][0] == RANGE
-    assert tallies["min_collision_time_agent"][0] == HORIZON
 
 
 def test_the_number_of_agents_is_uniform_and_they_are_the_first():

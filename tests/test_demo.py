@@ -149,10 +149,8 @@ def test_cars_park_within_a_minute_by_the_strict_rule(build, driven):
             trace_w=pose[None],
             finite=jnp.array(True),
         )
-        layout = state.layout
-        goal = np.flatnonzero(layout.bay_mask)[
-            event["goal"]
-        ]  # the page knows no others
+        layout, number = state.layout, event["goal"]  # of the bays that there are
+        goal = np.flatnonzero(layout.bay_mask)[number]
         bay = layout.bay_pose[goal], layout.bay_size[goal]
         assert is_parked("strict", motion, *bay)
 

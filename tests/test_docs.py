@@ -77,12 +77,9 @@ COMMAND_LINES = sorted(
 )
 
 
-def test_the_observation_table_is_the_generated_one():
+def test_observations_and_inputs_of_a_model_are_those_of_the_code():
     expected = markdown_table(make_fields(EnvConfig()))
     assert section(TEXTS["observation"], "observation table") == expected, expected
-
-
-def test_the_inputs_of_a_model_are_those_of_the_code():
     with (DOCS / "model_inputs.csv").open(newline="") as file:
         found = list(csv.reader(file))
     expected = [["input", "shape", "unit", "meaning"]]
@@ -95,11 +92,8 @@ def test_the_inputs_of_a_model_are_those_of_the_code():
     assert named == [entry.name for entry in INPUTS]
 
 
-def test_the_physics_report_has_the_excerpt_of_its_rows():
+def test_report_and_readme_have_rows_of_the_physics_table():
     assert excerpt(REPORT) in REPORT.with_suffix(".md").read_text()
-
-
-def test_the_readme_has_rows_of_the_physics_table():
     rows = section(README, "accuracy table").splitlines()
     table = excerpt(REPORT).splitlines()
     assert rows == [row for row in table if row in rows]
@@ -121,7 +115,7 @@ def test_the_parked_rules_are_those_in_force():
     assert sorted(cells(TEXTS["mdp"], "parked rules")) == expected
 
 
-def test_the_reward_terms_are_all_there_with_their_weights():
+def test_the_reward_terms_and_those_of_goals_have_their_weights():
     weights = {name: getattr(REWARDS["shaped"], name) for name in TERMS}
     weights |= dict.fromkeys(sorted(REWARD_TERMS), 0) | REWARDS["shaped"].extra
     found = dict(row[:2] for row in cells(TEXTS["reward"], "reward terms"))
@@ -129,9 +123,6 @@ def test_the_reward_terms_are_all_there_with_their_weights():
     assert found == {name: f"{weight:g}" for name, weight in weights.items()}
     for field in dataclasses.fields(RewardConfig):
         assert f"`{field.name}`" in TEXTS["reward"] or field.name == "goals", field.name
-
-
-def test_the_terms_of_dynamic_goals_are_all_there():
     weights = goal_weights(EnvConfig()) | {"bad_goal": GivingWayConfig().bad_goal}
     found = [row[:2] for row in cells(TEXTS["dynamic_goals"], "goal terms")]
     assert found == [[name, f"{weight:g}"] for name, weight in weights.items()]
@@ -162,12 +153,9 @@ def test_the_vehicle_presets_are_those_of_the_code():
     ]
 
 
-def test_the_test_command_is_where_ci_reads_it():
+def test_the_test_command_and_the_image_are_those_of_the_readme():
     block = README.split("<!-- test command -->\n")[1].split("```")[1]
     assert block == 'bash\npip install -e ".[test]" && pytest\n'
-
-
-def test_the_image_installs_what_the_readme_says():
     image = (ROOT / "Dockerfile").read_text()
     extras = re.search(r"pip install (?:-e )?(\"\.\[[\w,]+\]\")", README)[1]
     packages = re.search(r"apt install ((?:[\w-]+ ?)+)", README)[1].split()
@@ -181,7 +169,6 @@ def test_a_command_exists_and_takes_its_flags(line):
 
 
 def check_command(line):
-    """Asserts that a command exists and takes its flags."""
     line = re.sub(r"parkbench:\S+", "tpcap", line)  # files that users fetch
     words = shlex.split(re.sub(r"\[.*?\]|\.\.\.", "", line).replace("RUN", "runs/x"))
     program, *arguments = words[1:] if words[0] == "carpark_mj" else words
@@ -336,10 +323,7 @@ OURS = [name for name, homes in ENTRY_POINTS.items() if "carpark_mj." in homes[1
 
 @pytest.mark.parametrize(
     ("text", "names"),
-    [
-        (section(TEXTS["interfaces"], "ids"), OURS),
-        (TEXTS["multi_agent"], OPTIONS),
-    ],
+    [(section(TEXTS["interfaces"], "ids"), OURS), (TEXTS["multi_agent"], OPTIONS)],
 )
 def test_a_table_names_them_all(text, names):
     assert re.findall(r"^\| `([^`]+)` \|", text, re.MULTILINE) == list(names)

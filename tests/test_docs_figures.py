@@ -1,11 +1,11 @@
 """Rates, speeds, versions and pictures of the pages are those that were recorded."""
 
-import csv
 import re
 from statistics import fmean
 
 import pytest
 from helpers.pages import ROOT, section
+from helpers.programs import rows_of
 from PIL import Image, ImageSequence
 
 import carpark_mj
@@ -22,9 +22,7 @@ RESULTS = (DOCS / "results.md").read_text()
 
 
 def table(name):
-    """Rows of a recorded table."""
-    with (DOCS / name).open(newline="") as file:
-        return list(csv.DictReader(file))
+    return rows_of(DOCS / name)
 
 
 # Success rates: default and pretrained policies of the default task.
@@ -45,7 +43,6 @@ FIGURES = {
 
 
 def runs_of(figure, columns, source):
-    """Recorded runs of a figure by setting."""
     groups = {}
     for run in table(f"study/figure-{figure}.csv"):
         if run["source"] == source:
@@ -151,7 +148,7 @@ def test_results_say_how_many_steps_a_shipped_policy_was_trained(name):
     assert {row["steps_M"] for row in shipped} == {f"{steps / 1e6:.0f}"}
 
 
-def test_rates_of_the_readme_are_those_of_the_results():
+def test_rates_and_speeds_of_the_readme_are_those_of_the_results():
     known, said, name = {}, set(), ""
     for row in SUCCESS:
         known.setdefault(row["policy"], set()).update((row["parked"], row["crashed"]))
@@ -162,9 +159,6 @@ def test_rates_of_the_readme_are_those_of_the_results():
         assert {*rates} <= known[name], row
         said.add(name)
     assert said == {"cpu", *pretrained_names()}
-
-
-def test_speeds_of_the_readme_are_those_of_the_results():
     known = set(re.findall(r"\d+(?:,\d{3})+", section(RESULTS, "speeds")))
     said = set(re.findall(r"\d+(?:,\d{3})+", section(README, "speed table")))
     assert said

@@ -1,13 +1,20 @@
-"""The examples: PPO in one file runs from end to end, bad input is one line."""
+"""The examples: PPO in one file runs, the FMU drives, bad input is one line."""
 
 import ast
 import importlib
 import re
+import subprocess
+import sys
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 from helpers.programs import ROOT, python
 
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
 from carpark_mj.wrappers.batch import Step
 
 EXAMPLES = ROOT / "examples"
@@ -127,3 +134,39 @@ def test_a_search_learns_from_its_trials_and_ends_bad_ones(tmp_path, monkeypatch
     for config, trial in zip(asked, trials, strict=True):
         assert config.learning_rate == trial.params["learning_rate"]
         assert config.discount == 1.0 - trial.params["1 - discount"]
+
+
+STEER, PEDAL, SECONDS = 0.3, 0.6, 3.0
+
+
+@pytest.mark.slow
+def test_an_fmu_drives_as_the_environment_s_car(tmp_path):
+    fmpy = pytest.importorskip("fmpy")
+    pytest.importorskip("pythonfmu3")
+    car = ROOT / "examples" / "fmu" / "car.py"
+    build = (sys.executable, "-m", "pythonfmu3", "build", "-f", str(car))
+    subprocess.run((*build, "--dest", str(tmp_path)), check=True, capture_output=True)
+    times = np.arange(0.0, SECONDS + 0.1, 0.1)
+    kinds = [("time", float), ("steer", float), ("pedal", float)]
+    rows = fmpy.simulate_fmu(
+        str(tmp_path / "Car.fmu"),
+        stop_time=SECONDS,
+        step_size=0.02,
+        output_interval=0.2,
+        input=np.array([(time, STEER, PEDAL) for time in times], kinds),
+        output=["x", "y", "yaw", "speed", "steering", "finite"],
+        start_values={"vehicle": "city"},
+    )
+    config = EnvConfig(vehicle="city", num_agents=1, num_parked_cars=0)
+    env = ParkingEnv(config)
+    vehicles = env.fleet.of_kind(jnp.zeros(1, jnp.int32))
+    state = env.physics.init(jnp.zeros((1, 3)), vehicles)
+    step, action = jax.jit(env.physics.step), jnp.array([[STEER, PEDAL]])
+    for row in rows[1:]:
+        state = step(state, action)
+        motion = env.physics.read(state)
+        expected = [*motion.pose_w[0], motion.speed[0], motion.steering[0]]
+        found = [row[name] for name in ("x", "y", "yaw", "speed", "steering")]
+        np.testing.assert_allclose(found, expected, atol=2e-4)
+        assert row["finite"]
+    assert rows["x"][-1] > 3.0

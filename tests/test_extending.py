@@ -62,7 +62,7 @@ def run(name):
 def registries(monkeypatch):
     """What examples register is gone after each test."""
     restore_after(monkeypatch, ENCODERS, FAMILIES, LAYOUTS, MOVERS, PHYSICS, VEHICLES)
-    restore_after(monkeypatch, PARKED_RULES)
+    restore_after(monkeypatch, PARKED_RULES, REWARD_TERMS, METRICS)
 
 
 def test_the_example_package_is_the_page_s_family():
@@ -92,18 +92,9 @@ def test_the_page_shows_the_packages_as_they_are(section, name):
     assert block(section, "python") == module.read_text()
 
 
-@pytest.fixture(scope="module")
-def hasty():
-    """A step with the term and the metric, of one agent that drives and one at rest."""
-    with pytest.MonkeyPatch.context() as patch:
-        for registry in (REWARD_TERMS, METRICS):
-            patch.setattr(registry, "_parts", dict(registry._parts))
-        for section in ("A reward term", "A metric"):
-            run(section)
-        yield drive_hastily()
-
-
-def drive_hastily():
+def test_the_new_reward_term_and_metric_are_those_of_their_sections():
+    for section in ("A reward term", "A metric"):
+        run(section)
     reward = RewardConfig(extra={"haste": 0.01})
     metrics = MetricsConfig(extra=("peak_lateral",))
     env = ParkingEnv(EnvConfig(num_agents=2, reward=reward, metrics=metrics))
@@ -111,20 +102,14 @@ def drive_hastily():
     step = jax.jit(env.step)
     for _ in range(20):
         state, timestep = step(state, jnp.array([[0.3, 1.0], [0.0, 0.0]]))
-    return timestep
-
-
-def test_the_new_reward_term_is_paid_for_haste_only(hasty):
-    haste, speed = hasty.reward_terms["haste"], np.abs(hasty.motion.speed)
+    # One drives, one is at rest: haste is paid alone, the metric is the largest so far.
+    haste, speed = timestep.reward_terms["haste"], np.abs(timestep.motion.speed)
     assert speed[0] > 1.5 > speed[1]
     np.testing.assert_allclose(haste, [-0.01 * (speed[0] - 1.5), 0.0], rtol=1e-6)
-    total = sum(hasty.reward_terms.values())
-    np.testing.assert_allclose(hasty.reward, total, atol=1e-6)
-
-
-def test_the_new_metric_is_the_largest_of_the_episode(hasty):
-    now = np.abs(hasty.motion.yaw_rate * hasty.motion.speed)
-    peak = np.asarray(hasty.metrics["peak_lateral"])
+    total = sum(timestep.reward_terms.values())
+    np.testing.assert_allclose(timestep.reward, total, atol=1e-6)
+    now = np.abs(timestep.motion.yaw_rate * timestep.motion.speed)
+    peak = np.asarray(timestep.metrics["peak_lateral"])
     assert peak[0] >= now[0] > 0.1
     assert peak[1] == pytest.approx(0.0, abs=1e-3)
 
@@ -161,20 +146,15 @@ def test_the_new_mover_comes_and_goes():
     np.testing.assert_array_equal(drive(state).sum(axis=0), [50, 50])
 
 
-def test_the_new_vehicle_drives_alone_and_in_a_fleet():
+def test_the_new_vehicle_drives_alone_in_a_fleet_and_is_drawn():
     names = run("A vehicle")
     state, _ = jax.jit(names["env"].reset)(jax.random.key(0))
     assert state.physics.vehicle.wheelbase == pytest.approx(2.7)
-    assert names["mixed"].fleet.agents == (names["taxi"], PRESETS["city"])
-
-
-def test_the_new_vehicle_is_drawn_in_its_own_measures():
-    names = run("A vehicle")
     taxi, mixed = names["taxi"], names["mixed"]
+    assert mixed.fleet.agents == (taxi, PRESETS["city"])
     stage = Stage(make_layout("square"), mixed.vehicle, 2, 1, mixed.fleet.agents)
-    drawn = [
-        stage.model.mesh(k).name.partition("/")[0] for k in range(stage.model.nmesh)
-    ]
+    meshes = map(stage.model.mesh, range(stage.model.nmesh))
+    drawn = [mesh.name.partition("/")[0] for mesh in meshes]
     assert shape_name(taxi) in drawn
     length, width, _ = np.ptp(car_meshes(taxi)["body"].bounds, axis=0)
     assert length == pytest.approx(taxi.length, abs=0.05)
@@ -208,11 +188,7 @@ def test_the_new_back_end_follows_its_controls_with_a_lag(monkeypatch):
 
 def test_the_new_parked_rule_holds_with_straight_wheels_only():
     env = run("A parked rule")["env"]
-    rule, bay, size = (
-        env.config.episode.parked_rule,
-        jnp.zeros(3),
-        jnp.array([5.0, 2.5]),
-    )
+    rule, size = env.config.episode.parked_rule, jnp.array([5.0, 2.5])
     motion = cars(np.zeros((2, 3)), steering=[0.0, 0.1])
-    assert is_parked(rule, motion, bay, size).tolist() == [True, False]
+    assert is_parked(rule, motion, jnp.zeros(3), size).tolist() == [True, False]
     assert EvaluateConfig(run="square", rule=rule).rule == "straight"

@@ -29,15 +29,15 @@ def test_lots_and_steps_have_the_shapes_of_the_config(name):
     assert timestep.reward.shape == (env.num_agents,)
 
 
-@pytest.fixture(scope="module")
-def driven():
-    """Lots of one of its families, on quick physics, at the start and while driven."""
+@pytest.mark.slow
+def test_anywhere_s_agents_are_some_and_drive_cars_of_all_kinds():
+    """In lots of one of its families, on quick physics."""
     config = dataclasses.replace(
         ANYWHERE, layout="garage_row", num_agents=3, physics="bicycle"
     )
     env = ParkingEnv(config)
-    keys = jax.random.split(jax.random.key(0), 12)
 
+    @jax.jit
     def drive(keys):
         state, observation = jax.vmap(env.reset)(keys)
 
@@ -49,12 +49,8 @@ def driven():
         _, timesteps = jax.lax.scan(step, state, steps)
         return state.replace(key=jnp.zeros(12)), observation, timesteps
 
-    return jax.device_get(jax.jit(drive)(keys))
-
-
-@pytest.mark.slow
-def test_anywhere_s_agents_are_some_and_drive_cars_of_all_kinds(driven):
-    state, observation, timesteps = driven
+    driven = drive(jax.random.split(jax.random.key(0), 12))
+    state, observation, timesteps = jax.device_get(driven)
     assert set(state.present.sum(axis=1).tolist()) == {1, 2, 3}
     length = timesteps.motion.size[:, state.present][..., 0].round(3)
     known = {round(car.length, 3) for car in PRESETS.values()}

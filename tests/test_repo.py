@@ -84,15 +84,11 @@ def packages_imported(path):
 
 
 def sources(packages):
-    """Files of packages."""
     return [path for path in FILES if part_of(path) in packages]
 
 
-def test_every_package_has_a_layer():
+def test_every_package_has_a_layer_and_the_architecture_shows_it():
     assert {part_of(path) for path in FILES} == {*LAYER, "__init__"}
-
-
-def test_the_architecture_page_shows_the_layers():
     page = (ROOT / "docs" / "architecture.md").read_text()
     picture = page.split("```text\n")[1].split("```")[0]
     lines = [line.split("  ")[0].split(", ") for line in picture.splitlines()]

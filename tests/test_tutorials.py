@@ -69,7 +69,6 @@ def small(line):
 
 
 def run_line(line):
-    """Runs a command and prints what it prints."""
     program, *words = small(line.partition("#")[0])
     if program == "python":
         ended = python(ROOT / words[0], *words[1:])
@@ -78,12 +77,6 @@ def run_line(line):
     elif not {*WAITS} & {*words}:
         assert program == "carpark_mj", line
         assert exit_code(words[0], words[1:]) == 0, line
-
-
-def run_snippet(text):
-    for old, new in LESS:
-        text = text.replace(old, new)
-    exec(text, {"TINY": TINY})
 
 
 def shape(line):
@@ -123,5 +116,7 @@ def test_a_tutorial_runs_and_prints_what_it_shows(path, tmp_path, monkeypatch):
                     for line in block.splitlines():
                         run_line(line)
                 else:
-                    run_snippet(block)
+                    for old, new in LESS:
+                        block = block.replace(old, new)
+                    exec(block, {"TINY": TINY})
             printed = out.getvalue()

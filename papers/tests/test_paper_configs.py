@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import pytest
+from helpers.bounds import beyond_bounds
 
 from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.training.ppo.parts import PRESETS
@@ -11,11 +12,14 @@ from carpark_mj.training.run_folder import read_settings
 from carpark_mj.vehicle import PRESETS as CARS
 from carpark_mj.vehicle import preset
 from carpark_mj.vehicle.sheet import parameters_text
+from carpark_papers.cederle.benchmarl.config import BenchMARLConfig
+from carpark_papers.cederle.dqn.config import DQNConfig
 from carpark_papers.cederle.junction import JunctionConfig
 from carpark_papers.cederle.junction.config import RasterConfig, RewardRules
 from carpark_papers.pandita.sac.config import SACConfig
+from carpark_papers.tanner.grid import GridConfig
 from carpark_papers.tanner.indices import IndexObservation
-from carpark_papers.tanner.observation import TannerObservation
+from carpark_papers.tanner.observation import TannerObservation, TannerShare, ViewConfig
 from carpark_papers.tanner.q_learning.config import (
     Q_PRESETS,
     Q_SUMMARIES,
@@ -25,17 +29,21 @@ from carpark_papers.tanner.q_learning.config import (
 TRAINERS = (QLearningConfig, SACConfig)
 CLASSES = (
     *(JunctionConfig, RasterConfig, RewardRules, TannerObservation, IndexObservation),
-    *(FAMILIES["slots"], *TRAINERS),
+    *(FAMILIES["slots"], *TRAINERS, DQNConfig, BenchMARLConfig),
+    *(GridConfig, ViewConfig, TannerShare),
 )
 JUNK = (object(), b"x", 1j, [1], {"a": 1}, (object(),))
 
 
 @pytest.mark.parametrize("cls", CLASSES)
-def test_no_field_takes_a_value_of_another_type(cls):
+def test_no_field_takes_another_type_or_a_number_beyond_its_bounds(cls):
     for field in dataclasses.fields(cls):
         for junk in JUNK:
             with pytest.raises(ValueError, match=rf"\b{field.name}\b.* not "):
                 cls(**{field.name: junk})
+    for name, value in beyond_bounds(cls):
+        with pytest.raises(ValueError, match=rf"\b{name}\b"):
+            cls(**{name: value})
 
 
 @pytest.mark.parametrize("cls", TRAINERS)

@@ -79,7 +79,7 @@ def test_the_environments_of_papers_are_all_named():
     assert papers == {*ENVIRONMENTS} - ours
 
 
-def test_the_table_of_slots_layouts_is_that_of_the_code():
+def test_tables_of_the_papers_are_those_of_the_code():
     page = (ROOT / "docs" / "environments" / "slots.md").read_text()
     rows = cells(page, "layouts of papers")
     assert {row[0]: row[1:3] for row in rows} == {
@@ -87,15 +87,9 @@ def test_the_table_of_slots_layouts_is_that_of_the_code():
         for name, config in LAYOUTS.items()
         if name.startswith("slots")
     }
-
-
-def test_the_observation_table_of_tanner_is_the_generated_one():
     page = (ROOT / "docs" / "environments.md").read_text()
     expected = markdown_table(make_fields(TANNER_FIXED))
     assert section(page, "tanner observation table") == expected, expected
-
-
-def test_the_weights_of_tanner_s_reward_are_those_of_the_table():
     page = (ROOT / "docs" / "reward.md").read_text()
     found = {row[0]: row[2] for row in cells(page, "reward terms")}
     weights = {name: getattr(REWARDS["tanner"], name, 0) for name in found}

@@ -7,6 +7,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from helpers.programs import python
 
 PAPERS = Path(__file__).parents[1]
 PROGRAMS = (
@@ -29,15 +30,7 @@ def wheel(tmp_path_factory):
 
 def test_the_command_lists_the_programs_of_the_wheel(wheel, tmp_path):
     paths = os.pathsep.join([str(wheel), str(PAPERS.parent)])
-    done = subprocess.run(
-        [sys.executable, "-m", "carpark_mj", "study"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    done = python("-m", "carpark_mj", "study", cwd=tmp_path, PYTHONPATH=paths)
     assert done.returncode == 0, done.stderr
     assert all(f"\n  {name} " in done.stdout for name in PROGRAMS)
 

@@ -57,8 +57,8 @@ def shown():
     return data.decode(), lines
 
 
-def test_a_silent_command_shows_a_clock(shown):
-    text, _ = shown
+def test_a_silent_command_shows_a_clock_and_a_pipe_gets_lines_alone(shown):
+    text, lines_of_pipe = shown
     before, _, after = text.partition("first")
     between, _, after = after.partition("soon")
     pause, _, after = after.partition("thinking")
@@ -73,10 +73,7 @@ def test_a_silent_command_shows_a_clock(shown):
     lines = text.replace("\r\n", "\n").split("\n")
     on_screen = [line.rpartition("\x1b[K")[2] for line in lines]
     assert on_screen == ["first", "soon", "|last", ""]
-
-
-def test_a_pipe_gets_lines_alone(shown):
-    assert sorted(shown[1]) == sorted(["first", "soon", "thinking ...", "|last"])
+    assert sorted(lines_of_pipe) == sorted(["first", "soon", "thinking ...", "|last"])
 
 
 def test_work_goes_on_without_the_terminal(monkeypatch):

@@ -1,4 +1,4 @@
-"""Flags: a bad one is a sentence, and those not given keep the default."""
+"""Flags: a bad one is a sentence; those given change the environment of a run."""
 
 import dataclasses
 import io
@@ -10,9 +10,15 @@ import jax
 import pytest
 import tyro
 
+from carpark_mj.cli.driver import adapt, find_driver, with_settings
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.process import run_command
+from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.config.checks import Range
+from carpark_mj.env import ParkingEnv
+from carpark_mj.observations import ContinuousObservation
+from carpark_mj.registry import ANYWHERE
+from carpark_mj.suite.metadrive import METADRIVE
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,10 +64,7 @@ BAD = {
     "value or none": (["--size", "a"], "--size: no type matching {None}|FLOAT"),
     "refused": (["--eye.reach", "11"], "reach must be at most 10, not 11.0"),
     "choice": (["--eye.kind", "none"], "invalid choice 'none' for argument"),
-    "near miss": (
-        ["--siz", "3"],
-        "Unrecognized options: --siz, 3; perhaps you meant --size",
-    ),
+    "near miss": (["--siz", "3"], "Unrecognized options: --siz, 3; perhaps you meant"),
     "wide": (["--eye.kind", WIDE], f"invalid choice '{WIDE}' for argument"),
 }
 
@@ -117,15 +120,6 @@ def test_the_help_names_every_setting(capsys):
         assert "--part {None}|{LOW HIGH}" in printed
 
 
-def test_the_help_has_a_line_for_every_command(capsys):
-    text = "Counts\nthings.\n\npython a.py --count 1\npython -m b\n\nThe end."
-    with pytest.raises(SystemExit):
-        read_flags(Settings, ["--help"], description=text)
-    lines = [line.strip() for line in capsys.readouterr().out.splitlines() if line]
-    start = lines.index("Counts things.")
-    assert lines[start + 1 : start + 3] == ["python a.py --count 1", "python -m b"]
-
-
 def test_what_the_user_can_mend_is_one_line_and_exit_code_2(capsys):
     def fail(error):
         raise error
@@ -157,3 +151,78 @@ def test_a_platform_that_jax_does_not_have_is_one_line(monkeypatch, capsys):
     assert run_command("name", fail) == 2
     said = capsys.readouterr().err
     assert ("JAX_PLATFORMS=cuda" in said, said.count("\n")) == (True, 1)
+
+
+RUN = EnvConfig(num_agents=5, min_agents=3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "counts"),
+    [
+        ({}, [3, 4, 5]),
+        ({"num_agents": 2}, [2]),
+        ({"num_agents": 5}, [5]),
+        ({"min_agents": 1}, [1, 2, 3, 4, 5]),
+        ({"num_agents": 2, "min_agents": 1}, [1, 2]),
+        ({"num_agents": None, "min_agents": None}, [3, 4, 5]),
+    ],
+)
+def test_a_number_of_agents_is_that_of_every_lot(changes, counts):
+    assert list(adapt(RUN, **changes).agent_counts) == counts
+
+
+def test_any_setting_of_an_environment_can_be_given():
+    given = ["sim.steering_delay=0.24", "occupancy=0.2 0.5", "episode.respawn=false"]
+    changed = with_settings(RUN, given)
+    sim = dataclasses.replace(RUN.sim, steering_delay=0.24)
+    episode = dataclasses.replace(RUN.episode, respawn=False)
+    changes = {"sim": sim, "episode": episode, "occupancy": (0.2, 0.5)}
+    assert changed == dataclasses.replace(RUN, **changes)
+    assert with_settings(RUN, []) is RUN
+    for setting in ("sim.steering_delay", "sim.steering_dely=0.2"):
+        with pytest.raises(ValueError, match="steering"):
+            with_settings(RUN, [setting])
+
+
+@pytest.mark.parametrize(
+    ("layout", "count"), [("square", 28), ("garage_row", 20), ("lot", 20)]
+)
+def test_an_occupancy_parks_as_many_cars_as_it_takes(layout, count):
+    run = adapt(ANYWHERE, layout=layout, num_agents=1)
+    assert (run.occupancy, run.num_parked_cars) == ((0.2, 0.8), count)
+    assert ParkingEnv(run).num_agents == 1  # which refuses too few
+    assert adapt(ANYWHERE, layout=layout, num_parked_cars=5).num_parked_cars == 5
+
+
+def test_flags_change_what_they_are_about_and_nothing_else():
+    both = adapt(RUN, rule="precise", hitbox_scale=1.1).episode
+    assert (both.parked_rule, both.hitbox_scale) == ("precise", 1.1)
+    assert adapt(RUN, hitbox_scale=1.1).episode.parked_rule == RUN.episode.parked_rule
+    assert adapt(RUN).episode == RUN.episode
+    # A number of parked cars is that of every lot.
+    run = EnvConfig(num_parked_cars=29, occupancy=(0.2, 0.8))
+    assert adapt(run, num_parked_cars=10).occupancy is None
+    assert adapt(run, num_agents=3).occupancy == (0.2, 0.8)
+    # A vehicle is that of all cars instead of a fleet.
+    fleet = FleetConfig(agents=("city", "van"), parked_cars=("suv",))
+    run = EnvConfig(fleet=fleet, observation=ContinuousObservation(own_car=True))
+    alike = adapt(run, vehicle="sedan")
+    assert (alike.vehicle, alike.fleet.is_on) == ("sedan", False)
+    assert adapt(run).fleet == run.fleet
+
+
+def test_nominal_cars_are_observed_as_they_are():
+    assert ANYWHERE.sensors.is_on
+    nominal = adapt(ANYWHERE, nominal=True, physics="bicycle", vehicle="compact")
+    assert not nominal.sensors.is_on
+    assert not nominal.randomization.is_on
+    assert adapt(ANYWHERE, num_agents=2).sensors == ANYWHERE.sensors
+
+
+def test_a_trained_policy_observes_another_task_as_in_training():
+    env, own = find_driver("anywhere", "metadrive").env, find_driver("anywhere").env
+    assert (env.observation, env.reward) == (own.observation, own.reward)
+    alike = {"observation": METADRIVE.observation, "reward": METADRIVE.reward}
+    assert dataclasses.replace(env, **alike) == METADRIVE
+    with pytest.raises(ValueError, match=r"reward\.route"):
+        find_driver("anywhere", "dynamic")

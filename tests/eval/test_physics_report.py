@@ -1,12 +1,12 @@
 """The physics report: formulas against hand-worked cases, rows, files, exit code."""
 
-import csv
 import dataclasses
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.programs import rows_of
 
 import physics_report
 from carpark_mj.vehicle import COMPACT
@@ -157,27 +157,22 @@ def test_verdicts():
 def test_the_rows_declared_are_those_of_the_report():
     report = Path(__file__).parents[2] / "docs" / "physics" / "report.csv"
     used = []
-    with report.open(newline="") as file:
-        for row in csv.DictReader(file):
-            fact = declared(row["row"], row["tyres"])
-            assert (fact["formula"], fact["unit"]) == (row["formula"], row["unit"])
-            used.append(fact)
+    for row in rows_of(report):
+        fact = declared(row["row"], row["tyres"])
+        assert (fact["formula"], fact["unit"]) == (row["formula"], row["unit"])
+        used.append(fact)
     assert [fact for fact in lines_of("rows.csv") if fact not in used] == []
     with pytest.raises(ValueError, match="no 'top speed' on brush"):
         declared("top speed", "brush")
 
 
-def one_row(measured: float):
+@pytest.mark.parametrize(("measured", "code"), [(0.0, 0), (0.5, 1)])
+def test_a_missed_row_makes_exit_code_1(measured, code, tmp_path, monkeypatch, capsys):
     def manoeuvre(study: Study) -> None:
         study.row("mirror symmetry, 6 s", measured)
         study.curve("stops", "line", [0.0, 1.0], [1.0, 0.0])
 
-    return manoeuvre
-
-
-@pytest.mark.parametrize(("measured", "code"), [(0.0, 0), (0.5, 1)])
-def test_a_missed_row_makes_exit_code_1(measured, code, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(physics_report, "SUITES", {"brush": (one_row(measured),)})
+    monkeypatch.setattr(physics_report, "SUITES", {"brush": (manoeuvre,)})
     flags = ["--presets", "compact", "--tyres", "brush"]
     assert physics_report.main([*flags, "--out", str(tmp_path)]) == code
     printed = capsys.readouterr().out

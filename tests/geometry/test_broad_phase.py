@@ -102,13 +102,9 @@ def test_touching_groups_is_touching_any_obstacle_that_is_there():
         radii = np.float32(rng.uniform(0.2, 2.0, size))
         return shape(jnp.asarray(pose), jnp.asarray(radii), mask=there)
 
-    groups = [
-        some(shape, count, masked)
-        for shape, count, masked in (
-            *((Boxes, 3, False), (Discs, 2, True), (Boxes, 4, True)),
-            *((Boxes, 0, False), (Discs, 3, False)),
-        )
-    ]
+    kinds = [(Boxes, 3, False), (Discs, 2, True), (Boxes, 4, True)]
+    kinds += [(Boxes, 0, False), (Discs, 3, False)]
+    groups = [some(*kind) for kind in kinds]
     pose = jnp.asarray(np.float32(rng.uniform(-9.0, 9.0, (200, 3))))
     size = jnp.array([3.0, 1.5])
     each = [

@@ -1,5 +1,6 @@
 """Commands run in this process as `carpark_mj.cli.process.enter` does, or apart."""
 
+import csv
 import functools
 import os
 import subprocess
@@ -30,14 +31,20 @@ identify = functools.partial(exit_code, "identify")
 oracle = functools.partial(exit_code, "oracle")
 
 
-def assert_refused(capsys: Any, program: str, arguments: Sequence[str], said: str):
+def assert_refused(capsys: Any, program: Any, arguments: Sequence[str], said: str):
     """Asserts exit code 2 and one line on stderr, which says why; returns it."""
     assert exit_code(program, arguments) == 2
     told = capsys.readouterr().err
-    assert told.startswith(f"{program}: ")
+    assert told.startswith(f"{program if isinstance(program, str) else 'program'}: ")
     assert said in told
     assert told.count("\n") == 1
     return told
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    """The rows of a table that a program has written."""
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def python(*arguments: Any, cwd: Any = None, **variables: str | None):

@@ -46,16 +46,8 @@ HAND = {
 
 
 def written(tmp_path, data):
-    """A file with one list element a line, as drawn by hand."""
-    lines = ["{"]
-    for name, value in data.items():
-        if isinstance(value, list) and value and isinstance(value[0], dict):
-            rows = ",\n".join(json.dumps(row) for row in value)
-            lines.append(f'"{name}": [\n{rows}\n],')
-        else:
-            lines.append(f'"{name}": {json.dumps(value)},')
     path = tmp_path / "hand.json"
-    path.write_text("\n".join(lines).rstrip(",") + "\n}\n")
+    path.write_text(json.dumps(data))
     return path
 
 

@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.registering import restore_after
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.config import EnvConfig
+from carpark_mj.cli.layouts import families
+from carpark_mj.config import LAYOUTS, EnvConfig, register_layout
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import (
     DeadEndConfig,
@@ -23,6 +25,7 @@ from carpark_mj.layouts import (
     member_shares,
     mixture,
 )
+from carpark_mj.layouts.base import FAMILIES
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.registry import TEST, TRAIN, lot_key, lot_number
 from carpark_mj.policy import runs
@@ -32,21 +35,19 @@ MEMBERS = (
     StreetConfig(bays_per_side=(3, 4)),
     DeadEndConfig(),
 )
-WEIGHTS = (1.0, 2.0, 1.0)
 LOTS = 400
 
 
 @functools.cache
 def compiled():
-    """An environment in a mixture with its compiled functions."""
-    config = EnvConfig(layout=mixture(MEMBERS, WEIGHTS), num_parked_cars=2)
+    config = EnvConfig(layout=mixture(MEMBERS, (1.0, 2.0, 1.0)), num_parked_cars=2)
     env = ParkingEnv(config, SlidePhysics())
-    return env, jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(env.step))
+    return env, jax.jit(jax.vmap(env.reset))
 
 
 @functools.cache
 def layouts():
-    _, reset, _ = compiled()
+    _, reset = compiled()
     state, _ = reset(jax.random.split(jax.random.key(0), LOTS))
     return jax.device_get(state.layout)
 
@@ -77,17 +78,6 @@ def test_every_lot_of_a_mixture_is_one_its_family_draws():
     )
 
 
-def test_other_keys_and_other_families_need_no_other_program():
-    env, reset, step = compiled()
-    assert env.config.num_agents == 2
-    for seed in range(3):
-        state, _ = reset(jax.random.split(jax.random.key(seed), LOTS))
-        for _ in range(2):
-            state, _ = step(state, jnp.zeros((LOTS, 2, 2)))
-    assert reset._cache_size() == 1
-    assert step._cache_size() == 1
-
-
 def test_members_are_called_by_their_names_with_their_shares():
     tight = [GarageRowConfig(level=level) for level in ("normal", "complex")]
     members = ["square_compact", *tight, SquareConfig(bays_per_side=5)]
@@ -108,14 +98,8 @@ def test_members_are_called_by_their_names_with_their_shares():
     assert layout_config(",".join(names)) == mixture(names)
 
 
-def test_a_lot_follows_from_its_key_alone_and_cars_use_the_bays_that_are_there():
-    env, reset, _ = compiled()
-    keys = jax.random.split(jax.random.key(0), LOTS)
-    state, _ = jax.jit(env.reset)(keys[5])
-    batch = jax.tree.map(lambda x: x[5], layouts())
-    for a, b in zip(*map(jax.tree.leaves, (state.layout, batch)), strict=True):
-        np.testing.assert_allclose(a, b, atol=2e-5)  # float32 at 20 m
-    state, _ = reset(keys)
+def test_cars_use_the_bays_that_are_there():
+    state, _ = compiled()[1](jax.random.split(jax.random.key(0), LOTS))
     mask = np.asarray(state.layout.bay_mask)
     held = np.c_[state.goal, state.parked_cars.bay]
     assert np.take_along_axis(mask, held, axis=1).all()
@@ -218,7 +202,44 @@ def test_a_lot_that_no_key_changes_starts_as_if_there_were_no_splits(monkeypatch
 
 
 def test_a_member_of_a_mixture_can_be_asked_for():
-    env, _, _ = compiled()
+    env, _ = compiled()
     draw = jax.jit(jax.vmap(lambda key, k: env.draw_layout(key, "test", k)))
     lots = draw(jax.random.split(jax.random.key(0), 9), jnp.arange(9) % 3)
     assert member(lots).tolist() == [0, 1, 2] * 3
+
+
+@dataclasses.dataclass(frozen=True)
+class YardConfig(SquareConfig):
+    """A square under another name, with settings of its own."""
+
+    bays_per_side: int = 5
+    family: str = "yard"
+
+
+@pytest.fixture
+def yard(monkeypatch):
+    restore_after(monkeypatch, LAYOUTS, FAMILIES)
+    return register_layout("yard", YardConfig())
+
+
+def test_a_registered_layout_is_known_everywhere(yard):
+    assert EnvConfig(layout="yard").layout == "yard"
+    assert make_layout("yard").num_bays == 20
+    assert layout_config("yard,street").members == (yard, StreetConfig())
+    assert member_shares(layout_config("yard,street")) == {"yard": 0.5, "street": 0.5}
+    config = EnvConfig(layout=YardConfig(bays_per_side=6))
+    stored = json.loads(json.dumps(dataclasses.asdict(config)))
+    assert runs.from_dict(EnvConfig, stored) == config
+    assert families()["yard"] == yard
+
+
+def test_second_layouts_and_families_of_a_name_are_refused(yard):
+    with pytest.raises(ValueError, match="there is a layout 'yard' already"):
+        register_layout("yard", YardConfig(bays_per_side=6))
+
+    class OtherConfig(YardConfig):
+        pass
+
+    with pytest.raises(ValueError, match="there is a family 'yard' already"):
+        register_layout("other", OtherConfig())
+    assert "other" not in LAYOUTS

@@ -29,22 +29,14 @@ def lot(request):
 way, lane_gaps = jax.jit(route_to), jax.jit(lane_distance)
 
 
-def _points_in_lanes(layout, count):
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 1, (40 * count, 2)) * np.asarray(layout.extent)
-    inside = lane_distance(layout, jnp.float32(points)).min(axis=1) == 0.0
-    return jnp.float32(points[np.asarray(inside)][:count])
-
-
-def _bays(layout, count):
-    return jnp.asarray(np.resize(np.flatnonzero(layout.bay_mask), count), jnp.int32)
-
-
 def test_downhill_from_anywhere_in_the_lanes_leads_into_the_bay(lot):
     """No local minimum: of small steps in 16 directions the best one is shorter."""
     layout, routes = lot
-    xy = _points_in_lanes(layout, 64)
-    bay = _bays(layout, len(xy))
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (2560, 2)) * np.asarray(layout.extent)
+    inside = lane_distance(layout, jnp.float32(points)).min(axis=1) == 0.0
+    xy = jnp.float32(points[np.asarray(inside)][:64])
+    bay = jnp.asarray(np.resize(np.flatnonzero(layout.bay_mask), len(xy)), jnp.int32)
 
     @jax.jit
     def descend(xy):

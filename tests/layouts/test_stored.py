@@ -47,21 +47,21 @@ def own_cache(tmp_path, monkeypatch):
     stored_lots.cache_clear()
 
 
-def lengths(lots):
-    """Lengths of a lot that scale with it (lots, n)."""
-    parts = (lots.bay_size, lots.wall_size, lots.bay_pose[..., :2], lots.extent)
-    return np.concatenate([x.reshape(len(x), -1) for x in parts], axis=1)
-
-
-def test_all_lengths_of_a_scaled_lot_have_one_factor():
+def test_a_scaled_lot_is_longer_with_the_same_headings():
     scaled = draw(ScaledConfig(STREET, (0.8, 1.6)), 32)
     width = scaled.bay_size[..., 1].max(axis=1, keepdims=True)
     assert width.min() < 0.95 * 2.6
     assert width.max() > 1.4 * 2.6
-    fixed = draw(ScaledConfig(STREET, (1.5, 1.5)), 4)
-    one = draw(ScaledConfig(STREET, (1.0, 1.0)), 4)
-    np.testing.assert_allclose(lengths(fixed), 1.5 * lengths(one), rtol=1e-5)
-    np.testing.assert_array_equal(fixed.bay_pose[..., 2], one.bay_pose[..., 2])
+    large, one = (draw(ScaledConfig(STREET, (x, x)), 4) for x in (1.5, 1.0))
+    for name, before in vars(one).items():
+        after, part = getattr(large, name), name.split("_")[-1]
+        if part == "pose":
+            np.testing.assert_array_equal(after[..., 2], before[..., 2])
+            after, before = after[..., :2], before[..., :2]
+        if part in ("pose", "centre", "size", "radius", "extent"):
+            np.testing.assert_allclose(after, 1.5 * before, rtol=1e-5)
+        elif part in ("mask", "kind"):
+            np.testing.assert_array_equal(after, before)
 
 
 @pytest.mark.parametrize("config", [AngledConfig(), ClutterConfig()])

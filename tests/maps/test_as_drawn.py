@@ -122,15 +122,12 @@ def test_spots_beside_aisles_fill_a_car_park(imported):
     assert len(drawn) == report.spots == 1
 
 
-def test_a_spot_drawn_in_a_row_takes_its_place(imported):
+def test_spots_in_a_row_or_below_the_ground_count_once(imported):
     # As in Bratislava: a row beside the street, one of its spots drawn as accessible.
     row = {"amenity": "parking", "parking": "street_side", "capacity": "6"}
     shapes = [(rectangle(0, 3, 15, 8), row), (BAYS[2], SPOT | {"wheelchair": "yes"})]
     bays, _, report = imported([*shapes, (LANE, ROAD)])
     assert len(bays) == report.spots == COUNT
-
-
-def test_spots_below_the_ground_are_not_laid_out_along_its_roads(imported):
     # As in Wil: an underground car park on a layer of its own below a bus station.
     below = {"amenity": "parking", "parking": "underground", "capacity": "40"}
     shapes = [(rectangle(-20, -20, 40, 30), below | {"layer": "-1"}), (LANE, ROAD)]
@@ -273,15 +270,12 @@ def test_right_angles_are_cut_at_their_corners(turn):
     assert len([*boxes(shape)]) == 3
 
 
-def test_a_rectangle_cut_free_keeps_the_most_that_it_can():
+def test_a_rectangle_cut_free_keeps_the_most_and_a_row_costs_one_side():
     [box] = boxes(shapely.box(0, 0, 10, 4))
     free = cut_free(box, [shapely.box(-5, 3.5, 20, 9), shapely.box(9, 0, 12, 1)])
     assert free is not None
     assert free.shape.area == pytest.approx(9 * 3.5, rel=0.01)
     assert cut_free(box, [shapely.box(-1, -1, 11, 5)]) is None
-
-
-def test_a_row_along_a_rectangle_costs_one_side():
     # Corners of six leaning bays that reach into a lane.
     [lane] = boxes(shapely.box(0, 0, 40, 6))
     corners = [shapely.box(x, 5.2, x + 1.0, 7) for x in range(2, 38, 6)]

@@ -141,10 +141,7 @@ def test_flags_name_the_layers_and_the_unit(tmp_path, capsys):
         capsys.readouterr()
         assert main([*command, *wrong]) == 2
         assert told in capsys.readouterr().err
-
-
-def test_only_drawings_take_layers_and_units(tmp_path):
-    with pytest.raises(ValueError, match="--unit"):
+    with pytest.raises(ValueError, match="--unit"):  # of drawings alone
         read_plan(tmp_path / "a.osm", unit="m")
 
 

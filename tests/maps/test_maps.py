@@ -23,6 +23,7 @@ from helpers.map_texts import (
     write,
 )
 from helpers.mutating import damaged, with_junk
+from helpers.programs import assert_refused
 from helpers.programs import layouts as main
 
 from carpark_mj.layouts.files import read_json
@@ -131,6 +132,8 @@ def test_obstacles_of_the_surroundings_stand_where_their_shapes_are(tmp_path):
 
 
 FAR_SPOT, SMALL_SPOT = rectangle(2500, 0, 2505, 2), rectangle(0, 3, 2, 5)
+ONE = '{"features": [{"geometry": %s}]}'
+LOST = geojson() | {"crs": {"properties": {"name": "EPSG:0"}}}
 BROKEN = {
     "no XML": ("a.osm", "<osm><node", "not XML"),
     "entities": ("a.osm", "<!DOCTYPE osm><osm/>", "document type"),
@@ -149,21 +152,9 @@ BROKEN = {
     "too large": ("a.osm", openstreetmap([*BAYS, FAR_SPOT]), "at most 2 km"),
     "small spots": ("a.osm", openstreetmap([SMALL_SPOT]), "smaller than the car"),
     "no collection": ("a.geojson", "{}", "features"),
-    "no geometry": (
-        "a.geojson",
-        '{"features": [{"geometry": {"type": "Line"}}]}',
-        "features[0] must have a geometry",
-    ),
-    "no geometry at all": (
-        "a.geojson",
-        '{"features": [{"geometry": null}]}',
-        "no feature with a geometry",
-    ),
-    "unknown system": (
-        "a.geojson",
-        json.dumps(geojson() | {"crs": {"properties": {"name": "EPSG:0"}}}),
-        "EPSG:0",
-    ),
+    "no geometry": ("a.geojson", ONE % '{"type": "Line"}', "features[0] must have a"),
+    "no geometry at all": ("a.geojson", ONE % "null", "no feature with a geometry"),
+    "unknown system": ("a.geojson", json.dumps(LOST), "EPSG:0"),
     "no DXF": ("a.dxf", "0\nSECTION\n", "no DXF"),
     "no unit": ("a.dxf", dxf(units=0), "$INSUNITS"),
     "another format": ("a.svg", "", ".geojson"),
@@ -173,13 +164,9 @@ BROKEN = {
 @pytest.mark.parametrize("fault", BROKEN)
 def test_what_is_no_map_is_refused_in_one_sentence(tmp_path, capsys, fault):
     name, text, told = BROKEN[fault]
-    path = write(tmp_path, name, text)
-    out = tmp_path / "lot.json"
-    assert main(["import", str(path), "--out", str(out)]) == 2
-    error = capsys.readouterr().err.strip()
-    assert told in error
-    assert str(path) in error
-    assert "\n" not in error
+    path, out = write(tmp_path, name, text), tmp_path / "lot.json"
+    words = ["import", str(path), "--out", str(out)]
+    assert str(path) in assert_refused(capsys, "layouts", words, told)
     assert not out.exists()
 
 

@@ -199,15 +199,13 @@ def test_without_movers_nothing_is_kept_or_reported():
     assert ObstacleKind.MOVER in hit_kinds((Hands(),))
 
 
-FOLDER = ROOT / "examples" / "extensions" / "rail_cart"
 TRACES = 4  # of `SlidePhysics`
 
 
 @pytest.fixture(scope="module")
 def cart():
-    """The class of carts, found by its name as an extension."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(FOLDER))
+        patch.syspath_prepend(str(ROOT / "examples" / "extensions" / "rail_cart"))
         patch.setenv(extensions.VARIABLE, "rail_cart")
         patch.setattr(extensions, "_loaded", set(extensions._loaded))
         patch.setattr(MOVERS, "_parts", dict(MOVERS._parts))
@@ -256,10 +254,8 @@ def test_a_standing_car_sees_it_come_and_is_hit(cart):
     before = slice(0, crash)
     seen = timestep.observation[before, 0, -4:] * 20.0
     np.testing.assert_allclose(seen[:, 0], expected[before], atol=1e-4)
-    for name, speed in (
-        ("min_clearance_mover", 1.0),
-        ("min_collision_time_mover", 2.0),
-    ):
+    speeds = {"min_clearance_mover": 1.0, "min_collision_time_mover": 2.0}
+    for name, speed in speeds.items():
         measured = timestep.metrics[name][before, 0]
         np.testing.assert_allclose(measured, expected[before] / speed, atol=1e-4)
     # The lot's cart goes on while the agent begins anew, and turns at the end.

@@ -7,14 +7,18 @@ import jax
 import numpy as np
 import pytest
 import shapely
+from helpers.programs import assert_refused, rows_of
+from helpers.programs import oracle as main
 from helpers.scenes import polygons
 
+from carpark_mj.cli.oracle import OUTCOMES, describe
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.oracle import impossible, solve
 from carpark_mj.planning.policy import Sight, sights
 from carpark_mj.planning.schedule import CRUISE, DT
+from carpark_mj.registry import environment
 from carpark_mj.vehicle import COMPACT
 
 SECONDS = 60.0
@@ -107,14 +111,43 @@ def tight():
     return sights(state)
 
 
-def test_no_start_in_a_tight_lot_is_impossible(tight):
+def test_starts_in_tight_lots_are_possible_and_drives_touch_nothing(tight):
     assert {len(seen) for seen in tight} == {3}
     assert not any(impossible(seen).any() for seen in tight)
-
-
-def test_drives_in_random_lots_touch_nothing(tight):
     answers = [solve(seen, SECONDS) for seen in tight[:3]]
     for seen, answer in zip(tight, answers, strict=False):
         check_witness(seen, answer)
     parks = np.concatenate([answer.parks for answer in answers])
     assert parks.mean() > 0.8
+
+
+def row(lot, agents, outcome, family="street"):
+    which = {"lot": lot, "family": family, "agents_present": agents}
+    return which | {"outcome": outcome}
+
+
+def test_the_table_counts_agents_and_lots_by_family():
+    rows = [row(0, 2, "in time"), row(0, 2, "late")]
+    rows += [row(1, 2, "in time"), row(1, 2, "in time")]
+    rows += [row(2, 1, "impossible", "dead_end")]
+    lines = [line.split(" | ") for line in describe(rows).splitlines()[2:]]
+    assert [line[:7] for line in lines] == [
+        ["| dead_end", "1", "1", "0.0", "0.0", "0.0", "100.0"],
+        ["| street", "2", "2", "75.0", "25.0", "0.0", "0.0"],
+    ]
+    assert [line[7].split()[0] for line in lines] == ["0.0", "50.0"]
+
+
+def test_the_command_writes_a_row_for_each_agent(tmp_path, capsys):
+    flags = "--environment square --layout square_compact --num-agents 2 --lots 1"
+    assert main([*flags.split(), "--out", str(tmp_path / "new")]) == 0
+    rows = rows_of(tmp_path / "new" / "oracle.csv")
+    assert [(r["lot"], r["agent"]) for r in rows] == [("0", "0"), ("0", "1")]
+    task = environment("square")
+    seconds = task.episode.max_steps * task.sim.ctrl_dt
+    for r in rows:
+        assert r["outcome"] in OUTCOMES
+        assert (r["outcome"] == "in time") == (float(r["arrival"]) <= seconds)
+    assert "| square_compact | 2 | 1 |" in capsys.readouterr().out
+    reason = "the planner needs fixed goals"
+    assert_refused(capsys, "oracle", ["--environment", "dynamic"], reason)

@@ -117,18 +117,6 @@ def test_the_quicker_way_round_is_driven_in_a_bay_and_in_its_opposite(yaw):
         )
 
 
-def test_the_same_seed_gives_the_same_path():
-    pytest.importorskip("ompl")
-    start, goal, solids, extent = case("normal", 3)
-    config = SearchConfig(paths=1)
-    first, again = (
-        search(start, goal, solids, CAR, extent, seed=5, config=config)
-        for _ in range(2)
-    )
-    for one, other in zip(first.path.segments, again.path.segments, strict=True):
-        np.testing.assert_array_equal(one.pose, other.pose)
-
-
 @pytest.mark.parametrize(
     ("durations", "quickest", "searches"),
     [

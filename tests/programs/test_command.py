@@ -1,13 +1,18 @@
-"""The command `carpark_mj`: what it lists is there, what it does not know is said."""
+"""The command `carpark_mj`: what it lists and refuses, what a person waits for."""
 
+import json
+import os
 import re
 import sys
 
+import jax
 import pytest
-from helpers.programs import exit_code
+from helpers.programs import exit_code, python
 
 from carpark_mj import __main__ as command
-from carpark_mj import __version__
+from carpark_mj import __version__, compilation
+from carpark_mj.cli.process import OUTPUT_FUSION, enable_output_fusion
+from carpark_mj.compilation import SHARE_LOOPS, cache_folder, keep_compiled_programs
 from carpark_mj.config import LAYOUTS
 from carpark_mj.extensions import Entry
 from carpark_mj.pretrained import pretrained_names
@@ -31,29 +36,32 @@ def test_a_listed_program_is_there_and_says_what_it_does(name):
     assert COMMANDS[name].summary
 
 
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Runs `carpark_mj`; returns the exit code and what it prints, and complains of."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["carpark_mj", *arguments])
+        with pytest.raises(SystemExit) as end:
+            command.main()
+        return end.value.code or 0, *capsys.readouterr()
+
+    return run
+
+
 @pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"]])
-def test_the_help_lists_every_program(arguments, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["carpark_mj", *arguments])
-    with pytest.raises(SystemExit) as end:
-        command.main()
-    assert not end.value.code
-    printed = capsys.readouterr().out
+def test_the_help_lists_every_program(arguments, run):
+    code, printed, _ = run(*arguments)
+    assert not code
     assert all(f"\n  {name} " in printed for name in COMMANDS)
 
 
-def test_the_version_is_that_of_the_package(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["carpark_mj", "--version"])
-    with pytest.raises(SystemExit) as end:
-        command.main()
-    assert not end.value.code
-    assert capsys.readouterr().out == f"carpark_mj {__version__}\n"
+def test_the_version_is_that_of_the_package(run):
+    assert run("--version") == (0, f"carpark_mj {__version__}\n", "")
 
 
-def test_the_completion_knows_every_command(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["carpark_mj", "--completion"])
-    with pytest.raises(SystemExit):
-        command.main()
-    printed = capsys.readouterr().out
+def test_the_completion_knows_every_command(run):
+    _, printed, _ = run("--completion")
     offered = re.findall(r'-W "([^"]*)"', printed)[0].split()
     nested = [name for name in COMMANDS if " " in name]
     assert sorted([*offered, *nested]) == sorted(COMMANDS)
@@ -80,12 +88,10 @@ def test_all_names_of_a_kind_are_listed(kind, names, capsys):
         assert capsys.readouterr().out.splitlines() == lines
 
 
-def test_an_unknown_program_is_refused_in_one_line(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["carpark_mj", "trian"])
-    with pytest.raises(SystemExit) as end:
-        command.main()
-    assert end.value.code == 2
-    [line] = capsys.readouterr().err.splitlines()
+def test_an_unknown_program_is_refused_in_one_line(run):
+    code, _, told = run("trian")
+    assert code == 2
+    [line] = told.splitlines()
     assert "'trian'" in line
     assert "train" in line
 
@@ -108,3 +114,214 @@ def test_a_program_of_an_extension_is_called_with_its_arguments(
     assert sys.argv == ["carpark_mj study count", "--list"]
     assert exit_code("study", ["county"]) == 2
     assert "'count'" in capsys.readouterr().err
+
+
+OPTIONS = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
+
+HELP = """
+import contextlib, importlib.util, io, json, sys
+from carpark_mj.programs import COMMANDS, run
+
+needed = [x for command in COMMANDS.values() for x in command.needs if x != "tyro"]
+find = importlib.util.find_spec
+importlib.util.find_spec = lambda name: None if name in needed else find(name)
+seen, words = {}, {"layouts import": ["a.osm", "--out", "b.json"]}
+words |= {"suite": ["zero", "--cases", "1"], "sweep": ["--base", "cpu"]}
+words["scenario"] = ["a.yaml", "zero"]
+words["report"] = ["runs/a"]
+missing = []
+for name, command in COMMANDS.items():
+    if command.needs:
+        try:
+            run(name, words.get(name, []))
+        except ModuleNotFoundError as error:
+            missing.append(error.name)
+for name, command in COMMANDS.items():
+    if not command.settings:
+        continue
+    text = io.StringIO()
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(text):
+        run(name, ["--help"])
+    try:
+        said = "read later" if command.reads else run(name, ["--no-such-flag", "1"])
+    except ValueError as error:
+        said = str(error)
+    seen[name] = [f"usage: carpark_mj {name}" in text.getvalue(), said]
+with contextlib.redirect_stdout(io.StringIO()):
+    run("list", ["policies"])
+loaded = [x for x in ("jax", "mujoco", "brax", "flax") if x in sys.modules]
+print(json.dumps([seen, missing == needed, loaded]))
+"""
+
+PAGE = """
+import contextlib, json, sys
+from carpark_mj.cli.pages import open_page
+
+with contextlib.redirect_stdout(sys.stderr), open_page(8768):
+    loaded = [x for x in ("jax", "mujoco", "brax", "flax") if x in sys.modules]
+print(json.dumps(loaded))
+"""
+
+BUILT = """
+import json
+import jax
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+from carpark_mj.registry import environment
+
+programs = []
+def count(event, seconds, **_):
+    programs.append(event.endswith("backend_compile_duration"))
+jax.monitoring.register_event_duration_secs_listener(count)
+counts = {"default": EnvConfig()}
+counts |= {n: environment(n) for n in ("anywhere", "considerate", "sees", "hope")}
+for name, config in counts.items():
+    programs.clear()
+    ParkingEnv(config)
+    counts[name] = sum(programs)
+print(json.dumps(counts))
+"""
+
+DRIVEN = """
+import json
+import jax, jax.numpy as jnp
+from carpark_mj.config import EnvConfig
+from carpark_mj.env import ParkingEnv
+
+events = []
+jax.monitoring.register_event_listener(lambda event, **_: events.append(event))
+env = ParkingEnv(EnvConfig(physics="bicycle", num_agents=1, num_parked_cars=1))
+state, _ = jax.jit(env.reset)(jax.random.key(0))
+state, step = jax.jit(env.step)(state, jnp.zeros((1, 2)))
+jax.block_until_ready(step.reward)
+names = "cache_hits", "cache_misses"
+print(json.dumps([sum(e.endswith(name) for e in events) for name in names]))
+"""
+
+
+def printed(program, **variables):
+    """What a program prints in a process of its own, without kept programs."""
+    kept = dict.fromkeys(name for name in os.environ if name.startswith("JAX_COMPIL"))
+    done = python("-c", program, **kept | variables)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_help_and_refusals_do_not_import_jax():
+    seen, refused, loaded = printed(HELP)
+    assert refused
+    assert not loaded
+    assert {"train", "evaluate", "scene", "layouts import", "sweep"} <= {*seen}
+    for name, (helped, said) in seen.items():
+        assert helped, name
+        assert said, name
+
+
+def test_a_page_opens_before_jax_is_imported():
+    pytest.importorskip("mjviser")
+    assert printed(PAGE) == []
+
+
+def test_environments_are_built_without_compiling_lots(tmp_path):
+    counts = printed(BUILT, XDG_CACHE_HOME=str(tmp_path))
+    # The two fixed lots, and the key that they do not use.
+    assert sum(counts.values()) <= 4, counts
+    assert counts["considerate"] == counts["sees"] == counts["hope"] == 0
+
+
+def test_a_second_process_finds_the_programs_of_the_first(tmp_path):
+    hits, misses = printed(DRIVEN, XDG_CACHE_HOME=str(tmp_path))
+    assert (hits, misses > 1) == (0, True)
+    assert [*(tmp_path / "carpark_mj" / "jax").iterdir()]
+    again, _ = printed(DRIVEN, XDG_CACHE_HOME=str(tmp_path))
+    assert again >= 2  # reset and step
+
+
+@pytest.fixture
+def undecided(monkeypatch):
+    """A process whose user has decided nothing about kept programs."""
+    before = {name: jax.config.values[name] for name in OPTIONS}
+    for name in OPTIONS:
+        monkeypatch.delenv(name.upper(), raising=False)
+    jax.config.update(OPTIONS[0], None)
+    jax.config.update(OPTIONS[1], 1.0)
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def options():
+    return [jax.config.values[name] for name in OPTIONS]
+
+
+def test_programs_are_kept_in_the_folder_of_caches(undecided, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    keep_compiled_programs()
+    assert options() == [str(tmp_path / "caches" / "carpark_mj" / "jax"), 0.1]
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # to be ignored
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / ".cache" / "carpark_mj" / "jax"
+
+
+def test_what_the_user_has_decided_stays(undecided, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    jax.config.update(OPTIONS[0], str(tmp_path / "own"))
+    keep_compiled_programs()
+    assert options() == [str(tmp_path / "own"), 1.0]
+    jax.config.update(OPTIONS[0], None)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")  # none
+    keep_compiled_programs()
+    assert options() == [None, 1.0]
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv(OPTIONS[1].upper(), "1.0")
+    keep_compiled_programs()
+    assert options() == [str(tmp_path / "carpark_mj" / "jax"), 1.0]
+
+
+def test_without_a_folder_to_write_nothing_is_kept(undecided, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    keep_compiled_programs()
+    assert options() == [None, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("gpu", "before", "after"),
+    [
+        (False, None, SHARE_LOOPS),
+        (True, None, SHARE_LOOPS + " --{}=false"),
+        (False, "", ""),
+        (True, "--xla_other=1", "--xla_other=1 --{}=false"),
+        (True, "--{}=true", "--{}=true"),  # the user has decided
+        (True, "flags.txt", "flags.txt"),  # XLA reads a file
+    ],
+)
+def test_flags_that_xla_gets_on_import(gpu, before, after, monkeypatch):
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    before, after = (
+        x and x.format(compilation.FUSION_AUTOTUNER) for x in (before, after)
+    )
+    if before is not None:
+        monkeypatch.setenv("XLA_FLAGS", before)
+    plugin = compilation.GPU_PLUGINS[0]
+    installed = "json" if gpu else plugin  # a module that is there, or one that is not
+    monkeypatch.setattr(compilation, "GPU_PLUGINS", (installed,))
+    compilation.choose_xla_flags()
+    assert os.environ.get("XLA_FLAGS") == after
+
+
+def test_xla_knows_the_flags():
+    own = f"--{compilation.FUSION_AUTOTUNER}=false"
+    flags = f"{SHARE_LOOPS} {own}"  # or XLA ends the process
+    count = "import jax; print(jax.device_count())"
+    assert printed(count, XLA_FLAGS=flags, JAX_PLATFORMS="cpu") >= 1
+
+
+def test_output_fusion_joins_our_own_flag(monkeypatch):
+    gpu = compilation.SKIP_SLOW_KERNELS
+    for before, fused in ((f"{SHARE_LOOPS} {gpu}", True), ("--xla_a=1", False)):
+        monkeypatch.setenv("XLA_FLAGS", before)
+        enable_output_fusion()
+        flags = os.environ["XLA_FLAGS"].split()
+        assert (OUTPUT_FUSION in flags) == fused
+        assert before.split()[-1] in flags

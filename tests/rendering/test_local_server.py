@@ -26,7 +26,6 @@ def server():
 
 
 def answer(server, **headers):
-    """The answer to a request for the page."""
     connection = http.client.HTTPConnection(HOST, server.get_port(), timeout=10)
     with contextlib.closing(connection):
         connection.request("GET", "/", headers=headers)

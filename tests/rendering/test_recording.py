@@ -114,7 +114,7 @@ def test_a_pushed_parked_car_is_drawn_where_it_is():
 
 
 def test_a_parked_car_turns_the_short_way(env):
-    state, _ = env.reset(jax.random.key(0))
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
     parked = state.parked_cars
     pose = jnp.array([[0, 0, 3.1], [1, 0, 0], [2, 0, 0], [3, 0, 0]], jnp.float32)
     before = state.replace(parked_cars=parked.replace(pose_w=pose))

@@ -3,14 +3,12 @@
 import json
 import math
 import re
-import subprocess
-import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pytest
+from helpers.programs import ROOT, python
 
 from carpark_mj.cli.scene import SceneConfig, default_env, main, make_scene
 from carpark_mj.env import ParkingEnv
@@ -21,7 +19,6 @@ from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.mjcf import WHEELS
 from carpark_mj.vehicle.parameters import GRAVITY
 
-ROOT = Path(__file__).parents[2]
 ROOMY = 11  # seed of a start with room for a circle to the left and 12 m ahead
 
 
@@ -44,9 +41,7 @@ def run(model, data, seconds):
 
 def drive_alone(path):
     """Runs the example's script, which must not need this project."""
-    script = str(ROOT / "examples" / "drive_scene.py")
-    command = [sys.executable, "-I", script, str(path)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return python("-I", ROOT / "examples" / "drive_scene.py", path)
 
 
 def roll(root, data, speed):

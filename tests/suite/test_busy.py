@@ -7,19 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.drawn_cases import draw_busy
-from helpers.sliding import SlidePhysics, placed, slide
+from helpers.sliding import SlidePhysics, start
 
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.movers.scripted import ScriptedBox, ScriptedPerson
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite import busy as held_out
-from carpark_mj.suite.busy import (
-    CART,
-    CASES,
-    GROUPS,
-    BusyAisle,
-)
+from carpark_mj.suite.busy import CART, CASES, GROUPS, BusyAisle
 from carpark_mj.suite.evaluation import suite_env
 from carpark_mj.suite.levels import find_level, pick_cases
 from carpark_mj.vehicle import preset
@@ -89,27 +84,22 @@ def test_scripts_go_straight_slow_down_and_return():
     np.testing.assert_allclose(place(car, 60.0), [0, 0, 0], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("trigger", "begins"),
-    [
-        ({"near": 4.5}, 3),
-        ({"after": 0.9}, 2),
-        ({"near": 4.5, "after": 0.9}, 2),
-        ({"trigger": 6.5}, 1),
-    ],
-)
-def test_the_first_trigger_sets_a_script_out(trigger, begins):
-    person = ScriptedPerson(**{"trigger": 0.0, "yields": False} | trigger)
-    env, _, _ = slide()
-    state, _ = env.reset(jax.random.key(0))
-    script, count = person.init(jax.random.key(0), None), 0
-    for x in (-7.0, -6.0, -5.0, -4.0, -3.0):
-        pose = jnp.array([[x, 0.0, 0.0], [50.0, 0.0, 0.0], [60.0, 0.0, 0.0]])
-        script = person.step(jax.random.key(0), script, placed(env, state, pose), 0.4)
-        if script.clock >= 0.0:
-            break
-        count += 1
-    assert count == begins
+def test_the_first_trigger_sets_a_script_out():
+    for begins, trigger in (
+        (3, {"near": 4.5}),
+        (2, {"after": 0.9}),
+        (2, {"near": 4.5, "after": 0.9}),
+        (1, {"trigger": 6.5}),
+    ):
+        person = ScriptedPerson(**{"trigger": 0.0, "yields": False} | trigger)
+        script, count = person.init(jax.random.key(0), None), 0
+        for x in (-7.0, -6.0, -5.0, -4.0, -3.0):
+            pose = jnp.array([[x, 0.0, 0.0], [50.0, 0.0, 0.0], [60.0, 0.0, 0.0]])
+            script = person.step(jax.random.key(0), script, start(pose=pose)[2], 0.4)
+            if script.clock >= 0.0:
+                break
+            count += 1
+        assert count == begins, trigger
 
 
 @pytest.fixture(scope="module")

@@ -47,15 +47,10 @@ def test_every_held_out_case_has_room_for_it(level):
     first = layouts.spawn_pose[:, 0]
     assert box_distance(start, SIZE, first, SIZE).min() >= 3.5
     # Nothing else of the case changes.
-    same = dataclasses.replace(
-        layouts,
-        **{
-            field.name: getattr(layouts, field.name)[:, :1]
-            for field in dataclasses.fields(layouts)
-            if field.name.startswith(("bay", "spawn"))
-            and getattr(layouts, field.name) is not None
-        },
-    )
+    names = [name for name in vars(layouts) if name.startswith(("bay", "spawn"))]
+    first = {name: getattr(layouts, name) for name in names}
+    first = {name: x[:, :1] for name, x in first.items() if x is not None}
+    same = dataclasses.replace(layouts, **first)
     jax.tree.map(np.testing.assert_array_equal, same, alone.layouts)
 
 
@@ -91,11 +86,6 @@ def way_of(drives, lot):
     return moved[:, 0] * np.cos(start[2]), moved[:, 1], driven.speed[lot, :, 1]
 
 
-def gap_of(drives, lot):
-    pose = drives[2].pose_w[lot, :, :, -1]
-    return np.asarray(box_distance(pose[:, 0], SIZE, pose[:, 1], SIZE))
-
-
 def test_it_drives_straight_at_1_m_s_and_stays_at_its_goal(drives):
     cases, rows, _ = drives
     assert rows[GOES]["parked"] == 1.0
@@ -110,11 +100,12 @@ def test_it_drives_straight_at_1_m_s_and_stays_at_its_goal(drives):
 
 
 def test_it_waits_for_a_car_backs_off_and_tries_again(drives):
-    _, rows, _ = drives
+    _, rows, driven = drives
     assert rows[WAITS]["timed_out"] == 1.0
     assert rows[WAITS]["path"] < 0.01  # nobody has pushed it
     along, _, speed = way_of(drives, WAITS)
-    gap = gap_of(drives, WAITS)
+    pose = driven.pose_w[WAITS, :, :, -1]
+    gap = np.asarray(box_distance(pose[:, 0], SIZE, pose[:, 1], SIZE))
     assert 0.2 < gap.min() < 1.0
     stands = 10 + np.argmax(np.abs(speed[10:]) < 0.05)
     leaves = stands + np.argmax(speed[stands:] < -0.1)

@@ -1,6 +1,5 @@
 """Scenarios: what the file says happens, repetitions keep to their spreads."""
 
-import csv
 import dataclasses
 import math
 import re
@@ -13,7 +12,7 @@ import pytest
 import shapely
 import yaml
 from helpers.pages import ROOT, code
-from helpers.programs import layouts
+from helpers.programs import layouts, rows_of
 
 from carpark_mj.cli.settings.tables import ScenarioConfig
 from carpark_mj.geometry import to_local
@@ -25,7 +24,6 @@ from carpark_mj.suite import actors, evaluation, scenario
 from carpark_mj.suite.levels import find_level, pick_cases
 from carpark_mj.suite.scenario import make_scenario, read_scenario
 
-DOCS = ROOT / "docs"
 CHILD = ROOT / "examples" / "scenarios" / "child.yaml"
 LOT = "square_compact"
 LEAST = {"lot": LOT, "start": [0.0, 0.0, 0.0], "goal": 6}
@@ -247,8 +245,7 @@ def test_a_scenario_is_driven_as_written(tmp_path, monkeypatch):
         state.parked_cars.pose_w[0], layout.parked_pose[np.array([5, 7])], atol=1e-6
     )
     np.testing.assert_allclose(state.motion.pose_w[0, 0], data["start"], atol=1e-5)
-    with Path("out/cases.csv").open() as file:
-        first = next(csv.DictReader(file))
+    first = rows_of(Path("out/cases.csv"))[0]
     assert first["vehicle"] == "compact"
     assert "distance-0_1" in first["rule"]
 
@@ -289,7 +286,8 @@ def test_a_start_in_a_wall_is_refused(tmp_path, monkeypatch):
 def test_the_example_of_the_page_is_read(tmp_path, monkeypatch):
     """As the page says it is made: from a part of a map and a data sheet."""
     monkeypatch.chdir(tmp_path)
-    page, own = ((DOCS / f"{x}.md").read_text() for x in ("scenarios", "own_lot"))
+    names = "scenarios", "own_lot"
+    page, own = ((ROOT / "docs" / f"{x}.md").read_text() for x in names)
     Path("my_car.yaml").write_text(code(own, "yaml")[0])
     Path("cart.yaml").write_text(code(page, "yaml")[-1])
     (crop,) = re.findall(r"^carpark_mj layouts (san_jose .*?json)  #", page, re.M)

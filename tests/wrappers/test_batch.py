@@ -1,7 +1,6 @@
-"""Lots as a batch: begun anew when their agents have finished, pickled and copied."""
+"""Lots as a batch of arrays or torch tensors: begun anew, pickled and copied."""
 
 import copy
-import functools
 import pickle
 
 import gymnasium
@@ -21,13 +20,8 @@ from carpark_mj.wrappers.batch import NumpyBatch
 LOTS = 50  # several groups of those that begin anew together, of two lots
 
 
-@functools.cache
-def sliding(respawn=False):
-    return slide(respawn=respawn)
-
-
 def batch(num_lots=4, respawn=False, restart=True):
-    return NumpyBatch(sliding(respawn)[0], num_lots, restart)
+    return NumpyBatch(slide(respawn=respawn)[0], num_lots, restart)
 
 
 def halt(num_lots=4):
@@ -39,7 +33,7 @@ def key_data(state):
 
 
 def test_a_lot_of_a_batch_is_the_lot_of_its_seed_on_its_own():
-    _, reset, step = sliding()
+    _, reset, step = slide(respawn=False)
     lots = batch()
     observation = lots.reset_numpy(7)
     action = np.random.default_rng(0).uniform(-1, 1, (4, 3, 2)).astype(np.float32)
@@ -131,8 +125,7 @@ def test_lots_that_are_due_are_begun_and_the_others_kept():
 def test_respawning_agents_begin_alone_and_their_lot_goes_on():
     lots = batch(respawn=True)
     lots.reset_numpy(0)
-    for _ in range(MAX_STEPS):
-        step = lots.step_numpy(halt())
+    step = [lots.step_numpy(halt()) for _ in range(MAX_STEPS)][-1]
     assert step.truncated.all()
     assert step.final_observation is None  # not asked for
     assert lots.state.active.all()
@@ -214,3 +207,58 @@ def test_a_scene_is_pickled_too():
     physics = pickled(carpark_mj.ParkingEnv(config)).physics
     assert isinstance(physics, ScenePhysics)
     assert physics.scene.model.nq > 0
+
+
+def tensors():
+    pytest.importorskip("torch", reason='pip install -e ".[sb3]"')
+    from carpark_mj.wrappers.torch_batch import TorchBatch
+
+    return TorchBatch(slide(respawn=False)[0], 4)
+
+
+def test_tensors_hold_the_numbers_of_the_numpy_batch():
+    torch = pytest.importorskip("torch")
+    lots, reference = tensors(), batch()
+    np.testing.assert_array_equal(lots.reset(3), reference.reset_numpy(3))
+    for seed in range(MAX_STEPS + 2):
+        action = np.random.default_rng(seed).uniform(-1, 1, (4, 3, 2))
+        step = lots.step(torch.as_tensor(action))
+        expected = reference.step_numpy(action)
+        for name, tensor in step._asdict().items():
+            np.testing.assert_array_equal(tensor, getattr(expected, name), name)
+    assert step.terminated.dtype == torch.bool
+    assert step.observation.dtype == torch.float32
+
+
+def test_tensors_share_memory_and_stay_as_they_are():
+    torch, lots = pytest.importorskip("torch"), tensors()
+    lots.reset(0)
+    seen = []
+    step_jax, shown = lots.batch.step, []
+    lots.batch.step = lambda action: shown.append(step_jax(action)) or shown[-1]
+    for _ in range(2 * MAX_STEPS):
+        step = lots.step(torch.rand(4, 3, 2))
+        seen.append((step, [tensor.clone() for tensor in step]))
+        pointer = shown[-1].observation.unsafe_buffer_pointer()
+        assert step.observation.data_ptr() == pointer
+        assert step.reward.data_ptr() == shown[-1].reward.unsafe_buffer_pointer()
+    shown.clear()
+    for step, clones in seen:
+        for tensor, clone in zip(step, clones, strict=True):
+            assert torch.equal(tensor, clone)
+
+
+def test_actions_may_be_strided_and_require_gradients():
+    torch = pytest.importorskip("torch")
+    one, other = tensors(), tensors()
+    one.reset(0)
+    other.reset(0)
+    plain = torch.rand(4, 3, 2)
+    strided = plain.permute(2, 1, 0).contiguous().permute(2, 1, 0).requires_grad_()
+    assert not strided.is_contiguous()
+    step = one.step(strided)
+    expected = other.step(plain)
+    plain.zero_()
+    assert not step.observation.requires_grad
+    for mine, theirs in zip(step, expected, strict=True):
+        assert torch.equal(mine, theirs)

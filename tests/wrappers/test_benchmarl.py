@@ -14,7 +14,6 @@ from tensordict import TensorDict
 
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
 
-ALGORITHMS = ("ippo", "mappo", "iql", "vdn", "qmix", "maddpg")
 CONFIG = {
     "max_n_frames": 64,
     "on_policy_collected_frames_per_batch": 32,
@@ -35,7 +34,7 @@ CONFIG = {
 
 
 @pytest.mark.filterwarnings("ignore")  # of libraries
-@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("name", ["ippo", "mappo", "iql", "vdn", "qmix", "maddpg"])
 def test_an_algorithm_learns_by_its_name(name, tmp_path):
     config = ExperimentConfig.get_from_yaml()
     for key, value in CONFIG.items():

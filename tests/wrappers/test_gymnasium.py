@@ -295,18 +295,11 @@ def test_an_ended_episode_needs_a_reset():
     env.step(AHEAD)
 
 
-@pytest.mark.parametrize(
-    ("action", "message"),
-    [
-        (np.zeros(3), r"an action must have the shape \(2,\), not \(3,\)"),
-        (np.array([np.nan, 0.0]), "finite numbers, not nan"),
-    ],
-)
-def test_impossible_actions_are_refused(action, message):
+def test_an_impossible_action_is_refused():
     env = make(config=SHORT)
     env.reset(seed=0)
-    with pytest.raises(ValueError, match=message):
-        env.step(action)
+    with pytest.raises(ValueError, match=r"must have the shape \(2,\), not \(3,\)"):
+        env.step(np.zeros(3))
 
 
 def test_only_what_grows_beyond_the_lot_has_wider_bounds():
@@ -342,9 +335,11 @@ def test_pictures_show_the_lot_and_what_has_moved():
 
 
 def test_pictures_are_drawn_and_closed_in_any_thread():
-    env = make(render_mode="rgb_array", config=SHORT)
+    size = {"width": 320, "height": 200}
+    env = make(render_mode="rgb_array", config=SHORT, **size)
     env.reset(seed=0)
     first = env.render()
+    assert first.shape == (200, 320, 3)
     with ThreadPoolExecutor(1) as other:
         np.testing.assert_array_equal(other.submit(env.render).result(), first)
         np.testing.assert_array_equal(env.render(), first)
@@ -359,15 +354,6 @@ def test_the_first_picture_of_every_lot_is_as_the_next():
     for seed in (0, 1):  # another street
         first, _ = env.reset(seed=seed)
         np.testing.assert_array_equal(env.render(), first)
-    env.close()
-
-
-def test_pictures_are_collected_in_a_list():
-    size = {"width": 320, "height": 200}
-    env = gymnasium.make(PARK, render_mode="rgb_array_list", config=SHORT, **size)
-    env.reset(seed=0)
-    env.step(AHEAD)
-    assert [frame.shape for frame in env.render()] == [(200, 320, 3)] * 2
     env.close()
 
 

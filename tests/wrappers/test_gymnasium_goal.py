@@ -22,7 +22,6 @@ ONE = goal_config(OPTIONS)
 
 @functools.cache
 def compiled(config=ONE):
-    """An environment with its compiled functions."""
     env = GoalParking(config)
     return env, jax.jit(env.reset), jax.jit(env.step)
 

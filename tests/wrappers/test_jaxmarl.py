@@ -11,14 +11,12 @@ from jaxmarl.wrappers.baselines import CTRolloutManager, LogWrapper
 
 from carpark_mj.wrappers.jaxmarl import JaxMarlParking
 
-SMALL = {"agents": 2, "parked_cars": 2, "physics": "bicycle"}
-
 LOTS = 8
 
 
 @pytest.fixture(scope="module")
 def env():
-    return JaxMarlParking(**SMALL)
+    return JaxMarlParking(agents=2, parked_cars=2, physics="bicycle")
 
 
 def test_lots_end_together_and_start_again(env):
@@ -60,17 +58,11 @@ def test_lots_end_together_and_start_again(env):
     assert any(alone)  # agent 1 drove on in one lot at least
 
 
-def test_the_same_keys_give_the_same_steps(env):
-    actions = {
-        agent: env.action_space(agent).sample(jax.random.key(2)) for agent in env.agents
-    }
-    results = []
-    for _ in range(2):
-        _, state = env.reset(jax.random.key(0))
-        results.append(env.step(jax.random.key(1), state, actions)[0])
-    for agent in env.agents:
-        assert env.observation_space(agent).contains(results[0][agent])
-        np.testing.assert_array_equal(results[0][agent], results[1][agent])
+def test_observations_are_in_their_spaces(env):
+    actions = {a: env.action_space(a).sample(jax.random.key(2)) for a in env.agents}
+    _, state = env.reset(jax.random.key(0))
+    seen = env.step(jax.random.key(1), state, actions)[0]
+    assert all(env.observation_space(a).contains(seen[a]) for a in env.agents)
 
 
 def test_q_learners_have_numbered_actions():

@@ -15,7 +15,7 @@ from carpark_mj.registry import SQUARE
 from carpark_mj.wrappers.options import action_table, configure, share
 
 
-def test_every_option_sets_its_field():
+def test_options_set_fields_of_the_default_or_a_named_environment():
     same = {"layout": "square_compact", "physics": "bicycle"}
     others = {"agents": 3, "parked_cars": 5, "rule": "precise", "reward": "pose"}
     assert configure(same | others) == EnvConfig(
@@ -25,9 +25,6 @@ def test_every_option_sets_its_field():
         episode=EpisodeConfig(parked_rule="precise"),
         reward=REWARDS["pose"],
     )
-
-
-def test_options_change_a_config_or_a_named_environment():
     assert configure({"config": "square"}) == SQUARE
     few = configure({"config": SQUARE, "agents": 2})
     assert few == dataclasses.replace(SQUARE, num_agents=2)
@@ -39,7 +36,7 @@ def test_an_environment_is_made_once():
     assert share(ParkingEnv, config) is share(ParkingEnv, config)
 
 
-def test_numbers_come_in_equal_steps_with_a_zero():
+def test_a_table_of_actions_has_every_choice_and_a_zero():
     table = action_table(ActionSpec(2))
     assert table.shape == (77, 2)
     assert table.dtype == np.float32
@@ -48,9 +45,6 @@ def test_numbers_come_in_equal_steps_with_a_zero():
         values = np.unique(table[:, column])
         np.testing.assert_allclose(values, np.linspace(-1, 1, count), atol=1e-7)
     assert (table == 0).all(axis=1).sum() == 1  # standing still is an action
-
-
-def test_indices_come_with_every_number():
     table = action_table(ActionSpec(2, (3,)))
     assert table.shape == (231, 3)
     np.testing.assert_array_equal(table[:3, 2], [0, 1, 2])

@@ -26,11 +26,8 @@ def idle(env):
     return {agent: np.zeros(2, np.float32) for agent in env.agents}
 
 
-def test_pettingzoo_accepts_the_environment(env):
+def test_pettingzoo_accepts_the_environment_and_its_seeds(env):
     parallel_api_test(env, num_cycles=200)
-
-
-def test_the_same_seeds_give_the_same_episodes():
     parallel_seed_test(lambda: carpark_mj.parallel_env(**SMALL), num_cycles=200)
 
 
@@ -118,7 +115,7 @@ def test_wrong_shapes_nan_and_infinity_are_refused(env, action, message):
         env.step(idle(env) | {"agent_1": action})
 
 
-def test_step_after_the_last_agent_has_left_does_nothing(env, caplog):
+def test_step_after_the_last_agent_has_left_does_nothing(env):
     env.reset(seed=0)
     env.agents = []
     assert env.step({}) == ({}, {}, {}, {}, {})

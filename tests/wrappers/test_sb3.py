@@ -87,12 +87,6 @@ def test_pictures_are_tiled_and_videos_run_in_real_time():
     env.close()
 
 
-def test_ppo_trains():
-    model = PPO("MlpPolicy", VecMonitor(ParkVecEnv(PARK, 4)), n_steps=8, batch_size=32)
-    model.learn(64)
-    assert model.num_timesteps == 64
-
-
 def test_ppo_looks_at_pictures_through_convolutions():
     cameras = CameraObservation(
         0, 0, rings=RingConfig(), rays=RayConfig(), rig="rear", width=36, height=36

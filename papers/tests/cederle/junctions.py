@@ -16,7 +16,6 @@ def env(**settings):
 
 @functools.lru_cache
 def programs(env):
-    """`reset` and `step`, compiled once for all tests of a file."""
     return jax.jit(env.reset), jax.jit(env.step)
 
 

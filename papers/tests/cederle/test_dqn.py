@@ -1,10 +1,10 @@
 """Deep Q-learning at the junction: targets, and small runs end to end."""
 
-import csv
 import dataclasses
 
 import numpy as np
 import pytest
+from helpers.programs import rows_of
 
 pytest.importorskip("rlax", reason='pip install "./papers[junction]"')
 pytest.importorskip("flashbax", reason='pip install "./papers[junction]"')
@@ -52,23 +52,15 @@ BATCH = Transition(
 )
 
 
-def read_csv(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.fixture(scope="module")
 def learner():
     return DQNLearner(TINY)
 
 
-def test_targets_of_plain_q_learning_are_the_largest_values_of_the_target_network():
+def test_targets_of_plain_and_double_q_learning_by_hand():
     # 1 + 0.5 * 30 - 3, and -10 - 5
     errors = td_errors(BATCH, VALUES, TARGET_AFTER, None)
     np.testing.assert_allclose(errors, [13.0, -15.0])
-
-
-def test_targets_of_double_q_learning_are_of_the_action_the_online_network_prefers():
     # 1 + 0.5 * 10 - 3
     errors = td_errors(BATCH, VALUES, TARGET_AFTER, ONLINE_AFTER)
     np.testing.assert_allclose(errors, [3.0, -15.0])
@@ -121,7 +113,7 @@ def test_a_stopped_run_goes_on_to_what_an_unbroken_one_finds(learner, tmp_path):
         assert train(parts, learner, other)
     for name in ("evaluations.csv", "metrics.csv"):
         assert (folder / name).read_text() == (other / name).read_text()
-    rows = read_csv(folder / "evaluations.csv")
+    rows = rows_of(folder / "evaluations.csv")
     assert [row["env_steps"] for row in rows] == ["0", "40", "80"]
     run = load_or_init(learner, folder)
     np.testing.assert_array_equal(run.training.learners.updates, [19, 19])
@@ -185,5 +177,5 @@ def test_deep_q_learning_learns_to_arrive(tmp_path):
     )
     with open_run(config) as folder:
         assert train(config, DQNLearner(config), folder)
-    rows = read_csv(folder / "evaluations.csv")
+    rows = rows_of(folder / "evaluations.csv")
     assert float(rows[-1]["return"]) > 60.0

@@ -160,16 +160,6 @@ def test_cars_on_the_same_way_do_not_give_way_to_each_other():
     }
 
 
-def test_a_car_that_stands_lets_the_other_one_across():
-    env = evaluation_env(JunctionConfig(), 0.0)
-    keys = jax.random.split(jax.random.key(0), 1)
-    waits = jnp.array([SLOW_DOWN, KEEP_LANE])
-    found = jax.jit(lambda keys: evaluate(env, lambda _: waits, keys))(keys)
-    [(east, west)] = found.passed
-    assert west < east == NEVER
-    assert found.length[0] < RETURN_STEPS  # the study's end: the first arrives
-
-
 def test_who_gives_way_is_told_of_missions_whichever_agents_have_them():
     """The car from the east stands; it may be either agent."""
     env = evaluation_env(JunctionConfig(shuffle=True), 0.0)

@@ -6,32 +6,34 @@ import numpy as np
 import pytest
 
 from carpark_mj.wrappers.batch import Batch, NumpyBatch
-from carpark_papers.cederle.adapters.common import junction_env, observation_box
+from carpark_papers.cederle.adapters.common import junction_env
 from carpark_papers.cederle.junction import RasterConfig
 
 SMALL = {"scenario": "2av-hd"}  # as on the page: compiled once
 IMAGE = {"observation": "image", "raster": RasterConfig(pixels=12)}
 
 
-@pytest.mark.filterwarnings("ignore:The old environment creation API")  # its own
-def test_pettingzoo_accepts_images():
+@pytest.fixture
+def parallel():
     pytest.importorskip("pettingzoo")
-    from pettingzoo.test import parallel_api_test
-
     from carpark_papers.cederle.adapters.pettingzoo import junction_parallel_env
 
-    env = junction_parallel_env(**SMALL, **IMAGE)
+    return junction_parallel_env
+
+
+@pytest.mark.filterwarnings("ignore:The old environment creation API")  # its own
+def test_pettingzoo_accepts_images(parallel):
+    from pettingzoo.test import parallel_api_test
+
+    env = parallel(**SMALL, **IMAGE)
     parallel_api_test(env, num_cycles=50)
     observations, _ = env.reset(seed=0)
     assert env.state_space.contains(env.state())
     assert env.observation_space("agent_0").contains(observations["agent_0"])
 
 
-def test_pettingzoo_s_agents_leave_together_and_hear_who_crashed():
-    pytest.importorskip("pettingzoo")
-    from carpark_papers.cederle.adapters.pettingzoo import junction_parallel_env
-
-    env = junction_parallel_env(**SMALL, render_mode="rgb_array")
+def test_pettingzoo_s_agents_leave_together_and_hear_who_crashed(parallel):
+    env = parallel(**SMALL, render_mode="rgb_array")
     observations, _ = env.reset(seed=0)
     assert env.observation_space("agent_0").contains(observations["agent_0"])
     while env.agents:
@@ -81,13 +83,6 @@ def test_bad_input_is_refused_in_one_sentence():
     batch = NumpyBatch(junction_env(**SMALL), 1)
     with pytest.raises(ValueError, match=r"shape \(1, 2, 1\), not \(1, 2\)"):
         batch.step_numpy(np.zeros((1, 2), int))
-
-
-def test_spaces_are_those_of_what_is_observed():
-    box = observation_box(junction_env(**SMALL))
-    assert (box.shape, box.dtype) == ((14,), np.float32)
-    box = observation_box(junction_env(observation="image"))
-    assert (box.shape, box.dtype) == ((84, 84, 3), np.uint8)
 
 
 @pytest.mark.parametrize("options", [{}, {"action": "scalar"}, IMAGE])
@@ -159,19 +154,9 @@ def test_benchmarl_learns_by_index_and_by_scalar(name, tmp_path):
     assert experiment.n_iters_performed == 2
 
 
-def test_cameras_follow_human_driven_cars_too():
-    pytest.importorskip("pettingzoo")
-    from carpark_papers.cederle.adapters.pettingzoo import junction_parallel_env
-
-    junction_parallel_env(scenario="2av-hd", camera="chase:2")
+def test_cameras_follow_human_driven_cars_and_resets_have_no_options(parallel):
+    parallel(scenario="2av-hd", camera="chase:2")
     with pytest.raises(ValueError, match=r"unknown camera 'chase:3'; .* 0 to 2"):
-        junction_parallel_env(scenario="2av-hd", camera="chase:3")
-
-
-def test_junctions_have_no_reset_options():
-    pytest.importorskip("pettingzoo")
-    from carpark_papers.cederle.adapters.pettingzoo import junction_parallel_env
-
-    env = junction_parallel_env()
+        parallel(scenario="2av-hd", camera="chase:3")
     with pytest.raises(ValueError, match=r"JunctionEnv\.reset takes no options"):
-        env.reset(seed=0, options={"agent_0": {"speed": 1.0}})
+        parallel().reset(seed=0, options={"agent_0": {"speed": 1.0}})

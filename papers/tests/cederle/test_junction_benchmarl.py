@@ -1,10 +1,10 @@
 """BenchMARL's algorithms at the junction, small runs end to end."""
 
-import csv
 import dataclasses
 
 import numpy as np
 import pytest
+from helpers.programs import rows_of
 
 pytest.importorskip("benchmarl", reason='pip install -e ".[torchrl]"')
 
@@ -25,6 +25,7 @@ from carpark_papers.cederle.benchmarl.build import (
 )
 from carpark_papers.cederle.benchmarl.config import BenchMARLConfig, benchmarl_presets
 from carpark_papers.cederle.benchmarl.train import Training, train_run
+from carpark_papers.cederle.junction import JunctionEnv
 from carpark_papers.cederle.junction.evaluation import NEVER
 from carpark_papers.cederle.junction.rules import KEEP_LANE, SLOW_DOWN
 from carpark_papers.cederle.training.evaluations import record
@@ -56,11 +57,6 @@ def tiny(algorithm, tmp_path, **changes):
     return dataclasses.replace(config, runs_dir=str(tmp_path), **(TINY | changes))
 
 
-def read_csv(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.mark.parametrize(
     ("algorithm", "changes"),
     [
@@ -78,9 +74,9 @@ def test_an_algorithm_trains_and_leaves_what_all_trainers_leave(
     config = tiny(algorithm, tmp_path, **changes)
     folder, done = train_run(config)
     assert done
-    found = read_csv(folder / "evaluations.csv")
+    found = rows_of(folder / "evaluations.csv")
     assert [row["env_steps"] for row in found] == ["0", "16", "32", "48"]
-    metrics = read_csv(folder / "metrics.csv")
+    metrics = rows_of(folder / "metrics.csv")
     assert [row["env_steps"] for row in metrics] == ["16", "32", "48"]
     losses = [value for name, value in metrics[-1].items() if "loss" in name]
     assert losses
@@ -93,7 +89,7 @@ def test_a_stopped_run_goes_on_with_its_networks_and_optimisers(tmp_path):
     config = tiny("mappo", tmp_path, time_limit=1e-9)
     folder, done = train_run(config)
     assert not done
-    assert len(read_csv(folder / "metrics.csv")) == 1
+    assert len(rows_of(folder / "metrics.csv")) == 1
     resumed = dataclasses.replace(config, resume=str(folder), time_limit=0.0)
     training = Training(resumed, folder)
     assert (training.n_iters_performed, training.total_frames) == (1, 16)
@@ -101,7 +97,7 @@ def test_a_stopped_run_goes_on_with_its_networks_and_optimisers(tmp_path):
     assert state["step"] > 0
     training.close()
     assert train_run(resumed) == (folder, True)
-    steps = [row["env_steps"] for row in read_csv(folder / "metrics.csv")]
+    steps = [row["env_steps"] for row in rows_of(folder / "metrics.csv")]
     assert steps == ["16", "32", "48"]
     assert len(runs.checkpoint_files(folder)) == 2
     assert train_run(resumed) == (folder, True)  # nothing is left to do
@@ -175,14 +171,8 @@ def test_greedy_episodes_are_counted_with_observations_scaled():
     outcomes = Evaluation(config)(GreedyPolicy(policy, first))
     assert (outcomes.passed[:, 0] == NEVER).all()
     assert (outcomes.passed[:, 1] < NEVER).all()
-    _, observation = jax.jit(junction_start)()
+    _, observation = jax.jit(JunctionEnv().reset)(jax.random.key(0))
     np.testing.assert_allclose(seen[0][0], observation / 20.0, rtol=1e-6)
-
-
-def junction_start():
-    from carpark_papers.cederle.junction import JunctionEnv
-
-    return JunctionEnv().reset(jax.random.key(0))
 
 
 def test_the_settings_of_the_study_build(tmp_path):

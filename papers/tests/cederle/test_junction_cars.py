@@ -22,7 +22,8 @@ from carpark_papers.cederle.junction.roads import (
     stack_routes,
 )
 
-ROUTES = stack_routes([Route(*ends) for ends in CONNECTIONS])
+NAMES = list(CONNECTIONS)
+ROUTES = stack_routes([Route(*ends) for ends in NAMES])
 CARS = PathCars(SimConfig(ctrl_dt=0.1))
 step = jax.jit(CARS.step)
 
@@ -69,14 +70,12 @@ def test_cars_stay_on_their_routes_and_take_curves_slowly():
 
 def test_the_steering_angle_is_that_of_the_curve():
     """Halfway round the left turn, whose radius is about 6.4 m; straight before."""
-    left = [ends == ("south-SN", "west-EW") for ends in CONNECTIONS].index(True)
+    left = NAMES.index(("south-SN", "west-EW"))
     middle = CARS.init(ROUTES, ROUTES.curve.mean(axis=1), jnp.ones(6)).steering[left]
     assert float(middle) == pytest.approx(np.arctan(2.3 / 6.4), abs=0.15)
     assert float(start(5.0, 1.0).steering[left]) == pytest.approx(0.0, abs=1e-4)
 
 
-NAMES = list(CONNECTIONS)
-STEERED_ROUTES = stack_routes([Route(*ends) for ends in NAMES])
 STEERED = {
     "bicycle": SteeredCars(BicyclePhysics(SimConfig(ctrl_dt=0.1)), preset("city")),
     "mjx": SteeredCars(MjxPhysics(SimConfig(ctrl_dt=0.1)), preset("city")),
@@ -90,7 +89,7 @@ def programs(kind):
     cars = STEERED[kind]
 
     def step(state, target):
-        state = cars.step(state, STEERED_ROUTES, jnp.full(len(NAMES), target))
+        state = cars.step(state, ROUTES, jnp.full(len(NAMES), target))
         return state, cars.read(state)
 
     return jax.jit(cars.init), jax.jit(lambda s, ts: jax.lax.scan(step, s, ts))
@@ -98,17 +97,15 @@ def programs(kind):
 
 def drive(kind, targets, speed=SPEED_LIMIT):
     """Motions (steps, routes) from `speed` at target speeds (100,) [m/s]."""
-    init, run = programs(kind)
-    state = init(
-        STEERED_ROUTES, jnp.full(len(NAMES), START), jnp.full(len(NAMES), speed)
-    )
+    (init, run), full = programs(kind), jnp.ones(len(NAMES))
+    state = init(ROUTES, START * full, speed * full)
     return run(state, jnp.asarray(targets, jnp.float32))[1]
 
 
 def follow(motion):
     """Distances along and off the routes (steps, routes), and who is still on them."""
-    along, off = jax.vmap(project, in_axes=(None, 0))(STEERED_ROUTES, motion.xy)
-    alive = np.asarray(along < STEERED_ROUTES.length - 1.0)
+    along, off = jax.vmap(project, in_axes=(None, 0))(ROUTES, motion.xy)
+    alive = np.asarray(along < ROUTES.length - 1.0)
     return np.asarray(along), np.where(alive, np.abs(off), 0.0), alive
 
 
@@ -118,7 +115,7 @@ def test_cars_keep_to_their_routes_at_the_speeds_used(kind, target):
     """Measured: 0.26 m (bicycle) and 0.39 m (mjx) turning left, 0.40 and 0.48 right."""
     motion = drive(kind, np.full(100, target))
     _, off, alive = follow(motion)
-    straight = ~np.isfinite(np.asarray(STEERED_ROUTES.curve_speed))
+    straight = ~np.isfinite(np.asarray(ROUTES.curve_speed))
     assert off[:, straight].max() < 1e-3
     assert off.max() < {"bicycle": 0.45, "mjx": 0.55}[kind]
     on = jax.vmap(on_road)(box_corners(motion.pose_w, motion.size))

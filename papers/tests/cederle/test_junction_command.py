@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from helpers.programs import exit_code
+from helpers.programs import assert_refused
 
 from carpark_papers.cederle import speed
 from carpark_papers.cederle.benchmarl.config import BenchMARLConfig
@@ -51,22 +51,17 @@ def test_a_resumed_run_keeps_its_algorithm(tmp_path):
         (["--algorithm", "maddpg", "--action", "index"], ["maddpg", "--action scalar"]),
         (["--algorithm", "mappo", "--preset", "cederle"], ["mappo", "study"]),
         (["--algorithm", "vdn", "--observation", "image"], ["vdn", "vector", "image"]),
-        (["--observation", "image", "--pixels", "0"], ["pixels", "at least", "0"]),
         (["--observation", "image", "--pixels", "20"], ["pixels", "36", "20"]),
         (["--buffer-size", "10"], ["buffer_size", "at least 128", "10"]),
         (["--eval-jitter", "20"], ["jitter", "at most", "20"]),
-        (["--eval-episodes", "0"], ["eval_episodes", "[1, 1000000]"]),
         (["--algorithm", "ippo", "--unroll", "1"], ["batch_size", "at most 256"]),
         (["--algorithm", "ippo", "--max-steps", "99"], ["multiple of repeat", "99"]),
         (["--algorithm", "vdn", "--epsilon-start", "0"], ["at least", "0.05", "0.0"]),
-        (["--algorithm", "qmix", "--epsilon-start", "2"], ["epsilon_start", "[0, 1]"]),
         (["--resume", "nowhere"], ["no run at nowhere"]),
     ],
 )
 def test_bad_input_is_refused_in_one_line(flags, words, capsys):
-    assert exit_code(junction, flags) == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1
+    line = assert_refused(capsys, junction, flags, words[0])
     assert all(word in line for word in words), line
 
 
@@ -119,5 +114,4 @@ def test_evaluations_are_written_and_summed_up(tmp_path):
     ],
 )
 def test_speed_is_not_measured_of_what_does_not_exist(flags, said, capsys):
-    assert exit_code(speed, flags) == 2
-    assert said in capsys.readouterr().err
+    assert_refused(capsys, speed, flags, said)

@@ -28,7 +28,7 @@ ENV = junctions.env(scenario="2av-hd")
 seen_in = jax.jit(observe)
 
 
-def test_numbers_are_those_of_the_study_in_its_order():
+def test_numbers_are_those_of_the_study_and_who_has_left_is_far_away():
     """Agent 1 at (-20, -1.65), 8.54 m on, to (38.22, -1.65), others 5 and 10 m away."""
     poses = [[-17.0, 2.35, np.pi], [-20.0, -1.65, 0.5], [-12.0, -7.65, 0.0]]
     state = junctions.with_poses(junctions.begin(ENV), poses)
@@ -36,9 +36,6 @@ def test_numbers_are_those_of_the_study_in_its_order():
     expected = [-58.22, 0.0, 58.22, -3.0, -4.0, -8.0, 6.0, 5.0, 10.0]
     expected += [13.89, 0.0, np.cos(0.5), np.sin(0.5), 8.54]
     np.testing.assert_allclose(seen_in(state)[1], expected, atol=1e-4)
-
-
-def test_a_car_that_has_left_is_far_away():
     state = junctions.begin(ENV)
     state = dataclasses.replace(state, present=jnp.array([True, True, False]))
     seen = seen_in(state)[0]
@@ -114,7 +111,7 @@ def test_images_of_cars_in_a_curve_are_those_of_areas_but_for_edges():
         assert error.max() < 60.0
 
 
-def test_the_car_heads_up_and_left_is_left():
+def test_the_car_heads_up_left_is_left_and_who_has_left_is_not_drawn():
     """Seen from the west, the car from the east is ahead on the left."""
     poses = [[8.0, 1.65, np.pi], [-7.0, -1.65, 0.0], [1.65, -30.0, np.pi / 2]]
     state = junctions.with_poses(junctions.begin(ENV), poses)
@@ -124,9 +121,6 @@ def test_the_car_heads_up_and_left_is_left():
     assert abs((41.5 - rows.mean()) * side - 15.0) < 0.5
     assert abs((41.5 - columns.mean()) * side - 3.3) < 0.5
     assert image[41, 41] == image[42, 42] == OWN_CAR
-
-
-def test_cars_that_have_left_are_not_drawn():
     poses = [[8.0, 1.65, np.pi], [-7.0, -1.65, 0.0], [1.65, -9.0, np.pi / 2]]
     state = junctions.with_poses(junctions.begin(ENV), poses)
     alone = dataclasses.replace(state, present=jnp.array([False, True, False]))

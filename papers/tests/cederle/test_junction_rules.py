@@ -34,24 +34,16 @@ def events(*poses, step=1):
     return [{name for name, flag in flags.items() if flag[k]} for k in range(2)]
 
 
-def test_nothing_happens_to_cars_in_their_lanes():
-    assert events() == [set(), set()]
-
-
-def test_the_goal_is_reached_within_two_metres():
-    """Agent 0 ends where the south arm does, at (-1.65, -39.02)."""
+def test_events_of_places_on_the_road_and_off_it():
+    assert events() == [set(), set()]  # in their lanes
+    # Agent 0 ends where the south arm does, at (-1.65, -39.02); within 2 m it is there.
     assert events([-1.65, -37.1, SOUTH])[0] == {"arrived"}
     assert events([-1.65, -36.9, SOUTH])[0] == set()
     # Its front is beyond the end of the arm, where the road goes on.
     assert events([-1.65, -39.0, SOUTH])[0] == {"arrived"}
-
-
-def test_leaving_the_road_is_seen_first_by_a_corner_then_by_the_centre():
+    # Leaving the road is seen first by a corner, then by the centre.
     assert events([20.0, 2.6, WEST])[0] == {"on_shoulder"}
     assert events([20.0, 3.4, WEST])[0] == {"on_shoulder", "off_road", "off_route"}
-
-
-def test_the_other_lane_is_off_route_and_turning_round_the_wrong_way():
     assert events([20.0, -1.0, WEST])[0] == {"off_route"}
     assert events([20.0, 1.65, EAST])[0] == {"wrong_way"}
     assert events([2.0, 0.9, SOUTH - 0.5])[0] == set()  # 61 deg, while it turns
@@ -108,7 +100,6 @@ NAMES = tuple(Events.__dataclass_fields__)
 
 
 def events_of(*of_agents):
-    """Events of agents by name."""
     flags = {n: jnp.array([n in names for names in of_agents]) for n in NAMES}
     return Events(**flags)
 

@@ -258,12 +258,11 @@ def test_the_study_runs_what_is_left_and_reports_what_is_done(tmp_path, monkeypa
     assert (tmp_path / pictures[0]).read_bytes().startswith(b"\x89PNG")
 
 
-def test_failed_runs_give_the_exit_code_1(tmp_path, monkeypatch):
+def test_failed_runs_give_exit_code_1_and_other_choices_2(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr("carpark_papers.jobs.run_jobs", lambda jobs, *_: [jobs[0]])
     assert exit_code(junction_study, ["--all", "--runs-dir", str(tmp_path)]) == 1
-
-
-def test_the_study_takes_one_of_its_choices(capsys):
     assert exit_code(junction_study, []) == 2
     assert exit_code(junction_study, ["--all", "--list"]) == 2
     assert exit_code(junction_study, ["--table", "6.5"]) == 2

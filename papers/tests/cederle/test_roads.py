@@ -11,10 +11,9 @@ from carpark_papers.cederle.junction import (
     SCENARIOS,
     JunctionConfig,
     JunctionEnv,
-    RasterConfig,
     roads,
 )
-from carpark_papers.cederle.junction.config import Mission, RewardRules, Scenario
+from carpark_papers.cederle.junction.config import Mission, Scenario
 from carpark_papers.cederle.junction.roads import (
     CONNECTIONS,
     LANES,
@@ -120,17 +119,11 @@ def test_missions_are_as_long_as_those_of_the_study(name, lengths, humans, solve
     ("settings", "message"),
     [
         ({"scenario": "4av"}, "unknown scenario '4av'; choose from"),
-        ({"cars": "boat"}, "unknown cars 'boat'"),
-        ({"observation": "lidar"}, "unknown observation 'lidar'"),
-        ({"end": "never"}, "unknown end 'never'"),
-        ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
         ({"jitter": 14.0}, r"jitter must be at most 13.47 m.*not 14.0"),
         (
             {"scenario": "3av-hd", "jitter": 5.1},  # 10 m behind the human-driven car
             "jitter must be at most 5.00 m, or a car would start within another one",
         ),
-        ({"jitter": -1.0}, "jitter must be at least 0"),
-        ({"raster": None}, "raster must be of RasterConfig, not None"),
     ],
 )
 def test_impossible_settings_are_one_sentence(settings, message):
@@ -150,10 +143,8 @@ def test_a_mission_starts_on_its_lane(start):
 
 
 def test_impossible_parts_are_one_sentence():
-    with pytest.raises(ValueError, match="pixels must be at least 1, not 0"):
-        RasterConfig(pixels=0)
-    with pytest.raises(ValueError, match=r"unknown events 'both'"):
-        RewardRules(events="both")
+    with pytest.raises(ValueError, match="no way leads from lane 'west-WE' to lane"):
+        Route("west-WE", "west-EW")
     with pytest.raises(ValueError, match="unknown vehicle 'tank'"):
         JunctionEnv(JunctionConfig(cars="mjx", vehicle="tank"))
     icy = SimConfig(ctrl_dt=0.1, surface="ice")
@@ -196,14 +187,11 @@ def test_points_and_projections_are_those_of_the_polyline(k):
     np.testing.assert_allclose(at, line.project(points), atol=1e-3)
 
 
-def test_a_route_goes_on_straight_beyond_its_ends():
+def test_a_route_goes_on_beyond_its_ends_and_its_left_is_positive():
     """East to south: x falls at the start, y at the end."""
     route = only(NAMES.index("east-EW-south-NS"))
     found = points_at(route, padded(-2.0, float(route.length) + 3.0))
     np.testing.assert_allclose(found[:2], [[40.22, 1.65], [-1.65, -42.02]], atol=1e-4)
-
-
-def test_left_of_the_route_is_positive():
     route = only(NAMES.index("west-WE-east-WE"))
     along, off = projections(route, padded([-30.0, -1.0]))
     assert float(along[0]) == pytest.approx(8.54, abs=1e-4)
@@ -235,8 +223,3 @@ def test_cars_slow_down_for_curves_as_far_ahead_as_they_need():
     assert float(right.curve_speed) == pytest.approx((3.1 * 5.0) ** 0.5, abs=1e-3)
     straight = only(NAMES.index("west-WE-east-WE"))
     assert float(speed_cap(straight, straight.curve[0], 5.0)) == np.inf
-
-
-def test_a_route_that_does_not_exist_is_one_sentence():
-    with pytest.raises(ValueError, match="no way leads from lane 'west-WE' to lane"):
-        Route("west-WE", "west-EW")

@@ -105,22 +105,6 @@ def test_ten_thousand_random_steps_are_highway_envs_to_rounding(name):
     assert worst.max() < 1e-6, worst
 
 
-@pytest.mark.parametrize("name", ["highway-env", "equations"])
-def test_an_episode_ends_where_highway_envs_does(name):
-    state, rng = cars(8), np.random.default_rng(3)
-    others = [
-        theirs(name, row[:2], row[2], row[3]) for row in seen(state).astype(float)
-    ]
-    for _ in range(150):
-        control = rng.uniform(-1, 1, (8, 2)).astype(np.float32)
-        expected = [
-            drive(other, each.astype(float))
-            for other, each in zip(others, control, strict=True)
-        ]
-        state = STEP(state, jnp.asarray(control))
-    assert differences(seen(state), expected).max() < 2e-3
-
-
 @pytest.mark.parametrize("speed", [39.5, 42.0, -39.5, -42.0])
 def test_speed_limits_hold_as_highway_envs_do(speed):
     state = cars(1, speed)

@@ -1,12 +1,11 @@
 """SAC in phases: small runs end to end, resumed ones, and what its buffer gives."""
 
-import csv
 import dataclasses
 import json
 
 import numpy as np
 import pytest
-from helpers.programs import exit_code
+from helpers.programs import exit_code, rows_of
 
 pytest.importorskip("sbx", reason='pip install -e ".[sb3]"')
 
@@ -47,11 +46,6 @@ def flags(config, tmp_path):
     return words
 
 
-def read_csv(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     root = tmp_path_factory.mktemp("runs")
@@ -70,13 +64,13 @@ def test_a_run_leaves_what_it_found(folder):
         "success_matrix.png",
         "tensorboard",
     } <= written
-    found = read_csv(folder / "deployments.csv")
+    found = rows_of(folder / "deployments.csv")
     assert [row["phase"] for row in found] == [str(k) for k in range(3) for _ in "abcd"]
     assert {row["kind"] for row in found} == {"slots", "slots_diagonal"}
     assert {row["policy"] for row in found} == {"deterministic", "sampled"}
     transfer = json.loads((folder / "evaluation.json").read_text())["transfer"]
     assert set(transfer["deterministic"]) == {"average", "backward", "forward"}
-    metrics = read_csv(folder / "metrics.csv")
+    metrics = rows_of(folder / "metrics.csv")
     assert (metrics[0]["phase"], metrics[-1]["phase"]) == ("0", "1")
     assert float(metrics[0]["env_steps"]) == 700
 
@@ -91,7 +85,7 @@ def test_a_stopped_run_goes_on_where_it_stopped(tmp_path):
     assert resumed is not None
     assert resumed.progress.phase == 2
     assert len(resumed.deployments) == 3 * 2 * 2
-    totals = [float(row["env_steps"]) for row in read_csv(folder / "metrics.csv")]
+    totals = [float(row["env_steps"]) for row in rows_of(folder / "metrics.csv")]
     assert totals == sorted({*totals})
 
 

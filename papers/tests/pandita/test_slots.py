@@ -12,13 +12,7 @@ from helpers.scenes import polygons
 
 from carpark_mj.config import LAYOUTS, EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts import (
-    BayKind,
-    layout_config,
-    make_layout,
-    member_shares,
-    mixture,
-)
+from carpark_mj.layouts import BayKind, layout_config, make_layout, mixture
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.files import layout_text
 from carpark_mj.observations import ContinuousObservation
@@ -27,7 +21,6 @@ from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_papers.pandita.layouts import SlotsConfig, centre_lines
 
 NAMES = [name for name in LAYOUTS if name.startswith("slots")]
-HIS_CAR = (5.0, 2.0)
 EXACT = 2e-6  # m; float32 at 30 m
 
 
@@ -41,7 +34,7 @@ def goal(layout):
 def test_the_pictured_scenarios_are_valid_lots_for_his_car(name):
     config, layout = layout_config(name), make_layout(name)
     assert describe_faults(layout) == []
-    assert describe_faults(layout, HIS_CAR) == []
+    assert describe_faults(layout, (5.0, 2.0)) == []
     assert layout.num_bays == config.min_bays == 2 * config.slots_per_row
     assert int(layout.goal_mask.sum()) == 1
     kinds = np.asarray(layout.bay_kind)
@@ -142,34 +135,14 @@ def test_a_random_goal_is_any_slot_and_the_others_are_reserved():
     assert not SlotsConfig().is_random
 
 
-def test_a_mixture_draws_the_kinds_by_name_equally_often():
-    config = layout_config("slots,slots_diagonal,slots_parallel")
-    assert member_shares(config) == pytest.approx(
-        {name: 1 / 3 for name in ("slots", "slots_diagonal", "slots_parallel")}
-    )
-    keys = jax.random.split(jax.random.key(0), 90)
-    drawn = jax.jit(jax.vmap(config.generate))(keys)
-    middle = np.asarray(drawn.bay_pose[:, 2, :2])
-    kinds, counts = np.unique(middle.round(3), axis=0, return_counts=True)
-    np.testing.assert_allclose(kinds, [(-9, 10), (-9, 14), (-6, 14)], atol=1e-3)
-    assert counts.min() > 15
-    assert mixture([SlotsConfig(), SlotsConfig(goal_slot=None)]).is_random
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"goal_slot": 12}, "goal_slot must be a whole number from 0 to 11, .* not 12"),
-        ({"goal_slot": -1}, "goal_slot .* not -1"),
-        ({"goal_slot": 2.5}, "goal_slot .* not 2.5"),
-        ({"slots_per_row": 0}, "slots_per_row must be at least 1, not 0"),
-        ({"half_corridor": 0.0}, "half_corridor must be positive, not 0.0"),
         ({"half_corridor": 0.5}, r"half_corridor must be at least 1.00 m, .* not 0.5"),
         ({"half_corridor": 2.9, "parallel": True}, "at least 3.00 m"),
         ({"start": (10.0, 9.5)}, "half_corridor must be at least 10.50 m"),
-        ({"start": [10.0, 0.0]}, r"start must be a tuple of 2, .* not \[10"),
         ({"start": (math.inf, 0.0)}, "start must be finite"),
-        ({"start_heading": math.nan}, "start_heading must be finite"),
         ({"slot_length": 4.0}, "4.00 m x 4.00 m between their lines, the car needs"),
         ({"diagonal_shift": 20.0}, "diagonal_shift 20.0 m have .* the car needs"),
         ({"diagonal_shift": 6.0, "parallel": True}, "diagonal_shift must be 0 in"),

@@ -2,11 +2,12 @@
 
 import dataclasses
 import math
+import re
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.programs import exit_code
+from helpers.programs import assert_refused, exit_code
 
 from carpark_mj.layouts import layout_config
 from carpark_papers.pandita.experiments import program as slots_study
@@ -48,21 +49,11 @@ def test_a_phase_ends_by_steps_or_by_episodes():
         ("--phases bays:100", "unknown layout 'bays'"),
         ("--phases square:100", "'square' is not a kind of slots; choose from slots"),
         ("--phases", "phases, deploy and hidden must have one item or more"),
-        ("--goal-slot 12", "goal_slot must be a whole number from 0 to 11"),
-        ("--half-corridor 0", "half_corridor must be positive, not 0"),
-        ("--half-corridor 0.5", "half_corridor must be at least 1.00 m"),
-        ("--rehearsal 1.5", r"rehearsal must lie in \[0, 1\], not 1.5"),
-        ("--buffer-size 8", "buffer_size must be at least 32, not 8"),
         ("--at-switch balance --replay plain", "at_switch balance needs replay her"),
-        ("--hidden 0", "hidden must be at least 1"),
     ],
 )
 def test_impossible_settings_end_with_one_line(flags, message, capsys):
-    assert exit_code(sac, flags.split()) == 2
-    captured = capsys.readouterr()
-    assert captured.err.count("\n") == 1
-    with pytest.raises(ValueError, match=message):
-        raise ValueError(captured.err)
+    assert re.search(message, assert_refused(capsys, sac, flags.split(), ""))
 
 
 def test_the_preset_of_the_thesis_has_its_hyperparameters():
@@ -106,7 +97,7 @@ def rows(matrix, policy="deterministic"):
     ]
 
 
-def test_transfer_is_that_of_the_paper_worked_by_hand():
+def test_transfer_is_that_of_the_paper_and_of_the_mean_of_kinds():
     matrix = [[0.1, 0.2, 0.3], [1.0, 0.4, 0.3], [0.5, 0.9, 0.6], [0.0, 0.7, 0.8]]
     found = success_matrix(rows(matrix), KINDS)
     np.testing.assert_array_equal(found, matrix)
@@ -115,9 +106,6 @@ def test_transfer_is_that_of_the_paper_worked_by_hand():
     assert result.average == pytest.approx((0.0 + 0.7 + 0.8) / 3)
     assert result.backward == pytest.approx(((0.0 - 1.0) + (0.7 - 0.9)) / 2)
     assert result.forward == pytest.approx(((0.4 - 0.2) + (0.6 - 0.3)) / 2)
-
-
-def test_the_task_of_an_interleaved_phase_is_the_mean_of_its_kinds():
     matrix = success_matrix(rows([[0.0, 0.0, 0.0], [1.0, 0.5, 0.2]]), KINDS)
     result = transfer(matrix, KINDS, (Phase(KINDS[:2], steps=1),))
     assert result.average == 0.75

@@ -27,7 +27,7 @@ from carpark_papers.pandita.slots_env import SLOTS_OPTIONS, SlotsEnv
 from carpark_papers.pandita.task import PANDITA
 
 
-def test_the_twelve_are_there_and_all_can_be_trained():
+def test_the_twelve_are_there_can_be_trained_and_have_their_budgets():
     names = [experiment.name for experiment in EXPERIMENTS]
     assert names[:12] == [str(number) for number in range(1, 13)]
     assert len({*names}) == len(names)
@@ -35,39 +35,21 @@ def test_the_twelve_are_there_and_all_can_be_trained():
         config = SACConfig(phases=experiment.phases(1.0), replay=experiment.replay)
         assert {*config.kinds} <= {*KINDS}
         assert bool(experiment.claims) == experiment.name.isdigit()
-
-
-def test_budgets_are_episodes_of_150_steps_times_the_scale():
     assert slots_experiment("10").phases(1.0) == ("slots:18750", "slots_diagonal:18750")
     assert slots_experiment("2").phases(0.1) == ("slots:1500",)
 
 
-def test_experiments_that_train_alike_share_a_run(tmp_path):
-    def folder(name, seed=0):
-        return make_job(slots_experiment(name), "study", 1.0, seed, tmp_path).folder
+def test_experiments_that_train_alike_share_a_run_and_no_others(tmp_path):
+    def job(name, preset="study", scale=1.0, seed=0):
+        return make_job(slots_experiment(name), preset, scale, seed, tmp_path)
 
-    assert folder("2") == folder("4")
-    assert folder("7") == folder("9")
-    others = [folder(name) for name in ("2", "7", "10", "rehearsal-5", "clear")]
-    assert len({*others, folder("2", seed=1)}) == 6
-
-
-def test_runs_of_other_presets_and_scales_are_other_runs(tmp_path):
-    folders = {
-        make_job(slots_experiment("2"), preset, scale, 0, tmp_path).folder
-        for preset in ("study", "pandita")
-        for scale in (1.0, 2.0)
-    }
-    assert len(folders) == 4
-
-
-def test_every_run_has_a_log_of_its_own(tmp_path):
-    jobs = {
-        make_job(slots_experiment(name), "study", 1.0, seed, tmp_path)
-        for name in ("10", "rehearsal-5", "rehearsal-20")
-        for seed in (0, 1)
-    }
-    assert len({job.log for job in jobs}) == len(jobs) == 6
+    assert job("2").folder == job("4").folder
+    assert job("7").folder == job("9").folder
+    others = [job(name) for name in ("2", "7", "10", "rehearsal-5", "clear")]
+    others += [job("rehearsal-20"), job("10", seed=1), job("2", seed=1)]
+    others += [job("2", "pandita"), job("2", scale=2.0), job("2", "pandita", 2.0)]
+    for part in ("folder", "log"):
+        assert len({getattr(one, part) for one in others}) == len(others)
 
 
 def test_a_job_begins_a_run_and_then_continues_it(tmp_path):
@@ -170,11 +152,8 @@ def test_the_page_of_slots_lists_all_arguments():
     pages.assert_arguments(TEXT, SlotsEnv, listed)
 
 
-def test_gymnasium_finds_no_fault_in_slots():
+def test_gymnasium_finds_no_fault_in_slots_and_the_example_runs():
     check_env(gymnasium.make(NAME).unwrapped, skip_render_check=True)
-
-
-def test_the_example_of_slots_runs():
     pages.run_example(TEXT)
 
 

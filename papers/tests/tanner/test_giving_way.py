@@ -18,20 +18,14 @@ from carpark_mj.config import (
     RewardConfig,
 )
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.goals import (
-    find_contexts,
-    goals_in_turn,
-    init_tracked_bays,
-    track_bays,
-    tracks,
-)
+from carpark_mj.mdp.goals import find_contexts, init_tracked_bays, track_bays, tracks
 from carpark_mj.mdp.metrics import CONTEXTS
 from carpark_mj.observations import ContinuousObservation, observation_size
 from carpark_mj.registry import environment
 from carpark_mj.types import NO_BAY
 from carpark_papers.tanner.observation import TannerObservation
 
-STATES, AGENTS, BAYS, PARKED, TRACKED = 4000, 5, 3, 3, 2
+STATES, AGENTS, BAYS, PARKED, TRACKED = 1000, 5, 3, 3, 2
 TEMPLATE = lot([(0.0, 0.0, 0.0)] * BAYS)
 
 
@@ -82,11 +76,6 @@ def situations(states):
     return jax.device_get(situation(*states.values()))
 
 
-@pytest.fixture(scope="module")
-def found(situations):
-    return situations[1]
-
-
 def by_the_book(pose, goal, chosen, bay_pose, active, tracked):
     """The six contexts and their readings, agent by agent, in whole numbers."""
     rows = []
@@ -120,72 +109,11 @@ def test_contexts_are_those_of_the_definition(states, situations):
     tracked, contexts = situations
     assert set(contexts) == set(CONTEXTS)
     known = {name: x for name, x in states.items() if name != "parked"}
-    for k in range(400):
+    for k in range(STATES):
         rows = by_the_book(**{n: x[k] for n, x in known.items()}, tracked=tracked[k])
         for name in CONTEXTS:
             assert [row[name] for row in rows] == contexts[name][k].tolist(), (k, name)
-
-
-def test_contexts_lie_within_each_other(found):
-    """C2 is within C1 where the study calls C1 the stronger; all are met and differ."""
-    c = found
-    within = [
-        ("local_same", "global_same"),
-        ("local_same", "local_any"),
-        ("global_same", "global_any"),
-        ("local_any", "global_any"),
-        ("untracked_same", "global_same"),
-        ("untracked_any", "global_any"),
-        ("untracked_same", "untracked_any"),
-        ("untracked_other", "untracked_any"),
-        # With no tracked agent nearer, a nearer agent is not tracked.
-        ("only_untracked_same", "untracked_same"),
-        ("only_untracked_any", "untracked_any"),
-        ("global_same_not_local_any", "only_untracked_same"),
-        ("global_same_not_local_any", "only_untracked_any"),
-    ]
-    for inner, outer in within:
-        assert not (c[inner] & ~c[outer]).any(), (inner, outer)
-        assert (c[outer] & ~c[inner]).any(), (inner, outer)
-    # (G,S) and (L,A) are not comparable.
-    assert (c["global_same"] & ~c["local_any"]).any()
-    assert (c["local_any"] & ~c["global_same"]).any()
-
-
-def test_only_the_set_difference_is_disjoint_from_the_local_context(found):
-    c = found
-    for which in ("same", "any"):
-        local, either = c[f"local_{which}"], c[f"global_{which}"]
-        only, exists = c[f"only_untracked_{which}"], c[f"untracked_{which}"]
-        assert not (local & only).any()
-        assert ((local | only) == either).all()
-        assert (local & exists).any()  # the reading by existence overlaps
-        assert ((local | exists) == either).all()
-    any_untracked = c["untracked_same"] | c["untracked_other"]
-    assert (any_untracked == c["untracked_any"]).all()
-
-
-def test_explorers_and_finished_agents_are_in_no_context(states, found):
-    goal, active = states["goal"], states["active"]
-    idle = (goal == NO_BAY) | ~active
-    assert idle.any()
-    assert not idle.all()
-    for name in CONTEXTS:
-        assert not found[name][idle].any()
-
-
-def test_renumbered_agents_are_in_the_same_contexts(states):
-    # Tracking breaks ties by number, and so needs poses without any; and whoever
-    # chooses first is met with its new goal, so that all keep theirs.
-    pose, goal = states["pose"], states["goal"]
-    noise = np.random.default_rng(5).uniform(-0.4, 0.4, pose.shape).astype(np.float32)
-    plain = states | {"pose": pose + noise, "chosen": goal}
-    order = np.random.default_rng(6).permutation(AGENTS)
-    mixed = {n: plain[n][:, order] for n in ("pose", "goal", "chosen", "active")}
-    plain, renumbered = situation(*plain.values()), situation(*(plain | mixed).values())
-    np.testing.assert_array_equal(renumbered[0], plain[0][:, order][:, :, order])
-    for name in CONTEXTS:
-        np.testing.assert_array_equal(renumbered[1][name], plain[1][name][:, order])
+    assert all(0.0 < met.mean() < 1.0 for met in contexts.values())
 
 
 def test_tracked_agents_are_the_nearest_cars_parked_ones_included():
@@ -226,12 +154,7 @@ OUT = NO_BAY
 FAR_AWAY = (40.0, OUT)
 LOCAL_ANY = {"local_any", "global_any"}
 LOCAL_SAME = LOCAL_ANY | {"local_same", "global_same"}
-UNSEEN_OTHER = {
-    "global_any",
-    "untracked_any",
-    "untracked_other",
-    "only_untracked_any",
-}
+UNSEEN_OTHER = {"global_any", "untracked_any", "untracked_other", "only_untracked_any"}
 UNSEEN_SAME = {
     "global_any",
     "global_same",
@@ -273,12 +196,6 @@ UNSEEN_SAME = {
 )
 def test_contexts_of_hand_placed_scenes(others, expected):
     assert scene(others) == expected
-
-
-def test_agents_choose_in_turn():
-    before, after = jnp.array([0, 1, 2]), jnp.array([10, 11, 12])
-    expected = [[0, 1, 2], [10, 1, 2], [10, 11, 2]]
-    np.testing.assert_array_equal(goals_in_turn(before, after), expected)
 
 
 # In the environment

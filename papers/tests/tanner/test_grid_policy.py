@@ -19,6 +19,7 @@ from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import load_or_init, save
 
 FIXED = environment("tanner-fixed")
+QUICK = dataclasses.replace(FIXED.spawn, conflict_ratio=0.0)  # to compile
 TINY = dataclasses.replace(
     PRESETS["tanner-fixed"],
     num_lots=2,
@@ -31,9 +32,7 @@ TINY = dataclasses.replace(
         FIXED,
         num_agents=2,
         num_parked_cars=3,
-        spawn=dataclasses.replace(
-            FIXED.spawn, conflict_ratio=0.0
-        ),  # quicker to compile
+        spawn=QUICK,
         episode=dataclasses.replace(FIXED.episode, max_steps=10),
     ),
 )

@@ -268,16 +268,13 @@ def read(*arguments: str) -> list[PPOConfig]:
     return read_runs(arguments, read_one)
 
 
-def test_seeds_are_runs_with_names_of_their_own():
+def test_seeds_and_several_folders_are_runs_with_names_of_their_own():
     assert parse_seeds("0..3") == [0, 1, 2, 3]
     assert parse_seeds("5, 1,7..8") == [5, 1, 7, 8]
     assert [(c.seed, c.name) for c in read("--seeds", "0..1")] == [(0, ""), (1, "")]
     named = read("--seeds=4,2", "sweep")
     assert [(c.seed, c.name) for c in named] == [(4, "sweep-4"), (2, "sweep-2")]
     assert read("name") == [dataclasses.replace(FIXED, name="name")]
-
-
-def test_several_folders_are_resumed_with_what_else_is_given():
     found = read("--resume", "a", "b", "--time-limit=3")
     assert [(c.resume, c.name) for c in found] == [
         ("a", "--time-limit=3"),

@@ -1,7 +1,6 @@
 """The Q-learning environment of the study: what is seen, where it starts, what pays."""
 
 import dataclasses
-import functools
 import math
 
 import jax
@@ -11,8 +10,7 @@ import pytest
 from helpers.scenes import cars, lot, moved, moved_lot
 from helpers.states import config_of, parked_at, parked_in, state_of
 
-from carpark_mj.config import WORLD_UNIT, RingConfig, SpawnConfig
-from carpark_mj.env import ParkingEnv
+from carpark_mj.config import WORLD_UNIT, RingConfig
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import (
     cardinalities,
@@ -23,10 +21,7 @@ from carpark_mj.observations import (
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.spawning.placing import Surroundings
 from carpark_mj.spawning.starts import draw_uniform, random_pose, spawn_shapes
-from carpark_papers.tanner.environments import (
-    TANNER_QLEARNING,
-    TANNER_QLEARNING_RINGS,
-)
+from carpark_papers.tanner.environments import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 from carpark_papers.tanner.indices import IndexObservation
 from carpark_papers.tanner.observation import TannerObservation
 
@@ -36,7 +31,6 @@ NOBODY = parked_at()
 
 
 def with_rings(**changes):
-    """The study's environment with other rings."""
     rings = dataclasses.replace(RINGS.observation.rings, **changes)
     observation = dataclasses.replace(RINGS.observation, rings=rings)
     return dataclasses.replace(RINGS, observation=observation)
@@ -159,78 +153,6 @@ def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
         np.testing.assert_array_equal(values, np.arange(-21, 22))
         # 5,000 / 43 = 116 on each point, the edges included; 5 standard deviations.
         assert np.abs(counts - 116).max() < 5 * math.sqrt(116)
-
-
-@functools.cache
-def basic():
-    episode = dataclasses.replace(TANNER_QLEARNING.episode, final_observation=True)
-    env = ParkingEnv(dataclasses.replace(TANNER_QLEARNING, episode=episode))
-    return env, jax.jit(env.reset), jax.jit(env.step)
-
-
-def started(x, y, heading, level=0):
-    """A lot whose agent is at a point, at a level, with the goal bay at (24, 32)."""
-    env, reset, _ = basic()
-    state, _ = reset(jax.random.key(0))
-    gap = np.abs(
-        np.asarray(state.layout.bay_pose[:, :2]) - WORLD_UNIT * np.array([24, 32])
-    )
-    goal = jnp.array([gap.sum(axis=1).argmin()], jnp.int32)
-    physics = dataclasses.replace(
-        state.physics,
-        point=jnp.array([[x, y]], jnp.int32),
-        heading=jnp.array([heading], jnp.int32),
-        level=jnp.array([level], jnp.int32),
-    )
-    return dataclasses.replace(
-        state,
-        physics=physics,
-        motion=env.physics.read(physics),
-        goal=goal,
-    )
-
-
-def test_a_step_pays_what_the_tables_say():
-    _, _, step = basic()
-    share = 1 / 85
-    state = started(24, 20, 0)
-    _, timestep = step(state, jnp.array([[2, 1]]))  # one point nearer
-    np.testing.assert_allclose(timestep.reward, (1.0 - 0.5) * share, rtol=1e-5)
-    np.testing.assert_array_equal(timestep.observation, [[2, 0]])
-    np.testing.assert_array_equal(timestep.final_observation, timestep.observation)
-    _, timestep = step(started(24, 20, 0), jnp.array([[1, 1]]))  # halting does not pay
-    np.testing.assert_allclose(timestep.reward, (-1.0 - 0.5) * share, rtol=1e-5)
-    _, timestep = step(started(24, 20, 0), jnp.array([[0, 1]]))  # away, in reverse
-    np.testing.assert_allclose(timestep.reward, (-1.0 - 0.5) * share, rtol=1e-5)
-    assert timestep.motion.speed < 0
-
-
-def test_parking_and_crashing_end_the_episode_with_ten_points():
-    _, _, step = basic()
-    state = started(24, 30, 0)
-    after, timestep = step(state, jnp.array([[2, 1]]))
-    assert timestep.events.parked.all()
-    np.testing.assert_allclose(timestep.reward, 10 + 0.5 / 85, rtol=1e-5)
-    # The new episode is elsewhere; the last observation is still to be had.
-    np.testing.assert_array_equal(timestep.final_observation, [[2, 0]])
-    assert after.step[0] == 0
-    assert np.abs(after.motion.pose_w[0, :2]).max() <= 21 * WORLD_UNIT + 1e-5
-    # At 45 deg beside the bay's mouth the next point ahead has a corner in the block.
-    _, timestep = step(started(24, 26, 1, level=1), jnp.array([[1, 1]]))
-    assert timestep.events.hit_wall.all()
-    np.testing.assert_allclose(timestep.reward, -10 + (1.0 - 0.5) / 85, rtol=1e-5)
-
-
-def test_choices_out_of_range_are_counted():
-    _, _, step = basic()
-    _, timestep = step(started(0, 0, 0), jnp.array([[7, 1]]))
-    np.testing.assert_array_equal(timestep.metrics["invalid_actions"], [1.0])
-    assert timestep.motion.speed > 0
-
-
-def test_a_negative_spacing_of_starts_is_refused():
-    with pytest.raises(ValueError, match=r"spacing must be at least 0, not -1.0"):
-        SpawnConfig(spacing=-1.0)
 
 
 def test_indices_are_whole_numbers_within_their_cardinalities():

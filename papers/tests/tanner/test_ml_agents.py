@@ -2,22 +2,19 @@
 
 import dataclasses
 import math
-from types import SimpleNamespace
-from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from helpers import splitting
-from jax.flatten_util import ravel_pytree
+from helpers import learning, splitting
 
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.observations.fields import Field
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer, make_networks
-from carpark_mj.training.ppo.collect import AXIS, Rollout, compute_advantages
+from carpark_mj.training.ppo.collect import AXIS, compute_advantages
 from carpark_mj.training.ppo.config import CurriculumConfig
 from carpark_mj.training.ppo.learn import learn, network_params
 from carpark_mj.training.ppo.parts import PRESETS
@@ -90,16 +87,15 @@ def test_advantages_are_those_of_schulman_2016():
     terminated = (rng.random((length, agents)) < 0.2).astype(float)
     values = NETWORKS.value_network.apply(NORMALIZER, params.value, observation)
     final = jnp.asarray(rng.normal(size=agents), jnp.float32)
-    zero = jnp.zeros((length, agents))
-    rollout = Rollout(
+    rollout = learning.rollout(
+        (length, agents),
         observation=observation,
         raw_action=jnp.zeros((length, agents, 2), jnp.int32),
-        log_prob=zero,
         reward=jnp.asarray(reward, jnp.float32),
         terminated=jnp.asarray(terminated, jnp.float32),
-        truncated=zero,
         final_observation=observation[-1],
     )
+    zero = rollout.log_prob
     brax, target = compute_advantages(rollout, values, final, discount, lam)
     batch = Minibatch(
         observation, rollout.raw_action, zero, brax, target, jnp.ones((length, agents))
@@ -211,26 +207,14 @@ def test_an_epoch_learns_once_from_every_step_in_minibatches_from_anywhere(monke
         PRESETS["tanner-fixed-original"], num_epochs=3, num_minibatches=parts
     )
     number = jnp.arange(length * agents, dtype=jnp.float32).reshape(length, agents)
-    zero = jnp.zeros((length, agents))
-    rollout = Rollout(
+    rollout = learning.rollout(
+        (length, agents),
+        SIZE,
         observation=jnp.broadcast_to(number[..., None], (length, agents, SIZE)),
         raw_action=jnp.zeros((length, agents, 2), jnp.int32),
-        log_prob=zero,
-        reward=zero,
-        terminated=zero,
-        truncated=zero,
-        final_observation=jnp.zeros((agents, SIZE)),
     )
-    params = fresh(0)
-    optimizer = optax.scale_by_adam()
-    state = SimpleNamespace(
-        update=jnp.int32(0),
-        seconds=jnp.float32(0.0),
-        normalizer=NORMALIZER,
-        policy=params.policy,
-        value=params.value,
-        optimizer=optimizer.init(ravel_pytree(params)[0]),
-    )
+    inputs, optimizer = ObservationSets(SIZE), optax.scale_by_adam()
+    state = learning.begun(NETWORKS, inputs, jax.random.key(0))
 
     def watch(params, networks, normalizer, batch, weights, key):
         step = batch.observation[:, 0]
@@ -243,15 +227,7 @@ def test_an_epoch_learns_once_from_every_step_in_minibatches_from_anywhere(monke
     monkeypatch.setattr(ml_agents, "ml_agents_loss", watch)
 
     def update(key):
-        found = learn(
-            config,
-            NETWORKS,
-            ObservationSets(SIZE),
-            optimizer,
-            cast(Any, state),
-            rollout,
-            key,
-        )
+        found = learn(config, NETWORKS, inputs, optimizer, state, rollout, key)
         return found[0][0], found[1]
 
     keys = jax.random.split(jax.random.key(0), 1)

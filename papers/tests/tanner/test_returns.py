@@ -13,13 +13,11 @@ from helpers.transitions import no_events, transition
 
 from carpark_mj.config import REWARDS, WORLD_UNIT, EnvConfig, RewardConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.mdp.progress import Effort, effort
+from carpark_mj.mdp.progress import effort
 from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_papers.tanner.environments import TANNER_QLEARNING
 from carpark_papers.tanner.grid import FINE, GridPhysics, GridState
-
-TANNER = REWARDS["tanner"]
 
 
 def driven(distances, speed=1.0, steering=0.0):
@@ -28,34 +26,28 @@ def driven(distances, speed=1.0, steering=0.0):
     poses = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
     steering = np.broadcast_to(steering, x.shape)
     before = cars(poses[:-1], speed, steering[:-1])
-    return terms(TANNER, before, cars(poses[1:], speed, steering[1:]), GOAL)
+    return terms(REWARDS["tanner"], before, cars(poses[1:], speed, steering[1:]), GOAL)
 
 
-def test_an_episode_of_tanners_that_always_approaches_sums_to_his_numbers():
+def test_an_episode_of_tanners_sums_to_his_numbers_wherever_it_goes():
     got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1))
     total = {name: term.sum() for name, term in got.items()}
     expected = {"time": -0.2, "approach": 0.15, "progress": 0.0, "reverse": 0.0}
     for name, value in expected.items():
         assert total[name] == pytest.approx(value, abs=1e-6), name  # float32
     assert sum(total.values()) == pytest.approx(-0.05, abs=1e-6)
-
-
-def test_an_episode_of_tanners_that_stands_still_is_as_bad_as_one_that_leaves():
     for distances in (np.full(MAX_STEPS + 1, 10.0), np.linspace(10, 30, MAX_STEPS + 1)):
         got = driven(distances)
         assert got["approach"].sum() == pytest.approx(-0.15, abs=1e-6)  # float32
         assert got["time"].sum() == pytest.approx(-0.2, abs=1e-6)
 
 
-def test_an_episode_of_tanners_in_reverse_costs_the_whole_reverse_sum():
+def test_an_episode_of_tanners_in_reverse_or_all_steering_costs_its_sum():
     got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1), speed=-1.0)
     assert got["reverse"].sum() == pytest.approx(-0.1, abs=1e-6)  # float32
     for still in (0.0, -1e-6):  # on tyres a car that its brakes hold is never at 0
         got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1), speed=still)
         assert got["reverse"].sum() == 0.0
-
-
-def test_an_episode_of_tanners_with_all_the_steering_there_is_costs_its_sum():
     steering = STEERING_CHANGE * (np.arange(MAX_STEPS + 1) % 2)
     got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1), steering=steering)
     assert got["smoothness"].sum() == pytest.approx(-0.05, abs=1e-6)  # float32
@@ -76,14 +68,9 @@ def test_smoothness_can_count_times_the_speed():
     np.testing.assert_allclose(got, expected, atol=1e-9)
 
 
-WEIGHTS = RewardConfig(
-    park=10.0,
-    crash=10.0,
-    time=0.5,
-    progress=0.0,
-    alignment=0.0,
-    closeness=0.0,
-    extra={"approach": 1.0, "smoothness": 0.6, "reverse": 0.7},
+WEIGHTS = dataclasses.replace(
+    TANNER_QLEARNING.reward,
+    extra=TANNER_QLEARNING.reward.extra | {"smoothness": 0.6, "reverse": 0.7},
 )
 
 
@@ -172,9 +159,6 @@ def test_an_episode_whose_time_is_up(grid):
     assert totals == expected(time=-0.5 * 3 / 85, approach=(2 - 1) / 85)
 
 
-LOT = lot([(0.0, 0.0, 0.0)])
-
-
 def grid_cars(points, level=0, turn=0):
     """The grid's cars (n,) at points, as its physics shows them."""
     physics = GridPhysics(FINE, EnvConfig().sim)
@@ -198,7 +182,7 @@ def step(config, before, after):
     count = before.yaw_rate.shape[0]
     return transition(
         config,
-        LOT,
+        lot([(0.0, 0.0, 0.0)]),
         before,
         after,
         {"physics": HandPhysics(hand_cars(before))},
@@ -207,16 +191,13 @@ def step(config, before, after):
     )
 
 
-def test_effort_on_the_grid_is_turn_and_level_over_the_most_there_are():
+def test_effort_is_turn_and_level_over_the_most_there_are():
     still, turn, level = grid_cars([(0, 0)] * 5), [-3, -1, 0, 2, 3], [4, 2, 0, -1, -2]
     after = grid_cars([(0, 0)] * 5, level, turn)
     config = EnvConfig(physics="grid", num_agents=5)
     got = effort(config, step(config, still, after))
     np.testing.assert_allclose(got.turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
     np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
-
-
-def test_a_car_that_obeys_at_once_turns_from_lock_to_lock_at_most():
     lock = float(hand_cars(cars([(0.0, 0.0, 0.0)])).max_steering[0])
     poses = [(0.0, 0.0, 0.0)] * 3
     before = cars(poses, steering=[lock, lock, lock])
@@ -224,13 +205,3 @@ def test_a_car_that_obeys_at_once_turns_from_lock_to_lock_at_most():
     config = EnvConfig(physics="highway", vehicle="highway", num_agents=3)
     got = effort(config, step(config, before, after))
     np.testing.assert_allclose(got.turn, [0.0, 0.5, 1.0], atol=1e-6)
-
-
-def test_efforts_have_one_number_an_agent():
-    one = grid_cars([(0, 0)] * 4)
-    for physics in ("mjx", "grid"):
-        config = EnvConfig(physics=physics, num_agents=4)
-        got = effort(config, step(config, one, one))
-        assert isinstance(got, Effort)
-        assert got.turn.shape == got.speed.shape == (4,)
-        assert got.turn.dtype == got.speed.dtype == jnp.float32

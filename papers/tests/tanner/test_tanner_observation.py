@@ -18,12 +18,10 @@ from carpark_mj.layouts import make_layout
 from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.types import NO_BAY
 from carpark_papers.tanner.environments import TANNER_QLEARNING
-from carpark_papers.tanner.grid import FINE
 from carpark_papers.tanner.indices import IndexObservation
 from carpark_papers.tanner.observation import TannerObservation, TannerShare, ViewConfig
 
 CONFIG = TannerObservation()
-GRID = FINE
 CTRL_DT = 0.2
 PER_LEVEL = 4 / 16 * WORLD_UNIT / CTRL_DT  # m/s: 4 points a step, 16 in a world unit
 D = 74 * math.sqrt(2)  # world units
@@ -265,9 +263,6 @@ def test_it_agrees_with_the_indices_where_they_overlap():
     assert len(np.unique(indices, axis=0)) > 40
 
 
-STEPS = 50
-
-
 @functools.cache
 def rollout():
     """Observations (steps, lots, agents, size) on the grid, last ones, who ended."""
@@ -296,7 +291,7 @@ def rollout():
 
     def run(key):
         state, first = env.reset(key)
-        return first, jax.lax.scan(step, state, jax.random.split(key, STEPS))[1]
+        return first, jax.lax.scan(step, state, jax.random.split(key, 50))[1]
 
     return env.config, *jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 4))
 

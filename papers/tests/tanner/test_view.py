@@ -11,18 +11,30 @@ from helpers.scenes import cars, fields_of, lot
 from helpers.sliding import SlidePhysics
 from helpers.states import config_of, parked_at, state_of
 
-from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.config import (
+    ENCODERS,
+    EnvConfig,
+    FleetConfig,
+    GivingWayConfig,
+    GoalConfig,
+)
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import tracks_parked_cars
 from carpark_mj.observations import observe
 from carpark_mj.types import NO_BAY
 from carpark_papers.tanner.indices import IndexObservation
-from carpark_papers.tanner.observation import TannerObservation, ViewConfig, in_view
+from carpark_papers.tanner.observation import (
+    TannerObservation,
+    TannerShare,
+    ViewConfig,
+    in_view,
+)
 
 # Around (2, 1), facing north: ahead, left, right, behind, at 4, 5, 6, 3 m.
 AROUND = jnp.array([(2.0, 5.0), (-3.0, 1.0), (8.0, 1.0), (2.0, -2.0)])
 BAYS = lot([(x, y, 0.0) for x, y in AROUND.tolist()])
+DYNAMIC = GoalConfig(dynamic=True)
 
 
 @pytest.mark.parametrize(
@@ -113,3 +125,41 @@ def test_bays_out_of_view_are_not_tracked_in_an_environment():
     assert seen[index, agent, state.tracked_bays[index, agent, slot]].all()
     # Some see fewer than they could track.
     assert 0 < len(index) < state.tracked_bays.size
+
+
+LOCAL = {"giving_way": GivingWayConfig("L,L,S"), "goals": DYNAMIC}
+ON_GRID = {"observation": IndexObservation(), "physics": "grid"}
+HEADINGS = TannerObservation(share=TannerShare(goal_headings=True))
+GLOBAL = TannerObservation(global_information=True)
+FLEET = {"fleet": FleetConfig(("city", "van")), "observation": TannerObservation()}
+BLIND = TannerObservation(tracked_cars=0)
+
+
+@pytest.mark.parametrize(
+    ("make", "settings", "message"),
+    [
+        (TannerShare, {"goals": False, "goal_headings": True}, "needs share.goals"),
+        (TannerObservation, {"bay_parts": ("size",)}, "bay_parts .* one of .*'size'"),
+        (TannerObservation, {"bay_parts": ("bearing",) * 2}, "must be different"),
+        (TannerObservation, {"encoding": "indices"}, "encoding must be .tanner., not"),
+        (EnvConfig, ON_GRID | {"physics": "mjx"}, "'indices' needs grid physics, not"),
+        (EnvConfig, ON_GRID | {"goals": DYNAMIC}, "'indices' needs fixed goals, not"),
+        (EnvConfig, {"observation": HEADINGS, "goals": DYNAMIC}, "needs fixed goals"),
+        (EnvConfig, FLEET, "fleet.agents needs observation.own_car = True"),
+        (EnvConfig, LOCAL | {"observation": GLOBAL}, "global_information = False, not"),
+        (EnvConfig, LOCAL | {"observation": BLIND}, "tracks at least 1 agent"),
+    ],
+)
+def test_impossible_settings_are_refused_in_a_sentence(make, settings, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        make(**settings)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_observation_that_fits_the_task_stays_what_was_set():
+    car = {"observation": TannerObservation(6), "num_agents": 3, "num_parked_cars": 4}
+    for settings in (ON_GRID, car, {"observation": GLOBAL, "goals": DYNAMIC}):
+        config = EnvConfig(**settings)
+        assert {name: getattr(config, name) for name in settings} == settings
+    for encoder in (TannerObservation, IndexObservation):
+        assert ENCODERS[encoder().encoding] is encoder

@@ -1,6 +1,5 @@
-"""Sweeps whose trainer is a stub: what is run, when, where, and what is written."""
+"""Sweeps: axes and groups; what is run by a stub, when, where, and what is written."""
 
-import csv
 import dataclasses
 import json
 import os
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import submitit
+from helpers.programs import assert_refused, rows_of
 from helpers.sweeping import plan_runs, train, train_badly, train_slowly
 from submitit.core.submission import process_job
 from submitit.helpers import DelayedSubmission
@@ -31,9 +31,18 @@ from carpark_mj.sweeps import (
     submit_array,
     visible_gpus,
 )
+from carpark_mj.sweeps.plan import (
+    Axis,
+    Plan,
+    checked_runs,
+    groups,
+    read_axis,
+    runs,
+    settings_of,
+)
+from carpark_mj.training.ppo.parts import PRESETS
 
 HERE = Where(cluster="debug", side_by_side=1)
-TESTS = Path(__file__).parents[1]
 SUBMITIT_SIGNALS = signal.SIGTERM, signal.SIGCONT, signal.SIGUSR1, signal.SIGUSR2
 
 
@@ -46,11 +55,6 @@ def handlers() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-def table(folder: Path) -> list[dict[str, str]]:
-    with (folder / "sweep.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def calls(folder: Path) -> list[str]:
     return (folder / "calls.txt").read_text().split()
 
@@ -58,7 +62,7 @@ def calls(folder: Path) -> list[str]:
 def test_the_table_has_a_row_per_run(tmp_path):
     plan, runs = plan_runs("num_agents=1,2", "num_steps=100", repeats=2)
     assert run_sweep(tmp_path, plan, runs, HERE, train) == {"done": 4}
-    rows = table(tmp_path)
+    rows = rows_of(tmp_path / "sweep.csv")
     assert [row["run"] for row in rows] == [run.name for run in runs]
     assert [row["env.num_agents"] for row in rows] == ["1", "1", "2", "2"]
     assert [row["seed"] for row in rows] == ["0", "1", "0", "1"]
@@ -99,7 +103,7 @@ def test_rows_of_earlier_values_and_seeds_stay_in_the_table(tmp_path):
     for text, repeats in (("num_agents=1,2", 2), ("num_agents=2,3", 1)):
         plan, runs = plan_runs(text, repeats=repeats)
         run_sweep(tmp_path, plan, runs, HERE, train)
-    rows = table(tmp_path)
+    rows = rows_of(tmp_path / "sweep.csv")
     ran = sorted((row["env.num_agents"], row["seed"], row["length"]) for row in rows)
     lengths = (("1", "10.0"), ("1", "10.0"), ("2", "20.0"), ("2", "20.0"))
     seeds = ("0", "1", "0", "1")
@@ -108,12 +112,14 @@ def test_rows_of_earlier_values_and_seeds_stay_in_the_table(tmp_path):
     assert {row["status"] for row in rows} == {"done"}
 
 
-def test_failed_jobs_stop_no_others_and_are_tried_again(tmp_path):
+def test_failed_jobs_stop_no_others_and_are_tried_again(tmp_path, monkeypatch):
+    # Submitit waits so long for the file of a killed process; this disk is not slow.
+    monkeypatch.setattr(submitit.Job, "_results_timeout_s", 1)
     plan, runs = plan_runs("num_agents=1..4")
     where = Where(jobs=2)
     counts = run_sweep(tmp_path, plan, runs, where, train_badly)
     assert counts == {"done": 2, "failed": 2}
-    one, two, three, four = table(tmp_path)
+    one, two, three, four = rows_of(tmp_path / "sweep.csv")
     assert (one["status"], four["status"]) == ("done", "done")
     assert two["error"] == "two are a crowd"
     assert three["error"].startswith("its process ended: ")
@@ -134,7 +140,7 @@ run_sweep(Path(sys.argv[1]), plan, runs, where, train_slowly)
 
 
 def test_a_killed_sweep_goes_on_where_it_was(tmp_path):
-    paths = os.pathsep.join([*sys.path, str(TESTS)])
+    paths = os.pathsep.join([*sys.path, str(Path(__file__).parents[1])])
     process = subprocess.Popen(
         [sys.executable, "-c", SWEEP, str(tmp_path)],
         env=os.environ | {"PYTHONPATH": paths},
@@ -243,4 +249,98 @@ def test_a_job_that_leaves_the_queue_without_a_result_has_failed(tmp_path, monke
     with mocked_slurm():
         counts = run_sweep(tmp_path, plan, runs, where, train)
     assert counts == {"failed": 2}
-    assert "left the queue without a result" in table(tmp_path)[0]["error"]
+    [row, _] = rows_of(tmp_path / "sweep.csv")
+    assert "left the queue without a result" in row["error"]
+
+
+def axes(*texts, base="square"):
+    return tuple(read_axis(text, PRESETS[base]) for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("text", "field", "values"),
+    [
+        ("num_agents=1..3", "env.num_agents", ["1", "2", "3"]),
+        ("env.num_agents=1,5..6", "env.num_agents", ["1", "5", "6"]),
+        ("num-lots=-1..0", "num_lots", ["-1", "0"]),
+        ("discount=0.99, 0.995", "discount", ["0.99", "0.995"]),
+        ("layout=../a.json", "env.layout", ["../a.json"]),
+        ("scheme=L,L,S;G,G,A", "env.giving_way.scheme", ["L,L,S", "G,G,A"]),
+        ("scheme=L,L,S;", "env.giving_way.scheme", ["L,L,S"]),
+    ],
+)
+def test_an_axis_is_a_field_and_its_values(text, field, values):
+    axis = read_axis(text, PRESETS["dynamic"])
+    assert axis == Axis((field,), tuple((value,) for value in values))
+
+
+def test_every_combination_has_every_seed_and_its_own_folder():
+    plan = Plan("square", axes("num_agents=1..3", "clip=0.1,0.2"), 2, seed=5)
+    found = checked_runs(plan)
+    assert len(plan) == len(found) == 3 * 2 * 2
+    configs = [settings_of(run) for run in found]
+    assert {(c.env.num_agents, c.clip, c.seed) for c in configs} == {
+        (n, clip, seed) for n in (1, 2, 3) for clip in (0.1, 0.2) for seed in (5, 6)
+    }
+    assert len({run.name for run in found}) == len(found)
+    assert found[0].name == "num_agents=1,clip=0.1,seed=5"
+
+
+def test_settings_of_one_value_are_in_no_name():
+    plan = Plan("square", axes("num_agents=2", "closeness=1"))
+    [run] = checked_runs(plan)
+    assert run.name == "seed=0"
+    assert settings_of(run).env.num_agents == 2
+    assert settings_of(run).env.reward.closeness == 1.0
+
+
+def test_settings_can_change_together():
+    fields = ("env.giving_way.scheme", "env.observation.global_information")
+    axis = Axis(fields, (("L,L,S", "false"), ("G,G,A", "true")))
+    first, second = checked_runs(Plan("dynamic", (axis,)))
+    assert not settings_of(first).env.observation.global_information
+    assert settings_of(second).env.giving_way.scheme == "G,G,A"
+
+
+def test_runs_render_no_video_unless_they_are_asked_to():
+    [run] = runs(Plan("cpu", ()))
+    [other] = runs(Plan("cpu", axes("video_seconds=3")))
+    assert settings_of(run).video_seconds == 0
+    assert settings_of(other).video_seconds == 3
+
+
+def test_groups_differ_in_seeds_and_data_only():
+    swept = axes("num_agents=1,2", "discount=0.9,0.95,0.99")
+    found = groups(checked_runs(Plan("square", swept, repeats=2)), 4)
+    assert sorted(map(len, found)) == [2, 2, 4, 4]
+    for group in found:
+        assert len({settings_of(run).env.num_agents for run in group}) == 1
+    alone = groups(checked_runs(Plan("cpu", (), repeats=3)), 8)  # end by the clock
+    assert list(map(len, alone)) == [1, 1, 1]
+
+
+BAD = [
+    ("--set num_agent=1", "unknown setting 'num_agent'"),
+    ("--set tyres", "FIELD=VALUES"),
+    ("--set num_agents=7..1", "env.num_agents has no values"),
+    ("--set num_agents=1,1", "env.num_agents has no values, or one twice"),
+    ("--set clip=0.1,0.10", "clip=0.10: the same settings as clip=0.1"),
+    ("--set clip=0.1 clip=0.2", "clip is given twice"),
+    ("--set num_agents=1,0", "num_agents=0: num_agents"),
+    ("--set num_agents=2,21", "num_agents=21: num_parked_cars"),
+    ("--set discount=0.9,1.5", "discount=1.5: discount must lie in [0, 1]"),
+    ("--set clip=-h,0.2", "clip takes values, not flags"),
+    ("--set seed=1..3", "seed is not swept"),
+    ("--name a/b", "name must be the name of one folder"),
+    ("--base gpus", "unknown preset 'gpus'; choose from ['anywhere', "),
+]
+
+
+@pytest.mark.parametrize(("flags", "said"), BAD)
+def test_a_bad_sweep_is_one_sentence_before_anything_runs(
+    flags, said, capsys, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sweeps, "run_sweep", pytest.fail)
+    assert_refused(capsys, "sweep", ["--base", "cpu", *flags.split()], said)
+    assert list(tmp_path.iterdir()) == []
