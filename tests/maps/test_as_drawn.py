@@ -35,7 +35,7 @@ ROAD = {"highway": "service"}
 @pytest.fixture
 def imported(tmp_path, monkeypatch):
     """Imports shapes without compiling a lot: bays, starts and the report."""
-    monkeypatch.setattr(assembling, "_layout", lambda *parts: parts)
+    monkeypatch.setattr(assembling, "_layout", lambda *parts: (parts, (0.0, 0.0)))
     monkeypatch.setattr(assembling, "describe_faults", lambda layout: [])
 
     def read(shapes, **flags):

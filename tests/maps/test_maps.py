@@ -183,7 +183,7 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("name", TEXTS)
 def test_damaged_maps_are_imported_or_refused(tmp_path, monkeypatch, name):
     # A lot of every size would be compiled on its own.
-    monkeypatch.setattr(assembling, "_layout", lambda *parts: parts)
+    monkeypatch.setattr(assembling, "_layout", lambda *parts: (parts, (0.0, 0.0)))
     monkeypatch.setattr(assembling, "describe_faults", lambda layout: [])
     path, told = tmp_path / name, []
     for seed in range(100):

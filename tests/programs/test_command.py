@@ -128,6 +128,8 @@ importlib.util.find_spec = lambda name: None if name in needed else find(name)
 seen, words = {}, {"layouts import": ["a.osm", "--out", "b.json"]}
 words |= {"suite": ["zero", "--cases", "1"], "sweep": ["--base", "cpu"]}
 words["scenario"] = ["a.yaml", "zero"]
+words["scenario import"] = ["a.xml", "--out", "b.yaml"]
+words["scenario export"] = ["a.yaml", "--out", "b.xosc"]
 words["report"] = ["runs/a"]
 missing = []
 for name, command in COMMANDS.items():
