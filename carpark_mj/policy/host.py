@@ -85,7 +85,7 @@ def from_torch(module: Any, env: Env = None) -> HostPolicy:
     It maps observations (n, size), of any number n, to actions.
     """
     require_packages("torch")
-    import torch
+    import torch  # pyright: ignore[reportMissingImports]
 
     name = type(module).__name__
     if isinstance(module, str | Path):
@@ -127,8 +127,15 @@ def from_sb3(model: Any, normalize: str | Path = "", env: Env = None) -> HostPol
 
 
 def _load_sb3(file: str) -> Any:
-    from stable_baselines3 import A2C, PPO, SAC, TD3
-    from stable_baselines3.common.save_util import load_from_zip_file
+    from stable_baselines3 import (  # pyright: ignore[reportMissingImports]
+        A2C,
+        PPO,
+        SAC,
+        TD3,
+    )
+    from stable_baselines3.common.save_util import (  # pyright: ignore[reportMissingImports]
+        load_from_zip_file,
+    )
 
     data = load_from_zip_file(file, device="cpu")[0] or {}
     # The policies of the first two are of the same classes.

@@ -219,7 +219,7 @@ def test_an_installed_package_is_listed_and_runs(package):
     done = command([package], (), "study", "hello", "you")
     assert (done.stdout, done.stderr) == ("hello you\n", "")
     assert "\n  hello " in command([package], (), "study").stdout
-    said = command([package], (), "train", "--help").stdout
+    said = command([package], (), "list", "presets").stdout
     assert "of another package, " in said
 
 
