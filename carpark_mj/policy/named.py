@@ -76,9 +76,19 @@ READERS: dict[str, Callable[[str], Maker]] = {
     "onnx": host.from_onnx,
     "sb3": lambda files: host.from_sb3(*files.split(",", 1)),
     "torch": host.from_torch,
-    "function": lambda home: _given.get(home) or host.from_function(Entry(home).load()),
+    "function": lambda home: _given.get(home) or host.from_function(_imported(home)),
 }
 _given: dict[str, Maker] = {}
+
+
+def _imported(home: str) -> host.Act:
+    try:
+        return Entry(home).load()
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(
+            f"function:{home} must be function:MODULE:NAME of what can be imported: "
+            f"{error}"
+        ) from error
 
 
 def name_of(make: Maker) -> str:

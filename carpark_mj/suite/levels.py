@@ -102,8 +102,10 @@ class CaseLevel:
 
 # Levels of other packages, `busy`, and those of whole lots (`carpark_mj.suite.lots`).
 EXTRA_LEVELS: Registry[CaseLevel] = Registry("level of the suite")
-# Levels of a user's files, `NAME:PATH`: readers of the path, if any, by name.
+# Levels of a user's files, `NAME:PATH`: readers of the path by name.
 FILE_LEVELS: dict[str, Callable[[str], CaseLevel]] = {}
+# Levels of a car, `NAME` or `NAME:CAR`: makers from the car, "" = the usual one.
+CAR_LEVELS: dict[str, Callable[[str], CaseLevel]] = {}
 VERSION = 1
 FILE = Path(__file__).with_name(f"held_out_{VERSION}.npz")
 SHA256 = "773f2791aba75242a8e3f765aaa6d1263017e218add2a1b30b8cffaf74989b91"
@@ -172,15 +174,17 @@ LEVELS[TPCAP_LEVEL] = CaseLevel(
 
 def find_level(level: str) -> CaseLevel:
     """A level by name; `ValueError` if there is none, or its files are faulty."""
-    name, _, path = level.partition(":")
-    if name in FILE_LEVELS:
-        return FILE_LEVELS[name](path)
+    name, colon, rest = level.partition(":")
+    if name in CAR_LEVELS:
+        return CAR_LEVELS[name](rest)
+    if colon and name in FILE_LEVELS:
+        return FILE_LEVELS[name](rest)
     if level in LEVELS:
         return LEVELS[level]
     if level in EXTRA_LEVELS:
         return EXTRA_LEVELS[level]
     files = (f"{name}:PATH" for name in FILE_LEVELS)
-    known = ", ".join((*LEVELS, *EXTRA_LEVELS, *files))
+    known = ", ".join((*LEVELS, *EXTRA_LEVELS, *CAR_LEVELS, *files))
     raise ValueError(f"level must be one of {known}, not {level!r}")
 
 

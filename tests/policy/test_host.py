@@ -130,3 +130,9 @@ def test_policies_of_other_libraries_are_evaluated_and_named(monkeypatch, tmp_pa
     monkeypatch.setitem(carpark_mj.policy.named._given, "mine", make)
     there = find_driver("function:mine", "square").env
     assert (there.observation, there.num_agents) == (FIRST.observation, 7)
+
+
+@pytest.mark.parametrize("home", ["no_such_module:act", "json:no_such", "json"])
+def test_a_function_that_cannot_be_imported_is_refused(home):
+    with pytest.raises(ValueError, match=f"function:{home}"):
+        find_named(f"function:{home}")

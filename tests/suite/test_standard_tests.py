@@ -139,3 +139,9 @@ def test_levels_take_turns_and_another_car(name):
     assert other.vehicle == "van"
     assert other.sha256 != level.sha256
     assert standard_tests.REPEATED * len(kinds) == 120 or name != "iso16787"
+
+
+@pytest.mark.parametrize("level", ["parkbench", "scenario", "iso16788"])
+def test_levels_of_files_need_a_path_and_standard_tests_a_known_name(level):
+    with pytest.raises(ValueError, match=f"not '{level}'"):
+        find_level(level)
