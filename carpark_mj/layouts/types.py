@@ -135,7 +135,7 @@ class Layout:
         yaw = self.bay_pose[..., 2]
         turns = self.bay_end == BayEnd.NOSE_FIRST
         yaw = jnp.where(turns, wrap_angle(yaw + jnp.pi), yaw)
-        return jnp.asarray(self.bay_pose).at[..., 2].set(yaw)
+        return jnp.concatenate([self.bay_pose[..., :2], yaw[..., None]], axis=-1)
 
     @property
     def has_lanes(self) -> bool:

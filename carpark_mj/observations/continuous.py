@@ -46,6 +46,8 @@ class ContinuousObservation(ObservationConfig):
             drawn from a fleet.
         own_response: observe the own steering rate and lag, drive lag and acceleration,
             brake, mass, driven axle and speed limits.
+        own_gear: observe the direction of the own last motion. A car at rest between
+            two moves then knows which it has begun.
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.
@@ -61,6 +63,7 @@ class ContinuousObservation(ObservationConfig):
     global_information: bool = False
     own_car: bool = False
     own_response: bool = False
+    own_gear: bool = False
     lines: bool = False
     rings: RingConfig = dataclasses.field(
         default_factory=lambda: RingConfig((5.0, 6.2, 8.0))
@@ -90,6 +93,7 @@ class ContinuousObservation(ObservationConfig):
             (self.route, ego.ROUTE),
             (self.own_car, ego.CAR),
             (self.own_response, ego.RESPONSE),
+            (self.own_gear, ego.GEAR),
         )
         parts += [part for on, part in optional if on]
         if agents:

@@ -194,6 +194,13 @@ RESPONSE = Part(
 )
 
 
+_GEAR = "direction of the own last motion: 1 forwards, -1 backwards, 0 = none yet"
+GEAR = Part(
+    (Field("own_gear", 1, -1.0, 1.0, _GEAR),),
+    lambda sight: {"own_gear": sight.own(sight.state.stats.direction)[..., None]},
+)
+
+
 _ROOM_LEFT = f"length and width less own [{LENGTH:g} m]"
 _BAY_FIELDS = (
     mask_field("bay"),

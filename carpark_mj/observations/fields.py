@@ -285,7 +285,7 @@ class ObservationInput:
     @property
     def motion(self) -> Motion:
         """Measured motion of the observers."""
-        return self._of_observers(self.agents)
+        return self.own(self.agents)
 
     @property
     def layout(self) -> Layout:
@@ -295,13 +295,13 @@ class ObservationInput:
     @property
     def goal(self) -> jax.Array:
         """(num_observers,) bays."""
-        return self._of_observers(self.state.goal)
+        return self.own(self.state.goal)
 
     @property
     def tracked_bays(self) -> jax.Array:
         """(num_observers, num_tracked_bays) of agents that choose their goals."""
         assert self.state.tracked_bays is not None
-        return self._of_observers(self.state.tracked_bays)
+        return self.own(self.state.tracked_bays)
 
     @property
     def obstacles(self) -> tuple[Group, ...]:
@@ -312,7 +312,7 @@ class ObservationInput:
     @property
     def vehicle(self) -> Vehicle:
         """The observers' cars."""
-        return self._of_observers(self.state.physics.vehicle)
+        return self.own(self.state.physics.vehicle)
 
     def with_goal(self, values: dict[str, jax.Array]) -> dict[str, jax.Array]:
         """Values (num_observers, k) about the goal; zeros without a goal."""
@@ -321,7 +321,8 @@ class ObservationInput:
         has_goal = (self.goal != NO_BAY)[:, None]
         return {name: jnp.where(has_goal, x, 0.0) for name, x in values.items()}
 
-    def _of_observers(self, tree: Tree) -> Tree:
+    def own(self, tree: Tree) -> Tree:
+        """Rows of the observers, of arrays (num_agents, ...)."""
         if self.num_observers is None:
             return tree
         return jax.tree.map(lambda x: x[: self.num_observers], tree)

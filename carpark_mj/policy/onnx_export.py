@@ -32,7 +32,7 @@ from carpark_mj.policy.outside import INPUTS, PlainInput, Rows, sight_of
 
 OUTPUT = "action"
 METADATA = "carpark_mj"  # key of a car model's metadata, as JSON
-NUDGES = 4
+NUDGES = 32  # with 4, one of 10,000 states of `valet` seemed too certain
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,7 @@ computes the observation.
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -65,6 +65,15 @@ INPUTS = (
     PlainInput("rear_axle", (), "m", "own, from the rear axle to the centre"),
     PlainInput("max_speed", (), "m/s", "own limit forwards"),
     PlainInput("max_steering", (), "rad", "own largest road-wheel angle"),
+    PlainInput("max_reverse_speed", (), "m/s", "own limit backwards"),
+    PlainInput("max_acceleration", (), "m/s^2", "own, at full pedal"),
+    PlainInput("max_deceleration", (), "m/s^2", "own, at full brake"),
+    PlainInput("steering_rate", (), "rad/s", "own largest, of the road wheels"),
+    PlainInput("steering_lag", (), "s", "time constant of the own steering"),
+    PlainInput("drive_lag", (), "s", "time constant of the own drive and brake"),
+    PlainInput("mass", (), "kg", "own, unloaded"),
+    PlainInput("front_drive", (), "", "share of the own drive at the front axle"),
+    PlainInput("gear", (), "", "direction of the own last motion: 1, -1 or 0 = none"),
     PlainInput("goal_pose", (3,), _POSE, f"bay to park in: {_PARKED}"),
     PlainInput("goal_size", (2,), "m", "its length and width"),
     PlainInput("goal_end", (), "", _END, "int32"),
@@ -123,17 +132,32 @@ def rows_of(state: State) -> Rows:
 
 
 class _Car(NamedTuple):
-    """What observations read of `Vehicle` (cars,)."""
+    """What observations read of `Vehicle` (cars,); `_RESPONSE` by equal names."""
 
     size: jax.Array
     wheelbase: jax.Array
     centre_offset: jax.Array
+    rated_mass: jax.Array
+    drive_share: jax.Array  # (cars, 4)
     max_speed: jax.Array
     max_steering: jax.Array
+    max_reverse_speed: jax.Array
+    max_acceleration: jax.Array
+    max_deceleration: jax.Array
+    steering_rate: jax.Array
+    steering_lag: jax.Array
+    drive_lag: jax.Array
+
+
+_RESPONSE = _Car._fields[5:]
 
 
 class _Physics(NamedTuple):
     vehicle: Any
+
+
+class _Stats(NamedTuple):
+    direction: jax.Array
 
 
 def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
@@ -156,8 +180,15 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         trace_w=pose[:, None],
         finite=present,
     )
-    limits = cars("max_speed"), cars("max_steering")
-    car = _Car(motion.size, cars("wheelbase"), cars("rear_axle"), *limits)
+    front = cars("front_drive")[:, None] / 2.0
+    car = _Car(
+        size=motion.size,
+        wheelbase=cars("wheelbase"),
+        centre_offset=cars("rear_axle"),
+        rated_mass=cars("mass"),
+        drive_share=jnp.concatenate([front, front, 0.5 - front, 0.5 - front], axis=-1),
+        **{name: cars(name) for name in _RESPONSE},
+    )
     layout = _layout(rows, given)
     if rows.bays:
         number = jnp.arange(rows.bays, dtype=jnp.int32)
@@ -180,7 +211,7 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         memory=unread,
         step=unread,
         active=unread,
-        stats=unread,
+        stats=cast(Any, _Stats(cars("gear"))),
         sensors=None,
         key=unread,
         present=present,
@@ -238,8 +269,10 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
         "size": motion.size,
         "wheelbase": car.wheelbase,
         "rear_axle": car.centre_offset,
-        "max_speed": car.max_speed,
-        "max_steering": car.max_steering,
+        "mass": car.rated_mass,
+        "front_drive": car.drive_share[..., :2].sum(axis=-1),
+        "gear": state.stats.direction,
+        **{name: getattr(car, name) for name in _RESPONSE},
     }
     shared = ("pose", "size", "speed", "steering", "max_steering")
     values |= {f"other_{name}": values[name][other] for name in shared}

@@ -75,7 +75,9 @@ VALET = dataclasses.replace(
         snug=0.5,
     ),
     episode=EpisodeConfig(max_steps=500, parked_rule="exact"),  # 100 s
-    observation=dataclasses.replace(OBSERVATION, tracked_agents=0, own_response=True),
+    observation=dataclasses.replace(
+        OBSERVATION, tracked_agents=0, own_response=True, own_gear=True
+    ),
     # [est] of a good localisation.
     sensors=SensorConfig(position_noise=0.01, heading_noise=0.003, speed_noise=0.03),
 )

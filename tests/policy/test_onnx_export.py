@@ -15,6 +15,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.cli.export import environment_rows
 from carpark_mj.config import (
     EnvConfig,
+    FleetConfig,
     GoalConfig,
     RayConfig,
     RingConfig,
@@ -150,12 +151,16 @@ def test_another_policy_or_a_broken_one_is_a_difference():
 
 LOTS = 32
 MORE = {"square": {"others": 9, "parked": 24, "walls": 30, "discs": 2}}
+# Lots that compile in seconds, with required ends, and cars of different response.
+FLEET = FleetConfig(agents=("compact", "city"))
+SIMPLER = {"valet": {"layout": "clutter", "fleet": FLEET}}
 
 
 @functools.cache
 def driven(name):
     """A shipped policy, rows of a model of it, and states in its environment."""
-    loaded = load_policy(name)
+    env = dataclasses.replace(load_policy(name).env, **SIMPLER.get(name, {}))
+    loaded = load_policy(name, env=env)
     rows = environment_rows(loaded.env, MORE.get(name, {}))
     # Random motion takes the place of any physics.
     return loaded, rows, *states(ParkingEnv(loaded.env, SlidePhysics()), rows)
@@ -165,7 +170,7 @@ def states(env, rows):
     """Inputs and observations of all agents of random lots, in random motion."""
 
     def draw(key):
-        start, speed, yaw_rate, steering, choice = jax.random.split(key, 5)
+        start, speed, yaw_rate, steering, choice, gear = jax.random.split(key, 6)
         state, _ = env.reset(start)
         motion, cars = state.motion, state.goal.shape
         motion = dataclasses.replace(
@@ -174,7 +179,9 @@ def states(env, rows):
             yaw_rate=jax.random.uniform(yaw_rate, cars, minval=-1.0),
             steering=jax.random.uniform(steering, cars, minval=-0.5, maxval=0.5),
         )
-        state = dataclasses.replace(state, motion=motion)
+        direction = jax.random.randint(gear, cars, -1, 2).astype(jnp.float32)
+        stats = dataclasses.replace(state.stats, direction=direction)
+        state = dataclasses.replace(state, motion=motion, stats=stats)
         if state.tracked_bays is not None:  # some have chosen a bay
             goal = jnp.where(
                 jax.random.bernoulli(choice, 0.5, cars),
@@ -191,12 +198,13 @@ def states(env, rows):
 
 
 @pytest.mark.parametrize(
-    "name", ["square", "dynamic", pytest.param("anywhere", marks=pytest.mark.slow)]
+    "name",
+    ["square", "dynamic", "valet", pytest.param("anywhere", marks=pytest.mark.slow)],
 )
 def test_it_acts_as_the_policy_does_in_the_environment(name):
     loaded, rows, known, seen = driven(name)
     model = make_car_model(loaded, rows)
-    assert len(seen) >= 90
+    assert len(seen) >= LOTS
     action = decisions(make_session(model), known)
     expected = policy_actions(loaded, seen)
     np.testing.assert_allclose(action, expected, atol=1e-5, rtol=0)

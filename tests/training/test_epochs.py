@@ -235,7 +235,7 @@ def test_a_critic_that_learns_to_see_judges_as_before():
 
     before, theirs, fewer = begin(blind, jax.random.key(0))
     after, new, size = begin(sees, jax.random.key(1))
-    ours = widen(config, blind, theirs, new)
+    ours = widen(config, config.networks, blind, theirs, new)
     assert jax.tree.map(jnp.shape, ours) == jax.tree.map(jnp.shape, new)
     rng = np.random.default_rng(2)
     seen = rng.uniform(size=(5, size)).astype(np.float32)  # pictures come last

@@ -175,32 +175,38 @@ def test_probabilities_are_half_by_share_half_by_shortfall(rates, expected):
     np.testing.assert_allclose(THREE.probabilities(jnp.array(rates)), expected, 1e-5)
 
 
-def updated(rates, member, episodes, parked):
+def updated(rates, member, episodes, parked, length):
     """Rates after an unroll of agents (devices, n) in three members."""
 
-    def update(member, episodes, parked):
-        totals = Totals(episodes, {"parked": parked}, {})
+    def update(member, episodes, parked, length):
+        totals = Totals(episodes, {"parked": parked, "length": length}, {})
         return THREE.update(jnp.array(rates), {"member": member}, totals, "devices")
 
-    numbers = (jnp.asarray(x, jnp.float32) for x in (episodes, parked))
+    numbers = (jnp.asarray(x, jnp.float32) for x in (episodes, parked, length))
     after = jax.vmap(update, axis_name="devices")(jnp.asarray(member), *numbers)
     np.testing.assert_array_equal(after, np.broadcast_to(after[0], after.shape))
     return after[0]
 
 
-def test_rates_are_running_means_by_episodes_of_each_member():
+def test_rates_are_running_means_by_steps_of_each_member():
     after = updated(
         (0.5, 0.5, 0.2),
         member=[[0, 1], [0, 1]],
         episodes=[[3.0, 2.0], [1.0, 0.0]],
         parked=[[2.0, 0.0], [1.0, 0.0]],
+        length=[[90.0, 70.0], [30.0, 0.0]],
     )
     old = (1 - 1 / MEMORY) ** np.array([4.0, 2.0])
+    # Of 120 steps, 60 and 30 were of episodes that parked.
     expected = [*(old * 0.5 + (1 - old) * (0.75, 0.0)), 0.2]
     np.testing.assert_allclose(after, expected, rtol=1e-5)
     # So many episodes leave nothing of what was before.
-    far = updated((0.5, 0.5, 0.2), [[2]], [[20 * MEMORY]], [[5 * MEMORY]])
+    many = 20 * MEMORY
+    far = updated((0.5, 0.5, 0.2), [[2]], [[many]], [[many / 4]], [[many]])
     np.testing.assert_allclose(far, [0.5, 0.5, 0.25], atol=1e-6)
+    # A lot of long episodes that time out is half of the lots, not a tenth.
+    lots = [[0, 0]], [[9 * many, many]], [[9 * many, 0.0]], [[90 * many, 90 * many]]
+    assert float(updated((0.9, 0.5, 0.2), *lots)[0]) == pytest.approx(0.5)
 
 
 def test_pairs_are_drawn_half_by_their_shortfall():
@@ -221,7 +227,7 @@ def test_pairs_are_drawn_half_by_their_shortfall():
 def test_rates_of_pairs_are_reported_as_means():
     many = 20 * MEMORY  # episodes that leave nothing of what was before
     parked = jnp.array([0.1, 0.2, 0.3, 0.4]) * many
-    totals = Totals(jnp.full(4, many), {"parked": parked}, {})
+    totals = Totals(jnp.full(4, many), {"parked": parked, "length": parked * 50}, {})
     info = {"member": jnp.array([1, 0, 0, 1]), "num_present": jnp.array([2, 2, 1, 1])}
     update = jax.vmap(PAIRS.update, (0, None, None, None), axis_name="devices")
     (rates,) = update(PAIRS.init()[None], info, totals, "devices")

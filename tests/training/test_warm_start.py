@@ -116,10 +116,10 @@ def test_a_policy_alone_rests_while_a_critic_learns(other, tmp_path):
 
 
 SHARE = ShareConfig(steering=True, priority=True)
-MORE = ContinuousObservation(own_car=True, lines=True, share=SHARE)
-WIDER = insert(TINY, {"env.observation": MORE})
+MORE = ContinuousObservation(own_car=True, own_gear=True, lines=True, share=SHARE)
+WIDER = insert(TINY, {"env.observation": MORE, "networks.own_size": 16})
 NEW = {"own_size", "own_wheelbase", "own_rear_axle", "own_turning_radius"}
-NEW |= {"line_room", "agent_0_steering", "agent_0_priority"}
+NEW |= {"own_gear", "line_room", "agent_0_steering", "agent_0_priority"}
 
 
 def names_of(env):
@@ -188,7 +188,9 @@ def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
         part: state.replace(count=count, std_eps=0.0)
         for part, state in theirs.normalizer.items()
     }
-    wide = widen(WIDER, TINY.env, {"normalizer": seen}, {"normalizer": {}})
+    wide = widen(
+        WIDER, TINY.networks, TINY.env, {"normalizer": seen}, {"normalizer": {}}
+    )
     wide, inputs = wide["normalizer"], parked_learner(WIDER).inputs
     new = np.isin(own_names(WIDER.env), sorted(NEW))
     np.testing.assert_array_equal(wide["own"].mean[new], 0.0)
@@ -255,7 +257,9 @@ def test_near_rays_keep_their_bearings():
     theirs = init_normalizer(parked_learner(few).inputs)
     numbered = np.arange(old.size, dtype=np.float32)
     theirs = theirs | {"own": theirs["own"].replace(mean=numbered)}
-    wide = widen(many, few.env, {"normalizer": theirs}, {"normalizer": {}})
+    wide = widen(
+        many, few.networks, few.env, {"normalizer": theirs}, {"normalizer": {}}
+    )
     found = np.asarray(wide["normalizer"]["own"].mean)[new]
     np.testing.assert_array_equal(found[::3], numbered[old])
     np.testing.assert_array_equal(np.delete(found, np.s_[::3]), 0.0)

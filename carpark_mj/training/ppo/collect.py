@@ -272,17 +272,21 @@ class Families:
         """Rates (pairs,) after an unroll with some totals; the same on all devices.
 
         They are running means of parked episodes, exponential in the number of
-        episodes. `info` is that of the lots' Brax state, `axis` that of the devices.
+        episodes. An episode counts as much as it has steps: lots where it takes long
+        see fewer episodes, and would hardly count. `info` is that of the lots' Brax
+        state, `axis` that of the devices.
         """
         pair = info["member"] * len(self.counts)
         if len(self.counts) > 1:
             pair += info["num_present"] - self.counts.start
         drove = pair == jnp.arange(rates.shape[0])[:, None]
-        sums = jnp.stack([totals.episodes, totals.episode_metrics["parked"]])
+        steps, parked = (totals.episode_metrics[name] for name in ("length", "parked"))
+        parked = steps * parked / jnp.maximum(totals.episodes, 1.0)
+        sums = jnp.stack([totals.episodes, steps, parked])
         sums = jnp.where(drove, sums[:, None], 0.0).sum(axis=-1)
-        episodes, parked = jax.lax.psum(sums, axis)
+        episodes, steps, parked = jax.lax.psum(sums, axis)
         kept = (1.0 - 1.0 / MEMORY) ** episodes
-        return kept * rates + (1.0 - kept) * parked / jnp.maximum(episodes, 1.0)
+        return kept * rates + (1.0 - kept) * parked / jnp.maximum(steps, 1.0)
 
     def metrics(self, rates: jax.Array) -> dict[str, jax.Array]:
         """Means of the rates (pairs,) by member and number of agents, for the log."""

@@ -41,9 +41,10 @@ class CurriculumConfig(CheckedConfig):
             in the environment.
         misaligned_ratio: share of starts in the goal bay, over its lines by centimetres
             or askew; 0 = as in the environment.
-        target_rate: success rate to reach in every family of a mixture: half of the new
-            lots (`lot_life`) favour families and numbers of agents far below it. 0 =
-            off; no effect on a single layout or without `lot_life`.
+        target_rate: success rate, of episodes weighted by their steps, to reach in
+            every family of a mixture: half of the new lots (`lot_life`) favour families
+            and numbers of agents far below it. 0 = off; no effect on a single layout or
+            without `lot_life`.
         neighbour_share: weight, at the end, of the mean advantage of the other agents
             within 15 m, which is added to an agent's own. 0 until progress 0.2, then
             rising linearly until 0.6. One agent has no neighbours.

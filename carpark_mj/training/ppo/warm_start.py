@@ -4,8 +4,8 @@
 evaluated. A pretrained policy has no critic: a new one learns first. Agents may observe
 more: weights of new fields begin at zero, so that the networks act as they did; their
 running statistics begin at mean 0 and standard deviation 1, for observations are of
-order 1. Entities of a new kind have layers and statistics of their own, as of a new
-run; what reads their features begins at zero.
+order 1. Entities of a new kind, and more features of the agent's own numbers, begin as
+of a new run; what reads them begins at zero.
 
 *Teachers.* As in DAgger (Ross et al. 2011) the learner drives, so that it learns what
 to do where it gets to itself; as in kickstarting (Schmitt et al. 2018) the imitation is
@@ -62,10 +62,11 @@ def require_run(config: PPOConfig) -> None:
         raise ValueError(f"{config.warm_start} has no networks for a warm start")
     alike = {"min_std": own.min_std, "max_std": own.max_std}  # no weight's shape
     alike |= {} if has_critic else {"value_layers": own.value_layers}
+    alike["own_size"] = max(theirs.own_size, own.own_size)
     if replace(theirs, **alike) != own:
         raise ValueError(
             f"{config.warm_start} has {theirs}: a warm start needs the same networks, "
-            f"not {own}"
+            f"or a larger own_size, not {own}"
         )
 
 
@@ -81,20 +82,23 @@ def warm_start(config: PPOConfig, state: TrainingState) -> TrainingState:
     run, see `widen`.
     """
     run = load_policy(config.warm_start)
-    added = new_fields(config, run.env)
-    if not added:
-        load_policy(config.warm_start, env=config.env)  # refuses what does not fit
-    else:
+    header = checkpoints.read_header(run.path)
+    theirs = network_config(header) or config.networks
+    grows = theirs.own_size < config.networks.own_size
+    if added := new_fields(config, run.env):
         require_actions(config.warm_start, run.env, config.env)
-    shapes = network_shapes(config.networks, run.env)
+    else:
+        load_policy(config.warm_start, env=config.env)  # refuses what does not fit
+    networks = replace(config.networks, own_size=theirs.own_size)
+    shapes = network_shapes(networks, run.env)
     # Optimizer, schedules, lots and counters are the run's own.
     template = {"normalizer": shapes["normalizer"], "average": shapes["policy"]}
     if _has_critic(run.path):
         template["value"] = shapes["value"]
     found = checkpoints.load(run.path, template)
     checkpoints.require_finite(run.path, found)
-    if added:
-        found = widen(config, run.env, found, vars(state))
+    if added or grows:
+        found = widen(config, networks, run.env, found, vars(state))
     # A copy: an update takes over the memory of both.
     actor = jax.tree.map(jnp.copy, found["average"])
     return replace(state, policy=actor, **found)
@@ -133,14 +137,19 @@ def new_fields(config: PPOConfig, env: EnvConfig) -> list[str]:
 
 
 def widen(
-    config: PPOConfig, env: EnvConfig, taken: dict[str, Any], new: dict[str, Any]
+    config: PPOConfig,
+    networks: NetworkConfig,
+    env: EnvConfig,
+    taken: dict[str, Any],
+    new: dict[str, Any],
 ) -> dict[str, Any]:
-    """Normalizer and networks of a run in `env`, for agents that observe more.
+    """Normalizer and networks of a run in `env`, for larger ones of a training.
 
+    Its agents may observe more, and have more `own_size` than the run's `networks`.
     `taken` are the `normalizer` and networks by name, and `new` the same of a training
     that takes nothing over.
     """
-    ours, theirs = (_places(config.networks, each) for each in (config.env, env))
+    ours, theirs = _places(config.networks, config.env), _places(networks, env)
     rows = {
         part: (len(ours[part]), np.array([ours[part].index(name) for name in names]))
         for part, names in theirs.items()
@@ -157,17 +166,17 @@ def widen(
             return weights
         return _spread(weights, 0.0, *rows[part])
 
-    networks = {name: tree for name, tree in taken.items() if name != "normalizer"}
-    networks = jax.tree_util.tree_map_with_path(widen_layer, networks)
-    networks = {name: _over(tree, new[name]) for name, tree in networks.items()}
-    return {"normalizer": normalizer, **networks}
+    found = {name: tree for name, tree in taken.items() if name != "normalizer"}
+    found = jax.tree_util.tree_map_with_path(widen_layer, found)
+    found = {name: _over(tree, new[name]) for name, tree in found.items()}
+    return {"normalizer": normalizer, **found}
 
 
 def _over(tree: Any, under: Any) -> Any:
-    """A tree of dictionaries, and what only the other has."""
-    if not isinstance(tree, dict):
-        return tree
-    return under | {name: _over(part, under[name]) for name, part in tree.items()}
+    """A tree of dictionaries, and what only the other has: names, later columns."""
+    if isinstance(tree, dict):
+        return under | {name: _over(part, under[name]) for name, part in tree.items()}
+    return jnp.asarray(under).at[..., : tree.shape[-1]].set(tree)
 
 
 def _places(networks: NetworkConfig, env: EnvConfig) -> dict[str, list[str]]:
