@@ -1,7 +1,14 @@
 """The ROS 2 example without ROS: its mappings fit the messages that it names."""
 
+import ast
+import configparser
+import json
 import math
+import runpy
+import socket
 import sys
+import threading
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from helpers.programs import ROOT
@@ -9,6 +16,8 @@ from helpers.programs import ROOT
 sys.path.append(str(ROOT / "examples" / "ros2"))
 
 from carpark_mj_ros.messages import COMMAND, TOPICS, action, messages
+
+PACKAGE = ROOT / "examples" / "ros2"
 
 # Fields of the packages common_interfaces and rcl_interfaces.
 _STAMP = {"sec": int, "nanosec": int}
@@ -69,7 +78,7 @@ def test_messages_fit_their_types():
     assert turn["w"] == pytest.approx(math.sqrt(0.5))
     assert found["outcome"] == {"data": "crashed"}
     assert "goal" not in messages(ANSWER | {"goal": [None]})
-    packages = (ROOT / "examples" / "ros2" / "package.xml").read_text()
+    packages = (PACKAGE / "package.xml").read_text()
     for kind in (*TOPICS.values(), COMMAND):
         assert f"<exec_depend>{kind.split('/')[0]}<" in packages
 
@@ -85,3 +94,95 @@ def test_messages_fit_their_types():
 def test_commands_become_actions(asked, speed, expected):
     drive = dict(zip(("steering_angle", "speed"), asked, strict=True))
     assert action(drive, speed, 0.6) == pytest.approx(expected)
+
+
+def test_colcon_installs_the_node_where_ros2_run_looks(monkeypatch):
+    given = {}
+    monkeypatch.setattr("setuptools.setup", lambda **settings: given.update(settings))
+    runpy.run_path(str(PACKAGE / "setup.py"))
+    name = given["name"]
+    assert f"<name>{name}</name>" in (PACKAGE / "package.xml").read_text()
+    files = dict(given["data_files"])
+    # The marker by which ROS finds packages is an empty file of their name.
+    assert files["share/ament_index/resource_index/packages"] == [f"resource/{name}"]
+    assert all((PACKAGE / file).is_file() for many in files.values() for file in many)
+    [script] = given["entry_points"]["console_scripts"]
+    module, _, function = script.partition("=")[2].strip().partition(":")
+    tree = ast.parse((PACKAGE / f"{module.replace('.', '/')}.py").read_text())
+    assert function in {getattr(node, "name", "") for node in tree.body}
+    config = configparser.ConfigParser()
+    config.read(PACKAGE / "setup.cfg")
+    assert config["install"]["install_scripts"] == f"$base/lib/{name}"
+
+
+class FakeNode:
+    """As much of `rclpy.node.Node` as the example uses."""
+
+    port = 0
+
+    def __init__(self, name):
+        self.name, self.parameters, self.published = name, {}, {}
+
+    def declare_parameter(self, name, value):
+        self.parameters[name] = FakeNode.port if name == "port" else value
+
+    def get_parameter(self, name):
+        return SimpleNamespace(value=self.parameters[name])
+
+    def create_publisher(self, _kind, name, _depth):
+        kept = self.published.setdefault(name, [])
+        return SimpleNamespace(publish=kept.append)
+
+    def create_subscription(self, _kind, name, call, _depth):
+        self.subscribed = name, call
+
+    def create_timer(self, period, call):
+        self.timer = period, call
+
+
+def test_the_node_steps_the_lot_and_publishes(monkeypatch):
+    fakes = {
+        "rclpy": {"init": None, "spin": None},
+        "rclpy.node": {"Node": FakeNode},
+        "rosidl_runtime_py": {},
+        "rosidl_runtime_py.set_message": {
+            "set_message_fields": lambda message, fields: message.__dict__.update(
+                fields
+            )
+        },
+        "rosidl_runtime_py.utilities": {
+            "get_message": lambda kind: lambda: SimpleNamespace(kind=kind)
+        },
+    }
+    for name, parts in fakes.items():
+        module = ModuleType(name)
+        module.__dict__.update(parts)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.delitem(sys.modules, "carpark_mj_ros.node", raising=False)
+    from carpark_mj_ros.node import Lot
+
+    asked = []
+
+    def answer(listener):
+        connection, _ = listener.accept()
+        with connection, connection.makefile("rw") as stream:
+            for line in stream:
+                asked.append(json.loads(line))
+                print(json.dumps(ANSWER), file=stream, flush=True)
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        monkeypatch.setattr(FakeNode, "port", listener.getsockname()[1])
+        threading.Thread(target=answer, args=(listener,), daemon=True).start()
+        node = Lot()
+        topic, keep = node.subscribed
+        assert topic == "command"
+        keep(SimpleNamespace(drive=SimpleNamespace(steering_angle=0.3, speed=0.0)))
+        node.timer[1]()
+        node._file.close()
+        node._lines.close()
+    # The car reverses at 0.5 m/s, and shall stand.
+    assert asked == [{"reset": {"seed": 0}}, {"action": [[0.5, 0.5]]}]
+    assert node.published.keys() == TOPICS.keys()
+    for name, sent in node.published.items():
+        assert [message.kind for message in sent] == [TOPICS[name]] * 2
+    assert node.published["outcome"][1].data == "crashed"

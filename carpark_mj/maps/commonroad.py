@@ -84,13 +84,15 @@ def _add_problem(plan: Plan, name: str, element: Any) -> None:
         length, width = swept_size(DesignCar())
         start = Box(*pose, length + 2 * _ROOM, width + 2 * _ROOM)
         plan.features.append(Feature("start", start.shape, name, yaw=pose[2]))
+    seen: set[str] = set()  # two states of an area are two headings in one bay
     for k, position in enumerate(element.iterfind("goalState/position")):
         goal = f"{name}.{k}" if k else name
         shapes = shapes_in(position)
         if not shapes:
             plan.report.lost[goal] = "its goal has no outline"
-        for shape in shapes:
-            plan.features.append(Feature("bay", shape, goal))
+        new = {shape.wkt: shape for shape in shapes if shape.wkt not in seen}
+        seen |= {*new}
+        plan.features.extend(Feature("bay", shape, goal) for shape in new.values())
 
 
 def state_pose(state: Any) -> tuple[float, float, float] | None:

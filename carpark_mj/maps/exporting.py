@@ -67,17 +67,17 @@ def opendrive_text(layout: Layout) -> str:
     def box(size: Any) -> str:
         return f'length="{size[0]:.6f}" width="{size[1]:.6f}"'
 
-    for pose, size, kind in _rows(layout, "bay", "pose", "size", "kind"):
+    for pose, size, kind in rows_of(layout, "bay", "pose", "size", "kind"):
         name, access = BayKind(kind).name, "all"
         access = "handicapped" if kind == BayKind.ACCESSIBLE else access
         note = "" if kind == BayKind.STANDARD else name.lower()
         space = _SPACE.format(access=access, kind=note)
         add("parkingSpace", name, pose, box(size), 0.0, space)
-    for pose, size, kind in _rows(layout, "wall", "pose", "size", "kind"):
+    for pose, size, kind in rows_of(layout, "wall", "pose", "size", "kind"):
         what = "trafficIsland" if kind == WallKind.ISLAND else "barrier"
         height = KERB_HEIGHT if kind == WallKind.KERB else WALL_HEIGHT
         add(what, WallKind(kind).name, pose, box(size), height)
-    for centre, radius, kind in _rows(layout, "disc", "centre", "radius", "kind"):
+    for centre, radius, kind in rows_of(layout, "disc", "centre", "radius", "kind"):
         tube = f'radius="{radius:.6f}"'
         add("pole", DiscKind(kind).name, (*centre, 0.0), tube, POLE_HEIGHT)
 
@@ -95,7 +95,7 @@ def opendrive_text(layout: Layout) -> str:
         return _ROAD.format(number=number, length=length, **at)
 
     roads = [road(0, (-x, 0.0, 0.0), 2 * x, "parking", y, y)]
-    for pose, size, one_way in _rows(layout, "lane", "pose", "size", "one_way"):
+    for pose, size, one_way in rows_of(layout, "lane", "pose", "size", "one_way"):
         start = _turned(pose, (-size[0] / 2, size[1] / 2))
         kind = "driving" if one_way else "bidirectional"
         at = (*start, pose[2])
@@ -125,41 +125,42 @@ def lanelet2_text(layout: Layout) -> str:
             refs.append(f'<nd ref="{new("node", nodes, "", at, **place)}"/>')
         return new("way", ways, "".join(refs + refs[: int(closed)]), **tags)
 
-    def line(pose: Any, size: Any, aside: float = 0.0) -> list[np.ndarray]:
-        """The axis of a box along its heading, or a parallel so far to the left."""
-        return [_turned(pose, (end * size[0] / 2, aside)) for end in (-1, 1)]
-
-    for pose, size, one_way in _rows(layout, "lane", "pose", "size", "one_way"):
+    for pose, size, one_way in rows_of(layout, "lane", "pose", "size", "one_way"):
         members = ""
         for side, sign in (("left", 1), ("right", -1)):
-            points = line(pose, size, sign * size[1] / 2)
+            points = axis(pose, size, sign * size[1] / 2)
             border = way(points, type="line_thin", subtype="dashed")
             members += f'<member type="way" ref="{border}" role="{side}"/>'
         tags = {"type": "lanelet", "subtype": "road", "location": "private"}
         tags |= {"one_way": "yes" if one_way else "no", "participant:vehicle": "yes"}
         new("relation", relations, members, **tags)
-    for pose, size in _rows(layout, "bay", "pose", "size"):
-        way(line(pose, size), type="parking_space", width=f"{size[1]:.6f}")
-    for pose, size, kind in _rows(layout, "wall", "pose", "size", "kind"):
+    for pose, size in rows_of(layout, "bay", "pose", "size"):
+        way(axis(pose, size), type="parking_space", width=f"{size[1]:.6f}")
+    for pose, size, kind in rows_of(layout, "wall", "pose", "size", "kind"):
         what = "curbstone" if kind == WallKind.KERB else "wall"
-        way(line(pose, size), type=what, width=f"{size[1]:.6f}")
+        way(axis(pose, size), type=what, width=f"{size[1]:.6f}")
     angles = np.linspace(0.0, math.tau, CORNERS, endpoint=False)
     # As large as the disc.
     factor = math.sqrt(math.tau / (CORNERS * math.sin(math.tau / CORNERS)))
-    for centre, radius in _rows(layout, "disc", "centre", "radius"):
+    for centre, radius in rows_of(layout, "disc", "centre", "radius"):
         ring = factor * radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         way(centre + ring, True, type="columns", area="yes")
-    for pose, size in _rows(layout, "spawn", "pose", "size"):
+    for pose, size in rows_of(layout, "spawn", "pose", "size"):
         ground = np.asarray(box_corners(pose, size + np.array(swept_size(DesignCar()))))
         way(ground, True, type="parking_lot", area="yes")
     return xml_text(f'<osm version="0.6">{"".join(nodes + ways + relations)}</osm>')
 
 
-def _rows(layout: Layout, kind: str, *parts: str) -> Iterator[Any]:
+def rows_of(layout: Layout, kind: str, *parts: str) -> Iterator[Any]:
     """The rows of a kind, `bay` or another of `ROWS`, with some of their fields."""
     mask = np.asarray(getattr(layout, f"{kind}_mask"))
     columns = (np.asarray(getattr(layout, f"{kind}_{part}"))[mask] for part in parts)
     return zip(*columns, strict=True)
+
+
+def axis(pose: Any, size: Any, aside: float = 0.0) -> list[np.ndarray]:
+    """The axis of a box along its heading, or a parallel so far to the left."""
+    return [_turned(pose, (end * size[0] / 2, aside)) for end in (-1, 1)]
 
 
 def _turned(pose: Any, local: tuple[float, float]) -> np.ndarray:

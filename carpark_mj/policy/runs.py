@@ -45,18 +45,23 @@ def from_dict(cls: Any, data: Any) -> Any:
     """Rebuilds a config, which checks itself, from a dictionary of its `asdict`."""
     if not isinstance(data, dict):
         raise ValueError(f"{cls.__name__} needs a dictionary, not {data!r}")
-    hints = typing.get_type_hints(cls)
-    names = {field.name for field in dataclasses.fields(cls)}
+    hints, fields = typing.get_type_hints(cls), dataclasses.fields(cls)
     for name in map(str, data):  # YAML has numbers, too
-        require_name(f"{cls.__name__} setting", name, names)
+        require_name(f"{cls.__name__} setting", name, {field.name for field in fields})
+    unset = dataclasses.MISSING
+    needed = [x.name for x in fields if x.default is x.default_factory is unset]
+    if missing := [name for name in needed if name not in data]:
+        raise ValueError(f"{cls.__name__} lacks {', '.join(missing)}")
     return cls(**{name: from_json(hints[name], value) for name, value in data.items()})
 
 
 def from_json(hint: Any, value: Any) -> Any:
-    """Rebuilds a value of a type from its JSON.
+    """Rebuilds a value of a type from its JSON; a config stays what it is.
 
     Lists become tuples, and settings of parts that have a name their config.
     """
+    if dataclasses.is_dataclass(value):
+        return value
     for kind in (hint, *typing.get_args(hint)):  # of a union the one that is a config
         if dataclasses.is_dataclass(kind) and (kind is hint or isinstance(value, dict)):
             return from_dict(kind, value)

@@ -165,7 +165,7 @@ def _require_start(
     """Refuses a car that touches an obstacle at every possible start."""
     if is_made_for(lot, car):
         return
-    size = jnp.array(_size(car), jnp.float32)
+    size = jnp.asarray(_size(car))
     for region in np.flatnonzero(layout.spawn_mask):
         if not _touches_everywhere(layout, region, size):
             return
@@ -210,7 +210,7 @@ def _num_goals(config: EnvConfig) -> int:
 
 
 def _size(car: VehicleParameters) -> np.ndarray:
-    return np.array([car.length, car.width])
+    return np.array([car.length, car.width], np.float32)  # as bays have theirs
 
 
 def _require_entry(name: str, car: VehicleParameters, entries: Sequence[Entry]) -> None:

@@ -1,6 +1,7 @@
 """Commands: scenarios from and to files of other programs."""
 
 import dataclasses
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from carpark_mj.layouts.files import layout_text
 from carpark_mj.layouts.types import Layout
 from carpark_mj.maps.exporting import opendrive_text
 from carpark_mj.reading import naming_file
-from carpark_mj.suite.commonroad import read_commonroad, solution_text
+from carpark_mj.suite.commonroad import commonroad_text, read_commonroad, solution_text
 from carpark_mj.suite.openscenario import openscenario_text, read_openscenario
 from carpark_mj.suite.parkbench import read_parkbench
 from carpark_mj.suite.results import key_of, read_runs
@@ -26,8 +27,8 @@ IN_BAY = 0.3  # m, or rad: a car that stands so near to a bay's pose parks in it
 def read(config: ScenarioImportConfig) -> None:
     """Writes the scenario, and its lot if the file has one; says what was left out."""
     path, out = Path(config.file), Path(config.out)
+    beside, layout = out.with_suffix(".lot.json"), None
     require_writable(out)
-    layout = None
     with naming_file(path):
         if path.suffix == ".xosc":
             found, notes = read_openscenario(path)
@@ -35,21 +36,26 @@ def read(config: ScenarioImportConfig) -> None:
             found, layout, notes = read_commonroad(path)
         else:
             found, layout, notes = _parkbench(path)
-    lot = config.lot
-    if layout is not None:
-        beside = out.with_suffix(".lot.json")
-        write_text(beside, layout_text(layout))
-        print(f"wrote {beside}")
-        lot = str(beside)
-    found = {"lot": lot, "vehicle": config.vehicle} | found
+    found = {"lot": config.lot, "vehicle": config.vehicle} | found
     if config.goal is not None:
         found["goal"] = config.goal
     found = _plain(found)
-    with naming_file(path):
-        scenario = make_scenario(found)  # refuses what cannot be
+    with naming_file(path), tempfile.TemporaryDirectory() as folder:
+        if layout is not None:
+            require_writable(beside)
+            kept = Path(folder, beside.name)
+            write_text(kept, layout_text(layout))
+            found["lot"] = str(kept)
+        scenario = make_scenario(
+            found
+        )  # refuses what cannot be, before a file is there
     found = _in_bays(found, scenario)
     for note in notes:
         print(note)
+    if layout is not None:
+        found["lot"] = str(beside)
+        write_text(beside, layout_text(layout))
+        print(f"wrote {beside}")
     write_text(out, yaml.safe_dump(found, sort_keys=False, default_flow_style=None))
     print(f"wrote {out}: {len(found['movers'])} movers")
 
@@ -96,14 +102,18 @@ def _in_bays(found: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
 
 
 def write(config: ScenarioExportConfig) -> None:
-    """Writes OpenSCENARIO and its map, or the drives of a run as solutions."""
+    """Writes OpenSCENARIO and its map, CommonRoad, or a run's drives as solutions."""
     scenario, out = read_scenario(Path(config.file)), Path(config.out)
     require_writable(out)
     if not config.run:
-        lot = out.with_suffix(".xodr")
-        write_text(lot, opendrive_text(scenario.layout))
-        write_text(out, openscenario_text(scenario, lot.name))
-        print(f"wrote {lot}\nwrote {out}")
+        if out.suffix == ".xml":
+            text, notes = commonroad_text(scenario)
+        else:
+            lot = out.with_suffix(".xodr")
+            write_text(lot, opendrive_text(scenario.layout))
+            text, notes = openscenario_text(scenario, lot.name), [f"wrote {lot}"]
+        write_text(out, text)
+        print(*notes, f"wrote {out}", sep="\n")
         return
     episodes, drives = read_runs([Path(config.run)])
     lengths = {key_of(row): round(row["length"]) for row in episodes}

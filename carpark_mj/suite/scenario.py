@@ -89,8 +89,8 @@ class Goal(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require("the heading of goal.pose", self.pose[2], HEADING)
-        require("goal.size", self.size, SIZE)
+        require("the heading of pose", self.pose[2], HEADING)
+        require("size", self.size, SIZE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,6 +159,8 @@ class Scenario(CheckedConfig):
         require("the heading of start", self.start[2], HEADING)
         find_rules(self.rule_name)
         car = preset(self.vehicle)
+        speeds = Bounds(ge=-car.max_reverse_speed, le=car.max_speed, unit="m/s")
+        require("speed", self.speed, speeds)
         layout = self.layout  # refuses unknown and random lots
         require_bays("goal", (self.goal_bay,), layout)
         bay, own = layout.bay_size[self.goal_bay], (car.length, car.width)
@@ -188,7 +190,9 @@ class Scenario(CheckedConfig):
     @functools.cached_property
     def layout(self) -> Layout:
         """The lot with the scenario's own bay, as numpy arrays."""
-        layout = jax.device_get(make_layout(self.lot, jax.random.key(self.seed)))
+        # The first that `carpark_mj layouts --seed` draws.
+        key = jax.random.fold_in(jax.random.key(self.seed), 0)
+        layout = jax.device_get(make_layout(self.lot, key))
         return _with_bay(layout, self.goal) if isinstance(self.goal, Goal) else layout
 
     @functools.cached_property
@@ -288,6 +292,14 @@ class ScenarioLot(FixedLayoutConfig):
         return self.scenario.layout
 
 
+# Entries that may be mappings: of what, or instead, and what they must be.
+PARTS: dict[str, tuple[type, type, str]] = {
+    "goal": (Goal, int, "a bay's number or {pose: [x, y, heading]}"),
+    "rule": (Tolerance, str, "a parked rule or its limits, {distance: 0.1}"),
+    "spread": (Spread, Spread, "deviations, {place: 0.1}"),
+}
+
+
 def read_scenario(path: Path) -> Scenario:
     """Reads a scenario, YAML or JSON; ValueError says where its fault is."""
     with naming_file(path):
@@ -313,25 +325,27 @@ def _made(found: dict[str, Any]) -> Scenario:
             f"settings must be names with values, `sim.steering_delay: 0.2`, not "
             f"{settings!r}"
         )
-    if missing := [name for name in ("lot", "start", "goal") if name not in found]:
-        raise ValueError(f"the scenario lacks {', '.join(missing)}")
-    actors: list[Actor] = []
-    for place, mover in enumerate(movers):
-        try:
-            actors.append(from_dict(Actor, mover))
-        except ValueError as error:
-            raise ValueError(f"movers[{place}]: {error}") from None
+    actors = [_part(f"movers[{k}]", Actor, one) for k, one in enumerate(movers)]
+    if not isinstance(found.get("lot", ""), str):
+        raise ValueError(f"lot must be a layout's name or file, not {found['lot']!r}")
+    for name, (kind, other, needed) in PARTS.items():
+        if isinstance(value := found.get(name), dict):
+            found[name] = _part(name, kind, value)
+        elif name in found and not isinstance(value, kind | other):
+            raise ValueError(f"{name} must be {needed}, not {value!r}")
     names = [str(name).replace("-", "_") for name in settings]
     if own := [x for x in names if OWN_SETTINGS & {x, x.partition(".")[0]}]:
         raise ValueError(f"settings must leave {own[0]} to the scenario's entries")
     words = tuple(f"{name}={value}" for name, value in settings.items())
-    if not isinstance(found["lot"], str):
-        raise ValueError(f"lot must be a layout's name or file, not {found['lot']!r}")
-    if not isinstance(goal := found["goal"], int | dict | Goal):
-        raise ValueError(
-            f"goal must be a bay's number or {{pose: [x, y, heading]}}, not {goal!r}"
-        )
     return from_dict(Scenario, found | {"movers": actors, "settings": words})
+
+
+def _part(name: str, kind: Any, value: Any) -> Any:
+    """A part of the scenario; its faults name it."""
+    try:
+        return from_dict(kind, value)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
 
 
 def scenario_level(path: str) -> CaseLevel:

@@ -20,6 +20,9 @@ are of public text; none of the standards was at hand. What is marked [own] is n
   that [5, 6]; it is 0.8 m high, which movers are not. R158 asks that it is shown or
   detected; here a car that stands must get to a bay behind it without a touch [own].
 
+ISO 20900:2023 and ISO 23374-1:2023 have no level: their scope and contents are public,
+numbers of their tests are not.
+
 [1] blog.csdn.net/weixin_50875614/article/details/128810413
 [2] blog.csdn.net/qq_42957717/article/details/128096315
 [3] blog.csdn.net/qq_42957717/article/details/134181325

@@ -13,13 +13,17 @@ import yaml
 from helpers.map_texts import TURN, TURNED, commonroad
 from helpers.programs import assert_refused, exit_code
 
-from carpark_mj.geometry import to_local
+from carpark_mj.geometry import to_local, to_world
 from carpark_mj.suite.scenario import make_scenario, read_scenario
 
 pytest.importorskip("pyproj")
 pytest.importorskip("ezdxf")
 
-from carpark_mj.suite.commonroad import read_commonroad, solution_text
+from carpark_mj.suite.commonroad import (
+    commonroad_text,
+    read_commonroad,
+    solution_text,
+)
 from carpark_mj.suite.openscenario import openscenario_text, read_openscenario
 
 LOT = "square_compact"
@@ -47,11 +51,14 @@ MOVERS = [
 ]
 
 
-def way(script):
-    """(times, 3) of a script's first 40 s on its way."""
+TIMES = np.linspace(0.0, 40.0, 401)
+
+
+def way(script, clocks=TIMES):
+    """(times, 3) of a script so many seconds after it set out."""
     state = script.init(jax.random.key(0), None)
     place = jax.vmap(lambda t: dataclasses.replace(state, clock=t).pose)
-    return np.asarray(place(jnp.linspace(0.0, 40.0, 401)))
+    return np.asarray(place(jnp.asarray(clocks, jnp.float32)))
 
 
 def triggers(script):
@@ -95,6 +102,65 @@ def test_entities_have_the_middle_of_the_car_as_origin():
         assert (centre.get("x"), centre.get("y")) == ("0", "0")
         axles = [float(axle.get("positionX")) for axle in entity.find(".//Axles")]
         assert axles[0] > 0.0 > axles[1]
+
+
+def commonroad_back(case):
+    """A scenario by CommonRoad and back, and what the commands printed."""
+    Path("case.yaml").write_text(yaml.safe_dump(case))
+    there = ["export", "case.yaml", "--out", "case.xml"]
+    back = ["import", "case.xml", "--out", "back.yaml", "--vehicle", "compact"]
+    assert [exit_code("scenario", flags) for flags in (there, back)] == [0, 0]
+    return map(read_scenario, (Path("case.yaml"), Path("back.yaml")))
+
+
+def in_bay(scenario, poses):
+    """Poses (n, 3) in the frame of the goal."""
+    bay = np.asarray(scenario.layout.bay_pose)[scenario.goal_bay]
+    return np.asarray(to_local(bay, np.asarray(poses, np.float32)))
+
+
+def test_commonroad_comes_back(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rule = {"distance": 0.1, "heading": 0.04, "speed": 0.06}
+    later = [mover | {"after": 2.5} for mover in MOVERS[:2]]
+    one, other = commonroad_back(CASE | {"rule": rule, "movers": later + MOVERS[2:]})
+    said = capsys.readouterr().out
+    assert "sets out at once" not in said
+    assert "left out" not in said  # two ends are one bay
+    for name in ("speed", "seconds", "vehicle"):
+        assert getattr(other, name) == getattr(one, name), name
+    starts = [in_bay(made, [made.start])[0] for made in (one, other)]
+    np.testing.assert_allclose(*starts, atol=1e-4)
+    sizes = [made.layout.bay_size[made.goal_bay] for made in (one, other)]
+    np.testing.assert_allclose(*sizes, atol=1e-4)
+    assert other.rule.heading == pytest.approx(0.04, abs=1e-5)
+    assert other.rule.speed == pytest.approx(0.06)
+    for script, again in zip(one.scripts, other.scripts, strict=True):
+        ways = [
+            in_bay(made, way(x, np.maximum(TIMES - (x.after or 0.0), 0.0)))
+            for made, x in ((one, script), (other, again))
+        ]
+        # It cuts a corner between two steps of 0.1 s, at 2 m/s at most.
+        assert np.abs(ways[0] - ways[1])[:, :2].max() < 0.1
+        np.testing.assert_allclose(again.size, script.size, atol=1e-4)
+    # Lost: other bays, the distance; parked cars have become walls.
+    assert other.layout.bay_mask.sum() == 1
+    assert other.rule.distance == pytest.approx(sizes[0].min() / 2, abs=1e-4)
+    bay = other.layout.bay_pose[other.goal_bay]
+    for pose in in_bay(one, one.layout.parked_pose[np.array(one.parked)]):
+        there = to_local(other.layout.wall_pose, to_world(bay, pose))
+        assert (np.abs(there[:, :2]) < other.layout.wall_size / 2).all(axis=1).any()
+
+
+@pytest.mark.parametrize("end", ["nose_first", "tail_first"])
+def test_commonroad_keeps_the_end_and_says_what_it_cannot(
+    end, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    goal = {"pose": [2.0, -3.0, 3.0], "size": [5.2, 2.4], "end": end}
+    _, other = commonroad_back(CASE | {"goal": goal, "movers": MOVERS[:1]})
+    assert other.goal.end == end
+    assert "movers[0] sets out at once" in capsys.readouterr().out
 
 
 FOREIGN = """<OpenSCENARIO><ParameterDeclarations><ParameterDeclaration name="Pace"
@@ -211,6 +277,14 @@ def test_a_commonroad_problem_becomes_a_scenario(tmp_path, monkeypatch):
     assert path.exists()
 
 
+def test_a_problem_that_is_refused_leaves_no_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(Path("problem.xml"), problem())
+    flags = ["import", "problem.xml", "--out", "p.yaml", "--goal", "99"]
+    assert_refused(capsys, "scenario", flags, "goal must be a bay of the lot")
+    assert [one.name for one in Path().iterdir()] == ["problem.xml"]
+
+
 def test_a_drive_becomes_a_solution_in_the_frame_of_its_problem(tmp_path):
     path = write(tmp_path / "problem.xml", problem())
     found, _, _ = read_commonroad(path)
@@ -239,3 +313,21 @@ def test_commonroad_io_reads_a_solution(tmp_path):
     read = solution.CommonRoadSolutionReader.fromstring(text)
     [own] = read.planning_problem_solutions
     assert len(own.trajectory.state_list) == 3
+
+
+def test_commonroad_io_reads_a_scenario(tmp_path):
+    reader = pytest.importorskip("commonroad.common.file_reader")
+    made = make_scenario(CASE | {"movers": MOVERS})
+    text, _ = commonroad_text(made)
+    path = write(tmp_path / "case.xml", text)
+    read, problems = reader.CommonRoadFileReader(str(path)).open()
+    assert len(read.dynamic_obstacles) == len(MOVERS)
+    assert len(read.static_obstacles) == len(made.parked)
+    [problem] = problems.planning_problem_dict.values()
+    np.testing.assert_allclose(problem.initial_state.position, made.start[:2])
+    goals = problem.goal.state_list
+    bay = made.layout.bay_pose[made.goal_bay]
+    assert {goal.time_step.end for goal in goals} == {400}
+    middles = [np.mean(goal.position.vertices[:4], axis=0) for goal in goals]
+    np.testing.assert_allclose(middles, [bay[:2]] * 2, atol=1e-5)
+    assert {goal.orientation.contains(float(bay[2])) for goal in goals} == {True, False}

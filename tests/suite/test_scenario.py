@@ -12,11 +12,12 @@ import pytest
 import shapely
 import yaml
 from helpers.pages import ROOT, code
-from helpers.programs import layouts, rows_of
+from helpers.programs import assert_refused, layouts, rows_of
 
 from carpark_mj.cli.settings.tables import ScenarioConfig
 from carpark_mj.geometry import to_local
 from carpark_mj.layouts import make_layout
+from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayEnd
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.registry import FIRST
@@ -75,54 +76,97 @@ def test_a_goal_of_its_own_is_one_more_bay():
     assert after.goal_mask[-1]
 
 
+def way(*path, **more):
+    return {"movers": [{"start": [0.0, 0.0], "path": [*path]} | more]}
+
+
 @pytest.mark.parametrize(
-    "change",
+    ("change", "said"),
     [
-        {"lot": "nowhere"},
-        {"goal": 99},
-        {"goal": "6"},
-        {"goal": {"pose": [0.0, 0.0, 90.0]}},
-        {"goal": {"pose": [0.0, 0.0, 0.0], "size": [4.0, 2.5]}},
-        {"goal": {"pose": [0.0, 0.0, 0.0], "size": [5.0, 1.5]}},
-        {"start": [0.0, 0.0, 90.0]},
-        {"parked": [6]},
-        {"parked": [1, 1]},
-        {"rule": "kind"},
-        {"rule": {"distance": -1.0}},
-        {"repetitions": 0},
-        {"weather": "rain"},
-        {"spread": {"place": -0.1}},
-        {"movers": [WALKER | {"between": [1, 2]}]},
-        {"movers": [{"kind": "person", "to": [0.0, 5.0]}]},
-        {"movers": [WALKER | {"to": [0.0, 0.0]}]},
-        {"movers": [WALKER | {"kind": "cloud"}]},
-        {"movers": [{"between": [1, 99]}]},
-        {"movers": [WALKER | {"size": [-1.0, 1.0]}]},
-        {"movers": WALKER},
-        {"movers": [WALKER | {"to": None, "path": [[1.0]]}]},
-        {"movers": [WALKER | {"to": None, "path": [[1.0, 2.0, 0.0]]}]},
-        {"movers": [WALKER | {"to": None, "path": [[0.0, 0.0]]}]},
-        {"movers": [WALKER | {"path": [[1.0, 2.0]]}]},
-        {"movers": [WALKER | {"to": None, "path": [[1, 2], [3, 4, 1.0, 0.1]]}]},
-        {"movers": [{"start": [0.0, 0.0], "near": 2.0}]},
-        {"movers": [WALKER | {"heading": 1.0}]},
-        {"settings": {"num_agents": 3}},
-        {"settings": {"sim.steering_delai": 0.2}},
-        {"settings": {"sim.steering_delay": "much"}},
-        {"settings": ["sim.steering_delay=0.2"]},
+        ({"lot": "nowhere"}, "layout 'nowhere'"),
+        ({"lot": "no.json"}, "no.json"),
+        ({"lot": {"bays": 3}}, "lot must"),
+        ({"vehicle": "tank"}, "vehicle 'tank'"),
+        ({"start": [0.0, 1.0]}, "start must be a list of 3"),
+        ({"start": [0.0, 0.0, 90.0]}, "heading of start"),
+        ({"start": [0.0, math.nan, 0.0]}, "start"),
+        ({"speed": 40.0}, "speed must lie in [-2, 3]"),
+        ({"speed": math.nan}, "speed"),
+        ({"goal": 99}, "goal must be a bay of the lot"),
+        ({"goal": "6"}, "goal must be a bay's number"),
+        ({"goal": {}}, "goal: Goal lacks pose"),
+        ({"goal": {"pose": [0.0, 0.0, 90.0]}}, "goal: the heading"),
+        ({"goal": {"pose": [0.0, 0.0, 0.0], "size": [4.0, 2.5]}}, "the goal's bay, 4"),
+        ({"goal": {"pose": [0.0, 0.0, 0.0], "end": "side"}}, "goal: unknown end"),
+        ({"parked": [6]}, "parked must be distinct bays other than the goal"),
+        ({"parked": [1, 1]}, "parked must be distinct"),
+        ({"parked": 3}, "parked must be a list"),
+        ({"rule": "kind"}, "parked rule 'kind'"),
+        ({"rule": 3}, "rule must"),
+        ({"rule": {"distance": -1.0}}, "rule: distance"),
+        ({"seconds": 0}, "seconds"),
+        ({"repetitions": 0}, "repetitions"),
+        ({"seed": -1}, "seed"),
+        ({"weather": "rain"}, "setting 'weather'"),
+        ({"spread": 3}, "spread must"),
+        ({"spread": {"place": -0.1}}, "spread: place"),
+        ({"movers": WALKER}, "movers must be a list"),
+        ({"movers": [3]}, "movers[0]"),
+        (
+            {"movers": [WALKER, WALKER | {"between": [1, 2]}]},
+            "movers[1]: a mover needs",
+        ),
+        ({"movers": [{"kind": "person", "to": [0.0, 5.0]}]}, "needs a start"),
+        ({"movers": [WALKER | {"to": [0.0, 0.0]}]}, "points of a way"),
+        ({"movers": [WALKER | {"kind": "cloud"}]}, "kind 'cloud'"),
+        ({"movers": [{"between": [1, 99]}]}, "between must be a bay"),
+        ({"movers": [WALKER | {"size": [-1.0, 1.0]}]}, "size"),
+        ({"movers": [WALKER | {"path": [[1.0, 2.0]]}]}, "a mover needs"),
+        ({"movers": [{"start": [0.0, 0.0], "near": 2.0}]}, "no trigger"),
+        ({"movers": [WALKER | {"heading": 1.0}]}, "leave heading out"),
+        ({"movers": [WALKER | {"spread": {"nearr": 1}}]}, "setting 'nearr'"),
+        (way([1.0]), "path must have rows"),
+        (way([1.0, 2.0, 0.0]), "speed of a point of path"),
+        (way([0.0, 0.0]), "points of a way"),
+        (way([1, 2], [3, 4, 1.0, 0.1]), "all with headings or none"),
+        ({"settings": {"num_agents": 3}}, "settings must leave num_agents"),
+        ({"settings": {"sim.steering_delai": 0.2}}, "steering-delai"),
+        ({"settings": {"sim.steering_delay": "much"}}, "steering-delay"),
+        ({"settings": ["sim.steering_delay=0.2"]}, "settings must be names"),
     ],
     ids=str,
 )
-def test_impossible_entries_are_refused(change, tmp_path):
-    path = tmp_path / "bad.yaml"
-    path.write_text(yaml.safe_dump(LEAST | change))
-    with pytest.raises(ValueError, match=r"bad\.yaml"):
-        read_scenario(path)
+def test_wrong_entries_are_refused(change, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("bad.yaml").write_text(yaml.safe_dump(LEAST | change))
+    told = assert_refused(capsys, "scenario", ["bad.yaml", "zero"], said)
+    assert told.startswith("scenario: bad.yaml: ")
+    assert not Path("runs").exists()
 
 
-def test_messages_speak_of_lists_as_files_do():
-    with pytest.raises(ValueError, match="start must be a list of 3"):
-        make_scenario(LEAST | {"start": [0.0, 1.0]})
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "must have lines"),
+        ("- lot: lot", "must have lines"),
+        ("lot: [", "not YAML"),
+        ("goal: 3", "lacks lot, start"),
+    ],
+)
+def test_what_is_no_scenario_is_refused(text, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("bad.yaml").write_text(text)
+    assert_refused(capsys, "scenario", ["bad.yaml", "zero"], said)
+
+
+def test_a_random_lot_is_that_of_the_command(tmp_path):
+    path = tmp_path / "lot.json"
+    assert layouts(["lot", "--seed", "3", "--save", str(path)]) == 0
+    data = {"lot": "lot", "seed": 3, "start": [0.0, 0.0, 0.0], "goal": 1}
+    drawn, saved = make_scenario(data).layout, read_json(path)
+    np.testing.assert_allclose(
+        drawn.bay_pose[drawn.bay_mask], saved.bay_pose[saved.bay_mask], atol=1e-5
+    )
 
 
 def poses(scripts, clocks):

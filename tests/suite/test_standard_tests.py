@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
+from carpark_mj import EnvConfig, ParkingEnv
 from carpark_mj.geometry import box_corners
 from carpark_mj.suite import standard_tests
 from carpark_mj.suite.levels import find_level, pick_cases
@@ -139,6 +140,15 @@ def test_levels_take_turns_and_another_car(name):
     assert other.vehicle == "van"
     assert other.sha256 != level.sha256
     assert standard_tests.REPEATED * len(kinds) == 120 or name != "iso16787"
+
+
+@pytest.mark.parametrize("vehicle", CARS)
+@pytest.mark.parametrize("name", TESTS)
+def test_every_car_has_an_environment(name, vehicle):
+    """Bays as large as the car, in float32, are large enough for it."""
+    level = find_level(f"{name}:{vehicle}")
+    env = ParkingEnv(level.env(EnvConfig(num_agents=1)))
+    assert env.config.vehicle == vehicle
 
 
 @pytest.mark.parametrize("level", ["parkbench", "scenario", "iso16788"])

@@ -299,9 +299,9 @@ class ScenarioConfig:
         file: the scenario, .yaml or .json.
         policies: pretrained policies, run folders, checkpoint files, `planner`, `zero`,
             `random`, `actions:FILE.csv`, recorded actions, or those of other libraries,
-        as in `carpark_mj suite`.
-    environment: whose observation those of other libraries have.
-    repetitions: how many, instead of the file's; the first ones are the same.
+            as in `carpark_mj suite`.
+        environment: whose observation those of other libraries have.
+        repetitions: how many, instead of the file's; the first ones are the same.
         seeds: of the planner's searches and of stochastic policies; each seed drives
             all repetitions.
         videos: number of worst repetitions to film for every policy, at most 10; needs
@@ -357,15 +357,16 @@ class ScenarioImportConfig:
 
 @dataclasses.dataclass(frozen=True)
 class ScenarioExportConfig:
-    """Writes a scenario as OpenSCENARIO XML, or drives in one as CommonRoad solutions.
+    """Writes a scenario as OpenSCENARIO or CommonRoad, or drives as its solutions.
 
     carpark_mj scenario export child.yaml --out child.xosc
+    carpark_mj scenario export child.yaml --out child.xml
     carpark_mj scenario export a.yaml --run runs/a --problem problem.xml --out a.xml
 
     Attributes:
         file: the scenario, .yaml or .json.
-        out: OpenSCENARIO XML (`.xosc`), with its map NAME.xodr beside it; with `run`,
-            solutions NAME.POLICY.CASE.xml (`.xml`).
+        out: OpenSCENARIO XML (`.xosc`), with its map NAME.xodr beside it, or CommonRoad
+            (`.xml`); with `run`, solutions NAME.POLICY.CASE.xml.
         run: folder of a run of this scenario, whose worst drives become solutions.
         problem: the CommonRoad file that the scenario was imported from.
     """
@@ -376,7 +377,7 @@ class ScenarioExportConfig:
     problem: str = ""
 
     def __post_init__(self) -> None:
-        require_suffix("out", self.out, ".xml" if self.run else ".xosc")
+        require_suffix("out", self.out, ".xml", *[".xosc"] * (not self.run))
         if bool(self.run) != bool(self.problem):
             raise ValueError("--run and --problem belong together")
 
