@@ -144,6 +144,7 @@ class ParkingEnv:
                 )
         env = copy.copy(self)
         env.config = insert(self.config, values)
+        env._spawner = self._spawner.with_config(env.config)
         return env
 
     @property
@@ -305,6 +306,7 @@ class ParkingEnv:
             motion=after.motion,
             goal=after.goal,
             goal_events=goal_events,
+            target_pose=transition.target_pose,
             final_observation=final_observation,
         )
 

@@ -352,6 +352,7 @@ class TimeStep:
         motion: at the end of the step, before any respawn.
         goal: (num_agents,) int32 goals held during the step.
         goal_events: what happened to the goals; None while they are fixed.
+        target_pose: see `Transition`; None where agents have no bays.
         final_observation: (num_agents, observation_size) at the end of the step, before
             any respawn or relocation, of agents that are done; meaningless for the
             others; None unless `EpisodeConfig.final_observation`.
@@ -367,4 +368,5 @@ class TimeStep:
     motion: Motion
     goal: jax.Array
     goal_events: GoalEvents | None = None
+    target_pose: jax.Array | None = None
     final_observation: jax.Array | None = None

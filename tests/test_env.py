@@ -15,7 +15,6 @@ from helpers.sliding import (
     APART,
     HALT,
     MAX_STEPS,
-    SlidePhysics,
     in_goal,
     placed,
     slide,
@@ -29,7 +28,12 @@ from carpark_mj.config import (
     GivingWayConfig,
     GoalConfig,
     GoalRewards,
+    RandomizationConfig,
+    SensorConfig,
+    SpawnConfig,
+    insert,
     is_data,
+    setting,
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations.fields import FAR
@@ -195,7 +199,17 @@ def settings(config, prefix=""):
 
 @pytest.mark.parametrize("dynamic", [False, True])
 def test_every_setting_that_is_data_can_be_traced(dynamic):
-    config = slide()[0].config
+    noise = ("position_noise", "heading_noise", "speed_noise", "odometry_scale")
+    shares = {"close_ratio": 0.2, "conflict_ratio": 0.2}
+    if not dynamic:
+        shares |= {"reverse_ratio": 0.2, "misaligned_ratio": 0.2}
+    config = dataclasses.replace(
+        slide()[0].config,
+        sensors=SensorConfig(**dict.fromkeys(noise, 0.1)),
+        spawn=SpawnConfig(**shares),
+        randomization=RandomizationConfig(mass=(0.9, 1.1), steering_lag=(0.0, 0.1)),
+        physics="bicycle",
+    )
     if dynamic:
         rewards = GoalRewards(stop_goal=-0.05)
         config = dataclasses.replace(
@@ -204,19 +218,64 @@ def test_every_setting_that_is_data_can_be_traced(dynamic):
             giving_way=GivingWayConfig("L,L,A"),
             reward=dataclasses.replace(config.reward, goals=rewards),
         )
-    env = ParkingEnv(config, SlidePhysics())
+    env = ParkingEnv(config)
     data = {p: v for p, v in settings(config).items() if is_data(config, p)}
     assert {"reward.reeds_shepp_reach", "reward.closeness", "episode.hitbox_scale"} < {
         *data
     }
+    assert {f"sensors.{name}" for name in noise} < {*data}
+    assert {f"spawn.{name}" for name in shares} < {*data}
+    assert {"randomization.mass", "randomization.steering_lag"} < {*data}
+    # What is off is no part of the program.
+    assert not {"sensors.odometry_turn", "randomization.friction"} & {*data}
 
     def step(values):
-        state, _ = env.reset(jax.random.key(0))
+        traced = env.with_values(values)
+        state, _ = traced.reset(jax.random.key(0))
         action = jnp.zeros((3, env.action_spec.size))
-        return env.with_values(values).step(state, action)[1].reward
+        return traced.step(state, action)[1].reward
 
     values = {path: jnp.float32(value) for path, value in data.items()}
     assert jax.eval_shape(step, values).shape == (3,)
+
+
+def test_traced_numbers_start_episodes_as_an_environment_with_them_does():
+    """Their shares, parameters of cars and noise, in resets and respawns."""
+    one, other = (
+        insert(
+            EnvConfig(num_agents=1, num_parked_cars=0, physics="bicycle"),
+            {
+                "episode.max_steps": 2,
+                "spawn.close_ratio": close,
+                "spawn.reverse_ratio": 0.5,
+                "sensors.position_noise": noise,
+                "randomization.mass": mass,
+            },
+        )
+        for close, noise, mass in ((0.1, 0.5, (1.0, 2.0)), (0.5, 0.01, (1.5, 1.6)))
+    )
+    paths = ("spawn.close_ratio", "sensors.position_noise", "randomization.mass")
+    keys, action = jax.random.split(jax.random.key(0), 32), jnp.zeros((1, 2))
+
+    def drive(env):
+        def lot(key):
+            state, seen = env.reset(key)
+            for _ in range(2):
+                state, timestep = env.step(state, action)
+            return seen, timestep.observation, state.physics.vehicle.mass
+
+        return jax.vmap(lot)(keys)
+
+    env = ParkingEnv(one)
+    traced = jax.jit(lambda values: drive(env.with_values(values)))
+    values = {path: jnp.array(setting(other, path), jnp.float32) for path in paths}
+    fixed = ParkingEnv(other)
+    expected = jax.jit(lambda: drive(fixed))()
+    for found, wanted in zip(traced(values), expected, strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
+    own = {path: jnp.array(setting(one, path), jnp.float32) for path in paths}
+    assert not np.allclose(traced(own)[1], expected[1], atol=1e-2)
+    assert traced._cache_size() == 1
 
 
 def test_a_traced_reach_of_0_is_no_reach():

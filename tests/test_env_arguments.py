@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 import pytest
+from helpers.programs import ROOT, python
 from helpers.sliding import HALT, slide
 from helpers.trees import same
 
@@ -40,6 +41,42 @@ def test_a_mesh_with_explicit_axes_shards_what_is_mapped():
         keys = jax.device_put(jax.random.split(jax.random.key(0), 2), lots)
         shapes = jax.eval_shape(jax.vmap(drive), keys)
         assert all(x.sharding.spec[0] == "lots" for x in jax.tree.leaves(shapes))
+
+
+MESHES = """
+import jax
+import numpy as np
+from helpers.sliding import HALT, slide
+
+env, *_ = slide()
+lots, keys = jax.P("lots"), jax.random.split(jax.random.key(0), 4)
+drive = jax.vmap(lambda key: env.step(env.reset(key)[0], HALT)[1])
+wanted = jax.jit(drive)(keys)
+
+
+def assert_split(found):
+    for one, other in zip(*map(jax.tree.leaves, (found, wanted)), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+        assert len(one.sharding.device_set) == jax.device_count() == 2
+        assert one.addressable_shards[0].data.shape[0] == 2
+
+
+kinds = jax.sharding.AxisType
+for kind in (kinds.Auto, kinds.Explicit):  # JAX compiles nothing over manual ones
+    mesh = jax.make_mesh((2,), ("lots",), (kind,))
+    own = jax.device_put(keys, jax.NamedSharding(mesh, lots))
+    specs = {"in_specs": lots, "out_specs": lots, "check_vma": False}
+    assert_split(jax.jit(jax.shard_map(drive, mesh=mesh, **specs))(own))
+with jax.set_mesh(mesh):  # explicit axes need no `shard_map`
+    assert_split(jax.jit(drive)(jax.device_put(keys, lots)))
+"""
+
+
+@pytest.mark.slow
+def test_two_devices_share_lots_on_meshes_of_both_axis_types():
+    path = f"{ROOT}:{ROOT / 'tests'}"
+    done = python("-c", MESHES, JAX_NUM_CPU_DEVICES="2", PYTHONPATH=path)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow

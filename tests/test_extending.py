@@ -3,6 +3,7 @@
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from helpers.sliding import SlidePhysics
 from carpark_mj.cli.evaluate import EvaluateConfig
 from carpark_mj.config import (
     ENCODERS,
+    ENDS,
     METRICS,
     MOVERS,
     PARKED_RULES,
@@ -62,7 +64,7 @@ def run(name):
 def registries(monkeypatch):
     """What examples register is gone after each test."""
     restore_after(monkeypatch, ENCODERS, FAMILIES, LAYOUTS, MOVERS, PHYSICS, VEHICLES)
-    restore_after(monkeypatch, PARKED_RULES, REWARD_TERMS, METRICS)
+    restore_after(monkeypatch, PARKED_RULES, REWARD_TERMS, METRICS, ENDS)
 
 
 def test_the_example_package_is_the_page_s_family():
@@ -192,3 +194,11 @@ def test_the_new_parked_rule_holds_with_straight_wheels_only():
     motion = cars(np.zeros((2, 3)), steering=[0.0, 0.1])
     assert is_parked(rule, motion, jnp.zeros(3), size).tolist() == [True, False]
     assert EvaluateConfig(run="square", rule=rule).rule == "straight"
+
+
+def test_the_new_end_truncates_beyond_its_distance():
+    config = run("Another end")["env"].config.episode
+    [end] = (ENDS[name] for name in config.ends)
+    state = SimpleNamespace(motion=cars([(14.9, 0.0, 0.0), (-15.1, 0.0, 0.0)]))
+    assert end.test(state).tolist() == [False, True]
+    assert end.outcome == "timed_out"

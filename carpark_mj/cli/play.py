@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from carpark_mj.cli.settings.driving import PlayConfig
+from carpark_mj.config import EnvConfig, insert
 from carpark_mj.config.checks import counted
 from carpark_mj.rendering.gl import Window, choose_gl, has_display
 
@@ -40,6 +41,7 @@ from carpark_mj.play.driving import (
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.networks import Policy
+from carpark_mj.registry import environment
 from carpark_mj.rendering.web import add_key, make_live_viewer
 
 COMMANDS = ("R", "N", "Q")  # keys: restart, next lot, quit
@@ -55,8 +57,8 @@ STEPS = (
 def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
     """The environment to drive in, and the policy of the other cars."""
     if config.policy:
-        driver = find_driver(config.policy)
-        env = ParkingEnv(adapted(config, driver.env))
+        driver = find_driver(config.policy, config.environment)
+        env = drivable(config, driver.env)
         policy = driver.policy(env)
         if isinstance(policy, StatePolicy):
             raise ValueError(
@@ -65,8 +67,15 @@ def make_env(config: PlayConfig) -> tuple[ParkingEnv, Policy]:
         return env, policy
     if config.num_agents is None:
         config = dataclasses.replace(config, num_agents=1)
-    env = ParkingEnv(adapted(config, default_env(config)))
+    named = config.environment
+    env = drivable(config, environment(named) if named else default_env(config))
     return env, zero_policy(env.action_spec)
+
+
+def drivable(config: PlayConfig, env: EnvConfig) -> ParkingEnv:
+    """The environment that a command asks for, with what episodes end with."""
+    env = adapted(config, env)
+    return ParkingEnv(insert(env, {"episode.final_observation": env.episode.respawn}))
 
 
 def replay(demonstration: Demonstration) -> DrivenLot:

@@ -17,10 +17,13 @@ import numpy as np
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import adapt, adapted, find_driver, with_settings
 from carpark_mj.cli.settings.driving import RecordConfig
+from carpark_mj.config import EnvConfig
+from carpark_mj.config.checks import require_unset
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import CHUNK
 from carpark_mj.extensions import require_packages
 from carpark_mj.files import require_writable, write_atomically, write_json
+from carpark_mj.play.demonstration import STEPS, load_demonstration
 from carpark_mj.policy.acting import AnyPolicy, Carry, Step, acts, as_argument, roll_out
 from carpark_mj.policy.runs import CONFIG_VERSION
 from carpark_mj.wrappers.gymnasium_env import one_agent
@@ -33,7 +36,7 @@ ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for data sets
 class Episode(NamedTuple):
     """An episode of `t` steps of the environment `ID` reset with `seed`."""
 
-    seed: int
+    seed: int | None  # None of a person's, who began elsewhere
     observations: Any  # (t + 1, ...), or a dictionary of arrays
     actions: np.ndarray  # (t, size)
     rewards: np.ndarray  # (t,) float32
@@ -113,6 +116,44 @@ def record(
             yield Episode(int(seed), **(own | short))
 
 
+def driven(paths: Sequence[Path]) -> tuple[EnvConfig, list[Episode]]:
+    """The environment of drives that `play` has saved, and their whole episodes.
+
+    Raises:
+        ValueError: not of one agent, of different environments, or without an end.
+    """
+    drives = [load_demonstration(path) for path in paths]
+    config, *others = (drive.config for drive in drives)
+    if config.num_agents != 1 or any(other != config for other in others):
+        raise ValueError(
+            f"drives must be of one agent in one environment, not those in "
+            f"{paths[0].parent}"
+        )
+    unpack, found = ParkingEnv(config).unpack, list[Episode]()
+    for drive in drives:
+        own = {name: getattr(drive, name)[:, 0] for name in STEPS}
+        begin = 0
+        for end in np.flatnonzero(own["terminated"] | own["truncated"]) + 1:
+            step = {name: array[begin:end] for name, array in own.items()}
+            ends = (
+                np.append(False, step["terminated"]),
+                np.append(False, step["success"]),
+            )
+            infos = {"is_success": ends[1], "crashed": ends[0] & ~ends[1]}
+            infos["pose"] = np.append(step["poses"][:1], step["next_poses"], axis=0)
+            seen = np.append(
+                step["observations"][:1], step["next_observations"], axis=0
+            )
+            seen = jax.tree.map(np.asarray, unpack(jnp.asarray(seen)))
+            paid = step["actions"], step["rewards"]
+            ended = step["terminated"], step["truncated"]
+            found.append(Episode(None, seen, *paid, *ended, infos))
+            begin = end
+    if not found:
+        raise ValueError(f"no episode has ended in the drives in {paths[0].parent}")
+    return config, found
+
+
 def _join(*trees: Any) -> Any:
     return jax.tree.map(lambda *parts: np.concatenate(parts), *trees)
 
@@ -138,14 +179,20 @@ def transitions(episodes: Sequence[Episode]) -> dict[str, np.ndarray]:
 
 def main(config: RecordConfig) -> Path:
     """Records, writes and prints; returns the folder."""
-    driver, folder = find_driver(config.run, config.environment), Path(config.out)
-    changed = with_settings(driver.env, config.set)
-    settings = adapt(adapted(config, changed, rule=config.rule), num_agents=1)
-    env, made = (
-        share(ParkingEnv, one_agent(settings)),
-        gymnasium.make(ID, config=settings),
-    )
-    policy = driver.policy(env)
+    folder, drives = Path(config.out), sorted(Path(config.run).glob("drive-*.npz"))
+    if drives:
+        others = {x.name for x in dataclasses.fields(config)} - {"run", "out", "minari"}
+        require_unset(config, "with drives", *others)
+        settings, episodes = driven(drives)
+    else:
+        driver = find_driver(config.run, config.environment)
+        changed = with_settings(driver.env, config.set)
+        settings = adapt(adapted(config, changed, rule=config.rule), num_agents=1)
+        env = share(ParkingEnv, one_agent(settings))
+        seeds = range(config.seed, config.seed + config.episodes)
+        policy = driver.policy(env)
+        episodes = record(env, policy, seeds, config.num_lots, config.noise)
+    made = gymnasium.make(ID, config=settings)
     words = (config.environment or "park", config.run.partition(":")[2] or config.run)
     words = [re.sub(r"\W+", "-", Path(word).stem).strip("-") for word in words]
     name = f"carpark_mj/{words[0]}/{words[1]}-v0"
@@ -154,9 +201,9 @@ def main(config: RecordConfig) -> Path:
         if (folder / name).exists():
             raise ValueError(f"{folder / name} exists: choose another folder")
     require_writable(folder / "episodes.npz", new_folders=True)  # before the work
-    doing(COMPILING)
-    seeds = range(config.seed, config.seed + config.episodes)
-    episodes = list(record(env, policy, seeds, config.num_lots, config.noise))
+    if not drives:
+        doing(COMPILING)
+    episodes = list(episodes)
     arrays = transitions(episodes)
     found = hashlib.sha256(b"".join(x.tobytes() for x in arrays.values())).hexdigest()
     parked = float(arrays["is_success"].sum() / len(episodes))

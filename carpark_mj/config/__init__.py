@@ -34,7 +34,8 @@ _NAMES = {
     "mdp.metrics": "METRICS Metric MetricsConfig register_metric",
     "mdp.rewards": "REWARDS REWARD_TERMS ExtraTerms GoalRewards RewardConfig "
     "RewardTerm term_settings",
-    "mdp.terminations": "PARKED_RULES WORLD_UNIT EpisodeConfig ParkedRule find_rules",
+    "mdp.terminations": "ENDS PARKED_RULES WORLD_UNIT End EpisodeConfig ParkedRule "
+    "find_rules",
     "observations.fields": "ENCODERS ObservationConfig",
     "observations.ranges": "RayConfig RingConfig UltrasoundConfig",
     "observations.sensors": "SensorConfig",

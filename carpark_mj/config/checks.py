@@ -138,12 +138,18 @@ def require_unset(config: Any, where: str, *names: str) -> None:
             )
 
 
-def data(default: Any) -> Any:
-    """A field of a config whose number only enters into arithmetic.
+def data(default: Any, off: Any = None) -> Any:
+    """A field of a config whose numbers only enter into arithmetic.
 
-    Runs side by side may differ in it, see `carpark_mj.config.is_data`.
+    Runs side by side may differ in it, see `carpark_mj.config.is_data`, except from
+    `off`, the value that leaves something out of the program.
     """
-    return dataclasses.field(default=default, metadata={"data": True})
+    return dataclasses.field(default=default, metadata={"data": True, "off": off})
+
+
+def is_off(value: Any, off: Any = 0.0) -> bool:
+    """Whether a value is known to be `off`; a traced one may be any."""
+    return isinstance(value, numbers.Real | tuple) and value == off
 
 
 class CheckedConfig:

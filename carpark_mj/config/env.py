@@ -206,16 +206,18 @@ class EnvConfig:
 def is_data(config: Any, path: str) -> bool:
     """Whether a setting, as `reward.park`, can have other values in one program.
 
-    It must be a number: None and truth values decide what is computed.
+    It must be a number, or a range: None and truth values decide what is computed, and
+    so does a value that leaves something out, as noise of 0.
     """
     value = setting(config, path)
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    parts = value if isinstance(value, tuple) else (value,)
+    if any(isinstance(x, bool) or not isinstance(x, int | float) for x in parts):
         return False
     while not isinstance(config, ExtraTerms):
         name, _, rest = path.partition(".")
         if not rest:
             [field] = [x for x in dataclasses.fields(config) if x.name == name]
-            return "data" in field.metadata
+            return "data" in field.metadata and value != field.metadata["off"]
         config, path = getattr(config, name), rest
     return not config.is_fixed(path)
 

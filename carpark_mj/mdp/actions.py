@@ -6,10 +6,12 @@ Jitted code cannot raise, so NaN and numbers out of range are replaced and count
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 if TYPE_CHECKING:
     from carpark_mj.config import EnvConfig
@@ -58,6 +60,20 @@ class Action(NamedTuple):
     controls: jax.Array
     goal_choice: jax.Array | None
     invalid: jax.Array
+
+
+# [est] Steering to 1/5 of its limit and the pedal to 1/3, both with a zero.
+STEERS, PEDALS = 11, 7
+
+
+def action_table(spec: ActionSpec) -> np.ndarray:
+    """Actions (number, spec.size): steering x pedal x choices, the last fastest.
+
+    On the grid, where all parts are choices, the list is complete.
+    """
+    numbers = [np.linspace(-1.0, 1.0, n) for n in (STEERS, PEDALS)[: spec.continuous]]
+    indices = [np.arange(n) for n in spec.choices]
+    return np.array(list(itertools.product(*numbers, *indices)), spec.dtype)
 
 
 def action_spec(config: EnvConfig) -> ActionSpec:

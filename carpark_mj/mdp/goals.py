@@ -132,6 +132,18 @@ def choose_goals(config: EnvConfig, state: State, choice: jax.Array | None) -> S
     return dataclasses.replace(state, goal=jnp.where(state.active, chosen, goal))
 
 
+def possible_choices(state: State) -> jax.Array | None:
+    """Choices that do something (..., num_agents, 1 + num_tracked_bays) bool.
+
+    To explore, and to head for a bay in a slot that is not empty; None if goals are
+    fixed, as in states of other tasks.
+    """
+    tracked = getattr(state, "tracked_bays", None)
+    if tracked is None:
+        return None
+    return jnp.concatenate([jnp.ones_like(tracked[..., :1]), tracked != NO_BAY], -1) > 0
+
+
 def target_bays(state: State) -> jax.Array:
     """The bay that each agent (num_agents,) heads for; `Transition.target_pose`."""
     if state.tracked_bays is None:

@@ -23,6 +23,7 @@ from carpark_mj.config.checks import (
     NonNegative,
     data,
     is_finite,
+    is_off,
     require_number,
 )
 from carpark_mj.extensions import Registry
@@ -259,8 +260,8 @@ def term_weights(config: EnvConfig) -> dict[str, float]:
     reward = config.reward
     weights: dict[str, float] = {name: getattr(reward, name) for name in TERMS}
     # Its two weights are in the potential.
-    is_off = _is_off(reward.progress) and _is_off(reward.alignment)
-    weights["progress"] = 0.0 if is_off else 1.0
+    unpaid = is_off(reward.progress) and is_off(reward.alignment)
+    weights["progress"] = 0.0 if unpaid else 1.0
     weights |= {key: w for key, w in reward.extra.items() if "." not in key}
     return weights | (goal_weights(config) if config.goals.dynamic else {})
 
@@ -275,7 +276,7 @@ def reward_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
     pays = transition.before.active & ~transition.events.diverged
 
     def paid(name: str, weight: float) -> jax.Array:
-        if _is_off(weight):
+        if is_off(weight):
             return jnp.zeros(pays.shape, jnp.float32)
         term = TERMS.get(name) or GOAL_TERMS.get(name) or REWARD_TERMS[name]
         share = 1.0 / config.episode.max_steps if term.per_step else 1.0
@@ -284,11 +285,6 @@ def reward_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
         return jnp.where(pays, reward, 0.0).astype(jnp.float32)
 
     return {name: paid(name, weight) for name, weight in term_weights(config).items()}
-
-
-def _is_off(weight: float) -> bool:
-    """Whether a weight is known to be 0; a traced weight may have any value."""
-    return not isinstance(weight, jax.Array) and weight == 0.0
 
 
 def _potential(
@@ -301,7 +297,7 @@ def _potential(
     if weights.route:
         goal = transition.goal
         distance = route_to(state.routes, state.layout, pose_w[:, :2], goal).length
-    if not _is_off(reach):
+    if not is_off(reach):
         car = transition.before.physics.vehicle
         distance = mix_in_maneuver(reach, distance, car, pose_w, target, one_way)
     return goal_potential(weights, pose_w, target, distance, one_way)

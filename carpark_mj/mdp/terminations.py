@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -78,6 +79,24 @@ PARKED_RULES.register("exact", _EXACT)
 PARKED_RULES.register("metadrive", ParkedRule(from_end=5.0))
 
 
+@dataclasses.dataclass(frozen=True)
+class End:
+    """An end of episodes of one's own.
+
+    Attributes:
+        test: JAX function of the `State` at the end of a step that returns
+            (num_agents,) bool.
+        outcome: what it counts as: `crashed`, which terminates, or `timed_out`, which
+            truncates.
+    """
+
+    test: Callable[[State], jax.Array]
+    outcome: Literal["crashed", "timed_out"] = "crashed"
+
+
+ENDS: Registry[End] = Registry("end")
+
+
 def find_rules(names: str) -> tuple[ParkedRule, ...]:
     """The parked rules of a comma-separated list."""
     return tuple(PARKED_RULES[name] for name in names.split(","))
@@ -97,6 +116,7 @@ class EpisodeConfig(CheckedConfig):
             stops the car; 0 = kerbs are walls. The body passes over kerbs.
         wheel_stops: distance of a wheel stop's face from the far end of every bay but
             parallel ones [m]; 0 = none. It is a kerb, neither observed nor drawn.
+        ends: further ends, names in `carpark_mj.config.ENDS`.
         respawn: start a new episode of an agent at once when one ends; otherwise the
             agent brakes and stays where it is until the lot is reset.
         final_observation: add the observation before any respawn to `TimeStep`;
@@ -108,12 +128,15 @@ class EpisodeConfig(CheckedConfig):
     hitbox_scale: Positive = data(1.0)
     kerb_speed: NonNegative = 0.0
     wheel_stops: NonNegative = 0.0
+    ends: tuple[str, ...] = ()
     respawn: bool = True
     final_observation: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         find_rules(self.parked_rule)  # refuses unknown names
+        for name in self.ends:
+            ENDS[name]
         if self.wheel_stops and not self.kerb_speed:
             raise ValueError(
                 f"wheel_stops {self.wheel_stops} needs a kerb_speed above 0 at which "
@@ -183,7 +206,13 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
         hits = find_hits_and_kerbs(config, state)
     else:
         hits = find_hits(state, config.hitbox_scale)
-    hit = functools.reduce(jnp.logical_or, hits.values())
+    ends = [ENDS[name] for name in config.ends]
+
+    def ended(outcome: str, otherwise: jax.Array) -> jax.Array:
+        tests = [end.test(state) for end in ends if end.outcome == outcome]
+        return functools.reduce(jnp.logical_or, tests, otherwise)
+
+    hit = ended("crashed", functools.reduce(jnp.logical_or, hits.values()))
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite
     bays = layout.bay_pose[goal], layout.bay_size[goal]
@@ -194,7 +223,7 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
     in_bay = in_bay & alive & (goal != NO_BAY)
     shared = jnp.tril(goal[:, None] == goal, k=-1)
     in_bay = in_bay & ~(shared & in_bay).any(axis=1)
-    late = state.step >= config.max_steps
+    late = ended("timed_out", state.step >= config.max_steps)
     parked = jnp.zeros_like(in_bay)
     for name, held in holds.items():
         rule = PARKED_RULES[name]

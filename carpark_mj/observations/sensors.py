@@ -10,7 +10,7 @@ import functools
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.config.checks import CheckedConfig, Natural, NonNegative
+from carpark_mj.config.checks import CheckedConfig, Natural, NonNegative, data, is_off
 from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.types import Motion, Odometry, Reading, Sensors, State
 
@@ -33,14 +33,14 @@ class SensorConfig(CheckedConfig):
         odometry_turn: standard deviation of the heading's error per turn [rad/rad].
     """
 
-    position_noise: NonNegative = 0.0
-    heading_noise: NonNegative = 0.0
-    speed_noise: NonNegative = 0.0
+    position_noise: NonNegative = data(0.0, off=0.0)
+    heading_noise: NonNegative = data(0.0, off=0.0)
+    speed_noise: NonNegative = data(0.0, off=0.0)
     delay_min: Natural = 0
     delay_max: Natural = 0
-    odometry_scale: NonNegative = 0.0
-    odometry_veer: NonNegative = 0.0
-    odometry_turn: NonNegative = 0.0
+    odometry_scale: NonNegative = data(0.0, off=0.0)
+    odometry_veer: NonNegative = data(0.0, off=0.0)
+    odometry_turn: NonNegative = data(0.0, off=0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -53,12 +53,13 @@ class SensorConfig(CheckedConfig):
     @functools.cached_property
     def is_on(self) -> bool:
         """Whether observations differ from the true motion."""
-        return self != SensorConfig()
+        return not all(map(is_off, vars(self).values()))
 
     @property
     def dead_reckons(self) -> bool:
         """Whether cars know their poses by odometry only."""
-        return bool(self.odometry_scale or self.odometry_veer or self.odometry_turn)
+        parts = self.odometry_scale, self.odometry_veer, self.odometry_turn
+        return not all(map(is_off, parts))
 
 
 def init_sensors(

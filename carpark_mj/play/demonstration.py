@@ -16,7 +16,10 @@ from carpark_mj.policy.runs import CONFIG_VERSION, from_dict
 from carpark_mj.reading import TEXT, Archive, ArrayForm, parse_object
 
 # The arrays, a row for each control step.
-STEPS = ("observations", "actions", "rewards", "terminated", "truncated", "poses")
+STEPS = (
+    *("observations", "next_observations", "actions", "rewards"),
+    *("terminated", "truncated", "success", "poses", "next_poses"),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,12 +29,14 @@ class Demonstration:
     config: EnvConfig
     seed: int  # of the lot, see `carpark_mj.evaluation.keys.evaluation_key`
     observations: np.ndarray  # (t, agents, observation_size) float32, before the steps
+    next_observations: np.ndarray  # at the steps' ends, before respawns
     actions: np.ndarray  # (t, agents, size) float32
     rewards: np.ndarray  # (t, agents) float32
     terminated: np.ndarray  # (t, agents) bool, parked or crashed in the step
     truncated: np.ndarray  # (t, agents) bool, out of time in the step
-    # (t, agents, 3) footprint centres in the world at the steps' ends, before respawns.
-    poses: np.ndarray
+    success: np.ndarray  # (t, agents) bool, parked in the step
+    poses: np.ndarray  # (t, agents, 3) footprint centres in the world, before the steps
+    next_poses: np.ndarray  # at the steps' ends, before respawns
 
     def __len__(self) -> int:
         """Control steps."""
@@ -67,16 +72,17 @@ def load_demonstration(path: Path) -> Demonstration:
         )
     require_seed(header["seed"])
     config = from_dict(EnvConfig, header["config"])
-    number, truth = np.dtype(np.float32), np.dtype(np.bool_)
-    by_agent = ("steps", config.num_agents)
-    forms = {
-        "observations": ArrayForm(number, (*by_agent, observation_size(config))),
-        "actions": ArrayForm(number, (*by_agent, action_spec(config).size)),
-        "rewards": ArrayForm(number, by_agent),
-        "terminated": ArrayForm(truth, by_agent),
-        "truncated": ArrayForm(truth, by_agent),
-        "poses": ArrayForm(number, (*by_agent, 3)),
-    }
+    seen = observation_size(config)
+    sizes = {"observations": seen, "next_observations": seen, "poses": 3}
+    sizes |= {"next_poses": 3, "actions": action_spec(config).size}
+    forms: dict[str, ArrayForm] = {}
+    for name in STEPS:
+        kind = (
+            np.bool_ if name in ("terminated", "truncated", "success") else np.float32
+        )
+        size = (sizes[name],) if name in sizes else ()
+        shape = ("steps", config.num_agents, *size)
+        forms[name] = ArrayForm(np.dtype(kind), shape)
     arrays = archive.read(forms)
     if not len(arrays["actions"]):
         raise ValueError(f"{path} holds no step")

@@ -163,15 +163,21 @@ class DrivenLot(LiveLot):
         return Partial(_mix, jnp.asarray(action), self._others)
 
     def _record(self, step: Step) -> dict[str, jax.Array]:
-        timestep = step.timestep
+        timestep, seen = step.timestep, step.timestep.observation
+        if timestep.final_observation is not None:  # others have not respawned
+            done = timestep.events.done[:, None]
+            seen = jnp.where(done, timestep.final_observation, seen)
         own = {f"own {name}": getattr(timestep.events, name)[0] for name in ENDINGS}
         return own | {
             "observations": step.observation,
+            "next_observations": seen,
             "actions": step.action,
             "rewards": timestep.reward,
             "terminated": timestep.terminated,
             "truncated": timestep.truncated,
-            "poses": timestep.motion.pose_w,
+            "success": timestep.events.success,
+            "poses": step.before.motion.pose_w,
+            "next_poses": timestep.motion.pose_w,
             "speed": timestep.motion.speed[0],
         }
 

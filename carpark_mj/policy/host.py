@@ -20,10 +20,12 @@ from jax.experimental import io_callback
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.extensions import require_packages
+from carpark_mj.mdp.actions import action_table
 from carpark_mj.policy.networks import Policy
 
 # Actions (n, size) of the observations of n agents, as `ParkingEnv.unpack` gives them:
-# an array (n, observation_size), or a dictionary of arrays if there are pictures.
+# an array (n, observation_size), or a dictionary of arrays if there are pictures. Or
+# integers (n,), numbers of rows of `action_table`.
 Act = Callable[[Any], Any]
 Env = EnvConfig | str | None
 
@@ -52,7 +54,10 @@ class HostPolicy:
         spec, act = env.action_spec, self.bind(env)
 
         def on_host(observation: Any) -> np.ndarray:
-            return np.asarray(act(jax.tree.map(np.asarray, observation)), spec.dtype)
+            action = np.asarray(act(jax.tree.map(np.asarray, observation)))
+            if action.ndim == 1 and np.issubdtype(action.dtype, np.integer):
+                action = action_table(spec)[action]  # numbers of its rows
+            return action.astype(spec.dtype)
 
         def policy(observation: jax.Array, key: jax.Array) -> Any:
             del key
@@ -104,7 +109,7 @@ def from_sb3(model: Any, normalize: str | Path = "", env: Env = None) -> HostPol
 
     Args:
         model: a model with `predict`, also one of sb3-contrib or sbx, or the file of
-            a PPO, A2C, SAC or TD3.
+            a PPO, A2C, DQN, SAC or TD3.
         normalize: file of the statistics of its observations, which
             `VecNormalize.save` has written. It is a pickle: open none of strangers.
         env: see `HostPolicy`.
@@ -129,6 +134,7 @@ def from_sb3(model: Any, normalize: str | Path = "", env: Env = None) -> HostPol
 def _load_sb3(file: str) -> Any:
     from stable_baselines3 import (  # pyright: ignore[reportMissingImports]
         A2C,
+        DQN,
         PPO,
         SAC,
         TD3,
@@ -139,10 +145,10 @@ def _load_sb3(file: str) -> Any:
 
     data = load_from_zip_file(file, device="cpu")[0] or {}
     # The policies of the first two are of the same classes.
-    for kind in (PPO if "clip_range" in data else A2C, SAC, TD3):
+    for kind in (PPO if "clip_range" in data else A2C, DQN, SAC, TD3):
         if data.get("policy_class") in kind.policy_aliases.values():
             return kind.load(file, device="cpu")
-    raise ValueError("it is no PPO, A2C, SAC or TD3: load it and pass the model")
+    raise ValueError("it is no PPO, A2C, DQN, SAC or TD3: load it and pass the model")
 
 
 def from_onnx(path: str | Path, env: Env = None) -> HostPolicy:

@@ -16,6 +16,8 @@ from carpark_mj.config.checks import (
     NonNegative,
     Range,
     Ratio,
+    data,
+    is_off,
 )
 from carpark_mj.config.vehicles import with_parameters
 
@@ -53,12 +55,12 @@ class SpawnConfig(CheckedConfig):
             kinds instead of random. With fixed goals they are always of all kinds.
     """
 
-    close_ratio: Ratio = 0.2
+    close_ratio: Ratio = data(0.2, off=0.0)
     close_distance: NonNegative = 5.625
-    conflict_ratio: Ratio = 0.0
+    conflict_ratio: Ratio = data(0.0, off=0.0)
     conflict_distance: NonNegative = 7.38
-    reverse_ratio: Ratio = 0.0
-    misaligned_ratio: Ratio = 0.0
+    reverse_ratio: Ratio = data(0.0, off=0.0)
+    misaligned_ratio: Ratio = data(0.0, off=0.0)
     min_distance: NonNegative = 7.38
     num_candidates: Count = 16
     max_redraws: Natural = 0
@@ -170,14 +172,14 @@ class RandomizationConfig(CheckedConfig):
         steering_lag: added to the steering's time constant [s].
     """
 
-    mass: _Range = (1.0, 1.0)
-    cg_x: _Range = (1.0, 1.0)
-    cg_height: _Range = (1.0, 1.0)
-    friction: _Range = (1.0, 1.0)
-    tyre_stiffness: _Range = (1.0, 1.0)
-    brake_gain: _Range = (1.0, 1.0)
-    steering_offset: _Range = (0.0, 0.0)
-    steering_lag: _Range = (0.0, 0.0)
+    mass: _Range = data((1.0, 1.0), off=(1.0, 1.0))
+    cg_x: _Range = data((1.0, 1.0), off=(1.0, 1.0))
+    cg_height: _Range = data((1.0, 1.0), off=(1.0, 1.0))
+    friction: _Range = data((1.0, 1.0), off=(1.0, 1.0))
+    tyre_stiffness: _Range = data((1.0, 1.0), off=(1.0, 1.0))
+    brake_gain: _Range = data((1.0, 1.0), off=(1.0, 1.0))
+    steering_offset: _Range = data((0.0, 0.0), off=(0.0, 0.0))
+    steering_lag: _Range = data((0.0, 0.0), off=(0.0, 0.0))
 
     def ranges(self) -> dict[str, Range]:
         """Ranges by name, in a fixed order."""
@@ -186,9 +188,9 @@ class RandomizationConfig(CheckedConfig):
     def varies(self, name: str) -> bool:
         """Whether a parameter may differ from its nominal value."""
         nominal = 0.0 if name in ADDED else 1.0
-        return getattr(self, name) != (nominal, nominal)
+        return not is_off(getattr(self, name), (nominal, nominal))
 
-    @functools.cached_property
+    @property
     def is_on(self) -> bool:
         """Whether anything varies."""
-        return self != RandomizationConfig()
+        return any(map(self.varies, self.ranges()))

@@ -10,12 +10,12 @@ follow from where it stands.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 
+from carpark_mj.config.checks import is_off
 from carpark_mj.geometry import norm, point_box_distance
 from carpark_mj.geometry.obstacles import touches
 from carpark_mj.layouts.types import BayKind, Layout
@@ -34,17 +34,19 @@ if TYPE_CHECKING:
 TAKES_CLOSE_BAY = 0.5  # probability that a close start has the bay for its goal
 
 
-@functools.cache
 def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> Shapes:
     """The numbers of a start with a fixed goal, none for starts whose share is 0."""
-    tries, goal = special.ATTEMPTS if config.conflict_ratio else 0, (2, num_bays)
+    tries, goal = (
+        0 if is_off(config.conflict_ratio) else special.ATTEMPTS,
+        (2, num_bays),
+    )
     course = {"course_goal": goal, **special.course_shapes(num_agents)}
     return {
         "goal": goal,  # see `new_goal`
         **starts.spawn_shapes(config),
         **{name: (tries, *shape) for name, shape in course.items()},
-        **special.reverse_shapes(config.reverse_ratio > 0.0),
-        **special.misaligned_shapes(config.misaligned_ratio > 0.0),
+        **special.reverse_shapes(not is_off(config.reverse_ratio)),
+        **special.misaligned_shapes(not is_off(config.misaligned_ratio)),
     }
 
 
@@ -86,17 +88,17 @@ def place_agent(
     pose = starts.spawn_pose(spawn, layout, around, goal_pose, draws)
     if spawn.max_redraws:
         pose = starts.redraw(spawn, layout, around, pose, again)
-    if spawn.reverse_ratio:
+    if not is_off(spawn.reverse_ratio):
         out, found = special.reverse_pose(inputs, drawn, around, agent, draws)
         pose = jnp.where(kind.reverse & found, out, pose)
-    if spawn.misaligned_ratio:
+    if not is_off(spawn.misaligned_ratio):
         askew, found = special.misaligned_pose(inputs, drawn, around, agent, draws)
         pose = jnp.where(kind.misaligned & found, askew, pose)
     drawn = drawn.set(agent, pose_w=pose)
     if drive_out:
         goal = goal_of_start(layout, drawn, agent, draws["goal"][0])
         return drawn.set(agent, goal=goal)
-    if not spawn.conflict_ratio:
+    if is_off(spawn.conflict_ratio):
         return drawn
 
     # Agents that are absent have no goal.
@@ -228,7 +230,10 @@ def place_exploring(
     bays = 0 if only_random else layout.num_bays
     shapes = starts.spawn_shapes(config) | {
         # Of a point close to every bay.
-        "bay_walk": (bays if config.close_ratio else 0, starts.walk_numbers(config)),
+        "bay_walk": (
+            0 if is_off(config.close_ratio) else bays,
+            starts.walk_numbers(config),
+        ),
         "bay_heading": (bays,),
         "order": (bays,),  # which bay
     }
@@ -240,7 +245,7 @@ def place_exploring(
         return placing.set(agent, pose_w=pose)
     number = jnp.where(placing.tries[agent] > 0, 2.0, draws["kind"])
     kind, bay = starts.draw_kind(config, number), jnp.full((), NO_BAY, jnp.int32)
-    if config.close_ratio:
+    if not is_off(config.close_ratio):
         others_goal = jnp.where(around.others, placing.goal, NO_BAY)
         taken = jnp.concatenate([placing.parked_bay, others_goal])
         free = layout.bay_mask & ~marked(layout, taken)

@@ -3,10 +3,11 @@
 A reset is a spawn of all agents of a lot; a step spawns those whose episodes ended.
 """
 
+import copy
 import dataclasses
 import functools
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -104,6 +105,12 @@ class Spawner:
         may_be_fewer = config.occupancy is not None and config.min_agents is not None
         fewer = config.num_agents > min(lot.min_bays // 2, lot.min_goals)
         self._limits_agents = may_be_fewer and not config.goals.dynamic and fewer
+
+    def with_config(self, config: EnvConfig) -> Self:
+        """The spawner with other numbers, see `ParkingEnv.with_values`."""
+        other = copy.copy(self)
+        other._config = config
+        return other
 
     def begin_lot(
         self,

@@ -1,8 +1,10 @@
-"""Where the metrics of a training go besides `metrics.csv`: `--logger`.
+"""What follows the updates of a training: `--logger`, `--callbacks`.
 
-An extension registers its own logger, see `carpark_mj.extensions`:
+Loggers take the metrics besides `metrics.csv`, callbacks may change settings and end
+the training. An extension registers its own, see `carpark_mj.extensions`:
 
     LOGGERS.register("mine", MyLogger)  # carpark_mj train --logger mine,tensorboard
+    CALLBACKS.register("mine", MyCallback)  # carpark_mj train --callbacks mine
 """
 
 import dataclasses
@@ -46,9 +48,59 @@ class Logger:
 LOGGERS: Registry[Callable[[Path, int, Settings], Any]] = Registry("logger")
 
 
+class Callback:
+    """Follows a run; a subclass overrides what it needs.
+
+    Every host has one of its own, and they must act alike.
+
+    Attributes:
+        config: settings of the run, a `PPOConfig`.
+        folder: of its files, with checkpoints up to `checkpoint_minutes` old.
+    """
+
+    def __init__(self, config: Any, folder: Path) -> None:
+        """Called before the first update, also of a run that is resumed."""
+        self.config, self.folder = config, folder
+
+    def values(self, progress: float) -> Mapping[str, Any]:
+        """Values of settings in the next update, by path: `env.sensors.speed_noise`.
+
+        Always of the same settings, those of `carpark_mj.config.is_data`: numbers and
+        ranges that are not off in `config`. They are not checked.
+
+        Args:
+            progress: share of the training that is done, in [0, 1].
+        """
+        del progress
+        return {}
+
+    def after(self, metrics: Mapping[str, float]) -> bool | None:
+        """Takes the row of `metrics.csv` of an update; True ends the training."""
+        del metrics
+
+
+# Called with the settings and the folder of a run.
+CALLBACKS: Registry[Callable[[Any, Path], Callback]] = Registry("callback")
+
+
+def open_callbacks(names: str, config: Any, folder: Path) -> list[Callback]:
+    """The callbacks in a setting `callbacks`, for a run."""
+    return [CALLBACKS[name](config, folder) for name in split_names(names)]
+
+
+def scheduled(callbacks: list[Callback], progress: float) -> dict[str, Any]:
+    """The values that callbacks ask for; of several the last one's."""
+    return {path: x for own in callbacks for path, x in own.values(progress).items()}
+
+
+def split_names(text: str) -> list[str]:
+    """The names in a text, separated by commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 def logger_names(text: str) -> list[str]:
     """The names in a setting `logger`; refuses those that cannot log here."""
-    names = [name.strip() for name in text.split(",") if name.strip()]
+    names = split_names(text)
     require_packages(*(name for name in names if LOGGERS[name] in (_wandb, _mlflow)))
     return names
 

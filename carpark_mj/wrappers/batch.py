@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import inspect
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -18,6 +18,9 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from carpark_mj.config.checks import require_count, require_seed
+from carpark_mj.geometry import axis_angle_error, norm
+from carpark_mj.mdp.goals import target_bays
+from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
 from carpark_mj.pytrees import own_buffers
@@ -28,7 +31,7 @@ from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.scene import camera_flags
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
-from carpark_mj.types import State, TimeStep
+from carpark_mj.types import Motion, State, TimeStep
 
 # Lots that are restarted together: the share of a batch that ends in a step of long
 # episodes. A batch restarts as many such groups as it takes.
@@ -170,6 +173,8 @@ class Step(NamedTuple):
 class NumpyBatch(Batch):
     """A batch with NumPy arrays, which the caller may keep and change."""
 
+    _timestep: TimeStep | None = None  # the last
+
     def reset_numpy(
         self, seed: Seeds = None, options: ResetOptions | None = None
     ) -> Any:
@@ -192,7 +197,49 @@ class NumpyBatch(Batch):
                 f"actions must be {'integers' if whole else 'finite numbers'}, not "
                 f"{given[lot, agent, part]} (lot {lot}, agent {agent})"
             )
-        return Step.of(self.step(action), np.array)
+        self._timestep = self.step(action)
+        return Step.of(self._timestep, np.array)
+
+    def details(self, of_step: bool) -> dict[str, np.ndarray]:
+        """`details` (num_lots, num_agents, ...) at the end of the last step.
+
+        Otherwise as agents stand now, where some have begun anew, with rewards of 0.
+        """
+        if of_step:
+            assert self._timestep is not None
+            step = self._timestep
+            found = details(step.motion, step.target_pose, step.reward_terms)
+        else:
+            zero = np.zeros(self.action_shape[:2], np.float32)
+            paid = dict.fromkeys(term_weights(self.env.config), zero)
+            found = details(self.state.motion, _targets(self.state), paid)
+        return jax.tree.map(np.array, found)
+
+
+@jax.jit
+def details(
+    motion: Motion, goal: jax.Array, terms: Mapping[str, jax.Array]
+) -> dict[str, jax.Array]:
+    """What infos have on request of agents (...), their goals' poses and rewards.
+
+    `pose` and `goal` (..., 3) [m, m, rad], `speed` [m/s], `goal_distance` of centres
+    [m], `goal_heading`, the angle to the bay's axis [rad], and `reward_TERM`.
+    """
+    return {
+        "pose": motion.pose_w,
+        "speed": motion.speed,
+        "goal": goal,
+        "goal_distance": norm(motion.xy - goal[..., :2]),
+        "goal_heading": axis_angle_error(motion.pose_w[..., 2] - goal[..., 2]),
+        **{f"reward_{name}": term for name, term in terms.items()},
+    }
+
+
+@jax.jit
+@jax.vmap
+def _targets(state: State) -> jax.Array:
+    """Poses (num_lots, num_agents, 3) of the bays that agents head for."""
+    return state.layout.parked_pose[target_bays(state)]
 
 
 def require_shape(

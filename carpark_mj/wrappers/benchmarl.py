@@ -73,15 +73,11 @@ class ParkingTaskClass(TaskClass):
 
     def observation_spec(self, env: EnvBase) -> Composite:
         """(agents, observation_size)."""
-        spec = env.full_observation_spec_unbatched.clone()
-        del spec[(GROUP, "info")]
-        return spec
+        return _only(env, "observation")
 
     def info_spec(self, env: EnvBase) -> Composite:
         """What happened in the step, (agents, 1) bool."""
-        spec = env.full_observation_spec_unbatched.clone()
-        del spec[(GROUP, "observation")]
-        return spec
+        return _only(env, "info")
 
     def state_spec(self, env: EnvBase) -> None:
         """None: centralised critics and mixers read all agents' observations."""
@@ -91,9 +87,10 @@ class ParkingTaskClass(TaskClass):
         """(agents, 2), or (agents,) of discrete actions."""
         return env.full_action_spec_unbatched
 
-    def action_mask_spec(self, env: EnvBase) -> None:
-        """None: all actions are possible at all times."""
-        return None
+    def action_mask_spec(self, env: EnvBase) -> Composite | None:
+        """Of actions that choose bays; None where all are possible at all times."""
+        mask = (GROUP, "action_mask") in env.observation_keys
+        return _only(env, "action_mask") if mask else None
 
     @staticmethod
     def env_name() -> str:
@@ -104,6 +101,14 @@ class ParkingTaskClass(TaskClass):
     def log_info(batch: TensorDictBase) -> dict[str, float]:
         """Shares of the agents' episodes that ended in a batch."""
         return {f"collection/{k}_rate": v for k, v in ending_rates(batch).items()}
+
+
+def _only(env: EnvBase, name: str) -> Composite:
+    """One entry of what the group observes."""
+    spec = env.full_observation_spec_unbatched.clone()
+    for other in {*spec[GROUP].keys()} - {name}:
+        del spec[(GROUP, other)]
+    return spec
 
 
 class ParkingTask(Task):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+from collections.abc import Callable
 from types import FrameType
 from typing import Any, Unpack
 
@@ -35,6 +36,8 @@ from carpark_mj.wrappers.options import (
     array_action_space,
     as_reset_options,
     configure,
+    discrete_table,
+    look_up,
     observation_space,
     share,
 )
@@ -47,6 +50,8 @@ class Parking:
     """What single environments and batches share."""
 
     _batch: NumpyBatch
+    _by_env: Callable[[Any], Any]  # values of the environment from those of its batch
+    _table: np.ndarray | None  # of discrete actions
     _spec: EnvSpec | None = None
     _defaults: Options = {}  # noqa: RUF012
 
@@ -69,6 +74,22 @@ class Parking:
         """Space of an agent's observations."""
         return observation_space(env.config)
 
+    def _acts(self, env: ParkingEnv, options: Options) -> spaces.Space[Any]:
+        """Space of an agent's actions; reads what else options say of elements."""
+        self._details = options.get("details", False)
+        self._table = discrete_table(env.action_spec, options)
+        return array_action_space(env.action_spec, self._table)
+
+    def _rows(self, actions: np.ndarray) -> np.ndarray:
+        """Actions (lots, agents, size) of elements of the space."""
+        if self._table is not None:
+            actions = look_up(self._table, actions)
+        return actions.reshape(self._batch.action_shape)
+
+    def _told(self, of_step: bool = False) -> dict[str, Any]:
+        """The details that infos have, none unless asked for."""
+        return self._by_env(self._batch.details(of_step)) if self._details else {}
+
     def _open(
         self, env: ParkingEnv, render_mode: str | None, camera: str, *size: int
     ) -> dict[str, Any]:
@@ -85,11 +106,13 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
     - observation: (size,) float32, the fields of `carpark_mj.observations.make_fields`;
       with cameras a dictionary, see `carpark_mj.observations.unpack`.
     - action: (2,) float32, steer and pedal in [-1, 1]; numbers out of range are
-      clipped. On the grid: indices of an acceleration and a turn.
+      clipped. On the grid: indices of an acceleration and a turn. With `discrete` the
+      number of a row of a table.
     - reward: the sum of the terms of `RewardConfig`.
     - end: terminated when parked or crashed, truncated when out of time; then `reset`
       draws the next lot.
-    - info: `is_success` (parked) and `crashed`.
+    - info: `is_success` (parked) and `crashed`, with `details` where the car and its
+      goal are and the reward by term.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012
@@ -118,7 +141,7 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         self._batch = NumpyBatch(env, 1, restart=False)
         self.metadata = self._open(env, render_mode, camera, width, height)
         self.observation_space = self._space(env)
-        self.action_space = array_action_space(env.action_spec)
+        self.action_space = self._acts(env, options)
         self._running = False
 
     def reset(
@@ -137,7 +160,8 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         observation = self._batch.reset_numpy(seed, given)
         self._running = True
         self._show()
-        return _alone(observation), {"is_success": False, "crashed": False}
+        info = {"is_success": False, "crashed": False}
+        return self._by_env(observation), info | self._told()
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by a control step; see the class.
@@ -149,14 +173,15 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
             raise ResetNeeded("call reset before the first step of an episode")
         action = np.asarray(action)
         require_shape("an action", action, self.action_space.shape)
-        step = self._batch.step_numpy(action[None, None])
+        step = self._batch.step_numpy(self._rows(action))
         terminated, truncated = bool(step.terminated[0, 0]), bool(step.truncated[0, 0])
         self._running = not (terminated or truncated)
         crashed = bool(step.crashed[0, 0])
         info = {"is_success": terminated and not crashed, "crashed": crashed}
+        info |= self._told(of_step=True)
         self._show()
         reward = float(step.reward[0, 0])
-        return _alone(step.observation), reward, terminated, truncated, info
+        return self._by_env(step.observation), reward, terminated, truncated, info
 
     def render(self) -> Any:
         """A picture (height, width, 3) uint8 in mode `rgb_array`, else None."""
@@ -168,14 +193,13 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         """Closes windows and renderers."""
         self._screen.close()
 
+    def _by_env(self, values: Any) -> Any:
+        """Those of the only agent of the only lot."""
+        return jax.tree.map(lambda x: x[0, 0], values)
+
     def _show(self) -> None:
         if self.render_mode == "human":
             self._screen.show(self._batch.state)
-
-
-def _alone(observation: Any) -> Any:
-    """The observation of the only agent of the only lot."""
-    return jax.tree.map(lambda x: x[0, 0], observation)
 
 
 def _asked_steps(frame: FrameType | None) -> int | None:
@@ -246,7 +270,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         self.metadata["autoreset_mode"] = mode
         self._ended = np.zeros(num_envs, bool)  # those due in the next step
         self.single_observation_space = self._space(env)
-        self.single_action_space = array_action_space(env.action_spec)
+        self.single_action_space = self._acts(env, options)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -279,17 +303,14 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
             due, given = ~no, self.read_options(options)
             observation = self._by_env(self._batch.reset_numpy(seed, given))
         self._ended, self._seen = self._ended & ~due, observation
-        return jax.tree.map(np.copy, observation), _infos(no, no, due)
+        told = {"is_success": no, "crashed": no, **self._told()}
+        return jax.tree.map(np.copy, observation), _infos(due, told)
 
     def _restarted(self, due: np.ndarray, seed: Seeds, key: Any = None) -> Any:
         """Resets the environments that are due; observations of all of them."""
         lots = due.reshape(self.num_lots, -1)[:, 0]
         fresh = self._by_env(self._batch.restart(lots, seed, key))
-
-        def put(new: jax.Array, old: np.ndarray) -> np.ndarray:
-            return np.where(due.reshape(-1, *[1] * (old.ndim - 1)), new, old)
-
-        return jax.tree.map(put, fresh, self._seen)
+        return _put(due, fresh, self._seen)
 
     def read_options(
         self, options: Given | list[dict[str, Any]]
@@ -311,7 +332,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         require_shape("actions", actions, self.action_space.shape)
         mode, begins = self.autoreset_mode, self._ended
         key = own_buffers(self._batch.state.key) if begins.any() else None
-        step = self._batch.step_numpy(actions.reshape(self._batch.action_shape))
+        step = self._batch.step_numpy(self._rows(actions))
         terminated, truncated = step.terminated.ravel(), step.truncated.ravel()
         crashed = step.crashed.ravel()
         success, done = terminated & ~crashed, terminated | truncated
@@ -321,9 +342,13 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         if mode is AutoresetMode.NEXT_STEP:
             self._ended = done
         fresh = done & (mode is AutoresetMode.SAME_STEP)
-        infos = _infos(success & ~fresh, crashed & ~fresh, np.ones_like(done))
+        told = self._told(of_step=True)
+        ends = {"is_success": success, "crashed": crashed, **told}
+        now = {"is_success": success & ~fresh, "crashed": crashed & ~fresh}
+        now |= _put(fresh | begins, self._told(), told)
+        infos = _infos(np.ones_like(done), now)
         if fresh.any():
-            infos["final_info"] = _infos(success, crashed, done)
+            infos["final_info"] = _infos(done, ends)
             final = np.full(self.num_envs, None)
             each = self._by_env(step.final_observation)
             for index in np.flatnonzero(done):
@@ -344,18 +369,24 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         """Closes the renderer."""
         self._screen.close()
 
-    def _by_env(self, observation: Any) -> Any:
-        """Observations (num_envs, ...) from those of agents in lots."""
-        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), observation)
+    def _by_env(self, values: Any) -> Any:
+        """Values (num_envs, ...) from those of agents in lots."""
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), values)
 
 
-def _infos(
-    success: np.ndarray, crashed: np.ndarray, known: np.ndarray
-) -> dict[str, Any]:
-    """Infos (num_envs,), and for which environments they are known."""
-    infos = {"is_success": success, "crashed": crashed}
-    infos |= {f"_{name}": known for name in infos}
-    return {name: values.copy() for name, values in infos.items()}
+def _put(due: np.ndarray, new: Any, old: Any) -> Any:
+    """Arrays (num_envs, ...) that are new where due (num_envs,)."""
+
+    def put(new: Any, old: np.ndarray) -> np.ndarray:
+        return np.where(due.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+    return jax.tree.map(put, new, old)
+
+
+def _infos(known: np.ndarray, values: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Infos (num_envs, ...), and for which environments they are known."""
+    infos = values | {f"_{name}": known for name in values}
+    return {name: array.copy() for name, array in infos.items()}
 
 
 class ParkManyVectorEnv(ParkVectorEnv):

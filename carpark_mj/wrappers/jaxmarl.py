@@ -13,14 +13,16 @@ from gymnasium import spaces
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box, Dict, Discrete
 
+from carpark_mj.mdp.goals import possible_choices
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.types import ENDINGS
-from carpark_mj.wrappers.batch import require_shape
+from carpark_mj.wrappers.batch import details, require_shape
 from carpark_mj.wrappers.options import (
     Options,
     configure,
     discrete_table,
     observation_space,
+    require_numbers,
     share,
 )
 
@@ -40,19 +42,24 @@ class JaxMarlAgents(MultiAgentEnv):
     outcomes = ENDINGS
 
     def __init__(
-        self, env: AgentsEnvironment, space: spaces.Box | spaces.Dict, *, discrete: bool
+        self,
+        env: AgentsEnvironment,
+        space: spaces.Box | spaces.Dict,
+        options: Options,
     ) -> None:
         """Wraps an environment in which agents that have finished wait for the others.
 
-        With `discrete` actions are () rows of `action_table`, as for Q-learning;
-        otherwise numbers in [-1, 1].
+        It reads `discrete` and `details` of the options; without the first actions are
+        numbers in [-1, 1].
         """
         super().__init__(env.num_agents)
         self._env = env
         act, table = Box(-1.0, 1.0, (env.action_spec.size,)), None
-        if (rows := discrete_table(env.action_spec, discrete)) is not None:
+        rows = discrete_table(env.action_spec, options)
+        require_numbers(env.action_spec, rows)
+        if rows is not None:
             act, table = Discrete(len(rows)), jnp.asarray(rows)
-        self._table = table
+        self._table, self._details = table, options.get("details", False)
         self._action_shape = (self.num_agents, *act.shape)
         self.observation_spaces = dict.fromkeys(self.agents, _space(space))
         self.action_spaces = dict.fromkeys(self.agents, act)
@@ -73,19 +80,29 @@ class JaxMarlAgents(MultiAgentEnv):
             action = self._table[action]
         state, step = self._env.step(dataclasses.replace(state, key=key), action)
         done = step.terminated | step.truncated
+        infos = {outcome: getattr(step.events, outcome) for outcome in self.outcomes}
+        if self._details:
+            infos |= details(step.motion, step.target_pose, step.reward_terms)
         return (
             self._observed(step.observation),
             state,
             self._by_agent(step.reward),
             self._by_agent(done) | {"__all__": done.all()},
-            {outcome: getattr(step.events, outcome) for outcome in self.outcomes},
+            infos,
         )
 
     @partial(jax.jit, static_argnums=(0,))
     def get_avail_actions(self, state: Any) -> Arrays:
-        """Masks (number of actions,) bool of discrete actions: all, at all times."""
+        """Masks (number of actions,) bool of discrete actions.
+
+        All but those that choose a bay which the agent does not track.
+        """
         number = 0 if self._table is None else len(self._table)
-        return dict.fromkeys(self.agents, jnp.ones(number, bool))
+        masks = jnp.ones((self.num_agents, number), bool)
+        choices = possible_choices(state)
+        if choices is not None and self._table is not None:
+            masks = choices[:, self._table[:, -1].astype(int)]
+        return self._by_agent(masks)
 
     @property
     def name(self) -> str:
@@ -117,8 +134,8 @@ def _space(space: Any) -> Any:
 class JaxMarlParking(JaxMarlAgents):
     """A lot in which agents park; see `JaxMarlAgents`."""
 
-    def __init__(self, *, discrete: bool = False, **options: Unpack[Options]) -> None:
-        """Builds the environment from `Options`; see `JaxMarlAgents` for `discrete`."""
+    def __init__(self, **options: Unpack[Options]) -> None:
+        """Builds the environment from `Options`."""
         config = configure(options)
         env, space = share(JointEnv, config), observation_space(config)
-        super().__init__(env, space, discrete=discrete)
+        super().__init__(env, space, options)

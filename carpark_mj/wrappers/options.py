@@ -2,8 +2,8 @@
 
 import dataclasses
 import functools
-import itertools
 import math
+import reprlib
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypedDict, TypeVar
@@ -21,7 +21,7 @@ from carpark_mj.config import (
 from carpark_mj.config.checks import is_finite, require_count, require_kind
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import layout_config
-from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.mdp.actions import ActionSpec, action_table
 from carpark_mj.observations import Field, make_fields
 from carpark_mj.observations.compose import BRIGHTEST, VECTOR
 from carpark_mj.policy.runs import from_json
@@ -46,6 +46,9 @@ class Options(TypedDict, total=False):
         max_episode_steps: `EpisodeConfig.max_steps`.
         reward: weights, or the name of a set of them.
         physics: `EnvConfig.physics`.
+        discrete: actions are numbers of rows of a table, `action_table`, or of own rows
+            (n, size).
+        details: whether infos have `carpark_mj.wrappers.batch.details`, too.
     """
 
     config: EnvConfig | str
@@ -57,6 +60,8 @@ class Options(TypedDict, total=False):
     max_episode_steps: int
     reward: RewardConfig | str
     physics: PhysicsChoice
+    discrete: bool | Sequence[Sequence[float]]
+    details: bool
 
 
 Env = TypeVar("Env", bound=ParkingEnv)
@@ -75,6 +80,7 @@ def configure(options: Options, allowed: tuple[str, ...] = OPTIONS) -> EnvConfig
     Configs may be dictionaries of their fields, as in the JSON of a Gymnasium spec.
     """
     require_options(options, allowed)
+    require_kind("details", options.get("details", False), bool)
     given = {name: from_json(_KINDS[name], x) for name, x in options.items()}
     config = given.get("config", EnvConfig())
     if isinstance(config, str):
@@ -153,20 +159,6 @@ def _checked(options: Mapping[str, Any] | None) -> dict[str, Any]:
     if "goal" in row:
         require_count("goal", row["goal"], 0)
     return row
-
-
-# [est] Steering to 1/5 of its limit and the pedal to 1/3, both with a zero.
-STEERS, PEDALS = 11, 7
-
-
-def action_table(spec: ActionSpec) -> np.ndarray:
-    """Actions (number, spec.size): steering x pedal x choices, the last fastest.
-
-    On the grid, where all parts are choices, the list is complete.
-    """
-    numbers = [np.linspace(-1.0, 1.0, n) for n in (STEERS, PEDALS)[: spec.continuous]]
-    indices = [np.arange(n) for n in spec.choices]
-    return np.array(list(itertools.product(*numbers, *indices)), spec.dtype)
 
 
 def observation_space(config: EnvConfig) -> spaces.Box | spaces.Dict:
@@ -254,24 +246,70 @@ def flat_action(action: Any, spec: ActionSpec) -> np.ndarray:
     return flat.astype(spec.dtype)
 
 
-def discrete_table(spec: ActionSpec, discrete: bool) -> np.ndarray | None:
-    """`action_table` of discrete actions, None of continuous ones.
+def discrete_table(spec: ActionSpec, options: Options) -> np.ndarray | None:
+    """The rows that discrete actions number, None of others.
 
-    Refuses continuous actions where some parts are indices.
+    `ValueError` for rows that are no actions.
     """
-    if spec.choices and not discrete:
+    discrete: Any = options.get("discrete", False)
+    if isinstance(discrete, bool):
+        return action_table(spec) if discrete else None
+    low = [-1.0] * spec.continuous + [0] * len(spec.choices)
+    high = [1.0] * spec.continuous + [n - 1 for n in spec.choices]
+    try:
+        rows = np.array(discrete, np.float32)
+        good = rows.ndim == 2 and ((low <= rows) & (rows <= high)).all()
+        indices = rows[:, spec.continuous :] if good else rows
+        good &= (indices == np.rint(indices)).all()
+    except (TypeError, ValueError):
+        rows, good = np.zeros(0), False
+    if not (good and len(rows)):
+        raise ValueError(
+            f"discrete must be True or rows of {spec.size} numbers from {low} to "
+            f"{high}, whole ones of choices, not {reprlib.repr(discrete)}"
+        )
+    return rows.astype(spec.dtype)
+
+
+def require_numbers(spec: ActionSpec, table: np.ndarray | None) -> None:
+    """Refuses actions that are no numbers, where no table numbers them."""
+    if spec.choices and table is None:
         raise ValueError(
             "the grid and dynamic goals have actions that are indices: give "
             "discrete=True"
         )
-    return action_table(spec) if discrete else None
 
 
-def array_action_space(spec: ActionSpec) -> spaces.Space[Any]:
+def array_action_space(spec: ActionSpec, table: np.ndarray | None) -> spaces.Space[Any]:
     """The action of an agent as one array: numbers in [-1, 1], or indices."""
-    if spec.continuous and spec.choices:
-        raise ValueError(
-            "an array holds numbers or indices: goals.dynamic must be False except "
-            "with physics whose controls are indices"
-        )
+    if table is not None:
+        return spaces.Discrete(len(table))
+    if spec.continuous:
+        require_numbers(spec, table)
     return action_space(spec)
+
+
+def action_mask(spec: ActionSpec, table: np.ndarray | None, choices: np.ndarray) -> Any:
+    """A mask of an agent's actions from that of its choices (n,) of a bay.
+
+    Of rows of the table, (rows,) int8, or as `sample` of `action_space` takes it.
+    """
+    choices = choices.astype(np.int8)
+    if table is not None:
+        return choices[table[:, -1].astype(int)]
+    parts = (*(np.ones(n, np.int8) for n in spec.choices[:-1]), choices)
+    return (None, parts) if spec.continuous else parts
+
+
+def look_up(table: np.ndarray, numbers: Any) -> np.ndarray:
+    """The rows (..., size) of numbers (...); `ValueError` for what is none."""
+    numbers = np.asarray(numbers)
+    known = np.issubdtype(numbers.dtype, np.integer) and (
+        (numbers >= 0) & (numbers < len(table))
+    )
+    if not np.all(known):
+        raise ValueError(
+            f"discrete actions must be integers from 0 to {len(table) - 1}, not "
+            f"{reprlib.repr(numbers)}"
+        )
+    return table[numbers]

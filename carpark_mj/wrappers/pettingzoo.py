@@ -10,6 +10,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.env_logger import EnvLogger
 
 from carpark_mj.config.checks import require_kind
+from carpark_mj.mdp.goals import possible_choices
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.wrappers.batch import (
@@ -22,9 +23,11 @@ from carpark_mj.wrappers.batch import (
 )
 from carpark_mj.wrappers.options import (
     Options,
+    action_mask,
     action_space,
     as_reset_options,
     configure,
+    discrete_table,
     flat_action,
     observation_space,
     share,
@@ -59,14 +62,16 @@ def parallel_env(
     env = share(JointEnv, config)
     fps = 1 / config.sim.ctrl_dt
     screen = Screen(env, camera, None, width, height)
-    return AgentsParallelEnv(env, observation_space(config), screen, render_mode, fps)
+    space = observation_space(config)
+    return AgentsParallelEnv(env, space, screen, render_mode, fps, options)
 
 
 class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
     """Agents `agent_0`... have one episode each and leave when it ends.
 
     Actions out of range are clipped. In infos `is_success` is true in the step in which
-    the agent parks or arrives, `crashed` in the step in which it crashes. With
+    the agent parks or arrives, `crashed` in the step in which it crashes. Where agents
+    choose bays, `action_mask` is for `sample` of the next action. With
     `EnvConfig.min_agents` a lot may have fewer than `possible_agents`.
     """
 
@@ -83,8 +88,12 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         screen: Screen,
         render_mode: str | None,
         fps: float,
+        options: Options | None = None,
     ) -> None:
-        """Wraps an environment in which finished agents wait; see `parallel_env`."""
+        """Wraps an environment in which finished agents wait; see `parallel_env`.
+
+        Of the options it reads `discrete` and `details`.
+        """
         require_render_mode(render_mode, RENDER_MODES)
         self._screen = screen
         self._lots = NumpyBatch(env, 1, restart=False)
@@ -93,9 +102,15 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         self.metadata = {**self.metadata, "render_fps": fps}
         self.possible_agents = env.agents
         self.agents: list[str] = []
+        options = options or {}
+        self._table = discrete_table(env.action_spec, options)
+        self._details = options.get("details", False)
+        acts = action_space(env.action_spec)
+        if self._table is not None:
+            acts = spaces.Discrete(len(self._table))
         # Of each agent its own, so that they can be seeded apart.
         self._spaces = {
-            agent: (copy.deepcopy(space), action_space(env.action_spec))
+            agent: (copy.deepcopy(space), copy.deepcopy(acts))
             for agent in self.possible_agents
         }
         box: Any = spaces.flatten_space(space)
@@ -107,7 +122,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Steer and pedal (2,) in [-1, 1]; see `carpark_mj.wrappers.options`."""
+        """Steer and pedal (2,) in [-1, 1], or the number of a row of a table."""
         return self._spaces[agent][1]
 
     def reset(
@@ -127,8 +142,8 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
             a for a, x in zip(self.possible_agents, active, strict=True) if x
         ]
         self._show()
-        infos = {a: {"is_success": False, "crashed": False} for a in self.agents}
-        return self._by_agent(observation), infos
+        no = np.zeros_like(active[None])
+        return self._by_agent(observation), self._infos(no, no)
 
     def step(self, actions: dict[str, Any]) -> Results:
         """Steps all agents that are still driving.
@@ -150,15 +165,22 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         action = np.zeros(self._lots.action_shape, spec.dtype)
         for agent in self.agents:
             row = self.possible_agents.index(agent)
-            action[0, row] = flat_action(actions[agent], spec)
+            if self._table is None:
+                action[0, row] = flat_action(actions[agent], spec)
+            elif self.action_space(agent).contains(actions[agent]):
+                action[0, row] = self._table[int(actions[agent])]
+            else:
+                raise AssertionError(
+                    f"an action must be of {self.action_space(agent)}, not "
+                    f"{actions[agent]!r}"
+                )
         step = self._lots.step_numpy(action)
         self._observation = _in_a_row(step.observation)
-        ends = step.reward, step.terminated, step.truncated, step.success, step.crashed
-        rewards, terminations, truncations, success, crashed = (
+        rewards, terminations, truncations = (
             {agent: value.item() for agent, value in self._by_agent(values).items()}
-            for values in ends
+            for values in (step.reward, step.terminated, step.truncated)
         )
-        infos = {a: {"is_success": success[a], "crashed": crashed[a]} for a in success}
+        infos = self._infos(step.success, step.crashed, of_step=True)
         observations = self._by_agent(step.observation)
         ended = {a for a in self.agents if terminations[a] or truncations[a]}
         self.agents = [agent for agent in self.agents if agent not in ended]
@@ -201,6 +223,20 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
                 )
         rows = [by_agent.get(agent) for agent in self.possible_agents]
         return as_reset_options(rows, (1, len(rows)))
+
+    def _infos(
+        self, success: np.ndarray, crashed: np.ndarray, of_step: bool = False
+    ) -> dict[str, dict[str, Any]]:
+        told = self._lots.details(of_step) if self._details else {}
+        infos = self._by_agent({"is_success": success, "crashed": crashed} | told)
+        for info in infos.values():
+            info.update({k: info[k].item() for k in info if not info[k].ndim})
+        choices = possible_choices(self._lots.state)
+        if choices is not None:
+            spec = self._lots.env.action_spec
+            for agent, own in self._by_agent(np.asarray(choices)).items():
+                infos[agent]["action_mask"] = action_mask(spec, self._table, own)
+        return infos
 
     def _show(self) -> None:
         if self.render_mode == "human":

@@ -20,7 +20,7 @@ from carpark_mj.wrappers.gymnasium_env import ParkVectorEnv
 class ParkVecEnv(VecEnv):
     """All environments stepped by one compiled call.
 
-    Infos hold `is_success`, `crashed` and `TimeLimit.truncated`, at the end of an
+    Infos hold those of the id and `TimeLimit.truncated`, at the end of an
     episode also `terminal_observation`. Wrap it in `VecMonitor` for returns.
 
     Examples:
@@ -70,12 +70,13 @@ class ParkVecEnv(VecEnv):
         observation, reward, terminated, truncated, infos = self._env.step(actions)
         done = terminated | truncated
         final = infos.get("final_info", infos)
-        success = np.where(done, final["is_success"], infos["is_success"])
-        crashed = np.where(done, final["crashed"], infos["crashed"])
-        columns = success.tolist(), crashed.tolist(), truncated.tolist()
+        columns = {"TimeLimit.truncated": truncated}
+        for name in (name for name in infos if f"_{name}" in infos and name in final):
+            ended = done.reshape(-1, *[1] * (infos[name].ndim - 1))
+            columns[name] = np.where(ended, final[name], infos[name])
+        values = zip(*(column.tolist() for column in columns.values()), strict=True)
         rows: list[dict[str, Any]] = [
-            {"is_success": s, "crashed": c, "TimeLimit.truncated": t}
-            for s, c, t in zip(*columns, strict=True)
+            dict(zip(columns, row, strict=True)) for row in values
         ]
         for index in np.flatnonzero(done):
             rows[index]["terminal_observation"] = infos["final_obs"][index]

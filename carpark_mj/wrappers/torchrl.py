@@ -11,14 +11,17 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from carpark_mj.mdp.goals import possible_choices
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
 from carpark_mj.wrappers.batch import Screen
 from carpark_mj.wrappers.options import (
+    OPTIONS,
     Options,
     configure,
     discrete_table,
     observation_space,
+    require_numbers,
     share,
 )
 from carpark_mj.wrappers.torch_batch import TorchBatch
@@ -34,7 +37,9 @@ class TorchRLAgents(EnvBase):
     (lots, agents), `observation`, `action`, `reward`, `done`, `terminated`, `truncated`
     and, in `info`, whether the agent succeeded or `crashed` in the step; at the root
     `done`, `terminated` and `truncated` (lots, 1) of the lots, which are done when all
-    of their agents are. An observation with pictures is a dictionary.
+    of their agents are. Where agents choose bays, `action_mask` (lots, agents, actions)
+    says which actions choose one that they track. An observation with pictures is a
+    dictionary.
 
     An agent whose episode has ended stays terminated, observes zeros and earns 0 until
     its lot is reset; with `rewards.joint` of junctions it still earns the sum over all
@@ -50,17 +55,17 @@ class TorchRLAgents(EnvBase):
         space: spaces.Box | spaces.Dict,
         screen: Screen,
         lots: int,
-        *,
+        options: Options,
         device: torch.device | str | None,
-        discrete: bool,
     ) -> None:
         """Wraps an environment in which agents that have finished wait for the others.
 
         It is compiled by the first reset and step. The device must be JAX's (None =
-        that); with `discrete` actions are rows of `action_table`, otherwise numbers in
+        that). Of the options it reads `discrete`; without it actions are numbers in
         [-1, 1].
         """
-        table = discrete_table(env.action_spec, discrete)
+        table = discrete_table(env.action_spec, options)
+        require_numbers(env.action_spec, table)
         self._lots = TorchBatch(env, lots, restart=False)
         on = self._lots.device
         if device is not None and torch.empty(0, device=device).device != on:
@@ -71,9 +76,10 @@ class TorchRLAgents(EnvBase):
         self.group_map = {GROUP: env.agents}
         self._env, self._seed, self._screen = env, None, screen
         self._table = None if table is None else torch.from_numpy(table).to(on)
-        self._make_specs(space)
+        parks = isinstance(env, JointEnv)
+        self._make_specs(space, chooses=parks and env.config.goals.dynamic)
 
-    def _make_specs(self, space: spaces.Box | spaces.Dict) -> None:
+    def _make_specs(self, space: spaces.Box | spaces.Dict, chooses: bool) -> None:
         """Specs of one lot; those of the batch follow from them."""
         agents = (self._env.num_agents,)
         action = Bounded(-1.0, 1.0, (*agents, self._env.action_spec.size))
@@ -86,11 +92,13 @@ class TorchRLAgents(EnvBase):
         def grouped(specs: dict[str, Any]) -> Composite:
             return Composite({GROUP: Composite(specs, shape=agents)}).to(self.device)
 
+        seen = {"observation": _spec(space, agents)}
+        if chooses and self._table is not None:
+            masks = (*agents, len(self._table))
+            seen["action_mask"] = Categorical(2, masks, dtype=torch.bool)
         info = Composite(flags((self.success, "crashed"), *agents), shape=agents)
         self.full_action_spec_unbatched = grouped({"action": action})
-        self.full_observation_spec_unbatched = grouped(
-            {"observation": _spec(space, agents), "info": info}
-        )
+        self.full_observation_spec_unbatched = grouped({**seen, "info": info})
         self.full_reward_spec_unbatched = grouped({"reward": Unbounded((*agents, 1))})
         done = grouped(flags(_ENDS, *agents))
         done.update(Composite(flags(_ENDS)).to(self.device))
@@ -111,7 +119,7 @@ class TorchRLAgents(EnvBase):
             observation = self._lots.restart(due.reshape(-1))
         active = torch.from_dlpack(self._lots.batch.state.active)
         no = torch.zeros_like(active)
-        group = {"observation": observation, "info": self._info(no, no)}
+        group = {"info": self._info(no, no), **self._seen(observation)}
         return self._pack(group, terminated=~active, truncated=no)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -120,11 +128,20 @@ class TorchRLAgents(EnvBase):
             action = self._table[action]
         step = self._lots.step(action)
         group = {
-            "observation": step.observation,
+            **self._seen(step.observation),
             "reward": step.reward[..., None],
             "info": self._info(step.success, step.crashed),
         }
         return self._pack(group, step.terminated, step.truncated)
+
+    def _seen(self, observation: Any) -> dict[str, Any]:
+        """What agents observe, with the mask of their actions if they choose bays."""
+        seen = {"observation": observation}
+        choices = possible_choices(self._lots.batch.state)
+        if choices is not None and self._table is not None:
+            masks = torch.from_dlpack(choices)[..., self._table[:, -1].long()]
+            seen["action_mask"] = masks
+        return seen
 
     def _pack(
         self, group: dict[str, Any], terminated: torch.Tensor, truncated: torch.Tensor
@@ -189,15 +206,16 @@ class TorchRLParking(TorchRLAgents):
         *,
         device: torch.device | str | None = None,
         seed: int | None = None,
-        discrete: bool = False,
         **options: Unpack[Options],
     ) -> None:
         """Builds the environment of `Options`; see `TorchRLAgents` for the others.
 
-        Lot i uses `seed` + i; None = unpredictable.
+        Lot i uses `seed` + i; None = unpredictable. There are no `details`.
         """
-        config = configure(options)
+        config = configure(
+            options, tuple(name for name in OPTIONS if name != "details")
+        )
         env, space = share(JointEnv, config), observation_space(config)
         screen = Screen(env)
-        super().__init__(env, space, screen, lots, device=device, discrete=discrete)
+        super().__init__(env, space, screen, lots, options, device)
         self._seed = seed

@@ -1,16 +1,22 @@
 """Recordings repeat: Minari reads them, and their actions give what they hold."""
 
+import dataclasses
 import json
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector.utils import batch_space
 
 from carpark_mj.cli import record as command
+from carpark_mj.cli.play import PlayConfig, make_env, save
 from carpark_mj.cli.record import record
 from carpark_mj.cli.settings.driving import RecordConfig
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.play.demonstration import STEPS, Demonstration, load_demonstration
+from carpark_mj.play.driving import DrivenLot
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.wrappers.gymnasium_env import one_agent
@@ -44,7 +50,16 @@ def test_minari_reads_episodes_that_repeat(folder, monkeypatch):
     data = minari.load_dataset("carpark_mj/first/random-v0")
     assert data.total_episodes == EPISODES
     env = data.recover_environment()
+    # What Minari's own tests ask of a data set.
+    about = json.loads((folder / "recording.json").read_text())
+    config = from_dict(EnvConfig, about["environment"]["config"])
+    spec = gymnasium.make(command.ID, config=config).spec
+    assert env.spec == EnvSpec.from_json(spec.to_json())
+    assert data.observation_space == env.observation_space
+    assert data.action_space == env.action_space
     for number, episode in enumerate(data):
+        assert all(map(env.observation_space.contains, episode.observations))
+        assert all(map(env.action_space.contains, episode.actions))
         seen, _ = env.reset(seed=SEED + number)
         observations, poses = [seen], episode.infos["pose"]
         assert len(episode) < 31
@@ -101,3 +116,52 @@ def test_noise_is_on_actions_that_are_executed(folder):
     assert {len(episode.rewards) for episode in made} == {30}  # none reaches anything
     moved = [np.ptp(episode.infos["pose"][:, :2]) for episode in made]
     assert min(moved) > 0.0
+
+
+def test_drives_of_people_become_a_data_set_of_their_episodes(tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari")
+    env, others = make_env(PlayConfig(environment="first"))
+    ahead = np.float32([[0.0, 1.0]])
+    lot = DrivenLot(env, others, 0, lambda lot: ahead)
+    drives = tmp_path / "drives"
+    while dict(lot.tally())["crashed"] + dict(lot.tally())["timed_out"] < 3:
+        lot.step()
+    for _ in range(3 * lot.traces):  # an episode that does not end
+        lot.step()
+    save(lot, drives)
+    out = command.main(RecordConfig(str(drives), out=str(tmp_path / "data")))
+    monkeypatch.setenv(command.ROOT, str(out))
+    data = minari.load_dataset("carpark_mj/park/drives-v0")
+    drive, begin = lot.demonstration, 0
+    assert data.total_episodes >= 3
+    assert data.total_steps < len(drive)
+    single = data.recover_environment()
+    for episode in data:
+        assert episode.observations in batch_space(
+            single.observation_space, len(episode.observations)
+        )
+        rows = slice(begin, begin := begin + len(episode))
+        np.testing.assert_array_equal(episode.actions, drive.actions[rows, 0])
+        np.testing.assert_array_equal(episode.rewards, drive.rewards[rows, 0])
+        seen = drive.observations[rows, 0]
+        np.testing.assert_array_equal(episode.observations[:-1], seen)
+        # The last observation is not that of the next episode.
+        assert (episode.observations[-1] != drive.observations[begin, 0]).any()
+        ended = episode.infos["crashed"] | episode.infos["is_success"]
+        assert ended[-1] or episode.truncations[-1]
+        assert not ended[:-1].any()
+    for name, message in (
+        ("other", "one agent in one environment"),
+        ("short", "has ended"),
+    ):
+        first = load_demonstration(drives / "drive-0.npz")
+        parts = {k: getattr(first, k)[:2] for k in STEPS}
+        config = first.config
+        if name == "other":
+            config = dataclasses.replace(config, layout="street")
+            first.save(tmp_path / name / "drive-1.npz")
+        Demonstration(config, 0, **parts).save(tmp_path / name / "drive-0.npz")
+        with pytest.raises(ValueError, match=message):
+            command.main(RecordConfig(str(tmp_path / name), out=str(tmp_path / "no")))
+    with pytest.raises(ValueError, match=r"noise 0.1 has no effect with drives"):
+        command.main(RecordConfig(str(drives), noise=0.1, out=str(tmp_path / "no")))

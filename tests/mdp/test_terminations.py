@@ -12,7 +12,7 @@ from helpers.rules import LIMITS
 from helpers.scenes import cars, crossing, lot, moved, moved_cars
 from helpers.states import parked_at, parked_in, state_of
 
-from carpark_mj.config import PARKED_RULES, EpisodeConfig, ParkedRule
+from carpark_mj.config import ENDS, PARKED_RULES, End, EpisodeConfig, ParkedRule
 from carpark_mj.mdp.terminations import detect_events, is_parked
 
 detect_jit = jax.jit(detect_events, static_argnums=0)
@@ -122,7 +122,9 @@ def test_exact_is_strict_and_precise_in_a_narrow_bay():
 FAR_LOT = lot([(30.0, 0.0, 0.0), (30.0, 10.0, 0.0), (30.0, 20.0, 0.0)])
 
 
-def detected(motion, rule="strict", step=1, active=True, layout=FAR_LOT, goal=None):
+def detected(
+    motion, rule="strict", step=1, active=True, layout=FAR_LOT, goal=None, **config
+):
     """Events of agents whose goals are bays 0, 1, …, with a parked car in bay 2."""
     count = motion.size.shape[0]
     state = state_of(
@@ -133,7 +135,7 @@ def detected(motion, rule="strict", step=1, active=True, layout=FAR_LOT, goal=No
         step=jnp.full(count, step),
         active=jnp.broadcast_to(jnp.asarray(active), (count,)),
     )
-    return detect_jit(EpisodeConfig(parked_rule=rule, max_steps=10), state)
+    return detect_jit(EpisodeConfig(rule, max_steps=10, **config), state)
 
 
 AWAY = (0.0, 0.0, 0.0)
@@ -190,6 +192,20 @@ def test_a_rule_may_put_the_timeout_first(monkeypatch, step, outcome):
     PARKED_RULES.register("early", ParkedRule(speed=1.0, before_timeout=False))
     assert flags(detected(cars([IN_BAY_0]), "early", step)) == [outcome]
     assert flags(detected(cars([IN_BAY_0]), "early,strict", step)) == ["parked"]
+
+
+@pytest.mark.parametrize("outcome", ["crashed", "timed_out"])
+def test_ends_of_one_s_own_count_as_the_outcome_they_name(monkeypatch, outcome):
+    restore_after(monkeypatch, ENDS)
+    west = End(lambda state: state.motion.xy[:, 0] < 0.0, outcome)
+    ENDS.register(f"{outcome}_west", west)
+    two = cars([(-8.0, 20.0, 0.0), (8.0, 20.0, 0.0)])
+    events = detected(two, ends=(f"{outcome}_west",))
+    np.testing.assert_array_equal(getattr(events, outcome), [True, False])
+    np.testing.assert_array_equal(events.done, [True, False])
+    assert not events.hit_wall.any()
+    with pytest.raises(ValueError, match=r"unknown end 'east'; choose from .*_west'"):
+        EpisodeConfig(ends=("east",))
 
 
 def test_both_agents_of_a_collision_crash_that_are_active():

@@ -56,7 +56,8 @@ def drive(lot, steps=STEPS_DRIVEN):
 
 def test_only_the_first_car_obeys_the_driver(lot):
     drive(lot)
-    moved = np.abs(lot.demonstration.poses[-1] - lot.demonstration.poses[0])[:, :2]
+    found = lot.demonstration
+    moved = np.abs(found.next_poses[-1] - found.poses[0])[:, :2]
     assert moved[0].max() > 0.3
     assert moved[1].max() < 1e-3
     assert lot.speed > 0.5
@@ -73,6 +74,9 @@ def test_everything_is_recorded(lot):
     assert not found.actions[:, 1].any()
     assert lot.score == pytest.approx(found.rewards[:, 0].sum(), abs=1e-5)
     assert dict(lot.tally())["score"] == round(lot.score, 1)
+    for name in ("observations", "poses"):  # of agents that have not respawned
+        rows = getattr(found, f"next_{name}")[:-1]
+        np.testing.assert_array_equal(rows, getattr(found, name)[1:])
     # What an agent saw came before what it did: its own speed, the first field.
     assert found.observations[0, 0, 0] == 0.0
     assert found.observations[1, 0, 0] > 0.0
@@ -180,9 +184,10 @@ def still(tmp_path_factory):
     shape = (3, config.num_agents)
     numbers = {name: np.zeros(shape, np.float32) for name in STEPS}
     sizes = {"observations": observation_size(config), "actions": 2, "poses": 3}
+    sizes |= {f"next_{name}": sizes[name] for name in ("observations", "poses")}
     for name, size in sizes.items():
         numbers[name] = np.zeros((*shape, size), np.float32)
-    for name in ("terminated", "truncated"):
+    for name in ("terminated", "truncated", "success"):
         numbers[name] = np.zeros(shape, bool)
     path = tmp_path_factory.mktemp("still") / "drive.npz"
     Demonstration(config, 3, **numbers).save(path)

@@ -12,6 +12,7 @@ from carpark_mj.cli.driver import find_driver
 from carpark_mj.config import EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
+from carpark_mj.mdp.actions import action_table
 from carpark_mj.policy import onnx_export
 from carpark_mj.policy.host import from_function, from_onnx, from_sb3, from_torch
 from carpark_mj.policy.loading import load_policy
@@ -55,6 +56,11 @@ def test_a_function_drives_as_the_same_policy_in_jax(env):
         assert row == pytest.approx(expected, abs=1e-3, nan_ok=True)
 
 
+def test_integers_are_numbers_of_rows_of_the_table(env, seen):
+    found = acts(from_function(lambda seen: 70 + np.arange(len(seen))), env, seen)
+    np.testing.assert_array_equal(found, action_table(env.action_spec)[70:75])
+
+
 @pytest.mark.parametrize(
     ("act", "message"),
     [
@@ -96,19 +102,22 @@ def test_a_torch_module_acts_the_same_from_its_file(env, seen, tmp_path):
         np.testing.assert_allclose(acts(make, env, seen), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["PPO", "A2C", "SAC", "TD3"])
+@pytest.mark.parametrize("kind", ["PPO", "A2C", "DQN", "SAC", "TD3"])
 def test_a_model_of_stable_baselines_predicts(kind, env, seen, tmp_path):
     sb3 = pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.vec_env import VecNormalize
 
     from carpark_mj.wrappers.sb3 import ParkVecEnv
 
-    lots = VecNormalize(ParkVecEnv("carpark_mj/Park-v0", 2, config=SHORT))
+    given = {"config": SHORT, "discrete": kind == "DQN"}
+    lots = VecNormalize(ParkVecEnv("carpark_mj/Park-v0", 2, **given))
     model = getattr(sb3, kind)("MlpPolicy", lots, seed=1, device="cpu")
     lots.obs_rms.mean, lots.obs_rms.var = np.full(SIZE, 0.2), np.full(SIZE, 4.0)
     model.save(tmp_path / "model.zip")
     lots.save(tmp_path / "normal.pkl")
     expected = model.predict((seen - 0.2) / 2.0, deterministic=True)[0]
+    if kind == "DQN":
+        expected = action_table(env.action_spec)[expected]
     files = tmp_path / "model.zip", tmp_path / "normal.pkl"
     for make in (from_sb3(model, files[1]), find_named(f"sb3:{files[0]},{files[1]}")):
         np.testing.assert_allclose(acts(make, env, seen), expected, atol=1e-5)

@@ -33,7 +33,7 @@ from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.rendering.video import write_video
 from carpark_mj.training import PPOConfig, Run, evaluate, train
 from carpark_mj.training import loop as loops
-from carpark_mj.training.loggers import LOGGERS
+from carpark_mj.training.loggers import CALLBACKS, LOGGERS, Callback
 from carpark_mj.training.loop import (
     MetricsLog,
     plot_learning_curve,
@@ -242,6 +242,53 @@ def test_a_run_tells_its_rows_has_the_policy_and_can_be_evaluated(
     with pytest.raises(ValueError, match="another environment"):
         carpark_mj.evaluate(other)
     assert {"evaluate", "render", "ParkingEnv"} <= {*dir(carpark_mj)}
+
+
+class Ramp(Callback):
+    """Time costs more with the progress; the second update is the last."""
+
+    def values(self, progress):
+        return {"env.reward.time": 1.0 + progress, "learning_rate": 1e-3}
+
+    def after(self, metrics):
+        assert (self.folder / "metrics.csv").exists()
+        return metrics["update"] == 2
+
+
+def test_registered_callbacks_change_settings_and_end_the_training(
+    tmp_path, monkeypatch
+):
+    restore_after(monkeypatch, CALLBACKS)
+    CALLBACKS.register("ramp", Ramp)
+    CALLBACKS.register("off", Off)
+    programs, compile_ = [], Learner.compile
+
+    def keep(self, scheduled):
+        programs.append(compile_(self, scheduled))
+        return programs[-1]
+
+    monkeypatch.setattr(Learner, "compile", keep)
+    config = insert(TINY, {"callbacks": "ramp", "runs_dir": str(tmp_path)})
+    run = train(config)
+    assert run.outcome == "stopped"
+    for row, paid in zip(run.metrics, (1.0, 1.0 + 1 / UPDATES), strict=True):
+        each = -paid / config.env.episode.max_steps
+        assert row["reward/time"] == pytest.approx(each, rel=1e-4)
+    assert programs[0]._cache_size() == 1
+    for name, message in (
+        ("rmap", "did you mean 'ramp'"),
+        ("off", "speed_noise = 0.0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            train(insert(config, {"callbacks": name}))
+    assert len([*tmp_path.iterdir()]) == 1
+
+
+class Off(Callback):
+    """Asks for noise that the environment does not have."""
+
+    def values(self, progress):
+        return {"env.sensors.speed_noise": progress}
 
 
 @pytest.mark.slow

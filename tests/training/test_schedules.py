@@ -37,7 +37,7 @@ class SlowLearner(Learner):
         count, steps = jnp.zeros((), jnp.int32), no_steps()
         return TrainingState(**none | {"update": count, "steps": steps, "env": lots})
 
-    def compile(self):
+    def compile(self, scheduled=False):
         def update(state):
             self.now += self._update_seconds
             metrics = {

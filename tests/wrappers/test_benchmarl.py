@@ -12,6 +12,7 @@ from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from tensordict import TensorDict
 
+from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.wrappers.benchmarl import ParkingTask, Rates, ending_rates
 
 CONFIG = {
@@ -34,8 +35,14 @@ CONFIG = {
 
 
 @pytest.mark.filterwarnings("ignore")  # of libraries
-@pytest.mark.parametrize("name", ["ippo", "mappo", "iql", "vdn", "qmix", "maddpg"])
-def test_an_algorithm_learns_by_its_name(name, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "chooses"),
+    [
+        *((x, False) for x in ("ippo", "mappo", "iql", "vdn", "qmix", "maddpg")),
+        ("iql", True),  # masked
+    ],
+)
+def test_an_algorithm_learns_by_its_name(name, chooses, tmp_path):
     config = ExperimentConfig.get_from_yaml()
     for key, value in CONFIG.items():
         setattr(config, key, value)
@@ -44,6 +51,7 @@ def test_an_algorithm_learns_by_its_name(name, tmp_path):
     experiment = Experiment(
         task=ParkingTask.PARK.get_task(
             {"agents": 2, "parked_cars": 2, "physics": "bicycle"}
+            | {"config": EnvConfig(goals=GoalConfig(dynamic=chooses))}
         ),
         algorithm_config=algorithm_config_registry[name].get_from_yaml(),
         model_config=MlpConfig.get_from_yaml(),
@@ -53,6 +61,8 @@ def test_an_algorithm_learns_by_its_name(name, tmp_path):
         callbacks=[rates],
     )
     group = experiment.action_spec["agents", "action"]
+    masks = experiment.test_env.observation_keys
+    assert chooses == (("agents", "action_mask") in masks)
     discrete = name in ("iql", "vdn", "qmix")
     assert group.shape == ((2,) if discrete else (2, 2))
     policy = experiment.group_policies["agents"]

@@ -41,6 +41,7 @@ DEFAULTS = {
     "max_episode_steps": CONFIG.episode.max_steps,
     "reward": next(name for name, set_ in REWARDS.items() if set_ == CONFIG.reward),
     "physics": CONFIG.physics,
+    **dict.fromkeys(("discrete", "details"), False),
 }
 RULE = goal_config({}).episode.parked_rule
 

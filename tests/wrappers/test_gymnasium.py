@@ -100,16 +100,21 @@ def test_observations_keep_to_their_space(name, options):
         observation, *_ = vector.step(actions)
 
 
-@pytest.mark.parametrize("name", SINGLE)
-def test_each_of_many_has_the_episodes_of_one(name):
-    vector = gymnasium.make_vec(name, COUNT, config=SHORT)
+@pytest.mark.parametrize(
+    ("name", "details"), [(PARK, False), (PARK, True), (GOAL, False)]
+)
+def test_each_of_many_has_the_episodes_of_one(name, details):
+    options = {"config": SHORT, "details": details}
+    vector = gymnasium.make_vec(name, COUNT, **options)
     assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-    singles = [make(name, config=SHORT) for _ in range(COUNT)]
+    singles = [make(name, **options) for _ in range(COUNT)]
     seen, infos = vector.reset(seed=4)
-    assert {*infos} == {"is_success", "crashed", "_is_success", "_crashed"}
     for index, env in enumerate(singles):
         first, info = env.reset(seed=4 + index)
-        assert info == {key: infos[key][index] for key in ("is_success", "crashed")}
+        assert {*infos} == {*info} | {f"_{key}" for key in info}
+        assert details == (len(info) > 2)
+        for key, value in info.items():
+            np.testing.assert_allclose(infos[key][index], value, atol=1e-4)
         assert_close([leaf[index] for leaf in leaves(seen)], leaves(first))
     vector.action_space.seed(0)
     crashes = 0
@@ -124,12 +129,14 @@ def test_each_of_many_has_the_episodes_of_one(name):
             done = rest[1] or rest[2]
             told = infos["final_info"] if done else infos
             for key, value in info.items():
-                assert told[key][index] == value
+                np.testing.assert_allclose(told[key][index], value, atol=1e-4)
                 assert told[f"_{key}"][index]
             if done:
                 crashes += info["crashed"]
                 assert_close(infos["final_obs"][index], after)
-                after, _ = env.reset()
+                after, info = env.reset()
+                for key, value in info.items():
+                    np.testing.assert_allclose(infos[key][index], value, atol=1e-4)
             assert_close([leaf[index] for leaf in leaves(seen)], leaves(after))
         assert ("final_obs" in infos) == bool((terminated | truncated).any())
     assert crashes
@@ -249,6 +256,49 @@ def until_end(env):
     """Steps of an episode of a car that stands."""
     env.reset(seed=0)
     return next(n for n in itertools.count(1) if env.step(0.0 * AHEAD)[3])
+
+
+def test_discrete_actions_are_rows_of_a_table():
+    """The standard one, or own rows, of one and of many."""
+    rows = [[0.5, 1.0], [0.0, -1.0]]
+    own = make(config=SHORT, discrete=rows)
+    check_env(own, skip_render_check=True)
+    many = gymnasium.make_vec(PARK, 2, config=SHORT, discrete=rows)
+    numbers = make(config=SHORT)
+    for env in (own, numbers):
+        env.reset(seed=1)
+    many.reset(seed=[1, 1])
+    for row in (0, 0, 1):
+        one, *_ = own.step(row)
+        assert_close(one, numbers.step(np.float32(rows[row]))[0])
+        seen, *_ = many.step(np.array([row, 1 - row]))
+        assert_close(seen[0], one)
+    assert (seen[0] != seen[1]).any()
+    assert make(config=SHORT, discrete=True).action_space.n == 77
+    for wrong in (2, -1, 0.5):
+        with pytest.raises(ValueError, match="integers from 0 to 1"):
+            own.step(wrong)
+    for wrong in ([[0.0, 0.0, 0.0]], [[0.0, 2.0]], [], 5, "all"):
+        with pytest.raises(ValueError, match=r"True or rows of 2 numbers from \[-1"):
+            make(config=SHORT, discrete=wrong)
+
+
+def test_details_say_where_the_car_is_and_what_each_term_paid():
+    env = make(config=SHORT, details=True)
+    _, info = env.reset(seed=3)
+    start = info["pose"]
+    assert not any(value for key, value in info.items() if key[:7] == "reward_")
+    for _ in range(3):
+        _, reward, _, _, info = env.step(AHEAD)
+    state, paid = env._batch.state, [x for k, x in info.items() if k[:7] == "reward_"]
+    np.testing.assert_allclose(np.sum(paid), reward, atol=1e-6)
+    np.testing.assert_array_equal(info["pose"], state.motion.pose_w[0, 0])
+    assert (info["pose"] != start).any()
+    goal = state.layout.parked_pose[0, int(state.goal[0, 0])]
+    np.testing.assert_array_equal(info["goal"], goal)
+    away = info["pose"] - info["goal"]
+    assert info["goal_distance"] == pytest.approx(np.hypot(*away[:2]), abs=1e-5)
+    assert abs(np.sin(away[2])) == pytest.approx(np.sin(info["goal_heading"]), abs=1e-5)
 
 
 def test_max_episode_steps_is_the_time_limit():

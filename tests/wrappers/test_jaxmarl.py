@@ -1,5 +1,7 @@
 """A lot as JaxMARL sees it."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,8 @@ pytest.importorskip("jaxmarl")
 
 from jaxmarl.wrappers.baselines import CTRolloutManager, LogWrapper
 
+from carpark_mj.config import EnvConfig, GoalConfig
+from carpark_mj.types import NO_BAY
 from carpark_mj.wrappers.jaxmarl import JaxMarlParking
 
 LOTS = 8
@@ -74,3 +78,20 @@ def test_q_learners_have_numbered_actions():
     assert actions.shape == (3,)
     assert actions.max() < env.action_space("agent_0").n == 77
     manager.batch_step(jax.random.key(2), state, {"agent_0": actions})
+
+
+def test_q_learners_know_which_bays_they_may_choose_and_what_was_paid():
+    chosen = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=2))
+    given = {"config": chosen, "physics": "bicycle", "agents": 2, "parked_cars": 2}
+    env = JaxMarlParking(discrete=True, details=True, **given)
+    _, state = env.reset(jax.random.key(0))
+    empty = dataclasses.replace(state, tracked_bays=jnp.array([[NO_BAY, 1], [2, 3]]))
+    masks = env.get_avail_actions(empty)
+    number = env.action_space("agent_0").n
+    rows = np.arange(number) % 3 != 1  # choices are the last part of a row
+    np.testing.assert_array_equal(masks["agent_0"], rows)
+    assert masks["agent_1"].all()
+    actions = dict.fromkeys(env.agents, jnp.int32(2))
+    _, _, reward, _, infos = env.step(jax.random.key(1), state, actions)
+    paid = sum(x for name, x in infos.items() if name[:7] == "reward_")
+    np.testing.assert_allclose(paid, [reward[a] for a in env.agents], atol=1e-6)

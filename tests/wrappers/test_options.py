@@ -1,8 +1,10 @@
 """Options of environments and of `reset`: what they set, and what is refused."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import gymnasium
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,9 +12,19 @@ import carpark_mj
 from carpark_mj.config import REWARDS, EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.mdp.goals import possible_choices
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import SQUARE
-from carpark_mj.wrappers.options import action_table, configure, share
+from carpark_mj.types import NO_BAY
+from carpark_mj.wrappers.options import (
+    action_mask,
+    action_space,
+    action_table,
+    configure,
+    discrete_table,
+    flat_action,
+    share,
+)
 
 
 def test_options_set_fields_of_the_default_or_a_named_environment():
@@ -51,6 +63,32 @@ def test_a_table_of_actions_has_every_choice_and_a_zero():
     grid = action_table(ActionSpec(0, (3, 2)))
     assert grid.dtype == np.int32
     assert grid.tolist() == [[0, 0], [0, 1], [1, 0], [1, 1], [2, 0], [2, 1]]
+
+
+def test_own_rows_are_actions_or_refused():
+    rows = [[0.5, -1.0, 2], [0.0, 0.0, 0]]
+    table = discrete_table(ActionSpec(2, (3,)), {"discrete": rows})
+    np.testing.assert_array_equal(table, rows)
+    grid = discrete_table(ActionSpec(0, (3, 2)), {"discrete": [[2, 1]]})
+    assert grid.dtype == np.int32
+    for wrong in ([[0.0, 0.0, 0.5]], [[0.0, 0.0, 3]], [[0.0, 0.0]], [0.0], "all"):
+        with pytest.raises(ValueError, match="rows of 3 numbers"):
+            discrete_table(ActionSpec(2, (3,)), {"discrete": wrong})
+
+
+def test_masks_are_those_of_choices_that_do_something():
+    tracked = jnp.array([[NO_BAY, 3], [NO_BAY, NO_BAY]])
+    choices = np.asarray(possible_choices(SimpleNamespace(tracked_bays=tracked)))
+    assert choices.tolist() == [[True, False, True], [True, False, False]]
+    spec = ActionSpec(2, (3,))
+    table = action_table(spec)
+    mask = action_mask(spec, table, choices[0])
+    np.testing.assert_array_equal(mask, np.isin(table[:, 2], [0, 2]))
+    for kind in (spec, ActionSpec(0, (2, 3))):
+        space = action_space(kind)
+        drawn = [space.sample(action_mask(kind, None, choices[0])) for _ in range(20)]
+        assert {int(flat_action(action, kind)[-1]) for action in drawn} == {0, 2}
+    assert possible_choices(SimpleNamespace(tracked_bays=None)) is None
 
 
 PARK, GOAL, MANY, *_ = ENTRY_POINTS

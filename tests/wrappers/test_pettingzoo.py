@@ -12,6 +12,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import carpark_mj
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.mdp.actions import ActionSpec
+from carpark_mj.types import NO_BAY
 from carpark_mj.wrappers.options import flat_action
 
 SMALL = {"agents": 3, "parked_cars": 2, "physics": "bicycle"}
@@ -124,12 +125,20 @@ def test_step_after_the_last_agent_has_left_does_nothing(env):
 def test_dynamic_goals_have_their_own_action_space():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        chosen = EnvConfig(goals=GoalConfig(dynamic=True))
-        env = carpark_mj.parallel_env(config=chosen, **SMALL)
-        env.reset(seed=0)
-        for _ in range(2):
-            space = env.action_space("agent_0")
-            env.step({agent: space.sample() for agent in env.agents})
+        chosen = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=2))
+        small = SMALL | {"config": chosen}
+        for discrete in (False, True):
+            env = carpark_mj.parallel_env(**small, discrete=discrete)
+            _, infos = env.reset(seed=0)
+            for _ in range(2):
+                tracked = np.asarray(env._lots.state.tracked_bays[0])
+                space, actions = env.action_space("agent_0"), {}
+                for agent, known in zip(env.agents, tracked != NO_BAY, strict=True):
+                    mask = infos[agent]["action_mask"]
+                    allowed = mask[:3] if discrete else mask[1][0]
+                    np.testing.assert_array_equal(allowed, [1, *known])
+                    actions[agent] = space.sample(mask)
+                *_, infos = env.step(actions)
 
 
 @pytest.mark.parametrize(

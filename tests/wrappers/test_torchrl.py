@@ -7,13 +7,15 @@ import pytest
 pytest.importorskip("torchrl")
 
 import torch
-from torchrl.envs import GymEnv, GymWrapper
+from torchrl.envs import ActionMask, GymEnv, GymWrapper, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from carpark_mj.config import EnvConfig, SensorConfig
+from carpark_mj.config import EnvConfig, GoalConfig, SensorConfig
 from carpark_mj.wrappers.torchrl import TorchRLParking
 
 SMALL = {"agents": 2, "parked_cars": 2, "physics": "bicycle"}
+CHOSEN = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=2))
+CHOOSES = SMALL | {"config": CHOSEN, "discrete": True}
 PARK = "carpark_mj/Park-v0"
 LOTS = 8
 MAX_STEPS = EnvConfig().episode.max_steps
@@ -44,8 +46,9 @@ def rollout(env):
         SMALL,
         SMALL | {"discrete": True},
         {"config": EnvConfig(num_agents=3, min_agents=1, physics="bicycle")},
+        CHOOSES,
     ],
-    ids=["continuous", "discrete", "absent"],
+    ids=["continuous", "discrete", "absent", "masked"],
 )
 def test_torchrl_accepts_the_environment(options):
     check_env_specs(TorchRLParking(3, seed=0, **options))
@@ -122,6 +125,17 @@ def test_discrete_actions_are_rows_of_the_table(env):
         results.append(after["next", "agents", "observation"])
     assert discrete.action_spec["agents", "action"].space.n == 77
     np.testing.assert_allclose(*results, atol=1e-5)
+
+
+def test_action_mask_of_torchrl_keeps_to_bays_that_are_tracked():
+    env = TransformedEnv(
+        TorchRLParking(3, seed=0, **CHOOSES),
+        ActionMask(("agents", "action"), ("agents", "action_mask")),
+    )
+    rollout = env.rollout(20, break_when_any_done=False)
+    masks, actions = rollout["agents", "action_mask"], rollout["agents", "action"]
+    assert masks.gather(-1, actions[..., None]).all()
+    assert masks.shape == (3, 20, 2, 77 * 3)
 
 
 def test_nan_is_sanitized_on_the_device(env):

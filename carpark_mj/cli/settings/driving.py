@@ -30,7 +30,10 @@ from carpark_mj.scene.camera_flags import (
 if TYPE_CHECKING:
     from carpark_mj.cameras import Rig
 
-LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")
+LOT = (
+    *("environment", "layout", "policy", "num_agents", "num_parked_cars", "vehicle"),
+    *("seed", "out"),
+)
 COUNTS = ("others", "parked", "walls", "discs", "lanes")
 
 
@@ -141,10 +144,13 @@ class RecordConfig(DriveSettings):
 
     carpark_mj record planner --environment first --episodes 1000 --out data
     carpark_mj record anywhere --layout street --noise 0.1 --out data/street
+    carpark_mj record runs/play --out data/people
 
     One car drives. Episode i is that of `carpark_mj/Park-v0` with the recorded config
-    after `reset(seed=SEED + i)`. Writes `episodes.npz`, `recording.json` with settings
-    and a hash, and a data set that `MINARI_DATASETS_PATH=OUT` makes loadable.
+    after `reset(seed=SEED + i)`. A folder of drives that `play` has saved gives the
+    whole episodes in them, which have no seed. Writes `episodes.npz`, `recording.json`
+    with settings and a hash, and a data set that `MINARI_DATASETS_PATH=OUT` makes
+    loadable.
 
     Attributes:
         seed: of the first episode.
@@ -433,6 +439,7 @@ class PlayConfig(ShownLot):
     """Drive a car yourself: keyboard or gamepad in a window, or a page for a browser.
 
     carpark_mj play --layout street
+    carpark_mj play --environment first --out runs/mine
     carpark_mj play --policy square --view window --camera chase:0
     carpark_mj play --replay runs/play/drive-0.npz --video drive.mp4
 
@@ -442,6 +449,8 @@ class PlayConfig(ShownLot):
     and the pedal step by step; left is positive.
 
     Attributes:
+        environment: name of an environment, see `carpark_mj.registry`; default: one of
+            the layout, or that of the policy.
         policy: pretrained policy, run folder or checkpoint file that drives the other
             cars; without a policy they stand.
         num_agents: number of cars, yours included; default 1, or as in the policy's
@@ -457,6 +466,7 @@ class PlayConfig(ShownLot):
         port: port of the page.
     """
 
+    environment: str = ""
     view: Literal["", "window", "web"] = ""
     camera: str = "split"
     out: str = "runs/play"

@@ -81,6 +81,8 @@ class TrainConfig(RunConfig):
             compiles [min]; 0 = none. Schedules follow the share of steps or time,
             whichever is larger.
         num_lots: number of lots simulated in parallel.
+        callbacks: registered callbacks (`carpark_mj.training.loggers.CALLBACKS`), which
+            may change settings and end the training; several with commas.
         eval_episodes: episodes of the evaluation at the end; 0 = none.
         video_seconds: length of the video at the end [s]; 0 = none.
     """
@@ -89,5 +91,6 @@ class TrainConfig(RunConfig):
     num_steps: int = 40_000_000
     minutes: NonNegative = 0.0
     num_lots: Count = 64
+    callbacks: str = ""
     eval_episodes: Annotated[int, Bounds(ge=0, le=MAX_EPISODES)] = 1024
     video_seconds: Annotated[float, Bounds(ge=0.0, le=MAX_SECONDS)] = 20.0

@@ -5,8 +5,7 @@ dimension, over which the update is vectorised, and the devices share the runs. 
 of a run lie on one device, so that each is the run which that device alone would train.
 """
 
-import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -18,13 +17,11 @@ from carpark_mj.config import insert, is_data
 from carpark_mj.evaluation.keys import training_key
 from carpark_mj.training.ppo.collect import TrainingState, state_specs
 from carpark_mj.training.ppo.config import PPOConfig
-from carpark_mj.training.ppo.learner import Learner, without_input
+from carpark_mj.training.ppo.learner import Learner, Values, without_input
 from carpark_mj.training.ppo.variants import AXIS
 from carpark_mj.training.run_folder import list_settings
-from carpark_mj.wrappers.brax import BraxParking
 
 RUNS = "runs"
-ENV = "env."
 # What the program does not read.
 OUTSIDE = (
     *("warm_start", "preset", "name", "runs_dir", "resume", "seed"),
@@ -80,7 +77,8 @@ class GroupLearner(Learner):
     def build(self) -> TrainingState:
         """The states before the first update (pure)."""
         keys = [training_key(config.seed) for config in self.configs]
-        return jax.vmap(self.begin)(jnp.stack(keys))
+        begin = jax.vmap(lambda key, own: self.with_values(own).begin(key))
+        return begin(jnp.stack(keys), self.data)
 
     def split(self, state: TrainingState) -> list[TrainingState]:
         """The state of every run."""
@@ -91,26 +89,25 @@ class GroupLearner(Learner):
         """The states of all runs, from that of every one."""
         return jax.tree.map(lambda *parts: jnp.stack(parts), *states)
 
-    def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
-        """The jitted update of all runs; metrics are (runs,)."""
+    def compile(self, scheduled: bool = False) -> Callable[..., Any]:
+        """The jitted update of all runs; metrics and values are (runs, ...)."""
 
-        def update(state: TrainingState, data: Any) -> Any:
-            return jax.vmap(self._update_run)(jax.tree.map(without_input, state), data)
+        def one(state: TrainingState, values: Values) -> Any:
+            return self.with_values(values).update(state)
+
+        def update(state: TrainingState, values: Values) -> Any:
+            return jax.vmap(one)(jax.tree.map(without_input, state), values)
 
         runs = PartitionSpec(RUNS)
         jitted = self._jitted(update, (self.specs, runs), runs)
-        return lambda state: jitted(state, self.data)
+        return lambda state, *values: jitted(state, self.data | dict(*values))
 
-    def _update_run(
-        self, state: TrainingState, data: Mapping[str, jax.Array]
-    ) -> tuple[TrainingState, dict[str, jax.Array]]:
-        """The update of one run with its values () of the settings that differ."""
-        run = copy.copy(self)
-        run.config = insert(self.config, data)
-        # `ParkingEnv.step` pays from its own config.
-        own = {k.removeprefix(ENV): x for k, x in data.items() if k.startswith(ENV)}
-        run.env = BraxParking(self.env.env.with_values(own))
-        return run.update(state)
+    def stack(self, values: Sequence[Values]) -> Values:
+        """See `Learner.stack`; all runs have values of the same settings."""
+        if len({frozenset(own) for own in values}) > 1:
+            raise ValueError("callbacks of all runs must set the same settings")
+        first, *_ = values
+        return {k: np.array([own[k] for own in values], np.float32) for k in first}
 
 
 def _require_one_program(configs: Sequence[PPOConfig]) -> None:

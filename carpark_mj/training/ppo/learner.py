@@ -4,10 +4,11 @@ Networks, statistics and GAE are of Brax. Lots are sharded over the devices, par
 replicated, gradients averaged.
 """
 
+import copy
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from carpark_mj.compilation import FUSION_AUTOTUNER
+from carpark_mj.config import insert, is_data
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import training_key
 from carpark_mj.mdp.rewards import term_weights
@@ -51,6 +53,8 @@ from carpark_mj.training.ppo.parts import VARIANTS
 from carpark_mj.training.ppo.warm_start import make_teacher
 from carpark_mj.wrappers.brax import BraxParking
 
+ENV = "env."
+Values = Mapping[str, Any]  # of settings, by path
 # Terms of the reward that `crash_scale` of a curriculum is a factor on.
 SCALED = ("crash", "person")
 COMPILER_OPTIONS = {FUSION_AUTOTUNER: False}  # also where JAX has begun before
@@ -192,13 +196,38 @@ class Learner:
             is_leaf=lambda x: isinstance(x, PartitionSpec),
         )
 
-    def compile(self) -> Callable[[TrainingState], tuple[TrainingState, dict]]:
-        """The jitted update `state -> (state, metrics)`; it consumes the state."""
+    def compile(self, scheduled: bool = False) -> Callable[..., Any]:
+        """The jitted update `state -> (state, metrics)`; it consumes the state.
 
-        def update(state: TrainingState) -> Any:
-            return self.update(jax.tree.map(without_input, state))
+        A `scheduled` one takes values, too, see `with_values` and `stack`.
+        """
 
-        return self._jitted(update, (self.specs,), PartitionSpec())
+        def update(state: TrainingState, *values: Values) -> Any:
+            run = self.with_values(*values) if values else self
+            return run.update(jax.tree.map(without_input, state))
+
+        whole = PartitionSpec()
+        return self._jitted(update, (self.specs, *[whole] * scheduled), whole)
+
+    def with_values(self, values: Values) -> Self:
+        """The learner with other values of settings that are data, by path.
+
+        `ValueError` of others; see `ParkingEnv.with_values`.
+        """
+        run = copy.copy(self)
+        own = {k.removeprefix(ENV): x for k, x in values.items() if k.startswith(ENV)}
+        for path in values:
+            if not (path.startswith(ENV) or is_data(self.config, path)):
+                raise ValueError(f"{path} is no number that may change in a training")
+        run.config = insert(self.config, values)
+        # `ParkingEnv.step` pays from its own config.
+        run.env = BraxParking(self.env.env.with_values(own))
+        return run
+
+    def stack(self, values: Sequence[Values]) -> Values:
+        """Values of every run as `compile`'s update takes them."""
+        (own,) = values
+        return {path: np.asarray(x, np.float32) for path, x in own.items()}
 
     def _jitted(
         self, update: Callable[..., Any], inputs: Any, metrics: PartitionSpec

@@ -16,6 +16,12 @@ from carpark_mj.cli.clock import DRAWING, TRAINING, doing
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.training import hosts
+from carpark_mj.training.loggers import (
+    CALLBACKS,
+    open_callbacks,
+    scheduled,
+    split_names,
+)
 from carpark_mj.training.loop import Loop, MetricsLog, plot_learning_curve
 from carpark_mj.training.ppo.collect import TrainingState, count_steps
 from carpark_mj.training.ppo.config import PPOConfig
@@ -71,6 +77,8 @@ def train_runs(
     folders are host 0's.
     """
     for config in configs:
+        for name in split_names(config.callbacks):
+            CALLBACKS[name]  # refused before there is a folder
         if not config.resume:
             require_run(config)
     learner = make_learner(configs)
@@ -115,7 +123,11 @@ def train(
     print(f"run {names} on {where}; settings in config.json there")
     loop = Loop("PPO", config, clock)
     state = load_or_init(learner, folders)
-    update = learner.compile()
+    hooks = [
+        open_callbacks(own.callbacks, own, folder)
+        for own, folder in zip(learner.configs, folders, strict=True)
+    ]
+    update = learner.compile(any(hooks))
     first = done = int(np.ravel(state.update)[0])
     used = float(np.ravel(state.seconds)[0])  # by the runs that these continue
     print(announcement(config, done, used))
@@ -133,7 +145,8 @@ def train(
             if hosts.is_first()
         ]
         while progress < 1.0 and not leaving and not diverged.all():
-            state, metrics = update(state)
+            given = [learner.stack([scheduled(own, progress) for own in hooks])]
+            state, metrics = update(state, *given * any(hooks))
             # By name (runs,).
             values = {name: np.ravel(x) for name, x in jax.device_get(metrics).items()}
             done += 1
@@ -158,8 +171,9 @@ def train(
                 row |= {name: float(x[k]) for name, x in values.items()}
                 if logs:
                     logs[k].write(row)
-                asked = (callback is not None and callback(k, row)) or asked
-            if callback is not None:
+                asked |= callback is not None and callback(k, row)
+                asked |= any([hook.after(row) is True for hook in hooks[k]])
+            if callback is not None or any(hooks):
                 leaving = hosts.largest(asked or leaving)[0]
             pace = f"{rates.sum():>7,.0f} steps/s  " if updates else ""
             loop.show(

@@ -8,7 +8,10 @@ from carpark_mj.wrappers.goal import ParkGoalEnv, ParkGoalVectorEnv
 from carpark_mj.wrappers.gymnasium_env import one_agent
 from carpark_mj.wrappers.options import Options, configure
 
-SLOTS_OPTIONS = ("config", "layout", "parked_cars", "max_episode_steps")
+SLOTS_OPTIONS = (
+    *("config", "layout", "parked_cars"),
+    *("max_episode_steps", "discrete", "details"),
+)
 
 
 def slots_config(options: Options) -> EnvConfig:

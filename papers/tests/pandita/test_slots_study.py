@@ -132,6 +132,7 @@ DEFAULTS = {
     "layout": PANDITA.layout,
     "parked_cars": PANDITA.num_parked_cars,
     "max_episode_steps": PANDITA.episode.max_steps,
+    **dict.fromkeys(("discrete", "details"), False),
 }
 
 

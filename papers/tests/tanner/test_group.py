@@ -225,7 +225,7 @@ def test_a_group_killed_between_two_checkpoints_goes_on_from_their_last_common_o
 class Failing(GroupLearner):
     """Its second run drops every update."""
 
-    def compile(self):
+    def compile(self, scheduled=False):
         def update(state):
             skipped = state.skipped + jnp.array([0, 1])
             metrics = {

@@ -6,6 +6,7 @@
 from typing import Any
 
 from carpark_mj.wrappers.jaxmarl import JaxMarlAgents
+from carpark_mj.wrappers.options import Options
 from carpark_papers.cederle.adapters.common import junction_env, observation_box
 
 
@@ -17,6 +18,5 @@ class JaxMarlJunction(JaxMarlAgents):
     def __init__(self, **options: Any) -> None:
         """Builds the environment from fields of `JunctionConfig` but `respawn`."""
         env = junction_env(**options)
-        super().__init__(
-            env, observation_box(env), discrete=env.config.action == "index"
-        )
+        form: Options = {"discrete": env.config.action == "index"}
+        super().__init__(env, observation_box(env), form)

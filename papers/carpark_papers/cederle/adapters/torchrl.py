@@ -42,7 +42,7 @@ class TorchRLJunction(TorchRLAgents):
             observation_box(env),
             JunctionScreen(env),
             junctions,
-            device=device,
-            discrete=env.config.action == "index",
+            {"discrete": env.config.action == "index"},
+            device,
         )
         self._seed = seed
