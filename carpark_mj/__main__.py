@@ -1,4 +1,4 @@
-"""The command `carpark_mj`; `python -m carpark_mj` is the same."""
+"""The command `carpark_mj`, also `python -m carpark_mj`."""
 
 import sys
 from typing import NoReturn
@@ -24,6 +24,9 @@ COMPLETION = """_carpark_mj() {
     complete -F _carpark_mj carpark_mj
   fi
   if declare -F "$flags" >/dev/null; then "$flags" "$@"; fi
+  if [[ $2 == -* ]]; then # tyro offers lines of the help, too
+    COMPREPLY=($(printf '%s\\n' "${COMPREPLY[@]}" | grep -- ^-))
+  fi
 }
 complete -F _carpark_mj carpark_mj"""
 

@@ -51,7 +51,7 @@ def on_page_content(content: str, **_: object) -> str:
 
     def mathml(found: re.Match[str]) -> str:
         display = "inline" if found[1] == "span" else "block"
-        # The converter knows `split`, which is the same within a formula.
+        # The converter knows `split`, an equivalent within a formula.
         formula = html.unescape(found[2]).replace("{aligned}", "{split}")
         return convert(formula, display=display)
 

@@ -16,9 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from carpark_mj.cli.export import environment_rows
 from carpark_mj.mdp.terminations import is_parked
-from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.outside import plain_values
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.types import Motion
@@ -158,8 +156,8 @@ def test_cars_park_within_a_minute_by_the_strict_rule(build, driven):
 def test_the_first_decisions_are_those_of_python(build, driven):
     onnxruntime = pytest.importorskip("onnxruntime")
     _, state, _ = build.begin(build.LOTS[LOT])
-    rows = environment_rows(load_policy(build.POLICY).env, {})
-    known = {k: np.asarray(x) for k, x in plain_values(rows, state).items()}
+    known = plain_values(build.model_rows(), state)
+    known = {k: np.asarray(x) for k, x in known.items()}
     session = onnxruntime.InferenceSession(driven.built / "policy.onnx")
     first = driven.evaluate(
         "demo.first.map(({car, inputs, action}) => [car, action, Object.fromEntries("
@@ -182,7 +180,7 @@ LOOK = 1.5  # m
 
 
 def towards(yaw):
-    return np.array([math.cos(yaw), math.sin(yaw)])
+    return np.array([np.cos(yaw), np.sin(yaw)])
 
 
 def way_into(start, bay, rear, radius=4.8):
@@ -250,6 +248,33 @@ def test_keys_park_the_first_car_and_give_it_back(driven, page):
         page.keyboard.up(key)
     page.keyboard.press("KeyP")
     page.wait_for_function("!demo.report.manual", timeout=WAIT)
+    page.close()
+    driven.evaluate("demo.worker.postMessage({ paused: false })")
+
+
+def test_people_walk_about_outside_of_parked_cars_and_the_policy_sees_them(
+    build, driven, page
+):
+    driven.evaluate("demo.worker.postMessage({ paused: true })")
+    page = page(driven.built.parent, f"speed=9&people={build.PEOPLE}")
+    page.wait_for_function("demo.report", timeout=WAIT)
+    page.evaluate(
+        "globalThis.seen = []; demo.worker.addEventListener('message', ({ data }) => "
+        "data.people && seen.push(data.people))"
+    )
+    end = page.evaluate("demo.report.time") + MINUTE
+    page.wait_for_function(f"demo.report.time > {end}", timeout=WAIT)
+    lot, seen, first = page.evaluate("[demo.lot, seen, demo.first[0].inputs]")
+    people = np.array(seen)  # (reports, people, 2)
+    assert people.shape[1] == build.PEOPLE
+    assert (np.ptp(people, axis=0).max(axis=-1) > 3.0).all()  # m
+    known = {name: np.array(value) for name, value in lot["inputs"].items()}
+    x, y, yaw = known["parked_pose"][known["parked_mask"]].T
+    to = (people[..., None] - np.stack([x, y])).swapaxes(-2, -1)  # from parked cars
+    along, left = towards(yaw), towards(yaw + math.pi / 2)
+    inside = [abs((to * axis.T).sum(axis=-1)) for axis in (along, left)]
+    assert not (np.stack(inside, axis=-1) < known["size"] / 2).all(axis=-1).any()
+    assert sum(first["disc_mask"]["array"]) == build.PEOPLE
     page.close()
     driven.evaluate("demo.worker.postMessage({ paused: false })")
 

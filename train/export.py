@@ -1,4 +1,4 @@
-"""`python train/export.py`: the same as `carpark_mj export`."""
+"""`python train/export.py`: runs `carpark_mj export`."""
 
 import sys
 from pathlib import Path

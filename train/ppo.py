@@ -1,4 +1,4 @@
-"""`python train/ppo.py`: the same as `carpark_mj train`."""
+"""`python train/ppo.py`: runs `carpark_mj train`."""
 
 import sys
 from pathlib import Path

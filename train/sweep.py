@@ -1,4 +1,4 @@
-"""`python train/sweep.py`: the same as `carpark_mj sweep`."""
+"""`python train/sweep.py`: runs `carpark_mj sweep`."""
 
 import sys
 from pathlib import Path

@@ -126,7 +126,7 @@ class Camera(CheckedConfig):
         yaw: of its axis, to the left [rad].
         pitch: of its axis, down [rad].
         roll: about its axis, the right side down [rad].
-        lens: what it looks through.
+        lens: its projection.
     """
 
     position: Annotated[tuple[float, float, float], Bounds()]

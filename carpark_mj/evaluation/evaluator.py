@@ -36,10 +36,10 @@ class Evaluation:
             its metrics (see `carpark_mj.evaluation.catalogue`), and the lot's family by
             name.
         summary: aggregates of all episodes, see `aggregation.summarize`.
-        families: the same for the lots of each member of a mixture, by name; the lot's
+        families: summaries of the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
-        agent_counts: the same for the lots with each number of agents.
-        vehicles: the same for each kind of car that agents drove.
+        agent_counts: summaries of the lots with each number of agents.
+        vehicles: summaries of each kind of car that agents drove.
     """
 
     episodes: list[Row]

@@ -27,7 +27,7 @@ Tree = TypeVar("Tree")
 
 
 class ObstacleKind(enum.IntEnum):
-    """What an obstacle is: events and metrics tell these apart, by their labels."""
+    """What an obstacle is: events and metrics distinguish these by their labels."""
 
     AGENT = 0
     PARKED_CAR = 1

@@ -68,7 +68,7 @@ class LayoutConfig(CheckedConfig, abc.ABC):
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """The widest entries: who fits through none enters no bay; empty if unknown."""
+        """The widest entries, one of which a car must fit through; empty if unknown."""
         return ()
 
 
@@ -97,7 +97,7 @@ def layout_format(name: str) -> str:
 
 
 def require_layout(name: str) -> None:
-    """Refuses what is neither the name of a layout nor that of a layout file."""
+    """Raises `ValueError` unless a name is that of a layout or a layout file."""
     suffix = layout_format(name)
     _ = LAYOUT_FORMATS[suffix] if suffix else LAYOUTS[name]
 

@@ -59,14 +59,14 @@ class ClutterConfig(LayoutConfig):
 
     Attributes:
         car: the car that lots are drawn for.
-        largest: the largest car; each lot is drawn for one between both. None = `car`.
+        largest: the largest car; a lot is drawn for a size in between. None = `car`.
         gap: from the parked car to what stands beside and behind it [m].
         corridor: width of the aisle, in lengths of the car.
         density: share of the places for walls, boxes and discs that are taken, drawn
             for every lot; below 0.05 nothing stands there.
         parallel: share of the bays that lie along the aisle.
         nose_first: share of the bays that a car must enter with its nose first.
-        tail_first: share of the bays that a car must enter with its tail first; the
+        tail_first: share of the bays that a car must enter tail first; the
             other bays allow either end.
     """
 

@@ -177,7 +177,7 @@ def _value(what: str, form: Any, value: Any) -> Any:
 
 
 def _number(what: str, value: Any, count: int) -> Any:
-    """A number within bounds, or a list of so many."""
+    """A number within bounds, or a list of that length."""
     values = [value] if count == 1 else value
     if (
         not (isinstance(values, list) and len(values) == count)

@@ -9,7 +9,7 @@ Kerbs and wheel stops are low obstacles that wheels may touch slowly, if
 tyres, as wide as a kerb's height allows them to come, does not. A car that touches one
 slowly is stopped dead before it, a faster one has crashed into a wall.
 
-How safely agents drive is measured by gaps, times to collision, acceleration and jerk.
+Safety is measured by gaps, times to collision, acceleration and jerk.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def trace_radius(motion: Motion) -> jax.Array:
 
 
 def find_hits_and_kerbs(config: EpisodeConfig, state: State) -> dict[str, jax.Array]:
-    """`find_hits` with kerbs that only wheels touch; those stopped do not any more."""
+    """`find_hits` with kerbs that only wheels touch; stopped cars no longer do."""
     kerb = state.layout.wall_kind == WallKind.KERB
     walls = dataclasses.replace(state.layout, wall_mask=state.layout.wall_mask & ~kerb)
     hits = find_hits(dataclasses.replace(state, layout=walls), config.hitbox_scale)

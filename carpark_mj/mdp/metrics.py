@@ -134,7 +134,7 @@ class MetricsConfig(CheckedConfig):
 
     @classmethod
     def everything(cls) -> MetricsConfig:
-        """All there is to measure."""
+        """All registered metrics."""
         return cls(driving=True, safety=True, extra=tuple(METRICS))
 
 

@@ -28,7 +28,7 @@ CLOSE, FAST = 0.5, 1.0  # m and m/s, of a near miss
 COMFORT = 2.0  # m, gap within which a person minds the speed of a car [est]
 HARD_BRAKING = 4.0  # m/s²
 STANDS = 0.1  # m/s, speed below which a car stands [est]
-WAITS_FOR = 8.0  # m, gap to a person for whom a standing car may wait [est]
+WAITS_FOR = 8.0  # m, gap to a person that a standing car may wait for [est]
 
 
 def _people(state: State) -> list[Group]:

@@ -158,7 +158,7 @@ class GoalRewards(CheckedConfig):
         change_goal: reward for choosing another bay, r(p->p').
         stop_goal: reward for giving up the bay to explore, r(p->e); None = r(p->p') -
             r(e->p), as the study's rule (3.5) requires. It is also paid when a goal is
-            lost because it is not tracked any more, as in the reference implementation.
+            lost because it is no longer tracked, as in the reference implementation.
     """
 
     continue_explore: Finite = data(-0.002)

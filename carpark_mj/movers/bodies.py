@@ -198,7 +198,7 @@ class Aim(NamedTuple):
     wanted: jax.Array  # (n, 2) desired speed times desired direction [m/s]
     heading: jax.Array  # (n, 2) desired directions, unit vectors
     speed: jax.Array  # (n,) desired speeds that limit theirs [m/s]
-    straight: jax.Array  # (n,) bool, on whom no forces act
+    straight: jax.Array  # (n,) bool, people without forces
     radius: jax.Array  # (n,) of their bodies [m]
 
 

@@ -157,7 +157,7 @@ def _go_on(chance: jax.Array, people: People, arrived: jax.Array) -> People:
 
 
 def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> People:
-    """People of whom the one that has rested longest sets out, if it is time.
+    """People after the one that has rested longest set out, if it is time.
 
     One in a step: looking for ways is the costliest of all.
     """
@@ -219,7 +219,7 @@ def _parked(lot: State) -> jax.Array:
 
 
 def _find_near(people: People, lot: State) -> People:
-    """People of whom every eighth looks up the boxes that are near."""
+    """People after every eighth has looked up the boxes that are near."""
     boxes = jnp.concatenate([_parked(lot), people.places.walls], axis=1)
     n, missing = people.near.shape[1], max(NEAR - boxes.shape[1], 0)
     boxes = jnp.pad(boxes, ((0, 0), (0, missing)), constant_values=AWAY)

@@ -134,7 +134,7 @@ class People:
     stands: jax.Array  # bool, rests for long
     straight: jax.Array  # bool, avoids nobody
     attentive: jax.Array  # bool, gives way to cars
-    leader: jax.Array  # int32, whom the person walks with; itself if alone
+    leader: jax.Array  # int32, leader of the person's group; itself if alone
     offset: jax.Array  # (n, 2) beside the leader's way [m]
     place: jax.Array  # int32, where the walk began
     target: jax.Array  # int32, where it leads

@@ -111,7 +111,7 @@ LINES = Part((_goal_field("line_room", 4, _ROOM),), _lines)
 
 
 def on_last_stretch(sight: ObservationInput) -> jax.Array:
-    """Whether routes turn no more before the goal, (num_observers,) bool."""
+    """Whether routes are straight until the goal, (num_observers,) bool."""
     goal_xy = sight.layout.bay_pose[sight.goal, :2]
     return (_route_left(sight).next_xy == goal_xy).all(axis=-1)
 

@@ -136,7 +136,7 @@ class _Lot:
     def _past_nobody(
         self, turns: _Turns, left: list[int], breadth: int
     ) -> dict[int, Drive]:
-        """Drives of cars whose way no standing car blocks, of so many at most."""
+        """Drives of at most that many cars whose way no standing car blocks."""
         found: dict[int, Drive] = {}
         for k in left:
             ways = [np.concatenate([turns.back[k], way]) for way in self._ways[k]]
@@ -279,7 +279,7 @@ Cell = tuple[int, int]
 
 
 def impossible(sights: Sequence[Sight]) -> np.ndarray:
-    """(agents,) bool, who cannot reach the goal alone, or only if another does not."""
+    """(agents,) bool, agents that cannot park, or only if another does not."""
     discs = [_Disc(sight) for sight in sights]
     never = np.array([disc.start not in disc.left for disc in discs], bool)
     for a, b in itertools.combinations(np.flatnonzero(~never), 2):

@@ -298,7 +298,7 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
 
 
 def _lot_values(state: State) -> dict[str, jax.Array]:
-    """The inputs that are the same for all agents."""
+    """The inputs that all agents share."""
     layout, parked_cars = state.layout, state.parked_cars
     there = lot_obstacles(layout, None, parked_cars, state.movers)
     solid = [group for group in there if group.kind != ObstacleKind.PARKED_CAR]

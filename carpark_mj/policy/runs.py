@@ -3,7 +3,7 @@
 config.json             every setting, versions, device
 checkpoints/step_N.npz  the last two training states
 metrics.csv             one row per update
-tensorboard/            the same as event files
+tensorboard/            event files of these rows
 learning_curve.png, evaluation.{csv,json}, video.mp4   at the end
 
 Pretrained policies are files `pretrained/<name>.npz`, written by `carpark_mj export`,

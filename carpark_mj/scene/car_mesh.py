@@ -309,7 +309,7 @@ def _shade(params: VehicleParameters) -> trimesh.Trimesh:
 
 
 def _both_ways(side: list[tuple[float, float]]) -> np.ndarray:
-    """A profile of (radius, y) that is the same at -y, from its half at +y."""
+    """A profile of (radius, y), symmetric in y, from its half at +y."""
     return np.array([(r, -y) for r, y in side] + side[::-1])
 
 

@@ -1,6 +1,6 @@
 """Places agents that begin an episode, one after the other, so that they stay apart.
 
-The loop is the same for fixed and dynamic goals; see `spawning.goals`. A start that
+Fixed and dynamic goals share the loop; see `spawning.goals`. A start that
 overlaps an obstacle is rejected: an agent without a free start waits.
 """
 
@@ -61,7 +61,7 @@ class Placing:
     # Bool, the agent gets the car drawn for it; if that fits into no bay it keeps its
     # goal and its car.
     found: jax.Array
-    waited: jax.Array  # int32, see `State.waited`; who has waited longest comes first
+    waited: jax.Array  # int32, see `State.waited`; the longest waiting come first
     tries: jax.Array  # int32 starts rejected; after the first, starts are random
 
     @property

@@ -146,7 +146,7 @@ EXTRA = ("near_misses", "min_person_gap", "person_speed", "hard_braking", "waiti
 
 
 def busy_env(env: EnvConfig) -> EnvConfig:
-    """An environment of the suite with the busy aisle and all that gets in the way."""
+    """An environment of the suite with the busy aisle and its moving obstacles."""
     return dataclasses.replace(
         env,
         layout=BusyAisle(),

@@ -20,6 +20,7 @@ from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.settings.tables import WORST, SuiteConfig
 from carpark_mj.config import EnvConfig, EpisodeConfig, SpawnConfig, find_rules
+from carpark_mj.config.checks import counted
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row
 from carpark_mj.evaluation.evaluator import ended_episodes
@@ -404,9 +405,9 @@ def _drawn(planner: Planner, cases: Cases) -> Drawn:
     count, name = DRAWN if generated else None, cases.level.partition(":")[0]
     for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path
-        result = (
-            f"{path.length:.1f} m, {path.shifts} gear changes" if path else "no path"
-        )
+        result = "no path"
+        if path:
+            result = f"{path.length:.1f} m, {counted(path.shifts, 'gear change')}"
         layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)
         found.append((f"{name} {number}: {result}", layout, path))
     return found

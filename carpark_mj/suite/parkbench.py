@@ -11,7 +11,7 @@ them (docs/hard_cases.md#parkbench), the package has none. Of `Frames."0"` of a 
 
 Every piece of a polyline within `REACH` of the goal becomes a wall 2 cm thick. As in
 ParkBench's own script, pieces that overlap the parked car are left out. The goal is the
-only bay, which the car enters with its tail first.
+only bay, which the car enters tail first.
 
 To keep results honest, only half of the cases is for work, the first, third, fifth
 file in the order of names. The others are held out: look at them once, at the end.

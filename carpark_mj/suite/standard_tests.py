@@ -63,7 +63,7 @@ STANDING = (  # km/h, share of the width, person
     *((8, 0.25, "adult"), (4, 0.75, "child"), (8, 0.75, "adult")),
 )
 CROSSING = ((4, "adult"), (8, "child"))
-PACE, SIDE, RUN_UP = 5 * KMH, 4.0, 1.5  # m/s and m of those who cross
+PACE, SIDE, RUN_UP = 5 * KMH, 4.0, 1.5  # m/s and m of crossing persons
 WIDE, BEHIND = 0.3, (0.2, 0.6, 1.0)  # m, of objects of R158; the middle one is [own]
 
 
@@ -132,7 +132,7 @@ def _behind(
 
 
 def ncap_rear(vehicle: str, car: VehicleParameters) -> Tests:
-    """Persons who stand behind a reversing car or cross behind it."""
+    """Persons that stand behind a reversing car or cross behind it."""
     found: Tests = []
 
     def add(kind: str, pace: float, who: str, y: float, **trigger: Any) -> None:

@@ -16,7 +16,7 @@ from carpark_mj.types import State, TimeStep
 class Environment(Protocol):
     """One lot, or junction; `jax.vmap` over keys and states gives a batch.
 
-    States have a `key`, and tell which agents are `active` (num_agents,). Time steps
+    States have a `key` and a mask of agents, `active` (num_agents,). Time steps
     have `observation`, `final_observation`, `reward`, `terminated`, `truncated` and
     `events`, these `success` and `crashed`, as `carpark_mj.types.TimeStep`.
     """

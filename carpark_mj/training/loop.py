@@ -119,7 +119,7 @@ class Loop:
 
 
 class MetricsLog:
-    """One row per update in `metrics.csv`, the same to the run's loggers.
+    """One row per update in `metrics.csv` and the run's loggers.
 
     On a resume the rows after the checkpoint are removed, so that no update appears
     twice.

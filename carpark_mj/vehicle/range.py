@@ -41,7 +41,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "drive_lag": (0.0, 0.25),  # s [est] from electric motors to engines
     "max_acceleration": (1.0, 3.0),  # m/s^2 [est]
     "rear_steering": (0.08, 0.17),  # rad
-    "max_speed": (2.0, 3.5),  # m/s [est] of drivers who park
+    "max_speed": (2.0, 3.5),  # m/s [est] of parking drivers
     "max_reverse_speed": (1.5, 2.5),  # m/s [est]
 }
 

@@ -91,7 +91,7 @@ class ParkVecEnv(VecEnv):
         return list(self._env.render() or ())
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of the environments, which is the same in all."""
+        """An attribute of the environments, equal in all."""
         return [getattr(self._env, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(
@@ -107,7 +107,7 @@ class ParkVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """Result of a method of the environments, the same for each of `indices`."""
+        """Result of a method of the environments, once for each of `indices`."""
         result = getattr(self._env, method_name)(*method_args, **method_kwargs)
         return [result for _ in self._get_indices(indices)]
 

@@ -36,6 +36,7 @@ POLICY = "anywhere"
 CARS = ("compact", "city", "van")  # that `anywhere` has driven, the first one first
 DRAWS = 12  # of starts for cars that begin again, a start for each car of a draw
 MARGIN = 0.4  # m between a start and parked cars
+PEOPLE = 6  # pedestrians of a lot, discs for the policy
 MODULES = {
     "mujoco": ("@mujoco/mujoco", "mujoco.js", "mujoco.wasm"),
     "onnxruntime": (
@@ -113,12 +114,17 @@ def lot_config(lot: Lot, car: str = CARS[0]) -> EnvConfig:
     )
 
 
+def model_rows() -> Rows:
+    """The numbers of rows of the model's inputs: the policy's, and a disc a person."""
+    return environment_rows(load_policy(POLICY).env, {"discs": PEOPLE})
+
+
 def describe(
     lot: Lot, kind: str, rows: Rows, read: Iterable[str]
 ) -> tuple[dict[str, Any], str]:
     """What the page knows of a lot with cars of a kind, and its scene as MJCF.
 
-    `inputs` are those of the model that stay the same, the others' rows left out.
+    `inputs` are the constant ones of the model, without rows of other cars.
     """
     env, state, starts = begin(lot, kind)
     layout, car = state.layout, env.vehicle
@@ -165,7 +171,7 @@ def export(out: Path, lots: Iterable[str] = LOTS, cars: Iterable[str] = CARS) ->
     """Writes the policy, some lots and what else the page reads into a folder."""
     out.mkdir(parents=True, exist_ok=True)
     loaded = load_policy(POLICY)
-    rows = environment_rows(loaded.env, {})
+    rows = model_rows()
     model = make_car_model(loaded, rows)
     (out / "policy.onnx").write_bytes(model.SerializeToString())
     read = {entry.name: entry for entry in inputs_of(model)}
@@ -184,6 +190,7 @@ def export(out: Path, lots: Iterable[str] = LOTS, cars: Iterable[str] = CARS) ->
         "lots": described,
         "inputs": {n: [entry.dtype, *entry.shape(rows)] for n, entry in read.items()},
         "decision_time": control,
+        "people": PEOPLE,
         "timeout": loaded.env.episode.max_steps * control,
         "rule": {"heading": rule.heading, "speed": rule.speed},
     }

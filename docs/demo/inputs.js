@@ -1,14 +1,16 @@
 // Inputs of the model by name, as flat arrays.
 
+import { RADIUS } from "./people.js";
+
 const ARRAYS = { float32: Float32Array, int32: Int32Array, bool: Uint8Array };
 
-// Names, types and shapes of the inputs, and those that stay the same in a lot.
+// Names, types and shapes of the inputs, and those that are constant in a lot.
 export function makeInputs(about, lot) {
   const constant = {};
   for (const [name, value] of Object.entries(lot.inputs)) {
     constant[name] = [value].flat(Infinity).map(Number);
   }
-  return (cars, own) => {
+  return (cars, own, people) => {
     const others = cars.filter((car) => car !== own);
     const values = {
       ...constant,
@@ -26,6 +28,9 @@ export function makeInputs(about, lot) {
       other_goal: others.flatMap((car) => lot.bay_pose[car.goal].slice(0, 2)),
       other_priority: others.map((car) => Number(car.number < own.number)),
       other_mask: others.map(() => 1),
+      disc_centre: people.flatMap((person) => person.xy),
+      disc_radius: people.map(() => RADIUS),
+      disc_mask: people.map(() => 1),
     };
     const filled = {};
     for (const [name, [type, ...shape]] of Object.entries(about.inputs)) {

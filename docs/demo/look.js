@@ -1,4 +1,4 @@
-// What there is to draw of a scene: its geoms and meshes, from MuJoCo's model.
+// The drawable parts of a scene: its geoms and meshes, from MuJoCo's model.
 
 const GROUP = 3; // geoms of this group and above only collide
 

@@ -48,7 +48,7 @@ get("full").hidden = !document.fullscreenEnabled;
 get("driver").onclick = () => setManual(!manual);
 if (self !== top) get("begin").lastElementChild.remove(); // in a frame keys come after a click
 get("begin").onclick = () => setManual(true);
-get("lot").onchange = get("car").onchange = load;
+for (const list of ["lot", "car", "people"]) get(list).onchange = load;
 // Keys drive, whatever was clicked before.
 document.addEventListener("click", ({ target }) => target.matches("button") && target.blur());
 document.addEventListener("change", ({ target }) => target.blur());
@@ -60,7 +60,8 @@ document.addEventListener("visibilitychange", () => {
 function load() {
   const [name, car] = [get("lot").value, get("car").value];
   get("status").textContent = "Loading …";
-  worker.postMessage({ speed: Number(options.get("speed") ?? 1), manual, load: name, car });
+  const people = Number(get("people").value);
+  worker.postMessage({ speed: Number(options.get("speed") ?? 1), manual, load: name, car, people });
 }
 
 // Fills a list of choices, the one of the page's address chosen.
@@ -82,10 +83,11 @@ function tell({ kind, car, seconds }) {
   const { counts, seconds: sums } = demo.report;
   const policy = counts.parked ? ` The policy needs ${average(sums.parked, counts.parked)} on average.` : "";
   if (kind === "parked") toast(`Parked in ${seconds.toFixed(0)} s.${policy} Next: the bay under the yellow pin`);
+  if (kind === "person") toast("You touched a person");
   if (kind === "bumped") toast("Bump! ↓ reverses");
 }
 
-// What a visitor who does not get on may miss; an empty text if nothing.
+// A hint for a stuck visitor; an empty text if there is none.
 function hintFor({ pose, speed, goal, outcome }) {
   if (outcome) return "";
   const [bay, size] = [demo.lot.bay_pose[goal], demo.lot.bay_size[goal]];
@@ -102,6 +104,7 @@ worker.onmessage = ({ data }) => {
   if (data.lots) {
     choose("lot", data.lots);
     choose("car", data.lots[0][2].map((car) => [car, car[0].toUpperCase() + car.slice(1)]));
+    choose("people", [["0", "No people"], [String(data.people), `${data.people} people`]]);
     return load();
   }
   if (data.look) {

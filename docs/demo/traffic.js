@@ -1,13 +1,17 @@
-// Who drives where: goals, decisions of the policy, ends and new starts.
+// Traffic: goals, decisions of the policy, ends and new starts.
 
 import { distance, isParked } from "./geometry.js";
+import { People, STANDS } from "./people.js";
 
 export const TICK = 0.01; // s between looks at contacts and bays
 const PAUSE = 2.5; // s that a car stands before it begins again
 const SPACING = 7.4; // m between a start and other cars, as the policy knows it
+const PERSON = -2; // what a car hits, as -1 is what stands
 const TAKEN = 1.5; // m from a bay's centre, a car within takes it
 
-// Numbers in [0, 1), the same in every visit (mulberry32).
+const brake = ({ action, speed }) => [action[0], Math.abs(speed) > STANDS ? -Math.sign(speed) : 0];
+
+// Numbers in [0, 1), equal in every visit (mulberry32).
 function makeRandom(seed) {
   return () => {
     seed = (seed + 0x6d2b79f5) | 0;
@@ -18,13 +22,14 @@ function makeRandom(seed) {
 }
 
 export class Traffic {
-  // `decide` gives the action for a car's inputs, `makeInputs` these for a lot's cars.
-  constructor(physics, about, lot, makeInputs, decide) {
+  // `decide` gives the action for a car's inputs, `makeInputs` these for a lot's cars and people.
+  constructor(physics, about, lot, people, makeInputs, decide) {
     Object.assign(this, { physics, about, lot, makeInputs, decide });
     this.cars = physics.cars;
     this.steps = Math.round(TICK / physics.model.opt.timestep);
     this.perDecision = Math.round(about.decision_time / TICK);
     this.random = makeRandom(1);
+    this.people = new People(people, lot, this.cars, this.random);
     this.ticks = 0;
     this.manual = false; // whether the visitor drives car 0
     this.counts = { parked: 0, crashed: 0, late: 0, visitor: 0, bumps: 0 };
@@ -50,7 +55,9 @@ export class Traffic {
     this.cost.physics += performance.now() - clock;
     this.cost.steps += this.steps;
     this.ticks += 1;
+    this.people.advance(TICK, this.cars);
     for (const [number, other] of this.physics.hits()) this.hit(this.cars[number], other);
+    for (const car of this.cars) if (this.people.hitBy(car)) this.hit(car, PERSON);
     for (const car of this.cars) {
       if (car.end) {
         if (this.time >= car.end.until) this.again(car);
@@ -74,9 +81,10 @@ export class Traffic {
   async decideAll() {
     const driven = this.cars.filter((car) => !car.end && !this.visits(car));
     for (const car of driven) if (this.isTaken(car)) car.goal = this.newGoal(car);
-    const inputs = driven.map((car) => this.makeInputs(this.cars, car));
+    const inputs = driven.map((car) => this.makeInputs(this.cars, car, this.people.all));
     const clock = performance.now();
     for (const [k, car] of driven.entries()) car.action = await this.decide(inputs[k]);
+    for (const car of driven) if (this.people.stops(car)) car.action = brake(car);
     this.cost.policy += performance.now() - clock;
     this.cost.decisions += driven.length;
     this.first ??= driven.map((car, k) => ({ car: car.number, inputs: inputs[k], action: car.action }));
@@ -87,7 +95,7 @@ export class Traffic {
     if (this.visits(car)) {
       if (this.time - (car.bumped ?? -9) > PAUSE) {
         this.counts.bumps += 1;
-        this.tell("bumped", car);
+        this.tell(other === PERSON ? "person" : "bumped", car);
       }
       car.bumped = this.time;
     } else if (!car.end) {
@@ -124,8 +132,9 @@ export class Traffic {
   }
 
   newStart(car) {
-    const others = this.cars.filter((other) => other !== car);
-    const room = (pose) => Math.min(...others.map((other) => distance(pose, other.pose)));
+    const others = this.cars.filter((other) => other !== car).map((other) => other.pose);
+    others.push(...this.people.all.map((person) => person.xy));
+    const room = (pose) => Math.min(...others.map((other) => distance(pose, other)));
     const far = this.lot.starts.filter((pose) => room(pose) > SPACING);
     if (far.length) return this.pick(far);
     return this.lot.starts.reduce((a, b) => (room(a) > room(b) ? a : b));

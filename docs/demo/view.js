@@ -4,6 +4,7 @@ import * as THREE from "three";
 import { OrbitControls } from "./built/three/OrbitControls.js";
 import { Geoms } from "./geoms.js";
 import { ground } from "./ground.js";
+import { RADIUS } from "./people.js";
 
 export const VIEWS = { overview: "Overview", follow: "Behind the car", driver: "Driver's view", plan: "Top view" };
 const [FIELD, WIDE] = [40, 62]; // degrees, of a camera and of the driver
@@ -12,6 +13,7 @@ const COARSE = 0.6; // pixels for each of the screen's points on slow machines
 const POINTER = 0xffd21f; // of the visitor's arrow and goal
 const ARROW = [[-0.9, 0.25], [0.1, 0.25], [0.1, 0.7], [1, 0], [0.1, -0.7], [0.1, -0.25], [-0.9, -0.25]]; // m
 const MARK = 0.014; // m, height of a bay's mark above the ground
+const CLOTHES = [0xd94f3d, 0x2f6fb0, 0xe0b13c, 0x4d8b57, 0x8a5aa8, 0xe8e4da];
 
 THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
 
@@ -37,6 +39,7 @@ export class View {
       new THREE.MeshBasicMaterial({ color: POINTER, side: THREE.DoubleSide, depthTest: false }));
     this.arrow.renderOrder = 1;
     this.scene.add(this.pin, this.arrow);
+    this.people = [];
   }
 
   addLight() {
@@ -76,8 +79,16 @@ export class View {
   }
 
   // Places everything as in a report of the simulation.
-  move({ places, cars, time }) {
+  move({ places, cars, people, time }) {
     this.geoms.move(places);
+    for (let k = this.people.length; k < people.length; k++) {
+      this.people.push(figure(CLOTHES[k % CLOTHES.length]));
+      this.scene.add(this.people[k]);
+    }
+    this.people.forEach((person, k) => {
+      person.visible = k < people.length;
+      if (person.visible) person.position.set(...people[k], 0);
+    });
     cars.forEach((car, k) => {
       const [x, y, yaw] = this.lot.bay_pose[car.goal];
       const [length, width] = this.lot.bay_size[car.goal];
@@ -158,6 +169,16 @@ export class View {
     this.camera.updateProjectionMatrix();
     this.look(this.kind);
   }
+}
+
+// A person as a body with a head.
+function figure(color) {
+  const paint = (color) => new THREE.MeshLambertMaterial({ color });
+  const body = new THREE.CapsuleGeometry(RADIUS, 1.35 - 2 * RADIUS, 6, 14).rotateX(Math.PI / 2).translate(0, 0, 0.7);
+  const head = new THREE.SphereGeometry(0.13, 14, 10).translate(0, 0, 1.55);
+  const group = new THREE.Group().add(new THREE.Mesh(body, paint(color)), new THREE.Mesh(head, paint(0xc99a78)));
+  for (const mesh of group.children) mesh.castShadow = true;
+  return group;
 }
 
 function mark(color, opacity) {

@@ -31,14 +31,14 @@ async function decide(inputs) {
   return Array.from(action.data);
 }
 
-async function load(name, car) {
+async function load(name, car, people) {
   const own = ++run;
   const lot = about.lots[name].cars[car];
   const xml = await fetch(new URL(`./built/${name}-${car}.xml`, import.meta.url)).then((x) => x.text());
   if (own !== run) return;
   const old = traffic;
   const physics = new Physics(mujoco, xml, lot);
-  traffic = new Traffic(physics, about, lot, makeInputs(about, lot), decide);
+  traffic = new Traffic(physics, about, lot, people, makeInputs(about, lot), decide);
   traffic.manual = manual;
   setTimeout(() => old?.physics.delete(), 1000); // once its last tick is over
   drawn = moving(physics);
@@ -62,11 +62,11 @@ async function loop(own, traffic) {
   }
 }
 
-function report({ physics, cars, time, counts, seconds, cost, events, first, manual }) {
+function report({ physics, cars, people, time, counts, seconds, cost, events, first, manual }) {
   const places = physics.places(drawn);
   const state = cars.map(({ pose, speed, steering, goal, end, begun, bumped }) =>
     ({ pose, speed, steering, goal, begun, bumped, outcome: end?.outcome ?? null }));
-  postMessage({ places, cars: state, time, counts, seconds, cost, events, first, manual }, [places.buffer]);
+  postMessage({ places, cars: state, people: people.all.map(({ xy }) => xy), time, counts, seconds, cost, events, first, manual }, [places.buffer]);
   events.length = 0;
 }
 
@@ -74,7 +74,7 @@ onmessage = ({ data }) => {
   if ("speed" in data) speed = data.speed;
   if ("paused" in data) paused = data.paused;
   if ("manual" in data) manual = data.manual;
-  if ("load" in data) load(data.load, data.car).catch(fail); // once the page knows the lots
+  if ("load" in data) load(data.load, data.car, data.people).catch(fail); // once the page knows the lots
   else if (traffic) {
     const [car] = traffic.cars;
     if ("manual" in data) Object.assign(traffic, { manual }), (car.begun = traffic.time);
@@ -84,4 +84,6 @@ onmessage = ({ data }) => {
 };
 
 const fail = (error) => postMessage({ error: String(error?.message ?? error) });
-prepare().then(() => postMessage({ lots: Object.entries(about.lots).map(([name, { title, cars }]) => [name, title, Object.keys(cars)]) }), fail);
+prepare().then(() => postMessage({
+  lots: Object.entries(about.lots).map(([name, { title, cars }]) => [name, title, Object.keys(cars)]), people: about.people,
+}), fail);

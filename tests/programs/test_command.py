@@ -3,7 +3,9 @@
 import json
 import os
 import re
+import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import pytest
@@ -66,6 +68,19 @@ def test_the_completion_knows_every_command(run):
     nested = [name for name in COMMANDS if " " in name]
     assert sorted([*offered, *nested]) == sorted(COMMANDS)
     assert all(f'"{name}"' in printed for name in nested)
+    tried = (
+        f"{printed}\nCOMP_WORDS=(carpark_mj render --cam) COMP_CWORD=2\n"
+        '_carpark_mj carpark_mj --cam render; printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    bin_folder = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", tried],
+        env={**os.environ, "PATH": bin_folder},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "--camera\n"
 
 
 @pytest.mark.parametrize(

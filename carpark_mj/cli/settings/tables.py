@@ -301,7 +301,7 @@ class ScenarioConfig:
             `random`, `actions:FILE.csv`, recorded actions, or those of other libraries,
             as in `carpark_mj suite`.
         environment: whose observation those of other libraries have.
-        repetitions: how many, instead of the file's; the first ones are the same.
+        repetitions: how many, instead of the file's; the first ones do not change.
         seeds: of the planner's searches and of stochastic policies; each seed drives
             all repetitions.
         videos: number of worst repetitions to film for every policy, at most 10; needs

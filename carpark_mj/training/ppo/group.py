@@ -111,7 +111,7 @@ class GroupLearner(Learner):
 
 
 def _require_one_program(configs: Sequence[PPOConfig]) -> None:
-    """Refuses what cannot be a group, naming a setting that differs and must not."""
+    """Raises `ValueError` for configs that differ in a setting that a group shares."""
     if jax.process_count() > 1:
         raise ValueError(f"runs side by side need one host, not {jax.process_count()}")
     first = dict(list_settings(program(configs[0])))

@@ -71,7 +71,7 @@ def teacher_cost(config: CurriculumConfig, progress: jax.Array) -> jax.Array | N
 
 
 def _within(progress: jax.Array, start: float, end: float) -> jax.Array:
-    """Progress () from 0 at `start` to 1 at `end`; a step if they are the same."""
+    """Progress () from 0 at `start` to 1 at `end`; a step if they are equal."""
     part = (progress - start) / max(end - start, 1e-6)
     return jnp.where(progress < end, jnp.clip(part, 0.0, 1.0), 1.0)
 
@@ -107,7 +107,7 @@ def learn(
 
     Values and advantages are those of the parameters at the start of an epoch. A
     minibatch holds all steps of its agents, and its parts on all devices are one. All
-    this is the same as in Brax; `PPOConfig.variant` may change it.
+    this equals Brax's loss; `PPOConfig.variant` may change it.
 
     Returns:
         The new normalizer, policy, value and optimizer, and the mean losses.

@@ -112,7 +112,7 @@ def train(
     """Trains until done, stopped or at the time limit; returns each run's outcome.
 
     Runs are done after `num_steps`, or after `minutes` if that is sooner. One that
-    diverges writes nothing any more; its checkpoints are from before. Only host 0
+    diverges stops writing; its checkpoints are from before. Only host 0
     writes to the folders; every one calls the callback after every update of every run.
     """
     config, count = learner.config, len(folders)
@@ -237,6 +237,6 @@ def save(folder: Path, config: PPOConfig, state: TrainingState) -> Path:
     update, steps = int(state.update), int(count_steps(state)[0])
     settings = dataclasses.asdict(config)
     header = {"config": settings, "update": update, "env_steps": steps}
-    # Its name counts the steps of absent agents too: the same for runs side by side.
+    # Its name counts the steps of absent agents too, equal for runs side by side.
     slots = update * config.slots_per_update
     return runs.save_checkpoint(folder, vars(state), header, slots)

@@ -49,7 +49,7 @@ from carpark_mj.vehicle.vehicle import Vehicle
 
 @dataclasses.dataclass(frozen=True)
 class HighwayConfig(PhysicsConfig):
-    """highway-env's car, which obeys at once and has a road's speed limits."""
+    """highway-env's car, without lag and with a road's speed limits."""
 
     back_end: str = "highway"
     actuated = False
