@@ -36,8 +36,8 @@ SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
         *COMMON, turns.locked_axle, turns.understeer, turns.step_steer,
         engines.brush_engines, driver.harder_is_slower, driver.hold_on_ice,
         driver.creep, driver.coast_after_release, driver.stop_from_a_walk, driver.taps,
-        driver.speed_control, driver.reversing, driver.delays, driver.automatic,
-        driver.odometry, driver.wheel_stop, driver.ramp,
+        driver.speed_control, driver.reversing, driver.automatic,
+        driver.wheel_stop, driver.ramp,
     ),
     "contact": (
         *COMMON, turns.rolling_turns, engines.contact_engines, chassis.suspension

@@ -41,6 +41,16 @@ class LayoutConfig(CheckedConfig, abc.ABC):
         del member
         return self.generate(key)
 
+    def split(self) -> tuple[Callable[[Any, jax.Array], Layout], Any]:
+        """What draws lots from numbers and a key, and the numbers, a pytree.
+
+        Members of a mixture with equal functions share its program.
+        """
+        return self._draw, ()
+
+    def _draw(self, _: Any, key: jax.Array) -> Layout:
+        return self.generate(key)
+
     @property
     @abc.abstractmethod
     def min_bays(self) -> int:

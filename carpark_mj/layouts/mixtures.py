@@ -1,7 +1,8 @@
 """A mixture of layouts: every lot is of one of several families."""
 
 import dataclasses
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -94,12 +95,25 @@ class MixtureConfig(LayoutConfig):
 
     def generate_member(self, member: jax.Array, key: jax.Array) -> Layout:
         """Draws a lot of one member, () int32, padded like all lots of the mixture."""
-        draws = [jax.jit(config.generate) for config in self.members]  # traced once
-        maxima = layout_maxima(jax.eval_shape(draw, key) for draw in draws)
-        padded = [
-            lambda key, draw=draw: pad_layout(draw(key), maxima) for draw in draws
-        ]
-        return jax.lax.switch(member, padded, key)
+        numbers: dict[Any, list[Any]] = {}  # by what draws lots of them
+        places: list[tuple[int, int]] = []  # of the members: which draw, which numbers
+        for draw, own in (config.split() for config in self.members):
+            numbers.setdefault(draw, []).append(own)
+            places.append(([*numbers].index(draw), len(numbers[draw]) - 1))
+        draws = {draw: jax.jit(draw) for draw in numbers}  # traced once
+        shapes = [jax.eval_shape(draws[x], numbers[x][0], key) for x in draws]
+        maxima = layout_maxima(shapes)
+
+        def padded(draw: Any) -> Callable[[jax.Array], Layout]:
+            def drawn(row: jax.Array) -> Layout:
+                own = jax.tree.map(lambda *x: jnp.array(x)[row], *numbers[draw])
+                return pad_layout(draws[draw](own, key), maxima)
+
+            return drawn
+
+        draw, row = jnp.array(places)[member]
+        lot = jax.lax.switch(draw, [*map(padded, numbers)], row)
+        return jax.lax.optimization_barrier(lot)  # one branch alone is no switch
 
 
 register_layout("mixture", MixtureConfig())

@@ -9,8 +9,9 @@ import dataclasses
 import functools
 import hashlib
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -72,12 +73,28 @@ class ScaledConfig(ChangedConfig):
     scale: Annotated[Range, Bounds(ge=0.5, le=2.0)] = (1.0, 1.0)
     family: str = "scaled"
 
+    def split(self) -> tuple["_Scaled", Any]:
+        """As the lots."""
+        draw, numbers = self.lots.split()
+        return _Scaled(draw), (numbers, self.scale)
+
     def generate(self, key: jax.Array) -> Layout:
         """Draws a lot and its scale."""
+        draw, numbers = self.split()
+        return draw(numbers, key)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Scaled:
+    """Draws lots and their scales."""
+
+    draw: Callable[[Any, jax.Array], Layout]
+
+    def __call__(self, numbers: Any, key: jax.Array) -> Layout:
         key, scale_key = jax.random.split(key)
-        low, high = self.scale
+        numbers, (low, high) = numbers
         factor = jax.random.uniform(scale_key, (), jnp.float32, low, high)
-        return enlarge(self.lots.generate(key), factor)
+        return enlarge(self.draw(numbers, key), factor)
 
 
 @dataclasses.dataclass(frozen=True)

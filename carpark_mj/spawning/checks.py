@@ -3,6 +3,7 @@
 import functools
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -148,14 +149,15 @@ def _drawn_bays(lot: LayoutConfig) -> Iterator[np.ndarray]:
 def _draw_bays(part: LayoutConfig, number: int) -> np.ndarray:
     if not part.is_random:
         return _bays(make_layout(part))
-    size, mask = _bays_only(part, jax.random.fold_in(jax.random.key(0), number))
+    key = jax.random.fold_in(jax.random.key(0), number)
+    size, mask = _bays_only(*part.split(), key)
     return np.asarray(size)[np.asarray(mask)]
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _bays_only(part: LayoutConfig, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _bays_only(draw: Any, numbers: Any, key: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Sizes and mask of a lot's bays, by a far smaller program than a whole lot."""
-    layout = part.generate(key)
+    layout = draw(numbers, key)
     return layout.bay_size, layout.bay_mask
 
 

@@ -15,10 +15,11 @@ HOPE counts a car as parked that covers 95 % of the goal; our parked rules apply
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.geometry import box_corners, box_distance, boxes_overlap, move_forward
@@ -46,6 +47,12 @@ START_ROOM = 1.0  # m between the start's rear axle and the aisle's edges
 FACE = 0.1  # m, thickness of a solid obstacle's slanted face
 WALL = 1.0  # m, thickness of the wall behind the bays
 OPPOSITE = 0.1  # m, thickness of the wall opposite
+CARS = 4  # on a side of the goal, at most; one less where bays lie along the aisle
+# Places of the obstacles that a level can have, beside other and parallel bays: no
+# level has all. A side has a solid obstacle of two boxes or cars.
+_SIDES = 1 + 2 * (2 + CARS)
+_ALL = range(_SIDES + 1 + max(SCATTERED.values()))
+_ROWS = np.array([_ALL[:-2], [i for i in _ALL if i not in (2 + CARS, _SIDES - 1)]])
 ROUNDING = 2e-3  # m, room for start and bay beyond that: cases may be kept in mm
 
 
@@ -80,43 +87,68 @@ class HopeConfig(LayoutConfig):
         """One, the goal."""
         return 1
 
-    @property
-    def half_length(self) -> float:
-        """Half the length of the wall behind the bays [m]."""
-        return 15.0 if self.orientation == "perpendicular" else 18.0
-
-    @property
-    def depth(self) -> float:
-        """How far parked cars can reach from the wall behind them [m]."""
-        return math.hypot(*self.car.size) + SETBACK[2] + MARGIN
+    def split(self) -> tuple[Callable[..., Layout], "_Level"]:
+        """All levels share one program."""
+        room, along = self.room, self.orientation == "parallel"
+        half = 18.0 if along else 15.0
+        # How far parked cars can reach from the wall behind them.
+        depth = math.hypot(*self.car.size) + SETBACK[2] + MARGIN
+        top = depth + room.aisle + SCATTER[2]
+        low, high = room.excess
+        left = (low if along else high) / 5, high * 4 / 5
+        lengths = half, self.car.centre_offset, room.aisle, (top - WALL) / 2
+        extent = half + self.car.length, (top + WALL) / 2
+        vectors = self.car.size, room.excess, left, extent
+        # In double precision where that is enabled, see `held_out`.
+        floats = (np.array(x, jnp.result_type(float)) for x in (*lengths, *vectors))
+        return _draw_case, _Level(int(along), SCATTERED[self.level], *floats)
 
     def generate(self, key: jax.Array) -> Layout:
-        """Draws a case; the bay lies below the aisle, which runs along x."""
-        room_key, above_key, start_key = jax.random.split(key, 3)
-        size = jnp.array(self.car.size, float)
-        bay = size + 2 * MARGIN
-        goal, room = _until(lambda key: _draw_room(self, key), room_key)
-        corners = box_corners(room.pose, room.size)[..., 1]
-        edge = jnp.max(jnp.where(room.mask[:, None], corners, 0.0)) + MARGIN
-        solid = _join(room, _draw_above(self, edge, above_key))
-        taken = _join(solid, _Boxes(goal[None], bay[None], jnp.ones(1, bool)))
+        """Draws a case."""
+        return _draw_case(self.split()[1], key)
 
-        def draw_start(key: jax.Array) -> tuple[jax.Array, jax.Array]:
-            pose = _draw_start(self, edge, key)
-            return ~taken.meet(pose, size + START + ROUNDING), pose
 
-        start = _until(draw_start, start_key)
-        if self.orientation == "parallel":  # the goal faces the way the car starts
-            turned = jnp.where(jnp.cos(start[2]) < 0, jnp.pi, 0.0)
-            goal = goal.at[2].add(turned)
-        top = self.depth + self.room.aisle + SCATTER[2]
-        middle = jnp.array([0.0, (top - WALL) / 2, 0.0])
-        return assemble(
-            (self.half_length + self.car.length, (top + WALL) / 2),
-            bays((goal - middle)[None], bay),
-            walls(solid.pose - middle, solid.size, WallKind.ISLAND, solid.mask),
-            spawns((start - middle)[None], (START, START), 0.0),
-        )
+class _Level(NamedTuple):
+    """What levels differ in; lengths [m]."""
+
+    parallel: Any  # whether the bay lies along the aisle, 0 or 1
+    scattered: Any  # how many boxes are beyond the aisle
+    half_length: Any  # of the wall behind the bays
+    offset: Any  # from a car's rear axle to the footprint's centre
+    aisle: Any  # width
+    middle: Any  # of the lot, above the wall
+    size: Any  # (2,) of a car
+    excess: Any  # (2,) bounds of the bay's excess length or width
+    left: Any  # (2,) bounds of what is left of the goal
+    extent: Any  # (2,) half of the lot's
+
+
+def _draw_case(level: _Level, key: jax.Array) -> Layout:
+    """A case; the bay lies below the aisle, which runs along x."""
+    room_key, above_key, start_key = jax.random.split(key, 3)
+    bay = level.size + 2 * MARGIN
+    goal, room = _until(lambda key: _draw_room(level, key), room_key)
+    corners = box_corners(room.pose, room.size)[..., 1]
+    edge = jnp.max(jnp.where(room.mask[:, None], corners, 0.0)) + MARGIN
+    solid = _join(room, _draw_above(level, edge, above_key))
+    taken = _join(solid, _Boxes(goal[None], bay[None], jnp.ones(1, bool)))
+
+    def draw_start(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        pose = _draw_start(level, edge, key)
+        return ~taken.meet(pose, level.size + START + ROUNDING), pose
+
+    start = _until(draw_start, start_key)
+    # Along the aisle, the goal faces the way the car starts.
+    turned = jnp.where(jnp.cos(start[2]) < 0, level.parallel * jnp.pi, 0.0)
+    goal = goal.at[2].add(turned)
+    middle = jnp.array([0.0, 1.0, 0.0]) * level.middle
+    solid = _Boxes(*(x[jnp.array(_ROWS)[level.parallel]] for x in solid))
+    return assemble(
+        level.extent,
+        bays((goal - middle)[None], bay),
+        walls(solid.pose - middle, solid.size, WallKind.ISLAND, solid.mask),
+        spawns((start - middle)[None], (START, START), 0.0),
+    )
 
 
 # The levels that HOPE has.
@@ -174,13 +206,12 @@ def _normal(keys: Sequence[jax.Array], count: int, spread: float, bound: float):
     return jnp.clip(spread * _draw(jax.random.normal, keys, count), -bound, bound)
 
 
-def _stand(config: HopeConfig, x: jax.Array, tilt: jax.Array, setback: jax.Array):
+def _stand(level: _Level, x: jax.Array, tilt: jax.Array, setback: jax.Array):
     """Poses (..., 3) of cars with the rear axle at x, so far from the wall at y = 0."""
-    car, along = config.car, config.orientation == "parallel"
-    yaw = tilt + (0.0 if along else jnp.pi / 2)
+    yaw = tilt + (1 - level.parallel) * jnp.pi / 2
     cos, sin = jnp.cos(yaw), jnp.sin(yaw)
-    reach = (car.length * jnp.abs(sin) + car.width * jnp.abs(cos)) / 2
-    x = x + car.centre_offset * cos
+    reach = (level.size[0] * jnp.abs(sin) + level.size[1] * jnp.abs(cos)) / 2
+    x = x + level.offset * cos
     return jnp.stack([x, reach + MARGIN + setback, yaw], axis=-1)
 
 
@@ -190,27 +221,26 @@ class _Side(NamedTuple):
     solid: jax.Array  # (), uniform, whether there is a solid obstacle
     angle: jax.Array  # (2,) [rad] of the solid obstacle's face
     radius_key: jax.Array  # of its distances
-    gap: jax.Array  # (cars,) uniform, between the cars
-    taken: jax.Array  # (cars,) uniform, whether there is a car
-    tilt: jax.Array  # (cars,) [rad] of the cars
+    gap: jax.Array  # (CARS,) uniform, between the cars
+    taken: jax.Array  # (CARS,) uniform, whether there is a car
+    tilt: jax.Array  # (CARS,) [rad] of the cars
     setback: jax.Array  # () [m] of the cars
-    shift: jax.Array  # (cars,) [m] of each car beyond that
+    shift: jax.Array  # (CARS,) [m] of each car beyond that
 
 
-def _draw_numbers(config: HopeConfig, key: jax.Array):
+def _draw_numbers(key: jax.Array):
     """Tilt and setback of the goal, and the numbers of both sides."""
-    count = 3 if config.orientation == "parallel" else 4  # cars on a side
     tilt_key, setback_key, *side_keys = jax.random.split(key, 4)
     solid, block, cars = _split(jnp.stack(side_keys), 3)
     angle_keys, radius_keys = _split(block, 2)
     gap, tilt_keys, setback_keys, shift_keys, taken = _split(cars, 5)
-    uniform = _draw(jax.random.uniform, [*solid, *gap, *taken], count)
-    tilt = _normal([tilt_key, *tilt_keys], count, *TILT)
+    uniform = _draw(jax.random.uniform, [*solid, *gap, *taken], CARS)
+    tilt = _normal([tilt_key, *tilt_keys], CARS, *TILT)
     mean, spread, bound = SETBACK
     setback = _draw(jax.random.normal, [setback_key, *setback_keys], 1)[:, 0]
     setback = jnp.clip(mean + spread * setback, 0.0, bound)
     angle = _normal([*angle_keys], 2, math.pi / 24, math.pi / 12)
-    shift = _normal([*shift_keys], count, 0.05, 0.1)
+    shift = _normal([*shift_keys], CARS, 0.05, 0.1)
     solid, gap, taken = uniform[:2, 0], uniform[2:4], uniform[4:]
     columns = solid, angle, radius_keys, gap, taken, tilt[1:], setback[1:], shift
     return tilt[0, 0], setback[0], [_Side(*x) for x in zip(*columns, strict=True)]
@@ -221,56 +251,49 @@ def _split(keys: jax.Array, count: int) -> jax.Array:
     return jax.vmap(lambda key: jax.random.split(key, count), out_axes=1)(keys)
 
 
-def _draw_room(config: HopeConfig, key: jax.Array):
+def _draw_room(level: _Level, key: jax.Array):
     """The goal and its surroundings: (whether it is a case, (goal, boxes))."""
-    tilt, setback, sides = _draw_numbers(config, key)
-    size = jnp.array(config.car.size, float)
-    low, high = config.room.excess
-    goal = _stand(config, jnp.zeros(()), tilt, setback)
-    least = low if config.orientation == "parallel" else high
-    left = _draw_side(config, goal, -1, (least / 5, high * 4 / 5), sides[0])
+    tilt, setback, sides = _draw_numbers(key)
+    low, high = level.excess
+    goal = _stand(level, jnp.zeros(()), tilt, setback)
+    left = _draw_side(level, goal, -1, level.left, sides[0])
 
     def gap(side: _Boxes) -> jax.Array:
-        away = box_distance(goal, size, side.pose, side.size)
+        away = box_distance(goal, level.size, side.pose, side.size)
         return jnp.where(side.mask, away, jnp.inf).min()
 
     at_left = gap(left)
-    rest = [jnp.maximum(x - at_left, 0.0) + MARGIN for x in (low, high)]
-    right = _draw_side(config, goal, 1, (rest[0], rest[1]), sides[1])
+    rest = jnp.maximum(level.excess - at_left, 0.0) + MARGIN
+    right = _draw_side(level, goal, 1, rest, sides[1])
     at_right = gap(right)
-    wall = (
+    behind = _Boxes(
         jnp.array([[0.0, -WALL / 2, 0.0]]),
-        jnp.array([[2 * config.half_length, WALL]]),
+        jnp.array([[2 * level.half_length, WALL]]),
+        jnp.ones(1, bool),
     )
-    behind = _Boxes(*wall, jnp.ones(1, bool))
     room = _join(behind, left, right)
     total = at_left + at_right
-    bay = size + 2 * MARGIN + ROUNDING
+    bay = level.size + 2 * MARGIN + ROUNDING
     valid = (total >= low) & (total <= high) & ~room.meet(goal, bay)
     return valid & (jnp.minimum(at_left, at_right) >= MARGIN), (goal, room)
 
 
 def _draw_side(
-    config: HopeConfig,
-    goal: jax.Array,
-    way: int,
-    gap: tuple[jax.Array | float, jax.Array | float],
-    side: _Side,
+    level: _Level, goal: jax.Array, way: int, gap: jax.Array, side: _Side
 ) -> _Boxes:
     """Obstacles left (way -1) or right (1) of the goal, at a gap from a range."""
     solid = side.solid < SOLID
-    block = _draw_block(config, goal, way, gap, side)
-    cars = _draw_cars(config, way, gap, side)
+    block = _draw_block(level, goal, way, gap, side)
+    cars = _draw_cars(level, way, gap, side)
     block = block._replace(mask=block.mask & solid)
     return _join(block, cars._replace(mask=cars.mask & ~solid))
 
 
-def _draw_block(config, goal, way, gap, side: _Side) -> _Boxes:
+def _draw_block(level, goal, way, gap, side: _Side) -> _Boxes:
     """A solid obstacle: a slanted face, and a box from there to the wall's end."""
     # The goal's corners on this side, the one at the aisle first.
-    picks = {"parallel": ((1, 2), (0, 3)), "perpendicular": ((0, 1), (3, 2))}
-    pick = jnp.array(picks[config.orientation][way > 0])
-    corner = box_corners(goal, jnp.array(config.car.size, float))[pick]
+    picks = (((0, 1), (1, 2)), ((3, 2), (0, 3)))[way > 0]
+    corner = box_corners(goal, level.size)[jnp.array(picks)[level.parallel]]
     low, high = gap
     spread = jax.random.normal(side.radius_key, (2,), float) * (high - low) / 4
     radius = jnp.clip((low + high) / 2 + spread, low, high)
@@ -282,34 +305,33 @@ def _draw_block(config, goal, way, gap, side: _Side) -> _Boxes:
     middle = (top + bottom + FACE * outwards) / 2
     face = jnp.append(middle, jnp.arctan2(along[1], along[0]))
     inner = jnp.maximum(way * top[0], way * bottom[0])
-    width = jnp.maximum(config.half_length - inner, FACE)
+    width = jnp.maximum(level.half_length - inner, FACE)
     box = jnp.stack([way * (inner + width / 2), top[1] / 2, jnp.zeros_like(width)])
     size = jnp.array([[length, FACE], [width, top[1]]])
     return _Boxes(jnp.stack([face, box]), size, jnp.ones(2, bool))
 
 
-def _draw_cars(config, way, gap, side: _Side) -> _Boxes:
+def _draw_cars(level, way, gap, side: _Side) -> _Boxes:
     """Parked cars: one next to the goal, perhaps others beyond it."""
-    count, parallel = side.gap.shape[0], config.orientation == "parallel"
-    pitch = config.car.length if parallel else config.car.width
+    pitch = level.size[1 - level.parallel]
     low, high = gap
     gaps = low + (high - low) * side.gap
-    gaps = gaps + MARGIN * (jnp.arange(count) > 0)
+    gaps = gaps + MARGIN * (jnp.arange(CARS) > 0)
     shift = side.shift.at[0].set(0.0)
     x, setback = way * jnp.cumsum(pitch + gaps), side.setback + jnp.cumsum(shift)
-    pose = _stand(config, x, side.tilt, setback)
+    pose = _stand(level, x, side.tilt, setback)
     taken = (side.taken < FARTHER).at[0].set(True)
-    size = jnp.broadcast_to(jnp.array(config.car.size, float), (count, 2))
-    return _Boxes(pose, size, taken)
+    taken = taken & (jnp.arange(CARS) < CARS - level.parallel)
+    return _Boxes(pose, jnp.broadcast_to(level.size, (CARS, 2)), taken)
 
 
-def _draw_above(config: HopeConfig, edge: jax.Array, key: jax.Array) -> _Boxes:
+def _draw_above(level: _Level, edge: jax.Array, key: jax.Array) -> _Boxes:
     """Obstacles beyond the aisle, whose near edge is at y = `edge`."""
-    count, far = SCATTERED[config.level], edge + config.room.aisle
+    count, far = max(SCATTERED.values()), edge + level.aisle
     keys = [*jax.random.split(key, 4)]
     wall, share, turn, larger = _draw(jax.random.uniform, keys, 2 * count)
     walled = wall[0] < WALLED
-    half, (first, last, end) = config.half_length, SCATTER
+    half, (first, last, end) = level.half_length, SCATTER
     wall = jnp.array([[0.0, MARGIN + OPPOSITE / 2, 0.0]]) + far * jnp.array([0, 1, 0])
     wall = _Boxes(wall, jnp.array([[2 * half, OPPOSITE]]), walled[None])
     share = share.reshape(count, 2)
@@ -317,24 +339,27 @@ def _draw_above(config: HopeConfig, edge: jax.Array, key: jax.Array) -> _Boxes:
     y = far + first + (last - first) * share[:, 1]
     yaw = 2 * jnp.pi * turn[:count]
     pose = jnp.stack([x, y, yaw], axis=-1)
-    size = jnp.array(config.car.size, float) + 0.5 * larger.reshape(count, 2)
+    size = level.size + 0.5 * larger.reshape(count, 2)
     corners = box_corners(pose, size)
     inside = (jnp.abs(corners[..., 0]) <= half) & (corners[..., 1] >= far)
     mask = (inside & (corners[..., 1] <= far + end)).all(axis=1)
+    mask = mask & (jnp.arange(count) < level.scattered)
     meets = boxes_overlap(pose[:, None], size[:, None], pose, size)
-    stays = mask[:1]
-    for row in range(1, count):  # those drawn first stay
-        stay = mask[row] & ~(meets[row, :row] & stays).any()
-        stays = jnp.append(stays, stay)
+
+    def keep(row: jax.Array, stays: jax.Array) -> jax.Array:
+        return stays.at[row].set(mask[row] & ~(meets[row] & stays).any())
+
+    # Those drawn first stay.
+    stays = jax.lax.fori_loop(0, count, keep, jnp.zeros(count, bool))
     return _join(wall, _Boxes(pose, size, stays & ~walled))
 
 
-def _draw_start(config: HopeConfig, edge: jax.Array, key: jax.Array) -> jax.Array:
+def _draw_start(level: _Level, edge: jax.Array, key: jax.Array) -> jax.Array:
     """Pose (3,) of the footprint's centre, anywhere in the aisle near the goal."""
     place_key, yaw_key, back_key = jax.random.split(key, 3)
     share = jax.random.uniform(place_key, (2,), float)
-    x = config.half_length / 2 * (2 * share[0] - 1)
-    y = edge + START_ROOM + (config.room.aisle - 2 * START_ROOM) * share[1]
+    x = level.half_length / 2 * (2 * share[0] - 1)
+    y = edge + START_ROOM + (level.aisle - 2 * START_ROOM) * share[1]
     yaw = _normal([yaw_key], 1, START_HEADING, jnp.pi / 2)[0, 0]
     yaw = yaw + jnp.where(jax.random.bernoulli(back_key), jnp.pi, 0.0)
-    return move_forward(jnp.stack([x, y, yaw]), config.car.centre_offset)
+    return move_forward(jnp.stack([x, y, yaw]), level.offset)

@@ -17,10 +17,8 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import move_forward
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.collisions import KERB_HEIGHT
-from carpark_mj.observations.sensors import reckon
 from carpark_mj.physics.forces import grade_at
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.types import Odometry
 from carpark_mj.vehicle import Vehicle, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.drive import CREEP_SPEED, HOLD_PEDAL, HOLD_SPEED, SWITCH_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY
@@ -52,8 +50,6 @@ GRADE, SLOW = 0.03, 0.2  # rise over run, m/s
 GAINS = {5: 2.5, 10: 4.0, 50: 2.5}
 PEDAL_STEPS = 20  # of a random drive
 CREEP = 0.4  # m/s^2, 14 N m at the clutch through 15:1 in a car of 1.4 t
-ERROR = (0.01, 1.3e-3, 0.01)  # m/m, rad/m and rad/rad of the odometry
-DELAYS = (0.24, 0.1)  # s, steering and pedal in `simple_planning_simulator` of Autoware
 
 
 def drive_pedals(
@@ -257,30 +253,6 @@ def reversing(study: Study) -> None:
             study.row(name, float(np.quantile(errors, share)))
 
 
-def delays(study: Study) -> None:
-    """Late commands: when the wheels turn, and the way of commands given later."""
-    params, car = study.params, make_vehicle(study.params)
-    late = SimConfig(steering_delay=DELAYS[0], pedal_delay=DELAYS[1])
-    steps = 10 if study.quick else 30
-    controls = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, 2))
-    controls[:, 1] = np.abs(controls[:, 1])
-    driven = drive(late, car, controls).motion
-    held = np.repeat(controls, late.num_substeps, axis=0)
-    for column, delay in enumerate(DELAYS):
-        count = round(delay / late.sim_dt)
-        held[:, column] = np.concatenate([np.zeros(count), held[:-count, column]])
-    fine = SimConfig(ctrl_dt=late.sim_dt, trace_dt=late.sim_dt)
-    given = drive(fine, car, held).motion.pose_w[
-        late.num_substeps - 1 :: late.num_substeps
-    ]
-    apart = driven.pose_w[:, :2] - given[:, :2]
-    what = f"steering {DELAYS[0]:g} s and pedal {DELAYS[1]:g} s late, way"
-    study.row(what, float(np.abs(apart).max()))
-    turned = drive(late, car, np.tile([1.0, 0.0], (2, 1))).motion.steering
-    found = 2 * late.ctrl_dt - float(turned[-1]) / params.steering_rate
-    study.row("steering late, full lock at standstill", found, DELAYS[0])
-
-
 def automatic(study: Study) -> None:
     """The pedal released at a walk: the speed goes to where the creep is resistance.
 
@@ -297,37 +269,6 @@ def automatic(study: Study) -> None:
         expected = last + (0.5 - last) * np.exp(-rate * time)
         found = float(speed[round(time / sim.ctrl_dt) - 1])
         study.row(f"automatic creeping from 0.5 m/s, after {time:g} s", found, expected)
-
-
-def odometry(study: Study) -> None:
-    """What a car with wrong wheels believes, ahead and on full lock."""
-    car = make_vehicle(study.params)
-    offset = jnp.float32(study.params.centre_offset)
-
-    @jax.jit
-    def believe(poses: jax.Array, error: jax.Array) -> jax.Array:
-        def step(carry: tuple[Odometry, jax.Array], pose: jax.Array):
-            return (reckon(*carry, pose, offset), pose), None
-
-        start = Odometry(jnp.zeros(3), error), jnp.zeros(3)
-        return jax.lax.scan(step, start, poses)[0][0].pose_w
-
-    for k, (what, steer, place) in enumerate(
-        [
-            ("distance ahead", 0.0, 0),
-            ("heading ahead", 0.0, 2),
-            ("heading on full lock", 1.0, 2),
-        ]
-    ):
-        controls = np.tile([steer, 0.5], (20 if study.quick else 50, 1))
-        poses = drive(SimConfig(), car, controls).motion.pose_w
-        turned = np.unwrap(np.append(0.0, poses[:, 2]))[-1]
-        way = turned if steer else float(poses[-1, 0])
-        believed = np.asarray(believe(poses, jnp.array(ERROR) * (np.arange(3) == k)))
-        wrong = float((believed - poses[-1])[place])
-        if place == 2:
-            wrong = (wrong + np.pi) % (2 * np.pi) - np.pi
-        study.row(f"odometry, {what}", wrong, ERROR[k] * way)
 
 
 def wheel_stop(study: Study) -> None:

@@ -321,17 +321,6 @@ def test_ways_by_hand(goal, expected):
     assert float(got) == pytest.approx(expected, abs=1e-5)
 
 
-def test_the_way_back_is_as_long_and_frames_do_not_matter():
-    a, b, frame = (random_poses(500, seed) for seed in range(3))
-    radius = jnp.linspace(1.0, 6.0, 500)
-    there = length(a, b, radius)
-    np.testing.assert_allclose(length(b, a, radius), there, rtol=1e-4, atol=1e-4)
-    moved = length(to_world(frame, a), to_world(frame, b), radius)
-    np.testing.assert_allclose(moved, there, rtol=1e-4, atol=1e-3)
-    straight = np.linalg.norm(a[:, :2] - b[:, :2], axis=1)
-    assert (there > straight - 1e-4).all()
-
-
 @pytest.mark.parametrize("noise", [0.0, 1e-7, 1e-5])
 def test_no_detour_is_made_to_what_lies_straight_ahead_or_behind(noise):
     frame, stray = random_poses(5000, 0), random_poses(5000, 1) * noise / 8
@@ -339,11 +328,3 @@ def test_no_detour_is_made_to_what_lies_straight_ahead_or_behind(noise):
     got = length(frame, to_world(frame, ahead), jnp.float32(3.9))
     # In float32 the poses are off by 1e-6, for which a car steers some centimetres.
     np.testing.assert_allclose(got, jnp.abs(ahead[:, 0]), atol=0.05)
-
-
-def test_a_detour_is_no_shorter_and_a_tighter_circle_no_longer():
-    a, b, c = (random_poses(2000, seed) for seed in range(3))
-    direct = length(a, c, jnp.float32(3.0))
-    detour = length(a, b, jnp.float32(3.0)) + length(b, c, jnp.float32(3.0))
-    assert (direct <= detour + 1e-4).all()
-    assert (length(a, c, jnp.float32(2.0)) <= direct + 1e-4).all()

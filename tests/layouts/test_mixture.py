@@ -208,6 +208,19 @@ def test_a_member_of_a_mixture_can_be_asked_for():
     assert member(lots).tolist() == [0, 1, 2] * 3
 
 
+def test_members_that_share_a_program_are_drawn_with_their_own_numbers():
+    names = "hope_normal_perpendicular", "square", "hope_extreme_parallel"
+    members = [LAYOUTS[name] for name in names]
+    draw, key = jax.jit(mixture(names).generate_member), jax.random.key(1)
+    for k in (0, 2):
+        lot, alone = draw(k, key), jax.jit(members[k].generate)(key)
+        for name in ("wall_pose", "wall_size", "bay_pose", "spawn_pose"):
+            own = getattr(alone, name)
+            found = np.asarray(getattr(lot, name))[: len(own)]
+            np.testing.assert_allclose(found, own, atol=1e-4, err_msg=name)
+    assert members[0].split()[0] == members[2].split()[0] != members[1].split()[0]
+
+
 @dataclasses.dataclass(frozen=True)
 class YardConfig(SquareConfig):
     """A square under another name, with settings of its own."""

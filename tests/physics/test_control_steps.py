@@ -108,13 +108,22 @@ def test_every_control_acts_its_delay_after_it_was_sent(steering, pedal):
         np.testing.assert_array_equal(np.array(acting)[:, column], expected)
 
 
-def test_placed_cars_have_no_controls_on_their_way(start):
-    """The manoeuvre `delays` has the way of late controls."""
+def test_placed_cars_have_no_controls_on_their_way(physics, step, start):
     assert start.actuators.lines is None  # exact without delays
     slow = MjxPhysics(SimConfig(steering_delay=0.2, pedal_delay=0.2))
     late = slow.init(jnp.array(POSES), start.vehicle)
-    late = jax.jit(slow.step)(late, CONTROLS[:, ::-1])
+    late_step = jax.jit(slow.step)
+    late = late_step(late, CONTROLS[:, ::-1])
     np.testing.assert_array_equal(see(slow, late).steering, 0.0)
+    # A control step later they have done what cars without delays do at once.
+    after, at_once = (
+        see(slow, late_step(late, CONTROLS)),
+        step(start, CONTROLS[:, ::-1]),
+    )
+    expected = see(physics, at_once)
+    assert after.pose_w == pytest.approx(expected.pose_w, abs=1e-6)
+    assert np.abs(after.steering).max() > 0.05
+    assert after.steering == pytest.approx(expected.steering, abs=1e-6)
     placed = slow.place(late, jnp.arange(6) < 3, jnp.array(POSES), start.vehicle)
     lines = placed.actuators.lines
     assert lines is not None

@@ -1,6 +1,5 @@
 """The unrolled equations of motion, one substep at a time, in float64."""
 
-import dataclasses
 from functools import partial
 
 import jax
@@ -13,11 +12,8 @@ from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.physics.coordinates import (
     CarDynamics,
     CarIndex,
-    cross,
     init_tyres,
-    multiply,
     pack_coordinates,
-    to_world,
     unpack_coordinates,
 )
 from carpark_mj.physics.forces import CarForces, generalized_forces
@@ -122,74 +118,3 @@ def test_a_servo_at_its_limit_is_integrated_as_mjx_does():
         expected = judge(car, qfrc, jnp.array(targets))
         assert after[0] == pytest.approx(np.asarray(expected.qpos), abs=1e-11)
         assert after[1] == pytest.approx(np.asarray(expected.qvel), abs=1e-11)
-
-
-def test_mass_and_centre_of_mass_are_those_of_the_parameters():
-    for params in PRESETS.values():
-        masses = mass_properties(make_vehicle(params))
-        assert float(masses.mass) == pytest.approx(params.mass, rel=1e-12)
-        expected = (params.cg_to_rear_axle, 0.0, params.cg_height)
-        assert np.array(masses.com) == pytest.approx(expected, abs=1e-12)
-
-
-def momenta(vehicle: Vehicle, qpos, qvel) -> tuple[np.ndarray, np.ndarray]:
-    """Linear momentum and angular momentum about the centre of mass, world frame."""
-    masses = mass_properties(vehicle)
-    at = unpack_coordinates(INDEX, jnp.array(qpos), jnp.array(qvel))
-    w, rotation = at.angular, at.rotation
-    swing = to_world(rotation, cross(w, masses.com))
-    linear = masses.mass * (np.array(at.velocity) + np.array(swing))
-    total = np.array(multiply(masses.body_inertia, w))
-    for i, spin in enumerate(masses.spin_inertia):
-        angle = at.steer[i] if i < 2 else 0.0
-        axle = np.array([-np.sin(angle), np.cos(angle), 0.0])
-        total = total + axle * spin * (at.spin[i] + axle @ np.array(w))
-        if i < 2:
-            ahead = np.array([np.cos(angle), np.sin(angle), 0.0])
-            turning = np.array([w[0], w[1], w[2] + at.steer_rate[i]])
-            along, across, vertical = masses.corner_inertia[i]
-            total = total + ahead * along * (ahead @ turning)
-            total = total + axle * across * (axle @ turning)
-            total = total + np.array([0, 0, 1.0]) * vertical * turning[2]
-    return linear, np.array(to_world(rotation, tuple(total)))
-
-
-def test_momentum_changes_by_the_forces_alone():
-    """An oracle that is not MuJoCo: Newton's and Euler's laws for the whole car.
-
-    The servos' torque is inner to the car; the armature, rack and column, has no
-    angular momentum of its own in MuJoCo.
-    """
-    rng, dt = np.random.default_rng(5), 1e-7
-    for name in ("city", "van"):
-        vehicle = make_vehicle(PRESETS[name])
-        (qpos, qvel), forces = harsh_state(rng), harsh_forces(rng)
-        targets = qpos[INDEX.steer_qpos]
-        free = (0.0, 0.0, 0.0)
-        after = unrolled(vehicle, qpos, qvel, forces, targets, free, dt)
-        before, later = momenta(vehicle, qpos, qvel), momenta(vehicle, *after)
-        force, torque = ((b - a) / dt for a, b in zip(before, later, strict=True))
-        rotation = unpack_coordinates(INDEX, jnp.array(qpos), jnp.array(qvel)).rotation
-        moment = np.array(forces.moment_b) - np.cross(
-            mass_properties(vehicle).com,
-            np.array(rotation).T @ np.array(forces.force_w),
-        )
-        # Differences of a numerical derivative: 1e-7 of the forces and moments.
-        assert force == pytest.approx(np.array(forces.force_w), abs=0.1)
-        assert torque == pytest.approx(rotation @ moment, abs=0.1)
-
-
-def test_a_heavier_corner_slows_its_steering_down():
-    """By hand: with the body held still by its inertia, torque over inertia."""
-    vehicle = make_vehicle(COMPACT)
-    huge = vehicle.body_inertia.at[1].mul(1e9)
-    vehicle = dataclasses.replace(vehicle, body_inertia=huge)
-    qpos, qvel = np.zeros(13), np.zeros(12)
-    qpos[3] = 1.0
-    zero = jnp.zeros(())
-    forces = CarForces((zero,) * 3, (zero,) * 3, (zero,) * 4, (zero,) * 4, (zero,) * 4)
-    after = unrolled(vehicle, qpos, qvel, forces, (1.0, 0.0), (0.0, 0.0, 0.0))
-    knuckle, wheel = vehicle.body_inertia[2, 2], vehicle.body_inertia[3, 2]
-    # Armature 1 kg m^2; damping 550 + 5 N m s/rad implicit; servo at 1000 N m.
-    rate = DT * 1000.0 / (float(knuckle + wheel) + 1.0 + DT * 555.0)
-    assert after[1][INDEX.steer_dof] == pytest.approx([rate, 0.0], rel=1e-6)

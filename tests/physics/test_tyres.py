@@ -92,18 +92,6 @@ def test_a_relaxed_tyre_at_rest_feels_its_load_and_nothing_else(compact):
     assert not any(leaf.any() for leaf in jax.tree.leaves(state))
 
 
-def test_a_relaxed_tyre_opposes_sliding_in_any_direction(compact):
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        forward, left = rng.normal(0, 2, (2, 4))
-        motion = wheels(forward=forward, left=left)  # wheels that do not turn
-        state = init_tyres()
-        for _ in range(10):
-            forces, state = advance(compact, motion, state, BRAKED, DT)
-            force = push(forces)
-            assert (force[:, 0] * forward + force[:, 1] * left < 0).all()
-
-
 def test_scrub_torque_grows_to_that_of_a_sliding_disc(compact):
     state, motion = init_tyres(), wheels(yaw_rate=0.4)
     for _ in range(50):

@@ -201,18 +201,6 @@ def test_without_a_pedal_the_hold_brakes_and_nothing_drives(torques):
     assert drive.tolist() == brake.tolist() == [0.0] * 4
 
 
-def test_the_drive_fades_towards_the_speed_limit(torques):
-    limits = np.array([COMPACT.max_speed, -COMPACT.max_reverse_speed])
-    pedals = np.array([1.0, -1.0])
-    drive, _ = torques(pedals, limits)
-    # max_speed - speed is exactly 0 in float32.
-    assert drive.tolist() == [0.0, 0.0]
-    drive, _ = torques(pedals, limits * 0.95)
-    full = COMPACT.max_acceleration * FORCE_TO_TORQUE
-    assert (drive * pedals > 0).all()
-    assert (drive * pedals < full).all()
-
-
 @pytest.mark.parametrize("front", [0.0, 0.4, 1.0])
 def test_torque_shares_sum_to_one_and_are_equal_across_an_axle(front: float):
     brake = max(front, 0.01)
@@ -288,19 +276,6 @@ def test_without_lag_the_actuators_are_where_they_are_asked_to_be(compact: Vehic
     after, angles, *_ = actuate(skewed, start, (still, still), still, still, 0.01)
     assert after.steering == 0.0
     assert angles == ackermann(compact, jnp.array(0.02))
-
-
-@pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
-def test_drive_and_brake_reach_the_wheels_of_each_preset(params: VehicleParameters):
-    vehicle, still = make_vehicle(params), jnp.zeros(())
-    start, controls = init_actuators(vehicle), (still, jnp.ones(()))
-    after, _, brake = actuate(vehicle, start, controls, still, still, 0.01)
-    full = params.max_acceleration * params.mass * params.wheel_radius
-    assert full < params.max_drive_torque  # no preset is too weak for the pedal
-    drive = after.drive * vehicle.drive_share
-    assert drive[:2].sum() == pytest.approx(full * params.front_drive, rel=1e-5)
-    assert drive[2:].sum() == pytest.approx(full * (1 - params.front_drive), rel=1e-5)
-    assert brake == 0.0
 
 
 def test_the_speed_limiter_goes_by_driven_wheels_that_spin(compact: Vehicle):
