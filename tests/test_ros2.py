@@ -98,7 +98,8 @@ def test_commands_become_actions(asked, speed, expected):
 
 def test_colcon_installs_the_node_where_ros2_run_looks(monkeypatch):
     given = {}
-    monkeypatch.setattr("setuptools.setup", lambda **settings: given.update(settings))
+    tools = SimpleNamespace(setup=lambda **settings: given.update(settings))
+    monkeypatch.setitem(sys.modules, "setuptools", tools)
     runpy.run_path(str(PACKAGE / "setup.py"))
     name = given["name"]
     assert f"<name>{name}</name>" in (PACKAGE / "package.xml").read_text()
