@@ -15,6 +15,7 @@ from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from carpark_mj.config.checks import Bounds, Range, Ratio
 from carpark_mj.geometry import box_corners, box_disc_overlap, boxes_overlap, norm
@@ -94,38 +95,65 @@ class ClutterConfig(LayoutConfig):
         """One, the goal."""
         return 1
 
+    def split(self) -> tuple[Callable[..., Layout], "_Numbers"]:
+        """All settings share one program."""
+        largest = self.largest or self.car
+        sizes = self.car.size, largest.size
+        ranges = self.gap, self.corridor, self.density
+        shares = self.parallel, self.nose_first, self.tail_first
+        numbers = (np.array(x, np.float32) for x in (*sizes, *ranges, *shares))
+        return _draw_lot, _Numbers(*numbers)
+
     def generate(self, key: jax.Array) -> Layout:
-        """Draws a lot."""
-        counts = (11, 6 * STARTS, 4 * DISCS, 6 * _WALLS)
-        ends = [sum(counts[:k]) for k in range(1, 5)]
-        chance, *chances = jnp.split(build.chances(key, ends[-1]), ends[:-1])
-        numbers = zip(chances, (STARTS, DISCS, _WALLS), strict=True)
-        starts, discs, walls = (x.reshape(-1, n) for x, n in numbers)
-        slot = _draw_slot(self, chance)
-        room = slot.car + 2.0 * CLEAR + START
-        start = _draw_starts(slot, room, starts)
-        boxes = _boxes(slot, start, room)
-        pose, wall_size, wall = _draw_walls(slot, walls)
-        meets = boxes_overlap(pose[:, None], wall_size[:, None], *boxes)
-        wall = wall & ~meets[:, :FREE].any(axis=1)
-        taken = (meets & wall[:, None]).any(axis=0)
-        centre, radius, disc = _draw_discs(slot, discs)
-        meets = box_disc_overlap(*boxes, centre[:, None], radius[:, None])
-        disc = disc & ~meets[:, :FREE].any(axis=1)
-        taken = taken | (meets & disc[:, None]).any(axis=0)
-        margin = jnp.array(MARGINS)[len(MARGINS) - 1 - taken[-2:].sum()]
-        largest = slot.car + 2.0 * MARGINS[-1]
-        taken = taken[FREE - 1 : -2] | boxes_overlap(start, room, slot.pose, largest)
-        most = (self.largest or self.car).length
-        shift = jnp.array([0.0, 0.5 * most, 0.0])
-        bay = (slot.pose - shift)[None], slot.car + 2.0 * margin
-        return build.assemble(
-            jnp.array(HALF_EXTENT) * most,
-            build.bays(*bay, end=slot.end),
-            build.walls(pose - shift, wall_size, mask=wall),
-            build.discs(centre - shift[:2], radius, mask=disc),
-            build.spawns(start - shift, (START, START), 0.0, mask=~taken),
-        )
+        """See `LayoutConfig.generate`."""
+        return _draw_lot(self.split()[1], key)
+
+
+class _Numbers(NamedTuple):
+    """Settings as arrays."""
+
+    car: Any  # (2,) [m]
+    largest: Any  # (2,) [m]
+    gap: Any
+    corridor: Any
+    density: Any
+    parallel: Any
+    nose_first: Any
+    tail_first: Any
+
+
+def _draw_lot(numbers: _Numbers, key: jax.Array) -> Layout:
+    """Draws a lot."""
+    counts = (11, 6 * STARTS, 4 * DISCS, 6 * _WALLS)
+    ends = [sum(counts[:k]) for k in range(1, 5)]
+    chance, *chances = jnp.split(build.chances(key, ends[-1]), ends[:-1])
+    parts = zip(chances, (STARTS, DISCS, _WALLS), strict=True)
+    starts, discs, walls = (x.reshape(-1, n) for x, n in parts)
+    slot = _draw_slot(numbers, chance)
+    room = slot.car + 2.0 * CLEAR + START
+    start = _draw_starts(slot, room, starts)
+    boxes = _boxes(slot, start, room)
+    pose, wall_size, wall = _draw_walls(slot, walls)
+    meets = boxes_overlap(pose[:, None], wall_size[:, None], *boxes)
+    wall = wall & ~meets[:, :FREE].any(axis=1)
+    taken = (meets & wall[:, None]).any(axis=0)
+    centre, radius, disc = _draw_discs(slot, discs)
+    meets = box_disc_overlap(*boxes, centre[:, None], radius[:, None])
+    disc = disc & ~meets[:, :FREE].any(axis=1)
+    taken = taken | (meets & disc[:, None]).any(axis=0)
+    margin = jnp.array(MARGINS)[len(MARGINS) - 1 - taken[-2:].sum()]
+    largest = slot.car + 2.0 * MARGINS[-1]
+    taken = taken[FREE - 1 : -2] | boxes_overlap(start, room, slot.pose, largest)
+    most = numbers.largest[0]
+    shift = 0.5 * most * jnp.array([0.0, 1.0, 0.0])
+    bay = (slot.pose - shift)[None], slot.car + 2.0 * margin
+    return build.assemble(
+        jnp.array(HALF_EXTENT) * most,
+        build.bays(*bay, end=slot.end),
+        build.walls(pose - shift, wall_size, mask=wall),
+        build.discs(centre - shift[:2], radius, mask=disc),
+        build.spawns(start - shift, (START, START), 0.0, mask=~taken),
+    )
 
 
 class _Slot(NamedTuple):
@@ -161,12 +189,10 @@ def _stray(chance: jax.Array, most: float) -> jax.Array:
     return most * (2.0 * chance - 1.0) ** 3
 
 
-def _draw_slot(config: ClutterConfig, chance: jax.Array) -> _Slot:
-    """Draws the car, the bay and the aisle, by numbers (11,)."""
-    car = jnp.array(config.car.size, jnp.float32)
-    if config.largest is not None:
-        car = car + chance[0] * (jnp.array(config.largest.size, jnp.float32) - car)
-    parallel = chance[1] < config.parallel
+def _draw_slot(numbers: _Numbers, chance: jax.Array) -> _Slot:
+    """Draws the car, the bay and the aisle, by chances (11,)."""
+    car = numbers.car + chance[0] * (numbers.largest - numbers.car)
+    parallel = chance[1] < numbers.parallel
     half = jnp.where(parallel, car[::-1], car) / 2
     angle = jnp.pi / 2 + _stray(chance[2], LEAN)
     out = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
@@ -174,18 +200,18 @@ def _draw_slot(config: ClutterConfig, chance: jax.Array) -> _Slot:
     # A parallel bay may point either way.
     aside = jnp.where(chance[3] < 0.5, jnp.pi / 2, -jnp.pi / 2)
     yaw = angle + jnp.where(parallel, aside, 0.0)
-    gaps = _draw_low(chance[4:7], config.gap)
-    tail = chance[7] >= 1.0 - config.tail_first
+    gaps = _draw_low(chance[4:7], numbers.gap)
+    tail = chance[7] >= 1.0 - numbers.tail_first
     end = jnp.where(tail, BayEnd.TAIL_FIRST, BayEnd.EITHER)
-    least, most = config.density  # many pieces are more likely than few
+    least, most = numbers.density  # many pieces are more likely than few
     return _Slot(
         car=car,
         pose=build.stacked(0.0, -build.draw(chance[8], SETBACK) - reach, yaw),
-        end=jnp.where(chance[7] < config.nose_first, BayEnd.NOSE_FIRST, end),
+        end=jnp.where(chance[7] < numbers.nose_first, BayEnd.NOSE_FIRST, end),
         out=out,
         half=half,
         gaps=gaps,
-        aisle=car[0] * _draw_low(chance[9], config.corridor),
+        aisle=car[0] * _draw_low(chance[9], numbers.corridor),
         density=_draw_low(chance[10], (most, least)),
     )
 

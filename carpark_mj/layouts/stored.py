@@ -32,7 +32,7 @@ from carpark_mj.layouts.types import (
     pad_layout,
 )
 
-VERSION = 1  # of the drawing of lots: files of another are not read
+VERSION = 2  # of the drawing of lots: files of another are not read
 CHUNK = 64  # lots drawn at a time
 
 
