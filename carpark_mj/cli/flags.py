@@ -24,6 +24,7 @@ from tyro.constructors import (
 
 from carpark_mj import config as known  # its names load what they are of
 from carpark_mj.config.checks import Range
+from carpark_mj.extensions import VARIABLE
 from carpark_mj.pretrained import describe_names
 
 Config = TypeVar("Config")
@@ -188,4 +189,8 @@ def _sentence(box: str) -> str:
     meant = re.findall(r"^--\w[\w.-]*", "\n".join(lines), re.MULTILINE)
     # Tyro lists them in another order.
     near = unknown and difflib.get_close_matches(unknown[0], meant, 1, 0.0)
-    return f"{sentence}; perhaps you meant {near[0]}" if near else sentence
+    if near:
+        sentence = f"{sentence}; perhaps you meant {near[0]}"
+    if unknown and ".extra." in unknown[0]:
+        sentence = f"{sentence}, or the term of a module to name in {VARIABLE}"
+    return sentence

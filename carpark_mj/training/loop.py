@@ -18,7 +18,6 @@ from rich.progress import (
     Progress,
     TaskProgressColumn,
     TextColumn,
-    TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
@@ -45,6 +44,7 @@ class Loop:
     ) -> None:
         """Starts the clocks; `clock` gives the time [s], `title` is that of the bar."""
         self._config, self._clock, self._asked = config, clock, False
+        self._compiles = True  # until the first update
         self._started = self._saved = self._printed = clock()
         console = get_console()
         self._bar = Progress(
@@ -52,9 +52,8 @@ class Loop:
             BarColumn(bar_width=24),
             TaskProgressColumn(),
             TextColumn("{task.description}"),
-            TimeElapsedColumn(),
+            TimeRemainingColumn(compact=True),
             TextColumn("left"),
-            TimeRemainingColumn(),
             console=console,
             # A bar redirects what is printed. In a notebook, showing a line flushes
             # that, and so itself, for ever once a callback has printed part of a line.
@@ -107,6 +106,9 @@ class Loop:
 
     def show(self, done: float, text: str) -> None:
         """Moves the bar to `done` and sets the text (rich markup) beside it."""
+        if self._compiles:  # the time left does not count it
+            self._bar.reset(self._task)
+            self._compiles = False
         self._bar.update(self._task, completed=done, description=text)
         now = self._clock()
         if self._bar.console.is_terminal or now - self._printed <= LINE_SECONDS:

@@ -268,6 +268,7 @@ def test_a_run_renders_to_a_still_and_a_video(finished, environment, tmp_path):
         ("train", "--preset cpu --seeds 0-3", "seeds must be like 0..7 or 1,5,9"),
         ("train", "--preset cpu --runs-dir /proc/runs", "/proc/runs"),
         ("train", "--preset cpu --num-lot 3", "perhaps you meant --num-lots"),
+        ("train", "--env.reward.extra.hste 1", "name in CARPARK_MJ_EXTENSIONS"),
         ("train", "--preset cpu --name ../../x", "not '../../x'"),
         ("evaluate", "", "give a pretrained policy, a run folder"),
         ("evaluate", "nowhere", "no run folder or checkpoint at nowhere"),

@@ -202,6 +202,8 @@ def announcement(config: PPOConfig, update: int, seconds: float) -> str:
         minutes = max(config.minutes - seconds / 60.0, 0.0)
         budget = f"at most {minutes:.3g} min or {budget}"
     words = f"compiles, then trains for {budget}"
+    if config.progress(update, seconds) >= 1.0:
+        words = "has nothing left to train"
     after = ["evaluates"] * bool(config.eval_episodes)
     after += ["renders"] * bool(config.video_seconds)
     return f"{words}, then {' and '.join(after)}" if after else words
