@@ -46,9 +46,7 @@ def read(config: ScenarioImportConfig) -> None:
             kept = Path(folder, beside.name)
             write_text(kept, layout_text(layout))
             found["lot"] = str(kept)
-        scenario = make_scenario(
-            found
-        )  # refuses what cannot be, before a file is there
+        scenario = make_scenario(found)  # refuses what cannot be, before it is written
     found = _in_bays(found, scenario)
     for note in notes:
         print(note)

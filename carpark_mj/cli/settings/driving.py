@@ -30,10 +30,7 @@ from carpark_mj.scene.camera_flags import (
 if TYPE_CHECKING:
     from carpark_mj.cameras import Rig
 
-LOT = (
-    *("environment", "layout", "policy", "num_agents", "num_parked_cars", "vehicle"),
-    *("seed", "out"),
-)
+LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")
 COUNTS = ("others", "parked", "walls", "discs", "lanes")
 
 
@@ -147,10 +144,9 @@ class RecordConfig(DriveSettings):
     carpark_mj record runs/play --out data/people
 
     One car drives. Episode i is that of `carpark_mj/Park-v0` with the recorded config
-    after `reset(seed=SEED + i)`. A folder of drives that `play` has saved gives the
-    whole episodes in them, which have no seed. Writes `episodes.npz`, `recording.json`
-    with settings and a hash, and a data set that `MINARI_DATASETS_PATH=OUT` makes
-    loadable.
+    after `reset(seed=SEED + i)`. Drives that `play` has saved in a folder give whole
+    episodes without seeds. Writes `episodes.npz`, `recording.json` with settings and a
+    hash, and a data set that `MINARI_DATASETS_PATH=OUT` makes loadable.
 
     Attributes:
         seed: of the first episode.
@@ -479,7 +475,7 @@ class PlayConfig(ShownLot):
         if self.video and not self.replay:
             raise ValueError("video needs a drive to show: give --replay FILE.npz")
         if self.replay:
-            require_unset(self, "with --replay", *LOT)
+            require_unset(self, "with --replay", "environment", *LOT)
         if self.video:
             require_unset(self, "with --video", "view", "port")
         elif self.shown_in == "web":
