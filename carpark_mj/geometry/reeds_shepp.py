@@ -36,11 +36,11 @@ def reeds_shepp_length(
     time, side = (
         jnp.asarray(flip, x.dtype).reshape(4, *[1] * x.ndim) for flip in (_TIME, _SIDE)
     )
-    return radius * _lengths(time * x, side * y, time * side * phi).min(axis=(0, 1, 2))
+    return radius * _lengths(time * x, side * y, time * side * phi).min(axis=(0, 1))
 
 
 def _lengths(x: jax.Array, y: jax.Array, phi: jax.Array) -> jax.Array:
-    """Lengths (words, ...) of words to goals in units of the radius; inf = no path.
+    """Least lengths (...) of words to goals in units of the radius; inf = no path.
 
     Every word begins with a turn to the left, then its middle has a length, then comes
     a last turn. Of each the middle is known, and the last turn follows from the first.
@@ -62,47 +62,48 @@ def _lengths(x: jax.Array, y: jax.Array, phi: jax.Array) -> jax.Array:
     cusp = (20.0 - other_rho * other_rho) / 16.0
     aside = jnp.clip(cusp, -1.0, 1.0)
     bend = arctan2(2.0 - aside, -sqrt(1.0 - aside * aside))
-    none, everywhere = jnp.zeros_like(x), jnp.ones_like(near)
     # First turn, length of the middle, sense in which the last turn grows with the
     # first, the rest of the last turn, and where there is such a middle.
     words = (
         # (8.1) left, straight, left
-        (same, rho, -1, none, everywhere),
+        (same, rho, -1, 0.0, True),
         # (8.2) left, straight, right
-        (other + other_tilt, other_root, 1, none, apart),
+        (other + other_tilt, other_root, 1, 0.0, apart),
         # (8.3), (8.4) left | right, left
         (same - third / 2 + jnp.pi, third, -1, -third, near),
         # (8.7) left, right | left, right, the two in the middle alike
         (other + alike + _HALF, 2 * alike, -1, 2 * alike, share <= 1.0),
         # (8.8) left | right, left | right
-        (other + bend, 2 * arccos(aside), 1, none, (cusp >= 0.0) & (cusp <= 1.0)),
+        (other + bend, 2 * arccos(aside), 1, 0.0, (cusp >= 0.0) & (cusp <= 1.0)),
         # (8.9) left | right a quarter, straight, left
         (
             same + tilt + _HALF,
             root + _HALF - 2.0,
             1,
-            none + _HALF,
+            _HALF,
             far & (root >= 2.0 - _ROUNDING),
         ),
         # (8.10) left | right a quarter, straight, right
-        (other + _HALF, other_rho + _HALF - 2.0, -1, none - _HALF, apart),
+        (other + _HALF, other_rho + _HALF - 2.0, -1, -_HALF, apart),
         # (8.11) left | right, straight, left | right, a quarter turn each in the middle
         (
             other + other_tilt + _HALF,
             other_root + jnp.pi - 4.0,
             1,
-            none,
+            0.0,
             apart & (other_root >= 4.0 - _ROUNDING),
         ),
     )
-    first, middle, sense, rest, there = zip(*words, strict=True)
-    first = _wrap(jnp.stack(first))
-    sense = jnp.asarray(sense, x.dtype).reshape(-1, *[1] * x.ndim)
-    last = _wrap(sense * (first - phi) + jnp.stack(rest))
-    either = (jnp.arange(len(words)) == 2).reshape(sense.shape)  # in both gears
-    last = jnp.where(either, jnp.abs(last), last)
-    valid = jnp.stack(there) & (first >= -_ROUNDING) & (last >= -_ROUNDING)
-    return jnp.where(valid, first + jnp.stack(middle) + last, jnp.inf)
+    # One word after the other: stacked ones are computed anew for each of their uses
+    # by the CPU programs of the commands (`OUTPUT_FUSION`), ten times as slowly.
+    length = jnp.full_like(x, jnp.inf)
+    for number, (first, middle, sense, rest, there) in enumerate(words):
+        first = _wrap(first)
+        last = _wrap(sense * (first - phi) + rest)
+        last = jnp.abs(last) if number == 2 else last  # in both gears
+        valid = there & (first >= -_ROUNDING) & (last >= -_ROUNDING)
+        length = jnp.where(valid, jnp.minimum(length, first + middle + last), length)
+    return length
 
 
 def _wrap(angle: jax.Array) -> jax.Array:
