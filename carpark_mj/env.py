@@ -116,7 +116,7 @@ class ParkingEnv:
         fixed = not self.layout_config.is_random
         self._layout = make_layout(self.layout_config) if fixed else None
         for params in self.fleet.agents:
-            check_randomization(config.randomization, params, config.sim.steepest)
+            check_randomization(config.randomization, params)
         check_numbers(config, self.layout_config)
         check_exits(config, self.layout_config)
         check_cars(config, self.fleet, self.layout_config, self._layout)
@@ -158,10 +158,7 @@ class ParkingEnv:
         return observation_size(self.config)
 
     def unpack(self, observation: jax.Array) -> Any:
-        """Observations (..., observation_size) as adapters give them.
-
-        A dictionary if there are pictures, see `carpark_mj.observations.unpack`.
-        """
+        """Observations (..., size) as adapters give them, see `observations.unpack`."""
         return unpack(make_fields(self.config), observation)
 
     @property

@@ -33,10 +33,7 @@ FIRST = EnvConfig(
     spawn=SpawnConfig(close_ratio=0.0, reverse_ratio=1.0),
     episode=EpisodeConfig(max_steps=100, parked_rule="tanner"),  # 20 s
     observation=ContinuousObservation(
-        tracked_agents=0,
-        tracked_parked_cars=0,
-        rings=RingConfig(()),
-        rays=RayConfig(0),
+        tracked_agents=0, tracked_parked_cars=0, rings=RingConfig(()), rays=RayConfig(0)
     ),
 )
 

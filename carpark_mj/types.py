@@ -106,7 +106,7 @@ class ParkedCars:
 
 @struct.dataclass
 class Reading:
-    """Measured motion of cars (...): attributes of `Motion`."""
+    """Measured motion of cars (...), as in `Motion`."""
 
     pose_w: jax.Array
     velocity_b: jax.Array
@@ -116,57 +116,36 @@ class Reading:
 
 @struct.dataclass
 class Odometry:
-    """Dead reckoning of cars (...).
+    """Dead reckoning of cars (...)."""
 
-    Attributes:
-        pose_w: (..., 3) where each believes to be.
-        error: (..., 3) of the episode: of the distance [m/m], of the heading per
-            distance [rad/m] and per turn [rad/rad].
-    """
-
-    pose_w: jax.Array
+    pose_w: jax.Array  # (..., 3) where each believes to be
+    # (..., 3) of the episode: of the distance [m/m], of the heading per distance
+    # [rad/m] and per turn [rad/rad]
     error: jax.Array
 
 
 @struct.dataclass
 class Sensors:
-    """Sensors of the agents of a lot.
+    """Sensors of the agents of a lot."""
 
-    Attributes:
-        history: readings (num_agents, delay_max + 1, ...), newest first.
-        delay: (num_agents,) int32 control steps by which an agent's are late.
-        odometry: their dead reckoning; None where poses are measured.
-    """
-
-    history: Reading
-    delay: jax.Array
-    odometry: Odometry | None = None
+    history: Reading  # (num_agents, delay_max + 1, ...), newest first
+    delay: jax.Array  # (num_agents,) int32 control steps by which they are late
+    odometry: Odometry | None = None  # None where poses are measured
 
 
 @struct.dataclass
 class EpisodeStats:
-    """Statistics of the running episodes; all (num_agents,) float32.
+    """Statistics of the running episodes; all (num_agents,) float32."""
 
-    Attributes:
-        episode_return: sum of rewards, undiscounted.
-        length: control steps.
-        path: driven length [m].
-        gear_changes: times the direction of travel changed.
-        direction: sign of the last motion, 0 before the first.
-        invalid_actions: steps whose action was NaN or out of range.
-        wrong_way: part of the path driven against the lanes [m]; None in lots that
-            never have lanes.
-        tallies: all others by name, see `carpark_mj.mdp.metrics`.
-    """
-
-    episode_return: jax.Array
-    length: jax.Array
-    path: jax.Array
-    gear_changes: jax.Array
-    direction: jax.Array
-    invalid_actions: jax.Array
+    episode_return: jax.Array  # sum of rewards, undiscounted
+    length: jax.Array  # control steps
+    path: jax.Array  # driven length [m]
+    gear_changes: jax.Array  # times the direction of travel changed
+    direction: jax.Array  # sign of the last motion, 0 before the first
+    invalid_actions: jax.Array  # steps whose action was NaN or out of range
+    # of the path, driven against the lanes [m]; None in lots that never have lanes
     wrong_way: jax.Array | None
-    tallies: dict[str, jax.Array]
+    tallies: dict[str, jax.Array]  # all others by name, see `carpark_mj.mdp.metrics`
 
 
 @struct.dataclass
@@ -176,25 +155,22 @@ class State:
     Attributes:
         physics: state of the back end, (num_agents,) cars.
         motion: the agents' motion, read from it.
-        layout: the lot's plan.
         goal: (num_agents,) int32 the bay each agent heads for; `NO_BAY` while it is
             exploring, or if the lot has no such agent. Fixed goals are distinct.
         tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
             `NO_BAY` in empty slots; None while goals are fixed.
-        parked_cars: the cars that stand in bays.
         memory: past observed by agents, arrays (num_agents, ...), see
             `ObservationConfig.init_memory`; None if they do not observe the past.
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False for absent agents and, without respawn, for
             agents that have finished.
-        stats: of the running episodes.
-        sensors: the agents' sensors; None while they observe the true motion.
+        sensors: None while agents observe the true motion.
         key: randomness of this lot.
         present: (num_agents,) bool, the agents that are in the lot; None = always all.
             Absent agents are not active and stand far away.
         waited: (num_agents,) int32 control steps for which an absent agent has waited
             for a free start; 0 = it does not wait. None where no agent ever does.
-        routes: along the lanes to the bays; None where nothing reads them.
+        routes: None where nothing reads them.
         kind: (num_agents,) int32 which of `Fleet.agents` each drives; None where there
             is one kind.
         movers: obstacles that move by themselves.
@@ -272,18 +248,9 @@ class GoalEvents:
     """What happened to dynamic goals in a step; all (num_agents,) bool.
 
     Exactly one of the first five, which the agent chose, holds for an active agent. The
-    next two exclude each other and come after the choice.
-
-    Attributes:
-        continue_explore: had no goal and took none.
-        stop_explore: took a goal.
-        continue_goal: kept its goal.
-        change_goal: took another goal.
-        stop_goal: gave up its goal.
-        lost_untracked: lost its goal, which is no longer among the tracked bays.
-        lost_taken: lost its goal, where another agent has parked.
-        contexts: situations in which the agent should give way, by name; see
-            `carpark_mj.mdp.goals`.
+    next two exclude each other and come after the choice: the goal is no longer among
+    the tracked bays, or another agent has parked there. `contexts` are situations in
+    which the agent should give way, by name; see `carpark_mj.mdp.goals`.
     """
 
     continue_explore: jax.Array
@@ -306,13 +273,11 @@ class Transition:
     """One control step of a lot: what rewards, metrics and new episodes read.
 
     Attributes:
-        before: the state at its start, as agents observed it.
         after: the state at its end: goals are those chosen, cars have moved; no goal is
             lost, no parked car relocated and no new episode begun yet.
         target_pose: (num_agents, 3) poses of the goals held during the step; of an
             exploring agent that of the nearest bay it tracked.
-        events: how episodes stand after the step.
-        goal_events: what happened to the goals; None while they are fixed.
+        goal_events: None while goals are fixed.
         wrong_way: (num_agents,) bool, drives against the lanes; None in lots that never
             have lanes.
         invalid_action: (num_agents,) bool, the action was NaN or out of range.
@@ -342,17 +307,13 @@ class TimeStep:
     Attributes:
         observation: (num_agents, observation_size); of the new episode where an agent
             has respawned.
-        reward: (num_agents,).
         terminated: (num_agents,) bool, parked or crashed: do not bootstrap.
         truncated: (num_agents,) bool, timed out or diverged: bootstrap from
             `final_observation`.
-        events: what happened.
         metrics: per-episode numbers, valid where `events.done`.
-        reward_terms: the reward by term.
         motion: at the end of the step, before any respawn.
         goal: (num_agents,) int32 goals held during the step.
-        goal_events: what happened to the goals; None while they are fixed.
-        target_pose: see `Transition`; None where agents have no bays.
+        goal_events: None while goals are fixed.
         final_observation: (num_agents, observation_size) at the end of the step, before
             any respawn or relocation, of agents that are done; meaningless for the
             others; None unless `EpisodeConfig.final_observation`.

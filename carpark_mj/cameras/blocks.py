@@ -110,15 +110,10 @@ def _look(group: Group, layout: Layout) -> tuple[jax.Array, jax.Array]:
 
 def _solid(group: Group, high: jax.Array, seen: jax.Array) -> Blocks:
     """Obstacles that stand on the ground."""
-    pose, count = group.pose_w, group.count
-    if type(group) is Boxes:
-        half = group.size / 2
-    else:
-        pose = jnp.pad(pose, ((0, 0), (0, 1)))
-        half = jnp.stack([group.size, group.size], axis=-1)
+    (pose, size, _, mask), count = group.as_boxes, group.count
     return Blocks(
         pose_w=pose,
-        half=_present(half, group.mask),
+        half=_present(size / 2, mask),
         low=jnp.zeros(count),
         high=high,
         seen=seen,

@@ -160,10 +160,7 @@ def lay(
     fill: Callable[[Patches, jax.Array, jax.Array], jax.Array],
     reach: float | None,
 ) -> jax.Array:
-    """Covers of points (...), of which the highest number counts; see `cover`.
-
-    `fill` gives the cover of a patch at points of its own frame.
-    """
+    """Covers of points (...), the highest number counting; `fill` covers one patch."""
 
     def meet(best: jax.Array, patch: Patches) -> jax.Array:
         along = patch.xy[0] + patch.cos * x + patch.sin * y
@@ -171,17 +168,11 @@ def lay(
         found = jnp.where(patch.half[0] > 0.0, fill(patch, along, across), ASPHALT)
         return jnp.maximum(best, found)
 
-    matters = None if reach is None else is_near(patches.xy, patches.half, reach)
+    matters = None
+    if reach is not None:  # those that come so near to the place
+        beyond = jnp.maximum(jnp.abs(patches.xy) - patches.half, 0.0)
+        matters = (norm(beyond) < reach) & (patches.half[:, 0] > 0.0)
     return fold(best, patches, meet, matters)
-
-
-def is_near(xy: jax.Array, half: jax.Array, reach: float) -> jax.Array:
-    """Whether rectangles (n,) may come within a distance [m] of a place, (n,) bool.
-
-    The place (n, 2) is in their frames, as are their `half` lengths and widths (n, 2).
-    """
-    beyond = jnp.maximum(jnp.abs(xy) - half, 0.0)
-    return (norm(beyond) < reach) & (half[:, 0] > 0.0)
 
 
 def _in_bay(

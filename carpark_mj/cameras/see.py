@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any, Literal
 
 import jax
@@ -122,7 +121,6 @@ COLOURS: dict[Seen, tuple[float, float, float]] = {
 }
 Channel = Literal["colour", "depth", "seen"]
 DARK = 20.0  # m, depth that is black
-LUMA = (0.299, 0.587, 0.114)  # Rec. 601: what a camera's grey weighs
 
 
 def colours(
@@ -162,25 +160,15 @@ def paint(pictures: Pictures, channel: Channel) -> jax.Array:
     return (255.0 * rgb).astype(jnp.uint8)
 
 
-def grey(rgb: jax.Array) -> jax.Array:
-    """Brightness (...) in [0, 1] of colours (..., 3)."""
-    return rgb @ jnp.array(LUMA)
-
-
 _ANY_HEIGHT = Heights((1.0,), (1.0,))
 
 
 @dataclasses.dataclass(frozen=True)
 class BirdsEye(CheckedConfig):
-    """A square picture about the footprint's centre.
+    """A square picture about the footprint's centre."""
 
-    Attributes:
-        pixels: of a side.
-        span: length of a side [m].
-    """
-
-    pixels: Count = 84
-    span: Positive = 21.0
+    pixels: Count = 84  # of a side
+    span: Positive = 21.0  # length of a side [m]
 
 
 def see_from_above(config: BirdsEye, state: State) -> jax.Array:
@@ -208,11 +196,6 @@ def see_from_above(config: BirdsEye, state: State) -> jax.Array:
     agents = jnp.arange(state.goal.shape[0])
     seen = jax.vmap(look)(agents, state.goal, state.motion.pose_w)
     return seen.astype(jnp.uint8).reshape(-1, config.pixels, config.pixels)
-
-
-def channels(seen: jax.Array, kinds: Sequence[Seen] = tuple(Seen)) -> jax.Array:
-    """Pictures (..., height, width, kinds) bool: whether a pixel shows each kind."""
-    return seen[..., None] == jnp.array(kinds, seen.dtype)
 
 
 def _in_box(box: Patches, x: jax.Array, y: jax.Array) -> jax.Array:

@@ -23,9 +23,7 @@ from carpark_mj.extensions import unknown_name
 Range = tuple[float, float]  # lowest and highest value; equal = fixed
 IntRange = tuple[int, int]  # both ends included
 RANGES = Range, IntRange
-# JAX computes in int32 and float32: larger numbers overflow, smaller ones are 0.
-LARGEST_WHOLE = 2**31 - 1
-LARGEST, SMALLEST = 3.4028235e38, 1.1754944e-38
+LARGEST_WHOLE, LARGEST = 2**31 - 1, 3.4028235e38  # of int32 and float32
 MAX_SEED = 2**32 - 1  # what a key takes; others would be taken modulo 2**32
 FARTHEST = 1e4  # m; float32 resolves a millimetre there
 
@@ -92,11 +90,9 @@ def require_name(name: str, value: str, known: Iterable[str]) -> None:
 
 
 def require_number(name: str, value: Any, bounds: Bounds) -> None:
-    """Refuses a value that is no number within bounds, or does not fit 32 bits."""
+    """Refuses a value that is no number within bounds."""
     if not (is_finite(value) and bounds.admit(value)):
         raise ValueError(f"{name} must {bounds}, not {value!r}")
-    if not _fits(value):
-        raise ValueError(f"{name} must fit 32 bits, not {value!r}")
 
 
 def require_count(name: str, value: Any, least: int, most: float = math.inf) -> None:
@@ -173,17 +169,6 @@ def require_bounds(config: Any) -> None:
         if not (bounds.admit(value) and rises):
             order = "be a range (low, high) and " * (hint in RANGES)
             raise ValueError(f"{name} must {order}{bounds}, not {value!r}")
-        if not _fits(value):
-            raise ValueError(f"{name} must fit 32 bits, not {value!r}")
-
-
-def _fits(value: Any) -> bool:
-    """Whether JAX represents a number, or every number of a tuple, in 32 bits."""
-    if isinstance(value, tuple):
-        return all(map(_fits, value))
-    if isinstance(value, numbers.Integral):
-        return abs(int(value)) <= LARGEST_WHOLE
-    return value == 0.0 or SMALLEST <= abs(value) <= LARGEST
 
 
 @functools.cache
@@ -201,9 +186,8 @@ def _bounded(cls: Any) -> dict[str, tuple[Any, Bounds]]:
 def require_types(config: Any, **hints: Any) -> None:
     """Refuses attributes of a dataclass that are not of the types they declare.
 
-    NumPy numbers are allowed. Truth values are not numbers, and lists are not tuples:
-    JAX hashes configs as static arguments. `hints` are other types than those declared,
-    by field.
+    Truth values are not numbers, and lists are not tuples: JAX hashes configs as static
+    arguments. `hints` are other types than those declared, by field.
     """
     for name, hint in (_declared(type(config)) | hints).items():
         require_type(name, getattr(config, name), hint)
@@ -270,10 +254,8 @@ def _describe(hint: Any) -> str:
 
 
 def is_finite(value: Any) -> bool:
-    """Whether a value is a finite number, also as a float."""
+    """Whether a value is a finite number, in float32 too."""
     if type(value) is bool or not isinstance(value, numbers.Real):
         return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # a whole number of hundreds of digits
-        return False
+    number: Any = value
+    return bool(abs(number) <= LARGEST)

@@ -6,15 +6,7 @@ import functools
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, TypeVar
 
-from carpark_mj.config.checks import (
-    Bounds,
-    Count,
-    Natural,
-    Range,
-    require_bounds,
-    require_name,
-    require_types,
-)
+from carpark_mj.config import checks
 from carpark_mj.config.vehicles import with_parameters
 from carpark_mj.layouts.base import LayoutChoice, LayoutConfig, require_layout
 from carpark_mj.mdp.goals import GivingWayConfig, GoalConfig
@@ -84,10 +76,10 @@ class EnvConfig:
 
     layout: LayoutChoice = "square"
     vehicle: str = "compact"
-    num_agents: Count = 2
-    min_agents: Count | None = None
-    num_parked_cars: Natural = 16
-    occupancy: Annotated[Range, Bounds(ge=0.0, le=1.0)] | None = None
+    num_agents: checks.Count = 2
+    min_agents: checks.Count | None = None
+    num_parked_cars: checks.Natural = 16
+    occupancy: Annotated[checks.Range, checks.Bounds(ge=0.0, le=1.0)] | None = None
     fleet: FleetConfig = dataclasses.field(default_factory=FleetConfig)
     jitter: JitterConfig = dataclasses.field(default_factory=JitterConfig)
     movers: tuple[MoverChoice, ...] = ()
@@ -113,8 +105,10 @@ class EnvConfig:
         for name in self.layout.split(",") if isinstance(self.layout, str) else ():
             require_layout(name)
         movers, physics = tuple[Mover | str, ...], PhysicsConfig | str
-        require_types(self, layout=LayoutConfig | str, movers=movers, physics=physics)
-        require_bounds(self)
+        checks.require_types(
+            self, layout=LayoutConfig | str, movers=movers, physics=physics
+        )
+        checks.require_bounds(self)
         object.__setattr__(self, "vehicle", with_parameters(self.vehicle))
         make_movers(self.movers)  # refuses unknown names
         for wrong, message in self._contradictions():
@@ -128,7 +122,7 @@ class EnvConfig:
     def _contradictions(self) -> Iterator[tuple[bool, str]]:
         """Combinations that would compute nonsense: whether one holds, and why not."""
         goals, spawn, episode = self.goals, self.spawn, self.episode
-        physics, scheme = self.physics_config, self.giving_way.scheme
+        physics, way = self.physics_config, self.giving_way
         most, least = self.num_agents, self.min_agents
         too_many = (least or 1) > most
         yield too_many, f"min_agents must be at most num_agents {most}, not {least}"
@@ -168,16 +162,16 @@ class EnvConfig:
             f"episode.hitbox_scale must be 1 in {back_end} physics, not {scale}",
         )
         observation = self.observation
-        unaware = bool(self.fleet.agents) and not observation.sees_own_car
+        unaware = bool(self.fleet.agents) and not observation.own_car
         yield unaware, "fleet.agents needs observation.own_car = True"
-        if scheme is None:
+        if way.scheme is None:
             return
-        asks = f"giving_way.scheme {scheme!r}"
+        asks = f"giving_way.scheme {way.scheme!r}"
         yield not goals.dynamic, f"{asks} needs dynamic goals, goals.dynamic = True"
-        wanted, found = self.giving_way.global_information, observation.sees_everywhere
+        wanted, found = way.global_information, observation.global_information
         what = f"needs observation.global_information = {wanted}, not {found}"
         yield found != wanted, f"{asks} {what}"
-        local = (self.giving_way.context or "").startswith("local")
+        local = (way.context or "").startswith("local")
         blind = local and not (observation.tracked.agents or observation.tracked.cars)
         yield blind, f"{asks} needs an observation that tracks at least 1 agent"
 
@@ -195,7 +189,7 @@ class EnvConfig:
     @property
     def follows_routes(self) -> bool:
         """Whether the route along the lanes is rewarded or observed."""
-        return self.observation.sees_routes or self.reward.route
+        return self.observation.route or self.reward.route
 
     @functools.cached_property
     def varies(self) -> bool:
@@ -257,5 +251,5 @@ def _names(config: Any) -> list[str]:
 
 def _require_setting(config: Any, name: str) -> str:
     """The name, which must be that of a setting of the config."""
-    require_name(f"{type(config).__name__} setting", name, _names(config))
+    checks.require_name(f"{type(config).__name__} setting", name, _names(config))
     return name

@@ -71,6 +71,20 @@ class Group:
         return self.pose_w.shape[0]
 
     @property
+    def as_boxes(self) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """Poses (..., 3), sizes and velocities (..., 2) and mask (...) of boxes.
+
+        Discs are squares of heading 0.
+        """
+        pose, size, lead = self.pose_w, self.size, self.pose_w.shape[:-1]
+        if not isinstance(self, Boxes):
+            pose = jnp.concatenate([pose, jnp.zeros((*lead, 1))], axis=-1)
+            size = jnp.stack([2.0 * size] * 2, axis=-1)
+        velocity, mask = self.velocity_w, self.mask
+        velocity = jnp.zeros((*lead, 2)) if velocity is None else velocity
+        return pose, size, velocity, jnp.ones(lead, bool) if mask is None else mask
+
+    @property
     def traced(self) -> Self:
         """At each of the traced instants (n, k); (n, 1) if they stood still."""
         trace = self.pose_w[:, None] if self.trace_w is None else self.trace_w
@@ -168,10 +182,7 @@ def touches(pose: jax.Array, size: jax.Array, groups: Sequence[Group]) -> jax.Ar
 
 
 def joined(groups: Sequence[Group], num_agents: int) -> tuple[Group, jax.Array]:
-    """Groups of one shape, at least one, as one, as they stand, and their `counts`.
-
-    One test of all of them takes a fraction of the operations of one for each.
-    """
+    """Groups of one shape, at least one, as one, as they stand, and their `counts`."""
     pose = jnp.concatenate([group.pose_w for group in groups])
     size = jnp.concatenate([group.size for group in groups])
     # Joined once, not in each test, which hinders vectorisation on a CPU.

@@ -24,10 +24,7 @@ def reeds_shepp_length(
 ) -> jax.Array:
     """Length (...) [m] of the shortest path from poses (..., 3) to goals (..., 3).
 
-    Args:
-        pose: of the rear axle [m, m, rad].
-        goal: as `pose`.
-        radius: (...) of the tightest turn of the rear axle [m].
+    Both are of the rear axle, `radius` (...) is that of its tightest turn [m].
     """
     x, y, phi = jnp.unstack(to_local(pose, goal), axis=-1)
     x, y, sin, cos = x / radius, y / radius, jnp.sin(phi), jnp.cos(phi)

@@ -77,10 +77,7 @@ def rotate(vector: jax.Array, yaw: jax.Array) -> jax.Array:
 
 
 def move_forward(pose: jax.Array, distance: jax.Array | float) -> jax.Array:
-    """Moves poses (..., 3) along their headings by distances (...) [m].
-
-    Between a car's rear axle and its footprint's centre by `centre_offset`.
-    """
+    """Moves poses (..., 3) along their headings by distances (...) [m]."""
     x, y, yaw = jnp.unstack(pose, axis=-1)
     x, y = x + distance * jnp.cos(yaw), y + distance * jnp.sin(yaw)
     return jnp.stack([x, y, yaw], axis=-1)

@@ -206,10 +206,7 @@ def boundary(half_x: Any, half_y: Any, thickness: float, kind: WallKind) -> Grou
 
 
 def assemble(extent: Any, *groups: Group) -> Layout:
-    """Joins groups of rows into a layout with an extent (2,) [m].
-
-    Rows of a kind keep the order of their groups.
-    """
+    """Joins groups of rows, in their order, into a layout of an extent (2,) [m]."""
     columns: dict[str, list[Any]] = {}
     ends = any("bay_end" in group for group in groups)
     none, size = np.zeros((0, 3)), np.zeros(2)

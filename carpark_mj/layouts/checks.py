@@ -11,12 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from carpark_mj.geometry import (
-    box_disc_overlap,
-    box_inside,
-    boxes_overlap,
-    swept_half_size,
-)
+from carpark_mj import geometry
 from carpark_mj.layouts.build import PARTS
 from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
 from carpark_mj.layouts.types import ROWS, BayKind, Layout
@@ -45,11 +40,11 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
     wall = (layout.wall_pose, layout.wall_size, layout.wall_mask)
     disc = (layout.disc_centre, layout.disc_radius, layout.disc_mask)
     lane = (layout.lane_pose, layout.lane_size - ROUNDING, layout.lane_mask)
-    reach = swept_half_size(car_size, layout.spawn_spread)
+    reach = geometry.swept_half_size(car_size, layout.spawn_spread)
     swept = layout.spawn_size + 2 * reach - ROUNDING
     swept = (layout.spawn_pose, swept, layout.spawn_mask)
     size = 2.0 * layout.extent * (1.0 + 1e-6)
-    inside = box_inside(layout.bay_pose, layout.bay_size, jnp.zeros(3), size)
+    inside = geometry.box_inside(layout.bay_pose, layout.bay_size, jnp.zeros(3), size)
     small = jnp.any(layout.bay_size < car_size, axis=-1)
     least, most = PLAUSIBLE_BAY
     odd = jnp.any((layout.bay_size < least) | (layout.bay_size > most), axis=-1)
@@ -75,7 +70,9 @@ def find_faults(layout: Layout, car_size: jax.Array) -> dict[str, jax.Array]:
 
 def _meet(a: _Rows, b: _Rows) -> jax.Array:
     """Which boxes overlap which boxes or discs: poses or centres, sizes, masks."""
-    overlap = boxes_overlap if b[0].shape[-1] == 3 else box_disc_overlap
+    overlap = (
+        geometry.boxes_overlap if b[0].shape[-1] == 3 else geometry.box_disc_overlap
+    )
     return overlap(a[0][:, None], a[1][:, None], *b[:2]) & a[2][:, None] & b[2]
 
 

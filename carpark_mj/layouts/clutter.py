@@ -95,34 +95,19 @@ class ClutterConfig(LayoutConfig):
         """One, the goal."""
         return 1
 
-    def split(self) -> tuple[Callable[..., Layout], "_Numbers"]:
+    def split(self) -> tuple[Callable[..., Layout], dict[str, Any]]:
         """All settings share one program."""
-        largest = self.largest or self.car
-        sizes = self.car.size, largest.size
-        ranges = self.gap, self.corridor, self.density
-        shares = self.parallel, self.nose_first, self.tail_first
-        numbers = (np.array(x, np.float32) for x in (*sizes, *ranges, *shares))
-        return _draw_lot, _Numbers(*numbers)
+        names = ("gap", "corridor", "density", "parallel", "nose_first", "tail_first")
+        numbers = {name: getattr(self, name) for name in names}
+        numbers |= {"car": self.car.size, "largest": (self.largest or self.car).size}
+        return _draw_lot, {k: np.array(x, np.float32) for k, x in numbers.items()}
 
     def generate(self, key: jax.Array) -> Layout:
-        """See `LayoutConfig.generate`."""
+        """Draws a lot."""
         return _draw_lot(self.split()[1], key)
 
 
-class _Numbers(NamedTuple):
-    """Settings as arrays."""
-
-    car: Any  # (2,) [m]
-    largest: Any  # (2,) [m]
-    gap: Any
-    corridor: Any
-    density: Any
-    parallel: Any
-    nose_first: Any
-    tail_first: Any
-
-
-def _draw_lot(numbers: _Numbers, key: jax.Array) -> Layout:
+def _draw_lot(numbers: dict[str, Any], key: jax.Array) -> Layout:
     """Draws a lot."""
     counts = (11, 6 * STARTS, 4 * DISCS, 6 * _WALLS)
     ends = [sum(counts[:k]) for k in range(1, 5)]
@@ -144,7 +129,7 @@ def _draw_lot(numbers: _Numbers, key: jax.Array) -> Layout:
     margin = jnp.array(MARGINS)[len(MARGINS) - 1 - taken[-2:].sum()]
     largest = slot.car + 2.0 * MARGINS[-1]
     taken = taken[FREE - 1 : -2] | boxes_overlap(start, room, slot.pose, largest)
-    most = numbers.largest[0]
+    most = numbers["largest"][0]
     shift = 0.5 * most * jnp.array([0.0, 1.0, 0.0])
     bay = (slot.pose - shift)[None], slot.car + 2.0 * margin
     return build.assemble(
@@ -189,10 +174,10 @@ def _stray(chance: jax.Array, most: float) -> jax.Array:
     return most * (2.0 * chance - 1.0) ** 3
 
 
-def _draw_slot(numbers: _Numbers, chance: jax.Array) -> _Slot:
+def _draw_slot(numbers: dict[str, Any], chance: jax.Array) -> _Slot:
     """Draws the car, the bay and the aisle, by chances (11,)."""
-    car = numbers.car + chance[0] * (numbers.largest - numbers.car)
-    parallel = chance[1] < numbers.parallel
+    car = numbers["car"] + chance[0] * (numbers["largest"] - numbers["car"])
+    parallel = chance[1] < numbers["parallel"]
     half = jnp.where(parallel, car[::-1], car) / 2
     angle = jnp.pi / 2 + _stray(chance[2], LEAN)
     out = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
@@ -200,27 +185,24 @@ def _draw_slot(numbers: _Numbers, chance: jax.Array) -> _Slot:
     # A parallel bay may point either way.
     aside = jnp.where(chance[3] < 0.5, jnp.pi / 2, -jnp.pi / 2)
     yaw = angle + jnp.where(parallel, aside, 0.0)
-    gaps = _draw_low(chance[4:7], numbers.gap)
-    tail = chance[7] >= 1.0 - numbers.tail_first
+    gaps = _draw_low(chance[4:7], numbers["gap"])
+    tail = chance[7] >= 1.0 - numbers["tail_first"]
     end = jnp.where(tail, BayEnd.TAIL_FIRST, BayEnd.EITHER)
-    least, most = numbers.density  # many pieces are more likely than few
+    least, most = numbers["density"]  # many pieces are more likely than few
     return _Slot(
         car=car,
         pose=build.stacked(0.0, -build.draw(chance[8], SETBACK) - reach, yaw),
-        end=jnp.where(chance[7] < numbers.nose_first, BayEnd.NOSE_FIRST, end),
+        end=jnp.where(chance[7] < numbers["nose_first"], BayEnd.NOSE_FIRST, end),
         out=out,
         half=half,
         gaps=gaps,
-        aisle=car[0] * _draw_low(chance[9], numbers.corridor),
+        aisle=car[0] * _draw_low(chance[9], numbers["corridor"]),
         density=_draw_low(chance[10], (most, least)),
     )
 
 
 def _draw_starts(slot: _Slot, room: jax.Array, chance: jax.Array) -> jax.Array:
-    """Draws poses (n, 3) of starts by numbers (6, n); the first is in the aisle.
-
-    `room` (2,) is the length and width that a start takes [m].
-    """
+    """Draws poses (n, 3) of starts with `room` (2,) [m]; the first is in the aisle."""
     x, y, turn, stray, kind, place = chance
     length = slot.car[0]
     askew = jnp.pi * (2.0 * stray - 1.0)

@@ -47,11 +47,9 @@ class LotConfig(LayoutConfig):
         num_accessible: wide bays for disabled drivers next to the first entrance.
         num_family: wide bays for families after the accessible ones.
         row_ends: what protects the last cars of a row.
-        end_width: of the strip at the ends of the rows.
         pillar_every: bays between pillars, as in a parking deck; 0 = no pillars.
         num_entrances: one, or a second one at the far end.
         boundary: what surrounds the lot.
-        wall_thickness: of the boundary.
         car: the car the lot is drawn for.
     """
 
@@ -67,11 +65,9 @@ class LotConfig(LayoutConfig):
     num_accessible: Natural = 2
     num_family: Natural = 1
     row_ends: Literal["islands", "bollards", "open"] = "islands"
-    end_width: Annotated[Range, Bounds(ge=0.1, unit="m")] = standards.ISLAND_WIDTH
     pillar_every: Natural = 0
     num_entrances: Annotated[IntRange, Bounds(ge=1, le=2)] = (1, 2)
     boundary: Literal["wall", "kerb"] = "wall"
-    wall_thickness: standards.Thickness = standards.WALL_THICKNESS
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "lot"
 
@@ -181,7 +177,7 @@ def _draw_plan(config: LotConfig, key: jax.Array) -> _Plan:
     )
     aisle = standard + build.draw(chance[5], config.extra_aisle)
     cross = build.draw(chance[6], config.cross_aisle)
-    end = build.draw(chance[7], config.end_width)
+    end = build.draw(chance[7], standards.ISLAND_WIDTH)
     entrances = build.draw_int(chance[8], config.num_entrances)
 
     angle = jnp.radians(degrees)
@@ -305,7 +301,7 @@ def _lanes(config: LotConfig, plan: _Plan) -> list[build.Group]:
 
 def _outer_walls(config: LotConfig, plan: _Plan) -> list[build.Group]:
     """Walls around the lot with openings at the entrances, and the gates in them."""
-    thick, side = jnp.float32(config.wall_thickness), jnp.array([-1.0, 1.0])
+    thick, side = jnp.float32(standards.WALL_THICKNESS), jnp.array([-1.0, 1.0])
     kind = WallKind.WALL if config.boundary == "wall" else WallKind.KERB
     half_x, half_y = plan.half
     pose = build.stacked(0.0, side * (half_y + thick / 2), 0.0)

@@ -8,13 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.checks import Bounds
+from carpark_mj.layouts import schematics
 from carpark_mj.layouts.base import LayoutConfig, register_layout
 from carpark_mj.layouts.lot import AngledConfig
-from carpark_mj.layouts.schematics import (
-    SQUARE_COMPACT,
-    StreetConfig,
-    StreetParallelConfig,
-)
 from carpark_mj.layouts.standards import Entry
 from carpark_mj.layouts.types import Layout, layout_maxima, pad_layout
 
@@ -32,9 +28,9 @@ class MixtureConfig(LayoutConfig):
     """
 
     members: tuple[LayoutConfig, ...] = (
-        SQUARE_COMPACT,
-        StreetConfig(),
-        StreetParallelConfig(),
+        schematics.SQUARE_COMPACT,
+        schematics.StreetConfig(),
+        schematics.StreetParallelConfig(),
         AngledConfig(),
     )
     weights: Annotated[tuple[float, ...], Bounds(gt=0.0)] = ()

@@ -33,7 +33,6 @@ class StreetConfig(LayoutConfig):
         bay_length: along a parked car.
         aisle_width: of both lanes together.
         end_length: free street between the last bay and the wall across the street.
-        wall_thickness: of the walls around.
         car: the car the street is drawn for.
     """
 
@@ -43,7 +42,6 @@ class StreetConfig(LayoutConfig):
     bay_length: standards.Lengths = standards.BAY_LENGTH
     aisle_width: standards.Lengths = standards.TWO_WAY_AISLE
     end_length: standards.Lengths = (4.0, 7.0)
-    wall_thickness: standards.Thickness = standards.WALL_THICKNESS
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
     family: str = "street"
 
@@ -70,11 +68,7 @@ class StreetConfig(LayoutConfig):
         return Entry(self.aisle_width[end], self.bay_width[end], angle)
 
     def generate(self, key: jax.Array) -> Layout:
-        """Draws a street along x.
-
-        Cars in perpendicular bays point at the street, in parallel bays along the lane
-        beside them.
-        """
+        """Draws a street along x."""
         chance = build.chances(key, 5)
         count = build.draw_int(chance[0], self.bays_per_side)
         width = build.draw(chance[1], self.bay_width)
@@ -96,7 +90,7 @@ class StreetConfig(LayoutConfig):
         return build.assemble(
             half,
             build.bays(pose, jnp.stack([length, width]), mask=row < count),
-            build.boundary(half[0], half[1], self.wall_thickness, kind),
+            build.boundary(half[0], half[1], standards.WALL_THICKNESS, kind),
             *build.driven_lanes(self.car, *lanes),
         )
 
@@ -112,6 +106,9 @@ class StreetParallelConfig(StreetConfig):
     family: str = "street_parallel"
 
 
+OUTER_WALL = 2.0  # m, thickness of a square's outer walls
+
+
 @dataclasses.dataclass(frozen=True)
 class SquareConfig(LayoutConfig):
     """Dimensions of a square lot [m].
@@ -123,7 +120,6 @@ class SquareConfig(LayoutConfig):
         wall_gap: free strip between the bays' far ends and the outer walls.
         block_inset: free strip about a corner block, towards the rows beside it and
             towards the outer walls' corner.
-        wall_thickness: of the outer walls.
         spawn_margin: between the open square's edge and the spawn region.
     """
 
@@ -132,7 +128,6 @@ class SquareConfig(LayoutConfig):
     bay_length: NonNegative = 5.625
     wall_gap: NonNegative = 0.28125
     block_inset: NonNegative = 0.28125
-    wall_thickness: NonNegative = 2.0
     spawn_margin: NonNegative = 3.375
     family: str = "square"
     is_random = False
@@ -175,7 +170,7 @@ class SquareConfig(LayoutConfig):
         bay_poses += [(row, s, -math.pi) for s in along]
         bay_poses += [(s, row, -math.pi / 2) for s in along]
         bay_poses += [(-row, s, 0.0) for s in along]
-        thick, block = self.wall_thickness, depth - 2 * self.block_inset
+        thick, block = OUTER_WALL, depth - 2 * self.block_inset
         corner = half + self.block_inset + block / 2
         face = half + depth + self.wall_gap
         middle, span = face + thick / 2, 2 * (face + thick)

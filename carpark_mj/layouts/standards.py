@@ -58,7 +58,6 @@ WALL_THICKNESS = 0.25  # m [est]
 # Types of settings; ranges of lengths [m].
 Counts = Annotated[IntRange, Bounds(ge=1)]
 Lengths = Annotated[Range, Bounds(ge=0.0, unit="m")]
-Thickness = Annotated[float, Bounds(ge=0.01, unit="m")]  # of walls
 
 # Parking angle [deg] and width of a one-way aisle [m]; [us], conventional cars.
 AISLE_ANGLES = (30.0, 40.0, 45.0, 50.0, 60.0, 70.0, 80.0, 90.0)
@@ -74,14 +73,9 @@ def one_way_aisle(angle: float) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class DesignCar(CheckedConfig):
-    """The design car of a lot; by default the `compact` vehicle preset.
+    """The design car of a lot in metres; by default the `compact` vehicle preset.
 
-    Attributes:
-        length: [m].
-        width: [m].
-        wheelbase: [m].
-        rear_overhang: rear axle to rear bumper [m].
-        max_steering: full lock of the bicycle model's wheel [rad].
+    `max_steering` is the full lock of the bicycle model's wheel [rad].
     """
 
     length: Annotated[float, Bounds(ge=1.0, le=25.0, unit="m")] = 4.255
@@ -203,9 +197,6 @@ class Entry(CheckedConfig):
 
 
 def least_parallel_aisle(car: DesignCar) -> float:
-    """Narrowest aisle [m] beside parallel bays, into which a car backs.
-
-    Its front swings out by Ro - (R + w/2) beyond the car's own width.
-    """
+    """Narrowest aisle [m] beside parallel bays: a car that backs in swings out."""
     side = car.turning_radius + car.width / 2
     return car.width + math.hypot(side, car.front_reach) - side

@@ -24,13 +24,7 @@ from carpark_mj.layouts.base import FAMILIES, LayoutConfig
 from carpark_mj.layouts.registry import lot_key, lot_number
 from carpark_mj.layouts.schematics import SQUARE_COMPACT
 from carpark_mj.layouts.standards import Entry
-from carpark_mj.layouts.types import (
-    Layout,
-    enlarge,
-    layout_maxima,
-    mirror,
-    pad_layout,
-)
+from carpark_mj.layouts.types import Layout, enlarge, layout_maxima, mirror, pad_layout
 
 VERSION = 2  # of the drawing of lots: files of another are not read
 CHUNK = 64  # lots drawn at a time
@@ -38,13 +32,9 @@ CHUNK = 64  # lots drawn at a time
 
 @dataclasses.dataclass(frozen=True)
 class ChangedConfig(LayoutConfig):
-    """Lots of another config, changed.
+    """Lots of another config, changed."""
 
-    Attributes:
-        lots: the other config.
-    """
-
-    lots: LayoutConfig = SQUARE_COMPACT
+    lots: LayoutConfig = SQUARE_COMPACT  # the other config
 
     @property
     def min_bays(self) -> int:
@@ -64,11 +54,7 @@ class ChangedConfig(LayoutConfig):
 
 @dataclasses.dataclass(frozen=True)
 class ScaledConfig(ChangedConfig):
-    """Lots of which all lengths are multiplied by a factor, as for cars of other sizes.
-
-    Attributes:
-        scale: range of the factor, drawn for every lot.
-    """
+    """Lots of which all lengths are multiplied by a factor, drawn for every lot."""
 
     scale: Annotated[Range, Bounds(ge=0.5, le=2.0)] = (1.0, 1.0)
     family: str = "scaled"
@@ -159,11 +145,7 @@ def _scale(lots: LayoutConfig) -> Range:
 
 @functools.cache
 def stored_lots(config: StoredConfig) -> Layout:
-    """The lots of a config (n, ...), numpy arrays, member by member.
-
-    They are read from `lots-*.npz` beside the folder of kept programs, or drawn and
-    written there.
-    """
+    """The lots of a config (n, ...), member by member, from a file or for a file."""
     told = repr((VERSION, config.lots, config.number)).encode()
     name = f"lots-{hashlib.sha256(told).hexdigest()[:16]}.npz"
     try:

@@ -22,13 +22,11 @@ class TightConfig(LayoutConfig):
     Attributes:
         level: how much room there is.
         orientation: of the bays to the aisle.
-        wall_thickness: of all walls.
         car: the car the lot is drawn for; the room is measured from its size.
     """
 
     level: Level = "normal"
     orientation: Orientation = "perpendicular"
-    wall_thickness: standards.Thickness = standards.WALL_THICKNESS
     car: DesignCar = dataclasses.field(default_factory=DesignCar)
 
     def __post_init__(self) -> None:
@@ -129,7 +127,7 @@ class DeadEndConfig(TightConfig):
         return build.assemble(
             jnp.stack([half_x, half_y]),
             build.bays(bay_pose, size, mask=row < count),
-            build.boundary(half_x, half_y, self.wall_thickness, WallKind.WALL),
+            build.boundary(half_x, half_y, standards.WALL_THICKNESS, WallKind.WALL),
             build.walls(block, jnp.stack([approach, depth])),
             *two_way_aisle(self.car, 2 * half_x, jnp.zeros(()), aisle),
         )
@@ -158,7 +156,7 @@ class GarageRowConfig(TightConfig):
     def generate(self, key: jax.Array) -> Layout:
         """Draws a row along x, its bays at the left of the aisle."""
         chance = build.chances(key, 4)
-        most, thickness = self.num_bays[1], self.wall_thickness
+        most, thickness = self.num_bays[1], standards.WALL_THICKNESS
         count = build.draw_int(chance[0], self.num_bays)
         size, cell, yaw = draw_tight_bay(self, chance[1:3])
         end = build.draw(chance[3], self.end_length)
@@ -175,7 +173,7 @@ class GarageRowConfig(TightConfig):
         return build.assemble(
             jnp.stack([half_x, half_y]),
             build.bays(bay_pose, size, mask=row < count),
-            build.boundary(half_x, half_y, thickness, WallKind.WALL),
+            build.boundary(half_x, half_y, standards.WALL_THICKNESS, WallKind.WALL),
             build.walls(post_pose, build.stacked(thickness, depth), mask=post <= count),
             *two_way_aisle(self.car, 2 * half_x, edge - aisle / 2, aisle),
         )

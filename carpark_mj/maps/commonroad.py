@@ -30,11 +30,7 @@ _SKIPPED = ("location", "scenarioTags")
 
 
 def commonroad_features(root: Any) -> Plan:
-    """The features of a scenario, an element `commonRoad`; goals are spots.
-
-    Raises:
-        ValueError: a number that is none, or points too far apart.
-    """
+    """The features of a scenario, an element `commonRoad`; goals are spots."""
     plan = Plan()
     for element in root:
         name = element.get("id", "")

@@ -53,14 +53,10 @@ _TagOf = Callable[[str], Tag | None]
 
 
 def dxf_features(path: Path, layers: Sequence[str] = (), unit: str = "") -> Plan:
-    """Reads the model space of a drawing, blocks resolved.
+    """Reads the model space of a drawing, blocks resolved; `ValueError` if it cannot.
 
     `layers` are `WORD=TEXT`, a word of `WORDS` for the layers whose names contain the
     text; `unit` is that of the drawing, in the place of its own.
-
-    Raises:
-        ValueError: it is no DXF, has no unit, or is too large.
-        OSError: the file cannot be read.
     """
     read_bytes(path)  # refuses what is no file
     tag_of = _reading(layers)

@@ -20,16 +20,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from carpark_mj.geometry import box_corners
+from carpark_mj.layouts import types as lot
 from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.types import (
-    KERB_HEIGHT,
-    WALL_HEIGHT,
-    BayKind,
-    DiscKind,
-    Layout,
-    WallKind,
-)
 
 PER_DEGREE = 110574.3, 111319.5  # m of latitude and longitude at 0, 0 in WGS84
 EDGE = 1.0  # m beyond the extent, where the walls around a lot stand
@@ -54,7 +47,7 @@ def xml_text(text: str) -> str:
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def opendrive_text(layout: Layout) -> str:
+def opendrive_text(layout: lot.Layout) -> str:
     """A layout as OpenDRIVE."""
     x, y = np.asarray(layout.extent, float) + EDGE
     objects: list[str] = []
@@ -68,18 +61,18 @@ def opendrive_text(layout: Layout) -> str:
         return f'length="{size[0]:.6f}" width="{size[1]:.6f}"'
 
     for pose, size, kind in rows_of(layout, "bay", "pose", "size", "kind"):
-        name, access = BayKind(kind).name, "all"
-        access = "handicapped" if kind == BayKind.ACCESSIBLE else access
-        note = "" if kind == BayKind.STANDARD else name.lower()
+        name, access = lot.BayKind(kind).name, "all"
+        access = "handicapped" if kind == lot.BayKind.ACCESSIBLE else access
+        note = "" if kind == lot.BayKind.STANDARD else name.lower()
         space = _SPACE.format(access=access, kind=note)
         add("parkingSpace", name, pose, box(size), 0.0, space)
     for pose, size, kind in rows_of(layout, "wall", "pose", "size", "kind"):
-        what = "trafficIsland" if kind == WallKind.ISLAND else "barrier"
-        height = KERB_HEIGHT if kind == WallKind.KERB else WALL_HEIGHT
-        add(what, WallKind(kind).name, pose, box(size), height)
+        what = "trafficIsland" if kind == lot.WallKind.ISLAND else "barrier"
+        height = lot.KERB_HEIGHT if kind == lot.WallKind.KERB else lot.WALL_HEIGHT
+        add(what, lot.WallKind(kind).name, pose, box(size), height)
     for centre, radius, kind in rows_of(layout, "disc", "centre", "radius", "kind"):
         tube = f'radius="{radius:.6f}"'
-        add("pole", DiscKind(kind).name, (*centre, 0.0), tube, POLE_HEIGHT)
+        add("pole", lot.DiscKind(kind).name, (*centre, 0.0), tube, POLE_HEIGHT)
 
     def road(
         number: int, start: Any, length: float, kind: str, left: float, right: Any
@@ -106,7 +99,7 @@ def opendrive_text(layout: Layout) -> str:
     )
 
 
-def lanelet2_text(layout: Layout) -> str:
+def lanelet2_text(layout: lot.Layout) -> str:
     """A layout as OSM XML of Lanelet2."""
     nodes, ways, relations = list[str](), list[str](), list[str]()
 
@@ -137,7 +130,7 @@ def lanelet2_text(layout: Layout) -> str:
     for pose, size in rows_of(layout, "bay", "pose", "size"):
         way(axis(pose, size), type="parking_space", width=f"{size[1]:.6f}")
     for pose, size, kind in rows_of(layout, "wall", "pose", "size", "kind"):
-        what = "curbstone" if kind == WallKind.KERB else "wall"
+        what = "curbstone" if kind == lot.WallKind.KERB else "wall"
         way(axis(pose, size), type=what, width=f"{size[1]:.6f}")
     angles = np.linspace(0.0, math.tau, CORNERS, endpoint=False)
     # As large as the disc.
@@ -151,7 +144,7 @@ def lanelet2_text(layout: Layout) -> str:
     return xml_text(f'<osm version="0.6">{"".join(nodes + ways + relations)}</osm>')
 
 
-def rows_of(layout: Layout, kind: str, *parts: str) -> Iterator[Any]:
+def rows_of(layout: lot.Layout, kind: str, *parts: str) -> Iterator[Any]:
     """The rows of a kind, `bay` or another of `ROWS`, with some of their fields."""
     mask = np.asarray(getattr(layout, f"{kind}_mask"))
     columns = (np.asarray(getattr(layout, f"{kind}_{part}"))[mask] for part in parts)

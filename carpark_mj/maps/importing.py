@@ -298,10 +298,7 @@ def _led_out(free: Box | None, box: Box, others: list[Any]) -> Box | None:
 
 
 def _facing(found: list[Box], goals: list[Any], yaw: float) -> Box:
-    """The rectangle, and the end of it in front, that leads to the first goals.
-
-    Where neither end is nearer to them, it is the one in the direction `yaw`.
-    """
+    """The rectangle, and its end in front, that leads to the goals, else to `yaw`."""
 
     def away(box: Box) -> list[float]:
         reach = box.length / 2 + AHEAD
@@ -376,11 +373,8 @@ def _layout(
     def rows(found: Any, part: str, dtype: type) -> dict[str, np.ndarray]:
         pose = np.array([box.pose for box, _ in found]).reshape(-1, 3) - middle
         size = np.array([box.size for box, _ in found]).reshape(-1, 2)
-        return {
-            "pose": pose,
-            "size": size,
-            part: np.array([x for _, x in found], dtype),
-        }
+        values = np.array([value for _, value in found], dtype)
+        return {"pose": pose, "size": size, part: values}
 
     regions = rows([(box, build.LANE_SPREAD) for box in starts], "spread", float)
     columns = np.array(discs).reshape(-1, 3)
@@ -398,10 +392,7 @@ def _layout(
 
 
 def free_starts(ground: Any, taken: Sequence[Any]) -> list[Box]:
-    """Rectangles in the ground, clear of shapes, that a car has room for.
-
-    `taken` are shapely polygons that stand on the ground.
-    """
+    """Rectangles in the ground, clear of `taken` shapes, that a car has room for."""
     free = ground.difference(shapely.union_all(taken)).buffer(-NARROW)
     tree, found = shapely.STRtree(taken), []
     for box in boxes(free):

@@ -183,14 +183,7 @@ def _add_aisle(plan: Plan, name: str, ground: Any, one_way: bool) -> None:
 
 
 def geojson_features(path: Path, crs: str | None = None) -> Plan:
-    """Reads a file: a collection, one feature, or a bare geometry.
-
-    `crs` is the coordinate reference system, instead of the one in the file.
-
-    Raises:
-        ValueError: not GeoJSON, or invalid coordinates.
-        OSError: the file cannot be read.
-    """
+    """Reads a collection, a feature, or a bare geometry; `crs` replaces the file's."""
     data = parse_object(read_text(path), "the GeoJSON")
     rows = data.get("features")
     if not isinstance(rows, list):

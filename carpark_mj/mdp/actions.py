@@ -47,19 +47,13 @@ class ActionSpec:
 
 
 class Action(NamedTuple):
-    """A sanitized action of agents (...).
+    """A sanitized action of agents (...)."""
 
-    Attributes:
-        controls: (..., k) of the back end: steer and pedal in [-1, 1] of cars; int32
-            where they are indices only.
-        goal_choice: (...) int32 0 = explore, k = head for the k-th tracked bay; None
-            while goals are fixed.
-        invalid: (...) bool, whether any part was replaced.
-    """
-
+    # (..., k) of the back end: steer and pedal in [-1, 1]; int32 if all are indices
     controls: jax.Array
+    # (...) int32 0 = explore, k = head for the k-th tracked bay; None = fixed goals
     goal_choice: jax.Array | None
-    invalid: jax.Array
+    invalid: jax.Array  # (...) bool, whether any part was replaced
 
 
 # [est] Steering to 1/5 of its limit and the pedal to 1/3, both with a zero.
@@ -67,10 +61,7 @@ STEERS, PEDALS = 11, 7
 
 
 def action_table(spec: ActionSpec) -> np.ndarray:
-    """Actions (number, spec.size): steering x pedal x choices, the last fastest.
-
-    On the grid, where all parts are choices, the list is complete.
-    """
+    """Actions (number, spec.size): steering x pedal x choices, the last fastest."""
     numbers = [np.linspace(-1.0, 1.0, n) for n in (STEERS, PEDALS)[: spec.continuous]]
     indices = [np.arange(n) for n in spec.choices]
     return np.array(list(itertools.product(*numbers, *indices)), spec.dtype)

@@ -1,14 +1,9 @@
 """Goals: which bay an agent heads for; docs/dynamic_goals.md has more.
 
 Fixed goals are drawn for each episode (`carpark_mj.spawning.goals`). Dynamic goals are
-chosen by the agents at the start of every step: to explore, or to head for a bay they
-track. At its end they lose goals in which another agent has parked, and goals that they
-no longer track.
-
-A bay is free if it holds no parked car, even if it is another agent's goal or an agent
-is in it (Tanner 2022). An agent tracks the nearest free bays. A bay keeps its slot for
-as long as it is tracked, as in the study's text; with `GoalConfig.slots_by_distance`
-bays are sorted by distance at every step, as in the study's program.
+chosen by the agents at the start of every step: to explore, or to head for one of the
+nearest free bays, which they track. A bay is free if it holds no parked car, even if it
+is another agent's goal or an agent is in it (Tanner 2022).
 
 *Giving way*: an agent with a goal is in a context of `CONTEXTS` if another agent is
 strictly nearer to that goal (centres, world distance), and is tracked or has the same
@@ -75,9 +70,7 @@ class GivingWayConfig(CheckedConfig):
     tracked (b = L) or anywhere (b = G), and has the same goal (c = S) or any (c = A).
 
     Attributes:
-        scheme: "a,b,c", one of the six of the study: "L,L,S", "L,L,A", "G,L,S",
-            "G,L,A", "G,G,S", "G,G,A"; None = no context is enforced. Needs dynamic
-            goals.
+        scheme: None = no context is enforced. Needs dynamic goals.
         bad_goal: reward for keeping a bad goal, in place of `continue_goal`; at most 0.
             The study sweeps 0 to -0.2.
     """
@@ -251,22 +244,10 @@ def nearest_bays(
 
 
 def tracks(config: EnvConfig, state: State) -> jax.Array:
-    """(num_agents, num_agents) bool, [i, j] whether agent i tracks agent j.
-
-    By their measured poses.
-    """
+    """(num_agents, num_agents) bool, [i, j] whether i tracks j, by measured poses."""
     found = config.observation.tracks_agents(state)
     count = state.goal.shape[0]
     return jnp.zeros((count, count), bool) if found is None else found
-
-
-def goals_in_turn(before: jax.Array, after: jax.Array) -> jax.Array:
-    """Goals (num_agents, num_agents), [i, j] that of agent j when agent i chooses.
-
-    `before` (num_agents,) are the goals at the start of the step, `after` those chosen.
-    """
-    number = jnp.arange(before.shape[0])
-    return jnp.where(number < number[:, None], after, before)
 
 
 def find_contexts(
@@ -285,7 +266,10 @@ def find_contexts(
     # The agent's own distance, computed twice, may round differently.
     own = jnp.eye(goal.shape[0], dtype=bool)
     better = better & ~own & active & active[:, None] & (goal != NO_BAY)[:, None]
-    same = goals_in_turn(goal, chosen) == goal[:, None]
+    # Agents before one in the order have chosen already.
+    number = jnp.arange(goal.shape[0])
+    in_turn = jnp.where(number < number[:, None], chosen, goal)
+    same = in_turn == goal[:, None]
 
     def some(condition: jax.Array) -> jax.Array:
         return (better & condition).any(axis=1)

@@ -192,10 +192,7 @@ def update_stats(
 def episode_metrics(
     transition: Transition, stats: EpisodeStats
 ) -> dict[str, jax.Array]:
-    """Named metrics (num_agents,) float32 of episodes, valid where `events.done`.
-
-    `stats` are of the episodes, the step included.
-    """
+    """Named metrics (num_agents,) float32 of episodes, valid where `events.done`."""
     pose_w, target = transition.after.motion.pose_w, transition.target_pose
     turned = pose_w[..., 2] - target[..., 2]
     counts = ("episode_return", "length", "path", "gear_changes", "invalid_actions")

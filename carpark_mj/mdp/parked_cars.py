@@ -138,10 +138,8 @@ def relocate_parked_cars(
 ) -> ParkedCars:
     """Moves a parked car into every bay where an agent has just parked.
 
-    `SpawnConfig.relocation` says which: the car farthest from all agents, so that no
-    agent observes the move (`furthest`), a random one that no agent tracks, if there is
-    any (`random`), or a random one (`any`). A car moves at most once in a step, only
-    into a bay that it fits into, and never to where a mover is. `key` is consumed.
+    `SpawnConfig.relocation` says which. A car moves at most once in a step, only into a
+    bay that it fits into, and never to where a mover is. `key` is consumed.
     """
     cars, layout, rule = state.parked_cars, state.layout, config.spawn.relocation
     if cars.bay.shape[0] == 0:
@@ -183,10 +181,7 @@ def relocate_parked_cars(
 
 
 def tracks_parked_cars(config: EnvConfig, state: State) -> jax.Array:
-    """(num_agents, num_parked_cars) bool, [i, j] whether agent i tracks parked car j.
-
-    By their measured poses.
-    """
+    """(num_agents, num_parked_cars) bool, whether agents track cars, as measured."""
     found = config.observation.tracks_parked_cars(state)
     if found is None:
         return jnp.zeros((*state.goal.shape, *state.parked_cars.bay.shape), bool)

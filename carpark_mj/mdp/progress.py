@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -54,10 +54,7 @@ def mix_in_maneuver(
     goal_pose: jax.Array,
     one_way: jax.Array | None = None,
 ) -> jax.Array:
-    """Distances to go (...) [m], within `reach` of the goal those of Reeds-Shepp paths.
-
-    See `RewardConfig.reeds_shepp_reach` and `Transition.one_way`.
-    """
+    """Distances to go (...) [m], near the goal (`reach`) those of Reeds-Shepp paths."""
     radius = car.wheelbase / jnp.tan(car.max_steering)
     back = -car.centre_offset
     start = move_forward(pose_w, back)
@@ -97,10 +94,9 @@ def drives_wrong_way(layout: Layout, motion: Motion) -> jax.Array | None:
 
     An agent does if it moves, its centre is in a lane, and no lane there allows its
     direction of motion. The heading does not matter, so a reversing car counts by where
-    it goes. A one-way lane allows directions within `AGAINST` of its own, any other
-    lane all directions. The halves of a two-way street are one-way lanes
-    (`layouts.build.two_lanes`), so driving on the wrong side counts. (num_agents,)
-    bool; None in lots that never have lanes.
+    it goes. A one-way lane, such as half of a street, allows directions within
+    `AGAINST` of its own, any other lane all. (num_agents,) bool; None in lots that
+    never have lanes.
     """
     if not layout.has_lanes:
         return None
@@ -112,19 +108,12 @@ def drives_wrong_way(layout: Layout, motion: Motion) -> jax.Array | None:
     return moving & inside.any(axis=1) & ~allowed.any(axis=1)
 
 
-class Effort(NamedTuple):
-    """Steering change and speed (num_agents,) of a step, as shares of the most."""
-
-    turn: jax.Array  # what `PhysicsConfig.turn` says, over the largest
-    speed: jax.Array  # absolute, at the end of the step, over the higher of both limits
-
-
-def effort(config: EnvConfig, transition: Transition) -> Effort:
-    """How hard agents steered in a step, and how fast they are."""
+def effort(config: EnvConfig, transition: Transition) -> tuple[jax.Array, jax.Array]:
+    """Steering change and speed (num_agents,) of a step, as shares of the largest."""
     before, after = transition.before.motion, transition.after.motion
     vehicle, ctrl_dt = transition.before.physics.vehicle, config.sim.ctrl_dt
     physics = config.physics_config
     turn = physics.turn(before, after, ctrl_dt)
     top = physics.top_speed(vehicle, ctrl_dt)
     share = turn / physics.largest_turn(vehicle, ctrl_dt)
-    return Effort(share, jnp.abs(after.speed) / top)
+    return share, jnp.abs(after.speed) / top

@@ -74,15 +74,11 @@ class RewardTerm(CheckedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.sign not in (1, -1):
-            raise ValueError(f"sign must be 1 or -1, not {self.sign}")
         for name, default in self.parameters.items():
             if not is_finite(default):
                 raise ValueError(
                     f"parameter {name} of a reward term must have a default, a number"
                 )
-        if unknown := sorted({*self.fixed} - {*self.parameters}):
-            raise ValueError(f"fixed names no parameters of the term: {unknown}")
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -109,10 +105,7 @@ def term_settings(name: str) -> dict[str, float | None]:
 
 
 class ExtraTerms(dict[str, float]):
-    """Settings of registered terms by name, in the order in which terms are added.
-
-    It is hashable, as configs are, and not to be changed.
-    """
+    """Settings of registered terms by name, in the order in which terms are added."""
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, dict) and list(self.items()) == list(other.items())
@@ -202,9 +195,9 @@ else:
 class RewardConfig(CheckedConfig):
     """Weights of the reward terms.
 
-    All weights are non-negative, and 0 disables a term. Each says whether its term is a
-    reward (added) or a penalty (subtracted). "Per step" weights are divided by
-    `EpisodeConfig.max_steps`, so that they add up to the weight over a full episode.
+    All weights are non-negative, and 0 disables a term; penalties are subtracted. "Per
+    step" weights are divided by `EpisodeConfig.max_steps`, so that they add up to the
+    weight over a full episode.
 
     Attributes:
         park: reward for parking, once.
@@ -414,11 +407,10 @@ def _smoothness(
 ) -> jax.Array:
     """Penalty per step, times the steering change as a share of the largest.
 
-    `PhysicsConfig.turn` is the steering change. With `by_speed` the penalty is
-    multiplied by the speed as a share of the top speed.
+    With `by_speed` the penalty is multiplied by the speed as a share of the top speed.
     """
-    used = effort(config, transition)
-    return used.turn * used.speed if by_speed else used.turn
+    turn, speed = effort(config, transition)
+    return turn * speed if by_speed else turn
 
 
 def _reverse(_: EnvConfig, transition: Transition) -> jax.Array:

@@ -83,11 +83,8 @@ PARKED_RULES.register("metadrive", ParkedRule(from_end=5.0))
 class End:
     """An end of episodes of one's own.
 
-    Attributes:
-        test: JAX function of the `State` at the end of a step that returns
-            (num_agents,) bool.
-        outcome: what it counts as: `crashed`, which terminates, or `timed_out`, which
-            truncates.
+    `test` is a JAX function of the `State` at the end of a step that returns
+    (num_agents,) bool. The outcome `crashed` terminates, `timed_out` truncates.
     """
 
     test: Callable[[State], jax.Array]

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import norm
-from carpark_mj.geometry.obstacles import Discs, Group
+from carpark_mj.geometry.obstacles import Group
 
 AWAY = 1e6  # m, where boxes are that do not count
 SPARE = 1e-3  # m that is left between bodies
@@ -58,11 +58,7 @@ def group_outlines(groups: Sequence[Group]) -> jax.Array:
     """Outlines (6, n) of groups, of discs as squares."""
     rows = [jnp.zeros((6, 0))]
     for group in groups:
-        pose, size = group.pose_w, group.size
-        if isinstance(group, Discs):
-            pose = jnp.pad(pose, ((0, 0), (0, 1)))
-            size = jnp.repeat(2.0 * size[:, None], 2, axis=1)
-        there = jnp.ones(group.count, bool) if group.mask is None else group.mask
+        pose, size, _, there = group.as_boxes
         rows.append(outlines(pose, size, there))
     return jnp.concatenate(rows, axis=1)
 

@@ -253,7 +253,6 @@ class Drivers(Mover):
         speed: of the least and the most aggressive [m/s].
         headway: of the most and the least aggressive [s]. Treiber et al. 2000: 1.6 s.
         stay: time in a bay [s].
-        mover: fixed.
     """
 
     number: Count = 4

@@ -13,13 +13,12 @@ Treiber, Hennecke and Helbing 2000 with delta = 4 (see `carpark_mj.movers.driver
 """
 
 import dataclasses
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from carpark_mj.geometry import boxes_overlap, move_forward, norm, rotate, to_local
-from carpark_mj.geometry.obstacles import Boxes, ObstacleKind, touches
+from carpark_mj.geometry.obstacles import ObstacleKind, touches
 from carpark_mj.movers.traffic import (
     AWAY,
     BACK_OUT,
@@ -91,24 +90,11 @@ def goes_first(traffic: Traffic) -> jax.Array:
     return more(wait, more(rank, rule))
 
 
-class Rows(NamedTuple):
-    """Boxes (k, ...) that drivers (n,) see: poses, half sizes, velocities, mask."""
-
-    pose: jax.Array
-    half: jax.Array
-    velocity: jax.Array
-    seen: jax.Array
+_Ahead = tuple[jax.Array, jax.Array]
 
 
-class Ahead(NamedTuple):
+def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> _Ahead:
     """Free ways (n,) [m] of drivers and the speeds (n,) [m/s] of the leaders."""
-
-    gap: jax.Array
-    speed: jax.Array
-
-
-def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
-    """What drivers with highest accelerations (n,) [m/s²] see ahead of them."""
     n, gear = traffic.way.shape[0], traffic.path.gear
     edges = jnp.array(EDGES)
     start, length = edges[:-1], jnp.diff(edges)
@@ -121,9 +107,9 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
     room = half + jnp.array([ALONG, ASIDE])
 
     count = boxes.shape[1]
-    rows = _others(traffic, lot)
+    pose, other_half, other_velocity, seen = _others(traffic, lot)
     halves = jnp.broadcast_to(half, (n, count, 2)).reshape(-1, 2)
-    there = [boxes.reshape(-1, 3), rows.pose], [halves, rows.half]
+    there = [boxes.reshape(-1, 3), pose], [halves, other_half]
     meets, gap = _meet(boxes, room, gear, *map(jnp.concatenate, there))
     gap = gap + jnp.concatenate([jnp.zeros(1), start])[:, None]
     (meets, meets_others), (gap, gap_others) = (
@@ -138,9 +124,9 @@ def look(traffic: Traffic, lot: State, accel: jax.Array, dt: float) -> Ahead:
     velocity = jnp.repeat(traffic.velocity, count, axis=0).reshape(n * count, 2)
     # The own box is for the right of way only.
     found = _first(boxes, gear, meets[:, 1:], gap[:, 1:], velocity)
-    meets = (meets_others & rows.seen[:, None])[:, 1:]
-    others = _first(boxes, gear, meets, gap_others[:, 1:], rows.velocity)
-    return where_cars(others.gap < found.gap, others, found)
+    meets = (meets_others & seen[:, None])[:, 1:]
+    others = _first(boxes, gear, meets, gap_others[:, 1:], other_velocity)
+    return where_cars(others[0] < found[0], others, found)
 
 
 def _first(
@@ -149,7 +135,7 @@ def _first(
     meets: jax.Array,
     gap: jax.Array,
     velocity: jax.Array,
-) -> Ahead:
+) -> _Ahead:
     """The nearest of rows (k,) that sections (n, m, k) meet, and its speed."""
     gap = jnp.where(meets, gap, jnp.inf)
     nearest = gap.min(axis=(1, 2))
@@ -158,16 +144,13 @@ def _first(
     along = jnp.maximum(along * gear[:, None, None], 0.0)
     first = gap <= nearest[:, None, None]
     speed = jnp.where(first & meets, along, jnp.inf).min(axis=(1, 2))
-    return Ahead(nearest, jnp.where(jnp.isfinite(nearest), speed, 0.0))
+    return nearest, jnp.where(jnp.isfinite(nearest), speed, 0.0)
 
 
 def _meet(
     boxes: jax.Array, room: jax.Array, gear: jax.Array, pose: jax.Array, half: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Whether boxes (n, m, 3) of half sizes (m, 2) meet others (k, 3), (k, 2).
-
-    Also the way (n, m, k) [m] from a section's beginning until they do.
-    """
+    """Whether boxes (n, m, 3) meet others (k, 3), and the way (n, m, k) until then."""
     x, y, other = jnp.unstack(pose, axis=-1)
     own_x, own_y, own = jnp.unstack(boxes[..., None, :], axis=-1)
     x, y, cos, sin = x - own_x, y - own_y, jnp.cos(own), jnp.sin(own)
@@ -221,8 +204,8 @@ def _hidden(traffic: Traffic, pose: jax.Array) -> jax.Array:
     return within[:, None] & (aside > SIGHT * jnp.maximum(behind, 0.0))
 
 
-def _others(traffic: Traffic, lot: State) -> Rows:
-    """Agents with the ways in which they stop; people, here and where they will be."""
+def _others(traffic: Traffic, lot: State) -> tuple[jax.Array, ...]:
+    """Poses, half sizes, velocities of boxes (k, ...) and (n, k) which drivers see."""
     motion = lot.motion
     yaw, along = motion.pose_w[:, 2], motion.speed
     stop = along * jnp.abs(along) / (2.0 * HARD)
@@ -232,23 +215,19 @@ def _others(traffic: Traffic, lot: State) -> Rows:
     pose = move_forward(motion.pose_w, stop / 2)
     rows = [(pose, half, along[:, None] * heading, jnp.ones(yaw.shape, bool))]
     for group in lot.movers.groups:
-        xy = group.pose_w[:, :2]
-        still = jnp.zeros_like(xy)
-        velocity = still if group.velocity_w is None else group.velocity_w
-        is_box = isinstance(group, Boxes)
-        yaw = group.pose_w[:, 2:] if is_box else jnp.zeros_like(xy[:, :1])
-        half = group.size / 2 if is_box else jnp.stack([group.size] * 2, axis=-1)
-        there = jnp.ones(group.count, bool) if group.mask is None else group.mask
+        here, size, velocity, there = group.as_boxes
         is_car = group.kind == ObstacleKind.DRIVER
+        half = size / 2 + (0.0 if is_car else PERSON)
         for later in (0.0,) if is_car else (0.0, SOON):
-            pose = jnp.concatenate([xy + later * velocity, yaw], axis=-1)
-            rows.append((pose, half + (0.0 if is_car else PERSON), velocity, there))
+            xy = here[:, :2] + later * velocity
+            pose = jnp.concatenate([xy, here[:, 2:]], axis=-1)
+            rows.append((pose, half, velocity, there))
     pose, half, velocity, there = (
         jnp.concatenate(column) for column in zip(*rows, strict=True)
     )
     blind = (traffic.path.gear < 0.0) & ~traffic.attentive
     seen = there & ~_hidden(traffic, pose) & ~blind[:, None]
-    return Rows(pose, half, velocity, seen)
+    return pose, half, velocity, seen
 
 
 def is_clear(traffic: Traffic, lot: State, xy: jax.Array, reach: float) -> jax.Array:
@@ -293,14 +272,14 @@ def drive(
     wanted = speeds[0] + (speeds[1] - speeds[0]) * pushes
     headway = headways[1] - (headways[1] - headways[0]) * pushes
     accel = CITY.max_acceleration * (0.5 + 0.5 * pushes)
-    ahead = look(traffic, lot, accel, dt)
+    gap, leader_speed = look(traffic, lot, accel, dt)
     taken = (traffic.bay[:, None] == lot.parked_cars.bay).any(axis=1)
     taken = taken & (traffic.phase == PARK)  # another was faster: wait for the bay
-    gap = jnp.where(taken, 0.0, ahead.gap)
+    gap = jnp.where(taken, 0.0, gap)
     target = _aim(traffic)
     limit = _limit(traffic, jnp.abs(target - traffic.steering))
     speed = traffic.speed
-    wish = idm_acceleration(speed, wanted, gap, ahead.speed, headway, accel)
+    wish = idm_acceleration(speed, wanted, gap, leader_speed, headway, accel)
     faster = speed + dt * jnp.clip(wish, -HARD, accel)
     faster = jnp.minimum(faster, jnp.maximum(limit, speed - HARD * dt))
     # Whatever the model wishes, the car can stop before the leader.

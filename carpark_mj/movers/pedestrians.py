@@ -157,10 +157,7 @@ def _go_on(chance: jax.Array, people: People, arrived: jax.Array) -> People:
 
 
 def _set_out(chance: jax.Array, people: People, cars: Cars, lot: State) -> People:
-    """People after the one that has rested longest set out, if it is time.
-
-    One in a step: looking for ways is the costliest of all.
-    """
+    """The one that has rested longest sets out, if it is time; looking costs most."""
     places, count = people.places, people.leader.shape[0]
     due = (people.phase == REST) & (people.clock >= 0.0) & people.present
     due = due & (people.leader == jnp.arange(count))
@@ -268,10 +265,8 @@ class Pedestrians(Mover):
     Shares are probabilities for each person, drawn when a lot begins.
 
     Attributes:
-        number: how many, or the range that a lot draws from; the most if `density` is
-            given. A lot holds at most one for each place that can be reached when it
-            begins.
-        density: people for 100 m² of the lot, drawn from this range; None = `number`.
+        number: how many, or the range that a lot draws from. A lot holds at most one
+            for each place that can be reached when it begins.
         speed: desired speeds [m/s], normal about the middle of this range and cut at
             its ends, two standard deviations away. Weidmann 1993: 1.34 m/s, standard
             deviation 0.26 m/s.
@@ -281,11 +276,9 @@ class Pedestrians(Mover):
         standing: share of adults that mostly stand.
         straight: share of adults that avoid nobody.
         children: share of people that run across aisles from between parked cars.
-        mover: fixed.
     """
 
     number: Annotated[int | tuple[int, int], Bounds(ge=0)] = 10
-    density: Annotated[Range, Bounds(ge=0.0, le=100.0)] | None = None
     speed: Annotated[Range, Bounds(ge=0.1, le=3.0, unit="m/s")] = (0.82, 1.86)
     radius: Annotated[Range, Bounds(ge=0.2, le=0.5, unit="m")] = (0.25, 0.35)
     attention: Annotated[float | Range, Bounds(ge=0.0, le=1.0)] = 0.8
@@ -325,13 +318,8 @@ class Pedestrians(Mover):
         good = places.mask & ~near.any(axis=1) & _is_free(places.edge, room, bodies)
         order = jnp.argsort(jnp.where(good, order, 2.0))[:n]
         start = jnp.pad(order, (0, n - order.shape[0]))
-        rank, number_key = jnp.arange(n), next(keys)
-        wanted = jax.random.randint(number_key, (), least, n + 1)
-        if self.density is not None:
-            low, high = self.density
-            density = jax.random.uniform(number_key, (), minval=low, maxval=high)
-            area = 4.0 * layout.extent[0] * layout.extent[1]
-            wanted = jnp.round(density * area / 100.0).astype(jnp.int32)
+        rank = jnp.arange(n)
+        wanted = jax.random.randint(next(keys), (), least, n + 1)
         child = share(self.children)
         # Of two neighbours in the list the second follows, so no follower leads.
         follows = share(2.0 * self.groups) & (rank % 2 == 1)

@@ -90,10 +90,7 @@ def _beside_bays(layout: Layout) -> tuple[jax.Array, jax.Array]:
 def _best_sides(
     layout: Layout, edge: jax.Array, inner: jax.Array, free: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Of each bay the places (bays, 2) at one side, and whether there is one (bays,).
-
-    Edges and inner places (sides, bays, 2), and which of them are free (sides, bays).
-    """
+    """Of each bay the places (bays, 2) at one side, and whether there is one."""
     cost = jnp.arange(len(SIDES), dtype=jnp.float32)[:, None] * 0.1
     if layout.lane_mask.shape[0]:
         gap = point_box_distance(edge[:, :, None], layout.lane_pose, layout.lane_size)

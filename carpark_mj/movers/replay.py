@@ -42,12 +42,7 @@ class Drives(NamedTuple):
 
 
 def read_drives(path: Path) -> Drives:
-    """Reads a file of drives.
-
-    Raises:
-        ValueError: it is malformed; one sentence says where.
-        OSError: it cannot be read.
-    """
+    """Reads a file of drives; a `ValueError` says where it is malformed."""
     require_suffix("a replay's file", path.name, ".csv", ".npz")
     cars = _from_csv(path) if path.suffix == ".csv" else _from_archive(path)
     if not cars:
@@ -123,7 +118,6 @@ class Replay(Mover):
         path: `.csv` or `.npz`, see the module; read when the config is made.
         offset: time of the recording at which lots begin [s], drawn from this range;
             None = any.
-        mover: fixed.
     """
 
     path: str = ""

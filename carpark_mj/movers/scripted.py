@@ -97,7 +97,6 @@ class Scripted(Mover):
         path: further points [m], the speeds to them [m/s], and headings there [rad] or
             none, instead of `direction` and `distance`; other values of `speed` than
             this one's change the speeds in proportion.
-        mover: fixed.
     """
 
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -170,10 +169,7 @@ def _follow(start: tuple[float, ...], path: np.ndarray, speed: float) -> Any:
 
 
 def _is_free(now: Script, there: Script, lot: State, dt: float) -> jax.Array:
-    """() bool, whether it enters no stopping zone, nor nears a car whose zone it is in.
-
-    A zone is a box here, and a person one, too.
-    """
+    """Whether it enters no stopping zone, nor nears a car whose zone it is in."""
     cars = cars_of(lot, dt)
     zones, stands = stopping_zones(cars, dt), jnp.abs(cars.speed) < AT_REST
     less = jnp.where(stands, MARGIN - PASSING, 0.0)

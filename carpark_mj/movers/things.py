@@ -74,7 +74,6 @@ class Barrier(Mover):
     Attributes:
         near: gap to an agent or a driver at which it opens [m].
         duration: of its opening, and of its closing [s].
-        mover: fixed.
     """
 
     near: Positive = 5.0
@@ -129,7 +128,6 @@ class Cart(Mover):
     Attributes:
         speed: the largest with which it is pushed [m/s].
         pause: mean time that it stands until it is pushed again [s].
-        mover: fixed.
     """
 
     speed: Positive = 1.5
@@ -197,7 +195,6 @@ class Door(Mover):
 
     Attributes:
         pause: mean time that all doors are closed [s].
-        mover: fixed.
     """
 
     pause: Positive = 10.0

@@ -1,25 +1,14 @@
 """What agents observe: fields, and the functions that fill them."""
 
-from carpark_mj.observations.compose import (
-    cardinalities,
-    make_fields,
-    markdown_table,
-    observation_size,
-    observe,
-    unpack,
+from carpark_mj.observations.compose import cardinalities as cardinalities
+from carpark_mj.observations.compose import make_fields as make_fields
+from carpark_mj.observations.compose import markdown_table as markdown_table
+from carpark_mj.observations.compose import observation_size as observation_size
+from carpark_mj.observations.compose import observe as observe
+from carpark_mj.observations.compose import unpack as unpack
+from carpark_mj.observations.continuous import (
+    ContinuousObservation as ContinuousObservation,
 )
-from carpark_mj.observations.continuous import ContinuousObservation
-from carpark_mj.observations.fields import Field, ObservationInput, Part
-
-__all__ = [
-    "ContinuousObservation",
-    "Field",
-    "ObservationInput",
-    "Part",
-    "cardinalities",
-    "make_fields",
-    "markdown_table",
-    "observation_size",
-    "observe",
-    "unpack",
-]
+from carpark_mj.observations.fields import Field as Field
+from carpark_mj.observations.fields import ObservationInput as ObservationInput
+from carpark_mj.observations.fields import Part as Part

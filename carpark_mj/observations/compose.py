@@ -24,18 +24,12 @@ BRIGHTEST = 255
 
 
 def make_fields(config: EnvConfig) -> tuple[Field, ...]:
-    """Lists the fields of the observation vector in order.
-
-    `observe`, the vector's size and the table in the documentation all read them.
-    """
+    """Lists the fields of the observation vector in order."""
     return tuple(config.observation.fields(config))
 
 
 def observe(config: EnvConfig, state: State) -> jax.Array:
-    """What the agents of a lot observe, (num_agents, observation_size) float32.
-
-    Absent agents observe zeros.
-    """
+    """What agents observe (num_agents, size) float32; absent ones observe zeros."""
     vector = join(config, config.observation.values(config, state), state.goal.shape[0])
     if state.present is None:
         return vector
@@ -43,11 +37,7 @@ def observe(config: EnvConfig, state: State) -> jax.Array:
 
 
 def join(config: EnvConfig, values: Mapping[str, jax.Array], count: int) -> jax.Array:
-    """The observations (count, observation_size) float32 of values by field.
-
-    Raises:
-        ValueError: the values do not match the fields, each (count, size).
-    """
+    """The observations (count, observation_size) float32 of values by field."""
     fields = make_fields(config)
     shapes = {field.name: (count, field.size) for field in fields}
     given = {name: jnp.shape(value) for name, value in values.items()}
@@ -99,11 +89,7 @@ def observation_size(config: EnvConfig) -> int:
 
 
 def cardinalities(config: EnvConfig) -> tuple[int, ...]:
-    """How many values each number of the observation can have, for tables.
-
-    Raises:
-        ValueError: a number is not whole, or its range does not begin at 0.
-    """
+    """How many values each number of the observation can have, for tables."""
     fields = make_fields(config)
     if not all(field.is_whole and field.low == 0 for field in fields):
         raise ValueError(
@@ -133,38 +119,23 @@ OWN = "own"  # name of the part that describes no repeated entity and is no pict
 
 @dataclasses.dataclass(frozen=True)
 class EntitySet:
-    """Where a group of entities lies in the observation vector.
+    """Where a group of entities lies in the observation vector."""
 
-    Attributes:
-        group: what they are.
-        start: index of the first entity's first number.
-        count: number of entities, absent ones included.
-        size: numbers of an entity.
-        mask: index of the number that marks present entities; None = all are present.
-    """
-
-    group: str
-    start: int
-    count: int
-    size: int
-    mask: int | None
+    group: str  # what they are
+    start: int  # index of the first entity's first number
+    count: int  # of entities, absent ones included
+    size: int  # numbers of an entity
+    mask: int | None  # which of these marks present ones; None = all are present
 
 
 @dataclasses.dataclass(frozen=True)
 class PictureSet:
-    """Where pictures of one shape lie in the observation vector: views in channels.
+    """Where pictures of one shape lie in the observation vector: views in channels."""
 
-    Attributes:
-        name: of the part.
-        shape: (views, height, width) of every channel.
-        starts: index of the first number of each channel.
-        kinds: of each channel, how many kinds a pixel can show; 0 = it has a number.
-    """
-
-    name: str
-    shape: tuple[int, int, int]
-    starts: tuple[int, ...]
-    kinds: tuple[int, ...]
+    name: str  # of the part
+    shape: tuple[int, int, int]  # (views, height, width) of every channel
+    starts: tuple[int, ...]  # index of the first number of each channel
+    kinds: tuple[int, ...]  # that a pixel can show, by channel; 0 = it has a number
 
     @property
     def channel_size(self) -> int:
@@ -174,17 +145,11 @@ class PictureSet:
 
 @dataclasses.dataclass(frozen=True)
 class ObservationSets:
-    """The parts of an observation vector.
+    """The parts of an observation vector."""
 
-    Attributes:
-        size: of the vector.
-        sets: the entities, in the vector's order.
-        pictures: by their shapes.
-    """
-
-    size: int
-    sets: tuple[EntitySet, ...] = ()
-    pictures: tuple[PictureSet, ...] = ()
+    size: int  # of the vector
+    sets: tuple[EntitySet, ...] = ()  # the entities, in the vector's order
+    pictures: tuple[PictureSet, ...] = ()  # by their shapes
 
     @property
     def own_size(self) -> int:

@@ -135,21 +135,6 @@ class ContinuousObservation(ObservationConfig):
         """Diameters of the rings."""
         return self.rings.diameters
 
-    @property
-    def sees_own_car(self) -> bool:
-        """Whether agents observe the parameters of their own car."""
-        return self.own_car
-
-    @property
-    def sees_routes(self) -> bool:
-        """Whether it reads `State.routes`."""
-        return self.route
-
-    @property
-    def sees_everywhere(self) -> bool:
-        """Whether it has global information."""
-        return self.global_information
-
     def tracks_agents(self, state: State) -> jax.Array | None:
         """The nearest."""
         if not self.tracked_agents:

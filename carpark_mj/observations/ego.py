@@ -275,10 +275,7 @@ def rivals(
 
 
 def _rival_values(sight: ObservationInput, bays: jax.Array) -> dict[str, jax.Array]:
-    """`_RIVAL_FIELDS` (num_observers, count, k) of bays (num_observers, count).
-
-    Zeros where there is no bay or claim.
-    """
+    """`_RIVAL_FIELDS` (num_observers, count, k) of bays; zeros where there is none."""
     nearest, claim = rivals(sight.layout, sight.agents.xy, sight.state.goal, bays)
     present, claimed = bays != NO_BAY, jnp.isfinite(claim)
     claimed = claimed & present

@@ -195,16 +195,15 @@ class ObservationConfig(CheckedConfig, abc.ABC):
 
     Attributes:
         encoding: its name in `ENCODERS`, the default of each class and never another.
-        sees_own_car: whether agents observe the parameters of their own car.
-        sees_routes: whether it reads `State.routes`.
-        sees_everywhere: whether it has global information: how near all agents are to
-            bays.
+        own_car: whether agents observe the parameters of their own car.
+        route: whether it reads `State.routes`.
+        global_information: whether agents observe how near all agents are to bays.
     """
 
     encoding: str
-    sees_own_car = False
-    sees_routes = False
-    sees_everywhere = False
+    own_car = False
+    route = False
+    global_information = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -111,10 +111,7 @@ def reset(
     respawned: jax.Array,
     key: jax.Array,
 ) -> Sensors | None:
-    """The sensors, reset without history for agents that have respawned.
-
-    `motion` is that of the cars after that; `key` is consumed.
-    """
+    """The sensors, without history for agents that respawned; `key` is consumed."""
     if sensors is None:
         return None
 

@@ -211,22 +211,16 @@ def movers_part(count: int) -> Part:
 
 
 def _table(groups: tuple[Group, ...]) -> tuple[jax.Array, ...]:
-    """Poses, sizes, velocities, masks, whether they are persons and discs, (n, ...).
-
-    The heading of a disc is that of its velocity. Without movers one is absent.
-    """
+    """Poses, sizes, velocities, masks, and whether persons and discs, (n, ...)."""
     rows = []
     for group in groups:
-        n, velocity, mask = group.count, group.velocity_w, group.mask
-        velocity = jnp.zeros((n, 2)) if velocity is None else velocity
-        pose, size = group.pose_w, group.size
-        if not isinstance(group, Boxes):
+        pose, size, velocity, there = group.as_boxes
+        is_disc = not isinstance(group, Boxes)
+        if is_disc:
             yaw = jnp.arctan2(velocity[:, 1], velocity[:, 0])
-            pose = jnp.concatenate([pose, yaw[:, None]], axis=1)
-            size = jnp.repeat(2.0 * size[:, None], 2, axis=1)
-        there = jnp.ones(n, bool) if mask is None else mask
-        person = jnp.full(n, float(group.kind == ObstacleKind.PERSON))
-        disc = jnp.full(n, not isinstance(group, Boxes))
+            pose = jnp.concatenate([pose[:, :2], yaw[:, None]], axis=1)
+        person = jnp.full(group.count, float(group.kind == ObstacleKind.PERSON))
+        disc = jnp.full(group.count, is_disc)
         rows.append((pose, size, velocity, there, person, disc))
     if not rows:
         nobody = jnp.zeros((1, 3)), jnp.zeros((1, 2)), jnp.zeros((1, 2))

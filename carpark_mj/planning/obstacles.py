@@ -70,10 +70,7 @@ class FreeSpace:
         extent: np.ndarray,
         grid: bool = True,
     ) -> None:
-        """Prepares the test for a rectangle of this length and width [m].
-
-        A grid takes some milliseconds, and pays for more than some hundred tests.
-        """
+        """For a rectangle [m]; a grid pays for more than some hundred tests."""
         self.extent = extent  # half widths (2,) of the lot about the origin [m]
         self._half = size[0] / 2, size[1] / 2
         x, y, yaw = solids.pose.T

@@ -91,10 +91,7 @@ class PlannedPath(NamedTuple):
 
 
 def make_path(pose: np.ndarray, car: VehicleParameters) -> PlannedPath | None:
-    """Cuts points (n, 3) of the rear axle at changes of gear; None without a segment.
-
-    The points follow each other by about `STEP`; repeated ones are dropped.
-    """
+    """Cuts points (n, 3) of the rear axle at changes of gear; None if too short."""
     step = np.diff(pose[:, :2], axis=0)
     kept = np.hypot(*step.T) > STEP * 1e-3
     pose = pose[np.concatenate([[True], kept])]
@@ -304,10 +301,7 @@ def brake(speed: float, car: VehicleParameters, dt: float) -> float:
 
 @functools.cache
 def hold_distances() -> tuple[np.ndarray, np.ndarray]:
-    """Speeds (n,) up to `CREEP` [m/s] and stopping distances (n,) [m] from them.
-
-    Of `compact` on level ground, by its holding brake once the pedal is released.
-    """
+    """Speeds (n,) up to `CREEP` and stopping distances (n,) of `compact`'s hold."""
     vehicle, dt = make_vehicle(COMPACT), 0.01
 
     def substep(car: tuple[jax.Array, jax.Array], _: None):

@@ -236,10 +236,7 @@ class Planner:
 def planner_policy(
     env: ParkingEnv, seed: int = 0, config: SearchConfig | None = None
 ) -> tuple[StatePolicy, Planner]:
-    """A policy that drives on planned paths, and its memory; arguments of `Planner`.
-
-    Raises `ValueError` as `require_plannable` does.
-    """
+    """A policy that drives on planned paths, and its memory, a `Planner`."""
     require_plannable(env)
     dt = env.config.sim.ctrl_dt
     seconds = env.config.episode.max_steps * dt
@@ -288,9 +285,9 @@ def _look(state: State) -> dict[str, Any]:
     boxes, discs = by_shape(lot_obstacles(layout, None, state.parked_cars))
     lead = state.goal.shape[:-1]
     none = jnp.zeros((*lead, 0, 2))
-    movers = [Boxes(jnp.zeros((*lead, 0, 3)), none, none)]
-    movers += map(_outlines, state.movers.groups)
-    velocities: list[Any] = [group.velocity_w for group in movers]
+    movers = [Boxes(jnp.zeros((*lead, 0, 3)), none), *state.movers.groups]
+    columns = zip(*(group.as_boxes for group in movers), strict=True)
+    names = ("pose", "size", "velocity", "mask")
     return {
         "active": state.active,
         "begins": state.step == 0,
@@ -303,36 +300,23 @@ def _look(state: State) -> dict[str, Any]:
         "car": state.physics.vehicle,
         **_joined("box", boxes),
         **_joined("disc", discs),
-        **_joined("mover", movers),
-        "mover_velocity": jnp.concatenate(velocities, axis=-2),
+        **{
+            f"mover_{name}": jnp.concatenate(column, axis=len(lead))
+            for name, column in zip(names, columns, strict=True)
+        },
         "extent": layout.extent,
     }
 
 
 def _joined(name: str, groups: Sequence[Group]) -> dict[str, jax.Array]:
     """Poses, sizes and masks of groups (..., n) of one shape."""
-    rows = [
-        (
-            g.pose_w,
-            g.size,
-            jnp.ones(g.pose_w.shape[:-1], bool) if g.mask is None else g.mask,
-        )
-        for g in groups
-    ]
-    axis, columns = rows[0][2].ndim - 1, zip(*rows, strict=True)
-    names = (f"{name}_{part}" for part in ("pose", "size", "mask"))
-    return {n: jnp.concatenate(x, axis) for n, x in zip(names, columns, strict=True)}
-
-
-def _outlines(group: Group) -> Boxes:
-    """Boxes about the obstacles of a group (..., n), with velocities."""
-    pose, size, velocity = group.pose_w, group.size, group.velocity_w
-    if velocity is None:
-        velocity = jnp.zeros((*pose.shape[:-1], 2))
-    if not isinstance(group, Boxes):
-        pose = jnp.pad(pose, [(0, 0)] * (pose.ndim - 1) + [(0, 1)])
-        size = jnp.stack([2 * size] * 2, axis=-1)
-    return Boxes(pose, size, velocity, group.mask)
+    axis = groups[0].pose_w.ndim - 2
+    columns: dict[str, list[Any]] = {
+        f"{name}_pose": [group.pose_w for group in groups],
+        f"{name}_size": [group.size for group in groups],
+        f"{name}_mask": [group.mask for group in groups],
+    }
+    return {key: jnp.concatenate(x, axis) for key, x in columns.items()}
 
 
 def _sights(seen: dict[str, Any]) -> Iterator[dict[int, Sight]]:

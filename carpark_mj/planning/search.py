@@ -141,10 +141,7 @@ def _connect(
     config: SearchConfig,
     seed: int,
 ) -> PlannedPath | None:
-    """One search and its path, shortened; None if it was given up.
-
-    Start (3,) and goals (n, 3), the preferred one first, are of the rear axle.
-    """
+    """One search and its path from (3,) to goals (n, 3) of the rear axle, or None."""
     base, geometric, util = _ompl()
     util.RNG.setSeed(max(seed, 1))  # 0 is none
     lock = car.max_steering * (1.0 - config.spare_steering)

@@ -26,11 +26,7 @@ class LocalServer(viser.ViserServer):
     """
 
     def __init__(self, host: str, port: int, label: str) -> None:
-        """Serves on a port, or the next free one.
-
-        Raises:
-            OSError: this viser does not let requests be checked.
-        """
+        """Serves on a port, or the next free one; `OSError` if it cannot check."""
         # Browsers open connections that they may never use.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         with _checking() as servers, contextlib.redirect_stdout(io.StringIO()):
@@ -56,10 +52,7 @@ class LocalServer(viser.ViserServer):
 
 @contextlib.contextmanager
 def _checking() -> Generator[list[Any]]:
-    """Inside, servers of websockets check requests; yields the servers made.
-
-    viser has no setting for that, so its server function is replaced meanwhile.
-    """
+    """Inside, new servers, which it yields, check requests: viser has no setting."""
     serve, made = websockets_server.serve, list[Any]()
 
     def checked(handler: Any, *arguments: Any, **settings: Any) -> Any:

@@ -77,10 +77,7 @@ def parked_trace(before: State, after: State, motion: Motion) -> jax.Array:
 
 
 def record(env: ParkingEnv, policy: AnyPolicy, num_steps: int, seed: int) -> Recording:
-    """Drives one held-out lot for `num_steps` control steps.
-
-    `CHUNK` steps make one program, whatever their number: it is compiled once.
-    """
+    """Drives one held-out lot for `num_steps` control steps."""
     reset_key, act_key = jax.random.split(evaluation_key(seed))
     state, observation = jax.jit(lambda key: env.reset(key, "test"))(reset_key)
 

@@ -1,6 +1,5 @@
 """Off-screen pictures of a lot through MuJoCo's own renderer."""
 
-import dataclasses
 import math
 import sys
 import warnings
@@ -31,12 +30,14 @@ class Markers:
         """Draws into `scene`, on top of the model's geoms."""
         self._scene = scene
 
-    def _add(self, kind: Any, rgba: Rgba, position: Sequence[float]) -> Any:
-        scene = self._scene
-        geom = scene.geoms[scene.ngeom]
-        place = np.array(position, float)
+    def _add(
+        self, kind: Any, rgba: Rgba, place: Any, yaw: float = 0.0, size: Any = (0, 0, 0)
+    ) -> Any:
+        scene, cos, sin = self._scene, math.cos(yaw), math.sin(yaw)
+        geom, place = scene.geoms[scene.ngeom], np.array(place, float)
+        axes = np.array([cos, -sin, 0, sin, cos, 0, 0, 0, 1])
         mujoco.mjv_initGeom(
-            geom, kind, np.zeros(3), place, np.eye(3).ravel(), np.array(rgba)
+            geom, kind, np.array(size, float), place, axes, np.array(rgba)
         )
         # What MuJoCo leaves uninitialised; see-through geoms are drawn by distance.
         geom.objtype, geom.objid = mujoco.mjtObj.mjOBJ_UNKNOWN, -1
@@ -49,11 +50,8 @@ class Markers:
 
     def bay(self, pose: np.ndarray, size: np.ndarray, rgba: Rgba) -> None:
         """Fills a bay of pose (3,) and size (2,)."""
-        where = [pose[0], pose[1], MARKER_HEIGHT]
-        geom = self._add(mujoco.mjtGeom.mjGEOM_PLANE, rgba, where)
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        geom.mat[:] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
-        geom.size[:] = [size[0] / 2 - 0.15, size[1] / 2 - 0.15, 0.0]
+        where, half = [pose[0], pose[1], MARKER_HEIGHT], [*(size / 2 - 0.15), 0.0]
+        self._add(mujoco.mjtGeom.mjGEOM_PLANE, rgba, where, pose[2], half)
 
     def line(
         self, start: np.ndarray, end: np.ndarray, rgba: Rgba, radius: float, z: float
@@ -72,9 +70,8 @@ class Markers:
         for angle in np.linspace(0.0, 2 * math.pi, CIRCLE_SIDES, endpoint=False):
             cos, sin = math.cos(angle), math.sin(angle)
             where = [centre[0] + radius * cos, centre[1] + radius * sin, 0.03]
-            geom = self._add(mujoco.mjtGeom.mjGEOM_BOX, rgba, where)
-            geom.mat[:] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
-            geom.size[:] = [width / 2, half_side, MARKER_HEIGHT]
+            size = [width / 2, half_side, MARKER_HEIGHT]
+            self._add(mujoco.mjtGeom.mjGEOM_BOX, rgba, where, angle, size)
 
 
 FLASH_COLOURS = {
@@ -86,15 +83,6 @@ FLASH_COLOURS = {
 
 class RenderingError(OSError):
     """OpenGL is not available, or there is no display."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Show:
-    """Extras to draw: of the agent that a camera follows, otherwise of all."""
-
-    # what is linked to an agent, and with it the bays it tracks; None = nothing
-    tracked: Tracked | None = None
-    rings: tuple[float, ...] = ()  # diameters of the circles about an agent [m]
 
 
 class _Renderer(mujoco.Renderer):
@@ -140,13 +128,15 @@ class LotRenderer:
         stage: Stage,
         camera: str = "topdown",
         size: tuple[int, int] = (1280, 720),
-        show: Show | None = None,
+        tracked: Tracked | None = None,
+        rings: Sequence[float] = (),
     ) -> None:
-        """Opens a GL context for frames of a size, width and height [pixels].
+        """Opens a GL context for pictures [pixels] of one of `camera_names`.
 
-        `camera` is one of `camera_names`.
+        Of the agent that the camera follows, otherwise of all, links to what it tracks
+        are drawn, and circles of these diameters [m].
         """
-        self._show = show or Show()
+        self._tracked, self._rings = tracked, rings
         self.cameras = camera_names(camera, stage.num_agents)
         self._observers = followed_agents(self.cameras) or range(stage.num_agents)
         self.width, self.height = size[0] // len(self.cameras), size[1]
@@ -198,10 +188,7 @@ class LotRenderer:
         return self._renderer.render()
 
     def _update_scene(self, camera: str) -> Any:
-        """The scene as a camera of the model sees it, without markers.
-
-        A driver does not see roof, pillars and glass of the own car, nor their shadows.
-        """
+        """The scene as a camera sees it; a driver not the own car's roof and glass."""
         hidden = np.zeros(0, int)
         if camera.endswith("/driver"):
             car = self.model.cam_bodyid[self.model.camera(camera).id]
@@ -216,9 +203,9 @@ class LotRenderer:
         """Rings and links of the observers."""
         for agent in self._observers:
             rgba = (*agent_colour(agent)[:3], 0.5)
-            for diameter in self._show.rings:
+            for diameter in self._rings:
                 markers.circle(seen.pose_w[agent], diameter / 2, rgba, 0.05)
-        tracked = self._show.tracked
+        tracked = self._tracked
         for agent, point in tracked_points(seen, tracked) if tracked else ():
             if agent in self._observers:
                 rgba = (*agent_colour(agent)[:3], 0.6)

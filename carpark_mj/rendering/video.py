@@ -46,12 +46,6 @@ def font(pixels: int) -> Any:
     return ImageFont.load_default(pixels)
 
 
-def _ink(colour: Colour) -> Colour:
-    """Black or white, whichever reads better on the colour (ITU-R BT.601 luma)."""
-    luma = 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2]
-    return BLACK if luma > 140 else WHITE
-
-
 def draw_labels(
     frame: np.ndarray, renderer: LotRenderer, seen: Snapshot, camera: str
 ) -> np.ndarray:
@@ -92,7 +86,9 @@ def draw_labels(
             x, y = pixel
             box = (x - radius, y - radius, x + radius, y + radius)
             shape(box, fill=colour, outline=WHITE, width=line)
-            draw.text((x, y), str(agent), _ink(colour), font=large, anchor="mm")
+            # What reads better on the colour (luma of ITU-R BT.601).
+            ink = BLACK if np.dot((0.299, 0.587, 0.114), colour) > 140 else WHITE
+            draw.text((x, y), str(agent), ink, font=large, anchor="mm")
             if shape == draw.ellipse and state:
                 tag(x, y + radius + pad, state, WHITE)
     return np.asarray(image)
@@ -196,10 +192,6 @@ def _camera_state(recording: Recording, sizes: np.ndarray, index: int) -> State:
     )
 
 
-GIF_GREYS, GIF_COLOURS = 48, 144  # palette entries
-CHROMA = 40  # of 255; less is grey
-
-
 def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.ndarray:
     """Draws one recorded instant with its labels, (height, width, 3) uint8."""
     seen = snapshot(recording, index)
@@ -230,28 +222,29 @@ def frame_indices(
     return [*range(stride - 1, count, stride), *[count - 1] * hold], rate / stride
 
 
+# All frames of a GIF share a palette, which needs no dithering.
+_GIF = "split[a][b];[a]palettegen=128[p];[b][p]paletteuse=dither=none"
+
+
 def write_video(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
-    """Writes frames, atomically, as `.mp4` or `.gif`; returns their number.
+    """Writes frames, atomically, as `.mp4` or looping `.gif`; returns their number.
 
     Raises:
         OSError: the file cannot be written, or FFmpeg refuses the frame rate.
     """
-    writers = {".mp4": _write_mp4, ".gif": _write_gif}
-    require_suffix("a video", path.name, *writers)
-    return writers[path.suffix](path, pictures, fps)
-
-
-def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
-    """Encodes frames as H.264, which takes even widths and heights only."""
     import imageio_ffmpeg
 
+    require_suffix("a video", path.name, ".mp4", ".gif")
     first, count = next(pictures), 0
     height, width = first.shape[:2]
     rate = str(Fraction(fps).limit_denominator())
     given = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -"
-    even = f"-vf scale={width + width % 2}:{height + height % 2} -pix_fmt yuv420p"
-    coded = f"{even} -c:v libx264 -crf 23 -preset veryfast -v quiet -y"
-    program = [imageio_ffmpeg.get_ffmpeg_exe(), *given.split(), *coded.split()]
+    if path.suffix == ".gif":
+        coded = f"-vf {_GIF}"
+    else:  # H.264 takes even widths and heights only
+        even = f"-vf scale={width + width % 2}:{height + height % 2} -pix_fmt yuv420p"
+        coded = f"{even} -c:v libx264 -crf 23 -preset veryfast"
+    program = [imageio_ffmpeg.get_ffmpeg_exe(), *f"{given} {coded} -v quiet -y".split()]
 
     def write(temporary: Path) -> None:
         nonlocal count
@@ -280,36 +273,3 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
 
     write_atomically(path, write)
     return count
-
-
-def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> int:
-    """Writes a looping GIF; all frames share the palette of a few of them."""
-    from PIL import Image
-
-    frames = list(pictures)
-    palette = _palette(np.concatenate(frames[:: max(1, len(frames) // 4)]))
-    flat = [
-        Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE)
-        for f in frames
-    ]
-    options: dict[str, Any] = {"format": "GIF", "save_all": True, "optimize": True}
-    # In milliseconds a frame; the file counts in hundredths of a second.
-    options |= {"append_images": flat[1:], "duration": round(1000 / fps), "loop": 0}
-    write_atomically(path, lambda temporary: flat[0].save(temporary, **options))
-    return len(flat)
-
-
-def _palette(picture: np.ndarray) -> Any:
-    """A palette with a share of its own for colours: a car park is mostly grey."""
-    from PIL import Image
-
-    pixels = picture.reshape(-1, 3)
-    grey = np.ptp(pixels.astype(int), axis=1) < CHROMA
-    entries = []
-    for some, count in ((pixels[grey], GIF_GREYS), (pixels[~grey], GIF_COLOURS)):
-        if len(some):
-            part = Image.fromarray(some[None]).quantize(count)
-            entries += (part.getpalette() or [])[: 3 * count]
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(entries)
-    return palette

@@ -15,14 +15,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts.types import VERGE_GAP
 from carpark_mj.mdp.parked_cars import AWAY
-from carpark_mj.policy.acting import (
-    AnyPolicy,
-    Carry,
-    Step,
-    acts,
-    as_argument,
-    control_step,
-)
+from carpark_mj.policy import acting
 from carpark_mj.rendering.recording import aimed_at, parked_trace
 from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.scene.cameras import LEAST_ASPECT, frame_lot
@@ -34,20 +27,17 @@ from carpark_mj.types import ENDINGS, State
 class LiveLot:
     """A lot, its cars on a `Stage` at the present instant, and the policy that drives.
 
-    Attributes:
-        seconds: simulated time since the start [s].
-        traces: traced poses in a control step.
-        note: what has last happened, a sentence; empty at first.
+    `seconds` have been simulated, and `traces` poses are traced in a control step.
     """
 
-    note = ""
+    note = ""  # what has last happened, a sentence
 
-    def __init__(self, env: ParkingEnv, policy: AnyPolicy, seed: int) -> None:
+    def __init__(self, env: ParkingEnv, policy: acting.AnyPolicy, seed: int) -> None:
         """Starts a lot, of those for training; compiles the reset alone."""
-        self._env, self._policy = env, as_argument(policy)
+        self._env, self._policy = env, acting.as_argument(policy)
         reset_key, self._key = jax.random.split(evaluation_key(seed))
         self._step = jax.jit(self._control_step)
-        self._start = Carry(*jax.jit(env.reset)(reset_key))
+        self._start = acting.Carry(*jax.jit(env.reset)(reset_key))
         state = self._start.state
         self.extent = np.asarray(state.layout.extent)
         self._layout = jax.device_get(state.layout)
@@ -59,7 +49,7 @@ class LiveLot:
         self.reset()
 
     def _control_step(self, policy, carry, key):
-        carry, step = control_step(self._env, acts(policy), carry, key)
+        carry, step = acting.control_step(self._env, acting.acts(policy), carry, key)
         timestep, motion = step.timestep, step.timestep.motion
         seen = {
             "pose_w": motion.trace_w[self._shows].swapaxes(0, 1),
@@ -73,7 +63,7 @@ class LiveLot:
         }
         return carry, seen
 
-    def _record(self, step: Step) -> dict[str, jax.Array]:
+    def _record(self, step: acting.Step) -> dict[str, jax.Array]:
         """What else to keep of a control step, by name; nothing here."""
         return {}
 

@@ -8,10 +8,8 @@ def camera_names(camera: str, num_agents: int | None = None) -> tuple[str, ...]:
     """Names of the scene's cameras for a camera flag, left to right.
 
     `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its wheel, `split`
-    (topdown and chase:0) or `split:K`. `num_agents` is None if it is not known yet.
-
-    Raises:
-        ValueError: no such camera; the message lists them.
+    (topdown and chase:0) or `split:K`; a `ValueError` of others lists these.
+    `num_agents` is None if it is not known yet.
     """
     kind, colon, agent = str(camera).partition(":")
     known = agent.isdecimal() and (num_agents is None or int(agent) < num_agents)

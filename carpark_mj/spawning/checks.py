@@ -1,8 +1,9 @@
 """Refuses cars that cannot drive or park in a lot, and too many cars."""
 
 import functools
+import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
@@ -101,7 +102,10 @@ def check_cars(
         return
 
     def bays() -> Iterable[np.ndarray]:
-        return _drawn_bays(lot) if layout is None else [_bays(layout)]
+        if layout is not None:
+            return [_bays(layout)]
+        drawn = itertools.product(range(SAMPLED_LOTS), lot.parts)
+        return (_draw_bays(part, number) for number, part in drawn)
 
     if fleet.mixed:
         slack, goals = config.episode.slack, _num_goals(config)
@@ -136,13 +140,6 @@ def check_cars(
 def _bays(layout: Layout) -> np.ndarray:
     """Length and width (bays, 2) of the bays that there are."""
     return np.asarray(layout.bay_size)[np.asarray(layout.bay_mask)]
-
-
-def _drawn_bays(lot: LayoutConfig) -> Iterator[np.ndarray]:
-    """The bays of lots of all members, one lot after the other."""
-    for number in range(SAMPLED_LOTS):
-        for part in lot.parts:
-            yield _draw_bays(part, number)
 
 
 @functools.lru_cache(maxsize=256)

@@ -16,12 +16,7 @@ from carpark_mj.layouts import Layout
 from carpark_mj.mdp.parked_cars import fits, free_bays, poses_in_bays
 from carpark_mj.spawning.reset_options import ResetOptions, given_goals, kept_clear
 from carpark_mj.types import NO_BAY, ParkedCars
-from carpark_mj.vehicle import (
-    VEHICLES,
-    Vehicle,
-    VehicleParameters,
-    make_vehicle,
-)
+from carpark_mj.vehicle import VEHICLES, Vehicle, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.parameters import scaled
 from carpark_mj.vehicle.range import cars_of, fleet_cars
 
@@ -122,14 +117,15 @@ class Fleet:
                 drawn = options.kind[:, None] < 0
                 chosen = options.kind[:, None] == jnp.arange(len(self.agents))
                 goal_bays = goal_bays & (drawn | chosen)[..., None]
-        agents = Wanted(
-            fits=goal_bays,
-            cars=jnp.ones(n, bool) if present is None else present,
+        kind, goal = draw_bays(
+            goal_bays,
+            jnp.ones(n, bool) if present is None else present,
+            layout.bay_mask,
+            goal_key,
             anywhere=True,
             snug=config.fleet.snug,
             room=self._room(layout),
         )
-        kind, goal = draw_bays(agents, layout.bay_mask, goal_key)
         if options is not None:
             goal = jnp.where(given == NO_BAY, goal, given)
             if options.kind is not None:  # also where it fits into no bay
@@ -138,13 +134,10 @@ class Fleet:
             goal = jnp.full(n, NO_BAY, jnp.int32)
         sizes = jnp.array([[p.length, p.width] for p in self.parked_cars])
         sizes = sizes * _uniform(config.jitter.scale, scale_key, (m, 1, 1))
-        parked = Wanted(
-            fits=fits(layout.bay_size, sizes),
-            cars=jnp.arange(m) < self._num_parked_cars(layout, count_key),
-            anywhere=False,
-        )
+        there = jnp.arange(m) < self._num_parked_cars(layout, count_key)
         free = free_bays(layout, goal) & ~clear
-        parked_kind, bay = draw_bays(parked, free, place_key)
+        fit = fits(layout.bay_size, sizes)
+        parked_kind, bay = draw_bays(fit, there, free, place_key)
         jitter, offset = config.jitter, None
         if jitter.moves:
             ranges = (jitter.along, jitter.across, jitter.heading)
@@ -158,10 +151,7 @@ class Fleet:
         return Start(goal, _in_bays(layout, cars), self.of_kind(kind), kind)
 
     def draw_kinds(self, layout: Layout, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Kinds (num_agents,) int32 of drawn cars, and the next key.
-
-        Without a fleet of agents they are all of the one kind and nothing is drawn.
-        """
+        """Kinds (num_agents,) int32 of drawn cars, and the next key."""
         config = self._config
         shape = (config.num_agents,)
         if not self.mixed:
@@ -232,23 +222,13 @@ def shuffled_bays(layout: Layout, key: jax.Array) -> jax.Array:
     return jnp.argsort(jnp.where(layout.bay_mask, score, 3.0)).astype(jnp.int32)
 
 
-class Wanted(NamedTuple):
-    """Cars of several kinds that need bays."""
-
-    fits: jax.Array  # (cars, kinds, bays) bool
-    cars: jax.Array  # (cars,) bool, the cars that need one
-    anywhere: bool  # whether a car that fits nowhere still gets a free bay
-    snug: float = 0.0  # share of the kinds that are likelier the less room a bay leaves
-    room: jax.Array | None = None  # (kinds, bays), in length and width together [m]
-
-
 SNUG = 0.2  # m more room makes a kind less likely by a factor of e [est]
 
 
 def kind_logits(fit: jax.Array, room: jax.Array | None, snug: float) -> jax.Array:
     """Logits (kinds,) of kinds that fit into a bay; of all if none does.
 
-    `fit` is (kinds, bays) bool; without `snug`, see `Wanted`, the room is unused.
+    `fit` is (kinds, bays) bool; without `snug`, see `draw_bays`, the room is unused.
     """
     possible = fit.any(axis=1)
     possible = possible | ~possible.any()
@@ -262,12 +242,21 @@ def kind_logits(fit: jax.Array, room: jax.Array | None, snug: float) -> jax.Arra
 
 
 def draw_bays(
-    wanted: Wanted, free: jax.Array, key: jax.Array
+    fit: jax.Array,
+    cars: jax.Array,
+    free: jax.Array,
+    key: jax.Array,
+    anywhere: bool = False,
+    snug: float = 0.0,
+    room: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """Draws kinds of cars and distinct bays for them, one car after the other.
 
-    A kind is drawn among those that fit into a bay of `free` (bays,) left, and then one
-    of these bays. Returns both (cars,) int32, `NO_BAY` where there is none; `key` is
+    A kind is drawn among those that `fit` (cars, kinds, bays) into a bay of `free`
+    (bays,) left, and then one of these bays, for `cars` (cars,) that need one. With
+    `anywhere` a car that fits nowhere still gets a free bay. A share `snug` of the
+    kinds is likelier the less `room` (kinds, bays) bays leave in length and width
+    together [m]. Returns both (cars,) int32, `NO_BAY` where there is none; `key` is
     consumed.
     """
     num_bays = free.shape[0]
@@ -275,15 +264,15 @@ def draw_bays(
     def draw(free: jax.Array, car: tuple[jax.Array, jax.Array, jax.Array]):
         fits, wants, key = car
         kind_key, bay_key = jax.random.split(key)
-        logits = kind_logits(fits & free, wanted.room, wanted.snug)
+        logits = kind_logits(fits & free, room, snug)
         kind = jax.random.categorical(kind_key, logits)
         good = free & fits[kind]
-        if wanted.anywhere:
+        if anywhere:
             good = jnp.where(good.any(), good, free)
         score = jax.random.uniform(bay_key, (num_bays,))
         bay = jnp.argmax(jnp.where(good, score, -1.0))
         bay = jnp.where(wants & good.any(), bay, NO_BAY).astype(jnp.int32)
         return free & (jnp.arange(num_bays) != bay), (kind.astype(jnp.int32), bay)
 
-    keys = jax.random.split(key, wanted.cars.shape[0])
-    return jax.lax.scan(draw, free, (wanted.fits, wanted.cars, keys))[1]
+    keys = jax.random.split(key, cars.shape[0])
+    return jax.lax.scan(draw, free, (fit, cars, keys))[1]

@@ -273,10 +273,7 @@ def begin_goals(
     begun: jax.Array,
     key: jax.Array | None,
 ) -> State:
-    """Tracked bays and first goals of agents that begin and choose their goals.
-
-    `key` is consumed; None = no agent begins with a goal.
-    """
+    """Tracked bays and first goals of agents that begin; key None = no first goals."""
     assert state.tracked_bays is not None
     tracked = jnp.where(begun[:, None], NO_BAY, state.tracked_bays)
     state = track_bays(config, dataclasses.replace(state, tracked_bays=tracked))

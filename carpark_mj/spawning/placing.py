@@ -119,10 +119,7 @@ class Surroundings:
     clear: bool = struct.field(pytree_node=False, default=False)
 
     def distance(self, xy: jax.Array) -> jax.Array:
-        """Distance (n,) [m] of points (n, 2) to the nearest other agent's centre.
-
-        Or to the outline of a mover.
-        """
+        """Distance (n,) [m] of points (n, 2) to the nearest agent's centre or mover."""
         gap = norm(xy[:, None] - self.pose_w[:, :2])
         least = jnp.where(self.others, gap, jnp.inf).min(axis=-1)
         return self._least(least, lambda movers: movers.gaps(xy))

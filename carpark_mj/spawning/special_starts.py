@@ -170,10 +170,7 @@ def reverse_pose(
 
 
 def clamp_to_bay_end(layout: Layout, bay: jax.Array, nose_out: jax.Array) -> jax.Array:
-    """Clamps drawn orientations (n,) to those that a bay () allows, by its `BayEnd`.
-
-    Numbers below 0.5 are cars with their nose in.
-    """
+    """Clamps orientations (n,), below 0.5 nose in, to those that a bay () allows."""
     if layout.bay_end is None:
         return nose_out
     end = layout.bay_end[bay]

@@ -116,10 +116,7 @@ def redraw(
     pose: jax.Array,
     key: jax.Array,
 ) -> jax.Array:
-    """Draws a start pose (3,) again until it keeps `min_distance`; `key` is consumed.
-
-    After `max_redraws` rounds of `num_candidates` it may still be too near.
-    """
+    """Draws a pose (3,) anew, `max_redraws` times at most; `key` is consumed."""
     shapes = spawn_shapes(config) | {"walk": (0, 0)}
 
     def goes_on(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
@@ -225,10 +222,7 @@ def _most_steps(config: SpawnConfig) -> int:
 def _walk(
     config: SpawnConfig, start: jax.Array, size: jax.Array, numbers: jax.Array
 ) -> jax.Array:
-    """Ends (n, 2) of random walks in a region's frame, on its grid points.
-
-    The first number of each decides on its length, the others on its steps.
-    """
+    """Ends (n, 2) of random walks in a region's frame, on its grid points."""
     edge = _edge(config, size)
     steps = jnp.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     steps = steps * _stride(config)

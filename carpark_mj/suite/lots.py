@@ -82,7 +82,7 @@ def _in_turn(name: str, members: Callable[[], Sequence[LayoutConfig]]) -> CaseLe
 
     def env(env: EnvConfig) -> EnvConfig:
         # As a fleet, the car drives only to bays that it fits in.
-        agents = (env.vehicle,) if env.observation.sees_own_car else ()
+        agents = (env.vehicle,) if env.observation.own_car else ()
         return dataclasses.replace(
             env,
             layout=MixtureConfig(tuple(members())),

@@ -1,22 +1,10 @@
 """The car: parameters with sources, its MJCF, and the mapping from actions."""
 
-from carpark_mj.vehicle.parameters import VehicleParameters
-from carpark_mj.vehicle.presets import (
-    COMPACT,
-    PRESETS,
-    VEHICLES,
-    preset,
-    register_vehicle,
-)
-from carpark_mj.vehicle.vehicle import Vehicle, make_vehicle
-
-__all__ = [
-    "COMPACT",
-    "PRESETS",
-    "VEHICLES",
-    "Vehicle",
-    "VehicleParameters",
-    "make_vehicle",
-    "preset",
-    "register_vehicle",
-]
+from carpark_mj.vehicle.parameters import VehicleParameters as VehicleParameters
+from carpark_mj.vehicle.presets import COMPACT as COMPACT
+from carpark_mj.vehicle.presets import PRESETS as PRESETS
+from carpark_mj.vehicle.presets import VEHICLES as VEHICLES
+from carpark_mj.vehicle.presets import preset as preset
+from carpark_mj.vehicle.presets import register_vehicle as register_vehicle
+from carpark_mj.vehicle.vehicle import Vehicle as Vehicle
+from carpark_mj.vehicle.vehicle import make_vehicle as make_vehicle

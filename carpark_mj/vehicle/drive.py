@@ -155,10 +155,7 @@ def approach(
 def steer_towards(
     vehicle: Vehicle, steering: jax.Array, steer: jax.Array, dt: float | jax.Array
 ) -> jax.Array:
-    """Moves the steering angle [rad] towards `steer` in [-1, 1].
-
-    First-order with `steering_lag`, and never faster than `steering_rate`.
-    """
+    """Moves the angle [rad] to `steer` in [-1, 1], with lag and at a limited rate."""
     target = jnp.clip(steer, -1.0, 1.0) * vehicle.max_steering
     target = approach(steering, target, vehicle.steering_lag, dt)
     limit = vehicle.steering_rate * dt
@@ -290,11 +287,7 @@ def press_pedal(
     wheel_speed: jax.Array,
     dt: float | jax.Array,
 ) -> tuple[Actuators, jax.Array]:
-    """One substep of drive and brakes; see `actuate`.
-
-    Returns:
-        The actuators, their steering as before, and the brake torque (...) [N m].
-    """
+    """One substep: the actuators, and the brake torque (...) [N m]; see `actuate`."""
     hold = close_hold(vehicle, actuators.hold, pedal, speed, dt)
     drive, brake = demanded_torques(vehicle, pedal, hold, speed, wheel_speed)
     actuators = dataclasses.replace(actuators, hold=hold)

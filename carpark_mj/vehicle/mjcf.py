@@ -81,10 +81,7 @@ STEER_FRICTION_DAMPING = 5.0  # N m s/rad
 
 
 def per_wheel(front_share: float) -> list[float]:
-    """An axle split as shares of the four wheels, in the order of `WHEELS`.
-
-    Equal torque on both wheels of an axle is what an open differential gives.
-    """
+    """An axle split as shares of the four wheels, in the order of `WHEELS`."""
     front, rear = front_share / 2, (1.0 - front_share) / 2
     return [front, front, rear, rear]
 
@@ -208,10 +205,7 @@ def set_inertial(
 def car_model(
     params: VehicleParameters, sim_dt: float, gravity: tuple[float, float, float]
 ) -> mujoco.MjModel:
-    """Compiles the car alone in its world, without ground or contacts.
-
-    For a time step [s] and gravity (3,) [m/s^2], which is tilted on a slope.
-    """
+    """Compiles the car alone, for a time step [s] and gravity (3,) [m/s^2]."""
     spec = mujoco.MjSpec()
     spec.modelname = "car"
     spec.option.timestep = sim_dt

@@ -89,11 +89,7 @@ def kerb_to_kerb(
 def steering_for_circle(
     wheelbase: float, track_width: float, tyre_width: float, turning_circle: float
 ) -> float:
-    """Bicycle angle [rad] of a kerb-to-kerb circle [m]; `kerb_to_kerb` inverted.
-
-    Raises:
-        ValueError: no angle below 60 deg turns that tightly.
-    """
+    """Bicycle angle [rad] of a kerb-to-kerb circle [m]; `ValueError` beyond 60 deg."""
     smallest = kerb_to_kerb(wheelbase, track_width, tyre_width, _MAX_LOCK)
     if not turning_circle > smallest:
         raise ValueError(
@@ -248,17 +244,8 @@ class VehicleParameters(CheckedConfig):
 
 # Settings that are lengths [m].
 LENGTHS = (
-    "length",
-    "width",
-    "height",
-    "wheelbase",
-    "track_width",
-    "rear_overhang",
-    "cg_to_front_axle",
-    "cg_height",
-    "wheel_radius",
-    "tyre_width",
-    "turning_circle",
+    *("length", "width", "height", "wheelbase", "track_width", "rear_overhang"),
+    *("cg_to_front_axle", "cg_height", "wheel_radius", "tyre_width", "turning_circle"),
 )
 
 

@@ -200,89 +200,46 @@ for name, params in PRESETS.items():
     register_vehicle(name, params)
 
 
+_COLUMNS = (
+    *("length", "width", "height", "wheelbase", "front_overhang"),
+    *("mass", "front_axle_load", "cg_height", "turning_circle", "max_power"),
+)
+# Numbers are [press] but for those that comments name, which are [est].
+_ROWS: dict[str, tuple[tuple[float, ...], dict[str, Any]]] = {
+    # VW ID.3, 58 kWh. Overhang, axle load (48 %), the centre of gravity of a car with
+    # its battery in the floor, tyres, circle, gear (11.5 times 310 N m) and lag.
+    "electric": (
+        (4.261, 1.809, 1.568, 2.771, 0.845, 1795.0, 860.0, 0.52, 10.2, 150e3),
+        {"tyre_size": "215/55 R18", "drive": "rear"}
+        | {"max_drive_torque": 3500.0, "drive_lag": 0.05},
+    ),
+    # Mercedes-Benz S-Class (W223), long. Overhang, mass, axle load (51 %), centre of
+    # gravity, tyres, power, and the circle of 10.9 m to which 2 m are added.
+    "limousine": (
+        (5.289, 1.921, 1.503, 3.216, 0.88, 2050.0, 1050.0, 0.56, 12.9, 210e3),
+        {"tyre_size": "255/50 R18", "drive": "rear"},
+    ),
+    # Ford Ranger (T6), double cab. Overhang, axle load (57 %, empty), centre of
+    # gravity, tyres, track and power.
+    "pickup": (
+        (5.35, 1.85, 1.85, 3.221, 0.905, 2158.0, 1230.0, 0.72, 12.8, 110e3),
+        {"tyre_size": "265/65 R17", "drive": "rear", "track_width": 1.56},
+    ),
+    # VW Crafter (2017), medium wheelbase, standard roof, with seats; all but the drive
+    # (whatvan) and power (kleinezeitung).
+    "minibus": (
+        (5.986, 2.04, 2.355, 3.64, 0.996, 2700.0, 1490.0, 0.85, 13.6, 103e3),
+        {"tyre_size": "205/75 R16 C", "drive": "front", "track_width": 1.75},
+    ),
+    # Fuso Canter 515 Super Low City Cab with a low, empty body; all but height,
+    # wheelbase and power. Body and rear wheels are wider than the cab of 1.695 m.
+    "truck": (
+        (4.85, 1.77, 2.01, 2.5, 1.045, 2450.0, 1450.0, 0.8, 9.8, 110e3),
+        {"tyre_size": "195/75 R16 C", "drive": "rear", "track_width": 1.4},
+    ),
+}
 SHEETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
-    {
-        # VW ID.3, 58 kWh.
-        "electric": {
-            "length": 4.261,  # [press]
-            "width": 1.809,  # [press]
-            "height": 1.568,  # [press]
-            "wheelbase": 2.771,  # [press]
-            "front_overhang": 0.845,  # [est]
-            "mass": 1795.0,  # [press] 1719 kg and a driver
-            "front_axle_load": 860.0,  # [est] 48 %
-            "cg_height": 0.52,  # [est] the battery is in the floor
-            "tyre_size": "215/55 R18",  # [est]
-            "turning_circle": 10.2,  # [est]
-            "drive": "rear",  # [press]
-            "max_drive_torque": 3500.0,  # 310 N m x 11.5 [est]
-            "max_power": 150e3,  # [press] 204 hp
-            "drive_lag": 0.05,  # [est] a motor
-        },
-        # Mercedes-Benz S-Class (W223), long.
-        "limousine": {
-            "length": 5.289,  # [press]
-            "width": 1.921,  # [press]
-            "height": 1.503,  # [press]
-            "wheelbase": 3.216,  # [press]
-            "front_overhang": 0.88,  # [est]
-            "mass": 2050.0,  # [est]
-            "front_axle_load": 1050.0,  # [est] 51 %
-            "cg_height": 0.56,  # [est]
-            "tyre_size": "255/50 R18",  # [est]
-            "turning_circle": 12.9,  # 10.9 [est] and the 2 m [press]
-            "drive": "rear",  # [press] of the S 350 d
-            "max_power": 210e3,  # [est]
-        },
-        # Ford Ranger (T6), double cab.
-        "pickup": {
-            "length": 5.35,  # [press]
-            "width": 1.85,  # [press]
-            "height": 1.85,  # [press]
-            "wheelbase": 3.221,  # [press]
-            "front_overhang": 0.905,  # [est]
-            "mass": 2158.0,  # [press] 2083 kg and a driver
-            "front_axle_load": 1230.0,  # [est] 57 %, empty
-            "cg_height": 0.72,  # [est]
-            "tyre_size": "265/65 R17",  # [est]
-            "track_width": 1.56,  # [est]
-            "turning_circle": 12.8,  # [press] 42 ft
-            "drive": "rear",  # [press]
-            "max_power": 110e3,  # [est]
-        },
-        # VW Crafter (2017), medium wheelbase, standard roof.
-        "minibus": {
-            "length": 5.986,  # [est]
-            "width": 2.04,  # [est]
-            "height": 2.355,  # [est]
-            "wheelbase": 3.64,  # [est]
-            "front_overhang": 0.996,  # [est]
-            "mass": 2700.0,  # [est] with seats and a driver
-            "front_axle_load": 1490.0,  # [est] 55 %
-            "cg_height": 0.85,  # [est]
-            "tyre_size": "205/75 R16 C",  # [est]
-            "track_width": 1.75,  # [est]
-            "turning_circle": 13.6,  # [est]
-            "drive": "front",  # [press] whatvan
-            "max_power": 103e3,  # [press] kleinezeitung, 140 hp
-        },
-        # Fuso Canter 515 Super Low City Cab with a low body.
-        "truck": {
-            "length": 4.85,  # [est]
-            "width": 1.77,  # [est] cab 1.695, body and rear wheels wider
-            "height": 2.01,  # [press]
-            "wheelbase": 2.5,  # [press]
-            "front_overhang": 1.045,  # [est]
-            "mass": 2450.0,  # [est] with an empty body and a driver
-            "front_axle_load": 1450.0,  # [est] 59 %
-            "cg_height": 0.8,  # [est]
-            "tyre_size": "195/75 R16 C",  # [est]
-            "track_width": 1.4,  # [est]
-            "turning_circle": 9.8,  # [est]
-            "drive": "rear",  # [est]
-            "max_power": 110e3,  # [press]
-        },
-    }
+    {name: dict(zip(_COLUMNS, x, strict=True)) | y for name, (x, y) in _ROWS.items()}
 )
 for name, quantities in SHEETS.items():
     register_vehicle(name, car_of_sheet(quantities).params)

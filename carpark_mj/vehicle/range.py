@@ -78,10 +78,7 @@ def usual_width(length: float) -> float:
 
 def usual_wheels(length: float) -> dict[str, float]:
     """Radius and width of the wheels of cars of a length, all in m [est]."""
-    return {
-        "wheel_radius": 0.24 + 0.016 * length,
-        "tyre_width": 0.14 + 0.013 * length,
-    }
+    return {"wheel_radius": 0.24 + 0.016 * length, "tyre_width": 0.14 + 0.013 * length}
 
 
 def _car(chance: Mapping[str, float]) -> VehicleParameters:

@@ -124,10 +124,7 @@ class Sheet(NamedTuple):
 
 
 def car_of_sheet(quantities: Mapping[str, Any]) -> Sheet:
-    """The car of a data sheet.
-
-    Quantities are those of `SHEET` and `VehicleParameters`; `tyre` is a mapping of
-    `TyreParameters`.
+    """The car of quantities of `SHEET` and `VehicleParameters`, `tyre` a mapping.
 
     Raises:
         ValueError: a quantity is missing, unknown, impossible or contradicts another.
@@ -358,11 +355,7 @@ FORMATS = (".json", ".yaml", ".yml")
 
 
 def read_sheet(path: str) -> tuple[str, Sheet]:
-    """Name, by default that of the file, and car of a data sheet.
-
-    Raises:
-        ValueError: no such file, or a fault in it.
-    """
+    """Name and car of a data sheet; `ValueError` if there is a fault."""
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(

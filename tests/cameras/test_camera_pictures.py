@@ -21,7 +21,6 @@ from carpark_mj.cameras import (
     Lens,
     Rig,
     Seen,
-    channels,
     colours,
     draw_faults,
     noisy_depth,
@@ -231,8 +230,6 @@ def test_every_pixel_shows_what_is_there():
     assert (seen == expected)[~edges].all()
     assert edges.mean() < 0.2
     assert {*np.unique(seen)} == {*boxes, Seen.FLOOR, Seen.LINE}
-    one_hot = channels(seen, (Seen.CAR, Seen.OWN_CAR))
-    np.testing.assert_array_equal(one_hot[..., 0], seen == Seen.CAR)
 
 
 def test_lines_are_as_wide_as_painted():

@@ -135,11 +135,8 @@ UNWRITABLE = {
 }
 
 
-@pytest.mark.parametrize("gallery", [True, False])
 @pytest.mark.parametrize("case", sorted(UNWRITABLE))
-def test_an_unwritable_picture_is_refused_before_the_work(
-    case, gallery, tmp_path, monkeypatch
-):
+def test_an_unwritable_picture_is_refused_before_the_work(case, tmp_path, monkeypatch):
     (tmp_path / "folder.png").mkdir()
     out = UNWRITABLE[case].format(tmp=tmp_path)
 
@@ -147,10 +144,8 @@ def test_an_unwritable_picture_is_refused_before_the_work(
         pytest.fail("the work has begun")
 
     monkeypatch.setattr(render, "choose_gl", lambda: "")
-    monkeypatch.setattr(render, "draw_lots", work)
     monkeypatch.setattr(render, "record", work)
-    run, frame = ("", None) if gallery else ("zero", 0.0)
-    config = RenderConfig(run, out=out, gallery=gallery, frame=frame)
+    config = RenderConfig("zero", out=out, frame=0.0)
     with pytest.raises(OSError, match=re.escape(out)) as caught:
         render.main(config)
     assert one_line(caught.value).startswith(f"cannot use {out}: ")

@@ -91,7 +91,7 @@ def test_impossible_settings_raise_one_sentence(make, change):
         (Bounds(ge=0.0, lt=1.0), (0.0, 0.999), (1.0, -0.1)),
         (Bounds(gt=-1.0, le=2.0), (-0.999, 2.0), (-1.0, 2.001)),
         (Bounds(ge=1), (1, (1, 2)), (0, (1, 0))),
-        (Bounds(), (-1e30, 0.0), (math.inf, math.nan, 1e39, 1e-40, 2**31)),
+        (Bounds(), (-1e30, 0.0), (math.inf, math.nan, 1e39)),
     ],
 )
 def test_bounds_hold_for_every_number(bounds, within, beyond):

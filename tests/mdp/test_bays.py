@@ -46,7 +46,7 @@ from carpark_mj.mdp.progress import goal_potential, mix_in_maneuver
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _poses_in_bay
-from carpark_mj.spawning.fleet import Wanted, draw_bays, kind_logits
+from carpark_mj.spawning.fleet import draw_bays, kind_logits
 from carpark_mj.spawning.goals import goal_of_start
 from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
@@ -102,15 +102,15 @@ def test_no_bay_marks_nothing_and_padding_is_never_free():
     assert marked(layout, bays).tolist() == [False, False, True, False, False, False]
 
 
-def draw_many(wanted, free, count=4000):
-    return many(lambda key: draw_bays(wanted, jnp.array(free), key), count)
+def draw_many(fit, cars, free, anywhere=False, count=4000):
+    wanted = fit, jnp.array(cars), jnp.array(free)
+    return many(lambda key: draw_bays(*wanted, key, anywhere), count)
 
 
 def test_kinds_that_fit_are_drawn_equally_often():
     # Kind 0 fits everywhere, kind 1 in bay 2 only, kind 2 in bay 0, which is taken.
     fit = jnp.array([[True] * 4, [False, False, True, False], [True, *[False] * 3]])
-    wanted = Wanted(fits=jnp.stack([fit, fit]), cars=jnp.ones(2, bool), anywhere=False)
-    kind, bay = draw_many(wanted, [False, True, True, True])
+    kind, bay = draw_many(jnp.stack([fit, fit]), [True] * 2, [False, True, True, True])
     assert (bay[:, 0] != bay[:, 1]).all()
     assert (bay > 0).all()
     # Deviation of a share of 4,000 at most 0.8 %: five of them.
@@ -124,8 +124,7 @@ def test_kinds_that_fit_are_drawn_equally_often():
 def test_who_finds_no_bay_that_fits_gets_none_or_any():
     fit = jnp.array([[[False, False, False, True]]] * 3)
     for anywhere in (False, True):
-        wanted = Wanted(fit, jnp.array([True, False, True]), anywhere)
-        _, bay = draw_many(wanted, [True] * 4, count=50)
+        _, bay = draw_many(fit, [True, False, True], [True] * 4, anywhere, count=50)
         assert (bay[:, 0] == 3).all()
         assert (bay[:, 1] == NO_BAY).all()  # wants none
         assert set(bay[:, 2]) == ({0, 1, 2} if anywhere else {NO_BAY})

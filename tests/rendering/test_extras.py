@@ -16,7 +16,6 @@ from carpark_mj.rendering.renderer import (
     CIRCLE_SIDES,
     LotRenderer,
     Markers,
-    Show,
     camera_names,
     followed_agents,
 )
@@ -90,13 +89,13 @@ LAYOUT = make_layout("square")
 POSE = np.array([[2.0, 1.0, 0.0], [-6.0, 0.0, 0.0]])
 PARKED = POSE + np.array([3.0, 5.0, 0.0])  # each agent tracks the one on its left
 ON_LINK, ON_RING = np.array([1.5, 2.5]), np.array([0.0, -4.0])
-SHOW = Show(Tracked(parked_cars=1), rings=(8.0,))
+EXTRAS = Tracked(parked_cars=1), (8.0,)
 
 
-def draw(flag, camera, show):
+def draw(flag, camera, *extras):
     """A picture, and the pixels of some points (2,) in it."""
     seen, stage = instant(POSE, PARKED, LAYOUT, [3, 20]), Stage(LAYOUT, COMPACT, 2, 2)
-    with contextlib.closing(LotRenderer(stage, flag, (960, 360), show)) as renderer:
+    with contextlib.closing(LotRenderer(stage, flag, (960, 360), *extras)) as renderer:
         renderer.place(seen)
         frame = renderer.draw(seen, camera).astype(int)
         points = [POSE[:, :2] + off for off in (ON_LINK, ON_RING)]
@@ -119,8 +118,8 @@ def draw(flag, camera, show):
     ],
 )
 def test_whose_links_and_rings_are_drawn(flag, camera, expected):
-    plain, _ = draw(flag, camera, None)
-    extra, pixels = draw(flag, camera, SHOW)
+    plain, _ = draw(flag, camera)
+    extra, pixels = draw(flag, camera, *EXTRAS)
     changed = np.abs(extra - plain).sum(-1) > 40
 
     def near(pixel):

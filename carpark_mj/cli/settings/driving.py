@@ -205,11 +205,10 @@ class RenderConfig(DriveSettings):
     carpark_mj render runs/cpu-0 --camera chase:0 --seconds 30
     carpark_mj render runs/cpu-0 --camera driver:0 --layout lot --seed 3
     carpark_mj render runs/cpu-0 --frame 12 --out frame.png
-    carpark_mj render --gallery --out gallery.png
 
     Attributes:
         out: file to write: .mp4, .gif, or .png for a still; default `video.mp4` or
-            `frame.png` in the run folder, `gallery.png` here for the gallery.
+            `frame.png` in the run folder.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
             wheel, or `split:K`: topdown and chase:K side by side. Or what the first
             agent's cameras see: a rig, as `surround`, or one of its cameras, as
@@ -221,9 +220,6 @@ class RenderConfig(DriveSettings):
         seconds: length of the video [s].
         fps: frames per second; the nearest the recording allows (20, 10, 5 ...).
         frame: write a still at this time [s] instead of a video.
-        gallery: write a contact sheet instead, `width` wide: two lots of the square and
-            of six families, from `overview`, with seeds from `seed` on. It needs no
-            run.
         width: width of a frame [pixels], even.
         height: height of a frame [pixels], even.
         respawn: whether finished agents respawn; `false` = one episode per agent.
@@ -236,22 +232,16 @@ class RenderConfig(DriveSettings):
     seconds: Annotated[float, Bounds(gt=0.0, le=MAX_SECONDS)] = 20.0
     fps: Positive = 10.0
     frame: Annotated[float | None, Bounds(ge=0.0, le=MAX_SECONDS, unit="s")] = None
-    gallery: bool = False
     width: Annotated[int, Bounds(ge=2, le=OFFSCREEN_WIDTH)] = 1280
     height: Annotated[int, Bounds(ge=2, le=OFFSCREEN_HEIGHT)] = 720
     respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if bool(self.run) == self.gallery:
+        if not self.run:
             raise ValueError(
-                "give a pretrained policy, a run folder, zero, random or planner, "
-                "or --gallery" + (", not both" if self.run else "")
+                "give a pretrained policy, a run folder, zero, random or planner"
             )
-        if self.gallery:
-            shown = ("run", "out", "gallery", "width", "seed")
-            others = [f.name for f in dataclasses.fields(self) if f.name not in shown]
-            require_unset(self, "with --gallery", *others)
         if self.frame is not None:
             require_unset(self, "with --frame", "seconds", "fps")
         unknown = set(self.extras) - {"tracked", "rings"}

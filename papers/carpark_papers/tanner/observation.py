@@ -267,11 +267,6 @@ class TannerObservation(ObservationConfig):
         """Diameters of the rings."""
         return self.rings.diameters
 
-    @property
-    def sees_everywhere(self) -> bool:
-        """Whether it has global information."""
-        return self.global_information
-
     def tracks_agents(self, state: State) -> jax.Array | None:
         """Tracked agents among the nearest cars."""
         num_agents = state.goal.shape[0]

@@ -195,13 +195,13 @@ def test_effort_is_turn_and_level_over_the_most_there_are():
     still, turn, level = grid_cars([(0, 0)] * 5), [-3, -1, 0, 2, 3], [4, 2, 0, -1, -2]
     after = grid_cars([(0, 0)] * 5, level, turn)
     config = EnvConfig(physics="grid", num_agents=5)
-    got = effort(config, step(config, still, after))
-    np.testing.assert_allclose(got.turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
-    np.testing.assert_allclose(got.speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
+    turn, speed = effort(config, step(config, still, after))
+    np.testing.assert_allclose(turn, [1, 1 / 3, 0, 2 / 3, 1], atol=1e-6)
+    np.testing.assert_allclose(speed, [1, 0.5, 0, 0.25, 0.5], atol=1e-6)
     lock = float(hand_cars(cars([(0.0, 0.0, 0.0)])).max_steering[0])
     poses = [(0.0, 0.0, 0.0)] * 3
     before = cars(poses, steering=[lock, lock, lock])
     after = cars(poses, steering=[lock, 0.0, -lock])
     config = EnvConfig(physics="highway", vehicle="highway", num_agents=3)
-    got = effort(config, step(config, before, after))
-    np.testing.assert_allclose(got.turn, [0.0, 0.5, 1.0], atol=1e-6)
+    turn, _ = effort(config, step(config, before, after))
+    np.testing.assert_allclose(turn, [0.0, 0.5, 1.0], atol=1e-6)
