@@ -23,7 +23,6 @@ from helpers.sliding import (
 from helpers.trees import agent_of, leaves, same
 
 from carpark_mj.config import (
-    REWARDS,
     EnvConfig,
     GivingWayConfig,
     GoalConfig,
@@ -289,18 +288,6 @@ def test_a_traced_reach_of_0_is_no_reach():
     np.testing.assert_allclose(pay(jnp.float32(0.0))[1].reward, expected, atol=1e-6)
 
 
-def test_parking_pays_and_crashing_costs_what_the_config_says():
-    weights = REWARDS["shaped"]
-    _, _, _, timestep = ending("parked")
-    time = -weights.time / MAX_STEPS
-    # float32 sums; standing cars make no progress.
-    expected = [time, weights.park + time, time]
-    np.testing.assert_allclose(timestep.reward, expected, atol=1e-5)
-    _, _, _, timestep = ending("crashed")
-    expected = [time, -weights.crash + time, time]
-    np.testing.assert_allclose(timestep.reward, expected, atol=1e-5)
-
-
 # Without respawning
 
 
@@ -351,11 +338,3 @@ def test_an_agent_that_drives_into_a_frozen_one_crashes_alone():
     np.testing.assert_array_equal(timestep.events.crashed, [True, False, False])
     np.testing.assert_array_equal(timestep.events.hit_agent, [True, False, False])
     np.testing.assert_array_equal(state.motion.pose_w[1], APART[1])
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"config": "square"}, {"config": {}}, {"vehicle": "van"}]
-)
-def test_an_argument_of_another_type_is_named(wrong):
-    with pytest.raises(TypeError, match=next(iter(wrong))):
-        ParkingEnv(**wrong)

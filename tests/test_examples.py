@@ -1,6 +1,5 @@
 """The examples: PPO in one file runs, the FMU drives, bad input is one line."""
 
-import ast
 import importlib
 import re
 import subprocess
@@ -15,7 +14,6 @@ from helpers.programs import ROOT, python
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.wrappers.batch import Step
 
 EXAMPLES = ROOT / "examples"
 
@@ -92,20 +90,6 @@ def test_what_is_no_scene_to_drive_is_one_line(text, line, tmp_path):
     ended = python("-I", EXAMPLES / "drive_scene.py", path)
     assert ended.returncode == 2
     assert re.fullmatch(rf".*drive_scene\.py: {path}: {line}\n", ended.stderr)
-
-
-def test_examples_read_fields_that_steps_have():
-    """Also where torch is not installed."""
-    tree = ast.parse((EXAMPLES / "cleanrl_ppo.py").read_text())
-    read = {
-        node.attr
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute)
-        and isinstance(node.value, ast.Name)
-        and node.value.id == "step"
-    }
-    assert "observation" in read
-    assert read <= set(Step._fields)
 
 
 def test_a_search_learns_from_its_trials_and_ends_bad_ones(tmp_path, monkeypatch):

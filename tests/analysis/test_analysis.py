@@ -27,7 +27,6 @@ from carpark_mj.analysis import (
     videos,
 )
 from carpark_mj.cli.analysis import analyse
-from carpark_mj.evaluation.tables import SHOWN_ROWS, table
 from carpark_mj.training.ppo.parts import PRESETS
 
 BASE = PRESETS["square"]
@@ -79,13 +78,6 @@ def test_the_tables_have_every_run_and_every_point():
     assert found == [("2", 3, 0.85), ("10", 3, 0.5), ("all", 6, pytest.approx(0.505))]
     each = run_rows(points, ["env.num_agents"], ["parked"])
     assert [row["parked"] for row in each] == [0.9, 0.85, 0.1, 0.5, 0.49, 0.51]
-
-
-def test_a_long_table_is_folded_and_what_is_missing_is_a_dash():
-    rows = [{"parked": math.nan}] * SHOWN_ROWS
-    assert "<details open>" in table(rows)
-    assert "<details>" in table([*rows, *rows[:1]])
-    assert table(rows).count("<td>–</td>") == SHOWN_ROWS
 
 
 def test_an_analysis_is_written_before_it_is_printed(tmp_path, monkeypatch):

@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import json
 import subprocess
 from types import SimpleNamespace
 
@@ -98,12 +97,6 @@ def test_a_job_is_measured_in_a_process_of_its_own(monkeypatch):
     assert result.peak_memory_mb > 10
 
 
-def test_the_worker_refuses_impossible_jobs(capsys):
-    job = dataclasses.replace(JOB, what="env", variant="nowhere")
-    assert benchmarking.work(json.dumps({"job": vars(job), "started": 0.0})) == 2
-    assert capsys.readouterr().err.startswith("unknown layout 'nowhere'; choose from")
-
-
 FAILED, OOM = (
     "could not measure physics brush with 3 lots: ",
     "RESOURCE_EXHAUSTED: 3 TB",
@@ -155,28 +148,6 @@ def test_the_steps_of_a_training_are_those_of_present_agents(monkeypatch):
         dataclasses.replace(JOB, variant="anywhere", lots=4)
     )
     assert subject.count == 5 * PRESETS["anywhere"].unroll_length
-
-
-def test_a_gpu_has_its_own_name_and_its_own_memory(monkeypatch):
-    class Device:
-        platform, device_kind = "gpu", "NVIDIA H100 80GB HBM3"
-
-        def memory_stats(self):
-            return {"peak_bytes_in_use": 123}
-
-    monkeypatch.setattr(jax, "devices", lambda: [Device()])
-    assert benchmarking.device_name() == "NVIDIA H100 80GB HBM3"
-    assert benchmarking.peak_memory() == 123
-
-
-def test_a_measurement_that_fails_says_last_why(capsys, monkeypatch):
-    def fail(*_):
-        raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nallocating 9 GB")
-
-    monkeypatch.setattr(benchmarking, "measure_job", fail)
-    assert benchmarking.work(json.dumps({"job": vars(JOB), "started": 0.0})) == 1
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last == "RuntimeError: RESOURCE_EXHAUSTED: Out of memory"
 
 
 ONE = Start("default", 1, "first", "cpu", 1.0, 0.5, 4.0, 6.0, 11.5, 2000, 6000)

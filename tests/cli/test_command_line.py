@@ -73,13 +73,6 @@ def test_a_script_runs_its_checkout_and_no_installed_copy(path, tmp_path):
     assert done.returncode == 2, done.stderr
 
 
-def test_every_extra_that_commands_miss_can_be_named():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    named = {extra for extras in EXTRAS.values() for extra in extras.split(",")}
-    others = {"cuda", "dev", "docs", "peers"}
-    assert named >= {*project["optional-dependencies"]} - others
-
-
 # A `sitecustomize.py`: Ctrl-C where a process imports JAX, or what reads its flags.
 INTERRUPT = """
 import signal, sys

@@ -4,11 +4,10 @@ import dataclasses
 import io
 import re
 import sys
-from typing import Annotated, Literal
+from typing import Literal
 
 import jax
 import pytest
-import tyro
 
 from carpark_mj.cli.driver import adapt, find_driver, with_settings
 from carpark_mj.cli.flags import read_flags
@@ -82,25 +81,6 @@ def test_a_bad_flag_is_one_sentence(case, encoding, monkeypatch):
     assert not re.search(r"[\n│╭─]|---|helptext", told)
 
 
-def test_what_is_missing_is_named_with_its_meaning():
-    @dataclasses.dataclass(frozen=True)
-    class Copy:
-        """Copies.
-
-        Attributes:
-            file: file to read.
-            out: file to write.
-        """
-
-        file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-        out: str
-
-    out = "--out STR file to write"
-    for words, said in ((["a"], out), ([], f"FILE file to read.* {out}")):
-        with pytest.raises(ValueError, match=rf"^Missing .* {said}"):
-            read_flags(Copy, words)
-
-
 def test_a_range_is_two_numbers():
     read = read_flags(Settings, ["--span", "-1", "2", "--part", "0.5", "1"])
     assert (read.span, read.part) == ((-1.0, 2.0), (0.5, 1.0))
@@ -108,16 +88,6 @@ def test_a_range_is_two_numbers():
     for words in (["1"], ["1", "a"]):
         with pytest.raises(ValueError, match="--span"):
             read_flags(Settings, ["--span", *words])
-
-
-def test_the_help_names_every_setting(capsys):
-    for arguments in (["--help-all"], ["--help"]):
-        with pytest.raises(SystemExit):
-            read_flags(Settings, arguments)
-        printed = capsys.readouterr().out
-        assert "--eye.reach" in printed
-        assert "--span LOW HIGH" in printed
-        assert "--part {None}|{LOW HIGH}" in printed
 
 
 def test_what_the_user_can_mend_is_one_line_and_exit_code_2(capsys):

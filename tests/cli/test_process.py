@@ -260,11 +260,6 @@ def test_a_script_sets_up_what_it_needs():
     assert (left["fused"], left["flags"]) == (True, OUTPUT_FUSION)
 
 
-def test_flags_of_the_user_are_kept():
-    left = left_behind("eval/evaluate.py", "--xla_cpu_enable_fast_math=false")
-    assert (left["fused"], left["flags"]) == (False, "--xla_cpu_enable_fast_math=false")
-
-
 # What draws numbers of cars and lots anew among people, what moves parked cars: XLA
 # aborts where it fuses scatters that share their indices, or read what others read.
 # Bicycles compile in less time than MJX, which has no scatters either. Scatters of one

@@ -10,7 +10,7 @@ from helpers.programs import layouts as main
 from shapely import affinity
 
 from carpark_mj.layouts.files import read_json
-from carpark_mj.maps.features import Feature, commonest
+from carpark_mj.maps.features import Feature
 from carpark_mj.maps.fit import joined_lanes
 
 pytest.importorskip("ezdxf")
@@ -273,13 +273,6 @@ def test_a_helix_without_end_is_left_out(tmp_path):
     plan = read_plan(saved(tmp_path, new))
     assert [one.tag for one in plan.features] == ["kerb"]
     assert dict(plan.report.unknown) == {"HELIX on layer wall": 1}
-
-
-def test_the_commonest_kinds_are_named():
-    counts = Counter({f"kind {k}": k for k in range(1, 1001)})
-    told = commonest(counts).split(", ")
-    assert told[0] == "1000 kind 1000"
-    assert sum(int(one.split()[0]) for one in told) == counts.total()
 
 
 def test_lanes_far_apart_are_joined_as_each_alone():

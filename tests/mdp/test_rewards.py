@@ -274,17 +274,6 @@ def test_who_has_just_finished_neither_waits_nor_is_waited_for():
     np.testing.assert_array_equal(got["yielding"], 0.0)
 
 
-@pytest.mark.parametrize(("weight", "time"), [(1.0, 2.5), (0.3, 2.5), (1.0, 0.0)])
-def test_nobody_earns_more_than_the_time_costs(weight, time):
-    reward = RewardConfig(time=time, extra={"yielding": weight})
-    motion = cars(ON_A_LINE, speed=[0.0, 1.0, 0.0])
-    got = terms(reward, motion, motion, GOAL)
-    paid = got["yielding"] + got["time"]
-    expected = -time / MAX_STEPS * np.array([1 - weight, 1, 1 - weight])
-    np.testing.assert_allclose(paid, expected, atol=1e-9)
-    assert (paid <= 0.0).all()
-
-
 PEOPLE_LOT = lot([(30.0, 0.0, 0.0)])
 RADIUS = 0.3
 PEOPLE_METRICS = tuple(MetricsConfig.everything().extra)

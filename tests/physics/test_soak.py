@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from flax import struct
 from helpers.compiling import optimized_jit
-from scipy.spatial.transform import Rotation
 
 from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.mdp.actions import sanitize_numbers
@@ -200,63 +199,7 @@ def test_the_worst_cases_hold(worst):
     assert 5.0 < worst.energy.max() < 7.0
 
 
-def test_only_the_invalid_pattern_has_actions_to_neutralise(worst):
-    invalid = pattern_of(np.array(WORST)) == PATTERNS.index("invalid")
-    np.testing.assert_array_equal(worst.invalid > 0, invalid)
-    assert invalid.any()
-
-
 def test_a_case_is_the_same_wherever_it_runs(soaked, worst):
     again = jax.device_get(soaked(jnp.array(WORST[::-1], jnp.int32)))
     for one, other in zip(jax.tree.leaves(worst), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, other[::-1])
-
-
-def test_each_limit_is_looked_at():
-    fine = {"broken": 0.0, "hop": -0.02, "energy": 4.5, "invalid": 7.0}
-    bad = {"broken": 1.0}, {"hop": 0.002}, {"energy": 8.1}
-    bad += {"hop": np.nan}, {"energy": np.inf}
-    rows = [fine, *[fine | change for change in bad]]
-    worst = Worst(**{name: np.array([row[name] for row in rows]) for name in fine})
-    assert breaches(worst).tolist() == [False] + [True] * len(bad)
-
-
-def test_cases_cover_every_preset_under_every_pattern():
-    cases = np.arange(36)
-    pairs = set(zip(preset_of(cases), pattern_of(cases), strict=True))
-    assert len(pairs) == len(PRESETS) * len(PATTERNS) == 36
-
-
-def test_patterns_do_what_their_names_say(compact):
-    draw = jax.jit(jax.vmap(draw_action, (0, None, None, None)))
-    steps, key = jnp.arange(ROUNDS), jax.random.key(5)
-    random, held, lock, brake, flip, invalid = (
-        np.asarray(draw(steps, jnp.array(k), compact, key))
-        for k in range(len(PATTERNS))
-    )
-    assert np.abs([random, held]).max() <= 1.0
-    assert len(np.unique(random)) == 2 * ROUNDS
-    assert len(np.unique(held)) < ROUNDS
-    # From lock to lock at 0.42 rad/s takes 2.84 s: 15 actions of 0.2 s.
-    assert np.flatnonzero(np.diff(lock[:, 0])).tolist() == [14, 29, 44]
-    assert set(lock[:, 0]) == set(brake[:, 1]) == {-1.0, 1.0}
-    assert (flip[1:] == -flip[:-1]).all()
-    assert np.isnan(invalid).any()
-    assert (np.abs(invalid) > 1.0).any()
-
-
-def test_heights_and_energy_are_those_of_rigid_bodies(compact):
-    state = MjxPhysics(SIM).init(jnp.array([3.0, -2.0, 0.7]), compact)
-    np.testing.assert_allclose(wheel_heights(state), 0.0, atol=1e-6)
-    turn = Rotation.from_euler("ZYX", [0.7, 0.02, -0.03])
-    quat = np.roll(turn.as_quat(), 1)
-    qpos = state.qpos.at[2].set(0.05).at[3:7].set(quat)
-    tilted = dataclasses.replace(state, qpos=qpos)
-    hubs = np.pad(np.asarray(compact.hub), ((0, 0), (0, 1)))
-    expected = 0.05 + turn.apply(hubs)[:, 2]
-    np.testing.assert_allclose(wheel_heights(tilted), expected, atol=1e-6)
-    # 3 m/s with wheels rolling: v^2 / 2 and 4 wheels of 1 kg m^2 at v / r.
-    qvel = state.qvel.at[0].set(3.0).at[jnp.array([7, 9, 10, 11])].set(3.0 / 0.316)
-    rolling = dataclasses.replace(state, qvel=qvel)
-    expected = 4.5 + 2 * (3.0 / 0.316) ** 2 / 1380.0
-    assert energy_per_mass(rolling) == pytest.approx(expected, rel=1e-5)

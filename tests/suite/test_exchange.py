@@ -277,14 +277,6 @@ def test_a_commonroad_problem_becomes_a_scenario(tmp_path, monkeypatch):
     assert path.exists()
 
 
-def test_a_problem_that_is_refused_leaves_no_file(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    write(Path("problem.xml"), problem())
-    flags = ["import", "problem.xml", "--out", "p.yaml", "--goal", "99"]
-    assert_refused(capsys, "scenario", flags, "goal must be a bay of the lot")
-    assert [one.name for one in Path().iterdir()] == ["problem.xml"]
-
-
 def test_a_drive_becomes_a_solution_in_the_frame_of_its_problem(tmp_path):
     path = write(tmp_path / "problem.xml", problem())
     found, _, _ = read_commonroad(path)

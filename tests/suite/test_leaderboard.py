@@ -90,11 +90,6 @@ def test_results_that_contradict_themselves_are_refused(changes, message, tmp_pa
         read_submission(path)
 
 
-def test_a_check_drives_nothing():
-    with pytest.raises(ValueError, match=r"policies .* no effect with --check"):
-        SuiteConfig(policies=("hope",), check="suite.json")
-
-
 def test_the_leaderboard_is_that_of_its_files():
     page = (DOCS / "hard_cases.md").read_text()
     found = page.split("<!-- suite -->\n")[1].split("\n<!-- end of suite -->")[0]

@@ -1,13 +1,10 @@
 """Results of the suite that several processes have written, read together."""
 
-import contextlib
-
 import numpy as np
 import pytest
 from helpers import cases
 from helpers.cases import drives
 from helpers.disks import no_printing
-from helpers.mutating import damaged
 from rich.console import Console
 
 from carpark_mj.rendering.gl import choose_gl
@@ -17,7 +14,6 @@ from carpark_mj.suite.levels import load_held_out
 from carpark_mj.suite.report import FASTER, make_videos, recording_of
 from carpark_mj.suite.results import (
     CASES_FILE,
-    WORST_FILE,
     key_of,
     read_runs,
     read_submission,
@@ -133,20 +129,6 @@ def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):
     write_run(bad, [*rows, last], {key_of(last): drives(1004)})
     with pytest.raises(ValueError, match=message):
         read_runs([good, bad])
-
-
-def test_damaged_results_are_results_or_refused(tmp_path, capsys):
-    folder = write(tmp_path / "a", episode(0), episode(1, end="parked"))
-    out = str(tmp_path / "out")
-    for name in (CASES_FILE, WORST_FILE):
-        data = (folder / name).read_bytes()
-        for seed in range(150):
-            (folder / name).write_bytes(damaged(data, seed))
-            with contextlib.suppress(ValueError):
-                (row,) = main(SuiteConfig(combine=(str(folder),), out=out))
-                assert row["cases"] in (1, 2)
-        (folder / name).write_bytes(data)
-    assert capsys.readouterr().out  # some were harmless
 
 
 def test_a_video_is_faster_than_driving(tmp_path):

@@ -4,19 +4,14 @@ import contextlib
 import csv
 import dataclasses
 import json
-import sys
 
 import jax
 import numpy as np
 import pytest
 from helpers.learning import SMALL
-from helpers.mutating import damaged
 from helpers.registering import restore_after
-from rich import jupyter
-from rich.console import Console
 
 import carpark_mj
-from carpark_mj.analysis import read_curve
 from carpark_mj.cli import evaluate as evaluate_command
 from carpark_mj.cli.settings.training import RunConfig
 from carpark_mj.config import (
@@ -28,11 +23,9 @@ from carpark_mj.config import (
     insert,
 )
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.networks import NetworkConfig
 from carpark_mj.rendering.video import write_video
 from carpark_mj.training import PPOConfig, Run, evaluate, train
-from carpark_mj.training import loop as loops
 from carpark_mj.training.loggers import CALLBACKS, LOGGERS, Callback
 from carpark_mj.training.loop import (
     MetricsLog,
@@ -42,25 +35,6 @@ from carpark_mj.training.loop import (
 )
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.run_folder import open_run
-
-
-def test_half_a_line_in_a_notebook_stops_no_training(monkeypatch):
-    shown = []
-
-    def display(segments, text):
-        """As ipykernel: whatever was printed before comes first."""
-        sys.stdout.flush()
-        shown.append(text)
-
-    monkeypatch.setattr(jupyter, "display", display)
-    console = Console(force_jupyter=True)
-    monkeypatch.setattr(loops, "get_console", lambda: console)
-    monkeypatch.setattr(loops, "LINE_SECONDS", -1.0)
-    loop = loops.Loop("PPO", RunConfig())
-    with loop.over(2):
-        print("half a line", end="")
-        loop.show(1, "parked 50 %")
-    assert any("parked 50 %" in text for text in shown)
 
 
 def test_tensorboard_has_what_is_logged_the_settings_and_the_video(tmp_path):
@@ -115,16 +89,6 @@ def test_an_extension_s_logger_gets_all_that_is_finite(tmp_path, monkeypatch):
     assert not (tmp_path / "tensorboard").exists()
 
 
-def test_a_logger_that_cannot_begin_is_one_sentence(tmp_path, monkeypatch):
-    def broken(*_):
-        raise RuntimeError("no\nserver")
-
-    restore_after(monkeypatch, LOGGERS)
-    LOGGERS.register("broken", broken)
-    with pytest.raises(ValueError, match="broken: no server"):
-        MetricsLog(tmp_path, 0, PPOConfig(logger="broken"))
-
-
 @pytest.mark.parametrize("name", ["mlfow", "wandb,none"])
 def test_an_unknown_logger_is_refused_before_there_is_a_folder(name, tmp_path):
     config = PPOConfig(logger=name, runs_dir=str(tmp_path / "runs"))
@@ -176,16 +140,6 @@ def test_a_damaged_log_is_refused_and_stays_as_it_is(log, old, new, said):
     with pytest.raises(ValueError, match=rf"metrics\.csv.* {said}"):
         MetricsLog(log.parent, 3, RunConfig())
     assert log.read_bytes() == text
-
-
-def test_of_a_damaged_log_are_numbers_or_one_sentence(log):
-    data = log.read_bytes()
-    for seed in range(200):
-        log.write_bytes(damaged(data, seed))
-        with contextlib.suppress(ValueError):
-            assert all(type(row["update"]) is float for row in read_metrics(log.parent))
-        with contextlib.suppress(CheckpointError):
-            assert len(read_curve(log.parent, "loss")) <= 3
 
 
 def test_smoothing_weights_by_episodes_and_keeps_constants():

@@ -7,7 +7,6 @@ import shutil
 import pytest
 from jax.errors import JaxRuntimeError
 
-from carpark_mj.cli.settings.training import TrainConfig
 from carpark_mj.files import write_json
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.runs import CONFIG_VERSION, latest_checkpoint, save_checkpoint
@@ -42,18 +41,6 @@ def test_a_name_is_that_of_one_folder(name):
     with pytest.raises(ValueError, match="name must be the name of one folder"):
         PPOConfig(name=name)
     assert PPOConfig(name="a b.c-2").name == "a b.c-2"
-
-
-def test_the_folder_of_all_runs_is_one(tmp_path):
-    with pytest.raises(ValueError, match="runs_dir"):
-        PPOConfig(runs_dir=" ")
-    nowhere = tmp_path / "link"
-    nowhere.symlink_to(tmp_path / "gone")
-    with (
-        pytest.raises(OSError, match="link"),
-        open_run(PPOConfig(runs_dir=str(nowhere))),
-    ):
-        pass
 
 
 def test_a_folder_is_held_by_one_process_at_a_time(tmp_path):
@@ -158,15 +145,6 @@ def test_settings_of_nonsense_are_not_resumed_from(tmp_path):
 
 def read(*arguments):
     return read_settings(PRESETS["cpu"], PRESETS, arguments, None, summaries())
-
-
-def test_the_help_lists_common_settings_with_their_values_in_a_preset(capsys):
-    given = PRESETS["cpu"], PRESETS, ["--help", "--preset=square"], None, summaries()
-    with pytest.raises(SystemExit):
-        read_settings(*given, TrainConfig)
-    printed = capsys.readouterr().out
-    assert f"default: {PRESETS['square'].num_lots}" in printed
-    assert "--env" not in printed
 
 
 def test_a_preset_gives_the_defaults_and_flags_change_them():

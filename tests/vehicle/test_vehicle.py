@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from helpers.cars import ROAD_CARS
 
-from carpark_mj.env import ParkingEnv
 from carpark_mj.vehicle import VEHICLES, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
 from carpark_mj.vehicle.parameters import (
@@ -174,10 +173,3 @@ def test_inertias_and_springs_follow_the_rules_of_thumb(params: VehicleParameter
     damping = 4 * params.tyre.vertical_damping / 2 / math.sqrt(stiffness * params.mass)
     assert 1.2 <= frequency <= 1.5
     assert 0.25 <= damping <= 0.4
-
-
-def test_a_custom_car_takes_one_call_and_drives_in_the_environment():
-    taxi = dataclasses.replace(COMPACT, length=4.4, wheelbase=2.7, turning_circle=11.2)
-    env = ParkingEnv(vehicle=taxi)
-    assert env.vehicle is taxi
-    assert ParkingEnv().vehicle is COMPACT

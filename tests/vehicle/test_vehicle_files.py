@@ -78,16 +78,6 @@ def test_all_parameters_of_a_car_survive_their_text(name):
     assert preset(parameters_text(name, ROAD_CARS[name])) == ROAD_CARS[name]
 
 
-def test_json_and_yaml_say_the_same(tmp_path):
-    sheet = SIZE | {"mass": 1420, "drive": "all", "tyre": {"friction": 0.8}}
-    paths = [tmp_path / "car.json", tmp_path / "car.yml"]
-    for path in paths:
-        path.write_text(json.dumps(sheet))
-    one, two = (read_sheet(str(path)) for path in paths)
-    assert one == two
-    assert one[1].params.tyre.friction == 0.8
-
-
 def test_the_command_tells_estimates_and_writes_the_whole_car(file, tmp_path, capsys):
     whole = tmp_path / "whole.json"
     assert main([file, "--save", str(whole)]) == 0

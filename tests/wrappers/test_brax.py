@@ -6,7 +6,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from helpers.sliding import APART, HALT, MAX_STEPS, placed, slide, start
+from helpers.sliding import APART, MAX_STEPS, placed, slide
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.wrappers.brax import BraxParking
@@ -98,15 +98,3 @@ def test_brax_tells_truncations_from_terminations():
     assert np.flatnonzero(state.info["episode_metrics"]["crashed"]).tolist() == [3]
     assert np.flatnonzero(state.info["episode_metrics"]["timed_out"]).tolist() == [7]
     assert all(leaf.shape == (12,) for leaf in jax.tree.leaves(state.info))
-
-
-def test_the_parked_rule_of_the_config_is_the_one_used():
-    env, step, state = start()
-    pose = APART.copy()
-    bay = np.asarray(state.layout.bay_pose[state.goal[1]])
-    pose[1] = bay + np.array([0.4, 0.4, 0.5])  # askew: parked for Tanner only
-    state = placed(env, state, pose)
-    _, _, step_tanner = slide(rule="tanner")
-    for stepped, parked in ((step, False), (step_tanner, True)):
-        _, timestep = stepped(state, HALT)
-        np.testing.assert_array_equal(timestep.events.parked, [False, parked, False])
