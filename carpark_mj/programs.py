@@ -100,10 +100,6 @@ COMMANDS = {
         "cli.vehicles:fit", "find a car's parameters in the log of a drive",
         "lots:IdentifyConfig", (enable_output_fusion, keep_compiled_programs),
     ),
-    "oracle": _command(
-        "cli.oracle:main", "say which agents of held-out lots can park",
-        "driving:OracleConfig", (enable_output_fusion, keep_compiled_programs),
-    ),
     "suite": _command(
         "suite.evaluation:main", "compare policies on the held-out hard cases",
         "tables:SuiteConfig", (choose_gl, *ACTING), drives=True,
@@ -123,7 +119,7 @@ COMMANDS = {
         "tables:ScenarioExportConfig", KEEPING, needs=("shapely",),
     ),
     "report": _command(
-        "suite.acceptance:main", "write a page about tests, with limits",
+        "suite.page:main", "write a page about tests, with limits",
         "tables:ReportConfig", needs=("matplotlib",),
     ),
     # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
@@ -180,8 +176,6 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     text = _head(settings)
     if command.drives:
         text = command_help(text)
-    if hasattr(settings, "view"):
-        words = Entry(f"{SETTINGS}driving:complete").load()(words)
     return read_flags(settings, words, description=text, prog=f"carpark_mj {name}")
 
 

@@ -19,11 +19,9 @@ ENTRY_POINTS: dict[str, tuple[str, str]] = {
         "carpark_mj.registration:refuse_single",
         f"{_PARK}:ParkManyVectorEnv",
     ),
-    "carpark_mj/FirstPark-v0": (
-        f"{_PARK}:FirstParkEnv",
-        f"{_PARK}:FirstParkVectorEnv",
-    ),
+    "carpark_mj/FirstPark-v0": (f"{_PARK}:ParkEnv", f"{_PARK}:ParkVectorEnv"),
 }
+OPTIONS = {"carpark_mj/FirstPark-v0": {"config": "first"}}  # of ids that have any
 
 
 def refuse_single(**_: Any) -> NoReturn:
@@ -55,7 +53,8 @@ def register_environments() -> None:
 
     for name, (single, vector) in ENTRY_POINTS.items():
         if name not in registry:
-            register(name, single, vector_entry_point=vector)
+            given = OPTIONS.get(name)
+            register(name, single, kwargs=given, vector_entry_point=vector)
 
 
 class _BesideGymnasium:

@@ -39,7 +39,6 @@ USES = {
     "export": "runs/cold",
     "analysis": "runs/cold",
     "sweep": "--base cpu --name {when}-sweep --set num_lots=8,16 num_steps=60000",
-    "oracle": "--layout street --num-agents 2 --lots 2",
     "suite": "anywhere --levels tpcap --cases 4",
     "identify": "log.csv --vehicle compact",
     "benchmark": "--what env --batches 64 --repeats 1",

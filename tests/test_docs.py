@@ -25,7 +25,6 @@ from helpers.rules import LIMITS
 
 import carpark_mj
 from carpark_mj.cli.flags import read_flags
-from carpark_mj.cli.settings.driving import complete
 from carpark_mj.config import (
     LAYOUTS,
     REWARD_TERMS,
@@ -193,8 +192,7 @@ def check_command(line):
         read_runs(read_hosts(arguments)[1], read_training)
     elif program in PROGRAMS:
         config = Entry(SETTINGS + PROGRAMS[program].settings).load()
-        words = complete(arguments) if program == "scene" else arguments
-        read_flags(config, words)
+        read_flags(config, arguments)
     else:
         read_flags(settings_of(program), arguments)
 

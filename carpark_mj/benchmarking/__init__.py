@@ -4,12 +4,12 @@ Every job is measured in a process of its own, by `work`.
 """
 
 import dataclasses
+import itertools
 import json
 import os
 import sys
-import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,21 +55,23 @@ class Measurement:
     rate: float  # units per second of the clock
     unit: str  # counted unit, per second of which clock
     compile_s: float  # tracing, lowering and compiling [s of the clock]
-    first_step_s: float  # from the start of the process to the first call [s]
     peak_memory_mb: float  # of the first GPU, or of the process on a CPU [1e6 bytes]
+
+    @property
+    def progress(self) -> str:
+        """What a round has found, in a line."""
+        return (
+            f"{self.what} {self.layout}, {self.lots:,} lots: {self.rate:,.0f} "
+            f"{self.unit}, compiled in {self.compile_s:.1f} s"
+        )
 
 
 # Other work on the machine can only slow a program down: the best round counts.
 BEST: dict[str, Callable[[Sequence[float]], float]] = {
     "rate": max,
     "compile_s": min,
-    "first_step_s": min,
     "peak_memory_mb": max,
 }
-
-
-# The measurements of every job, one of each round.
-Rounds = dict[Job, list[Measurement]]
 
 
 def jobs_of(config: BenchmarkConfig) -> list[Job]:
@@ -90,11 +92,12 @@ def main(config: BenchmarkConfig) -> int:
     """Measures and prints the table; returns 1 if a process failed."""
     try:
         if config.what == ("start",):
-            names, lots = config.environments, config.batches
-            found = start.measure_starts(names, lots, config.repeats, config.out)
+            cases = list(itertools.product(config.environments, config.batches))
+            found = measure(cases, start.run, config.repeats, config.out)
             table = tables.markdown(start.rows(found))
         else:
-            table = markdown(measure(jobs_of(config), config.repeats, config.out))
+            jobs = jobs_of(config)
+            table = markdown(measure(jobs, run_job, config.repeats, config.out))
     except WorkerError as error:
         print(f"benchmark: {error}", file=sys.stderr)
         return 1
@@ -102,31 +105,27 @@ def main(config: BenchmarkConfig) -> int:
     return 0
 
 
-def measure(jobs: Sequence[Job], repeats: int, out: str = "") -> Rounds:
-    """Measures all jobs in each of `repeats` rounds; prints progress on stderr.
+def measure(
+    cases: Sequence[Any], run: Callable[[Any], list[Any]], repeats: int, out: str = ""
+) -> dict[Any, list[Any]]:
+    """Runs all cases in each of `repeats` rounds; prints progress on stderr.
 
-    All measurements are written to the CSV file `out`, if given, after each. Raises
-    `WorkerError` if a process failed.
+    All results, dataclasses with a `progress`, are written to the CSV file `out`, if
+    given, after each. Raises `WorkerError` if a process failed.
     """
-    found: Rounds = {job: [] for job in jobs}
+    found: dict[Any, list[Any]] = {case: [] for case in cases}
+    rows: list[dict[str, Any]] = []
     if out:  # refuses an impossible path before anything is measured
         write_csv(Path(out), [])
     for number in range(1, repeats + 1):
-        for job in jobs:
-            result = run_job(job)
-            found[job].append(result)
+        for case in cases:
+            results = run(case)
+            found[case] += results
+            rows += [{"round": number, **dataclasses.asdict(x)} for x in results]
             if out:
-                rounds = [
-                    pair for each in found.values() for pair in enumerate(each, 1)
-                ]
-                rows = [{"round": n, **dataclasses.asdict(x)} for n, x in rounds]
                 write_csv(Path(out), rows)
-            print(
-                f"round {number} of {repeats}: {result.what} {result.layout}, "
-                f"{job.lots:,} lots: {result.rate:,.0f} {result.unit}, compiled in "
-                f"{result.compile_s:.1f} s",
-                file=sys.stderr,
-            )
+            for result in results:
+                print(f"round {number}: {result.progress}", file=sys.stderr)
     return found
 
 
@@ -135,16 +134,16 @@ WORKER = (
 )
 
 
-def run_job(job: Job) -> Measurement:
+def run_job(job: Job) -> list[Measurement]:
     """Measures a job in a fresh process, without kept compiled programs."""
-    request = {"job": dataclasses.asdict(job), "started": time.time()}
     environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "false"}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     about = f"{job.what} {job.variant} with {job.lots} lots"
-    return Measurement(**run_worker(WORKER, request, environment, about))
+    found = run_worker(WORKER, dataclasses.asdict(job), environment, about)
+    return [Measurement(**found)]
 
 
-def markdown(rounds: Rounds) -> str:
+def markdown(rounds: Mapping[Job, Sequence[Measurement]]) -> str:
     """The table of the best rounds, under a line that names device and versions."""
     about = next(iter(rounds.values()))[0]
     rows: list[dict[str, Any]] = []
@@ -154,7 +153,7 @@ def markdown(rounds: Rounds) -> str:
         rate, *others = best
         row = {"what": one.what, "layout": one.layout, "agents": one.agents}
         row |= {"lots": f"{one.lots:,}", "rate": f"{rate:,.0f}", "unit": one.unit}
-        names = "compile [s]", "first step [s]", "peak memory [MB]"
+        names = "compile [s]", "peak memory [MB]"
         row |= {n: f"{x:,.1f}" for n, x in zip(names, others, strict=True)}
         rows.append(row)
     about_machine = f"{about.device}, JAX {about.jax}, MuJoCo {about.mujoco}"
@@ -290,8 +289,8 @@ def scan(step: Callable[[Any, None], tuple[Any, Any]], steps: int) -> Any:
     return jax.jit(lambda carry: jax.lax.scan(step, carry, None, length=steps))
 
 
-def measure_job(job: Job, started: float) -> Measurement:
-    """Compiles and times a job; `started` is `time.time()` at this process's start."""
+def measure_job(job: Job) -> Measurement:
+    """Compiles and times a job."""
     if job.what != "physics" or job.variant == "brush":  # MJX refuses it
         enable_output_fusion()
     subject = SUBJECTS[job.what](job)
@@ -307,8 +306,6 @@ def measure_job(job: Job, started: float) -> Measurement:
         return carry, outputs
 
     jax.block_until_ready(call())
-    # The process's own clock begins with it.
-    first_step_s = time.time() - started if job.clock == "wall" else clock()
     return Measurement(
         device=device_name(),
         jax=jax.__version__,
@@ -320,7 +317,6 @@ def measure_job(job: Job, started: float) -> Measurement:
         rate=subject.count / best_time(call, job.timings, clock),
         unit=f"{subject.unit}/{'s' if job.clock == 'wall' else 'CPU s'}",
         compile_s=compile_s,
-        first_step_s=first_step_s,
         peak_memory_mb=peak_memory() / 1e6,
     )
 
@@ -345,9 +341,8 @@ def peak_memory() -> int:
 
 def work(argument: str) -> int:
     """Measures the job of a JSON object and prints another; returns the exit code."""
-    request = json.loads(argument)
     try:
-        measurement = measure_job(Job(**request["job"]), request["started"])
+        measurement = measure_job(Job(**json.loads(argument)))
     except ValueError as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2

@@ -3,18 +3,15 @@
 import dataclasses
 import json
 import os
-import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
 from carpark_mj.benchmarking.measuring import run_worker
 from carpark_mj.cli.process import OUTPUT_FUSION
 from carpark_mj.config import EnvConfig
-from carpark_mj.files import write_csv
 from carpark_mj.registry import environment
 
 WORKER = "import sys; from carpark_mj.benchmarking.start import work; work(sys.argv[1])"
@@ -42,40 +39,23 @@ class Start:
     reset_equations: int  # of the traced programs, loops counted once
     step_equations: int
 
-
-def measure_starts(
-    environments: Sequence[str], batches: Sequence[int], repeats: int, out: str = ""
-) -> list[Start]:
-    """Measures first and second processes; prints progress on stderr.
-
-    All are written to the CSV file `out`, if given, after each. Raises `ValueError` of
-    an unknown environment, `WorkerError` if a process failed.
-    """
-    found: list[Start] = []
-    for name in environments:
-        _config(name)
-    if out:  # refuses an impossible path before anything is measured
-        write_csv(Path(out), [])
-    for _ in range(repeats):
-        for name in environments:
-            for lots in batches:
-                with tempfile.TemporaryDirectory() as kept:
-                    for process in ("first", "second"):
-                        found.append(_run(name, lots, process, kept))
-                        about = f"{name}, {lots:,} lots, {process} process"
-                        print(f"{about}: {found[-1].total_s:.1f} s", file=sys.stderr)
-                if out:
-                    write_csv(Path(out), [dataclasses.asdict(x) for x in found])
-    return found
+    @property
+    def progress(self) -> str:
+        """What a round has found, in a line."""
+        about = f"{self.environment}, {self.lots:,} lots, {self.process} process"
+        return f"{about}: {self.total_s:.1f} s"
 
 
-def rows(found: Sequence[Start]) -> list[dict[str, Any]]:
+def run(case: tuple[str, int]) -> list[Start]:
+    """Measures a first and a second process of an environment and its lots."""
+    with tempfile.TemporaryDirectory() as kept:
+        return [_run(*case, process, kept) for process in ("first", "second")]
+
+
+def rows(found: Mapping[tuple[str, int], Sequence[Start]]) -> list[dict[str, Any]]:
     """The rows of the table: medians over the rounds."""
-    by_case: dict[tuple[str, int], list[Start]] = {}
-    for one in found:
-        by_case.setdefault((one.environment, one.lots), []).append(one)
     table: list[dict[str, Any]] = []
-    for (name, lots), cases in by_case.items():
+    for (name, lots), cases in found.items():
         row: dict[str, Any] = {"environment": name, "lots": f"{lots:,}"}
         row |= {
             f"{part} equations": f"{getattr(cases[0], f'{part}_equations'):,}"
@@ -94,6 +74,7 @@ def rows(found: Sequence[Start]) -> list[dict[str, Any]]:
 
 def _run(name: str, lots: int, process: str, kept: str) -> Start:
     """Measures one process that keeps its programs in a folder."""
+    _config(name)  # refused here
     request = {"name": name, "lots": lots, "started": time.time()}
     environment = {**os.environ, "XDG_CACHE_HOME": kept}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)

@@ -91,15 +91,15 @@ def with_settings(env: EnvConfig, settings: Sequence[str]) -> EnvConfig:
 
 def adapted(settings: LotSettings, env: EnvConfig, **changes: Any) -> EnvConfig:
     """The environment with those of a command's settings that it has, see `adapt`."""
-    own = {name: value for name, value in vars(settings).items() if name in vars(env)}
-    return adapt(env, **own, **changes)
+    given, known = vars(settings), (*vars(env), "rule", "nominal")
+    env = with_settings(env, given.get("set", ()))
+    own = {name: value for name, value in given.items() if name in known}
+    return adapt(env, **own | changes)
 
 
 def adapt(
     env: EnvConfig,
     rule: str | None = None,
-    hitbox_scale: float | None = None,
-    respawn: bool | None = None,
     nominal: bool = False,
     **changes: Any,
 ) -> EnvConfig:
@@ -111,10 +111,8 @@ def adapt(
     of parked cars replaces an occupancy. In another layout an occupancy keeps its
     range, with as many parked cars as that needs. A `vehicle` replaces a fleet.
     """
-    asked = {"parked_rule": rule, "hitbox_scale": hitbox_scale, "respawn": respawn}
-    episode: Any = {name: value for name, value in asked.items() if value is not None}
-    if episode:
-        changes["episode"] = dataclasses.replace(env.episode, **episode)
+    if rule is not None:
+        changes["episode"] = dataclasses.replace(env.episode, parked_rule=rule)
     if nominal:
         changes |= {"sensors": SensorConfig(), "randomization": RandomizationConfig()}
     given = {name: value for name, value in changes.items() if value is not None}

@@ -6,7 +6,7 @@ import urllib.parse
 from pathlib import Path
 
 from carpark_mj.cli.clock import COMPILING, doing
-from carpark_mj.cli.driver import adapted, find_driver, with_settings
+from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.settings.driving import EvaluateConfig
 from carpark_mj.config import MetricsConfig
 from carpark_mj.env import ParkingEnv
@@ -16,7 +16,7 @@ from carpark_mj.files import require_writable
 from carpark_mj.policy.acting import AnyPolicy
 
 # Settings that do not show in the name of an evaluation's folder.
-UNNAMED = ("run", "policy", "out")
+UNNAMED = ("run", "out")
 # Settings of another task or other episodes, whatever the environment.
 TASK = ("environment", "stochastic", "seed", "horizon", "num_lots", "episodes")
 MAX_NAME = 150  # characters of a folder's name; file systems allow 255
@@ -44,22 +44,9 @@ def main(config: EvaluateConfig) -> Evaluation:
 
 def prepare(config: EvaluateConfig) -> Task:
     """Finds policy and environment, and checks the folder."""
-    if config.run and config.policy:
-        raise ValueError("give RUN or --policy RUN, not both")
-    if not (config.run or config.policy):
-        raise ValueError(
-            "give a pretrained policy, a run folder, zero, random or planner"
-        )
-    name = config.run or config.policy
+    name = config.run
     driver = find_driver(name, config.environment, not config.stochastic)
-    changed = adapted(
-        config,
-        with_settings(driver.env, config.set),
-        rule=config.rule,
-        hitbox_scale=config.hitbox_scale,
-        nominal=config.nominal,
-        metrics=MetricsConfig.everything(),
-    )
+    changed = adapted(config, driver.env, metrics=MetricsConfig.everything())
     env = ParkingEnv(changed)
     policy = driver.policy(env)  # what is refused until here leaves no folder
     same = dataclasses.replace(changed, metrics=driver.env.metrics) == driver.env

@@ -3,71 +3,38 @@
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import get_args
 
 import jax
-import numpy as np
 
 from carpark_mj.cli.clock import wait_for_user
-from carpark_mj.cli.listing import listed
 from carpark_mj.cli.settings.lots import Crop, EditConfig, ImportConfig, LayoutsConfig
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import counted
 from carpark_mj.editor.document import EXTENT, Draft, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.evaluation.aggregation import wilson_interval
-from carpark_mj.extensions import table
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.layouts import (
-    AngledConfig,
-    DeadEndConfig,
     DesignCar,
-    GarageRowConfig,
-    LotConfig,
     layout_config,
 )
 from carpark_mj.layouts.car_park import crop
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.files import layout_text
 from carpark_mj.layouts.plot import plot_layouts
-from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.types import Layout
 from carpark_mj.maps.exporting import lanelet2_text, opendrive_text
 from carpark_mj.rendering.local_pages import HOST
 
 CHUNK = 250  # layouts drawn at once
-NUM_DRIVEN = 2  # cars to drive in a scene that is tried out
 OUT_OF_REACH = "with bays out of reach"
-
-# Settings with which lots of a family differ most from those with its defaults.
-VARIANTS: dict[str, LayoutConfig] = {
-    "angled, back-in": AngledConfig(back_in=True, angle=(45.0, 60.0)),
-    "lot, deck with pillars": LotConfig(
-        pillar_every=3, row_ends="bollards", num_aisles=(1, 3)
-    ),
-    "lot, angled": LotConfig(
-        angle=(50.0, 75.0), two_way=False, extra_aisle=(0.0, 0.6), boundary="kerb"
-    ),
-    **{
-        f"{family}, {orientation}, {level}": config(
-            level=level, orientation=orientation
-        )
-        for family, config in (
-            ("garage_row", GarageRowConfig),
-            ("dead_end", DeadEndConfig),
-        )
-        for orientation in get_args(Orientation)
-        for level in get_args(Level)
-        if (orientation, level) != ("perpendicular", "extreme")
-    },
-}
 
 
 def families() -> dict[str, LayoutConfig]:
-    """One layout of every family by its name, and the variants."""
+    """One layout of every family by its name."""
     # The first of a family, whose later ones do not replace it.
     known = {type(config): name for name, config in reversed([*LAYOUTS.items()])}
-    return {name: LAYOUTS[name] for name in sorted(known.values())} | VARIANTS
+    return {name: LAYOUTS[name] for name in sorted(known.values())}
 
 
 def draw(layout: LayoutConfig | str, num_keys: int, seed: int) -> Iterator[Layout]:
@@ -119,19 +86,6 @@ def out_of_reach(paths: int, seed: int, vehicle: str = "") -> Inspect:
     return inspect
 
 
-def run_scene(layout: Layout) -> list[str]:
-    """MuJoCo's warnings while the scene of one lot runs for a second.
-
-    Every bay holds a parked car; cars to drive stand in the first spawn regions.
-    """
-    from carpark_mj.scene.build import drivable_scene, try_out
-    from carpark_mj.vehicle import COMPACT
-
-    starts = np.asarray(layout.spawn_pose[layout.spawn_mask][:NUM_DRIVEN])
-    parked = np.asarray(layout.bay_pose[layout.bay_mask])
-    return try_out(drivable_scene(layout, COMPACT, starts, parked))
-
-
 def _save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
     """Writes a layout, or a part of it, by the suffix, and prints the file's name."""
     if part is not None:
@@ -143,10 +97,7 @@ def _save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
 
 
 def main(config: LayoutsConfig) -> int:
-    """Draws, saves, checks and runs; returns the exit code, 1 if there are problems."""
-    if not (config.layouts or config.plot or config.check or config.run):
-        print(table(listed("layouts"), indent=0))
-        return 0
+    """Draws, saves and checks; returns the exit code, 1 if there are problems."""
     shown = {name: layout_config(name) for name in config.layouts} or families()
     for file in filter(None, (config.save, config.plot)):
         require_writable(Path(file))  # refused before the work
@@ -170,8 +121,6 @@ def main(config: LayoutsConfig) -> int:
         if config.paths:
             inspect = out_of_reach(config.paths, config.seed, config.vehicle)
             inspections.append((inspect, config.check, OUT_OF_REACH))
-        if config.run:
-            inspections.append((run_scene, config.run, "warnings"))
         for inspect, number, what in inspections:
             found = [
                 f"key {key}: {problem}"
@@ -196,7 +145,7 @@ def edit(config: EditConfig) -> None:
         raise ValueError(f"{out} exists: edit it by `carpark_mj layouts edit {out}`")
     picture, extent = None, EXTENT
     if config.background:
-        picture = read_picture(Path(config.background), config.scale, config.width)
+        picture = read_picture(Path(config.background), config.width)
         extent = tuple(math.ceil(side) / 2 for side in picture.size)
     require_writable(out)
     draft = Draft(out, source, extent)

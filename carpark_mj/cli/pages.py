@@ -81,11 +81,11 @@ def play(config: PlayConfig) -> None:
 
 def serve(config: ServeConfig) -> None:
     """Serves lots to programs, see `carpark_mj.wrappers.json_lines`."""
-    from carpark_mj.cli.driver import adapted, find_driver, with_settings
+    from carpark_mj.cli.driver import adapted, find_driver
     from carpark_mj.env import ParkingEnv
     from carpark_mj.wrappers.json_lines import LineServer
 
-    env = adapted(config, with_settings(find_driver(config.run).env, config.set))
+    env = adapted(config, find_driver(config.run).env)
     episode = dataclasses.replace(env.episode, respawn=False)
     lots = ParkingEnv(dataclasses.replace(env, episode=episode))
     with LineServer(lots, config.port) as server:

@@ -49,11 +49,6 @@ def enter(program: str, entry: str, *arguments: Any) -> NoReturn:
 
     def command() -> object:
         check_gl()
-        count = os.environ.get("JAX_NUM_CPU_DEVICES", "1")
-        if not (count.isdecimal() and int(count)):
-            raise ValueError(
-                f"JAX_NUM_CPU_DEVICES must be a whole number above 0, not {count!r}"
-            )
         return Entry(entry).load()(*arguments)
 
     code: Any

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.cli.clock import COMPILING, doing
-from carpark_mj.cli.driver import adapt, adapted, find_driver, with_settings
+from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.settings.driving import RecordConfig
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_unset
@@ -186,8 +186,7 @@ def main(config: RecordConfig) -> Path:
         settings, episodes = driven(drives)
     else:
         driver = find_driver(config.run, config.environment)
-        changed = with_settings(driver.env, config.set)
-        settings = adapt(adapted(config, changed, rule=config.rule), num_agents=1)
+        settings = adapted(config, driver.env, num_agents=1)
         env = share(ParkingEnv, one_agent(settings))
         seeds = range(config.seed, config.seed + config.episodes)
         policy = driver.policy(env)

@@ -31,7 +31,7 @@ from carpark_mj.rendering.video import (
 def main(config: RenderConfig) -> Path:
     """Drives, draws and writes; returns the file."""
     driver = find_driver(config.run, config.environment)
-    env_config = adapted(config, driver.env, respawn=config.respawn == "true")
+    env_config = adapted(config, driver.env)
     rig = config.rig(env_config.num_agents)  # refuse before the work
     out = _open_output(config, driver.folder)
 

@@ -5,11 +5,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from carpark_mj.cli.listing import listed
 from carpark_mj.cli.settings.lots import IdentifyConfig, VehiclesConfig
 from carpark_mj.config.vehicles import is_name
 from carpark_mj.evaluation.tables import print_rows
-from carpark_mj.extensions import table
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.identification import fit as fitting
 from carpark_mj.identification.log import DriveLog, read_log
@@ -20,9 +18,6 @@ from carpark_mj.vehicle.sheet import Sheet, parameters_text, read_sheet
 
 def show(config: VehiclesConfig) -> None:
     """Prints and saves."""
-    if not config.vehicle:
-        print(table(listed("vehicles"), indent=0))
-        return
     if config.save:
         require_writable(Path(config.save))
     name, (params, estimated) = _sheet(config.vehicle)

@@ -36,8 +36,8 @@ class Picture(NamedTuple):
     size: tuple[float, float]  # width and height [m]
 
 
-def read_picture(path: Path, scale: float = 0.0, width: float = 0.0) -> Picture:
-    """Reads a picture of some metres per pixel, or, with scale 0, of a width [m]."""
+def read_picture(path: Path, width: float) -> Picture:
+    """Reads a picture of a width [m]."""
     from matplotlib.image import imread
 
     if path.suffix.lower() not in KINDS:
@@ -47,8 +47,7 @@ def read_picture(path: Path, scale: float = 0.0, width: float = 0.0) -> Picture:
         rows, columns = imread(path).shape[:2]
     except Exception as error:  # decoders raise many kinds
         raise ValueError(f"cannot read the picture {path}: {error}") from None
-    scale = scale or width / columns
-    return Picture(data, KINDS[path.suffix.lower()], (scale * columns, scale * rows))
+    return Picture(data, KINDS[path.suffix.lower()], (width, width / columns * rows))
 
 
 class Draft:

@@ -23,20 +23,20 @@ POOLS: dict[Pool, str] = {
 START_STEPS = 1
 
 
-def _rate(name: str, meaning: str, study: str = "") -> Metric:
-    return Metric(name, "", meaning, "rate", study)
+def _rate(name: str, meaning: str) -> Metric:
+    return Metric(name, "", meaning, "rate")
 
 
-def _per_step(name: str, unit: str, meaning: str, study: str = "") -> Metric:
-    return Metric(name, unit, meaning, "steps", study, (f"{name}_sum", "length"))
+def _per_step(name: str, unit: str, meaning: str) -> Metric:
+    return Metric(name, unit, meaning, "steps", (f"{name}_sum", "length"))
 
 
-def _share(name: str, of: str, study: str, ratio: tuple[str, str]) -> Metric:
-    return Metric(name, "", f"share of the steps {of}", "episodes", study, ratio)
+def _share(name: str, of: str, above: str, below: str) -> Metric:
+    return Metric(name, "", f"share of the steps {of}", "episodes", (above, below))
 
 
-def _goals(name: str, what: str, study: str = "") -> Metric:
-    return Metric(name, "", f"goals {what}", "mean", study)
+def _goals(name: str, what: str) -> Metric:
+    return Metric(name, "", f"goals {what}", "mean")
 
 
 def _clearance(kind: str, what: str) -> Metric:
@@ -59,21 +59,19 @@ _WHAT = {
     "_driver": "another driver, if any",
 }
 OUTCOME = (
-    _rate("parked", "parked under the rule in force", "p"),
-    _rate("crashed", "hit an obstacle", "c"),
-    _rate("timed_out", "neither within `max_steps`", "h"),
+    _rate("parked", "parked under the rule in force"),
+    _rate("crashed", "hit an obstacle"),
+    _rate("timed_out", "neither within `max_steps`"),
     _rate("diverged", "non-finite physics, or the car on its side"),
-    _rate("hit_agent", "crashed into an agent; both count", "Total Crashes Car"),
-    _rate("hit_parked_car", "crashed into a parked car", "Total Crashes StaticCar"),
-    _rate("hit_wall", "crashed into a wall or disc", "Total Crashes Wall"),
+    _rate("hit_agent", "crashed into an agent; both count"),
+    _rate("hit_parked_car", "crashed into a parked car"),
+    _rate("hit_wall", "crashed into a wall or disc"),
     _rate("hit_mover", "crashed into a mover, if any"),
     _rate("hit_person", "crashed into a person, if any"),
     _rate("hit_driver", "crashed into another driver, if any"),
-    _rate(
-        "crashed_at_start", "crashed in the first step", "Total Crashes StartEpisode"
-    ),
-    Metric("episode_return", "", "sum of rewards", "mean", "Final Mean Reward"),
-    Metric("length", "steps", "control steps", "mean", "Final Mean Episode Length"),
+    _rate("crashed_at_start", "crashed in the first step"),
+    Metric("episode_return", "", "sum of rewards", "mean"),
+    Metric("length", "steps", "control steps", "mean"),
     Metric("time_to_park", "s", "duration of a parked episode", "parked"),
     Metric("path", "m", "distance driven in either direction", "parked"),
     Metric("gear_changes", "", "changes of the direction of travel", "parked"),
@@ -84,30 +82,28 @@ OUTCOME = (
         "",
         "share of the distance driven against the lanes, if any",
         "steps",
-        "",
         ("wrong_way", "path"),
     ),
     Metric("final_distance", "m", "from centre to the goal's centre", "parked"),
     Metric("final_heading", "rad", "to the goal's axis, either way round", "parked"),
-    Metric("final_speed", "m/s", "absolute speed at the end", "parked", "ParkVelocity"),
+    Metric("final_speed", "m/s", "absolute speed at the end", "parked"),
 )
 DRIVING = (
-    _per_step("speed", "m/s", "mean absolute speed", "VelocityAvg"),
-    _per_step("yaw_rate", "rad/s", "mean absolute yaw rate", "DeltaThetaAvg"),
+    _per_step("speed", "m/s", "mean absolute speed"),
+    _per_step("yaw_rate", "rad/s", "mean absolute yaw rate"),
     _per_step("steering_rate", "rad/s", "mean absolute rate of the road-wheel angle"),
     Metric(
         "nearest_car",
         "m",
         "mean distance of centres to the nearest car, agent or parked",
         "steps",
-        "NearestCarDistAvg",
         ("nearest_car_sum", "nearest_car_steps"),
     ),
     _share(
         "towards_goal",
         "with a goal that led nearer to it",
-        "RatioMoveTowardsPerEps",
-        ("towards_goal_steps", "goal_steps"),
+        "towards_goal_steps",
+        "goal_steps",
     ),
 )
 SAFETY = (
@@ -119,52 +115,32 @@ SAFETY = (
     Metric("peak_jerk", "m/s³", "largest length of the jerk", "most"),
 )
 _GAVE_WAY = {
-    "local_same": (
-        "a tracked agent nearer to the goal has it too",
-        "GaveWayLocalSameGoal",
-    ),
-    "local_any": ("a tracked agent is nearer to the goal", "GaveWayLocalAnyGoal"),
-    "global_same": ("an agent nearer to the goal has it too", "GaveWayGlobalSameGoal"),
-    "global_any": ("an agent is nearer to the goal", "GaveWayGlobalAnyGoal"),
-    "untracked_same": (
-        "an untracked agent nearer to the goal has it too",
-        "GaveWayNonLocalSameGoal",
-    ),
-    "untracked_any": ("an untracked agent is nearer to the goal", ""),
-    "untracked_other": (
-        "an untracked agent nearer to the goal does not have it",
-        "GaveWayNonLocalAnyGoal",
-    ),
-    "only_untracked_same": (
-        "an untracked agent nearer to the goal has it too, and no tracked one does",
-        "",
-    ),
-    "only_untracked_any": (
-        "an untracked agent is nearer to the goal, and no tracked one is",
-        "",
-    ),
-    "global_same_not_local_any": (
-        "an agent nearer to the goal has it too, and no tracked agent is nearer",
-        "",
-    ),
+    "local_same": "a tracked agent nearer to the goal has it too",
+    "local_any": "a tracked agent is nearer to the goal",
+    "global_same": "an agent nearer to the goal has it too",
+    "global_any": "an agent is nearer to the goal",
+    "untracked_same": "an untracked agent nearer to the goal has it too",
+    "untracked_any": "an untracked agent is nearer to the goal",
+    "untracked_other": "an untracked agent nearer to the goal does not have it",
+    "only_untracked_same": "an untracked agent nearer to the goal has it too, and no "
+    "tracked one does",
+    "only_untracked_any": "an untracked agent is nearer to the goal, and no tracked "
+    "one is",
+    "global_same_not_local_any": "an agent nearer to the goal has it too, and no "
+    "tracked agent is nearer",
 }
 GOALS = (
-    _share(
-        "explore_share",
-        "without a goal",
-        "RatioExplorePerEps, 1 - RatioGoalPerEps",
-        ("explored_steps", "length"),
-    ),
+    _share("explore_share", "without a goal", "explored_steps", "length"),
     _share(
         "towards_bay",
         "without a goal that led nearer to any tracked bay",
-        "RatioMoveTowardsExploringPerEps",
-        ("towards_bay_steps", "explored_steps"),
+        "towards_bay_steps",
+        "explored_steps",
     ),
-    _goals("stop_explore", "taken", "NumStopExplorePerEps"),
-    _goals("change_goal", "changed for others", "NumChangeGoalPerEps"),
-    _goals("stop_goal", "given up to explore", "NumStopGoalPerEps"),
-    _goals("lost_untracked", "lost because others were nearer", "NumLostGoalPerEps"),
+    _goals("stop_explore", "taken"),
+    _goals("change_goal", "changed for others"),
+    _goals("stop_goal", "given up to explore"),
+    _goals("lost_untracked", "lost because others were nearer"),
     _goals("lost_taken", "lost because another agent parked there"),
     *(
         Metric(
@@ -172,10 +148,9 @@ GOALS = (
             "",
             f"of the steps in which {when}: share in which the goal was given up",
             "steps",
-            study,
             (f"gave_way_{name}", f"met_{name}"),
         )
-        for name, (when, study) in _GAVE_WAY.items()
+        for name, when in _GAVE_WAY.items()
     ),
 )
 _LIBRARY = OUTCOME + DRIVING + SAFETY + GOALS

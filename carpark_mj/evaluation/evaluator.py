@@ -10,7 +10,7 @@ import functools
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -59,6 +59,8 @@ def evaluate(
 ) -> Evaluation:
     """Runs at least `num_episodes` whole episodes and summarizes them.
 
+    Policies of one kind and shapes share the programs of an environment.
+
     Args:
         env: with respawning agents; `MetricsConfig` says what is measured.
         policy: acting function over observations (agents, size).
@@ -72,63 +74,40 @@ def evaluate(
     Raises:
         ValueError: no episodes, or an environment without respawn, or no time.
     """
-    return Evaluator(env).evaluate(policy, num_episodes, seed, num_lots, horizon)
+    if not env.config.episode.respawn:
+        raise ValueError("evaluation needs episode.respawn = True")
+    require_count("num_episodes", num_episodes, 1)
+    require_count("num_lots", num_lots, 1)
+    require_seed(seed)
+    if horizon is not None and not (is_finite(horizon) and horizon > 0):
+        raise ValueError(f"horizon must be positive, not {horizon!r}")
+    member, num_present, families = _make_lots(env, num_episodes, num_lots)
+    rows: list[Row] = []
+    reset_key, act_key = jax.random.split(evaluation_key(seed))
+    reset, chunk = _programs(env)
+    begun = reset(member, num_present, reset_key)
+    present = np.asarray(begun[0].takes_part).sum(axis=1)
+    quota, last = math.ceil(num_episodes / present.sum()), math.inf
+    if horizon is not None:
+        quota, last = sys.maxsize, horizon / env.config.sim.ctrl_dt
+    quotas = np.where(begun[0].takes_part, quota, 0)
+    kinds, ctrl_dt = env.fleet.agent_names, env.config.sim.ctrl_dt
+    chunk = functools.partial(chunk, as_argument(policy))
+    ended = ended_episodes(chunk, Carry(*begun), act_key, quotas, last)
+    for which, row in ended:
+        lot, kind = int(which["lot"]), int(row.pop("kind"))
+        which |= {"agents_present": float(present[lot])}
+        names = {"family": families[member[lot]], "vehicle": kinds[kind]}
+        rows.append(which | complete_row(row, ctrl_dt) | names)
+    rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
+    return _summarized(rows, families, kinds)
 
 
-class Evaluator:
-    """Evaluates several policies with programs that are compiled once.
-
-    They must be of the same kind and shapes, as those of runs side by side are.
-    """
-
-    def __init__(self, env: ParkingEnv) -> None:
-        """Takes the environment, see `evaluate`; ValueError unless agents respawn."""
-        if not env.config.episode.respawn:
-            raise ValueError("evaluation needs episode.respawn = True")
-        self.env = env
-        self._reset = jax.jit(lambda *arguments: _reset(env, *arguments))
-        self._chunk = jax.jit(lambda *arguments: _chunk(env, *arguments))
-
-    def evaluate(
-        self,
-        policy: AnyPolicy,
-        num_episodes: int,
-        seed: int,
-        num_lots: int = 128,
-        horizon: float | None = None,
-        values: Mapping[str, float] | None = None,
-    ) -> Evaluation:
-        """Runs whole episodes; see `evaluate`.
-
-        `values` are other values of settings, see `ParkingEnv.with_values`; the same
-        settings in every call.
-        """
-        require_count("num_episodes", num_episodes, 1)
-        require_count("num_lots", num_lots, 1)
-        require_seed(seed)
-        if horizon is not None and not (is_finite(horizon) and horizon > 0):
-            raise ValueError(f"horizon must be positive, not {horizon!r}")
-        env = self.env
-        traced = {path: jnp.float32(value) for path, value in (values or {}).items()}
-        lots, families = _make_lots(env, num_episodes, num_lots)
-        rows: list[Row] = []
-        reset_key, act_key = jax.random.split(evaluation_key(seed))
-        begun = self._reset(traced, lots, reset_key)
-        present = np.asarray(begun[0].takes_part).sum(axis=1)
-        quota, last = math.ceil(num_episodes / present.sum()), math.inf
-        if horizon is not None:
-            quota, last = sys.maxsize, horizon / env.config.sim.ctrl_dt
-        quotas = np.where(begun[0].takes_part, quota, 0)
-        kinds, ctrl_dt = env.fleet.agent_names, env.config.sim.ctrl_dt
-        chunk = functools.partial(self._chunk, traced, as_argument(policy))
-        ended = ended_episodes(chunk, Carry(*begun), act_key, quotas, last)
-        for which, row in ended:
-            lot, kind = int(which["lot"]), int(row.pop("kind"))
-            which |= {"agents_present": float(present[lot])}
-            names = {"family": families[lots.member[lot]], "vehicle": kinds[kind]}
-            rows.append(which | complete_row(row, ctrl_dt) | names)
-        rows.sort(key=lambda row: (row["lot"], row["agent"], row["episode"]))
-        return _summarized(rows, families, kinds)
+@functools.lru_cache(maxsize=8)
+def _programs(env: ParkingEnv) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """What starts lots and steps them, compiled once for policies of one kind."""
+    reset, chunk = (functools.partial(part, env) for part in (_reset, _chunk))
+    return jax.jit(reset), jax.jit(chunk)
 
 
 # Makes a control step for every key (steps,) of lots; returns the carry, and of each
@@ -191,17 +170,14 @@ def _summarized(
     )
 
 
-class Lots(NamedTuple):
-    """The lots of an evaluation; (num_lots,) int32 each."""
-
-    member: np.ndarray  # which member of a mixture a lot is of
-    num_present: np.ndarray  # how many agents it has, if it has bays for them
-
-
 def _make_lots(
     env: ParkingEnv, num_episodes: int, num_lots: int
-) -> tuple[Lots, list[str]]:
-    """Lots for at least so many episodes, see `evaluate`, and the mixture's members."""
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Lots for at least so many episodes, see `evaluate`.
+
+    Their members of a mixture and numbers of agents (num_lots,) int32, and the names of
+    the members.
+    """
     shares, counts = member_shares(env.layout_config), env.config.agent_counts
     mean_count = (counts.start + env.num_agents) / 2
     num_lots = min(num_lots, math.ceil(num_episodes / mean_count))
@@ -209,23 +185,19 @@ def _make_lots(
     rarest = min(shares.values()) / sum(shares.values())
     num_lots = max(num_lots, math.ceil(round(len(counts) / rarest, 6)))
     num_lots = -(-num_lots // len(counts)) * len(counts)
-    lots = Lots(
-        member=allot(list(shares.values()), num_lots),
-        # In turn, so that the lots of a family are spread over the numbers as well.
-        num_present=np.resize(np.array(counts, np.int32), num_lots),
-    )
-    return lots, list(shares)
+    # In turn, so that the lots of a family are spread over the numbers as well.
+    num_present = np.resize(np.array(counts, np.int32), num_lots)
+    return allot(list(shares.values()), num_lots), num_present, list(shares)
 
 
 def _reset(
-    env: ParkingEnv, values: Mapping[str, jax.Array], lots: Lots, key: jax.Array
+    env: ParkingEnv, member: jax.Array, num_present: jax.Array, key: jax.Array
 ) -> tuple[State, jax.Array]:
     """Held-out lots at their start; `key` is consumed."""
-    env = env.with_values(values)
     varies = len(env.config.agent_counts) > 1
-    keys = jax.random.split(key, len(lots.member))
+    keys = jax.random.split(key, len(member))
     reset = jax.vmap(lambda key, *lot: env.reset(key, "test", *lot))
-    return reset(keys, lots.member, lots.num_present if varies else None)
+    return reset(keys, member, num_present if varies else None)
 
 
 def allot(shares: list[float], num_lots: int) -> np.ndarray:
@@ -239,11 +211,7 @@ def allot(shares: list[float], num_lots: int) -> np.ndarray:
 
 
 def _chunk(
-    env: ParkingEnv,
-    values: Mapping[str, jax.Array],
-    policy: AnyPolicy,
-    carry: Carry,
-    keys: jax.Array,
+    env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array
 ) -> tuple[Carry, tuple[jax.Array, dict[str, jax.Array]]]:
     """See `Chunk`."""
 
@@ -252,4 +220,4 @@ def _chunk(
         kind = jnp.zeros(done.shape, jnp.int32) if kind is None else kind
         return done, {"kind": kind, **step.timestep.metrics}
 
-    return roll_out(env.with_values(values), acts(policy), carry, keys, report)
+    return roll_out(env, acts(policy), carry, keys, report)

@@ -28,9 +28,8 @@ def print_report(result: Evaluation, title: str) -> None:
 def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Path]:
     """Writes `evaluation.csv` (episodes) and `evaluation.json` (summaries).
 
-    Of a mixture also `families.csv`, a row per family and one for all of them, and in
-    the same way `agents_present.csv` of several numbers of agents, and `vehicles.csv`
-    of a fleet.
+    The latter has the summaries of families, numbers of agents and vehicles, too, where
+    there are several.
 
     Returns:
         The files.
@@ -47,15 +46,6 @@ def write_evaluation(folder: Path, result: Evaluation, settings: Any) -> list[Pa
     for name, groups in _groups(result).items():
         stem = {"family": "families", "vehicle": "vehicles"}.get(name, "agents_present")
         data[stem] = {key: groups[key] for key in groups if key != "all"}
-        rows: list[dict[str, Any]] = []
-        for group, summary in groups.items():
-            rows.append(
-                {name.replace(" ", "_"): group, "episodes": summary["episodes"]}
-            )
-            for outcome in ENDINGS:
-                rows[-1] |= {f"{outcome}_{x}": y for x, y in summary[outcome].items()}
-        written.append(folder / f"{stem}.csv")
-        write_csv(written[-1], rows)
     write_json(written[1], data)
     return written
 

@@ -107,15 +107,6 @@ def picture(path: Path) -> str:
     return f'<img alt="{name}" src="data:image/png;base64,{data}">'
 
 
-def video_figure(path: Path, page: Path, caption: str) -> str:
-    """A video that lies beside the page, or below it, as HTML with a caption."""
-    return (
-        f'<figure><video src="{link(path, page)}" controls muted '
-        'preload="metadata"></video>'
-        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
-    )
-
-
 def link(path: Path, page: Path) -> str:
     """A file as seen from the page; sweeps' folders have `%` in their names."""
     return html.escape(quote(os.path.relpath(path, page.parent), safe="/=,+"))

@@ -281,43 +281,27 @@ def place(name: str, log: DriveLog) -> str:
 
 def vehicle_text(name: str, sheet: Sheet, found: Identification, log: DriveLog) -> str:
     """All parameters of a car as YAML; the sheet has what is not identifiable."""
-    values = dataclasses.asdict(sheet.params)
-    values |= {f"tyre.{key}": value for key, value in values.pop("tyre").items()}
-    origins = dict.fromkeys(sheet.estimated, "estimated")
+    values: dict[str, Any] = {"name": name} | dataclasses.asdict(sheet.params)
     lines = [
-        "# Identified from the log of a test drive; intervals are at 95 %. What is not",
-        "# marked is the vehicle's that was given. Settings of the environment:",
+        "# Identified from the log of a test drive; intervals are at 95 %. The rest is",
+        "# the vehicle's that was given.",
     ]
     for key, estimate in found.estimates.items():
-        if place(key, log) != "vehicle file":
-            lines.append(f"# {key} {_interval(key, estimate)}: {place(key, log)}")
-            continue
-        full = f"tyre.{key}" if f"tyre.{key}" in values else key
+        shown = "is not identifiable from the log"
         if estimate.identifiable:
-            values[full] = estimate.value
-            origins[full] = f"identified, {_interval(key, estimate)}"
-        elif full in values:
-            origins[full] = "not identifiable from the log"
-    tyre = [key for key in values if key.startswith("tyre.")]
-    rest = [key for key in values if key not in tyre]
-    lines.append(_line("name", name, ""))
-    lines += [_line(key, values[key], origins.get(key, "")) for key in rest]
-    lines.append("tyre:")
-    for key in tyre:
-        part = key.removeprefix("tyre.")
-        lines.append("  " + _line(part, values[key], origins.get(key, "")))
-    return "\n".join(lines) + "\n"
+            shown = f"{estimate.value:.4g} ± {estimate.error:.2g}"
+            shown += f" {PARAMETERS[key].unit}".rstrip()
+            home = values["tyre"] if key in values["tyre"] else values
+            if key in home:
+                home[key] = estimate.value
+        lines.append(f"# {key} {shown}: {place(key, log)}")
+    if sheet.estimated:
+        lines.append(f"# estimated: {', '.join(sheet.estimated)}")
+    text = yaml.safe_dump(_rounded(values), allow_unicode=True, sort_keys=False)
+    return "\n".join([*lines, text])
 
 
-def _interval(name: str, estimate: Estimate) -> str:
-    """A number with its interval."""
-    if not estimate.identifiable:
-        return "is not identifiable from the log"
-    unit = PARAMETERS[name].unit
-    return f"{estimate.value:.4g} ± {estimate.error:.2g} {unit}".rstrip()
-
-
-def _line(key: str, value: Any, origin: str) -> str:
-    rounded = float(f"{value:.6g}") if isinstance(value, float) else value
-    text = yaml.safe_dump({key: rounded}, allow_unicode=True, width=1000).strip()
-    return f"{text}  # {origin}" if origin else text
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
+    return float(f"{value:.6g}") if isinstance(value, float) else value

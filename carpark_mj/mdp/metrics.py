@@ -52,7 +52,6 @@ class Metric(CheckedConfig):
         unit: unit of the column; empty for counts, flags and shares.
         meaning: its definition.
         pool: how episodes are aggregated, a key of `evaluation.catalogue.POOLS`.
-        study: its name in tables C.3 and C.4 of Tanner 2022.
         ratio: numerator and denominator columns; None if it is not a ratio.
         value: its number of a step, a function of an `EnvConfig` and a `Transition`
             that returns (num_agents,), in JAX; `transition.before.stats` has what is
@@ -68,7 +67,6 @@ class Metric(CheckedConfig):
     unit: str
     meaning: str
     pool: Pool
-    study: str = ""
     ratio: tuple[str, str] | None = None
     value: Callable[..., jax.Array] | None = None
     kind: ObstacleKind | None = None

@@ -136,19 +136,22 @@ def _require_fit(
 ) -> None:
     """Refuses an environment with other observations or actions."""
     is_set = config is not None and config.encoder == "set"
-    trained, here = before, now = make_fields(own), make_fields(env)
+    before, now = trained, _ = make_fields(own), make_fields(env)
     if is_set:
         # It has no weights of their own for the others of a kind.
-        before, now = (with_empty_sets(trained, fields) for fields in (trained, here))
         before, now = (
-            [x for x in fields if not x.index or x.group in ORDERED]
+            [
+                x
+                for x in with_empty_sets(trained, fields)
+                if not x.index or x.group in ORDERED
+            ]
             for fields in (before, now)
         )
     if before != now:
         number = "" if is_set else "; only a set encoder takes other numbers of cars"
         raise ValueError(
             f"{run} was trained on other observations than this environment's: "
-            f"{_difference(before, now, _counts(trained), _counts(here))}{number}"
+            f"{_difference(before, now)}{number}"
         )
     require_actions(run, own, env)
 
@@ -175,22 +178,13 @@ def _kinds(fields: Iterable[Field]) -> list[str]:
     return list(dict.fromkeys(field.group for field in fields))
 
 
-def _difference(
-    before: Sequence[Field],
-    now: Sequence[Field],
-    trained_counts: dict[str, int],
-    counts: dict[str, int],
-) -> str:
-    """What differs between the fields of a training and of an environment.
-
-    The fields may be those of some entities; the counts are of all, by kind.
-    """
+def _difference(before: Sequence[Field], now: Sequence[Field]) -> str:
+    """What differs between the fields of a training and of an environment."""
     shared = {*_kinds(before)} & {*_kinds(now)}
-    differ = dict(_counts(before).items() ^ _counts(now).items())
     trained, here = (
-        {kind: number for kind, number in numbers.items() if kind in differ}
+        _counts(fields)
         | {x.name: x.size for x in fields if not x.index and x.group in shared}
-        for fields, numbers in ((before, trained_counts), (now, counts))
+        for fields in (before, now)
     )
     found = [
         f"{name} {trained.get(name, 'none')}, here {here.get(name, 'none')}"

@@ -129,23 +129,6 @@ def drivable_scene(
     return spec
 
 
-def try_out(spec: mujoco.MjSpec, seconds: float = 1.0) -> list[str]:
-    """Compiles a drivable scene and drives it, every car on half throttle in a curve.
-
-    Returns MuJoCo's warnings by name (`BADQACC`...), a sentence each.
-    """
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    for k in range(model.nu):
-        is_brake = model.actuator(k).name.endswith("/brake")
-        data.ctrl[k] = 0.0 if is_brake else 0.5 * model.actuator_ctrlrange[k, 1]
-    for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    names = [name.removeprefix("mjWARN_") for name in mujoco.mjtWarning.__members__]
-    counts = zip(names, (warning.number for warning in data.warning), strict=False)
-    return [f"{name}, {number} times" for name, number in counts if number]
-
-
 def rest_attitude(
     params: VehicleParameters, suspension: bool = False
 ) -> tuple[float, float]:

@@ -41,7 +41,7 @@ from carpark_mj.movers.pedestrians import Pedestrians
 from carpark_mj.movers.scripted import ScriptedBox, ScriptedPerson
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.suite.levels import (
-    EXTRA_LEVELS,
+    LEVELS,
     CaseLevel,
     Cases,
     CaseStart,
@@ -197,4 +197,4 @@ def _begin(columns: Any, number: jax.Array, group: jax.Array) -> Any:
     return layout, CaseStart(key, options, movers)
 
 
-EXTRA_LEVELS.register(NAME, CaseLevel(range(CASES), SHA256, pick, busy_env))
+LEVELS.register(NAME, CaseLevel(range(CASES), SHA256, pick, busy_env))

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import carpark_mj.suite.hope  # noqa: F401  # pyright: ignore[reportUnusedImport]
 from carpark_mj.config import (
     EpisodeConfig,
     FleetConfig,

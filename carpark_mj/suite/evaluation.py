@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.benchmarking.measuring import best_time
@@ -36,6 +35,7 @@ from carpark_mj.policy.acting import (
     AnyPolicy,
     Carry,
     Step,
+    acts,
     as_argument,
     choose_actions,
     roll_out,
@@ -44,35 +44,22 @@ from carpark_mj.policy.named import RECORDED, find_named
 from carpark_mj.spawning.reset_options import check_starts
 from carpark_mj.suite.hope import HopeConfig
 from carpark_mj.suite.levels import (
-    EXTRA_LEVELS,
-    HOPE_LEVELS,
     Cases,
     CaseStart,
-    Progress,
-    drive_moving_car,
     find_level,
     pick_cases,
     require_filmed,
-    reset_with_moving_car,
 )
+from carpark_mj.suite.page import write_report
 from carpark_mj.suite.path_figure import Drawn
-from carpark_mj.suite.report import (
-    PLANNER,
-    made_with,
-    require_gl,
-    worst_first,
-    write_report,
-)
+from carpark_mj.suite.report import PLANNER, made_with, require_gl, worst_first
 from carpark_mj.suite.results import (
     CAR,
-    MOVING_CAR,
     VEHICLE,
     Drives,
     Key,
     Scene,
-    check_submission,
     key_of,
-    leaderboard,
     read_runs,
 )
 from carpark_mj.types import State
@@ -84,15 +71,10 @@ MOVING = ("person", "mover")  # what cars of a level with movers may hit
 PLAIN = "movers", "fleet", "jitter", "randomization", "sensors", "metrics"
 BLIND = (PLANNER, "zero", "random")  # policies that use no observation
 TIMED = 20  # calls of a policy whose shortest counts
-DRAWN = 4  # cases of a generated level in the picture of paths; all of published ones
+MOST_DRAWN, DRAWN = 200, 4  # cases of a level in the picture of paths; those of more
 
 
-def suite_env(
-    env: EnvConfig,
-    rule: str,
-    with_moving_car: bool = False,
-    vehicle: str = VEHICLE,
-) -> EnvConfig:
+def suite_env(env: EnvConfig, rule: str, vehicle: str = VEHICLE) -> EnvConfig:
     """The environment of a policy's training with the suite's lots, car and rules.
 
     `rule` says when the car counts as parked; `vehicle` is a preset or file.
@@ -102,22 +84,15 @@ def suite_env(
             "the suite's cases need a policy that steers a car, not one of "
             f"{env.physics_config.back_end} physics"
         )
-    agents: dict[str, Any] = {"num_agents": 1, "min_agents": None, "occupancy": None}
-    if with_moving_car:
-        if env.goals.dynamic:
-            raise ValueError(
-                "a moving car needs policies with fixed goals, goals.dynamic = False"
-            )
-        # An occupancy turns off the check that every agent has a bay in every lot: that
-        # of the moving car is added to the held-out lots.
-        agents = {"num_agents": 2, "min_agents": 1, "occupancy": (0.0, 0.0)}
     steps = round(SECONDS / env.sim.ctrl_dt)
     return dataclasses.replace(
         env,
         layout=HopeConfig("extreme", "parallel"),
         vehicle=vehicle,
+        num_agents=1,
+        min_agents=None,
         num_parked_cars=0,
-        **agents,
+        occupancy=None,
         **{name: getattr(EnvConfig(), name) for name in PLAIN},
         spawn=SpawnConfig(close_ratio=0.0),
         episode=EpisodeConfig(parked_rule=rule, max_steps=steps, respawn=False),
@@ -132,7 +107,7 @@ def policy_env(name: str, env: EnvConfig, config: SuiteConfig) -> EnvConfig:
     """
     if name in BLIND or name.startswith(RECORDED):
         env = dataclasses.replace(env, observation=ContinuousObservation(own_car=True))
-    return suite_env(env, config.rule, config.moving_car, config.vehicle)
+    return suite_env(env, config.rule, config.vehicle)
 
 
 class CaseEvaluator:
@@ -146,7 +121,7 @@ class CaseEvaluator:
         self.env, self._filmed = env, filmed
         self._reset = jax.jit(jax.vmap(functools.partial(_reset, env)))
         self._chunk = jax.jit(functools.partial(_chunk, env, filmed=filmed))
-        self._choose_action = jax.jit(_choose_action)
+        self._choose_actions = jax.jit(choose_actions)
 
     def drive(
         self, policy: AnyPolicy, cases: Cases, seed: int
@@ -156,7 +131,7 @@ class CaseEvaluator:
         A planner must have been reset. Returns a row for each case, see
         `evaluation.catalogue`, and the driven paths.
         """
-        count, moving = len(cases.number), self.env.num_agents > 1
+        count = len(cases.number)
         reset_key, act_key = jax.random.split(evaluation_key(seed))
         keys = jax.random.split(reset_key, count)
         state, observation = self._reset(cases.layouts, keys, cases.start)
@@ -166,8 +141,7 @@ class CaseEvaluator:
                 check_starts(self.env.config, cases.start.options, state)
             except ValueError as error:
                 raise ValueError(f"an impossible start, {error}") from None
-        begun = Progress(jnp.ones(count), jnp.zeros(count)) if moving else None
-        carry = Carry(state, observation, begun)
+        carry = Carry(state, observation)
         policy, chunks = as_argument(policy), list[Any]()
 
         def chunk(carry: Carry, keys: jax.Array) -> Any:
@@ -175,8 +149,7 @@ class CaseEvaluator:
             chunks.append(jax.device_get(recorded))
             return carry, (done, metrics)
 
-        quota = np.tile(np.arange(self.env.num_agents) == 0, (count, 1)).astype(int)
-        ended = ended_episodes(chunk, carry, act_key, quota)
+        ended = ended_episodes(chunk, carry, act_key, np.ones((count, 1), int))
         dt = self.env.config.sim.ctrl_dt
         values = {int(which["lot"]): complete_row(row, dt) for which, row in ended}
         pose_w, steering, speed, movers = jax.tree.map(
@@ -205,7 +178,7 @@ class CaseEvaluator:
         policy = as_argument(policy)
 
         def decide() -> jax.Array:
-            return self._choose_action(policy, state, observation, key)
+            return self._choose_actions(policy, state, observation, key)
 
         jax.block_until_ready(decide())
         return best_time(decide, TIMED)
@@ -215,8 +188,6 @@ def _reset(
     env: ParkingEnv, layout: Layout, key: jax.Array, start: CaseStart | None
 ) -> tuple[State, jax.Array]:
     if start is None:
-        if env.num_agents > 1:
-            return reset_with_moving_car(env, layout, key)
         return env.reset_to_layout(layout, key)
     state, _ = env.reset_to_layout(layout, start.key, None, start.options)
     if start.parked is not None:
@@ -248,14 +219,6 @@ def _chunk(
     env: ParkingEnv, policy: AnyPolicy, carry: Carry, keys: jax.Array, filmed: bool
 ) -> Any:
     """Makes a control step for every key; returns a report of each."""
-    drive_on = functools.partial(drive_moving_car, ctrl_dt=env.config.sim.ctrl_dt)
-
-    def act(state: State, observation: jax.Array, memory: Any, key: jax.Array) -> Any:
-        action = _choose_action(policy, state, observation, key)
-        if memory is not None:  # of the moving car
-            other, memory = jax.vmap(drive_on)(state, memory)
-            action = jnp.concatenate([action, other[:, None]], axis=1)
-        return action, memory
 
     def report(step: Step) -> Any:
         timestep, motion = step.timestep, step.timestep.motion
@@ -263,33 +226,16 @@ def _chunk(
         recorded = motion.trace_w, motion.steering, motion.speed, movers
         return timestep.events.done, timestep.metrics, recorded
 
-    return roll_out(env, act, carry, keys, report)
-
-
-def _choose_action(
-    policy: AnyPolicy, state: State, observation: jax.Array, key: jax.Array
-) -> jax.Array:
-    """Actions (..., 1, size) of the agents that park; a policy drives only these."""
-    own = jnp.arange(state.active.shape[-1]) == 0
-    state = dataclasses.replace(state, active=state.active & own)
-    action = choose_actions(policy, state, observation[..., :1, :], key)
-    return action[..., :1, :]
+    return roll_out(env, acts(policy), carry, keys, report)
 
 
 def require_cases(config: SuiteConfig) -> None:
     """Refuses rules, cars, levels and cases that there are not."""
     find_rules(config.rule)
     preset(config.vehicle)
-    if config.moving_car and config.vehicle != VEHICLE:
-        raise ValueError(f"a moving car needs the vehicle {VEHICLE}, as it is one")
     first = config.first_case
     counts = {level: len(find_level(level).numbers) for level in config.levels}
     for level, known in counts.items():
-        if config.moving_car and level not in HOPE_LEVELS:
-            raise ValueError(
-                f"moving_car needs an aisle: it drives in HOPE's levels only, not in "
-                f"level {level}"
-            )
         if not 0 <= first < known:
             raise ValueError(
                 f"first_case must be 0 to {known - 1}, not {first}: level "
@@ -304,14 +250,8 @@ def require_cases(config: SuiteConfig) -> None:
 
 
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
-    """Drives, writes the files and prints the table; returns the table's rows.
-
-    With `check` it prints the leaderboard's rows, and returns none.
-    """
+    """Drives, writes the files and prints the table; returns the table's rows."""
     require_cases(config)
-    if config.check:
-        print(leaderboard(check_submission(Path(config.check))))
-        return []
     folder = Path(config.out)
     if folder.resolve() in [Path(name).resolve() for name in config.combine]:
         raise ValueError(f"out must not be one of the combined folders, {config.out}")
@@ -352,7 +292,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
     first = config.first_case
     counts = [config.cases or len(find_level(x).numbers) - first for x in config.levels]
     cases = [
-        pick_cases(level, count, first, config.moving_car)
+        pick_cases(level, count, first)
         for level, count in zip(config.levels, counts, strict=True)
     ]
     episodes: list[Row] = []
@@ -375,7 +315,6 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
             vehicle = level.vehicle or config.vehicle
             which = {"policy": name, "seed": seed, "rule": level.rule or config.rule}
             which |= {"held_out": level.fingerprint}
-            which |= {MOVING_CAR: 1} if config.moving_car else {}
             which |= {CAR: vehicle} if vehicle != VEHICLE else {}
             own = {"ms / decision": 1e3 * seconds, "made_with": made_with()}
             rows = [which | row | own for row in rows]
@@ -401,8 +340,8 @@ def _drawn(planner: Planner, cases: Cases) -> Drawn:
     found: Drawn = []
     if cases.start is not None and cases.start.options.goal is None:
         return found  # of goals drawn at random
-    generated = cases.level in (*HOPE_LEVELS, *EXTRA_LEVELS)
-    count, name = DRAWN if generated else None, cases.level.partition(":")[0]
+    many = len(find_level(cases.level).numbers) > MOST_DRAWN
+    count, name = DRAWN if many else None, cases.level.partition(":")[0]
     for lot, number in enumerate(cases.number[:count].tolist()):
         path = planner.searches(lot, 0)[0].path
         result = "no path"

@@ -32,7 +32,7 @@ from carpark_mj.layouts.stored import ScaledConfig
 from carpark_mj.layouts.types import Layout, enlarge
 from carpark_mj.registry import ANYWHERE
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.suite.levels import EXTRA_LEVELS, CaseLevel, Cases, CaseStart
+from carpark_mj.suite.levels import LEVELS, CaseLevel, Cases, CaseStart
 from carpark_mj.suite.metadrive import MetaDriveConfig
 from carpark_mj.suite.tpcap import stack_layouts
 from carpark_mj.vehicle import VehicleParameters
@@ -95,7 +95,7 @@ def _in_turn(name: str, members: Callable[[], Sequence[LayoutConfig]]) -> CaseLe
 
 for _name in PARKED:
     _parts = functools.cache(functools.partial(random_parts, _name, PART, PARTS))
-    EXTRA_LEVELS.register(_name, _in_turn(_name, _parts))
+    LEVELS.register(_name, _in_turn(_name, _parts))
 
 
 def _metadrive(number: np.ndarray) -> Layout:
@@ -108,7 +108,7 @@ def _metadrive_env(env: EnvConfig) -> EnvConfig:
     return dataclasses.replace(env, layout=MetaDriveConfig(), goals=goals)
 
 
-EXTRA_LEVELS.register("metadrive", lots_level("metadrive", _metadrive, _metadrive_env))
+LEVELS.register("metadrive", lots_level("metadrive", _metadrive, _metadrive_env))
 
 
 _COLUMNS = ("length", "width", "height", "wheelbase", "turning_circle", "kerb_weight")
@@ -174,4 +174,4 @@ def _sheets_env(env: EnvConfig) -> EnvConfig:
     )
 
 
-EXTRA_LEVELS.register(SHEETS, lots_level(SHEETS, _sheet_lots, _sheets_env, NAMES))
+LEVELS.register(SHEETS, lots_level(SHEETS, _sheet_lots, _sheets_env, NAMES))

@@ -36,7 +36,7 @@ from carpark_mj.layouts.types import BayEnd, Layout
 from carpark_mj.maps import RECORDED_CASES
 from carpark_mj.reading import naming_file, parse_object, read_bytes, read_text
 from carpark_mj.suite import hope
-from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases
+from carpark_mj.suite.levels import LEVELS, CaseLevel, Cases
 from carpark_mj.suite.tpcap import EDGE, Boxes, boxes_along, case_layout, stack_layouts
 
 NAME, HELD_OUT = "parkbench", "held_out"
@@ -129,5 +129,5 @@ def parkbench_env(env: EnvConfig) -> EnvConfig:
     return dataclasses.replace(env, layout=lots)
 
 
-FILE_LEVELS[NAME] = parkbench_level
+LEVELS.register(NAME, parkbench_level)
 RECORDED_CASES.register("Frames", (parkbench_layout, PARKBENCH_CAR))

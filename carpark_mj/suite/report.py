@@ -1,4 +1,4 @@
-"""Results of the suite as a table on the terminal, a page and short videos."""
+"""Results of the suite as tables and short videos."""
 
 import contextlib
 import importlib.metadata
@@ -11,16 +11,10 @@ from urllib.parse import quote
 import jax
 import numpy as np
 
-from carpark_mj.cli.settings.tables import WORST
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
 from carpark_mj.evaluation.tables import (
     markdown,
-    picture,
-    print_rows,
-    table,
-    video_figure,
-    write_page,
 )
 from carpark_mj.files import write_csv, write_text
 from carpark_mj.geometry.obstacles import take
@@ -30,19 +24,14 @@ from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_indices, write_video
 from carpark_mj.suite.levels import find_level, in_order, pick_cases
-from carpark_mj.suite.path_figure import Drawn, plot_paths
 from carpark_mj.suite.results import (
     VEHICLE,
     Drives,
     Key,
-    by_policy,
-    has_moving_car,
     key_of,
     vehicle_of,
-    write_run,
-    write_submission,
 )
-from carpark_mj.types import ENDINGS, NO_BAY, OUTCOMES
+from carpark_mj.types import NO_BAY, OUTCOMES
 from carpark_mj.vehicle import preset
 from carpark_mj.vehicle.parameters import scaled
 
@@ -50,12 +39,12 @@ PLANNER = "planner"
 # Columns on the screen; files have all.
 PRINTED = (
     *("policy", "level", "kind", "cases", "parked [%]", "crashed [%]"),
-    *("hit moving car [%]", "hit person [%]", "hit mover [%]", "fastest contact [m/s]"),
+    *("hit person [%]", "hit mover [%]", "fastest contact [m/s]"),
     *("near miss [%]", "least gap [m]", "timed out [%]", "gear changes", "path [m]"),
     "time [s]",
 )
 RATES = (
-    *("crashed", "hit moving car", "hit person", "hit mover", "near miss"),
+    *("crashed", "hit person", "hit mover", "near miss"),
     *("timed out", "path found"),
 )
 DIGITS = {"decisions/s": 0}  # after the point, where not two
@@ -65,52 +54,12 @@ FASTER = 4  # times: 100 s last 25 s
 FPS = 10.0
 HOLD = 10  # frames that the last one stays
 FOLDER = "videos"
-_WORST = (  # columns of the page's tables of the worst cases
-    *("case", "seed", "kind", "outcome", "length", "path", "gear_changes"),
-    "final_distance",
-)
 AMONG = {  # columns of such levels, and what they are means of
     "hit person": "hit_person",
     "hit mover": "hit_mover",
     "near miss": "near_miss",
     "least gap [m]": "least_gap",
 }
-
-
-def write_report(
-    folder: Path,
-    episodes: Sequence[Row],
-    drives: Mapping[Key, Drives],
-    drawn: Drawn,
-    num_videos: int,
-) -> list[dict[str, Any]]:
-    """Writes all files of the suite and prints the table; returns the table's rows.
-
-    `drives` are those of the worst episodes, `drawn` the cases of the picture of paths;
-    `num_videos` are made of each policy and level.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures: list[Path] = []
-    if drawn:
-        pictures.append(folder / "paths.png")
-        plot_paths(pictures[0], drawn, preset(vehicle_of(episodes[0])))
-    # The planner first: others are compared with its paths.
-    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
-    rows = same_columns([r for name in names for r in table_rows(name, episodes)])
-    head = header(episodes)
-    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
-    written += write_results(folder, head, rows, episodes, pictures, {})
-    shown = [shown_cells(row) | {"level": short_level(row["level"])} for row in rows]
-    cells = [{k: x for k, x in row.items() if k in PRINTED} for row in shown]
-    print_rows(cells, head[0], left=2)
-    if len({row["level"] for row in rows}) > 1:
-        print_rows(by_level(rows), "Parked [%] with Wilson's 95 % interval", left=1)
-    parts = by_policy(episodes).values()
-    worst = [row for part in parts for row in worst_first(part)[:num_videos]]
-    if videos := make_videos(folder, worst, drives):  # once more, with them
-        write_results(folder, head, rows, episodes, pictures, videos)
-    print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
-    return rows
 
 
 def require_gl() -> None:
@@ -136,19 +85,16 @@ def make_videos(
 
 def recording_of(row: Row, drive: Drives) -> Recording:
     """An episode as the renderer takes it."""
-    steps, agents = round(row["length"]), drive.speed.shape[-1]
-    first = np.broadcast_to(np.arange(agents) == 0, (steps, agents))  # the one judged
+    steps, goal = round(row["length"]), 0
     place = find_level(row["level"]).numbers.index(row["case"])
-    cases = pick_cases(row["level"], 1, place, agents > 1)
+    cases = pick_cases(row["level"], 1, place)
     pose_w = drive.pose_w[0, :steps].swapaxes(1, 2)
-    ends = {
-        name: first & (np.arange(steps) == steps - 1)[:, None] & bool(row[name])
-        for name in OUTCOMES
-    }
-    goal, parked, movers = np.arange(agents), np.zeros((0, 3), np.float32), ()
+    last = np.arange(steps)[:, None] == steps - 1
+    ends = {name: last & bool(row[name]) for name in OUTCOMES}
+    parked, movers = np.zeros((0, 3), np.float32), ()
     if drive.scene is not None:
         cars = drive.scene.parked_cars
-        goal[:1] = drive.scene.goal
+        goal = drive.scene.goal[0]
         parked = cars.pose_w[0][cars.bay[0] != NO_BAY]
         movers = jax.tree.map(lambda x: x[0, :steps], drive.scene.movers)
     return Recording(
@@ -157,10 +103,10 @@ def recording_of(row: Row, drive: Drives) -> Recording:
         pose_w=pose_w,
         steering=drive.steering[0, :steps],
         speed=drive.speed[0, :steps],
-        goal=np.broadcast_to(goal, (steps, agents)),
+        goal=np.full((steps, 1), goal),
         parked_pose=np.broadcast_to(parked, (*pose_w.shape[:2], *parked.shape)),
-        active=np.ones((steps, agents), bool),
-        step=np.broadcast_to(np.arange(1, steps + 1)[:, None], (steps, agents)),
+        active=np.ones((steps, 1), bool),
+        step=np.arange(1, steps + 1)[:, None],
         movers=movers,
         **ends,
     )
@@ -172,10 +118,8 @@ def _write(path: Path, recording: Recording, drive: Drives, vehicle: str) -> Non
         own = drive.scene.parked_cars
         lengths = own.size[0][own.bay[0] != NO_BAY][:, 0]
         cars = [scaled(car, float(length) / car.length) for length in lengths]
-    agents, parked = recording.speed.shape[1], recording.parked_pose.shape[2]
-    stage = Stage(
-        recording.layout, car, agents, parked, (), cars, take(recording.movers, 0)
-    )
+    parked = recording.parked_pose.shape[2]
+    stage = Stage(recording.layout, car, 1, parked, (), cars, take(recording.movers, 0))
     with contextlib.closing(LotRenderer(stage, "topdown", SIZE)) as renderer:
         indices, rate = frame_indices(recording, FPS, FASTER, HOLD)
         pictures = (draw_frame(recording, renderer, index) for index in indices)
@@ -205,12 +149,12 @@ def header(episodes: Sequence[Row]) -> list[str]:
         parts.setdefault(source, []).append(counts)
     cases = "; ".join(f"{x}: {', '.join(found)}" for x, found in parts.items())
     rules, made = ({row[n] for row in episodes} for n in ("rule", "made_with"))
-    moving, car = has_moving_car(episodes), vehicle_of(episodes[0])
+    car = vehicle_of(episodes[0])
     levels = {row["level"] for row in episodes}
     one = len(levels) == 1 and find_level(*levels).rule  # brings its own
     title = find_level(*levels).source if one else "Hard cases"
     return [
-        f"{title}, {', '.join(rules)} rule{', one moving car' if moving else ''}"
+        f"{title}, {', '.join(rules)} rule"
         f"{f', vehicle {car}' if car != VEHICLE else ''}",
         f"{cases}; seed{'s' * (len(seeds) > 1)} "
         f"{', '.join(map(str, seeds))}; on {'; '.join(sorted(made))}.",
@@ -283,42 +227,30 @@ def _number(value: Any, digits: int) -> str:
     return "–" if shown == "nan" else shown
 
 
-def write_results(
-    folder: Path,
-    head: Sequence[str],
-    rows: Sequence[Mapping[str, Any]],
-    episodes: Sequence[Row],
-    pictures: Sequence[Path],
-    videos: Mapping[Key, Path],
+def write_tables(
+    folder: Path, head: Sequence[str], rows: Sequence[Mapping[str, Any]]
 ) -> list[Path]:
-    """Writes `suite.md`, `suite.csv` and `suite.html`; returns them.
+    """Writes the table as `suite.md` and `suite.csv`; returns them.
 
-    `head` is that of `header`, `rows` are the table; the page has the `pictures` (PNG)
-    and links to the `videos`, which lie in the folder or below it.
+    `head` is that of `header`.
     """
-    cells = [shown_cells(row) for row in rows]
-    tables = {"Results": cells}
-    if len({row["level"] for row in rows}) > 1:
-        tables = {"Parked [%] by level": by_level(rows), **tables}
-    shown = [part for cells in tables.values() for part in ("", markdown(cells))]
-    files = [folder / name for name in ("suite.md", "suite.csv", "suite.html")]
+    shown = [
+        part for cells in tables_of(rows).values() for part in ("", markdown(cells))
+    ]
+    files = [folder / name for name in ("suite.md", "suite.csv")]
     write_text(files[0], "\n".join([f"# {head[0]}", "", *head[1:], *shown]) + "\n")
     seeds = (" ".join(map(str, row["by seed"])) for row in rows)
     columns = zip(rows, seeds, strict=True)
     write_csv(files[1], [{**row, "by seed": rates} for row, rates in columns])
-    parts = [(title, table(cells)) for title, cells in tables.items()]
-    parts += [(path.stem.capitalize(), picture(path)) for path in pictures]
-    for which, part in by_policy(episodes).items():
-        described, shown = [], ""
-        for row in worst_first(part)[:WORST]:
-            outcome = next(name for name in ENDINGS if row[name]).replace("_", " ")
-            described.append({n: outcome if n == "outcome" else row[n] for n in _WORST})
-            if video := videos.get(key_of(row)):
-                caption = f"case {row['case']}, seed {row['seed']}: {outcome}"
-                shown += video_figure(video, files[2], caption)
-        parts.append((f"Worst cases of {', '.join(which)}", table(described) + shown))
-    write_page(files[2], head[0], head[1:], parts)
     return files
+
+
+def tables_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[dict[str, str]]]:
+    """The cells of the table, and before it those by level if there are several."""
+    tables = {"Results": list(map(shown_cells, rows))}
+    if len({row["level"] for row in rows}) > 1:
+        tables = {"Parked [%] by level": by_level(rows)} | tables
+    return tables
 
 
 def worst_first(rows: Sequence[Row]) -> list[Row]:
@@ -361,8 +293,6 @@ def _sum(rows: list[Row], plans: dict[tuple[int, str, int], float]) -> dict[str,
     decision = _mean(rows, "ms / decision")
     among = [row for row in rows if "least_gap" in row]
     hits = {name: _mean(among, key) for name, key in AMONG.items()} if among else {}
-    if has_moving_car(rows):
-        hits = {"hit moving car": summary["hit_agent"]["rate"], **hits}
     if among:
         speeds = [row["contact_speed"] for row in among if row["contact_speed"] > 0]
         hits["fastest contact [m/s]"] = max(speeds, default=math.nan)

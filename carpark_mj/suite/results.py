@@ -3,12 +3,11 @@
 `cases.csv` has a row for each episode, with its rule and the versions of packages;
 `worst.npz` has the driven paths of the worst ones.
 
-`suite.json` has a result for each policy and level. Its `outcomes` have a string for
-each seed with a letter for each case, in order: p parked, c crashed, t timed out, d
-diverged. Rates follow from them. Results known from a table alone have `rates` instead.
+`suite.json`, an entry of the leaderboard, has a result for each policy and level. Its
+`outcomes` have a string for each seed with a letter for each case, in order: p parked,
+c crashed, t timed out, d diverged. Rates follow from them.
 """
 
-import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -17,11 +16,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from carpark_mj.config import find_rules
-from carpark_mj.config.checks import CheckedConfig, NonNegative, is_finite
-from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
+from carpark_mj.evaluation.aggregation import Row, summarize
 from carpark_mj.evaluation.catalogue import metrics
-from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import write_atomically, write_csv, write_json
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.reading import (
@@ -30,13 +26,10 @@ from carpark_mj.reading import (
     ArrayForm,
     CsvRow,
     read_csv,
-    read_object,
-    require_entries,
 )
-from carpark_mj.suite.levels import find_level, in_order
+from carpark_mj.suite.levels import find_level
 from carpark_mj.types import ENDINGS, ParkedCars
 
-MOVING_CAR = "moving_car"  # column of episodes in which one drives through the aisle
 CAR, VEHICLE = "vehicle", "tpcap"  # column of episodes with another car than this
 
 
@@ -98,11 +91,6 @@ def key_of(row: Row) -> Key:
     return Key(*(row[name] for name in Key._fields))
 
 
-def has_moving_car(rows: Sequence[Row]) -> bool:
-    """Whether a car moved through the aisle in these episodes, as in all or in none."""
-    return any(row.get(MOVING_CAR) for row in rows)
-
-
 def vehicle_of(row: Row) -> str:
     """The car that parks in a row's episode."""
     return row.get(CAR, VEHICLE)
@@ -157,7 +145,6 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Row], dict[Key, Drives]]:
                 )
             drives[key] = drive
     rows = sorted(episodes.values(), key=lambda row: (row["seed"], row["case"]))
-    _require_one("with and without a moving car", (r.get(MOVING_CAR, 0) for r in rows))
     _require_one("under different rules", (row["rule"] for row in rows))
     _require_one("of different cars", map(vehicle_of, rows))
     for (policy, _), own in by_policy(rows).items():
@@ -189,7 +176,7 @@ def _parse(row: CsvRow) -> Row:
     for name, text in row.cells.items():
         if name in (*_TEXT, CAR):
             parsed[name] = text
-        elif name in (*_WHOLE, MOVING_CAR):
+        elif name in _WHOLE:
             parsed[name] = row.whole(name)
         elif text or name in _NEEDED:  # other levels may have more
             parsed[name] = row.number(name)
@@ -238,86 +225,16 @@ _FORMS = {
 }
 FORMAT = "carpark_mj suite 1"
 SUITE_FILE = "suite.json"
-RATES = ("parked", "crashed", "timed_out")
 MEANS = ("gear_changes", "path", "time_to_park")  # over parked episodes
-MEAN_TITLES = ("gear changes", "path [m]", "time [s]")
 _LETTERS = {name[0]: name for name in ENDINGS}
 _NAMES = ("policy", "level", "held_out", "made_with")
-
-
-@dataclasses.dataclass(frozen=True)
-class Result(CheckedConfig):
-    """A policy in the cases of a level, an object of `results` in `suite.json`."""
-
-    policy: str  # its name
-    level: str  # name of the level
-    held_out: str  # fingerprint of these
-    made_with: str  # processor and versions of packages
-    rule: str  # when the car counts as parked
-    moving_car: bool  # whether another car drives through the aisle
-    seeds: tuple[int, ...]  # that drove the cases
-    # mean over parked episodes; None = none parked, as for the next
-    gear_changes: NonNegative | None = None
-    path: NonNegative | None = None  # mean [m]
-    time_to_park: NonNegative | None = None  # mean [s]
-    outcomes: tuple[str, ...] | None = None  # of each seed, a letter for each case
-    # shares of episodes by `RATES`, if there are no outcomes
-    rates: dict[str, float] | None = None
-    vehicle: str = VEHICLE  # the car
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        level, seeds = find_level(self.level), self.seeds
-        if self.held_out != level.fingerprint:
-            raise ValueError(
-                f"held_out must be {level.fingerprint!r}, not {self.held_out!r}"
-            )
-        if not seeds or len({*seeds}) < len(seeds):
-            raise ValueError(f"seeds must be different whole numbers, not {seeds}")
-        if (self.outcomes is None) == (self.rates is None):
-            raise ValueError("outcomes or rates must be given, not both")
-        if self.rates is not None:
-            _require_shares(self.rates)
-            return
-        outcomes, known = self.outcomes or (), len(level.numbers)
-        lengths, letters = {*map(len, outcomes)}, {*"".join(outcomes)}
-        alike = len(outcomes) == len(seeds) and len(lengths) == 1
-        if not (alike and lengths <= {*range(1, known + 1)} and letters <= {*_LETTERS}):
-            raise ValueError(
-                f"outcomes must be a string of 1 to {known} letters "
-                f"{', '.join(_LETTERS)} for each seed, all of the same length"
-            )
-
-    @property
-    def shares(self) -> dict[str, float]:
-        """Shares of episodes by `RATES`, counted from the outcomes if there are any."""
-        letters = "".join(self.outcomes or ())
-        if self.rates is not None:
-            return self.rates
-        return {name: letters.count(name[0]) / len(letters) for name in RATES}
-
-    @property
-    def cases(self) -> int:
-        """How many cases were driven; further seeds do not add cases."""
-        known = len(find_level(self.level).numbers)
-        return known if self.outcomes is None else len(self.outcomes[0])
-
-
-def _require_shares(rates: dict[str, float]) -> None:
-    named = sorted(rates) == sorted(RATES)
-    shares = named and all(is_finite(x) and x >= 0.0 for x in rates.values())
-    # Each is rounded to three digits.
-    if not shares or not math.isclose(math.fsum(rates.values()), 1.0, abs_tol=0.0015):
-        raise ValueError(
-            f"rates must be shares of {', '.join(RATES)} that add up to 1, not {rates}"
-        )
 
 
 def write_submission(folder: Path, episodes: Sequence[Row]) -> Path:
     """Writes episodes of the suite, under one rule, as `suite.json`; returns it."""
     found, path = by_policy(episodes), folder / SUITE_FILE
     results = [_entry(found[key]) for key in sorted(found)]
-    rules = {"rule": episodes[0]["rule"], "moving_car": has_moving_car(episodes)}
+    rules = {"rule": episodes[0]["rule"]}
     if (vehicle := vehicle_of(episodes[0])) != VEHICLE:
         rules[CAR] = vehicle
     write_json(path, {"format": FORMAT, **rules, "results": results})
@@ -336,72 +253,3 @@ def _entry(rows: list[Row]) -> dict[str, Any]:
         "outcomes": [*outcomes.values()],
         **{name: None if math.isnan(means[name]) else means[name] for name in MEANS},
     }
-
-
-def read_submission(path: Path) -> list[Result]:
-    """Reads a file of results; ValueError if its entries contradict each other."""
-    found = read_object(path, format=str, rule=str, moving_car=bool, results=list)
-    if found["format"] != FORMAT:
-        raise ValueError(f"{path}: format must be {FORMAT!r}, not {found['format']!r}")
-    if not found["results"]:
-        raise ValueError(f"{path} has no result")
-    find_rules(found["rule"])
-    which = {name: found[name] for name in ("rule", "moving_car", CAR) if name in found}
-    return [
-        _result(f"{path}, result {number}", entry, which)
-        for number, entry in enumerate(found["results"], 1)
-    ]
-
-
-def _result(place: str, entry: Any, which: dict[str, Any]) -> Result:
-    if not isinstance(entry, dict):
-        raise ValueError(f"{place} is not a JSON object")
-    require_entries(entry, place, **dict.fromkeys(_NAMES, str), seeds=list)
-    given: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in (which | entry).items()
-        if name in Result.__dataclass_fields__
-    }
-    try:
-        return Result(**given)
-    except ValueError as error:
-        raise ValueError(f"{place}: {error}") from None
-
-
-def check_submission(path: Path) -> list[Result]:
-    """Reads an entry of the leaderboard; ValueError unless it has every outcome."""
-    results = read_submission(path)
-    for result in results:
-        known = len(find_level(result.level).numbers)
-        driven = 0 if result.outcomes is None else result.cases
-        if driven < known:
-            raise ValueError(
-                f"{path}: {result.policy} has outcomes of {driven} of the {known} "
-                f"cases of level {result.level}"
-            )
-    return results
-
-
-def leaderboard(results: Iterable[Result]) -> str:
-    """The results as a Markdown table, by level and then by parked rate."""
-    results = list(results)
-    order, rows = in_order(result.level for result in results), []
-    results.sort(key=lambda r: (order.index(r.level), -r.shares["parked"]))
-    for result in results:
-        parked, crashed, timed_out = (result.shares[name] for name in RATES)
-        low, high = wilson_interval(parked * result.cases, result.cases)
-        interval = f"({100 * low:.1f} … {100 * high:.1f})"
-        row = {
-            "level": result.level,
-            "policy": f"`{result.policy}`{' †' * (result.outcomes is None)}",
-            "rule": f"{result.rule}{', moving car' * result.moving_car}"
-            f"{f', {result.vehicle}' if result.vehicle != VEHICLE else ''}",
-            "parked [%]": f"{100 * parked:.1f} {interval}",
-            "crashed [%]": f"{100 * crashed:.1f}",
-            "timed out [%]": f"{100 * timed_out:.1f}",
-        }
-        for title, name in zip(MEAN_TITLES, MEANS, strict=True):
-            value = getattr(result, name)
-            row[title] = "–" if value is None else f"{value:.1f}"
-        rows.append(row | {"seeds": str(len(result.seeds))})
-    return markdown(rows, left=4)

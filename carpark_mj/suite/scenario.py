@@ -59,7 +59,7 @@ from carpark_mj.suite.actors import (
     varied,
 )
 from carpark_mj.suite.busy import EXTRA
-from carpark_mj.suite.levels import FILE_LEVELS, CaseLevel, Cases, CaseStart
+from carpark_mj.suite.levels import LEVELS, CaseLevel, Cases, CaseStart
 from carpark_mj.vehicle import preset
 
 if TYPE_CHECKING:
@@ -373,7 +373,7 @@ def _level(
     return CaseLevel(numbers, data, pick, scenario.env, f"Scenario {source}", *rules)
 
 
-FILE_LEVELS[NAME] = scenario_level
+LEVELS.register(NAME, scenario_level)
 
 
 def main(config: "ScenarioConfig") -> list[dict[str, Any]]:

@@ -46,7 +46,7 @@ from carpark_mj.layouts.build import assemble, bays, spawns, walls
 from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.types import BayEnd, Layout, WallKind
 from carpark_mj.suite.actors import Actor, Spread
-from carpark_mj.suite.levels import CAR_LEVELS, CaseLevel, Cases
+from carpark_mj.suite.levels import LEVELS, CaseLevel, Cases
 from carpark_mj.suite.scenario import Scenario, Tolerance
 from carpark_mj.suite.tpcap import stack_layouts
 from carpark_mj.vehicle import VehicleParameters, preset
@@ -194,4 +194,4 @@ TESTS: dict[str, Callable[[str, VehicleParameters], Tests]] = {
     "r158": r158,
 }
 for _name in TESTS:
-    CAR_LEVELS[_name] = functools.partial(standard_level, _name)
+    LEVELS.register(_name, functools.partial(standard_level, _name))

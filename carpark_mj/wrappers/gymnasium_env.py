@@ -53,7 +53,6 @@ class Parking:
     _by_env: Callable[[Any], Any]  # values of the environment from those of its batch
     _table: np.ndarray | None  # of discrete actions
     _spec: EnvSpec | None = None
-    _defaults: Options = {}  # noqa: RUF012
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -67,8 +66,7 @@ class Parking:
         self._spec = spec
 
     def _make(self, options: Options) -> ParkingEnv:
-        given: Options = {**self._defaults, **options}
-        return share(ParkingEnv, one_agent(configure(given, ONE_AGENT)))
+        return share(ParkingEnv, one_agent(configure(options, ONE_AGENT)))
 
     def _space(self, env: ParkingEnv) -> spaces.Space[Any]:
         """Space of an agent's observations."""
@@ -411,18 +409,3 @@ class ParkManyVectorEnv(ParkVectorEnv):
         # None and not that number: lots without room for all are refused.
         config = dataclasses.replace(config, episode=episode, min_agents=None)
         return share(ParkingEnv, config)
-
-
-_FIRST: Options = {"config": "first"}
-
-
-class FirstParkEnv(ParkEnv):
-    """`ParkEnv` in the environment `first`: `carpark_mj/FirstPark-v0`."""
-
-    _defaults = _FIRST
-
-
-class FirstParkVectorEnv(ParkVectorEnv):
-    """`carpark_mj/FirstPark-v0` many times; see `ParkVectorEnv`."""
-
-    _defaults = _FIRST

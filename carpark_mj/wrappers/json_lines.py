@@ -17,7 +17,7 @@ import json
 import socket
 import socketserver
 from collections.abc import Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -37,24 +37,14 @@ OPTIONS = ("seed", "pose", "speed", "goal")
 Answer = dict[str, Any]
 
 
-class Lot(NamedTuple):
-    """A lot between two requests.
-
-    Attributes:
-        state: of the lot.
-        steps: made since the reset.
-    """
-
-    state: State
-    steps: int
-
-
 class LineProtocol:
     """Answers requests about one lot, whose agents stay where their episodes end."""
 
     def __init__(self, env: ParkingEnv) -> None:
         """Takes an environment; `reset` and `step` compile at their first requests."""
-        self.env, self._lot = env, None
+        self.env = env
+        self._state: State | None = None
+        self._steps = 0  # since the reset
         self._reset = jax.jit(lambda key, given: env.reset(key, "test", options=given))
         self._step = jax.jit(env.step)
 
@@ -86,28 +76,27 @@ class LineProtocol:
         options = ResetOptions(**arrays)
         state, seen = self._reset(jax.random.key(seed), options)
         check_starts(self.env.config, options, state)
-        self._lot = Lot(state, 0)
+        self._state, self._steps = state, 0
         layout = json.loads(layout_text(jax.device_get(state.layout)))
         return self._measured(seen) | {"layout": layout}
 
     def _act(self, action: Any) -> Answer:
-        if self._lot is None:
+        if self._state is None:
             raise ValueError("reset the lot first")
         spec = self.env.action_spec
         values = np.asarray(action, spec.dtype)
         shape = (self.env.num_agents, spec.size)
         if values.shape != shape or not np.isfinite(values).all():
             raise ValueError(f"action must be finite numbers of shape {list(shape)}")
-        state, timestep = self._step(self._lot.state, values)
-        self._lot = Lot(state, self._lot.steps + 1)
+        state, timestep = self._step(self._state, values)
+        self._state, self._steps = state, self._steps + 1
         ends = {name: getattr(timestep.events, name).tolist() for name in OUTCOMES}
         done = not bool(state.active.any())
         rewards = {"reward": timestep.reward.tolist(), "done": done}
         return self._measured(timestep.observation) | rewards | ends
 
     def _measured(self, seen: jax.Array) -> Answer:
-        assert self._lot is not None
-        state, steps = jax.device_get(self._lot)
+        state: Any = jax.device_get(self._state)
         motion, cars = state.motion, state.parked_cars
         boxes = [(cars.pose_w, cars.size, cars.bay != NO_BAY)]
         for group in state.movers.groups:
@@ -124,7 +113,7 @@ class LineProtocol:
             if there
         ]
         return {
-            "time": round(steps * self.env.config.sim.ctrl_dt, 6),
+            "time": round(self._steps * self.env.config.sim.ctrl_dt, 6),
             "pose": motion.pose_w.tolist(),
             "speed": motion.speed.tolist(),
             "steering": motion.steering.tolist(),

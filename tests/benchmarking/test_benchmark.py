@@ -21,7 +21,7 @@ JOB = Job("physics", "brush", 3, 2, 16, steps=2, timings=1, clock="wall")
 
 def measured(rate, compile_s=10.0):
     about = "2 CPU cores", "0.10.2", "4.0.0", "env", "square", 2, 128
-    return Measurement(*about, rate, "agent-steps/s", compile_s, 2 * compile_s, 1000.0)
+    return Measurement(*about, rate, "agent-steps/s", compile_s, 1000.0)
 
 
 def test_the_table_has_the_best_round_of_each_job():
@@ -31,27 +31,26 @@ def test_the_table_has_the_best_round_of_each_job():
     assert len({line.count("|") for line in lines[2:]}) == 1
     [cells] = [[c.strip() for c in line.strip("|").split("|")] for line in lines[4:]]
     about = ["env", "square", "2", "128", "11,000", "agent-steps/s"]
-    assert cells == [*about, "8.0", "16.0", "1,000.0"]
+    assert cells == [*about, "8.0", "1,000.0"]
 
 
-def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(monkeypatch, tmp_path):
+def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(tmp_path):
     asked = []
 
     def run_job(job):
         if len(asked) == 3:
             raise KeyboardInterrupt
         asked.append(job.lots)
-        return dataclasses.replace(measured(1.0), lots=job.lots)
+        return [dataclasses.replace(measured(1.0), lots=job.lots)]
 
-    monkeypatch.setattr(benchmarking, "run_job", run_job)
     out = tmp_path / "benchmark.csv"
     jobs = [dataclasses.replace(JOB, lots=lots) for lots in (4, 8)]
     with pytest.raises(KeyboardInterrupt):
-        benchmarking.measure(jobs, repeats=3, out=str(out))
+        benchmarking.measure(jobs, run_job, repeats=3, out=str(out))
     assert asked == [4, 8, 4]
     with out.open(newline="") as file:
         kept = [(int(row["lots"]), row["round"]) for row in csv.DictReader(file)]
-    assert kept == [(4, "1"), (4, "2"), (8, "1")]
+    assert kept == [(4, "1"), (8, "1"), (4, "2")]
 
 
 def asked(**settings):
@@ -88,12 +87,12 @@ def test_bad_input_is_one_sentence_and_exit_code_2(flags, said, tmp_path, capsys
 @pytest.mark.slow
 def test_a_job_is_measured_in_a_process_of_its_own(monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/nonexistent")
-    result = benchmarking.run_job(JOB)
+    [result] = benchmarking.run_job(JOB)
     assert result.what == "physics brush 10 ms"
     assert result.unit == "car-substeps/s"
     assert result.lots == 3
     assert result.rate > 0
-    assert 0 < result.compile_s < result.first_step_s
+    assert result.compile_s > 0
     assert result.peak_memory_mb > 10
 
 
@@ -169,7 +168,7 @@ def test_rows_are_medians_of_both_processes():
     times = 9.0, 10.0, 30.0
     found = [dataclasses.replace(ONE, total_s=x) for x in times]
     found += [dataclasses.replace(x, process="second", total_s=2.0) for x in found]
-    [row] = rows(found)
+    [row] = rows({("default", 1): found})
     assert row["environment"] == "default"
     assert row["first: total [s]"] == "10.0"
     assert row["second: total [s]"] == "2.0"

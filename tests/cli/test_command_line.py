@@ -169,7 +169,7 @@ def test_a_new_folder_is_made_with_its_first_file(tmp_path, monkeypatch):
     works = (
         lambda: render.main(RenderConfig("zero", out=str(new / "a.mp4"))),
         lambda: suite.main(SuiteConfig(("zero",), cases=1, out=str(new))),
-        lambda: evaluate.main(EvaluateConfig("", "zero", out=str(new))),
+        lambda: evaluate.main(EvaluateConfig("zero", out=str(new))),
     )
     for work in works:
         with pytest.raises(ValueError, match="refused in the middle"):

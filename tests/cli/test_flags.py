@@ -165,9 +165,8 @@ def test_an_occupancy_parks_as_many_cars_as_it_takes(layout, count):
 
 
 def test_flags_change_what_they_are_about_and_nothing_else():
-    both = adapt(RUN, rule="precise", hitbox_scale=1.1).episode
-    assert (both.parked_rule, both.hitbox_scale) == ("precise", 1.1)
-    assert adapt(RUN, hitbox_scale=1.1).episode.parked_rule == RUN.episode.parked_rule
+    other = adapt(RUN, rule="precise").episode
+    assert other == dataclasses.replace(RUN.episode, parked_rule="precise")
     assert adapt(RUN).episode == RUN.episode
     # A number of parked cars is that of every lot.
     run = EnvConfig(num_parked_cars=29, occupancy=(0.2, 0.8))

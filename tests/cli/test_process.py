@@ -176,15 +176,18 @@ def test_an_encoding_without_a_character_costs_no_work(run, tmp_path):
     assert (tmp_path / "file").read_text() == "done"
 
 
+COUNT = "JAX_NUM_CPU_DEVICES"
+
+
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [("MUJOCO_GL", "junk"), ("JAX_NUM_CPU_DEVICES", "x"), ("JAX_NUM_CPU_DEVICES", "0")],
+    ("name", "value"), [("MUJOCO_GL", "junk"), (COUNT, "x"), (COUNT, "0")]
 )
 def test_an_environment_that_nothing_can_run_in_is_refused(name, value, run, tmp_path):
-    code, said = run("write('done')", **{name: value})
+    code, said = run("import jax\njax.devices()\nwrite('done')", **{name: value})
     assert code == 2
     assert said.startswith("job: ")
-    assert (name in said, repr(value) in said, said.count("\n")) == (True, True, 1)
+    assert name.lower() in said.lower()
+    assert (value in said, said.count("\n")) == (True, 1)
     assert not (tmp_path / "file").exists()
 
 

@@ -204,8 +204,8 @@ REFUSED = [
     ("--out no/lot.json", "cannot use no/lot.json: No such file or directory"),
     ("lot.json --port 0", "port must lie in [1, 65535], not 0"),
     ("lot.json --port {taken}", "cannot serve on port {taken}: Address already in"),
-    ("lot.json --width 3", "width 3.0 has no effect without --background"),
-    ("lot.json --background plan.png", "--background takes either --scale in metres"),
+    ("lot.json --width 3", "--background and --width, in metres, belong together"),
+    ("lot.json --background plan.png", "--background and --width, in metres, belong"),
     ("lot.json --background plan.png --width -3", "width must lie in [0, 10000] m"),
     ("lot.json --background none.png --width 3", "cannot use none.png: No such file"),
     ("lot.json --background bad.png --width 3", "cannot read the picture bad.png: "),
@@ -223,7 +223,6 @@ def test_the_command_refuses_in_one_sentence(arguments, message, folder, capsys)
 
 
 def test_a_picture_has_its_size_in_metres(folder):
-    assert read_picture(folder / "plan.png", scale=0.5).size == (10.0, 5.0)
     assert read_picture(folder / "plan.png", width=60.0).size == (60.0, 30.0)
 
 

@@ -11,10 +11,10 @@ import pytest
 from helpers.sliding import SlidePhysics
 from jax.tree_util import Partial
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, insert, setting
+from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import effective_episodes, wilson_interval
-from carpark_mj.evaluation.evaluator import Evaluator, allot, evaluate
+from carpark_mj.evaluation.evaluator import allot, evaluate
 from carpark_mj.evaluation.keys import evaluation_key, training_key
 from carpark_mj.layouts import StreetConfig, mixture
 from carpark_mj.mdp.actions import ActionSpec
@@ -23,9 +23,6 @@ from carpark_mj.policy.named import random_policy, zero_policy
 from carpark_mj.types import ENDINGS
 
 SPEC = ActionSpec(2)
-# Settings by which environments of one program differ.
-SCALED = {"reward.time": -0.5, "episode.hitbox_scale": 3.0}
-OWN = {path: setting(EnvConfig(), path) for path in SCALED}
 
 
 def act(moves, observation, key):
@@ -40,43 +37,25 @@ RANDOM, ZERO = (as_argument(Partial(act, np.array(moves))) for moves in (True, F
 
 
 @pytest.fixture(scope="module")
-def evaluator():
+def env():
     config = EnvConfig(
         num_agents=2,
         num_parked_cars=20,
         physics="bicycle",
         episode=EpisodeConfig(max_steps=30),
     )
-    return Evaluator(ParkingEnv(config))
+    return ParkingEnv(config)
 
 
 @pytest.fixture(scope="module")
-def run(evaluator):
+def run(env):
     """Evaluates in the same four lots side by side."""
-    return functools.partial(evaluator.evaluate, num_lots=4, values=OWN)
+    return functools.partial(evaluate, env, num_lots=4)
 
 
 @pytest.fixture(scope="module")
 def result(run):
     return run(RANDOM, num_episodes=20, seed=3)
-
-
-def test_one_program_evaluates_other_numbers(evaluator, run, result):
-    """As environments of their own; cars three times as large crash more often."""
-    scaled = run(RANDOM, num_episodes=20, seed=3, values=SCALED)
-    assert evaluator._chunk._cache_size() == evaluator._reset._cache_size() == 1
-    own = ParkingEnv(insert(evaluator.env.config, SCALED))
-    expected = evaluate(own, RANDOM, num_episodes=20, seed=3, num_lots=4)
-    for row, want in zip(scaled.episodes, expected.episodes, strict=True):
-        numbers = {n: v for n, v in want.items() if isinstance(v, float)}
-        found = {name: row[name] for name in numbers}
-        assert found == pytest.approx(numbers, rel=1e-5, abs=1e-5, nan_ok=True)
-    crashed, paid = (
-        [sum(row[name] for row in x.episodes) for x in (scaled, result)]
-        for name in ("crashed", "return_time")
-    )
-    assert crashed[0] > crashed[1]
-    assert paid[0] > 0 > paid[1]
 
 
 def test_a_span_counts_the_episodes_that_begin_within_it(run):
@@ -157,8 +136,8 @@ def test_families_of_held_out_lots_are_summed_up_apart_and_add_up():
         num_parked_cars=1,
         episode=EpisodeConfig(max_steps=5),
     )
-    evaluator = Evaluator(Watched(config, SlidePhysics()))
-    run = functools.partial(evaluator.evaluate, RANDOM, num_episodes=6, seed=3)
+    env = Watched(config, SlidePhysics())
+    run = functools.partial(evaluate, env, RANDOM, num_episodes=6, seed=3)
     mixed = run()
     of_lot = {row["lot"]: row["family"] for row in mixed.episodes}
     assert of_lot == dict(enumerate(["square_compact"] * 4 + ["street"] * 2))
@@ -189,8 +168,8 @@ def run_crowds():
         num_parked_cars=1,
         episode=EpisodeConfig(max_steps=1),
     )
-    evaluator = Evaluator(ParkingEnv(config, SlidePhysics()))
-    return functools.partial(evaluator.evaluate, RANDOM, seed=0)
+    env = ParkingEnv(config, SlidePhysics())
+    return functools.partial(evaluate, env, RANDOM, seed=0)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,6 @@ def exit_code(program: Any, arguments: Sequence[str]) -> int:
 layouts = functools.partial(exit_code, "layouts")
 vehicles = functools.partial(exit_code, "vehicles")
 identify = functools.partial(exit_code, "identify")
-oracle = functools.partial(exit_code, "oracle")
 
 
 def assert_refused(capsys: Any, program: Any, arguments: Sequence[str], said: str):

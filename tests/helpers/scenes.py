@@ -4,6 +4,7 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import shapely
 from helpers.states import array_module, parked_at
@@ -240,3 +241,20 @@ def mjx_rollout():
 def stacked(items):
     """A list of equal trees as one tree with a leading time axis."""
     return jax.tree.map(lambda *rows: np.stack(rows), *items)
+
+
+def try_out(spec: mujoco.MjSpec, seconds: float = 1.0) -> list[str]:
+    """Compiles a drivable scene and drives it, every car on half throttle in a curve.
+
+    Returns MuJoCo's warnings by name (`BADQACC`...), a sentence each.
+    """
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for k in range(model.nu):
+        is_brake = model.actuator(k).name.endswith("/brake")
+        data.ctrl[k] = 0.0 if is_brake else 0.5 * model.actuator_ctrlrange[k, 1]
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    names = [name.removeprefix("mjWARN_") for name in mujoco.mjtWarning.__members__]
+    counts = zip(names, (warning.number for warning in data.warning), strict=False)
+    return [f"{name}, {number} times" for name, number in counts if number]

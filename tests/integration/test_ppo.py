@@ -270,9 +270,9 @@ def test_a_run_renders_to_a_still_and_a_video(finished, environment, tmp_path):
         ("train", "--preset cpu --num-lot 3", "perhaps you meant --num-lots"),
         ("train", "--env.reward.extra.hste 1", "name in CARPARK_MJ_EXTENSIONS"),
         ("train", "--preset cpu --name ../../x", "not '../../x'"),
-        ("evaluate", "", "give a pretrained policy, a run folder"),
+        ("evaluate", "", "RUN"),
         ("evaluate", "nowhere", "no run folder or checkpoint at nowhere"),
-        ("evaluate", "--policy zero --out /proc/x", "/proc/x"),
+        ("evaluate", "zero --out /proc/x", "/proc/x"),
     ],
 )
 def test_bad_input_is_one_clear_sentence_and_leaves_nothing(

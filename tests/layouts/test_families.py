@@ -1,6 +1,7 @@
 """Every family of lots, judged by shapely: no overlaps, everything is reachable."""
 
 import functools
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -8,16 +9,16 @@ import numpy as np
 import pytest
 import shapely
 from helpers.programs import layouts as main
-from helpers.scenes import polygons
+from helpers.scenes import polygons, try_out
 from helpers.spawning import surroundings_of
 from matplotlib.figure import Figure
 
-from carpark_mj.cli.layouts import VARIANTS, run_scene
 from carpark_mj.config import LAYOUTS, SpawnConfig
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import (
     AngledConfig,
     BayKind,
+    DeadEndConfig,
     DesignCar,
     DiscKind,
     GarageRowConfig,
@@ -29,11 +30,35 @@ from carpark_mj.layouts import (
 )
 from carpark_mj.layouts.checks import describe_faults
 from carpark_mj.layouts.plot import number_bays, plot_layouts
+from carpark_mj.layouts.standards import Level, Orientation
 from carpark_mj.layouts.tight import draw_tight_bay
+from carpark_mj.scene.build import drivable_scene
 from carpark_mj.spawning.starts import draw_uniform, spawn_pose, spawn_shapes
 from carpark_mj.vehicle import COMPACT
 
 KEYS = 60
+# Settings with which lots of a family differ most from those with its defaults.
+VARIANTS = {
+    "angled, back-in": AngledConfig(back_in=True, angle=(45.0, 60.0)),
+    "lot, deck with pillars": LotConfig(
+        pillar_every=3, row_ends="bollards", num_aisles=(1, 3)
+    ),
+    "lot, angled": LotConfig(
+        angle=(50.0, 75.0), two_way=False, extra_aisle=(0.0, 0.6), boundary="kerb"
+    ),
+    **{
+        f"{family}, {orientation}, {level}": config(
+            level=level, orientation=orientation
+        )
+        for family, config in (
+            ("garage_row", GarageRowConfig),
+            ("dead_end", DeadEndConfig),
+        )
+        for orientation in get_args(Orientation)
+        for level in get_args(Level)
+        if (orientation, level) != ("perpendicular", "extreme")
+    },
+}
 HARD = [
     "garage_row, perpendicular, complex",
     "garage_row, parallel, extreme",
@@ -299,9 +324,10 @@ def test_every_garage_bay_has_a_wall_on_both_sides_and_one_opposite(name):
 
 @pytest.mark.parametrize("name", [*PLAIN, *HARD[1::2]])
 def test_scenes_run_without_a_warning(name):
-    """More keys: `carpark_mj layouts --run 20`."""
     for layout in lots(name, 2):
-        assert run_scene(layout) == []
+        starts = np.asarray(layout.spawn_pose[layout.spawn_mask][:2])
+        parked = np.asarray(layout.bay_pose[layout.bay_mask])
+        assert try_out(drivable_scene(layout, COMPACT, starts, parked)) == []
 
 
 def test_the_command_checks_and_draws(tmp_path, capsys):
@@ -311,7 +337,7 @@ def test_the_command_checks_and_draws(tmp_path, capsys):
     assert target.read_bytes()[:4] == b"\x89PNG"
     assert main(["ring", "--check", "1"]) == 2
     assert "unknown layout 'ring'" in capsys.readouterr().err
-    assert main(["nowhere.json", "--run", "1"]) == 2
+    assert main(["nowhere.json", "--check", "1"]) == 2
     assert "cannot read nowhere.json" in capsys.readouterr().err
 
 

@@ -1,4 +1,4 @@
-"""Paths of a rear axle, when a car is where on them, and waiting for others."""
+"""Paths of a rear axle, and how far a car rolls."""
 
 import math
 
@@ -6,9 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import shapely
 from helpers.planned import CAR
-from helpers.scenes import polygons
 
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.bicycle import BicyclePhysics
@@ -19,17 +17,6 @@ from carpark_mj.planning.paths import (
     STEP,
     hold_distances,
     make_path,
-    rear_axle,
-)
-from carpark_mj.planning.schedule import (
-    ACCELERATION,
-    CRUISE,
-    DT,
-    STOP,
-    Drive,
-    instants,
-    meet,
-    schedule,
 )
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
@@ -127,68 +114,3 @@ def test_a_car_whose_pedal_is_released_rolls_as_far_as_is_planned():
     assert np.abs(motion.velocity_b).max() == 0.0
     planned = np.interp(speed, *hold_distances())
     np.testing.assert_allclose(motion.pose_w[:, 0], planned, atol=2e-3)
-
-
-SIZE = np.array([COMPACT.length, COMPACT.width])
-
-
-def straight(*ends):
-    """Instants of a car that drives from a pose straight on to another."""
-    first, last = map(np.array, ends)
-    steps = np.linspace(first, last, round(np.hypot(*(last - first)[:2]) / 0.02) + 1)
-    path = make_path(rear_axle(COMPACT, steps), COMPACT)
-    return instants(path, COMPACT)
-
-
-def test_rectangles_meet_as_shapely_says():
-    numbers = np.random.default_rng(0)
-    poses, others = numbers.uniform(-4, 4, (2, 30, 3))
-    sizes = np.array([4.0, 1.8]), np.array([1.0, 3.0])
-    shapes = polygons(poses, sizes[0])[:, None], polygons(others, sizes[1])
-    expected = shapely.intersects(*shapes)
-    np.testing.assert_array_equal(meet(poses, sizes[0], others, sizes[1]), expected)
-
-
-def test_a_car_speeds_up_cruises_and_stops():
-    pose = straight((0.0, 0, 0), (20.0, 0, 0))
-    speed = np.diff(pose[:, 0]) / DT
-    assert speed.max() == pytest.approx(CRUISE, rel=1e-3)
-    # Between points of the path 2 cm apart times are interpolated.
-    assert np.abs(np.diff(speed)).max() <= ACCELERATION * DT + 0.03
-    expected = 20.0 / CRUISE + CRUISE / ACCELERATION
-    assert DT * (len(pose) - 1) == pytest.approx(expected, abs=2 * DT)
-
-
-def test_nobody_waits_alone_or_drives_through_who_stands():
-    pose = straight((0.0, 0, 0), (12.0, 0, 0))
-    assert schedule(pose, SIZE, [], 0).tolist() == list(range(len(pose)))
-    late = schedule(pose, SIZE, [], 7)
-    assert late.tolist() == [0] * 7 + list(range(len(pose)))
-    stands = Drive(np.array([[6.0, 0.0, 0.0]]), np.zeros(1, int), SIZE)
-    assert schedule(pose, SIZE, [stands], 0) is None  # nobody drives through it
-
-
-def test_a_car_waits_until_another_has_crossed_and_stops_for_no_less_than_it_takes():
-    own = straight((-12.0, 0, 0), (12.0, 0, 0))
-    crossing = straight((0.0, -9, np.pi / 2), (0.0, 9, np.pi / 2))
-    other = Drive(crossing, np.arange(len(crossing)), SIZE)
-    index = schedule(own, SIZE, [other], 0)
-    assert index[-1] == len(own) - 1
-    assert len(index) > len(own)
-    passed = np.arange(len(index))
-    hits = meet(own, SIZE, crossing, SIZE)
-    assert not hits[index, other.at(passed)].any()
-    assert set(np.diff(index)) == {0, 1}
-    stood = [int((index == point).sum()) - 1 for point in range(1, len(own) - 1)]
-    assert all(count == 0 or count >= round(STOP / DT) - 1 for count in stood)
-
-
-def test_a_car_does_not_stop_where_another_will_pass():
-    own = straight((-12.0, 0, 0), (0.0, 0, 0))
-    crossing = straight((0.0, -9, np.pi / 2), (0.0, 9, np.pi / 2))
-    wait = [0] * 60
-    other = Drive(crossing, np.array(wait + list(range(len(crossing)))), SIZE)
-    index = schedule(own, SIZE, [other], 0)
-    hits = meet(own[-1:], SIZE, crossing, SIZE)[0]
-    later = np.arange(len(index) - 1, len(other.point))
-    assert not hits[other.at(later)].any()

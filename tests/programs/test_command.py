@@ -98,9 +98,6 @@ def test_all_names_of_a_kind_are_listed(kind, names, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert {line.split()[0] for line in lines} == {*names}
     assert all(len(line.split()) > 1 for line in lines)
-    if kind in COMMANDS:  # without anything to do
-        assert exit_code(kind, []) == 0
-        assert capsys.readouterr().out.splitlines() == lines
 
 
 def test_an_unknown_program_is_refused_in_one_line(run):

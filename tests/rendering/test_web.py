@@ -13,7 +13,7 @@ import pytest
 
 from carpark_mj.cli.pages import open_page, show_lots
 from carpark_mj.cli.scene import another
-from carpark_mj.cli.settings.driving import SceneConfig, complete
+from carpark_mj.cli.settings.driving import SceneConfig
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.rendering import web
@@ -68,11 +68,7 @@ def test_a_live_lot_moves_pose_by_pose_and_starts_again_alike(lot):
     np.testing.assert_array_equal(again, way)
 
 
-def test_view_alone_opens_a_window():
-    assert complete([]) == []
-    assert complete(["--view"]) == ["--view", "window"]
-    assert complete(["--view", "--seed", "3"]) == ["--view", "window", "--seed", "3"]
-    assert complete(["--view", "web"]) == ["--view", "web"]
+def test_a_policy_drives_in_the_browser_only():
     with pytest.raises(ValueError, match="browser only"):
         SceneConfig(view="window", policy="runs/none")
 

@@ -9,12 +9,13 @@ import mujoco
 import numpy as np
 import pytest
 from helpers.programs import ROOT, python
+from helpers.scenes import try_out
 
 from carpark_mj.cli.scene import SceneConfig, default_env, main, make_scene
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.scene import parts
-from carpark_mj.scene.build import drivable_scene, try_out
+from carpark_mj.scene.build import drivable_scene
 from carpark_mj.vehicle import COMPACT
 from carpark_mj.vehicle.mjcf import WHEELS
 from carpark_mj.vehicle.parameters import GRAVITY

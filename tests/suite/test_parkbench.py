@@ -18,7 +18,6 @@ from carpark_mj.registry import ANYWHERE
 from carpark_mj.suite.evaluation import (
     CaseEvaluator,
     SuiteConfig,
-    require_cases,
     suite_env,
 )
 from carpark_mj.suite.levels import find_level, pick_cases
@@ -168,5 +167,3 @@ def test_a_car_of_a_data_sheet_begins_at_the_recorded_pose(tmp_path):
     np.testing.assert_allclose(
         drives.pose_w[0, 1, 0, -1], cases.layouts.spawn_pose[0, 0], atol=START_SIDE
     )
-    with pytest.raises(ValueError, match="needs the vehicle tpcap"):
-        require_cases(SuiteConfig(("zero",), vehicle=str(sheet), moving_car=True))

@@ -14,15 +14,15 @@ from carpark_mj.policy.named import zero_policy
 from carpark_mj.registry import ANYWHERE
 from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
 from carpark_mj.suite.levels import load_held_out, pick_cases
+from carpark_mj.suite.page import write_test_page
 from carpark_mj.suite.path_figure import AROUND, ASPECT, _view
 from carpark_mj.suite.report import (
     header,
     shown_cells,
     table_rows,
     worst_first,
-    write_results,
+    write_tables,
 )
-from carpark_mj.suite.results import key_of
 from carpark_mj.suite.tpcap import TpcapConfig
 
 
@@ -32,8 +32,8 @@ def test_every_case_gives_one_row_from_its_own_start():
     short = dataclasses.replace(config.episode, max_steps=3)
     env = ParkingEnv(dataclasses.replace(config, episode=short))
     evaluator, policy = CaseEvaluator(env), zero_policy(env.action_spec)
-    programs = evaluator._reset, evaluator._chunk, evaluator._choose_action
-    evaluator._choose_action.clear_cache()  # other files have their programs in it
+    programs = evaluator._reset, evaluator._chunk, evaluator._choose_actions
+    evaluator._choose_actions.clear_cache()  # other files have their programs in it
     rows, drives = evaluator.drive(policy, pick_cases("complex", 4), seed=0)
     assert [row["case"] for row in rows] == [0, 1, 2, 3]
     assert [row["kind"] for row in rows] == ["perpendicular", "parallel"] * 2
@@ -109,19 +109,6 @@ def test_seeds_add_episodes_and_not_cases():
     assert row["low"] == pytest.approx(0.1500, abs=1e-4)
 
 
-def test_the_table_says_how_often_the_moving_car_was_hit():
-    moving = {"moving_car": 1}
-    rows = [episode(n, **moving) for n in range(3)]
-    rows.append(episode(3, end="crashed", hit_agent=1.0, **moving))
-    rows.append(episode(4, end="crashed", hit_wall=1.0, **moving))
-    (row,) = table_rows("x", rows)
-    assert (row["crashed"], row["hit moving car"]) == (0.4, 0.2)
-    assert header(rows)[0] == "Hard cases, strict rule, one moving car"
-    alone = [episode(0)]
-    assert "hit moving car" not in table_rows("x", alone)[0]
-    assert header(alone)[0] == "Hard cases, strict rule"
-
-
 def test_the_table_says_what_cars_hit_and_how_fast():
     among = AMONG | {"least_gap": 2.0}
     person = {"hit_person": 1.0, "contact_speed": 1.5, "least_gap": 0.0}
@@ -152,16 +139,19 @@ def test_crashes_are_worse_than_timeouts_than_slow_parking():
 def test_files_hold_the_table_the_worst_and_videos(tmp_path):
     episodes = [episode(0), episode(7, end="crashed")]
     (row,) = table_rows("x", episodes)
-    videos = {key_of(episodes[1]): tmp_path / "videos" / "x.mp4"}
-    files = write_results(tmp_path, header(episodes), [row], episodes, [], videos)
-    assert [path.name for path in files] == ["suite.md", "suite.csv", "suite.html"]
+    files = write_tables(tmp_path, header(episodes), [row])
+    assert [path.name for path in files] == ["suite.md", "suite.csv"]
     page = files[0].read_text()
     assert "2 of normal (0, 7); seed 0; on cpu." in page
     assert "| x | normal | parallel | 2 | 1 | 50.0 (9.5 … 90.5) | – |" in page
-    html = files[2].read_text()
-    assert html.index("<td>7</td>") < html.index("<td>0</td>")
-    assert '<video src="videos/x.mp4"' in html
-    assert "case 7, seed 0: crashed" in html
+    film = tmp_path / "videos" / "x-normal-0-7.mp4"
+    film.parent.mkdir()
+    film.write_text("film")
+    write_test_page(tmp_path / "suite.html", episodes, [tmp_path])
+    html = (tmp_path / "suite.html").read_text()
+    worst = html[html.index("Worst of x, normal") :]
+    assert worst.index("<td>7</td>") < worst.index("<td>0</td>")
+    assert "case 7, seed 0" in worst
     assert shown_cells(row)["path found [%]"] == "–"
 
 

@@ -1,8 +1,6 @@
 """Settings of the commands in which somebody drives, and of `export`."""
 
 import dataclasses
-import itertools
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -13,9 +11,9 @@ from carpark_mj.config.checks import (
     Bounds,
     CheckedConfig,
     Count,
+    Natural,
     NonNegative,
     Positive,
-    require_seed,
     require_unset,
 )
 from carpark_mj.files import require_suffix
@@ -51,11 +49,7 @@ class LotSettings(CheckedConfig):
     num_agents: int | None = None
     num_parked_cars: int | None = None
     vehicle: str | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_seed(self.seed)
+    seed: Natural = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,29 +66,31 @@ class DriveSettings(LotSettings):
             of the run.
         physics: back end; default: that of the run. In `scene`, crashes are contacts in
             one MuJoCo world.
+        set: any other settings of the environment, as in
+            `sim.steering_delay=0.24 sensors.delay_max=2`.
     """
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = ""
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     _: dataclasses.KW_ONLY
     environment: str = ""
     movers: tuple[str, ...] | None = None
     physics: str | None = None
+    set: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
 class EvaluateConfig(DriveSettings):
     """Evaluates a policy on held-out seeds.
 
-    Writes `evaluation.csv` and `evaluation.json`, and `families.csv` of a mixture, and
-    prints the table. The documentation's page on metrics defines every number.
+    Writes `evaluation.csv` and `evaluation.json`, and prints the table. The
+    documentation's page on metrics defines every number.
 
     carpark_mj evaluate runs/cpu-0
     carpark_mj evaluate runs/cpu-mixture-0
-    carpark_mj evaluate --policy random --episodes 500
-    carpark_mj evaluate --policy zero --environment square
+    carpark_mj evaluate random --episodes 500
+    carpark_mj evaluate zero --environment square
 
     Attributes:
-        policy: RUN, as a flag.
         episodes: least number of episodes, rounded up to an equal number for every
             agent of every lot; 1,024 become 1,792 for seven agents in 128 lots.
         horizon: simulated time [s]; all episodes that begin within it count, instead of
@@ -103,13 +99,9 @@ class EvaluateConfig(DriveSettings):
         num_lots: lots simulated side by side, each with its own share of the episodes.
         rule: parked rule of the evaluation: tanner, strict, precise, exact, metadrive,
             or a registered one; default: that of the run.
-        hitbox_scale: factor on the cars' lengths and widths in collision tests;
-            default: that of the run's environment.
         min_agents: least number of agents; lots have `min_agents` to `num_agents`,
             each number equally often. Default: that of the run, or `num_agents` if that
             is given.
-        set: any other settings of the environment, as in
-            `sim.steering_delay=0.24 sensors.delay_max=2`.
         nominal: switch off noise and delay of sensors and randomization of the cars.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
@@ -117,14 +109,11 @@ class EvaluateConfig(DriveSettings):
             episodes, and checkpoint files of a run, get a subfolder of `evaluations/`.
     """
 
-    policy: str = ""
     episodes: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 1024
     horizon: Annotated[float | None, Bounds(gt=0.0, le=MAX_SECONDS, unit="s")] = None
     num_lots: Count = 128
     rule: str | None = None
-    hitbox_scale: float | None = None
     min_agents: int | None = None
-    set: tuple[str, ...] = ()
     nominal: bool = False
     stochastic: bool = False
     out: str = ""
@@ -153,7 +142,6 @@ class RecordConfig(DriveSettings):
         episodes: number of episodes.
         num_lots: lots simulated side by side.
         rule: parked rule; default: that of the run.
-        set: any other settings of the environment, as in `sim.steering_delay=0.24`.
         noise: standard deviation of normal noise on steer and pedal.
         minari: write the data set of Minari: `pip install "carpark_mj[minari]"`.
         out: folder.
@@ -162,15 +150,12 @@ class RecordConfig(DriveSettings):
     episodes: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 100
     num_lots: Count = 64
     rule: str | None = None
-    set: tuple[str, ...] = ()
     noise: NonNegative = 0.0
     minari: bool = True
     out: str = "runs/data"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.run:
-            raise ValueError("give a policy, for example planner")
         require_unset(self, "as one car drives", "num_agents")
 
 
@@ -187,11 +172,9 @@ class ServeConfig(DriveSettings):
     Attributes:
         run: pretrained policy, run folder or checkpoint file, whose environment is
             served, or `zero`: the default one.
-        set: any other settings of the environment, as in `sim.steering_delay=0.24`.
         port: of this machine; other machines cannot connect.
     """
 
-    set: tuple[str, ...] = ()
     port: Port = 8790
 
 
@@ -201,7 +184,7 @@ class RenderConfig(DriveSettings):
 
     carpark_mj render runs/cpu-0
     carpark_mj render runs/cpu-0 --camera split:1 --show tracked,rings
-    carpark_mj render runs/cpu-0 --physics scene --respawn false
+    carpark_mj render runs/cpu-0 --physics scene --set episode.respawn=false
     carpark_mj render runs/cpu-0 --camera chase:0 --seconds 30
     carpark_mj render runs/cpu-0 --camera driver:0 --layout lot --seed 3
     carpark_mj render runs/cpu-0 --frame 12 --out frame.png
@@ -222,7 +205,6 @@ class RenderConfig(DriveSettings):
         frame: write a still at this time [s] instead of a video.
         width: width of a frame [pixels], even.
         height: height of a frame [pixels], even.
-        respawn: whether finished agents respawn; `false` = one episode per agent.
     """
 
     out: str = ""
@@ -234,14 +216,9 @@ class RenderConfig(DriveSettings):
     frame: Annotated[float | None, Bounds(ge=0.0, le=MAX_SECONDS, unit="s")] = None
     width: Annotated[int, Bounds(ge=2, le=OFFSCREEN_WIDTH)] = 1280
     height: Annotated[int, Bounds(ge=2, le=OFFSCREEN_HEIGHT)] = 720
-    respawn: Literal["true", "false"] = "true"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.run:
-            raise ValueError(
-                "give a pretrained policy, a run folder, zero, random or planner"
-            )
         if self.frame is not None:
             require_unset(self, "with --frame", "seconds", "fps")
         unknown = set(self.extras) - {"tracked", "rings"}
@@ -279,28 +256,7 @@ class RenderConfig(DriveSettings):
 
 
 @dataclasses.dataclass(frozen=True)
-class OracleConfig(LotSettings):
-    """Finds which agents of held-out lots can park within an episode.
-
-    A planner that sees and moves all cars answers for each lot at its start; what it
-    does not solve may still be possible, unless it is counted as impossible.
-
-    carpark_mj oracle --layout street --num-agents 8 --lots 30
-    carpark_mj oracle --layout dead_end,garage_row --num-agents 4 --out runs/oracle
-
-    Attributes:
-        environment: name of an environment, see `carpark_mj.registry`.
-        lots: number of lots.
-        out: folder for `oracle.csv`, a row per agent.
-    """
-
-    environment: str = "anywhere"
-    lots: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 16
-    out: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class ExportConfig:
+class ExportConfig(CheckedConfig):
     """Exports a policy as an ONNX model, or as a checkpoint without training state.
 
     carpark_mj export runs/cpu-0                      # runs/cpu-0/policy.onnx
@@ -330,7 +286,7 @@ class ExportConfig:
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     out: str = ""
-    seed: int = 0
+    seed: Natural = 0
     from_state: bool = False
     others: int | None = None
     parked: int | None = None
@@ -339,13 +295,13 @@ class ExportConfig:
     lanes: int | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_suffix("out", self.out, ".onnx", ".npz")
         if self.out.endswith(".npz"):
             reason = "on a checkpoint"
             require_unset(self, reason, "seed", "from_state")
         if not self.from_state:
             require_unset(self, "without --from-state", *COUNTS)
-        require_seed(self.seed)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -354,8 +310,7 @@ class SceneOutput(CheckedConfig):
 
     Attributes:
         out: MJCF file to write; it needs no other file and no carpark_mj.
-        view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
-            a page on this machine for a browser.
+        view: open the scene: `window` is the MuJoCo viewer, `web` a page for a browser.
         port: port of the browser page.
     """
 
@@ -394,10 +349,10 @@ class SceneConfig(SceneOutput, ShownLot):
 
     carpark_mj scene --layout square --out scene.xml
     python -m mujoco.viewer --mjcf=scene.xml
-    carpark_mj scene --layout lot --seed 3 --view
+    carpark_mj scene --layout lot --seed 3 --view window
     carpark_mj scene --layout lot --seed 3 --view web
     carpark_mj scene --policy runs/cpu-0 --view web
-    carpark_mj scene --layout square --suspension --view
+    carpark_mj scene --layout square --suspension --view window
 
     Attributes:
         policy: pretrained policy, run folder or checkpoint file that drives, or `zero`
@@ -478,13 +433,3 @@ class PlayConfig(ShownLot):
     def shown_in(self) -> str:
         """`window` or `web`."""
         return self.view or ("window" if has_display() else "web")
-
-
-def complete(words: Sequence[str]) -> list[str]:
-    """The command line with `--view` alone written out as `--view window`."""
-    found: list[str] = []
-    for word, after in itertools.pairwise([*words, "--"]):
-        found.append(word)
-        if word == "--view" and after.startswith("--"):
-            found.append("window")
-    return found

@@ -10,7 +10,7 @@ from carpark_mj.config.checks import (
     Bounds,
     CheckedConfig,
     Finite,
-    require_seed,
+    Natural,
     require_unset,
 )
 from carpark_mj.files import require_suffix
@@ -40,24 +40,21 @@ class ListConfig:
 
 @dataclasses.dataclass(frozen=True)
 class VehiclesConfig:
-    """Shows cars: presets, and data sheets with their estimates.
+    """Shows a car: a preset, or a data sheet with its estimates.
 
-    carpark_mj vehicles
     carpark_mj vehicles my_car.yaml
     carpark_mj vehicles my_car.yaml --save whole.json
 
     Attributes:
-        vehicle: a vehicle file or a preset; without one the presets are listed.
+        vehicle: a vehicle file or a preset.
         save: file to write all parameters of the vehicle to.
     """
 
-    vehicle: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VEHICLE")] = ""
+    vehicle: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VEHICLE")]
     save: str = ""
 
     def __post_init__(self) -> None:
         require_suffix("save", self.save, ".json")
-        if self.save and not self.vehicle:
-            raise ValueError("--save writes one vehicle: name it")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,10 +84,10 @@ class IdentifyConfig(CheckedConfig):
 
 @dataclasses.dataclass(frozen=True)
 class LayoutsConfig(CheckedConfig):
-    """Inspects layouts: pictures, files, checks of their plans, runs of their scenes.
+    """Inspects layouts: pictures, files, checks of their plans.
 
     carpark_mj layouts --plot lots.png
-    carpark_mj layouts --check 1000 --run 20
+    carpark_mj layouts --check 1000
     carpark_mj layouts street my_lot.json --check 1000
     carpark_mj layouts my_lot.json --check 1 --paths 20
     carpark_mj layouts clutter_tight --check 200 --paths 1
@@ -101,8 +98,7 @@ class LayoutsConfig(CheckedConfig):
     carpark_mj layouts edit lot.json
 
     Attributes:
-        layouts: names or layout files; all families if none. Without any flag the
-            names are listed.
+        layouts: names or layout files; all families if none.
         plot: picture to write, with two lots of each random layout named, or one of
             every family.
         check: number of lots of each layout to check.
@@ -111,7 +107,6 @@ class LayoutsConfig(CheckedConfig):
             of 95 %; it needs the extra `planner`.
         vehicle: preset or file of the car that must fit into bays and spawn regions of
             the checked lots; by default their design car.
-        run: number of scenes of each layout to run.
         save: layout file (`.json`) to write, with the first lot of one layout; or its
             map, OpenDRIVE with parking spaces (`.xodr`) or Lanelet2 (`.osm`).
         crop: x and y of two opposite corners [m] of the part to save.
@@ -123,19 +118,14 @@ class LayoutsConfig(CheckedConfig):
     check: Lots = 0
     paths: Lots = 0
     vehicle: str = ""
-    run: Lots = 0
     save: str = ""
     crop: Crop | None = None
-    seed: int = 0
+    seed: Natural = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_seed(self.seed)
-        if self.layouts and not (self.plot or self.check or self.run or self.save):
-            raise ValueError(
-                "nothing to do: give --plot FILE, --save FILE, --check N or --run N "
-                "(N > 0)"
-            )
+        if not (self.plot or self.check or self.save):
+            raise ValueError("nothing to do: give --plot, --save or --check")
         if not self.check:
             require_unset(self, "without --check", "vehicle", "paths")
         if not self.save:
@@ -162,15 +152,13 @@ class EditConfig(CheckedConfig):
         out: layout file to save to; by default the edited one. Another one must be new.
         background: picture under the drawing (`.png`, `.jpg`, `.webp`), its middle at
             the origin.
-        scale: metres per pixel of the picture.
-        width: width of the picture [m], instead of `scale`.
+        width: width of the picture [m].
         port: port of the page on localhost.
     """
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")] = ""
     out: str = ""
     background: str = ""
-    scale: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
     width: Annotated[float, Bounds(ge=0.0, le=FARTHEST, unit="m")] = 0.0
     port: Port = PORT
 
@@ -180,13 +168,8 @@ class EditConfig(CheckedConfig):
             raise ValueError("nothing to edit: give FILE.json, or --out for a new lot")
         require_suffix("file", self.file, ".json")
         require_suffix("out", self.out, ".json")
-        if not self.background:
-            require_unset(self, "without --background", "scale", "width")
-        elif bool(self.scale) == bool(self.width):
-            raise ValueError(
-                "--background takes either --scale in metres per pixel or --width in "
-                f"metres, not --scale {self.scale:g} and --width {self.width:g}"
-            )
+        if bool(self.background) != bool(self.width):
+            raise ValueError("--background and --width, in metres, belong together")
 
     @property
     def target(self) -> str:

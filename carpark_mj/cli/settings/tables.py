@@ -11,13 +11,12 @@ from carpark_mj.config.checks import (
     Count,
     Natural,
     NonNegative,
-    require_seed,
     require_unset,
 )
 from carpark_mj.files import require_suffix
 
 WORST = 10  # cases of a policy and level of the suite that can be filmed
-DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "moving_car", "seeds")
+DRIVING = ("levels", "cases", "first_case", "rule", "vehicle", "seeds")
 STARTED = ("default", "hope", "anywhere", "sees", "considerate")
 METRICS = ("parked", "crashed", "timed_out", "length")
 Names = Annotated[tuple[str, ...], tyro.conf.Positional]
@@ -25,6 +24,8 @@ What = Literal["env", "ppo", "physics", "start"]
 Clock = Literal["wall", "cpu"]
 Cars = Literal["brush", "mjx.step", "contact"]
 Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
+Seeds = Annotated[tuple[int, ...], Bounds(ge=0)]
+Films = Annotated[int, Bounds(ge=0, le=WORST)]
 Cluster = Literal["local", "debug", "slurm"]
 
 
@@ -200,7 +201,7 @@ class SweepConfig(Where):
 
 
 @dataclasses.dataclass(frozen=True)
-class SuiteConfig:
+class SuiteConfig(CheckedConfig):
     """The suite of hard cases: one car parks in every case of some levels.
 
     carpark_mj suite planner anywhere
@@ -232,15 +233,12 @@ class SuiteConfig:
         rule: when a car counts as parked: tanner, strict, precise, exact, metadrive, or
             a registered rule.
         vehicle: preset or file of the car.
-        moving_car: another car drives through the aisle of every case.
         seeds: of the planner's searches and of stochastic policies; each seed drives
             all cases.
         videos: number of worst cases to film for every policy and level, at most 10;
             needs off-screen OpenGL.
         combine: folders of this command; drives no case and combines their episodes in
             one table.
-        check: a `suite.json`; drives no case and checks the file as an entry of the
-            leaderboard.
         out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
             `suite.html`, `videos/` and, of the planner, `paths.png`.
     """
@@ -248,42 +246,34 @@ class SuiteConfig:
     policies: Annotated[Names, tyro.conf.arg(metavar="POLICY")] = ()
     environment: str = ""
     levels: tuple[str, ...] = ("normal", "complex", "extreme")
-    cases: int | None = None
-    first_case: int = 0
+    cases: Count | None = None
+    first_case: Natural = 0
     rule: str = "strict"
     vehicle: str = "tpcap"
-    moving_car: bool = False
-    seeds: tuple[int, ...] = (0,)
-    videos: int = 0
+    seeds: Seeds = (0,)
+    videos: Films = 0
     combine: tuple[str, ...] = ()
-    check: str = ""
     out: str = "runs/suite"
 
     def __post_init__(self) -> None:
-        if self.check:
-            other = "with --check, which drives nothing"
-            require_unset(self, other, "policies", "combine", "videos", *DRIVING)
-        elif bool(self.policies) == bool(self.combine):
+        super().__post_init__()
+        if bool(self.policies) == bool(self.combine):
             raise ValueError(
                 "name at least one policy, for example planner, or folders to combine"
                 f"{', not both' if self.policies else ''}"
             )
         if self.combine:
             require_unset(self, "with --combine, which drives nothing", *DRIVING)
-        if not 0 <= self.videos <= WORST:
-            raise ValueError(f"videos must be 0 to {WORST}, not {self.videos}")
         for name in ("policies", "levels", "seeds", "combine"):
             value = getattr(self, name)
             if len({*value}) < len(value):
                 raise ValueError(f"{name} must differ from each other, not {value}")
             if not value and name in ("levels", "seeds"):
                 raise ValueError(f"{name} must not be empty")
-        for seed in self.seeds:
-            require_seed(seed)
 
 
 @dataclasses.dataclass(frozen=True)
-class ScenarioConfig:
+class ScenarioConfig(CheckedConfig):
     """One case of your own, repeated with tolerances.
 
     carpark_mj scenario child.yaml planner valet
@@ -312,16 +302,15 @@ class ScenarioConfig:
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     policies: Annotated[Names, tyro.conf.arg(metavar="POLICY")]
     environment: str = ""
-    repetitions: int = 0
-    seeds: tuple[int, ...] = (0,)
-    videos: int = 0
+    repetitions: Natural = 0
+    seeds: Seeds = (0,)
+    videos: Films = 0
     out: str = "runs/scenario"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.policies:
             raise ValueError("name at least one policy, for example planner")
-        if self.repetitions < 0:
-            raise ValueError(f"repetitions must be positive, not {self.repetitions}")
 
 
 @dataclasses.dataclass(frozen=True)

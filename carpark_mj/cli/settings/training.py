@@ -9,9 +9,9 @@ from carpark_mj.config.checks import (
     Bounds,
     CheckedConfig,
     Count,
+    Natural,
     NonNegative,
     Positive,
-    require_seed,
 )
 
 
@@ -36,13 +36,12 @@ class RunConfig(CheckedConfig):
     runs_dir: str = "runs"
     resume: str = ""
     time_limit: NonNegative = 0.0
-    seed: int = 0
+    seed: Natural = 0
     checkpoint_minutes: Positive = 1.0
     logger: str = "tensorboard"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_seed(self.seed)
         bare = re.fullmatch(r"[^/\\]*[^/\\.\s][^/\\]*", self.name)
         if self.name and not (bare and self.name.isprintable()):
             raise ValueError(

@@ -4,7 +4,6 @@ carpark_mj study junction_scene --scenario 3av-hd --out junction.xml
 """
 
 import dataclasses
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,8 +14,8 @@ from carpark_mj.cli.flags import command_help
 from carpark_mj.cli.pages import open_page
 from carpark_mj.cli.process import run_command
 from carpark_mj.cli.scene import require_view, show_scene
-from carpark_mj.cli.settings.driving import SceneOutput, complete
-from carpark_mj.config.checks import require_seed
+from carpark_mj.cli.settings.driving import SceneOutput
+from carpark_mj.config.checks import Natural
 from carpark_mj.scene.build import scene_xml
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
@@ -30,8 +29,7 @@ class JunctionSceneConfig(SceneOutput):
 
     Attributes:
         out: MJCF file to write; it needs no other file and no carpark_mj.
-        view: open the scene: `window` is the MuJoCo viewer (`--view` alone, too), `web`
-            a page on this machine for a browser.
+        view: open the scene: `window` is the MuJoCo viewer, `web` a page for a browser.
         port: port of the browser page.
         scenario: `2av`, `2av-hd`, `3av` or `3av-hd`, all cars to drive.
         vehicle: preset or file of all cars.
@@ -40,11 +38,7 @@ class JunctionSceneConfig(SceneOutput):
 
     scenario: str = "2av"
     vehicle: str = JunctionConfig.vehicle
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_seed(self.seed)
+    seed: Natural = 0
 
 
 def main(config: JunctionSceneConfig, page: Any = None) -> None:
@@ -66,8 +60,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> None:
     from carpark_mj.cli.flags import read_flags
 
-    words = complete(sys.argv[1:] if arguments is None else arguments)
     text = command_help(__doc__ or "")
-    config = read_flags(JunctionSceneConfig, words, description=text)
+    config = read_flags(JunctionSceneConfig, arguments, description=text)
     with open_page(config.port, config.view == "web") as page:
         main(config, page)

@@ -10,9 +10,9 @@ import junctions
 import mujoco
 import numpy as np
 import pytest
+from helpers.scenes import try_out
 
 from carpark_mj.geometry import box_corners
-from carpark_mj.scene.build import try_out
 from carpark_mj.scene.parts import HULL_GROUP
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle import video

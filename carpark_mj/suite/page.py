@@ -1,4 +1,4 @@
-"""The report of an acceptance test, `carpark_mj report`: results against limits.
+"""The page of results, `suite.html`, and against limits that of `carpark_mj report`.
 
 One self-contained, printable HTML page of folders that `suite` and `scenario` wrote:
 what was tested on what, rates with intervals against limits, distributions, contacts,
@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -21,30 +21,40 @@ import numpy as np
 from carpark_mj.cli.settings.tables import WORST, ReportConfig
 from carpark_mj.config.checks import require_name
 from carpark_mj.evaluation.aggregation import Row, wilson_interval
-from carpark_mj.evaluation.tables import print_rows, table, write_page
+from carpark_mj.evaluation.tables import picture, print_rows, table, write_page
 from carpark_mj.files import require_writable
+from carpark_mj.suite.path_figure import Drawn, plot_paths
 from carpark_mj.suite.report import (
     FOLDER,
+    PLANNER,
+    PRINTED,
+    by_level,
     header,
+    make_videos,
     same_columns,
     short_level,
     shown_cells,
     shown_levels,
     table_rows,
+    tables_of,
     worst_first,
+    write_tables,
 )
-from carpark_mj.suite.results import by_policy, key_of, read_runs
+from carpark_mj.suite.results import (
+    Drives,
+    Key,
+    by_policy,
+    key_of,
+    read_runs,
+    vehicle_of,
+    write_run,
+    write_submission,
+)
 from carpark_mj.types import ENDINGS
+from carpark_mj.vehicle import preset
 
 # Shares of all repetitions.
-RATES = {
-    "parked": "parked",
-    "crashed": "collision",
-    "timed_out": "timed out",
-    "hit_person": "contact with a person",
-    "hit_mover": "contact with a cart or a car",
-    "near_miss": "near miss",
-}
+RATES = "parked", "crashed", "timed_out", "hit_person", "hit_mover", "near_miss"
 # Values of repetitions, with their unit; only of those that parked, or of all.
 VALUES = {
     "final_distance": ("distance to the goal", "m", True),
@@ -57,12 +67,12 @@ VALUES = {
     "contact_speed": ("speed of contacts with people and movers", "m/s", False),
     "peak_acceleration": ("largest acceleration", "m/s²", False),
 }
-Verdict = Literal["passed", "open", "failed"]
 BINS = 20
 PRINT = """<style>
 figure { display: inline-block; margin: .4rem; vertical-align: top; }
 figure video { width: 18rem; }
-@media print { h2 { break-after: avoid; } figure video { display: none; } }
+@media print { h2 { break-after: avoid; } figure video { display: none; }
+  table { font-size: .55rem; } th, td { padding: .1rem .2rem; } }
 </style>"""
 
 
@@ -123,7 +133,7 @@ def judge(limit: Limit, rows: Sequence[Row]) -> dict[str, Any]:
         keeps = values >= limit.value if limit.least else values <= limit.value
     share, count = float(keeps.mean()), len({row["case"] for row in having})
     low, high = wilson_interval(share * count, count)
-    verdict: Verdict = "passed" if keeps.all() else "failed"
+    verdict = "passed" if keeps.all() else "failed"
     if limit.name in RATES:
         inside = (low, high) if limit.least else (1.0 - high, 1.0 - low)
         bound = limit.value if limit.least else 1.0 - limit.value
@@ -181,6 +191,60 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
     page, folders = Path(config.out), list(map(Path, config.runs))
     require_writable(page, new_folders=True)
     episodes, _ = read_runs(folders)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    judged = write_test_page(page, episodes, folders, limits, config.title)
+    if judged:
+        print_rows(judged, config.title or header(episodes)[0], left=4)
+    print(f"wrote {page}")
+    return judged
+
+
+def write_report(
+    folder: Path,
+    episodes: Sequence[Row],
+    drives: Mapping[Key, Drives],
+    drawn: Drawn,
+    num_videos: int,
+) -> list[dict[str, Any]]:
+    """Writes all files of the suite and prints the table; returns the table's rows.
+
+    `drives` are those of the worst episodes, `drawn` the cases of the picture of paths;
+    `num_videos` are made of each policy and level.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    page, pictures = folder / "suite.html", list[Path]()
+    if drawn:
+        pictures.append(folder / "paths.png")
+        plot_paths(pictures[0], drawn, preset(vehicle_of(episodes[0])))
+    rows, head = all_rows(episodes), header(episodes)
+    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
+    written += [*write_tables(folder, head, rows), page]
+    write_test_page(page, episodes, [folder], pictures=pictures)
+    shown = [shown_cells(row) | {"level": short_level(row["level"])} for row in rows]
+    cells = [{k: x for k, x in row.items() if k in PRINTED} for row in shown]
+    print_rows(cells, head[0], left=2)
+    if len({row["level"] for row in rows}) > 1:
+        print_rows(by_level(rows), "Parked [%] with Wilson's 95 % interval", left=1)
+    parts = by_policy(episodes).values()
+    worst = [row for part in parts for row in worst_first(part)[:num_videos]]
+    if make_videos(folder, worst, drives):  # once more, with them
+        write_test_page(page, episodes, [folder], pictures=pictures)
+    print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
+    return rows
+
+
+def write_test_page(
+    page: Path,
+    episodes: Sequence[Row],
+    folders: Sequence[Path],
+    limits: Sequence[Limit] = (),
+    title: str = "",
+    pictures: Sequence[Path] = (),
+) -> list[dict[str, Any]]:
+    """Writes the page, with the films that the folders have; returns the limits' rows.
+
+    The pictures are PNG files.
+    """
     names = shown_levels(row["level"] for row in episodes)
     parts = {
         f"{policy}, {names[level]}": part
@@ -191,11 +255,11 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
         for which, part in parts.items()
         for limit in limits
     ]
-    policies = dict.fromkeys(row["policy"] for row in episodes)
-    rates = same_columns([x for name in policies for x in table_rows(name, episodes)])
-    title, *about = header(episodes)
+    own, *about = header(episodes)
     sections = [("Limits", PRINT + table(judged))] if judged else [("", PRINT)]
-    sections.append(("Results", table(_turned(list(map(shown_cells, rates)), names))))
+    found = tables_of(all_rows(episodes))
+    sections += [(heading, table(cells)) for heading, cells in found.items()]
+    sections += [(path.stem.capitalize(), picture(path)) for path in pictures]
     sections.append(("Distributions", histograms(parts)))
     contacts = [x for x in episodes if x["crashed"] or x.get("near_miss")]
     sections.append(("Contacts and near misses", table(list(map(_contact, contacts)))))
@@ -204,29 +268,15 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
         films = "".join(_film(row, folders) for row in worst)
         sections.append((f"Worst of {which}", table(list(map(_worst, worst))) + films))
     sections.append(("To repeat", table(list(map(_repeat, parts.values())))))
-    page.parent.mkdir(parents=True, exist_ok=True)
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    write_page(page, config.title or title, [f"{title}. {today}.", *about], sections)
-    if judged:
-        print_rows(judged, title, left=4)
-    print(f"wrote {page}")
+    write_page(page, title or own, [f"{own}. {today}.", *about], sections)
     return judged
 
 
-def _turned(
-    rows: Sequence[Mapping[str, str]], levels: Mapping[str, str]
-) -> list[dict[str, str]]:
-    """A table with a column for each of its rows, which a printed page has room for."""
-    names = [f"{row['policy']}, {levels[row['level']]}" for row in rows]
-    names = [
-        f"{name}, {row['kind']}" if names.count(name) > 1 else name
-        for name, row in zip(names, rows, strict=True)
-    ]
-    keys = [key for key in rows[0] if key not in ("policy", "level", "kind")]
-    return [
-        {"": key} | {name: row[key] for name, row in zip(names, rows, strict=True)}
-        for key in keys
-    ]
+def all_rows(episodes: Sequence[Row]) -> list[Row]:
+    """The table: the planner first, as others are compared with its paths."""
+    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
+    return same_columns([row for name in names for row in table_rows(name, episodes)])
 
 
 def _contact(row: Row) -> dict[str, Any]:
@@ -245,7 +295,8 @@ def _contact(row: Row) -> dict[str, Any]:
 
 def _worst(row: Row) -> dict[str, Any]:
     outcome = next(name for name in ENDINGS if row[name]).replace("_", " ")
-    names = ("case", "seed", "path", "gear_changes", "final_distance", "final_heading")
+    names = ("case", "seed", "kind", "length", "path", "gear_changes")
+    names += ("final_distance", "final_heading")
     return {"outcome": outcome} | {name: row[name] for name in names}
 
 

@@ -1,30 +1,67 @@
-"""Which agents of a lot can park in time, by a planner that sees and moves all of them.
+"""Finds which agents of held-out lots can park within an episode; writes `oracle.csv`.
+
+python eval/oracle.py --layout street --num-agents 8 --lots 30
+python eval/oracle.py --layout dead_end,garage_row --num-agents 4 --out runs/oracle
+
+A planner that sees and moves all cars answers for each lot at its start. What it finds
+is a witness; what it does not find may still exist.
 
 Prioritised planning: cars drive in turn, each past those that still stand at their
-starts and those that have parked, which stay in their bays (`planning.schedule`). A car
-in the way of others first moves aside along its lane. Several orders are tried. What is
-found is a witness; what is not found may still exist.
-
-`impossible` is a necessary test: a disc as wide as each car moves among the cells of a
-grid, alone and with that of every other car. A cell counts as free where any point of
-it may be, so that discs pass wherever cars do; cars may still fail where discs pass.
+starts and those that have parked, which stay in their bays. A car in the way of others
+first moves aside along its lane. Several orders are tried. A path is driven with a
+trapezoidal speed profile; where another car is in the way, the car waits before it
+pulls away or stops on its path, so that it arrives as early as possible (path-velocity
+decomposition, Kant and Zucker 1986).
 """
 
-import dataclasses
-import heapq
-import itertools
-import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from carpark_mj.cli.process import enter
 
+if __name__ == "__main__":  # before the imports, which take seconds
+    enter("oracle", "oracle:main")
+
+import dataclasses
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import jax
 import numpy as np
 
-from carpark_mj.planning.obstacles import FreeSpace, Solids, gaps
-from carpark_mj.planning.paths import SHIFT_TIME, STEP, make_path, rear_axle
-from carpark_mj.planning.policy import Sight
-from carpark_mj.planning.schedule import DT, Drive, instants, meet, schedule
+from carpark_mj.cli.clock import COMPILING, doing
+from carpark_mj.cli.driver import adapted
+from carpark_mj.cli.process import MAX_EPISODES
+from carpark_mj.cli.settings.driving import LotSettings
+from carpark_mj.config.checks import Bounds, counted
+from carpark_mj.env import ParkingEnv
+from carpark_mj.evaluation.aggregation import wilson_interval
+from carpark_mj.evaluation.evaluator import allot
+from carpark_mj.evaluation.keys import evaluation_key
+from carpark_mj.evaluation.tables import markdown
+from carpark_mj.files import require_writable, write_csv
+from carpark_mj.layouts import member_shares
+from carpark_mj.planning.obstacles import FreeSpace, Solids
+from carpark_mj.planning.paths import (
+    SHIFT_TIME,
+    STEP,
+    PlannedPath,
+    centre,
+    make_path,
+    rear_axle,
+    slow_down,
+    speed_limit,
+)
+from carpark_mj.planning.policy import Sight, require_plannable, sights
 from carpark_mj.planning.search import SearchConfig, search
+from carpark_mj.registry import environment
+from carpark_mj.vehicle import VehicleParameters
+from shell import command
 
+OUTCOMES = "in time", "late", "none found"
+DT = 0.2  # s between instants
+CRUISE = 2.5  # m/s, highest speed
+ACCELERATION = 1.5  # m/s^2, by which cars speed up and slow down
+STOP = CRUISE / ACCELERATION  # s, least loss of a stop on the way
 MARGIN = 0.02  # m on every side of a car that drives
 ORDERS = 6
 BREADTH = 3  # cars of an order among which the one that parks first is next
@@ -38,6 +75,101 @@ PATIENT = SearchConfig((0.02,), max_tests=4000, **TWO)  # short steps, for tight
 AROUND = dataclasses.replace(ALONE, clearances=(0.02,), paths=1, max_tests=1000)
 ASIDE = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0, 9.0, -9.0, 12.0, -12.0)  # m along its heading
 MOVES = 2  # aside, of every car
+
+
+@dataclasses.dataclass(frozen=True)
+class OracleConfig(LotSettings):
+    """Settings of `python eval/oracle.py`.
+
+    Attributes:
+        environment: name of an environment, see `carpark_mj.registry`.
+        lots: number of lots.
+        out: folder for `oracle.csv`, a row per agent.
+    """
+
+    environment: str = "anywhere"
+    lots: Annotated[int, Bounds(ge=1, le=MAX_EPISODES)] = 16
+    out: str = ""
+
+
+def run(config: OracleConfig) -> list[dict[str, Any]]:
+    """Plans the lots, prints a table and writes the file; returns its rows."""
+    task = adapted(config, environment(config.environment))
+    env = ParkingEnv(task)
+    require_plannable(env)
+    if task.movers:
+        raise ValueError("the oracle needs lots in which only agents move")
+    file = Path(config.out) / "oracle.csv"
+    if config.out:
+        require_writable(file, new_folders=True)
+    shares = member_shares(env.layout_config)
+    doing(COMPILING)
+    member = allot(list(shares.values()), config.lots)
+    keys = jax.random.split(evaluation_key(config.seed), config.lots)
+    state, _ = jax.jit(jax.vmap(lambda key, n: env.reset(key, "test", n)))(keys, member)
+    seconds = task.episode.max_steps * task.sim.ctrl_dt
+    doing(f"planning {counted(config.lots, 'lot')}, some seconds each")
+    rows: list[dict[str, Any]] = []
+    for lot, seen in enumerate(sights(state)):
+        begun = {"lot": lot, "family": list(shares)[member[lot]]}
+        rows += [begun | row for row in answers(seen, seconds, config.seed)]
+        if config.out:  # after every lot: they take seconds each
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_csv(file, rows)
+    print(describe(rows))
+    if config.out:
+        print(f"wrote {file}")
+    return rows
+
+
+def answers(
+    seen: Sequence[Sight], seconds: float, seed: int
+) -> Iterator[dict[str, Any]]:
+    """A row for each agent of a lot."""
+    arrival = solve(seen, seconds, seed).arrival
+    for agent in range(len(seen)):
+        outcome = "late" if np.isfinite(arrival[agent]) else "none found"
+        outcome = "in time" if arrival[agent] <= seconds else outcome
+        row = {"agents_present": len(seen), "agent": agent, "outcome": outcome}
+        yield row | {"arrival": float(arrival[agent])}
+
+
+def describe(rows: list[dict[str, Any]]) -> str:
+    """A table of the outcomes [%] by family and number of agents, in Markdown."""
+    cells: dict[Any, list[dict[str, Any]]] = {}
+    for row in rows:
+        cells.setdefault((row["family"], row["agents_present"]), []).append(row)
+    table: list[dict[str, Any]] = []
+    for (family, agents), those in sorted(cells.items()):
+        late = {row["lot"] for row in those if row["outcome"] != "in time"}
+        lots = len({row["lot"] for row in those})
+        cell: dict[str, Any] = {"family": family, "agents": agents, "lots": lots}
+        for name in OUTCOMES:
+            share = sum(row["outcome"] == name for row in those) / len(those)
+            cell[name] = f"{100 * share:.1f}"
+        found = lots - len(late)
+        low, high = (100 * end for end in wilson_interval(found, lots))
+        rate = f"{100 * found / lots:.1f} ({low:.1f} … {high:.1f})"
+        table.append(cell | {"lots in time": rate})
+    return markdown(table, left=2)
+
+
+class Drive(NamedTuple):
+    """What a car does from the beginning; afterwards it stands at the last pose."""
+
+    # (n, 3) of the footprint's centre, without repetitions while it waits
+    pose: np.ndarray
+    point: np.ndarray  # (t,) which of them, at instants `DT` apart
+    size: np.ndarray  # (2,) length and width [m]
+
+    def at(self, instants: np.ndarray) -> np.ndarray:
+        """Which poses, at these instants (k,)."""
+        return self.point[np.minimum(instants, len(self.point) - 1)]
+
+    @property
+    def seconds(self) -> float:
+        """Time of the arrival [s]."""
+        return DT * (len(self.point) - 1)
 
 
 class Answer(NamedTuple):
@@ -274,69 +406,101 @@ class _Lot:
         return [] if path is None else [instants(path, sight.car)]
 
 
-CELL = 0.4  # m
-Cell = tuple[int, int]
+def instants(path: PlannedPath, car: VehicleParameters) -> np.ndarray:
+    """Poses (n, 3) of the footprint's centre, `DT` apart, on a path without stops."""
+    now, wheels = 0.0, 0.0
+    times, poses = [], []
+    for segment in path.segments:
+        gap = np.diff(segment.distance)
+        now += abs(float(segment.steering[0]) - wheels) / car.steering_rate
+        now += SHIFT_TIME if times else 0.0
+        wheels = float(segment.steering[-1])
+        speed = speed_limit(segment.distance, segment.steering, car, CRUISE)
+        speed[[0, -1]] = 0.0
+        slow_down(speed[::-1], gap[::-1], ACCELERATION)
+        slow_down(speed, gap, ACCELERATION)
+        taken = 2 * gap / (speed[1:] + speed[:-1])
+        begun = now + np.concatenate([[0.0], np.cumsum(taken)])
+        times.append(begun)
+        poses.append(segment.pose)
+        now = float(begun[-1])
+    time, pose = np.concatenate(times), centre(car, np.concatenate(poses))
+    yaw = np.unwrap(pose[:, 2])
+    at = DT * np.arange(math.ceil(now / DT) + 1)
+    return np.column_stack([np.interp(at, time, x) for x in (*pose[:, :2].T, yaw)])
 
 
-def impossible(sights: Sequence[Sight]) -> np.ndarray:
-    """(agents,) bool, agents that cannot park, or only if another does not."""
-    discs = [_Disc(sight) for sight in sights]
-    never = np.array([disc.start not in disc.left for disc in discs], bool)
-    for a, b in itertools.combinations(np.flatnonzero(~never), 2):
-        if not _both_reach(discs[a], discs[b]):
-            never[[a, b]] = True
-    return never
+def meet(
+    pose: np.ndarray, size: np.ndarray, other: np.ndarray, other_size: np.ndarray
+) -> np.ndarray:
+    """(n, m) bool, which poses (n, 3), (m, 3) of two rectangles overlap (SAT)."""
+    dx = other[:, 0] - pose[:, None, 0]
+    dy = other[:, 1] - pose[:, None, 1]
+    found = np.hypot(dx, dy) < (math.hypot(*size) + math.hypot(*other_size)) / 2
+    rows, columns = np.nonzero(found)
+    x, y, a, b = dx[found], dy[found], pose[rows, 2], other[columns, 2]
+    half, other_half = np.asarray(size) / 2, np.asarray(other_size) / 2
+    c, s = np.abs(np.cos(b - a)), np.abs(np.sin(b - a))
+    apart = np.zeros(len(x), bool)
+    for yaw, own, its in ((a, half, other_half), (b, other_half, half)):
+        along = np.abs(np.cos(yaw) * x + np.sin(yaw) * y)
+        across = np.abs(np.cos(yaw) * y - np.sin(yaw) * x)
+        apart |= along >= own[0] + its[0] * c + its[1] * s
+        apart |= across >= own[1] + its[0] * s + its[1] * c
+    found[rows, columns] = ~apart
+    return found
 
 
-class _Disc:
-    """The cells of a grid where the middle of a car may be.
+def schedule(
+    pose: np.ndarray, size: np.ndarray, others: list[Drive], begin: int
+) -> np.ndarray | None:
+    """The earliest arrival on a path among cars whose drives are known.
 
-    `start` is the cell of the car, free or not; `left` has the steps to the goal from
-    every cell that it can be reached from.
+    Args:
+        pose: (n, 3) of a car that drives without stops, `DT` apart.
+        size: (2,) of it.
+        others: drives of the other cars.
+        begin: instant from which it may pull away.
+
+    Returns:
+        (t,) which pose at every instant from 0 to the arrival; None if there is none.
     """
-
-    def __init__(self, sight: Sight) -> None:
-        self.radius = sight.car.width / 2
-        counts = np.ceil(2 * sight.extent / CELL).astype(int)
-        grid = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
-        x, y = np.moveaxis((grid + 0.5) * CELL - sight.extent, -1, 0)
-        nearest = gaps(sight.solids, x, y).min(-1, initial=np.inf)
-        free = nearest > self.radius - CELL * np.sqrt(0.5)
-        self._free = set[Cell](map(tuple, grid[free].tolist()))
-        ends = sight.pose[:2], np.atleast_2d(sight.goal)[0, :2]
-        self.start, goal = (
-            tuple(((end + sight.extent) // CELL).astype(int).tolist()) for end in ends
-        )
-        self.left: dict[Cell, int] = {goal: 0} if goal in self._free else {}
-        reached = [*self.left]
-        for cell in reached:  # which grows
-            for near in self.beside(cell):
-                if near not in self.left:
-                    self.left[near] = self.left[cell] + 1
-                    reached.append(near)
-
-    def beside(self, cell: Cell) -> list[Cell]:
-        """The free cells next to a cell."""
-        x, y = cell
-        near = (x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)
-        return [at for at in near if at in self._free]
+    count, wait = len(pose), round(STOP / DT)
+    last = max((len(other.point) for other in others), default=0)
+    total = max(last, begin) + count + wait + 2
+    free = np.ones((total, count), bool)
+    for other in others:
+        taken = meet(pose, size, other.pose, other.size)
+        free &= ~taken[:, other.at(np.arange(total))].T
+    stays = np.logical_and.accumulate(free[::-1, -1])[::-1]  # for good, at the end
+    moves = np.zeros((total, count), bool)
+    stood = np.zeros((total, count), int)
+    stood[: begin + 1, 0] = wait
+    for t in range(begin, total - 1):
+        if stays[t] and (moves[t, -1] or stood[t, -1]):
+            return _backtrack(moves, stood, t)
+        goes = moves[t] | (stood[t] >= wait)
+        # Free in all corners of the cell of time and path: nobody is passed through.
+        clear = free[t + 1, 1:] & free[t, 1:] & free[t + 1, :-1]
+        moves[t + 1, 1:] = goes[:-1] & clear
+        stood[t + 1] = np.where(stood[t] > 0, stood[t] + 1, moves[t]) * free[t + 1]
+    return None
 
 
-def _both_reach(a: _Disc, b: _Disc) -> bool:
-    """Whether two discs get to their goals without touching each other."""
-    edge = [(a.left[a.start] + b.left[b.start], a.start, b.start)]
-    reached = {(a.start, b.start)}
-    while edge:  # nearest to both goals first
-        left, one, two = heapq.heappop(edge)
-        if left == 0:
-            return True
-        moves = [(near, two) for near in a.beside(one)]
-        for cells in moves + [(one, near) for near in b.beside(two)]:
-            (x, y), (u, v) = cells
-            # The farthest that points of the two cells can be from each other.
-            gap = CELL * math.hypot(abs(x - u) + 1, abs(y - v) + 1)
-            if cells not in reached and gap > a.radius + b.radius:
-                reached.add(cells)
-                left = a.left[cells[0]] + b.left[cells[1]]
-                heapq.heappush(edge, (left, *cells))
-    return False
+def _backtrack(moves: np.ndarray, stood: np.ndarray, t: int) -> np.ndarray:
+    """The poses from 0 to an arrival at instant t."""
+    point, index = moves.shape[1] - 1, []
+    driving = bool(moves[t, point])
+    while point:
+        if driving:
+            index.append(point)
+            t, point = t - 1, point - 1
+            driving = bool(moves[t, point])
+        else:
+            pause = int(stood[t, point])
+            index += [point] * pause
+            t, driving = t - pause, True
+    return np.array((index + [0] * (t + 1))[::-1])
+
+
+main = command(OracleConfig, run, __doc__, fused=True)
