@@ -83,8 +83,10 @@ def solve(m: Symmetric, b: Vector) -> Vector:
     first = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     second = first[1], xx * zz - xz * xz, xy * xz - xx * yz
     third = first[2], second[2], xx * yy - xy * xy
-    inverse = 1.0 / dot((xx, xy, xz), first)
-    return scale(inverse, (dot(first, b), dot(second, b), dot(third, b)))
+    # Divided last: XLA computes quotients once, but products anew for each of their
+    # uses, and all of a car's accelerations use these.
+    det = dot((xx, xy, xz), first)
+    return dot(first, b) / det, dot(second, b) / det, dot(third, b) / det
 
 
 def rotate_by(q: Quaternion, angular: Vector, dt: float | jax.Array) -> Quaternion:
