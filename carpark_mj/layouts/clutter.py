@@ -395,3 +395,8 @@ for _name, _config in _ROOM.items():
         dataclasses.replace(_config, car=_SMALL, largest=_LARGE),
     )
 register_layout("clutter_vans", ClutterConfig(car=_LARGE, largest=_LONG))
+# Slots along a kerb or a wall.
+register_layout(
+    "clutter_parallel",
+    ClutterConfig(car=_SMALL, largest=_LARGE, gap=(0.15, 0.8), parallel=1.0),
+)

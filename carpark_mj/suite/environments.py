@@ -55,6 +55,7 @@ _MEMBERS = {
     **dict.fromkeys(str(HOPE.layout).split(","), (1.0, (0.72, 1.3))),
     "clutter_sizes": (3.0, (0.95, 1.05)),
     "clutter_sizes_tight": (3.0, (0.95, 1.05)),
+    "clutter_parallel": (2.0, (0.95, 1.05)),
     "clutter_vans": (2.0, (0.95, 1.0)),
 }
 register_layout(
