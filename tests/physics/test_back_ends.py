@@ -179,9 +179,9 @@ def test_effort_is_in_shares_of_what_the_back_end_says():
     before, after = cars(poses), cars(poses, [2.0, -4.0], yaw_rate=[1.5, -3.0])
     physics = {"physics": HandPhysics(hand_cars(before))}
     place = lot([(0.0, 0.0, 0.0)])
-    used = effort(config, transition(config, place, before, after, physics))
-    np.testing.assert_allclose(used.turn, [0.5, 1.0], rtol=1e-6)
-    np.testing.assert_allclose(used.speed, [0.25, 0.5], rtol=1e-6)
+    turn, speed = effort(config, transition(config, place, before, after, physics))
+    np.testing.assert_allclose(turn, [0.5, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(speed, [0.25, 0.5], rtol=1e-6)
 
 
 @pytest.mark.parametrize("physics", ["bicycle", Trial(branches=(3,))])
