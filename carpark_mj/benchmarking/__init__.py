@@ -4,7 +4,6 @@ Every job is measured in a process of its own, by `work`.
 """
 
 import dataclasses
-import itertools
 import json
 import os
 import sys
@@ -92,7 +91,7 @@ def main(config: BenchmarkConfig) -> int:
     """Measures and prints the table; returns 1 if a process failed."""
     try:
         if config.what == ("start",):
-            cases = list(itertools.product(config.environments, config.batches))
+            cases = start.cases_of(config.environments, config.batches)
             found = measure(cases, start.run, config.repeats, config.out)
             table = tables.markdown(start.rows(found))
         else:

@@ -1,6 +1,7 @@
 """`carpark_mj benchmark --what start`: how long a person waits for the first step."""
 
 import dataclasses
+import itertools
 import json
 import os
 import tempfile
@@ -46,6 +47,15 @@ class Start:
         return f"{about}: {self.total_s:.1f} s"
 
 
+def cases_of(
+    environments: Sequence[str], batches: Sequence[int]
+) -> list[tuple[str, int]]:
+    """What each round measures; `ValueError` of an unknown environment."""
+    for name in environments:
+        _config(name)
+    return list(itertools.product(environments, batches))
+
+
 def run(case: tuple[str, int]) -> list[Start]:
     """Measures a first and a second process of an environment and its lots."""
     with tempfile.TemporaryDirectory() as kept:
@@ -74,7 +84,6 @@ def rows(found: Mapping[tuple[str, int], Sequence[Start]]) -> list[dict[str, Any
 
 def _run(name: str, lots: int, process: str, kept: str) -> Start:
     """Measures one process that keeps its programs in a folder."""
-    _config(name)  # refused here
     request = {"name": name, "lots": lots, "started": time.time()}
     environment = {**os.environ, "XDG_CACHE_HOME": kept}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)

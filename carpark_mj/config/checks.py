@@ -76,6 +76,7 @@ Ratio = Annotated[float, Bounds(ge=0.0, le=1.0)]
 Finite = Annotated[float, Bounds()]
 Count = Annotated[int, Bounds(ge=1)]
 Natural = Annotated[int, Bounds(ge=0)]
+Seed = Annotated[int, Bounds(ge=0, le=MAX_SEED)]
 
 
 def require_choice(name: str, value: str, literal: object) -> None:

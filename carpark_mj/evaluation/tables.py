@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from carpark_mj.config.checks import counted
 from carpark_mj.files import write_text
 
 Rows = Sequence[Mapping[str, Any]]
@@ -79,7 +80,7 @@ def table(rows: Rows) -> str:
     head = "".join(f"<th>{html.escape(str(name))}</th>" for name in rows[0])
     shown = " open" if len(rows) <= SHOWN_ROWS else ""
     return (
-        f"<details{shown}><summary>{len(rows)} rows</summary>"
+        f"<details{shown}><summary>{counted(len(rows), 'row')}</summary>"
         f'<div class="wide"><table><tr>{"</tr><tr>".join([head, *lines])}</tr></table>'
         "</div></details>"
     )

@@ -84,11 +84,10 @@ def near_misses(_: EnvConfig, transition: Transition) -> jax.Array:
     return began.astype(jnp.float32)
 
 
-def speed_at_least_gap(_: EnvConfig, transition: Transition) -> jax.Array:
-    """Changes of a sum that is the own speed where a person has been nearest.
-
-    `metrics.extra` must have `min_person_gap`, too.
-    """
+def speed_at_least_gap(config: EnvConfig, transition: Transition) -> jax.Array:
+    """Changes of a sum that is the own speed where a person has been nearest."""
+    if "min_person_gap" not in config.metrics.extra:
+        raise ValueError("person_speed needs min_person_gap in metrics.extra too")
     tallies, gap = transition.before.stats.tallies, _gap(transition.after)
     change = _speed(transition.after) - tallies["person_speed"]
     return jnp.where(gap < tallies["min_person_gap"], change, 0.0)

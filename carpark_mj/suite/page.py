@@ -14,7 +14,6 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-from urllib.parse import quote
 
 import numpy as np
 
@@ -25,10 +24,10 @@ from carpark_mj.evaluation.tables import picture, print_rows, table, write_page
 from carpark_mj.files import require_writable
 from carpark_mj.suite.path_figure import Drawn, plot_paths
 from carpark_mj.suite.report import (
-    FOLDER,
     PLANNER,
     PRINTED,
     by_level,
+    film_of,
     header,
     make_videos,
     same_columns,
@@ -69,6 +68,7 @@ VALUES = {
 }
 BINS = 20
 PRINT = """<style>
+@page { size: A4 landscape; }
 figure { display: inline-block; margin: .4rem; vertical-align: top; }
 figure video { width: 18rem; }
 @media print { h2 { break-after: avoid; } figure video { display: none; }
@@ -191,8 +191,14 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
     page, folders = Path(config.out), list(map(Path, config.runs))
     require_writable(page, new_folders=True)
     episodes, _ = read_runs(folders)
+    films = {
+        key: file
+        for folder in reversed(folders)  # the first one's count
+        for key in map(key_of, episodes)
+        if (file := film_of(folder, key)).exists()
+    }
     page.parent.mkdir(parents=True, exist_ok=True)
-    judged = write_test_page(page, episodes, folders, limits, config.title)
+    judged = write_test_page(page, episodes, films, limits, config.title)
     if judged:
         print_rows(judged, config.title or header(episodes)[0], left=4)
     print(f"wrote {page}")
@@ -219,7 +225,7 @@ def write_report(
     rows, head = all_rows(episodes), header(episodes)
     written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
     written += [*write_tables(folder, head, rows), page]
-    write_test_page(page, episodes, [folder], pictures=pictures)
+    write_test_page(page, episodes, {}, pictures=pictures)
     shown = [shown_cells(row) | {"level": short_level(row["level"])} for row in rows]
     cells = [{k: x for k, x in row.items() if k in PRINTED} for row in shown]
     print_rows(cells, head[0], left=2)
@@ -227,8 +233,8 @@ def write_report(
         print_rows(by_level(rows), "Parked [%] with Wilson's 95 % interval", left=1)
     parts = by_policy(episodes).values()
     worst = [row for part in parts for row in worst_first(part)[:num_videos]]
-    if make_videos(folder, worst, drives):  # once more, with them
-        write_test_page(page, episodes, [folder], pictures=pictures)
+    if films := make_videos(folder, worst, drives):  # once more, with them
+        write_test_page(page, episodes, films, pictures=pictures)
     print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
     return rows
 
@@ -236,12 +242,12 @@ def write_report(
 def write_test_page(
     page: Path,
     episodes: Sequence[Row],
-    folders: Sequence[Path],
+    films: Mapping[Key, Path],
     limits: Sequence[Limit] = (),
     title: str = "",
     pictures: Sequence[Path] = (),
 ) -> list[dict[str, Any]]:
-    """Writes the page, with the films that the folders have; returns the limits' rows.
+    """Writes the page with films, embedded; returns the limits' rows.
 
     The pictures are PNG files.
     """
@@ -258,15 +264,15 @@ def write_test_page(
     own, *about = header(episodes)
     sections = [("Limits", PRINT + table(judged))] if judged else [("", PRINT)]
     found = tables_of(all_rows(episodes))
-    sections += [(heading, table(cells)) for heading, cells in found.items()]
+    sections += [(heading, table(_filled(cells))) for heading, cells in found.items()]
     sections += [(path.stem.capitalize(), picture(path)) for path in pictures]
     sections.append(("Distributions", histograms(parts)))
     contacts = [x for x in episodes if x["crashed"] or x.get("near_miss")]
     sections.append(("Contacts and near misses", table(list(map(_contact, contacts)))))
     for which, part in parts.items():
         worst = worst_first(part)[:WORST]
-        films = "".join(_film(row, folders) for row in worst)
-        sections.append((f"Worst of {which}", table(list(map(_worst, worst))) + films))
+        shown = "".join(_film(row, films) for row in worst)
+        sections.append((f"Worst of {which}", table(list(map(_worst, worst))) + shown))
     sections.append(("To repeat", table(list(map(_repeat, parts.values())))))
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     write_page(page, title or own, [f"{own}. {today}.", *about], sections)
@@ -277,6 +283,12 @@ def all_rows(episodes: Sequence[Row]) -> list[Row]:
     """The table: the planner first, as others are compared with its paths."""
     names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
     return same_columns([row for name in names for row in table_rows(name, episodes)])
+
+
+def _filled(cells: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+    """Cells without the columns that are empty in all rows: paper is narrow."""
+    names = [name for name in cells[0] if any(row[name] != "–" for row in cells)]
+    return [{name: row[name] for name in names} for row in cells]
 
 
 def _contact(row: Row) -> dict[str, Any]:
@@ -316,15 +328,12 @@ def _repeat(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _film(row: Row, folders: Sequence[Path]) -> str:
-    """The film of an episode, embedded, if a folder has it."""
-    name = "-".join(quote(str(part), safe="") for part in key_of(row)) + ".mp4"
-    for folder in folders:
-        if (file := folder / FOLDER / name).exists():
-            data = base64.b64encode(file.read_bytes()).decode()
-            caption = f"case {row['case']}, seed {row['seed']}"
-            return (
-                f'<figure><video controls muted src="data:video/mp4;base64,{data}">'
-                f"</video><figcaption>{caption}</figcaption></figure>"
-            )
-    return ""
+def _film(row: Row, films: Mapping[Key, Path]) -> str:
+    """The film of an episode, embedded, if there is one."""
+    if (file := films.get(key_of(row))) is None:
+        return ""
+    data = base64.b64encode(file.read_bytes()).decode()
+    return (
+        f'<figure><video controls muted src="data:video/mp4;base64,{data}"></video>'
+        f"<figcaption>case {row['case']}, seed {row['seed']}</figcaption></figure>"
+    )

@@ -103,6 +103,8 @@ def _wall(piece: np.ndarray) -> Boxes:
 @functools.cache
 def parkbench_level(path: str) -> CaseLevel:
     """The level of a folder of cases, or with `:held_out` of its other half."""
+    if not path:
+        raise ValueError(f"level {NAME} needs a folder, {NAME}:FOLDER")
     folder = Path(path.removesuffix(f":{HELD_OUT}"))
     files = sorted(folder.glob("*.json"))
     numbers = range(int(path.endswith(f":{HELD_OUT}")), len(files), 2)

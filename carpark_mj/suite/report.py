@@ -75,12 +75,17 @@ def make_videos(
     videos: dict[Key, Path] = {}
     for row in rows:
         key = key_of(row)  # with policies by the whole paths of their runs
-        name = "-".join(quote(str(part), safe="") for part in key)
-        path = folder / FOLDER / f"{name}.mp4"
+        path = film_of(folder, key)
         path.parent.mkdir(exist_ok=True)
         _write(path, recording_of(row, drives[key]), drives[key], vehicle_of(row))
         videos[key] = path
     return videos
+
+
+def film_of(folder: Path, key: Key) -> Path:
+    """The file of an episode's film."""
+    name = "-".join(quote(str(part), safe="") for part in key)
+    return folder / FOLDER / f"{name}.mp4"
 
 
 def recording_of(row: Row, drive: Drives) -> Recording:
@@ -247,8 +252,10 @@ def write_tables(
 
 def tables_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[dict[str, str]]]:
     """The cells of the table, and before it those by level if there are several."""
-    tables = {"Results": list(map(shown_cells, rows))}
-    if len({row["level"] for row in rows}) > 1:
+    names = shown_levels(row["level"] for row in rows)
+    cells = [shown_cells(row) | {"level": names[row["level"]]} for row in rows]
+    tables = {"Results": cells}
+    if len(names) > 1:
         tables = {"Parked [%] by level": by_level(rows)} | tables
     return tables
 

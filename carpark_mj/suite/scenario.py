@@ -350,6 +350,8 @@ def _part(name: str, kind: Any, value: Any) -> Any:
 
 def scenario_level(path: str) -> CaseLevel:
     """The level of a scenario's file, `FILE` or `FILE:REPETITIONS`."""
+    if not path:
+        raise ValueError(f"level {NAME} needs a file, {NAME}:FILE")
     name, _, count = path.rpartition(":")
     file = Path(name if count.isdecimal() else path)
     state = file.absolute(), file.stat().st_mtime_ns if file.exists() else 0

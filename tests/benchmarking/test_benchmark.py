@@ -75,7 +75,7 @@ def test_each_round_measures_every_variant_in_every_batch():
     ("flags", "said"),
     [
         ("--out FOLDER/missing/benchmark.csv", "cannot use"),
-        ("--what start --environments nowhere", "nowhere"),
+        ("--what start --environments default nowhere", "nowhere"),
         ("--what start env", "start"),
     ],
 )

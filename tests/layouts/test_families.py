@@ -339,6 +339,9 @@ def test_the_command_checks_and_draws(tmp_path, capsys):
     assert "unknown layout 'ring'" in capsys.readouterr().err
     assert main(["nowhere.json", "--check", "1"]) == 2
     assert "cannot read nowhere.json" in capsys.readouterr().err
+    # JAX would take it for 0.
+    assert main(["square", "--check", "1", "--seed", str(2**32)]) == 2
+    assert "seed must lie in" in capsys.readouterr().err
 
 
 def test_the_plan_of_a_single_lot_numbers_its_bays(tmp_path, monkeypatch):

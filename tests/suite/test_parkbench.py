@@ -131,6 +131,9 @@ def test_half_of_the_files_is_held_out(tmp_path):
     assert (cases.level, cases.number.tolist()) == (names[0], [2, 4])
     assert cases.layouts.wall_mask.sum(axis=1).tolist() == [0, 2]
     assert SuiteConfig(("zero",), levels=names, videos=1)
+    for level in ("parkbench", "scenario:"):
+        with pytest.raises(ValueError, match=f"{level.strip(':')}:F"):
+            find_level(level)
     with pytest.raises(ValueError, match="has only 0 ParkBench files"):
         find_level(f"parkbench:{tmp_path / 'none'}")
 

@@ -20,9 +20,11 @@ from carpark_mj.suite.report import (
     header,
     shown_cells,
     table_rows,
+    tables_of,
     worst_first,
     write_tables,
 )
+from carpark_mj.suite.results import key_of
 from carpark_mj.suite.tpcap import TpcapConfig
 
 
@@ -147,12 +149,16 @@ def test_files_hold_the_table_the_worst_and_videos(tmp_path):
     film = tmp_path / "videos" / "x-normal-0-7.mp4"
     film.parent.mkdir()
     film.write_text("film")
-    write_test_page(tmp_path / "suite.html", episodes, [tmp_path])
+    films = {key_of(episodes[1]): film}
+    write_test_page(tmp_path / "suite.html", episodes, films)
     html = (tmp_path / "suite.html").read_text()
     worst = html[html.index("Worst of x, normal") :]
     assert worst.index("<td>7</td>") < worst.index("<td>0</td>")
     assert "case 7, seed 0" in worst
     assert shown_cells(row)["path found [%]"] == "–"
+    assert "path found" not in html  # of no row here
+    (cells,) = tables_of([row | {"level": "scenario:/a/b.yaml:4"}])["Results"]
+    assert cells["level"] == "scenario:b.yaml:4"
 
 
 def test_start_and_goal_are_in_view_and_far_obstacles_are_not():

@@ -91,7 +91,12 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
     names = {"worst.npz", *(f"suite.{x}" for x in ("md", "csv", "html", "json"))}
     names.add("cases.csv")
     assert {path.name for path in out.iterdir()} == names  # before it is printed
+    # A film of earlier drives is of no case here.
+    old = out / "videos" / "x-extreme-0-0.mp4"
+    old.parent.mkdir()
+    old.write_text("film")
     (row,) = main(config)
+    assert "<video" not in (out / "suite.html").read_text()
     assert (row["cases"], row["seeds"], row["parked"]) == (2, 2, 0.25)
     assert row["by seed"] == [0.0, 0.5]
     assert "seeds 0, 1" in (out / "suite.md").read_text()

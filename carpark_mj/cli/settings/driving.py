@@ -11,9 +11,9 @@ from carpark_mj.config.checks import (
     Bounds,
     CheckedConfig,
     Count,
-    Natural,
     NonNegative,
     Positive,
+    Seed,
     require_unset,
 )
 from carpark_mj.files import require_suffix
@@ -49,7 +49,7 @@ class LotSettings(CheckedConfig):
     num_agents: int | None = None
     num_parked_cars: int | None = None
     vehicle: str | None = None
-    seed: Natural = 0
+    seed: Seed = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -286,7 +286,7 @@ class ExportConfig(CheckedConfig):
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     out: str = ""
-    seed: Natural = 0
+    seed: Seed = 0
     from_state: bool = False
     others: int | None = None
     parked: int | None = None
@@ -321,7 +321,7 @@ class SceneOutput(CheckedConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.out and not self.view:
-            raise ValueError("give --out FILE.xml to write the scene, --view, or both")
+            raise ValueError("give --out FILE.xml, --view window or --view web")
         if self.view != "web":
             require_unset(self, "without --view web", "port")
         require_suffix("out", self.out, ".xml")

@@ -10,7 +10,7 @@ from carpark_mj.config.checks import (
     Bounds,
     CheckedConfig,
     Finite,
-    Natural,
+    Seed,
     require_unset,
 )
 from carpark_mj.files import require_suffix
@@ -46,7 +46,7 @@ class VehiclesConfig:
     carpark_mj vehicles my_car.yaml --save whole.json
 
     Attributes:
-        vehicle: a vehicle file or a preset.
+        vehicle: a vehicle file, or a preset of `carpark_mj list vehicles`.
         save: file to write all parameters of the vehicle to.
     """
 
@@ -120,12 +120,15 @@ class LayoutsConfig(CheckedConfig):
     vehicle: str = ""
     save: str = ""
     crop: Crop | None = None
-    seed: Natural = 0
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (self.plot or self.check or self.save):
-            raise ValueError("nothing to do: give --plot, --save or --check")
+            raise ValueError(
+                "nothing to do: give --plot, --save or --check; `carpark_mj list "
+                "layouts` has the names"
+            )
         if not self.check:
             require_unset(self, "without --check", "vehicle", "paths")
         if not self.save:

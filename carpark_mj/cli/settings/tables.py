@@ -6,6 +6,7 @@ from typing import Annotated, Literal, get_args
 import tyro
 
 from carpark_mj.config.checks import (
+    MAX_SEED,
     Bounds,
     CheckedConfig,
     Count,
@@ -24,7 +25,7 @@ What = Literal["env", "ppo", "physics", "start"]
 Clock = Literal["wall", "cpu"]
 Cars = Literal["brush", "mjx.step", "contact"]
 Counts = Annotated[tuple[int, ...], Bounds(ge=1)]
-Seeds = Annotated[tuple[int, ...], Bounds(ge=0)]
+Seeds = Annotated[tuple[int, ...], Bounds(ge=0, le=MAX_SEED)]
 Films = Annotated[int, Bounds(ge=0, le=WORST)]
 Cluster = Literal["local", "debug", "slurm"]
 

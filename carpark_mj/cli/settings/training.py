@@ -9,9 +9,9 @@ from carpark_mj.config.checks import (
     Bounds,
     CheckedConfig,
     Count,
-    Natural,
     NonNegative,
     Positive,
+    Seed,
 )
 
 
@@ -36,7 +36,7 @@ class RunConfig(CheckedConfig):
     runs_dir: str = "runs"
     resume: str = ""
     time_limit: NonNegative = 0.0
-    seed: Natural = 0
+    seed: Seed = 0
     checkpoint_minutes: Positive = 1.0
     logger: str = "tensorboard"
 

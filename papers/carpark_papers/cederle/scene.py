@@ -15,7 +15,7 @@ from carpark_mj.cli.pages import open_page
 from carpark_mj.cli.process import run_command
 from carpark_mj.cli.scene import require_view, show_scene
 from carpark_mj.cli.settings.driving import SceneOutput
-from carpark_mj.config.checks import Natural
+from carpark_mj.config.checks import Seed
 from carpark_mj.scene.build import scene_xml
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv
@@ -38,7 +38,7 @@ class JunctionSceneConfig(SceneOutput):
 
     scenario: str = "2av"
     vehicle: str = JunctionConfig.vehicle
-    seed: Natural = 0
+    seed: Seed = 0
 
 
 def main(config: JunctionSceneConfig, page: Any = None) -> None:
