@@ -107,9 +107,6 @@ class Physics(abc.ABC, Generic[S]):
         return self.step(state, controls)
 
 
-FactoredPhysics = Physics  # of cars with worlds of their own
-
-
 def where_cars(mask: jax.Array, new: Tree, old: Tree) -> Tree:
     """Takes cars from the tree `new` where `mask` (...) is true, else from `old`."""
 
