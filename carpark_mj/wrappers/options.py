@@ -29,6 +29,7 @@ from carpark_mj.precision import is_real
 from carpark_mj.registry import environment
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import NO_BAY
+from carpark_mj.vehicle.range import fleet_cars
 
 
 class Options(TypedDict, total=False):
@@ -176,9 +177,10 @@ def observation_space(config: EnvConfig) -> spaces.Box | spaces.Dict:
 def vector_space(config: EnvConfig, fields: Iterable[Field]) -> spaces.Box:
     """The vector (size,) float32 of some fields.
 
-    Bounds are the ranges of the fields. Lengths and speeds have none with noise of
-    sensors or where cars are faster than in a car park, nor lengths where walls do not
-    keep cars on the lot. Those of a yaw rate reach as far as the back end turns cars.
+    Bounds are the ranges of the fields. If walls do not keep cars on the lot, or cars
+    are faster than in a car park, bounds of lengths and speeds are what a car can reach
+    in an episode; those of a yaw rate reach as far as the back end turns cars. Noise of
+    sensors is unbounded.
     """
     fields = tuple(fields)
     size = [field.size for field in fields]
@@ -194,11 +196,23 @@ def vector_space(config: EnvConfig, fields: Iterable[Field]) -> spaces.Box:
 def _excess(config: EnvConfig, field: Field) -> float:
     """By how much the numbers of a field may exceed its range."""
     lot, physics = layout_config(config.layout), config.physics_config
-    escapes = not physics.keeps_ranges or (field.metres and not lot.is_enclosed)
-    if (field.metres or field.speed) and (escapes or config.sensors.is_on):
+    fast = not physics.keeps_ranges
+    varies = bool(field.metres or field.speed)
+    if varies and config.sensors.is_on:
         return math.inf
     turns = physics.top_yaw_rate(config.sim.ctrl_dt) if field.is_yaw_rate else 0.0
-    return max(turns - field.high, 0.0)
+    if turns > field.high:
+        return turns - field.high
+    if not varies or (lot.is_enclosed and not fast):
+        return 0.0
+    cars = [car for _, car in fleet_cars((config.vehicle, *config.fleet.agents))]
+    fastest = 1.5 * max(max(c.max_speed, c.max_reverse_speed) for c in cars)
+    if field.speed:
+        return fastest / field.speed if fast else 0.0
+    files = [part.layout for part in lot.parts if part.layout is not None]
+    extent = max((float(np.max(x.extent)) for x in files), default=0.0)
+    way = fastest * config.episode.max_steps * config.sim.ctrl_dt
+    return 2.0 * (way + 2.0 * extent) / field.metres  # of two cars from each other
 
 
 def action_space(spec: ActionSpec) -> spaces.Space[Any]:

@@ -109,7 +109,7 @@ def test_cars_that_steer_cannot_start_from_it(trained):
 def test_baselines_drive_in_named_environments(tmp_path):
     def run(name, environment):
         config = evaluate.EvaluateConfig(
-            policy=name, environment=environment, episodes=7, out=str(tmp_path)
+            run=name, environment=environment, episodes=7, out=str(tmp_path)
         )
         return evaluate.main(config).summary
 
