@@ -37,7 +37,6 @@ from carpark_mj.observations import (
 from carpark_mj.obstacles import step_movers
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.precision import float32_only, is_real, require_float32
-from carpark_mj.pytrees import own_buffers
 from carpark_mj.spawning.checks import check_cars, check_exits, check_numbers
 from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.spawning.randomization import check_randomization
@@ -47,7 +46,14 @@ from carpark_mj.spawning.reset_options import (
     read_reset_options,
 )
 from carpark_mj.spawning.spawner import Spawner, StepKeys
-from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
+from carpark_mj.types import (
+    Motion,
+    PhysicsState,
+    State,
+    TimeStep,
+    Transition,
+    own_buffers,
+)
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 choose_xla_flags()

@@ -5,11 +5,12 @@ Units are SI and radians; poses are (x [m], y [m], yaw [rad]) of a footprint's c
 Floats are float32.
 """
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jax.core import Tracer
 
 from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts.routes import Routes
@@ -24,6 +25,8 @@ else:
 # a parked car the car is absent, in a list of tracked bays the slot is empty. Reading
 # `array[NO_BAY]` gives the last row, writing `array.at[NO_BAY]` writes nothing.
 NO_BAY = 2**31 - 1
+
+Tree = TypeVar("Tree")
 
 
 @struct.dataclass
@@ -331,3 +334,27 @@ class TimeStep:
     goal_events: GoalEvents | None = None
     target_pose: jax.Array | None = None
     final_observation: jax.Array | None = None
+
+
+def own_buffers(tree: Tree) -> Tree:
+    """Copies arrays outside of jit, so that callers may donate them.
+
+    Outside of `jax.jit` a function may return its own arguments, constants of an
+    environment, or one array in several places. A program that donates its argument
+    (`donate_argnums`) would delete or refuse these.
+    """
+    return jax.tree.map(lambda x: x if isinstance(x, Tracer) else x.copy(), tree)
+
+
+def without_empty(tree: Any) -> Any:
+    """The tree with None for arrays without elements, which Orbax refuses to save."""
+    return jax.tree.map(lambda x: x if x.size else None, tree)
+
+
+def with_empty(saved: Any, like: Tree) -> Tree:
+    """Undoes `without_empty`; `like` has the shapes, as `jax.eval_shape` gives."""
+
+    def fill(shape: Any, x: Any) -> Any:
+        return x if shape.size else jnp.zeros(shape.shape, shape.dtype)
+
+    return jax.tree.map(fill, like, saved)

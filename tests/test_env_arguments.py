@@ -12,7 +12,7 @@ from helpers.trees import same
 from carpark_mj.config import EnvConfig, RewardConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp import rewards
-from carpark_mj.pytrees import with_empty, without_empty
+from carpark_mj.types import with_empty, without_empty
 
 
 def test_float64_is_refused():

@@ -16,7 +16,7 @@ FILES = sorted(LIBRARY.rglob("*.py"))
 # The layers, lowest first: a package imports lower layers only.
 LAYERS = (
     ("extensions",),
-    ("compilation", "pretrained", "precision", "pytrees", "config", "files", "reading"),
+    ("compilation", "pretrained", "precision", "config", "files", "reading"),
     ("geometry",),
     ("layouts",),
     ("types", "vehicle"),

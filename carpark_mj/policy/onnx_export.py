@@ -25,7 +25,6 @@ from carpark_mj.observations import ContinuousObservation, Field, make_fields
 from carpark_mj.observations.compose import is_picture, join
 from carpark_mj.policy.acting import as_argument
 from carpark_mj.policy.loading import LoadedPolicy
-from carpark_mj.policy.networks import MIN_DEVIATION
 from carpark_mj.policy.onnx_graph import BATCH
 from carpark_mj.policy.onnx_program import make_graph
 from carpark_mj.policy.outside import INPUTS, PlainInput, Rows, sight_of
@@ -125,27 +124,6 @@ def describe_action(spec: ActionSpec) -> str:
     return ", ".join(parts)
 
 
-def random_observations(
-    config: EnvConfig, typical: np.ndarray, seed: int
-) -> np.ndarray:
-    """Observations (count, size) float32 with independent numbers.
-
-    They are uniform within the ranges of the fields and three standard deviations of
-    the typical observations (count, size) of a roll-out.
-    """
-    fields, random = make_fields(config), np.random.default_rng(seed)
-    low, high = (
-        np.concatenate([np.full(field.size, getattr(field, end)) for field in fields])
-        for end in ("low", "high")
-    )
-    if all(field.is_whole for field in fields):
-        return random.integers(low, high + 1, typical.shape).astype(np.float32)
-    mean = np.clip(typical.mean(axis=0), low, high)
-    reach = 3 * np.maximum(typical.std(axis=0), MIN_DEVIATION)
-    low, high = np.maximum(low, mean - reach), np.minimum(high, mean + reach)
-    return random.uniform(low, high, typical.shape).astype(np.float32)
-
-
 def largest_difference(
     model: Any, loaded: LoadedPolicy, observation: np.ndarray
 ) -> float:
@@ -153,10 +131,8 @@ def largest_difference(
 
     Of any number of an action; inf if one is not finite.
     """
-    import onnxruntime
-
-    session: Any = onnxruntime.InferenceSession(model.SerializeToString())
-    [found] = session.run(None, split_observation(loaded.env, observation))
+    inputs = split_observation(loaded.env, observation)
+    [found] = make_session(model).run(None, inputs)
     return differences(found, policy_actions(loaded, observation)).max()
 
 

@@ -7,7 +7,8 @@ computes the observation.
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, NamedTuple, cast
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from carpark_mj.observations.ego import goal_code
 from carpark_mj.observations.sensors import observed
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY, Motion, ParkedCars, State
+from carpark_mj.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,33 +133,11 @@ def rows_of(state: State) -> Rows:
     )
 
 
-class _Car(NamedTuple):
-    """What observations read of `Vehicle` (cars,); `_RESPONSE` by equal names."""
-
-    size: jax.Array
-    wheelbase: jax.Array
-    centre_offset: jax.Array
-    rated_mass: jax.Array
-    drive_share: jax.Array  # (cars, 4)
-    max_speed: jax.Array
-    max_steering: jax.Array
-    max_reverse_speed: jax.Array
-    max_acceleration: jax.Array
-    max_deceleration: jax.Array
-    steering_rate: jax.Array
-    steering_lag: jax.Array
-    drive_lag: jax.Array
-
-
-_RESPONSE = _Car._fields[5:]
-
-
-class _Physics(NamedTuple):
-    vehicle: Any
-
-
-class _Stats(NamedTuple):
-    direction: jax.Array
+# Limits of a car's response, which `Vehicle` and the inputs call alike.
+_RESPONSE = (
+    *("max_speed", "max_steering", "max_reverse_speed", "max_acceleration"),
+    *("max_deceleration", "steering_rate", "steering_lag", "drive_lag"),
+)
 
 
 def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
@@ -181,7 +161,7 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         finite=present,
     )
     front = cars("front_drive")[:, None] / 2.0
-    car = _Car(
+    read: dict[str, Any] = dict(  # by observations
         size=motion.size,
         wheelbase=cars("wheelbase"),
         centre_offset=cars("rear_axle"),
@@ -189,6 +169,9 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         drive_share=jnp.concatenate([front, front, 0.5 - front, 0.5 - front], axis=-1),
         **{name: cars(name) for name in _RESPONSE},
     )
+    unread: Any = None
+    values: dict[str, Any] = dict.fromkeys(Vehicle.__dataclass_fields__)
+    car = Vehicle(**values | read)
     layout = _layout(rows, given)
     if rows.bays:
         number = jnp.arange(rows.bays, dtype=jnp.int32)
@@ -200,9 +183,10 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         own = {n: getattr(layout, n)[:1] for n in ("bay_pose", "bay_size", "bay_mask")}
         routes = make_routes(dataclasses.replace(layout, **own))
     parked = jnp.where(given["parked_mask"], jnp.arange(rows.parked), NO_BAY)
-    unread: Any = None
+    physics: Any = SimpleNamespace(vehicle=car)
+    stats: Any = SimpleNamespace(direction=cars("gear"))
     state = State(
-        physics=_Physics(car),
+        physics=physics,
         motion=motion,
         layout=layout,
         goal=goal,
@@ -211,7 +195,7 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         memory=unread,
         step=unread,
         active=unread,
-        stats=cast(Any, _Stats(cars("gear"))),
+        stats=stats,
         sensors=None,
         key=unread,
         present=present,

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import numpy as np
@@ -28,7 +29,7 @@ from carpark_mj.rendering.recording import (
 from carpark_mj.rendering.renderer import FLASH_COLOURS, LotRenderer
 from carpark_mj.rendering.stage import Snapshot
 from carpark_mj.scene.looks import agent_colour, rgb
-from carpark_mj.types import Motion, State
+from carpark_mj.types import Motion
 
 Colour = tuple[int, int, int]
 
@@ -133,17 +134,17 @@ class CarCameras:
         self._recording, self._size = recording, size
         heights = Heights.of(env.fleet)
         sizes = [(car.length, car.width) for car in env.fleet.agents]
-        self._sizes = np.array(sizes, np.float32)
+        self._sizes: Any = np.array(sizes, np.float32)
 
-        def draw(state: State) -> jax.Array:
+        def draw(parts: dict[str, Any]) -> jax.Array:
+            state: Any = SimpleNamespace(**parts)  # what cameras read of it
             return paint(see(rig, state, heights, viewers=1), channel)[0]
 
         self._draw = jax.jit(draw)
 
     def draw(self, index: int) -> np.ndarray:
         """The recorded instant `index`: all pictures in a grid, (height, width, 3)."""
-        state = _camera_state(self._recording, self._sizes, index)
-        pictures = np.asarray(self._draw(state))
+        pictures = np.asarray(self._draw(self._seen(index)))
         _, columns = picture_grid(len(pictures))
         height, width = pictures.shape[1:3]
         frame = np.zeros((*self._size[::-1], 3), np.uint8)
@@ -152,44 +153,32 @@ class CarCameras:
             frame[y : y + height, x : x + width] = picture
         return frame
 
-
-def _camera_state(recording: Recording, sizes: np.ndarray, index: int) -> State:
-    """What cameras read of the state at an instant."""
-    step, trace = divmod(index, recording.pose_w.shape[1])
-    pose_w: Any = recording.pose_w[step, trace]
-    kind = None if recording.kind is None else recording.kind[step]
-    still: Any = np.zeros_like(pose_w)
-    size: Any = sizes[np.zeros(len(pose_w), int) if kind is None else kind]
-    motion = Motion(
-        pose_w=pose_w,
-        velocity_b=still[:, :2],
-        yaw_rate=still[:, 0],
-        steering=still[:, 0],
-        size=size,
-        trace_w=pose_w[:, None],
-        finite=still[:, 0] == 0.0,
-    )
-    groups = tuple(take(group, step).instant(trace) for group in recording.movers)
-    parked_cars, unread = recording.parked_cars, cast(Any, None)
-    assert parked_cars is not None
-    return State(
-        physics=unread,
-        motion=motion,
-        layout=recording.layout,
-        goal=recording.goal[step],
-        tracked_bays=None,
-        parked_cars=dataclasses.replace(
-            parked_cars, pose_w=recording.parked_pose[step, trace]
-        ),
-        memory=None,
-        step=recording.step[step],
-        active=recording.active[step],
-        stats=unread,
-        sensors=None,
-        key=unread,
-        kind=kind,
-        movers=Movers((), (groups,)),
-    )
+    def _seen(self, index: int) -> dict[str, Any]:
+        recording = self._recording
+        step, trace = divmod(index, recording.pose_w.shape[1])
+        pose_w: Any = recording.pose_w[step, trace]
+        kind = None if recording.kind is None else recording.kind[step]
+        still: Any = np.zeros_like(pose_w)
+        motion = Motion(
+            pose_w=pose_w,
+            velocity_b=still[:, :2],
+            yaw_rate=still[:, 0],
+            steering=still[:, 0],
+            size=self._sizes[still[:, 0].astype(int) if kind is None else kind],
+            trace_w=pose_w[:, None],
+            finite=still[:, 0] == 0.0,
+        )
+        groups = tuple(take(group, step).instant(trace) for group in recording.movers)
+        parked: Any = recording.parked_cars
+        parked_pose = recording.parked_pose[step, trace]
+        return {
+            "motion": motion,
+            "layout": recording.layout,
+            "goal": recording.goal[step],
+            "parked_cars": dataclasses.replace(parked, pose_w=parked_pose),
+            "kind": kind,
+            "movers": Movers((), (groups,)),
+        }
 
 
 def draw_frame(recording: Recording, renderer: LotRenderer, index: int) -> np.ndarray:

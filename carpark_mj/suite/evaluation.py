@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from carpark_mj.benchmarking.measuring import best_time
+from carpark_mj.benchmarking import best_time
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.settings.tables import WORST, SuiteConfig
@@ -47,7 +47,6 @@ from carpark_mj.suite.levels import (
     Cases,
     CaseStart,
     find_level,
-    pick_cases,
     require_filmed,
 )
 from carpark_mj.suite.page import write_report
@@ -230,23 +229,16 @@ def _chunk(
 
 
 def require_cases(config: SuiteConfig) -> None:
-    """Refuses rules, cars, levels and cases that there are not."""
+    """Refuses rules, cars, levels and first cases that there are not."""
     find_rules(config.rule)
     preset(config.vehicle)
-    first = config.first_case
-    counts = {level: len(find_level(level).numbers) for level in config.levels}
-    for level, known in counts.items():
-        if not 0 <= first < known:
+    for level in config.levels:
+        known = len(find_level(level).numbers)
+        if config.first_case >= known:
             raise ValueError(
-                f"first_case must be 0 to {known - 1}, not {first}: level "
+                f"first_case must be 0 to {known - 1}, not {config.first_case}: level "
                 f"{level} has {known} cases"
             )
-    level, known = max(counts.items(), key=lambda count: count[1])
-    if config.cases is not None and not 1 <= config.cases <= known - first:
-        raise ValueError(
-            f"cases must be 1 to {known - first} from case {first} on, not "
-            f"{config.cases}: level {level} has {known}"
-        )
 
 
 def main(config: SuiteConfig) -> list[dict[str, Any]]:
@@ -282,19 +274,16 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
         driver = find_driver(name, config.environment if find_named(name) else "")
         base = policy_env(name, driver.env, config)
         evaluators = [evaluator_of(find_level(x).env(base)) for x in config.levels]
-        pairs: dict[CaseEvaluator, tuple[AnyPolicy, Planner | None]] = {}
-        for each in evaluators:  # of levels with the same environment only one
-            if each not in pairs and name == PLANNER:
-                pairs[each] = planner_policy(each.env)
-            elif each not in pairs:
-                pairs[each] = driver.policy(each.env), None
+        pairs: dict[CaseEvaluator, tuple[AnyPolicy, Planner | None]] = {
+            each: planner_policy(each.env)
+            if name == PLANNER
+            else (driver.policy(each.env), None)
+            for each in dict.fromkeys(evaluators)  # equal for levels that are alike
+        }
         tasks[name] = [(each, *pairs[each]) for each in evaluators]
     first = config.first_case
-    counts = [config.cases or len(find_level(x).numbers) - first for x in config.levels]
-    cases = [
-        pick_cases(level, count, first)
-        for level, count in zip(config.levels, counts, strict=True)
-    ]
+    part = slice(first, first + config.cases if config.cases else None)
+    cases = [find_level(level).pick(part) for level in config.levels]
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}
     drawn: Drawn = []

@@ -56,6 +56,8 @@ from carpark_mj.training.run_folder import read_config
 
 POLL_SECONDS = {"local": 0.5, "debug": 0.0, "slurm": 10.0}
 ENDLESS = 10 * 365 * 24 * 60  # of a local job, which submitit would end [min]
+SLURM = ("time=240", "gpus_per_node=1", "cpus_per_task=4")  # asked for if not given
+REQUEUES = 10  # times that Slurm queues a job again at its time limit
 Status = Literal["done", "stopped", "failed", "waiting"]
 
 
@@ -241,19 +243,19 @@ def make_executor(where: Where, folder: Path) -> submitit.AutoExecutor:
     asked: dict[str, Any] = {"timeout_min": ENDLESS}
     options: dict[str, Any] = {}
     if where.cluster == "slurm":
-        slurm = dataclasses.asdict(where.slurm)
-        options["slurm_max_num_timeout"] = slurm.pop("requeues")
-        asked["timeout_min"] = slurm.pop("time")
-        for name in ("partition", "account", "qos", "constraint"):
-            asked[f"slurm_{name}"] = slurm.pop(name)
-        asked |= {"slurm_array_parallelism": where.jobs or 1000, **slurm}
+        settings = (*SLURM, f"array_parallelism={where.jobs or 1000}", *where.slurm)
+        named = [setting.partition("=") for setting in settings]
+        asked = {
+            f"slurm_{name.replace('-', '_')}": int(value) if value.isdigit() else value
+            for name, _, value in named
+        }
+        options["slurm_max_num_timeout"] = REQUEUES
     try:
         # Jobs may start elsewhere.
         executor = submitit.AutoExecutor(folder.resolve(), where.cluster, **options)
-    except RuntimeError as error:
-        raise ValueError(f"cluster {where.cluster} is not available: {error}") from None
-    given = {name: value for name, value in asked.items() if value}
-    executor.update_parameters(name=folder.parent.name, **given)
+        executor.update_parameters(name=folder.parent.name, **asked)
+    except (RuntimeError, NameError) as error:
+        raise ValueError(f"cluster {where.cluster}: {error}") from None
     # Jobs inherit the environment, and import what this process can.
     paths = [str(Path(path).resolve()) for path in sys.path]
     os.environ["PYTHONPATH"] = os.pathsep.join(paths)

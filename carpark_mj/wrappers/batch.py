@@ -23,7 +23,6 @@ from carpark_mj.mdp.goals import target_bays
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.physics.base import where_cars
 from carpark_mj.precision import is_real
-from carpark_mj.pytrees import own_buffers
 from carpark_mj.rendering.gl import missing_display
 from carpark_mj.rendering.recording import snapshot_of
 from carpark_mj.rendering.renderer import LotRenderer, RenderingError
@@ -31,7 +30,7 @@ from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.scene import camera_flags
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
-from carpark_mj.types import Motion, State, TimeStep
+from carpark_mj.types import Motion, State, TimeStep, own_buffers
 
 # Lots that are restarted together: the share of a batch that ends in a step of long
 # episodes. A batch restarts as many such groups as it takes.

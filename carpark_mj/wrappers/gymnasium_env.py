@@ -18,8 +18,8 @@ from gymnasium.vector.utils import batch_space
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
-from carpark_mj.pytrees import own_buffers
 from carpark_mj.spawning.reset_options import ResetOptions
+from carpark_mj.types import own_buffers
 from carpark_mj.wrappers.batch import (
     HEIGHT,
     RENDER_MODES,

@@ -11,8 +11,13 @@ import pytest
 from helpers.programs import assert_refused
 
 from carpark_mj import benchmarking
-from carpark_mj.benchmarking import BenchmarkConfig, Job, Measurement, jobs_of
-from carpark_mj.benchmarking.start import Start, count_equations, rows
+from carpark_mj.benchmarking import (
+    BenchmarkConfig,
+    Job,
+    count_equations,
+    jobs_of,
+    start_table,
+)
 from carpark_mj.training.ppo import learner
 from carpark_mj.training.ppo.parts import PRESETS
 
@@ -20,13 +25,15 @@ JOB = Job("physics", "brush", 3, 2, 16, steps=2, timings=1, clock="wall")
 
 
 def measured(rate, compile_s=10.0):
-    about = "2 CPU cores", "0.10.2", "4.0.0", "env", "square", 2, 128
-    return Measurement(*about, rate, "agent-steps/s", compile_s, 1000.0)
+    about = {"device": "2 CPU cores", "jax": "0.10.2", "mujoco": "4.0.0"}
+    about |= {"what": "env", "layout": "square", "agents": 2, "lots": 128}
+    found = {"rate": rate, "unit": "agent-steps/s", "compile_s": compile_s}
+    return about | found | {"peak_memory_mb": 1000.0}
 
 
 def test_the_table_has_the_best_round_of_each_job():
     rounds = {JOB: [measured(9000.0), measured(11000.0, 8.0)]}
-    lines = benchmarking.markdown(rounds).splitlines()
+    lines = benchmarking.table(rounds).splitlines()
     assert lines[0] == "2 CPU cores, JAX 0.10.2, MuJoCo 4.0.0"
     assert len({line.count("|") for line in lines[2:]}) == 1
     [cells] = [[c.strip() for c in line.strip("|").split("|")] for line in lines[4:]]
@@ -41,7 +48,7 @@ def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(tmp_path):
         if len(asked) == 3:
             raise KeyboardInterrupt
         asked.append(job.lots)
-        return [dataclasses.replace(measured(1.0), lots=job.lots)]
+        return [measured(1.0) | {"lots": job.lots}]
 
     out = tmp_path / "benchmark.csv"
     jobs = [dataclasses.replace(JOB, lots=lots) for lots in (4, 8)]
@@ -67,6 +74,10 @@ def test_each_round_measures_every_variant_in_every_batch():
     # Only env has several numbers of agents, and only ppo several runs side by side.
     agents = [(x.what, x.num_agents) for x in asked(cars=("brush",), num_agents=(1, 4))]
     assert agents == [("env", 1), ("env", 4), ("ppo", 1), ("physics", 1)]
+    starts = [
+        (x.variant, x.lots) for x in asked(what=("start",), environments=("first",))
+    ]
+    assert starts == [("first", 128)]
     runs = [(job.what, job.runs) for job in asked(cars=("brush",), runs=(1, 4))]
     assert runs == [("env", 1), ("ppo", 1), ("ppo", 4), ("physics", 1)]
 
@@ -88,12 +99,12 @@ def test_bad_input_is_one_sentence_and_exit_code_2(flags, said, tmp_path, capsys
 def test_a_job_is_measured_in_a_process_of_its_own(monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/nonexistent")
     [result] = benchmarking.run_job(JOB)
-    assert result.what == "physics brush 10 ms"
-    assert result.unit == "car-substeps/s"
-    assert result.lots == 3
-    assert result.rate > 0
-    assert result.compile_s > 0
-    assert result.peak_memory_mb > 10
+    assert result["what"] == "physics brush 10 ms"
+    assert result["unit"] == "car-substeps/s"
+    assert result["lots"] == 3
+    assert result["rate"] > 0
+    assert result["compile_s"] > 0
+    assert result["peak_memory_mb"] > 10
 
 
 FAILED, OOM = (
@@ -149,9 +160,6 @@ def test_the_steps_of_a_training_are_those_of_present_agents(monkeypatch):
     assert subject.count == 5 * PRESETS["anywhere"].unroll_length
 
 
-ONE = Start("default", 1, "first", "cpu", 1.0, 0.5, 4.0, 6.0, 11.5, 2000, 6000)
-
-
 def test_loops_and_calls_count_what_they_hold():
     def loop(x):
         return jax.lax.fori_loop(0, 9, lambda _, y: jnp.sin(y) + 1.0, x)
@@ -164,11 +172,15 @@ def test_loops_and_calls_count_what_they_hold():
     assert 3 <= looped < 9
 
 
-def test_rows_are_medians_of_both_processes():
-    times = 9.0, 10.0, 30.0
-    found = [dataclasses.replace(ONE, total_s=x) for x in times]
-    found += [dataclasses.replace(x, process="second", total_s=2.0) for x in found]
-    [row] = rows({("default", 1): found})
+def test_starts_are_medians_of_both_processes():
+    one = dict.fromkeys(benchmarking.PHASES, 1.0)
+    one |= {"reset_equations": 2000, "step_equations": 6000}
+    found = [one | {"process": "first", "total_s": x} for x in (9.0, 10.0, 30.0)]
+    found += [x | {"process": "second", "total_s": 2.0} for x in found]
+    job = dataclasses.replace(JOB, what="start", variant="default", lots=1)
+    head, _, cells = start_table({job: found}).splitlines()
+    names, values = ([x.strip() for x in y.split("|")] for y in (head, cells))
+    row = dict(zip(names, values, strict=True))
     assert row["environment"] == "default"
     assert row["first: total [s]"] == "10.0"
     assert row["second: total [s]"] == "2.0"

@@ -17,7 +17,6 @@ from carpark_mj.policy.networks import (
     network_inputs,
     update_normalizer,
 )
-from carpark_mj.policy.onnx_export import random_observations
 
 
 @functools.cache
@@ -40,5 +39,15 @@ def untrained(env, encoder="set", seed=1):
 
 
 def observations(env, count=10_000):
-    typical = np.random.default_rng(0).normal(0.3, 0.5, (count, observation_size(env)))
-    return random_observations(env, typical, seed=1)
+    """Independent numbers (count, size) in the ranges of the fields, near 0.3."""
+    fields, random = make_fields(env), np.random.default_rng(1)
+    low, high = (
+        np.concatenate([np.full(field.size, getattr(field, end)) for field in fields])
+        for end in ("low", "high")
+    )
+    size = (count, len(low))
+    if all(field.is_whole for field in fields):
+        return random.integers(low, high + 1, size).astype(np.float32)
+    middle = np.clip(0.3, low, high)
+    low, high = np.maximum(low, middle - 1.5), np.minimum(high, middle + 1.5)
+    return random.uniform(low, high, size).astype(np.float32)

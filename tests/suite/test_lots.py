@@ -149,12 +149,8 @@ def test_levels_with_fewer_cases_are_driven_whole():
     config = SuiteConfig(("zero",), levels=("tpcap", "metadrive"), cases=100)
     require_cases(config)
     assert [len(pick_cases(x, 100).number) for x in config.levels] == [20, 100]
-    for changes, message in (
-        ({"levels": ("tpcap",), "cases": 21}, r"cases must be 1 to 20 .*tpcap"),
-        ({"first_case": 20}, r"first_case must be 0 to 19"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            require_cases(dataclasses.replace(config, **changes))
+    with pytest.raises(ValueError, match=r"first_case must be 0 to 19"):
+        require_cases(dataclasses.replace(config, first_case=20))
 
 
 def test_files_cannot_be_filmed_where_something_moves_or_parks():

@@ -20,7 +20,7 @@ from submitit.helpers import DelayedSubmission
 from submitit.slurm.test_slurm import mocked_slurm
 
 from carpark_mj import sweeps
-from carpark_mj.cli.settings.tables import SlurmConfig, Where
+from carpark_mj.cli.settings.tables import Where
 from carpark_mj.sweeps import (
     Work,
     locked,
@@ -174,10 +174,8 @@ def slurm_jobs(folder: Path, repeats=2) -> list[tuple[Work, submitit.Job]]:
     """Jobs of two runs and what Slurm is asked for."""
     plan, runs = plan_runs("num_agents=1", repeats=repeats)
     open_sweep(folder, plan, False)
-    size = {"gpus_per_node": 2, "cpus_per_task": 6, "mem_gb": 8}
-    asked = SlurmConfig(
-        "gpu", qos="long", constraint="h200", time=90, requeues=7, **size
-    )
+    asked = ("partition=gpu", "qos=long", "constraint=h200", "time=90", "mem_gb=8")
+    asked += ("gpus-per-node=2", "cpus-per-task=6")
     where = Where(cluster="slurm", jobs=1, slurm=asked)
     works = [Work(folder, (run,), train, own_process=False) for run in runs]
     return submit_array(make_executor(where, folder / "logs"), works)
@@ -195,11 +193,13 @@ def test_a_submission_to_slurm_asks_for_its_settings(tmp_path):
         assert not any("account" in line for line in lines)
         for _, job in jobs:
             delayed = DelayedSubmission.load(job.paths.submitted_pickle)
-            assert delayed._timeout_countdown == 7
+            assert delayed._timeout_countdown == sweeps.REQUEUES
             with mocked.job_context(job.job_id):
                 process_job(job.paths.folder)
         for work, _ in jobs:
             assert read_outcome(tmp_path, work.runs[0]).status == "done"
+        with pytest.raises(ValueError, match="Unknown argument 'gpu'"):
+            make_executor(Where(cluster="slurm", slurm=("gpu=1",)), tmp_path)
 
 
 def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypatch):

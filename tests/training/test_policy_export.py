@@ -71,7 +71,6 @@ def test_a_run_becomes_a_model_that_is_checked(trained, capsys, monkeypatch, qui
     assert exit_code("export", [str(trained)]) == 0
     out = capsys.readouterr().out
     assert "200 observations of a roll-out: " in out
-    assert "200 observations drawn at random: " in out
     assert "own road-wheel angle [its limit], left > 0" in out
     path = trained / "policy.onnx"
     assert f"wrote {path}" in out

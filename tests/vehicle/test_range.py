@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from carpark_mj.benchmarking.start import count_equations
+from carpark_mj.benchmarking import count_equations
 from carpark_mj.config import EnvConfig, FleetConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts.lot import LotConfig

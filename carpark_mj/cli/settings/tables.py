@@ -11,7 +11,6 @@ from carpark_mj.config.checks import (
     CheckedConfig,
     Count,
     Natural,
-    NonNegative,
     require_unset,
 )
 from carpark_mj.files import require_suffix
@@ -121,33 +120,6 @@ class BenchmarkConfig(CheckedConfig):
             raise ValueError("what must be start alone: its table has other columns")
 
 
-@dataclasses.dataclass(frozen=True)
-class SlurmConfig(CheckedConfig):
-    """Resources of Slurm for every run.
-
-    Attributes:
-        partition: empty = the cluster's default, as for the next three.
-        account: account to charge.
-        qos: quality of service.
-        constraint: features that nodes must have.
-        time: time limit of a job [min], which is then queued again and resumes.
-        requeues: largest number of times that a job is queued again.
-        gpus_per_node: number of GPUs.
-        cpus_per_task: number of CPU cores.
-        mem_gb: memory [GB]; 0 = the default.
-    """
-
-    partition: str = ""
-    account: str = ""
-    qos: str = ""
-    constraint: str = ""
-    time: Count = 240
-    requeues: Natural = 10
-    gpus_per_node: Natural = 1
-    cpus_per_task: Count = 4
-    mem_gb: NonNegative = 0.0
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Where(CheckedConfig):
     """Where and how a sweep runs.
@@ -160,14 +132,16 @@ class Where(CheckedConfig):
         side_by_side: largest number of runs that a job trains in one program, if they
             differ only in seeds and in numbers such as `discount` and
             `env.reward.park`; runs with `minutes` train alone.
-        slurm: resources to request from Slurm.
+        slurm: what to ask Slurm for, `NAME=VALUE` each, as its `sbatch` or submitit
+            names it: partition, account, time [min], gpus-per-node, mem_gb. A job whose
+            time ends is queued again and resumes.
         stochastic: evaluate sampled actions instead of the deterministic policy.
     """
 
     cluster: Cluster = "local"
     jobs: Natural = 0
     side_by_side: Count = 8
-    slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
+    slurm: tuple[str, ...] = ()
     stochastic: bool = False
 
 

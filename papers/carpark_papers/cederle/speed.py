@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
-from carpark_mj.benchmarking.measuring import best_time
+from carpark_mj.benchmarking import best_time
 from carpark_mj.cli.process import enable_output_fusion
 from carpark_mj.config.checks import CheckedConfig, Count
 from carpark_papers.cederle.junction import JunctionConfig, JunctionEnv

@@ -15,7 +15,7 @@ from carpark_mj.physics.base import where_cars
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.precision import float32_only
-from carpark_mj.pytrees import own_buffers
+from carpark_mj.types import own_buffers
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import observations, rules
 from carpark_papers.cederle.junction.cars import Cars, PathCars, SteeredCars

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carpark_mj.analysis import group, run_folders
-from carpark_mj.cli.settings.tables import Cluster, SlurmConfig, Where
+from carpark_mj.cli.settings.tables import Cluster, Where
 from carpark_mj.config.checks import CheckedConfig, Count, Natural, NonNegative
 from carpark_mj.sweeps import read_outcome
 from carpark_mj.sweeps.plan import Plan, Run, groups, settings_of
@@ -51,7 +51,7 @@ class StudyConfig(CheckedConfig):
         cluster: see `carpark_mj sweep`.
         jobs: see `carpark_mj sweep`.
         side_by_side: see `carpark_mj sweep`.
-        slurm: resources to request from Slurm.
+        slurm: see `carpark_mj sweep`.
     """
 
     figure: str = ""
@@ -65,7 +65,7 @@ class StudyConfig(CheckedConfig):
     cluster: Cluster = "local"
     jobs: Natural = 0
     side_by_side: Count = 8
-    slurm: SlurmConfig = dataclasses.field(default_factory=SlurmConfig)
+    slurm: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
