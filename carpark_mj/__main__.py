@@ -5,8 +5,8 @@ from typing import NoReturn
 
 import carpark_mj
 from carpark_mj.cli.process import enter
-from carpark_mj.extensions import table, unknown_name
-from carpark_mj.programs import COMMANDS
+from carpark_mj.extensions import load_extensions, table
+from carpark_mj.programs import COMMANDS, find
 
 # Completes names of commands, and flags by what tyro prints for each command.
 COMPLETION = """_carpark_mj() {
@@ -29,13 +29,26 @@ COMPLETION = """_carpark_mj() {
   fi
 }
 complete -F _carpark_mj carpark_mj"""
+LISTING = ("-h", "--help", "--completion")
 
 
 def main() -> NoReturn:
     """Runs the program that the first argument names, as this process."""
-    name = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    name, *_ = words = sys.argv[1:] or ["--help"]
+    try:
+        if name in LISTING:
+            load_extensions(packages=True)
+        elif name != "--version":
+            name, words = find(words)
+    except ValueError as error:
+        print(f"carpark_mj: {error}", file=sys.stderr)
+        if name not in LISTING:
+            sys.exit(2)
     if name in ("-h", "--help"):
-        summaries = {name: command.summary for name, command in COMMANDS.items()}
+        place = {name: number for number, name in enumerate(COMMANDS)}
+        # Those of two words behind the one that they begin with.
+        names = sorted(COMMANDS, key=lambda x: place.get(x.split()[0], len(place)))
+        summaries = {name: COMMANDS[name].summary for name in names}
         print(f"usage: carpark_mj COMMAND ...\n\n{table(summaries)}\n")
         print("carpark_mj COMMAND --help lists the settings of each.")
         print("carpark_mj --version prints the version, --completion a bash script.")
@@ -45,14 +58,8 @@ def main() -> NoReturn:
         nested = "|".join(f'"{name}"' for name in COMMANDS if " " in name)
         top = " ".join(name for name in COMMANDS if " " not in name)
         print(COMPLETION.replace("COMMANDS", top).replace("NESTED", nested))
-    if name in ("-h", "--help", "--version", "--completion"):
-        sys.exit(0)
     if name not in COMMANDS:
-        print(f"carpark_mj: {unknown_name('command', name, COMMANDS)}", file=sys.stderr)
-        sys.exit(2)
-    words = sys.argv[2:]
-    if words and f"{name} {words[0]}" in COMMANDS:
-        name, words = f"{name} {words[0]}", words[1:]
+        sys.exit(0)
     sys.argv = [f"carpark_mj {name}", *words]  # as the help calls it
     enter(name, "carpark_mj.programs:run", name)
 

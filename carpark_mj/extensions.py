@@ -31,8 +31,19 @@ _loaded: set[str] = set()
 _broken: dict[str, str] = {}  # why an extension cannot be imported
 
 
+# Names that come with carpark_formats, by their kinds; only messages need them.
+FORMATS = {
+    "command": ("layouts import", "scenario import", "scenario export"),
+    "level": ("parkbench",),
+    "format to save": ("osm", "xodr"),
+}
+
+
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
-    """The message about an unknown name, with the known name that is closest to it."""
+    """The message about an unknown name: what has it, or the closest known one."""
+    if name in FORMATS.get(kind, ()):
+        install = "`pip install ./formats` in a checkout of carpark_mj"
+        return f"the {kind} {name!r} comes with carpark_formats: {install}"
     names = sorted(known)
     near = difflib.get_close_matches(str(name), names, 1)
     meant = f"; did you mean {near[0]!r}?" if near else ""
@@ -172,7 +183,6 @@ def _extensions(named: str) -> tuple[str, ...]:
 # Packages by the extras that install them.
 _PACKAGES = {
     "train,eval": "tyro rich matplotlib tensorboardX imageio_ffmpeg scipy",
-    "maps": "ezdxf pyproj shapely",
     "torchrl": "torchrl benchmarl",
     "export": "onnx onnxruntime",
     "web": "mjviser",

@@ -14,18 +14,19 @@ from carpark_mj.cli.process import (
 )
 from carpark_mj.compilation import keep_compiled_programs
 from carpark_mj.extensions import (
+    FORMATS,
     Entry,
     Registry,
     load_extensions,
     require_packages,
     table,
+    unknown_name,
 )
 from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
 KEEPING = (keep_compiled_programs,)
 TRAINING = (choose_gl, configure_jax, keep_compiled_programs)
-SETTINGS = "carpark_mj.cli.settings."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Command(Entry):
     before the function is imported, without JAX.
     """
 
-    settings: str = ""  # `module:name` of the class in `cli.settings`; "" = the words
+    settings: str = ""  # `module:name` of the class; "" = the words
     # Called before the function is imported, which may load MuJoCo, and JAX computes.
     setup: tuple[Callable[[], object], ...] = ()
     drives: bool = False  # its help names the pretrained policies
@@ -44,10 +45,14 @@ class Command(Entry):
     reads: bool = False  # the function reads the words itself, unless they ask for help
 
 
-def _command(home: str, *others: Any, **more: Any) -> Command:
-    return Command(f"carpark_mj.{home}", *others, **more)
+def _command(
+    home: str, summary: str, settings: str = "", *others: Any, **more: Any
+) -> Command:
+    settings = settings and f"carpark_mj.cli.settings.{settings}"
+    return Command(f"carpark_mj.{home}", summary, settings, *others, **more)
 
 
+# Packages of extensions add theirs when they are imported.
 COMMANDS = {
     "train": _command(
         "programs:train", "train a policy with PPO",
@@ -88,10 +93,6 @@ COMMANDS = {
     "layouts edit": _command(
         "cli.layouts:edit", "draw a lot in the browser", "lots:EditConfig"
     ),
-    "layouts import": _command(
-        "cli.layouts:import_layout", "make a layout of a map",
-        "lots:ImportConfig", needs=("shapely",),
-    ),
     "vehicles": _command(
         "cli.vehicles:show", "show a vehicle and its estimated parameters",
         "lots:VehiclesConfig",
@@ -109,14 +110,6 @@ COMMANDS = {
         "suite.scenario:main", "test policies in a case of your own",
         "tables:ScenarioConfig", (choose_gl, *ACTING), drives=True,
         needs=("matplotlib",),
-    ),
-    "scenario import": _command(
-        "suite.exchange:read", "make a scenario of OpenSCENARIO, CommonRoad, ParkBench",
-        "tables:ScenarioImportConfig", KEEPING, needs=("shapely",),
-    ),
-    "scenario export": _command(
-        "suite.exchange:write", "write OpenSCENARIO, or drives for CommonRoad",
-        "tables:ScenarioExportConfig", KEEPING, needs=("shapely",),
     ),
     "report": _command(
         "suite.page:main", "write a page about tests, with limits",
@@ -145,6 +138,22 @@ COMMANDS = {
 STUDY_PROGRAMS: Registry[Any] = Registry("program")
 
 
+def find(words: Sequence[str]) -> tuple[str, list[str]]:
+    """The command that the first word or two name, and the words after its name.
+
+    Raises:
+        ValueError: no such command, also not of an extension's package.
+    """
+    pair, name = " ".join(words[:2]), words[0]
+    if pair in COMMANDS or pair in FORMATS["command"]:
+        name = pair
+    if name not in COMMANDS:
+        load_extensions(packages=True)
+    if name not in COMMANDS:
+        raise ValueError(unknown_name("command", name, COMMANDS))
+    return name, [*words[1 + (name != words[0]) :]]
+
+
 def run(
     name: str, arguments: Sequence[str] | None = None, set_up: bool = True
 ) -> object:
@@ -153,9 +162,7 @@ def run(
     The arguments are by default those of this process, which is set up first if
     `set_up`.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if words and f"{name} {words[0]}" in COMMANDS:
-        return run(f"{name} {words[0]}", words[1:], set_up)
+    name, words = find([name, *(sys.argv[1:] if arguments is None else arguments)])
     command = COMMANDS[name]
     reads = command.reads and not {"-h", "--help"} & {*words}
     given = words if reads or not command.settings else _read(name, command, words)
@@ -172,7 +179,7 @@ def _read(name: str, command: Command, words: Sequence[str]) -> Any:
     """The settings of a command."""
     from carpark_mj.cli.flags import command_help, read_flags
 
-    settings = Entry(SETTINGS + command.settings).load()
+    settings = Entry(command.settings).load()
     text = _head(settings)
     if command.drives:
         text = command_help(text)

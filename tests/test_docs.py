@@ -33,14 +33,13 @@ from carpark_mj.config import (
     GivingWayConfig,
     RewardConfig,
 )
-from carpark_mj.extensions import Entry
+from carpark_mj.extensions import FORMATS, Entry
 from carpark_mj.layouts.files import _SCHEMA, read_json
 from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.rewards import TERMS, goal_weights
 from carpark_mj.observations import make_fields, markdown_table
 from carpark_mj.policy.outside import INPUTS
 from carpark_mj.programs import COMMANDS as PROGRAMS
-from carpark_mj.programs import SETTINGS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.training.hosts import read_hosts, take_flags
@@ -71,8 +70,17 @@ def commands(page):
     return found + [x for x in own if x.split()[1] in PROGRAMS and " study" not in x]
 
 
+def needs_formats(line):
+    """Whether carpark_formats has the command."""
+    return line.startswith(tuple(f"carpark_mj {name}" for name in FORMATS["command"]))
+
+
 COMMAND_LINES = sorted(
-    {c for page in PAGES if page not in PAPERS for c in commands(page.read_text())}
+    line
+    for page in PAGES
+    if page not in PAPERS
+    for line in {*commands(page.read_text())}
+    if not needs_formats(line)
 )
 
 
@@ -191,7 +199,7 @@ def check_command(line):
     if program == "train":
         read_runs(read_hosts(arguments)[1], read_training)
     elif program in PROGRAMS:
-        config = Entry(SETTINGS + PROGRAMS[program].settings).load()
+        config = Entry(PROGRAMS[program].settings).load()
         read_flags(config, arguments)
     else:
         read_flags(settings_of(program), arguments)
@@ -240,7 +248,7 @@ def test_links_files_and_modules_exist(page):
         file = page.parent / target if target else page
         assert file.exists(), target
         assert not anchor or anchor in slugs(file), f"{target}#{anchor}"
-    folders = "carpark_mj|papers|train|eval|tests|docs|examples"
+    folders = "carpark_mj|papers|formats|train|eval|tests|docs|examples"
     path = rf"`((?:{folders})/[\w./]*)`(?! of commit)"
     for name in re.findall(path, text):
         assert (ROOT / name).exists(), name
@@ -251,7 +259,8 @@ def test_links_files_and_modules_exist(page):
 def test_the_page_of_commands_names_every_command():
     table = TEXTS["commands"].split("\n\n## ")[0]
     rows = [line.split(" | ")[0] for line in table.splitlines() if line[:3] == "| `"]
-    assert {*re.findall(r"`([^`]+)`", " ".join(rows))} == {*PROGRAMS}
+    named = {*re.findall(r"`([^`]+)`", " ".join(rows))}
+    assert named == {*PROGRAMS, *FORMATS["command"]}
 
 
 def test_settings_named_in_the_docs_exist():

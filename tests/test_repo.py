@@ -33,7 +33,7 @@ LAYERS = (
     ("evaluation",),
     ("analysis",),
     ("rendering",),
-    ("wrappers", "play", "maps", "editor"),
+    ("wrappers", "play", "editor"),
     ("cli",),
     ("training",),
     ("sweeps", "benchmarking"),
@@ -48,6 +48,7 @@ LAYER = {
 WITHOUT_MUJOCO = ("precision", "config", "geometry", "layouts", "types", "obstacles")
 WITHOUT_MUJOCO += ("observations", "mdp")
 AROUND_TASK = {"vehicle", "scene", "physics"}
+OTHERS = {"carpark_papers", "carpark_formats"}  # distributions
 
 
 def loaded_nodes(tree):
@@ -97,7 +98,7 @@ def test_every_package_has_a_layer_and_the_architecture_shows_it():
 
 def test_no_two_test_files_have_the_same_name():
     # Pytest collects only one of them, and not all extras are installed in CI.
-    folders = ROOT / "tests", ROOT / "papers" / "tests"
+    folders = (ROOT / name / "tests" for name in ("", "papers", "formats"))
     names = [path.name for folder in folders for path in folder.rglob("test_*.py")]
     assert len(names) == len({*names})
 
@@ -133,7 +134,7 @@ def test_the_library_never_imports_the_programs():
     assert {"ppo", "evaluate"} <= programs
     for path in FILES:
         roots = {name.split(".")[0] for name in imports_of(path)}
-        assert not roots & (programs | {"train", "eval", "tests", "carpark_papers"})
+        assert not roots & (programs | {"train", "eval", "tests"} | OTHERS)
 
 
 # What a lot steps without.
@@ -148,11 +149,11 @@ STAGES = [
     (("", ".cli.process"), HEAVY | {"mujoco", "jax", "gymnasium", "numpy"}),
     ([f".{name}" for name in sorted(WITHOUT_MUJOCO)], HEAVY | {"mujoco"}),
     ((".env",), HEAVY - {"glfw"} | {"mujoco.mjx", "trimesh"} | AROUND_ENV),
-    ((".registry",), {"carpark_mj.suite", "carpark_papers"}),
+    ((".registry",), {"carpark_mj.suite", *OTHERS}),
     # The settings of a training need no package of an extra; flax has rich.
-    ((".training",), EXTRAS | {"carpark_mj.suite", "carpark_papers"}),
-    ((), EXTRAS | {"carpark_papers"}),  # after the settings were made
-    ((".suite",), EXTRAS | {"carpark_papers"}),
+    ((".training",), EXTRAS | {"carpark_mj.suite", *OTHERS}),
+    ((), EXTRAS | OTHERS),  # after the settings were made
+    ((".suite",), EXTRAS | OTHERS),
 ]
 CODE = """
 import importlib, json, sys

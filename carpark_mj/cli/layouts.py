@@ -1,4 +1,4 @@
-"""`carpark_mj layouts`: draws, checks and saves layouts, edits them, imports maps."""
+"""`carpark_mj layouts`: draws, checks, saves and edits layouts."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -7,23 +7,19 @@ from pathlib import Path
 import jax
 
 from carpark_mj.cli.clock import wait_for_user
-from carpark_mj.cli.settings.lots import Crop, EditConfig, ImportConfig, LayoutsConfig
+from carpark_mj.cli.settings.lots import Crop, EditConfig, LayoutsConfig
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import counted
 from carpark_mj.editor.document import EXTENT, Draft, read_picture
 from carpark_mj.editor.server import EditorServer
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import require_writable, write_text
-from carpark_mj.layouts import (
-    DesignCar,
-    layout_config,
-)
+from carpark_mj.layouts import DesignCar, layout_config
+from carpark_mj.layouts.base import LAYOUT_WRITERS
 from carpark_mj.layouts.car_park import crop
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.files import layout_text
 from carpark_mj.layouts.plot import plot_layouts
 from carpark_mj.layouts.types import Layout
-from carpark_mj.maps.exporting import lanelet2_text, opendrive_text
 from carpark_mj.rendering.local_pages import HOST
 
 CHUNK = 250  # layouts drawn at once
@@ -86,12 +82,11 @@ def out_of_reach(paths: int, seed: int, vehicle: str = "") -> Inspect:
     return inspect
 
 
-def _save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
+def save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
     """Writes a layout, or a part of it, by the suffix, and prints the file's name."""
     if part is not None:
         layout = crop(layout, part)
-    texts = {".xodr": opendrive_text, ".osm": lanelet2_text}
-    write_text(path, texts.get(path.suffix, layout_text)(layout))
+    write_text(path, LAYOUT_WRITERS[path.suffix[1:]](layout))
     bays = counted(int(layout.bay_mask.sum()), "bay")
     print(*said, f"wrote {path}: {bays}", sep="\n")
 
@@ -103,7 +98,7 @@ def main(config: LayoutsConfig) -> int:
         require_writable(Path(file))  # refused before the work
     if config.save:
         [drawn] = draw(config.layouts[0], 1, config.seed)
-        _save(drawn, config.crop, Path(config.save))
+        save(drawn, config.crop, Path(config.save))
     if config.plot:
         named = bool(config.layouts)
         pictures = [
@@ -155,13 +150,3 @@ def edit(config: EditConfig) -> None:
         print(f"open http://{HOST}:{server.server_port} (Ctrl-C ends)", flush=True)
         wait_for_user()
         server.serve_forever()
-
-
-def import_layout(config: ImportConfig) -> None:
-    """Reads the map, writes the layout file and says what was left out."""
-    from carpark_mj.maps.importing import import_map
-
-    require_writable(Path(config.out))
-    flags = {name: getattr(config, name) for name in ("level", "crs", "unit")}
-    layout, report = import_map(Path(config.map), layers=config.layer, **flags)
-    _save(layout, config.crop, Path(config.out), report)

@@ -92,6 +92,10 @@ FAMILIES: Registry[type[LayoutConfig]] = Registry("family", *_HOMES)
 LAYOUT_FORMATS: Registry[Callable[[Path], Layout]] = Registry(
     "layout format", "carpark_mj.layouts.files"
 )
+# The text of a lot in a file, by the suffix of the file's name.
+LAYOUT_WRITERS: Registry[Callable[[Layout], str]] = Registry(
+    "format to save", "carpark_mj.layouts.files"
+)
 
 
 def register_layout(name: str, config: Config) -> Config:

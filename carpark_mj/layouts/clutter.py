@@ -2,7 +2,7 @@
 
 Unlike in other families nothing is complete: walls end, a parked car is a corner or a
 face, boxes and discs stand about. The defaults are close to half of the cases that a
-car recorded (`carpark_mj.suite.parkbench`); the other half is held out.
+car recorded (ParkBench); the other half is held out.
 
 An aisle runs along x, the bay lies below it. Lengths of the aisle scale with the car,
 gaps beside it do not.

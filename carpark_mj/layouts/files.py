@@ -32,7 +32,12 @@ import numpy as np
 
 from carpark_mj.config.checks import FARTHEST, require_name
 from carpark_mj.layouts import build
-from carpark_mj.layouts.base import FAMILIES, LAYOUT_FORMATS, layout_format
+from carpark_mj.layouts.base import (
+    FAMILIES,
+    LAYOUT_FORMATS,
+    LAYOUT_WRITERS,
+    layout_format,
+)
 from carpark_mj.layouts.checks import ANY_CAR, describe_faults
 from carpark_mj.layouts.registry import FixedLayoutConfig
 from carpark_mj.layouts.types import BayEnd, BayKind, DiscKind, Layout, WallKind
@@ -85,6 +90,9 @@ def layout_text(layout: Layout) -> str:
                 for row, value in zip(document[rows], values, strict=True):
                     row[part] = names[value] if names else value
     return document_text(document)
+
+
+LAYOUT_WRITERS.register("json", layout_text)
 
 
 def document_text(document: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Hard cases on which policies are compared, of HOPE, TPCAP, ParkBench and others.
+"""Hard cases on which policies are compared, of HOPE, TPCAP and others.
 
 Importing the package registers their layouts, cars, movers, environments and levels.
 """
@@ -8,9 +8,8 @@ from carpark_mj.suite import (
     busy,
     environments,
     lots,
-    parkbench,
     scenario,
     standard_tests,
 )
 
-__all__ = ["busy", "environments", "lots", "parkbench", "scenario", "standard_tests"]
+__all__ = ["busy", "environments", "lots", "scenario", "standard_tests"]

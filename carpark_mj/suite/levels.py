@@ -43,8 +43,8 @@ class Cases(NamedTuple):
 
     level: str  # its name
     number: np.ndarray  # (n,) which of the level's
-    # (n,) str, `parallel`, `perpendicular`, `published` of TPCAP's, `recorded` of
-    # ParkBench's, `repeated` of scenarios, `drawn` of whole lots, the car of `sheets`
+    # (n,) str, `parallel`, `perpendicular`, `published` of TPCAP's, `recorded` by a
+    # car, `repeated` of scenarios, `drawn` of whole lots, the car of `sheets`
     kind: np.ndarray
     layouts: Layout  # (n, ...) of the same shapes in all of HOPE's levels
     # how they begin; None = at the spawn region's middle

@@ -4,10 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-import yaml
-from helpers.programs import rows_of
 
-import afternoon
 import figures
 import physics_report
 import referee
@@ -57,22 +54,6 @@ def test_an_unwritable_folder_is_refused_before_anything_drives(
         (taken / name).mkdir(parents=True)
     assert script.main(["--out", str(taken)]) == 2
     assert "Is a directory" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_an_afternoon_goes_from_a_map_to_a_report(tmp_path):
-    flags = ["--repetitions", "2", "--videos", "0", "--out", str(tmp_path / "day")]
-    assert afternoon.main(flags) == 0
-    text = (tmp_path / "day" / "report.html").read_text()
-    assert "child.yaml:2" in text
-    settings = yaml.safe_load((tmp_path / "day" / "child.yaml").read_text())["settings"]
-    for name, value in settings.items():
-        true = getattr(afternoon.TRUE, name.removeprefix("sim."))
-        assert value == pytest.approx(true, abs=0.05), name
-    assert len(settings) == 2
-    minutes = [float(row["minutes"]) for row in rows_of(tmp_path / "day/minutes.csv")]
-    assert len(minutes) == len(afternoon.STEPS) + 1
-    assert minutes[-1] == pytest.approx(sum(minutes[:-1]))
 
 
 # Car parks: intervals hold for parts drawn at random

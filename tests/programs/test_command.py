@@ -9,17 +9,20 @@ from pathlib import Path
 
 import jax
 import pytest
-from helpers.programs import exit_code, python
+from helpers.programs import assert_refused, exit_code, python
 
 from carpark_mj import __main__ as command
 from carpark_mj import __version__, compilation
+from carpark_mj import programs as programs_module
 from carpark_mj.cli.process import OUTPUT_FUSION, enable_output_fusion
 from carpark_mj.compilation import SHARE_LOOPS, cache_folder, keep_compiled_programs
 from carpark_mj.config import LAYOUTS
-from carpark_mj.extensions import Entry
+from carpark_mj.extensions import FORMATS, Entry
+from carpark_mj.layouts.base import LAYOUT_WRITERS
 from carpark_mj.pretrained import pretrained_names
-from carpark_mj.programs import COMMANDS, STUDY_PROGRAMS, study
+from carpark_mj.programs import COMMANDS, STUDY_PROGRAMS, Command, study
 from carpark_mj.registry import ENVIRONMENTS
+from carpark_mj.suite.levels import LEVELS
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.vehicle import VEHICLES
 
@@ -115,6 +118,44 @@ def test_without_any_study_it_is_said_what_to_install(programs, capsys):
         assert "pip install ./papers" in line
 
 
+@pytest.fixture
+def alone(monkeypatch):
+    """Takes away what carpark_formats has registered, if it is installed."""
+    for parts in (LEVELS, LAYOUT_WRITERS):
+        own = {name: parts[name] for name in parts if name not in OTHERS}
+        monkeypatch.setattr(parts, "_parts", own)
+    for name in FORMATS["command"]:
+        monkeypatch.delitem(COMMANDS, name, raising=False)
+
+
+OTHERS = {name for names in FORMATS.values() for name in names}
+WITHOUT = (
+    *(f"{name} a.xml --out b.json" for name in FORMATS["command"]),
+    *(f"layouts square --save a.{suffix}" for suffix in FORMATS["format to save"]),
+    *(f"suite zero --levels {name}:a --out suite" for name in FORMATS["level"]),
+)
+
+
+@pytest.mark.parametrize("line", WITHOUT)
+def test_without_the_formats_it_is_said_what_to_install(
+    line, alone, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    name, *arguments = line.split()
+    assert_refused(capsys, name, arguments, "pip install ./formats")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_command_of_an_extension_is_found_when_no_other_has_its_name(monkeypatch):
+    def load(packages):
+        monkeypatch.setitem(COMMANDS, "count", Command("builtins:len", "counts"))
+
+    monkeypatch.setattr(programs_module, "load_extensions", load)
+    assert programs_module.find(["layouts", "edit", "a"]) == ("layouts edit", ["a"])
+    assert "count" not in COMMANDS
+    assert programs_module.run("count", ["a", "b"], False) == 2
+
+
 def test_a_program_of_an_extension_is_called_with_its_arguments(
     programs, monkeypatch, capsys
 ):
@@ -137,12 +178,8 @@ from carpark_mj.programs import COMMANDS, run
 needed = [x for command in COMMANDS.values() for x in command.needs if x != "tyro"]
 find = importlib.util.find_spec
 importlib.util.find_spec = lambda name: None if name in needed else find(name)
-seen, words = {}, {"layouts import": ["a.osm", "--out", "b.json"]}
-words |= {"suite": ["zero", "--cases", "1"], "sweep": ["--base", "cpu"]}
-words["scenario"] = ["a.yaml", "zero"]
-words["scenario import"] = ["a.xml", "--out", "b.yaml"]
-words["scenario export"] = ["a.yaml", "--out", "b.xosc"]
-words["report"] = ["runs/a"]
+seen, words = {}, {"suite": ["zero", "--cases", "1"], "sweep": ["--base", "cpu"]}
+words |= {"scenario": ["a.yaml", "zero"], "report": ["runs/a"]}
 missing = []
 for name, command in COMMANDS.items():
     if command.needs:
@@ -225,7 +262,7 @@ def test_help_and_refusals_do_not_import_jax():
     seen, refused, loaded = printed(HELP)
     assert refused
     assert not loaded
-    assert {"train", "evaluate", "scene", "layouts import", "sweep"} <= {*seen}
+    assert {"train", "evaluate", "scene", "layouts edit", "sweep"} <= {*seen}
     for name, (helped, said) in seen.items():
         assert helped, name
         assert said, name

@@ -19,7 +19,6 @@ from carpark_mj.rendering.local_pages import PORT, Port
 Lots = Annotated[int, Bounds(ge=0, le=10_000_000)]  # so many take an hour or more
 Crop = tuple[float, float, float, float]  # x and y of two opposite corners [m]
 Names = Annotated[tuple[str, ...], tyro.conf.Positional]
-Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 PICTURES = (".png", ".pdf", ".svg")
 Kind = Literal["all", "layouts", "environments", "vehicles", "policies", "presets"]
 
@@ -92,9 +91,7 @@ class LayoutsConfig(CheckedConfig):
     carpark_mj layouts my_lot.json --check 1 --paths 20
     carpark_mj layouts clutter_tight --check 200 --paths 1
     carpark_mj layouts lot --seed 3 --save lot.json
-    carpark_mj layouts lot.json --save lot.xodr
     carpark_mj layouts san_jose --crop -40 35 20 65 --save corner.json
-    carpark_mj layouts import car_park.osm --out lot.json
     carpark_mj layouts edit lot.json
 
     Attributes:
@@ -107,8 +104,8 @@ class LayoutsConfig(CheckedConfig):
             of 95 %; it needs the extra `planner`.
         vehicle: preset or file of the car that must fit into bays and spawn regions of
             the checked lots; by default their design car.
-        save: layout file (`.json`) to write, with the first lot of one layout; or its
-            map, OpenDRIVE with parking spaces (`.xodr`) or Lanelet2 (`.osm`).
+        save: layout file (`.json`) to write, with the first lot of one layout, or a
+            file of another program if an extension has its suffix.
         crop: x and y of two opposite corners [m] of the part to save.
         seed: seed of the keys.
     """
@@ -134,7 +131,6 @@ class LayoutsConfig(CheckedConfig):
         if not self.save:
             require_unset(self, "without --save", "crop")
         require_suffix("plot", self.plot, *PICTURES)
-        require_suffix("save", self.save, ".json", ".xodr", ".osm")
         if self.save and len(self.layouts) != 1:
             raise ValueError(
                 "--save writes one lot of one layout, not of "
@@ -178,40 +174,3 @@ class EditConfig(CheckedConfig):
     def target(self) -> str:
         """The file to save to."""
         return self.out or self.file
-
-
-@dataclasses.dataclass(frozen=True)
-class ImportConfig:
-    """Makes a layout file of a map of a car park; needs the extra `maps`.
-
-    carpark_mj layouts import car_park.osm --out lot.json
-    carpark_mj layouts import car_park.geojson --out part.json --crop -20 -10 20 10
-    carpark_mj layouts import plan.dxf --out lot.json --unit mm --layer stall=STELLPLATZ
-
-    Attributes:
-        map: file to read: Lanelet2 or OpenStreetMap (`.osm`, `.xml`), CommonRoad
-            (`.xml`), GeoJSON (`.geojson`, `.json`), a drawing (`.dxf`), or a case of
-            ParkBench (`.json`).
-        out: layout file to write.
-        crop: x and y of two opposite corners [m] of the part to take, in the frame of
-            the whole lot.
-        level: level of a multi-storey car park, as named in the map; default: the one
-            with most spots.
-        crs: coordinate reference system of a GeoJSON file that does not name its own,
-            such as EPSG:25832.
-        layer: of a drawing, WORD=TEXT: the layers whose names contain the text hold
-            stalls, aisles, walls, kerbs, columns, drivable ground or starts; may be
-            repeated.
-        unit: of a drawing without one, or with a wrong one: mm, cm, m, in or ft.
-    """
-
-    map: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    out: str
-    crop: Crop | None = None
-    level: str | None = None
-    crs: str | None = None
-    layer: Annotated[Repeated, tyro.conf.arg(metavar="WORD=TEXT")] = ()
-    unit: str = ""
-
-    def __post_init__(self) -> None:
-        require_suffix("out", self.out, ".json")

@@ -184,7 +184,6 @@ class SuiteConfig(CheckedConfig):
     carpark_mj suite planner --levels tpcap --seeds 0 1 2
     carpark_mj suite planner --levels normal --seeds 1 --out runs/normal-1
     carpark_mj suite --combine runs/normal-0 runs/normal-1 --videos 3
-    carpark_mj suite planner hope --levels parkbench:rear_in --rule precise
     carpark_mj suite hope anywhere --levels tpcap metadrive san_jose busy sheets
 
     The result is a table (Markdown, CSV, HTML). The documentation defines the cases
@@ -196,12 +195,11 @@ class SuiteConfig(CheckedConfig):
             and `function:MODULE:NAME`.
         environment: whose observation those of other libraries have.
         levels: levels to drive: HOPE's `normal`, `complex` and `extreme`; `tpcap`,
-            TPCAP's 20 published cases; `parkbench:FOLDER`, the half of ParkBench's
-            files for development, and `parkbench:FOLDER:held_out`, the other, for
-            final results; `busy`, where people, a cart or a car get in the way;
-            `metadrive`, `san_jose` and `dragon_lake`, lots of other sources; `sheets`,
-            twelve cars by data sheet; `scenario:FILE`; the standard tests `iso16787`,
-            `ncap_rear` and `r158`, of another car as `r158:CAR`; or registered ones.
+            TPCAP's 20 published cases; `busy`, where people, a cart or a car get in
+            the way; `metadrive`, `san_jose` and `dragon_lake`, lots of other sources;
+            `sheets`, twelve cars by data sheet; `scenario:FILE`; the standard tests
+            `iso16787`, `ncap_rear` and `r158`, of another car as `r158:CAR`; or
+            registered ones.
         cases: number of cases of each level, all of levels with fewer; None = all from
             `first_case` on.
         first_case: first case of each level, from 0.
@@ -254,8 +252,6 @@ class ScenarioConfig(CheckedConfig):
     carpark_mj scenario child.yaml planner valet
     carpark_mj scenario child.yaml valet --videos 3 --out runs/child
     carpark_mj scenario child.yaml valet --repetitions 1000
-    carpark_mj scenario import case.xosc --lot lot.json --out case.yaml
-    carpark_mj scenario export child.yaml --out child.xosc
 
     The documentation describes the file. The result is a table (Markdown, CSV, HTML)
     with 95 % intervals, as of `carpark_mj suite`.
@@ -286,64 +282,6 @@ class ScenarioConfig(CheckedConfig):
         super().__post_init__()
         if not self.policies:
             raise ValueError("name at least one policy, for example planner")
-
-
-@dataclasses.dataclass(frozen=True)
-class ScenarioImportConfig:
-    """Makes a scenario file of another program's; needs the extra `maps`.
-
-    carpark_mj scenario import case.xosc --lot lot.json --out case.yaml
-    carpark_mj scenario import problem.xml --out problem.yaml
-    carpark_mj scenario import rear_in/1712150592.json --out case.yaml
-
-    Attributes:
-        file: OpenSCENARIO XML (`.xosc`), CommonRoad (`.xml`), or a case of ParkBench
-            (`.json`).
-        out: scenario file to write. The lot of CommonRoad and ParkBench is written
-            beside it, NAME.lot.json.
-        lot: name or file of the lot of an OpenSCENARIO file.
-        goal: number of the bay to park in, in the place of the file's goal.
-        vehicle: preset or data sheet of the car.
-    """
-
-    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    out: str
-    lot: str = ""
-    goal: int | None = None
-    vehicle: str = "compact"
-
-    def __post_init__(self) -> None:
-        require_suffix("file", self.file, ".xosc", ".xml", ".json")
-        require_suffix("out", self.out, ".yaml", ".yml")
-        if bool(self.lot) != self.file.endswith(".xosc"):
-            raise ValueError("--lot belongs to an OpenSCENARIO file, which has no lot")
-
-
-@dataclasses.dataclass(frozen=True)
-class ScenarioExportConfig:
-    """Writes a scenario as OpenSCENARIO or CommonRoad, or drives as its solutions.
-
-    carpark_mj scenario export child.yaml --out child.xosc
-    carpark_mj scenario export child.yaml --out child.xml
-    carpark_mj scenario export a.yaml --run runs/a --problem problem.xml --out a.xml
-
-    Attributes:
-        file: the scenario, .yaml or .json.
-        out: OpenSCENARIO XML (`.xosc`), with its map NAME.xodr beside it, or CommonRoad
-            (`.xml`); with `run`, solutions NAME.POLICY.CASE.xml.
-        run: folder of a run of this scenario, whose worst drives become solutions.
-        problem: the CommonRoad file that the scenario was imported from.
-    """
-
-    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    out: str
-    run: str = ""
-    problem: str = ""
-
-    def __post_init__(self) -> None:
-        require_suffix("out", self.out, ".xml", *[".xosc"] * (not self.run))
-        if bool(self.run) != bool(self.problem):
-            raise ValueError("--run and --problem belong together")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,9 +24,9 @@ from xml.sax.saxutils import quoteattr
 import jax
 import numpy as np
 
+from carpark_formats.maps.exporting import xml_text
+from carpark_formats.maps.osm_xml import read_number, read_xml
 from carpark_mj.layouts.types import Layout
-from carpark_mj.maps.exporting import xml_text
-from carpark_mj.maps.osm_xml import read_xml
 from carpark_mj.movers.scripted import Scripted
 from carpark_mj.suite.actors import SIZES
 from carpark_mj.suite.scenario import Scenario
@@ -323,9 +323,7 @@ def _pose(parent: Any, what: str) -> np.ndarray:
 
 
 def _value(one: Any, key: str) -> float:
-    text = "nothing" if one is None else one.get(key, "nothing")
-    try:
-        return float(text)
-    except ValueError:
-        what = key if one is None else f"{key} of {one.tag}"
-        raise ValueError(f"{what} must be a number, not {text!r}") from None
+    """The number of an attribute; ValueError names it."""
+    if one is None:
+        return read_number(None, key)
+    return read_number(one.get(key), f"{key} of {one.tag}")

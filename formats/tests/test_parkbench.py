@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from helpers.scenes import polygons
 
-from carpark_mj.cli.layouts import ImportConfig, import_layout
+from carpark_formats.exchange import import_layout
+from carpark_formats.parkbench import MARGIN, PARKBENCH_CAR, read_parkbench
+from carpark_formats.settings import ImportConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayEnd
@@ -21,7 +23,6 @@ from carpark_mj.suite.evaluation import (
     suite_env,
 )
 from carpark_mj.suite.levels import find_level, pick_cases
-from carpark_mj.suite.parkbench import MARGIN, PARKBENCH_CAR, read_parkbench
 from carpark_mj.suite.tpcap import EDGE
 from carpark_mj.suite.tpcap import START as START_SIDE
 

@@ -1,4 +1,4 @@
-"""Maps of real car parks, read into layouts; needs the extra `maps`.
+"""Maps of real car parks, read into layouts.
 
 A format (`lanelet2`, `openstreetmap`, `geojson`, `dxf`) becomes `features`: polygons
 and lines in metres. `assemble` makes a layout of them, and a report of omitted ones.
@@ -29,14 +29,3 @@ and lines in metres. `assemble` makes a layout of them, and a report of omitted 
   ground between bays and walls; without ground, 6 m around the spots. Initial states
   of scenarios keep their heading.
 """
-
-from collections.abc import Callable, Mapping
-from typing import Any
-
-from carpark_mj.extensions import Registry
-from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.layouts.types import Layout
-
-# By a key at the top of their JSON files: readers, and the cars they are made for.
-RecordedCase = tuple[Callable[[Mapping[str, Any]], Layout], DesignCar]
-RECORDED_CASES: Registry[RecordedCase] = Registry("recorded case")

@@ -17,9 +17,9 @@ from ezdxf import units
 from ezdxf.enums import InsertUnits
 from ezdxf.path import from_hatch, make_path
 
-from carpark_mj.maps.bays import bays_between, is_bay_sized
-from carpark_mj.maps.features import Feature, Plan, Tag, centred, commonest
-from carpark_mj.maps.tagged import add_tagged
+from carpark_formats.maps.bays import bays_between, is_bay_sized
+from carpark_formats.maps.features import Feature, Plan, Tag, centred, commonest
+from carpark_formats.maps.tagged import add_tagged
 from carpark_mj.reading import read_bytes
 
 _WORDS: dict[Tag, str] = {

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 import shapely
-from helpers.map_texts import (
+from helpers.programs import layouts as main
+from map_texts import (
     BAYS,
     COUNT,
     LANE,
@@ -19,14 +20,11 @@ from helpers.map_texts import (
     rectangle,
     write,
 )
-from helpers.programs import layouts as main
 from shapely import affinity
 
-pytest.importorskip("pyproj")
-
-from carpark_mj.maps import importing as assembling
-from carpark_mj.maps.fit import boxes, cut_free
-from carpark_mj.maps.importing import import_map
+from carpark_formats.maps import importing as assembling
+from carpark_formats.maps.fit import boxes, cut_free
+from carpark_formats.maps.importing import import_map
 
 SPOT = {"amenity": "parking_space"}
 ROAD = {"highway": "service"}

@@ -21,6 +21,7 @@ import numpy as np
 
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import types as lot
+from carpark_mj.layouts.base import LAYOUT_WRITERS
 from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.standards import DesignCar
 
@@ -142,6 +143,10 @@ def lanelet2_text(layout: lot.Layout) -> str:
         ground = np.asarray(box_corners(pose, size + np.array(swept_size(DesignCar()))))
         way(ground, True, type="parking_lot", area="yes")
     return xml_text(f'<osm version="0.6">{"".join(nodes + ways + relations)}</osm>')
+
+
+LAYOUT_WRITERS.register("xodr", opendrive_text)
+LAYOUT_WRITERS.register("osm", lanelet2_text)
 
 
 def rows_of(layout: lot.Layout, kind: str, *parts: str) -> Iterator[Any]:

@@ -10,21 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from helpers.map_texts import TURN, TURNED, commonroad
 from helpers.programs import assert_refused, exit_code
+from map_texts import TURN, TURNED, commonroad
 
-from carpark_mj.geometry import to_local, to_world
-from carpark_mj.suite.scenario import make_scenario, read_scenario
-
-pytest.importorskip("pyproj")
-pytest.importorskip("ezdxf")
-
-from carpark_mj.suite.commonroad import (
+from carpark_formats.commonroad import (
     commonroad_text,
     read_commonroad,
     solution_text,
 )
-from carpark_mj.suite.openscenario import openscenario_text, read_openscenario
+from carpark_formats.openscenario import openscenario_text, read_openscenario
+from carpark_mj.geometry import to_local, to_world
+from carpark_mj.suite.scenario import make_scenario, read_scenario
 
 LOT = "square_compact"
 CASE = {

@@ -4,18 +4,17 @@
 """
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
 import shapely
 from shapely import affinity
 
+from carpark_formats.maps.features import Feature, Plan, Tag, centred
+from carpark_formats.maps.fit import Box
+from carpark_formats.maps.osm_xml import add_lanelet, read_number
 from carpark_mj.layouts.build import swept_size
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import Feature, Plan, Tag, centred
-from carpark_mj.maps.fit import Box
-from carpark_mj.maps.osm_xml import add_lanelet
 
 # Types of static obstacles that are not walls, as everything else that stands is.
 _TAGS: dict[str, Tag] = {
@@ -137,13 +136,4 @@ def _point(element: Any) -> tuple[float, float]:
 
 def number_of(element: Any, what: str) -> float:
     """The number in an element; ValueError names what it is."""
-    text = "nothing" if element is None else (element.text or "").strip()
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) < _FARTHEST:
-        raise ValueError(
-            f"{what} must be a number within ±{_FARTHEST:g}, not {text[:40]!r}"
-        )
-    return value
+    return read_number(None if element is None else element.text or "", what, _FARTHEST)

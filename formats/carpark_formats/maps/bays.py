@@ -8,9 +8,15 @@ from typing import Any
 import numpy as np
 import shapely
 
+from carpark_formats.maps.features import (
+    Feature,
+    Plan,
+    first_names,
+    on_same_level,
+    tagged,
+)
+from carpark_formats.maps.fit import Box, around, leaning, parallelogram
 from carpark_mj.layouts.standards import DesignCar
-from carpark_mj.maps.features import Feature, Plan, first_names, on_same_level, tagged
-from carpark_mj.maps.fit import Box, around, leaning, parallelogram
 
 # Sizes [m] of bays between lines, a wider range than `layouts.standards` has. Twice the
 # least is the most, so that a bay is never taken for two.

@@ -1,4 +1,4 @@
-"""Commands: scenarios from and to files of other programs."""
+"""Commands: lots from maps, scenarios from and to files of other programs."""
 
 import dataclasses
 import tempfile
@@ -8,20 +8,33 @@ from typing import Any
 import numpy as np
 import yaml
 
-from carpark_mj.cli.settings.tables import ScenarioExportConfig, ScenarioImportConfig
+from carpark_formats.commonroad import commonroad_text, read_commonroad, solution_text
+from carpark_formats.maps.exporting import opendrive_text
+from carpark_formats.maps.importing import import_map
+from carpark_formats.openscenario import openscenario_text, read_openscenario
+from carpark_formats.parkbench import read_parkbench
+from carpark_formats.settings import (
+    ImportConfig,
+    ScenarioExportConfig,
+    ScenarioImportConfig,
+)
+from carpark_mj.cli.layouts import save
 from carpark_mj.config import EnvConfig
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.layouts.files import layout_text
-from carpark_mj.layouts.types import Layout
-from carpark_mj.maps.exporting import opendrive_text
 from carpark_mj.reading import naming_file
-from carpark_mj.suite.commonroad import commonroad_text, read_commonroad, solution_text
-from carpark_mj.suite.openscenario import openscenario_text, read_openscenario
-from carpark_mj.suite.parkbench import read_parkbench
 from carpark_mj.suite.results import key_of, read_runs
 from carpark_mj.suite.scenario import Goal, Scenario, make_scenario, read_scenario
 
 IN_BAY = 0.3  # m, or rad: a car that stands so near to a bay's pose parks in it
+
+
+def import_layout(config: ImportConfig) -> None:
+    """Reads the map, writes the layout file and says what was left out."""
+    require_writable(Path(config.out))
+    flags = {name: getattr(config, name) for name in ("level", "crs", "unit")}
+    layout, report = import_map(Path(config.map), layers=config.layer, **flags)
+    save(layout, config.crop, Path(config.out), report)
 
 
 def read(config: ScenarioImportConfig) -> None:
@@ -35,7 +48,9 @@ def read(config: ScenarioImportConfig) -> None:
         elif path.suffix == ".xml":
             found, layout, notes = read_commonroad(path)
         else:
-            found, layout, notes = _parkbench(path)
+            layout, notes = read_parkbench(path), list[str]()
+            start = np.asarray(layout.spawn_pose)[0].tolist()
+            found = {"start": start, "goal": 0, "movers": list[Any]()}
     found = {"lot": config.lot, "vehicle": config.vehicle} | found
     if config.goal is not None:
         found["goal"] = config.goal
@@ -56,12 +71,6 @@ def read(config: ScenarioImportConfig) -> None:
         print(f"wrote {beside}")
     write_text(out, yaml.safe_dump(found, sort_keys=False, default_flow_style=None))
     print(f"wrote {out}: {len(found['movers'])} movers")
-
-
-def _parkbench(path: Path) -> tuple[dict[str, Any], Layout, list[str]]:
-    layout = read_parkbench(path)
-    start = np.asarray(layout.spawn_pose)[0].tolist()
-    return {"start": start, "goal": 0, "movers": []}, layout, []
 
 
 def _plain(value: Any) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from shapely import affinity, ops
 
-from carpark_mj.maps.features import Feature
+from carpark_formats.maps.features import Feature
 
 STALL = 5.0  # m, length that a leaning spot shorter than its sides may have
 CORNER = 0.15  # m by which a corner of a spot stands out

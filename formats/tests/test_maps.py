@@ -2,12 +2,14 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
 import shapely
-from helpers.map_texts import (
+from helpers.mutating import damaged, with_junk
+from helpers.programs import assert_refused
+from helpers.programs import layouts as main
+from map_texts import (
     BAYS,
     COUNT,
     LANE_WIDTH,
@@ -22,18 +24,11 @@ from helpers.map_texts import (
     rectangle,
     write,
 )
-from helpers.mutating import damaged, with_junk
-from helpers.programs import assert_refused
-from helpers.programs import layouts as main
 
+from carpark_formats.maps import importing as assembling
+from carpark_formats.maps.importing import import_map
 from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayKind
-
-pytest.importorskip("pyproj")
-pytest.importorskip("ezdxf")
-
-from carpark_mj.maps import importing as assembling
-from carpark_mj.maps.importing import import_map
 
 
 @pytest.mark.parametrize("name", TEXTS)
@@ -168,16 +163,6 @@ def test_what_is_no_map_is_refused_in_one_sentence(tmp_path, capsys, fault):
     words = ["import", str(path), "--out", str(out)]
     assert str(path) in assert_refused(capsys, "layouts", words, told)
     assert not out.exists()
-
-
-def test_a_missing_library_is_named(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "ezdxf", None)
-    monkeypatch.delitem(sys.modules, "carpark_mj.maps.dxf", raising=False)
-    path = write(tmp_path, "a.dxf", "")
-    assert main(["import", str(path), "--out", str(tmp_path / "lot.json")]) == 2
-    error = capsys.readouterr().err
-    assert "ezdxf" in error
-    assert '[maps]"' in error
 
 
 @pytest.mark.parametrize("name", TEXTS)

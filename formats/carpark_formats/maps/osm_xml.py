@@ -1,6 +1,7 @@
 """OSM XML: maps of OpenStreetMap, and of Lanelet2 with its lanelets and spots."""
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import shapely
 
-from carpark_mj.maps.features import (
+from carpark_formats.maps.features import (
     LINE_THICKNESS,
     Feature,
     Plan,
@@ -19,7 +20,7 @@ from carpark_mj.maps.features import (
     lane_features,
     to_metres,
 )
-from carpark_mj.maps.tagged import add_by_tags, add_tagged
+from carpark_formats.maps.tagged import add_by_tags, add_tagged
 from carpark_mj.reading import read_bytes
 
 Tags = dict[str, str]
@@ -88,6 +89,19 @@ def read_xml(path: Path) -> Any:
         return ElementTree.fromstring(data)
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ValueError(f"not XML ({error})") from None
+
+
+def read_number(text: str | None, what: str, most: float = math.inf) -> float:
+    """The number in a text, at most so large; `ValueError` names what it is."""
+    try:
+        value = float("nothing" if text is None else text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < most:
+        kind = "a number" + f" within ±{most:g}" * math.isfinite(most)
+        shown = "nothing" if text is None else repr(text.strip()[:40])
+        raise ValueError(f"{what} must be {kind}, not {shown}")
+    return value
 
 
 def _read(root: Any, unknown: Counter[str]) -> OsmXml:

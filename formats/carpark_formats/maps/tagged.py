@@ -1,8 +1,8 @@
 """Shapes by their tags, ours or OpenStreetMap's; GeoJSON, which has both.
 
-The property `tag` is one of `carpark_mj.maps.features.Tag`; `width` [m] and `one_way`
-belong to lanes. Coordinates of GeoJSON are longitude and latitude, or of the system
-that the member `crs` or the flag `--crs` names.
+The property `tag` is one of `features.Tag`; `width` [m] and `one_way` belong to lanes.
+Coordinates of GeoJSON are longitude and latitude, or of the system that the member
+`crs` or the flag `--crs` names.
 """
 
 import json
@@ -15,8 +15,7 @@ import numpy as np
 import shapely
 from shapely.errors import ShapelyError
 
-from carpark_mj.layouts.types import BayKind
-from carpark_mj.maps.features import (
+from carpark_formats.maps.features import (
     LINE_THICKNESS,
     WGS84,
     Feature,
@@ -25,7 +24,8 @@ from carpark_mj.maps.features import (
     lane_features,
     to_metres,
 )
-from carpark_mj.maps.fit import boxes, opened
+from carpark_formats.maps.fit import boxes, opened
+from carpark_mj.layouts.types import BayKind
 from carpark_mj.reading import parse_object, read_text
 
 # Widths [m] of aisles that have none in the map, driven both ways and one way: the

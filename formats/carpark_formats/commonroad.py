@@ -21,14 +21,14 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from carpark_formats.maps.commonroad import number_of, shapes_in, state_pose
+from carpark_formats.maps.exporting import axis, rows_of, xml_text
+from carpark_formats.maps.features import Report
+from carpark_formats.maps.importing import import_map
+from carpark_formats.maps.osm_xml import read_xml
+from carpark_formats.openscenario import DWELL, actor_of, timeline
 from carpark_mj.layouts.types import BayEnd, Layout, WallKind
-from carpark_mj.maps.commonroad import number_of, shapes_in, state_pose
-from carpark_mj.maps.exporting import axis, rows_of, xml_text
-from carpark_mj.maps.features import Report
-from carpark_mj.maps.importing import import_map
-from carpark_mj.maps.osm_xml import read_xml
 from carpark_mj.mdp.terminations import find_rules
-from carpark_mj.suite.openscenario import DWELL, actor_of, timeline
 from carpark_mj.suite.scenario import Scenario
 from carpark_mj.vehicle import preset
 

@@ -3,24 +3,19 @@
 import math
 from collections import Counter
 
+import ezdxf
 import numpy as np
 import pytest
 import shapely
 from helpers.programs import layouts as main
 from shapely import affinity
 
+from carpark_formats.maps import dxf as reading
+from carpark_formats.maps.bays import bays_between
+from carpark_formats.maps.features import Feature
+from carpark_formats.maps.fit import joined_lanes
+from carpark_formats.maps.importing import import_map, read_plan
 from carpark_mj.layouts.files import read_json
-from carpark_mj.maps.features import Feature
-from carpark_mj.maps.fit import joined_lanes
-
-pytest.importorskip("ezdxf")
-pytest.importorskip("pyproj")
-
-import ezdxf
-
-from carpark_mj.maps import dxf as reading
-from carpark_mj.maps.bays import bays_between
-from carpark_mj.maps.importing import import_map, read_plan
 
 LENGTH, WIDTH, COUNT = 5.0, 2.5, 6
 

@@ -10,16 +10,10 @@ import numpy as np
 import shapely
 from shapely import affinity
 
-from carpark_mj.config.checks import counted
-from carpark_mj.layouts import build
-from carpark_mj.layouts.build import swept_size
-from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
-from carpark_mj.layouts.types import BayKind, Layout, WallKind
-from carpark_mj.maps import RECORDED_CASES
-from carpark_mj.maps.bays import lay_out
-from carpark_mj.maps.commonroad import commonroad_features
-from carpark_mj.maps.features import (
+from carpark_formats import parkbench
+from carpark_formats.maps.bays import lay_out
+from carpark_formats.maps.commonroad import commonroad_features
+from carpark_formats.maps.features import (
     LINE_THICKNESS,
     STRETCH,
     Feature,
@@ -28,7 +22,7 @@ from carpark_mj.maps.features import (
     on_level,
     tagged,
 )
-from carpark_mj.maps.fit import (
+from carpark_formats.maps.fit import (
     Box,
     around,
     best_fits,
@@ -37,8 +31,14 @@ from carpark_mj.maps.fit import (
     joined_lanes,
     opened,
 )
-from carpark_mj.maps.osm_xml import osm_features, read_xml
-from carpark_mj.maps.tagged import geojson_features
+from carpark_formats.maps.osm_xml import osm_features, read_xml
+from carpark_formats.maps.tagged import geojson_features
+from carpark_mj.config.checks import counted
+from carpark_mj.layouts import build
+from carpark_mj.layouts.build import swept_size
+from carpark_mj.layouts.checks import describe_faults
+from carpark_mj.layouts.standards import PLAUSIBLE_BAY, DesignCar
+from carpark_mj.layouts.types import BayKind, Layout, WallKind
 from carpark_mj.reading import naming_file, parse_object, read_text
 
 FORMATS = (".osm", ".xml", ".geojson", ".json", ".dxf")
@@ -85,18 +85,17 @@ def import_map(
     with naming_file(path):
         if path.suffix.lower() == ".json":
             data = parse_object(read_text(path), "the map")
-            if key := next((key for key in data if key in RECORDED_CASES), None):
+            if parkbench.KEY in data:
                 if level or crs or layers or unit:
                     flags = "--level, --crs, --layer and --unit"
                     raise ValueError(f"a recorded case does not take {flags}")
-                return _recorded_case(key, data)
+                return _recorded_case(data)
         plan = read_plan(path, crs=crs, layers=layers, unit=unit)
         return assemble(lay_out(on_level(plan, level)))
 
 
-def _recorded_case(key: str, data: Any) -> tuple[Layout, Report]:
-    read, car = RECORDED_CASES[key]
-    layout = read(data)
+def _recorded_case(data: Any) -> tuple[Layout, Report]:
+    layout, car = parkbench.parkbench_layout(data), parkbench.PARKBENCH_CAR
     notes = [f"a recorded case: {int(layout.wall_mask.sum())} pieces are walls"]
     if faults := describe_faults(layout, car.size):
         notes.append(f"warning: {'; '.join(faults)}")
@@ -117,7 +116,7 @@ def read_plan(
     if suffix in (".geojson", ".json"):
         return geojson_features(path, crs)
     if suffix == ".dxf":
-        from carpark_mj.maps.dxf import dxf_features  # needs ezdxf
+        from carpark_formats.maps.dxf import dxf_features  # needs ezdxf
 
         return dxf_features(path, layers, unit)
     root = read_xml(path)

@@ -33,13 +33,13 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.layouts.files import FARTHEST
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import BayEnd, Layout
-from carpark_mj.maps import RECORDED_CASES
 from carpark_mj.reading import naming_file, parse_object, read_bytes, read_text
 from carpark_mj.suite import hope
 from carpark_mj.suite.levels import LEVELS, CaseLevel, Cases
 from carpark_mj.suite.tpcap import EDGE, Boxes, boxes_along, case_layout, stack_layouts
 
 NAME, HELD_OUT = "parkbench", "held_out"
+KEY = "Frames"  # at the top of a file
 # As the paper draws it: 1.05 m behind to 3.9 m ahead of the rear axle.
 PARKBENCH_CAR = DesignCar(length=4.95, width=2.0, rear_overhang=1.05)
 MARGIN = 0.3  # m of the bay on every side of the car, less where walls are near
@@ -56,7 +56,7 @@ def read_parkbench(path: Path) -> Layout:
 def parkbench_layout(data: Mapping[str, Any]) -> Layout:
     """The lot of the object of a ParkBench file; ValueError if it is none."""
     try:
-        frame = data["Frames"]["0"]
+        frame = data[KEY]["0"]
         request = frame["PlanningRequest"]
         origin, frame_origin = (
             np.array(part.get(name, (0.0, 0.0))[:2], float).reshape(2)
@@ -132,4 +132,3 @@ def parkbench_env(env: EnvConfig) -> EnvConfig:
 
 
 LEVELS.register(NAME, parkbench_level)
-RECORDED_CASES.register("Frames", (parkbench_layout, PARKBENCH_CAR))

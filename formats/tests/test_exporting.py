@@ -10,14 +10,10 @@ import shapely
 from helpers.programs import assert_refused
 from helpers.programs import layouts as main
 
+from carpark_formats.maps.importing import import_map
 from carpark_mj.geometry import box_corners
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayKind, WallKind
-
-pytest.importorskip("pyproj")
-pytest.importorskip("ezdxf")
-
-from carpark_mj.maps.importing import import_map
 
 
 @pytest.fixture(scope="module", params=["lot", "square_compact", "street"])
@@ -138,4 +134,4 @@ def test_latitudes_and_longitudes_are_metres_apart(tmp_path):
 
 
 def test_other_suffixes_are_refused(capsys):
-    assert_refused(capsys, "layouts", ["square", "--save", "a.txt"], ".xodr")
+    assert_refused(capsys, "layouts", ["square", "--save", "a.txt"], "xodr")
