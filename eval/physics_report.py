@@ -28,12 +28,11 @@ Manoeuvre = Callable[[Study], None]
 
 COMMON: tuple[Manoeuvre, ...] = (
     turns.turning, chassis.stops, chassis.straight, chassis.slope_hold,
-    chassis.slip_threshold, chassis.energy_balance, engines.mirror,
-    turns.lateral_limit, chassis.scrub_torque, engines.convergence,
+    engines.mirror, turns.lateral_limit, engines.convergence,
 )  # fmt: skip
 SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
     "brush": (
-        *COMMON, turns.locked_axle, turns.understeer, turns.step_steer,
+        *COMMON, turns.understeer, turns.step_steer,
         engines.brush_engines, driver.harder_is_slower, driver.hold_on_ice,
         driver.creep, driver.coast_after_release, driver.stop_from_a_walk, driver.taps,
         driver.speed_control, driver.reversing, driver.automatic,

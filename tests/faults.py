@@ -85,7 +85,7 @@ FAULTS = {
         "physics/forces.py",
         "jnp.minimum(1.0, limit / jnp.sqrt(force_x**2 + force_y**2 + _TINY))",
         "jnp.minimum(1.0, limit / jnp.sqrt(force_x**2 + _TINY))",
-        "physics/test_forces.py physics/test_tyres.py physics/test_driving.py",
+        "physics/test_tyres.py physics/test_driving.py",
     ),
     "the steering is as fast as it likes": Fault(
         "vehicle/drive.py",
@@ -121,7 +121,7 @@ FAULTS = {
         "observations/ranges.py",
         "direction = rotate(ahead, own_pose[:, None, 2])[:, None]",
         "direction = rotate(ahead, 0.0 * own_pose[:, None, 2])[:, None]",
-        "observations/test_rays.py",
+        "observations/test_observation_options.py",
     ),
     "people push too weakly": Fault(
         "movers/bodies.py",

@@ -208,17 +208,6 @@ def test_the_number_of_agents_is_uniform_and_they_are_the_first():
     assert (np.asarray(state.goal)[~present] == NO_BAY).all()
 
 
-def test_agents_of_fixed_goals_reserve_no_bay_for_the_absent():
-    config = dataclasses.replace(FIXED, min_agents=1)
-    reset = jax.jit(jax.vmap(ParkingEnv(config).reset))
-    state, _ = reset(jax.random.split(jax.random.key(2), 200))
-    goal, present = np.asarray(state.goal), np.asarray(state.present)
-    assert (goal[~present] == NO_BAY).all()
-    for own in (row[here] for row, here in zip(goal, present, strict=True)):
-        assert (own < state.layout.num_bays).all()
-        assert len(set(own.tolist())) == len(own)
-
-
 def test_a_lot_of_all_agents_is_one_without_absent_ones():
     config = FIXED
     plain = ParkingEnv(config)

@@ -1,34 +1,22 @@
-"""Stops, coasting, slopes, wheel loads, scrub torque, energy, and springs."""
+"""Stops, coasting, slopes, wheel loads, and springs."""
 
 import itertools
 import math
 from functools import partial
 from typing import Any
 
-import mujoco
 import numpy as np
 
-from carpark_mj.vehicle.mjcf import (
-    STEER_STIFFNESS,
-    WHEELS,
-    car_model,
-    chassis_inertial,
-    hub_positions,
-)
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from vehicle_suite import formulas
-from vehicle_suite.formulas import brush_slip
 from vehicle_suite.report import Study
 from vehicle_suite.testbeds import (
-    LEVEL,
     LOCKING,
     ContactTestbed,
     Run,
     Track,
     circle_radius,
-    contact_model,
     ramp,
-    rigid_joints,
 )
 from vehicle_suite.turns import turn_run
 
@@ -36,8 +24,6 @@ HEADINGS = (0.0, 30.0, 45.0, 90.0)  # degrees
 SERVICE = 0.3  # g, brake force over the weight
 SLOPES = (0.05, 0.20, 0.30)  # rise over run
 FACING = (0.0, 45.0, 90.0, 180.0)  # degrees from uphill
-PULL = 0.15  # g, drive force over the weight
-FIRST, LAST = 2.0, 5.0  # s, between which the car neither pitches nor heaves
 CORNERING = 0.2  # g
 SPRUNG = ContactTestbed(suspension=True)
 
@@ -137,104 +123,6 @@ def slope_hold(study: Study) -> None:
         study.row(f"creep on a {100 * slope:g} % slope, {duration:g} s", creep)
 
 
-def slip_threshold(study: Study) -> None:
-    """Tilt at which a car on locked wheels begins to slide, lengthways and sideways."""
-    params = study.params
-    expected = math.degrees(math.atan(params.tyre.friction))
-
-    def tilt(time: np.ndarray) -> np.ndarray:
-        fast = np.minimum(time / 10.0, 1.0) * (expected - 4.0)
-        return np.radians(fast + 0.25 * np.maximum(time - 15.0, 0.0))
-
-    ways = {"uphill": 0.0, "sideways": math.pi / 2}
-    run = partial(braking, params, LOCKING, 0.0, 36.0, tilt=tilt)
-    tracks = study.bed.drive([run(heading=yaw) for yaw in ways.values()])
-    for facing, track in zip(ways, tracks, strict=True):
-        speed = np.linalg.norm(track.qvel[:, :2], axis=1)
-        speed[: track.at(15.0)] = 0.0  # settling
-        row = int(np.argmax(speed > 0.01))
-        angle = math.degrees(tilt(track.time[row : row + 1])[0]) if row else math.nan
-        study.row(f"slip threshold, facing {facing}", angle, expected)
-
-
-def scrub_torque(study: Study) -> None:
-    """Torque of the steering servos that turn the wheels of a standing car."""
-    params, lock = study.params, 0.3
-    run = braking(params, LOCKING, 0.0, 5.0, steering=ramp(lock, 0.5, 3.0))
-    (track,) = study.bed.drive([run])
-    target = np.array(formulas.front_wheel_angles(params, lock))
-    torque = STEER_STIFFNESS * (target - track.wheel_angles)
-    scrub = formulas.scrub_torque(params)
-    expected = scrub if study.tyres == "brush" else 0.0
-    what = "scrub torque at standstill, a front wheel"
-    study.row(what, track.late(torque.mean(1), 0.5), expected, scrub)
-
-
-def energy_balance(study: Study) -> None:
-    """Lost share of the drive's work while accelerating, of the motion coasting."""
-    params = study.params
-    pull = Run(params, LAST, speed=0.5, force=PULL * params.mass * GRAVITY)
-    driven, coasting = study.bed.drive([pull, Run(params, LAST, speed=3.0)])
-    work = _work(driven, driven.drive)
-    rest = (work - _gained(driven) - rolling_loss(driven)) / work
-    expected = slip_loss(driven, work) if study.tyres == "brush" else 0.0
-    study.row("energy balance, accelerating at 0.15 g", rest, expected)
-    lost = -_gained(coasting)
-    rest = (lost - rolling_loss(coasting)) / lost
-    study.row("energy balance, coasting from 3 m/s", rest)
-
-
-def _gained(track: Track) -> float:
-    """Kinetic energy [J] of all bodies, by MuJoCo's own mass matrix."""
-    data = mujoco.MjData(model := car_model(track.params, track.dt, LEVEL))
-    found = []
-    for row in (track.at(FIRST), track.at(LAST)):
-        data.qpos, data.qvel = track.qpos[row], track.qvel[row]
-        mujoco.mj_forward(model, data)
-        mujoco.mj_energyVel(model, data)
-        found.append(float(data.energy[1]))
-    return found[1] - found[0]
-
-
-def _work(track: Track, torque: np.ndarray) -> float:
-    """Work [J] of torques (T, 4) on the wheels, with the mean spin of each substep."""
-    spin = (track.spin[1:] + track.spin[:-1]) / 2
-    rows = slice(track.at(FIRST), track.at(LAST))
-    return float((torque * spin)[rows].sum()) * track.dt
-
-
-def rolling_loss(track: Track) -> float:
-    """Work of the rolling resistance c_rr F_z r [J] of a car that drives forwards."""
-    params = track.params
-    torque = params.tyre.rolling_resistance * track.load * params.wheel_radius
-    return _work(track, torque)
-
-
-def slip_loss(track: Track, work: float) -> float:
-    """Expected slip loss as a share of the drive's work [J].
-
-    Over a substep the tyre dissipates F (omega_after r - v_before), the bodies' motion
-    gives F (mean omega r - mean v): the difference m a^2 dt is a gain of the time step.
-    """
-    params = track.params
-    rolling = formulas.rolling_resistance(params)
-    force = PULL * params.mass * GRAVITY
-    acceleration = (force - rolling) / formulas.rolling_mass(params)
-    shift = formulas.longitudinal_load_transfer(params, acceleration)
-    drives = params.front_drive, 1.0 - params.front_drive
-    spinning = 2 * params.wheel_inertia / params.wheel_radius**2 * acceleration
-    loss = 0.0
-    for still, moved, share in zip(
-        formulas.axle_loads(params), (-shift, shift), drives, strict=True
-    ):
-        load = still + moved
-        ground = share * force - params.tyre.rolling_resistance * load - spinning
-        stiffness = params.tyre.slip_stiffness * still
-        loss += abs(ground) * brush_slip(ground, stiffness, params.tyre.friction * load)
-    early = params.mass * acceleration**2 * track.dt * (LAST - FIRST) / work
-    return loss / force - early
-
-
 def suspension(study: Study) -> None:
     """What the optional suspension changes and what it does not."""
     params, steer = study.params, 0.1  # rad
@@ -257,8 +145,6 @@ def suspension(study: Study) -> None:
     height = 1000 * float(stood.cg[-1, 2] - rigid.cg[-1, 2])
     row("ride height over the rigid car's", height)
     row("drift at rest, 10 s", stood.distance(stood.at(1.0)) / 9.0)
-    measured = bounce_frequency(params, SPRUNG.dt)
-    row("bounce frequency", measured, formulas.bounce(params)[0])
     deceleration = -braked.trend(braked.speed, 1.4, 2.4)
     shift = formulas.longitudinal_load_transfer(params, deceleration, "hubs")
     expected = formulas.tilt_angle(params, shift, params.wheelbase)
@@ -275,27 +161,3 @@ def suspension(study: Study) -> None:
     path, _ = braked_motion(locked)
     expected = 25.0 / (2 * params.tyre.friction * GRAVITY) - 5.0 * locked.dt / 2
     row("stop, locked wheels, 5 m/s", float(path[-1]), expected)
-
-
-def bounce_frequency(params: VehicleParameters, dt: float) -> float:
-    """Damped frequency [Hz] of the standing car, kicked in its slower mode."""
-    model = contact_model(params, dt, suspension=True)
-    model.dof_frictionloss[:] = 0.0  # its wheels roll freely, or they would stand still
-    data = mujoco.MjData(model)
-    _, dofs = rigid_joints(model)
-    for _ in range(round(1.0 / dt)):
-        mujoco.mj_step(model, data)  # onto its contacts
-    mass, com, inertia = chassis_inertial(params)
-    _, shape = formulas.bounce(params)
-    heave, pitch = 0.05 * shape / shape[0]
-    data.qvel[dofs[2]] = heave + pitch * com[0]  # of the rear axle
-    data.qvel[dofs[4]] = pitch
-    for wheel, ahead in zip(WHEELS, hub_positions(params)[:, 0] - com[0], strict=True):
-        data.joint(f"travel_{wheel}").qvel = -(heave - pitch * ahead)
-    motion = []  # of the mode, to which the other one is orthogonal
-    for _ in range(round(1.2 / dt)):
-        mujoco.mj_step(model, data)
-        up = data.qvel[dofs[2]] - data.qvel[dofs[4]] * com[0]
-        motion.append(mass * heave * up + inertia[1] * pitch * data.qvel[dofs[4]])
-    turns = np.flatnonzero(np.diff(np.sign(motion)))
-    return 1.0 / (2 * dt * (turns[1] - turns[0]))

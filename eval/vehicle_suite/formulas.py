@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import linalg, optimize
 
-from carpark_mj.vehicle.mjcf import STEER_STIFFNESS, chassis_inertial
+from carpark_mj.vehicle.mjcf import STEER_STIFFNESS
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 
 # What a car stands on: springs over tyre patches, which stay where they are when it
@@ -155,41 +155,6 @@ def _load_transfer(
     return moment / base / (1 - params.mass * GRAVITY * above / stiffness)
 
 
-def bounce(params: VehicleParameters) -> tuple[float, np.ndarray]:
-    """The slower of heave and pitch on the suspension: damped frequency and shape.
-
-    Eigenvectors of M^-1 K with springs k at both ends of the wheelbase; their dampers c
-    are in proportion, so that zeta = c omega / (2 k) and omega_d = omega
-    sqrt(1 - zeta^2). Where the sprung centre of gravity lies in the middle it is
-    heave alone, sqrt(4 k / m). Pitching, the sprung mass leans over the hubs, l below
-    it, and pushes the freely rolling wheels to and fro.
-
-    Returns:
-        Frequency [Hz], and speeds (2,) of the sprung centre of gravity up [m/s] and of
-        pitch, nose down [rad/s].
-    """
-    mass, (x, _, z), inertia = chassis_inertial(params)
-    above = z - params.wheel_radius
-    unsprung = rolling_mass(params) - mass
-    pushed = mass * unsprung / (mass + unsprung) * above**2
-    k, c = params.tyre.vertical_stiffness, params.tyre.vertical_damping
-    front, rear = params.wheelbase - x, -x
-    # Nose down by q lifts a point x ahead by -q x.
-    lever = -(front + rear)
-    stiffness = 2 * k * np.array([[2.0, lever], [lever, front**2 + rear**2]])
-    stiffness[1, 1] -= mass * GRAVITY * above
-    squares, shapes = linalg.eigh(stiffness, np.diag([mass, inertia[1] + pushed]))
-    omega = math.sqrt(squares[0])
-    zeta = c * omega / (2 * k)
-    return omega * math.sqrt(1 - zeta**2) / (2 * math.pi), shapes[:, 0]
-
-
-def scrub_torque(params: VehicleParameters) -> float:
-    """2/3 mu F_z R_p of one front wheel turned at standstill [N m]."""
-    load = axle_loads(params)[0] / 2
-    return 2 / 3 * params.tyre.friction * load * params.tyre.patch_radius
-
-
 class Turn(NamedTuple):
     """A steady turn: rear-axle radius [m], wheels' drag to be driven against [N]."""
 
@@ -201,7 +166,6 @@ def steady_turn(
     params: VehicleParameters,
     steering: float,
     speed: float,
-    locked: bool = False,
     factors: tuple[float, float] = (1.0, 1.0),
 ) -> Turn:
     """Steady turn of the two-track car on brush tyres with scrub torque.
@@ -209,14 +173,12 @@ def steady_turn(
     Solves the three balances (along, across, about the rear axle) for side velocity,
     yaw rate and drive force. Each wheel's force follows from its own slip angle and
     load, its scrub moment k_t sigma_t omega / |v_i| from the twist of the patch, which
-    also twists the steering servos. The wheels of a locked axle turn at one speed, and
-    their forces follow from their slip.
+    also twists the steering servos.
 
     Args:
         params: the car.
         steering: commanded bicycle angle [rad], left.
         speed: of the rear axle along the car [m/s], negative in reverse.
-        locked: the driven wheels turn as one.
         factors: on the cornering stiffness, front and rear.
     """
     tyre, way = params.tyre, math.copysign(1.0, speed)
@@ -225,7 +187,6 @@ def steady_turn(
     static = np.repeat(axle_loads(params), 2) / 2
     cornering = np.repeat(axle_stiffness(params, factors), 2) / 2
     share = np.repeat([params.front_drive, 1.0 - params.front_drive], 2) / 2
-    axle = np.where(share > 0, 1.0, 0.0) * float(locked)
     command = np.array([*front_wheel_angles(params, steering), 0.0, 0.0])
 
     def balance(unknown: np.ndarray) -> tuple[np.ndarray, float]:
@@ -241,13 +202,9 @@ def steady_turn(
         cos, sin = np.cos(angle), np.sin(angle)
         along, across = forward * cos + left * sin, left * cos - forward * sin
         rolling = way * tyre.rolling_resistance * load
-        # Unknown of a locked axle is its speed, else the drive force; both about 1.
-        slip = axle * (speed * (1 + drive / 100) - along) / np.abs(along)
-        pull = tyre.slip_stiffness * static * slip
         push = -cornering * across / np.abs(along)
-        shape = np.vectorize(brush_shape)(np.hypot(pull, push), tyre.friction * load)
-        given = share * drive * params.mass - rolling
-        force_x, force_y = np.where(axle > 0, pull * shape, given), push * shape
+        shape = np.vectorize(brush_shape)(push, tyre.friction * load)
+        force_x, force_y = share * drive * params.mass - rolling, push * shape
         total_x = force_x * cos - force_y * sin
         total_y = force_x * sin + force_y * cos
         m, arm = params.mass, params.cg_to_rear_axle
@@ -271,14 +228,6 @@ def brush_shape(linear: float, limit: float) -> float:
     s = max(abs(linear) / limit, 1e-12)
     capped = min(s, 3.0)
     return (1 - capped / 3 + capped**2 / 27) * capped / s
-
-
-def brush_slip(force: float, stiffness: float, limit: float) -> float:
-    """Slip at which a brush of slip stiffness C [N] gives a force below its limit [N].
-
-    Inverse of F = limit (s - s^2/3 + s^3/27), C slip = limit s.
-    """
-    return 3 * (1 - (1 - abs(force) / limit) ** (1 / 3)) * limit / stiffness
 
 
 def step_response(

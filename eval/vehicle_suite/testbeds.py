@@ -47,8 +47,6 @@ SPEED_GAIN = 3.0  # 1/s, acceleration per speed error of the test driver
 HOLD_LIMIT = 0.3  # g, the most that holding a speed may ask for
 CHUNK = 100  # substeps of one call of the compiled program
 WIDTH = 16  # cars of one call; fewer are filled up
-# A locked axle is an integral servo on its wheels' difference in speed.
-AXLE_GAIN = 40.0  # N m s/rad per substep; a wheel and its tyre yield about 1/200 of it
 LEVEL = (0.0, 0.0, -GRAVITY)
 INDEX = CarIndex(car_model(COMPACT, 0.01, LEVEL))
 
@@ -67,7 +65,6 @@ class Run:
         brake: brake force at the wheels, all together [N], >= 0.
         target: speed to hold by proportional control [m/s]; None drives by `force`.
         tilt: of the ground, uphill along world x [rad].
-        locked_axle: the wheels of the driven axle turn as one (no differential).
         stiffness: factors on the cornering stiffness, front and rear.
     """
 
@@ -79,18 +76,22 @@ class Run:
     force: Signal = 0.0
     brake: Signal = 0.0
     target: Signal | None = None
-    tilt: Signal = 0.0
-    locked_axle: bool = False
+    tilt: float = 0.0
     stiffness: tuple[float, float] = (1.0, 1.0)
 
     def signals(self, dt: float) -> np.ndarray:
-        """(T, 6) steering, force, brake, target, gain [N s/m], tilt per substep."""
+        """(T, 5) steering, force, brake, target and gain [N s/m] per substep."""
         time = np.arange(round(self.duration / dt)) * dt
         target, gain = self.target, SPEED_GAIN * self.params.mass
         hold = (0.0, 0.0) if target is None else (target, gain)
-        values = [self.steering, self.force, self.brake, *hold, self.tilt]
+        values = [self.steering, self.force, self.brake, *hold]
         columns = [v(time) if callable(v) else np.full(len(time), v) for v in values]
         return np.stack(columns, axis=-1)
+
+    @property
+    def gravity(self) -> np.ndarray:
+        """(3,) [m/s^2]."""
+        return -GRAVITY * np.array([math.sin(self.tilt), 0.0, math.cos(self.tilt)])
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """`qpos` (13,) and `qvel` (12,) of the rolling car, rear axle in the origin."""
@@ -112,12 +113,6 @@ def ramp(final: float, start: float, rise: float) -> Signal:
     return lambda time: final * np.clip((time - start) / rise, 0.0, 1.0)
 
 
-def gravity_of(tilt: np.ndarray) -> np.ndarray:
-    """Gravity (..., 3) [m/s^2] over ground that rises along x by an angle [rad]."""
-    x, z = np.sin(tilt), np.cos(tilt)
-    return -GRAVITY * np.stack([x, np.zeros_like(x), z], axis=-1)
-
-
 class Track:
     """A recorded run; row i is the state after i substeps, loads act during row i.
 
@@ -128,7 +123,6 @@ class Track:
         load, drive: (T, 4) vertical loads [N] and drive torques [N m] of the wheels.
         position, yaw: (T + 1, 2) [m] and (T + 1,) [rad] of the rear axle, unwrapped.
         speed, yaw_rate: (T + 1,) forward [m/s], [rad/s].
-        spin: (T + 1, 4) [rad/s].
         wheel_angles: (T + 1, 2) of the front wheels about their kingpins [rad].
         rotation: (T + 1, 3, 3) body to world.
         cg, cg_velocity: (T + 1, 3) of the centre of gravity [m], [m/s], world frame.
@@ -143,7 +137,6 @@ class Track:
         yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
         self.position, self.yaw, self.yaw_rate = qpos[:, :2], np.unwrap(yaw), qvel[:, 5]
         self.speed = qvel[:, 0] * np.cos(yaw) + qvel[:, 1] * np.sin(yaw)
-        self.spin = qvel[:, INDEX.spin_dof]
         self.wheel_angles = qpos[:, INDEX.steer_qpos]
         rotation = Rotation.from_quat(qpos[:, 3:7], scalar_first=True)
         cg_b = np.array([run.params.cg_to_rear_axle, 0.0, run.params.cg_height])
@@ -224,14 +217,13 @@ class BrushTestbed:
         dtype = jnp.result_type(float)
         starts = [np.stack(x) for x in zip(*(r.start() for r in cars), strict=True)]
         vehicles = jax.tree.map(lambda *x: jnp.stack(x), *map(vehicle_of, cars))
-        locked = jnp.array([locked_wheels(run) for run in cars], dtype)
         bristles = jax.tree.map(lambda x: jnp.tile(x, (WIDTH, 1)), init_tyres(dtype))
         qpos, qvel = (jnp.array(x, dtype) for x in starts)
-        carry, rows = (qpos, qvel, bristles, jnp.zeros(WIDTH, dtype)), []
+        carry, rows = (qpos, qvel, bristles), []
+        fixed = vehicles, jnp.array([run.gravity for run in cars], dtype)
         for part in np.split(table, length // CHUNK):
-            inputs = (jnp.array(x, dtype) for x in (part, gravity_of(part[..., 5])))
-            program = _program(self.x64)
-            carry, seen = program(carry, vehicles, locked, *inputs, dtype.type(dt))
+            inputs = jnp.array(part, dtype), dtype.type(dt)
+            carry, seen = _program(self.x64)(carry, *fixed, *inputs)
             rows.append(jax.device_get(seen))
         seen = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
         for k, start in enumerate(starts):  # of the states, which have one row more
@@ -248,10 +240,9 @@ def _program(x64: bool):
     """Compiles `CHUNK` substeps of `WIDTH` cars; call it with x64 switched to match."""
     del x64  # a key of the cache
 
-    def substep(carry, vehicle: Vehicle, locked, signal, gravity, dt):
-        qpos, qvel, tyres, couple = carry
+    def substep(carry, vehicle: Vehicle, gravity, signal, dt):
+        qpos, qvel, tyres = carry
         ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
-        drive = drive + locked * couple
         at = unpack_coordinates(INDEX, qpos, qvel)
         torques = [WheelTorques(*pair) for pair in zip(drive, brake, strict=True)]
         wheels, bristles = wheels_of(vehicle), unpack_tyres(tyres)
@@ -259,21 +250,17 @@ def _program(x64: bool):
         masses, tyres = mass_properties(vehicle), pack_tyres(bristles)
         at = advance(masses, at, forces, tuple(ctrl), tuple(gravity), dt)
         qpos, qvel = pack_coordinates(INDEX, at)
-        apart = jnp.sum(locked * qvel[INDEX.spin_dof])
-        couple = couple - AXLE_GAIN * apart
-        seen = (qpos, qvel, jnp.stack(forces.load), drive)
-        return (qpos, qvel, tyres, couple), seen
+        return (qpos, qvel, tyres), (qpos, qvel, jnp.stack(forces.load), drive)
 
-    batched = jax.vmap(substep, in_axes=(0, 0, 0, 0, 0, None))
+    batched = jax.vmap(substep, in_axes=(0, 0, 0, 0, None))
 
     @jax.jit
     @full_float32
-    def run(carry, vehicles, locked, signals, gravity, dt):
-        def step(carry, row):
-            signal, pull = row
-            return batched(carry, vehicles, locked, signal, pull, dt)
+    def run(carry, vehicles, gravity, signals, dt):
+        def step(carry, signal):
+            return batched(carry, vehicles, gravity, signal, dt)
 
-        return jax.lax.scan(step, carry, (signals, gravity))
+        return jax.lax.scan(step, carry, signals)
 
     return run
 
@@ -283,9 +270,9 @@ def controls(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Servo targets (2,) [rad], drive and brake torques (4,) [N m] of the test driver.
 
-    `signal` (6,) is a row of `Run.signals`.
+    `signal` (5,) is a row of `Run.signals`.
     """
-    steering, force, brake, target, gain, _ = signal
+    steering, force, brake, target, gain = signal
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
     forward = jnp.stack(
         [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
@@ -306,12 +293,6 @@ def vehicle_of(run: Run) -> Vehicle:
     stiffness = vehicle.tyres.lateral_stiffness * factors
     tyres = dataclasses.replace(vehicle.tyres, lateral_stiffness=stiffness)
     return dataclasses.replace(vehicle, tyres=tyres)
-
-
-def locked_wheels(run: Run) -> list[float]:
-    """(4,) signs of the couple between the wheels of a locked driven axle, else 0."""
-    lock, front = float(run.locked_axle), run.params.front_drive >= 0.5
-    return [lock * front, -lock * front, lock * (not front), -lock * (not front)]
 
 
 def contact_model(
@@ -365,7 +346,8 @@ class ContactTestbed:
         tyres = {model.geom(f"tyre_{name}").id: k for k, name in enumerate(WHEELS)}
         qpos, qvel = [data.qpos[positions]], [data.qvel[velocities]]
         loads, torques, rotation, contact = [], [], np.zeros(9), np.zeros(6)
-        for steering, force, brake, target, gain, tilt in run.signals(dt):
+        model.opt.gravity = run.gravity
+        for steering, force, brake, target, gain in run.signals(dt):
             mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
             hold = gain * (target - rotation[::3] @ data.qvel[:3])
             force = force + np.clip(hold, -most, most)
@@ -374,7 +356,6 @@ class ContactTestbed:
             brakes = brake * params.wheel_radius * shares[1]
             model.dof_frictionloss[spin] = rolling + brakes
             data.ctrl = front_wheel_angles(params, float(steering))
-            model.opt.gravity = gravity_of(tilt)
             mujoco.mj_step(model, data)
             qpos.append(data.qpos[positions])
             qvel.append(data.qvel[velocities])

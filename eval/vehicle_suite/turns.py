@@ -1,6 +1,5 @@
 """Slow and fast turns: radius, kerb circle, drag, understeer, step steer, limit."""
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Iterator
@@ -28,12 +27,10 @@ DEGREES = math.degrees(GRAVITY)  # from rad s^2/m to deg/g
 AXLES = {"preset": (1.0, 1.0), "axles at 11:12.5": (11 / 12, 12.5 / 12)}
 
 
-def turn_run(
-    params: VehicleParameters, lock: float, speed: float, locked_axle: bool = False
-) -> Run:
+def turn_run(params: VehicleParameters, lock: float, speed: float) -> Run:
     """Wheels to the lock [rad], then a circle at a speed [m/s]."""
     signals: Any = {"target": ramp(speed, 1.0, 2.0), "steering": ramp(lock, 0.0, 1.0)}
-    return Run(params, 8.0 + 10.0 / abs(speed), locked_axle=locked_axle, **signals)
+    return Run(params, 8.0 + 10.0 / abs(speed), **signals)
 
 
 def drag_of(track: Track) -> float:
@@ -72,22 +69,6 @@ def kerb_circle(track: Track) -> float:
     x, y = params.wheelbase, -params.track_width / 2
     hub = track.position[late] + np.stack([x * cos - y * sin, x * sin + y * cos], -1)
     return 2 * circle_radius(hub) + params.tyre_width
-
-
-def locked_axle(study: Study) -> None:
-    """Radius and drag with the driven wheels coupled, against `turning`'s formulas.
-
-    A car with all-wheel drive is driven by its front axle here.
-    """
-    front = float(round(study.params.front_drive + 0.01))
-    params = dataclasses.replace(study.params, front_drive=front)
-    lock = LOCKS[0] * params.max_steering
-    (track,) = study.bed.drive([turn_run(params, lock, 1.0, locked_axle=True)])
-    expected = steady_turn(params, lock, track.late(track.speed, 1.0), locked=True)
-    what = f"locked axle, {math.degrees(lock):.1f} deg, 1 m/s"
-    radius = circle_radius(track.position[track.at(10.0) :])
-    study.row(f"drag, {what}", drag_of(track), expected.drag)
-    study.row(f"radius, {what}", radius, expected.radius)
 
 
 def fast_turns(

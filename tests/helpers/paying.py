@@ -11,7 +11,6 @@ from carpark_mj.mdp.rewards import reward_terms, term_weights
 
 MAX_STEPS = 200
 LIMITS = {"max_speed": 3.0, "max_reverse_speed": 2.0, "steering_rate": 0.42}
-STEERING_CHANGE = 0.084  # rad, 0.42 rad/s for 0.2 s
 GOAL = (10.0, 0.0, 0.0)
 LOT = lot([(0.0, 0.0, 0.0)])
 

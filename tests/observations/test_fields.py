@@ -119,7 +119,11 @@ CONFIGS_OF_SETS = {
     "blind": dataclasses.replace(
         FIXED, observation=ContinuousObservation(tracked_agents=0)
     ),
-    "dynamic": dataclasses.replace(FIXED, goals=GoalConfig(True, 3)),
+    "dynamic": dataclasses.replace(
+        FIXED,
+        goals=GoalConfig(True, 3),
+        observation=ContinuousObservation(tracked_movers=2),
+    ),
 }
 
 
@@ -154,7 +158,7 @@ def test_entities_are_present_where_their_mask_is_1_or_missing():
     fields = make_fields(CONFIGS_OF_SETS["dynamic"])
     sets = observation_sets(fields)
     counts = {part.group: part.count for part in sets.sets}
-    assert counts == {"bay": 3, "agent": 3, "parked_car": 4}
+    assert counts == {"bay": 3, "agent": 3, "parked_car": 4, "mover": 2}
     masks, vector, start = {}, np.full(sets.size, 0.7, np.float32), 0
     for field in fields:
         if field.is_mask:

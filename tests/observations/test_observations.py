@@ -2,7 +2,6 @@
 
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,15 +9,13 @@ from helpers.observing import BAYS, CONFIGS, observe_jit, observed
 from helpers.scenes import LOTS, cars, fields_of, lot, mjx_env, mjx_rollout
 from helpers.states import config_of, hand_cars, state_of
 
-from carpark_mj.config import EnvConfig, RayConfig, RingConfig
+from carpark_mj.config import RayConfig, RingConfig
 from carpark_mj.geometry import rotate
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import ContinuousObservation, make_fields
-from carpark_mj.observations.compose import observation_sets
 from carpark_mj.observations.fields import FAR, NEAR, ObservationInput
 from carpark_mj.observations.tracked import PACE, movers_part
-from carpark_mj.policy.encoder import SetEncoder
 
 
 def test_a_hand_worked_scene():
@@ -269,20 +266,3 @@ def test_a_turned_lot_looks_the_same_also_with_those_who_stand(angle):
     for row, other in zip(see(4), turned, strict=True):
         for name, value in row.items():
             np.testing.assert_allclose(other[name], value, atol=1e-5, err_msg=name)
-
-
-def test_they_are_a_group_of_the_set_encoder_and_none_by_default():
-    config = EnvConfig(observation=ContinuousObservation(tracked_movers=3))
-    names = [field.name for field in make_fields(config)]
-    plain = [field.name for field in make_fields(EnvConfig())]
-    assert [name for name in names if not name.startswith("mover_")] == plain
-    sets = observation_sets(make_fields(config))
-    [group] = [part for part in sets.sets if part.group == "mover"]
-    assert (group.count, group.mask) == (3, 0)
-    encoder = SetEncoder(sets, 8, 4)
-    vector = jnp.zeros((2, sets.size)).at[1, group.start].set(1.0)
-    parts = sets.split(vector)
-    weights = encoder.init(jax.random.key(0), parts, sets.present(parts))
-    assert "mover_0" in weights["params"]
-    found = encoder.apply(weights, parts, sets.present(parts))
-    assert np.isfinite(found).all()

@@ -21,7 +21,7 @@ from carpark_mj.physics.mjx_step import (
 from carpark_mj.scene.build import drivable_scene
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS
-from vehicle_suite import chassis, formulas
+from vehicle_suite import formulas
 from vehicle_suite.testbeds import contact_model
 
 DT = 0.002
@@ -61,17 +61,27 @@ def test_a_spring_carries_its_corner_without_the_wheel():
         assert spring == pytest.approx(force, rel=1e-9)
 
 
-def test_a_balanced_car_bounces_at_its_natural_frequency():
-    # Sprung centre of gravity midway, hardly damped: heave alone, sqrt(4 k / m) / 2 pi.
+def test_a_balanced_car_that_is_kicked_upwards_heaves_as_a_damped_oscillator():
+    # Sprung centre of gravity midway: heave alone, omega^2 = 4 k / m.
     knuckles = 2 * COMPACT.knuckle_mass * COMPACT.wheelbase / 2 / COMPACT.mass
-    tyre = dataclasses.replace(COMPACT.tyre, vertical_damping=1.0)
     middle = COMPACT.wheelbase / 2 - knuckles
-    car = dataclasses.replace(COMPACT, cg_to_front_axle=middle, tyre=tyre)
+    car = dataclasses.replace(COMPACT, cg_to_front_axle=middle)
     sprung = car.mass - 4 * car.wheel_mass - 2 * car.knuckle_mass
-    expected = math.sqrt(4 * tyre.vertical_stiffness / sprung) / (2 * math.pi)
-    assert 1.3 < expected < 1.6  # Hz, a passenger car's
-    assert formulas.bounce(car)[0] == pytest.approx(expected, rel=1e-3)
-    assert chassis.bounce_frequency(car, DT) == pytest.approx(expected, rel=0.01)
+    omega = math.sqrt(4 * car.tyre.vertical_stiffness / sprung)
+    assert 1.3 < omega / (2 * math.pi) < 1.6  # Hz, a passenger car's
+    model, data = settled(car, True)
+    data.qvel[2] = kick = 0.05
+    for wheel in WHEELS:
+        data.joint(f"travel_{wheel}").qvel = -kick
+    speed = []
+    for _ in range(round(1.0 / DT)):
+        mujoco.mj_step(model, data)
+        speed.append(data.qvel[2])
+    zeta = 4 * car.tyre.vertical_damping / sprung / (2 * omega)
+    fast, time = omega * math.sqrt(1 - zeta**2), DT * np.arange(1, len(speed) + 1)
+    wave = np.cos(fast * time) - zeta * omega / fast * np.sin(fast * time)
+    expected = kick * np.exp(-zeta * omega * time) * wave
+    assert np.abs(speed - expected).max() < 0.02 * kick
 
 
 def test_friction_of_the_axles_is_rolling_resistance_and_brake():
@@ -81,18 +91,21 @@ def test_friction_of_the_axles_is_rolling_resistance_and_brake():
     assert float(loss.sum()) == pytest.approx(rolling + 20.0, rel=1e-5)
 
 
-def test_in_mjx_the_springs_are_each_cars_own():
+def test_in_mjx_springs_and_friction_are_each_cars_own():
     """The van's data in the compact's model are the van's model."""
     van = PRESETS["van"]
+    van = dataclasses.replace(van, tyre=dataclasses.replace(van.tyre, friction=0.7))
     model, expected = (contact_car_model(p, SPRUNG) for p in (COMPACT, van))
     vehicle = make_vehicle(van)
     changed = with_wheels(
         mjx.put_model(model), CarIndex(model), WheelIndex(model), vehicle, jnp.zeros(4)
     )
-    for name in ("jnt_stiffness", "dof_damping", "qpos_spring", "dof_frictionloss"):
+    springs = "jnt_stiffness", "dof_damping", "qpos_spring"
+    for name in (*springs, "dof_frictionloss", "pair_friction"):
         found = np.asarray(getattr(changed, name))
         assert found == pytest.approx(getattr(expected, name), rel=1e-5), name
     assert not np.allclose(model.qpos_spring, expected.qpos_spring)
+    assert not np.allclose(model.pair_friction, expected.pair_friction)
 
 
 def test_an_exported_scene_has_springs_if_asked():

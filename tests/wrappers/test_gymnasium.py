@@ -167,15 +167,6 @@ def test_the_first_task_is_park_in_its_environment():
     assert config.spawn == first.env.config.spawn
 
 
-def test_gymnasiums_wrappers_work_on_the_vector_environment():
-    vector = gymnasium.make_vec(PARK, COUNT, config=SHORT)
-    vector = gymnasium.wrappers.vector.RecordEpisodeStatistics(vector)
-    vector.reset(seed=0)
-    for _ in range(20):
-        *_, infos = vector.step(np.zeros((COUNT, 2), np.float32))
-    assert infos["episode"]["l"].tolist() == [20] * COUNT
-
-
 GARAGE = EnvConfig(
     layout="garage_row",
     num_agents=4,

@@ -138,14 +138,6 @@ def test_action_mask_of_torchrl_keeps_to_bays_that_are_tracked():
     assert masks.shape == (3, 20, 2, 77 * 3)
 
 
-def test_nan_is_sanitized_on_the_device(env):
-    env.set_seed(3)
-    start = env.reset()
-    action = torch.full((LOTS, 2, 2), torch.nan)
-    after = env.step(start.set(("agents", "action"), action))
-    assert after["next", "agents", "observation"].isfinite().all()
-
-
 def test_a_picture_of_a_lot_can_be_drawn(env):
     env.reset()
     picture = env.render(lot=1)
