@@ -203,10 +203,10 @@ def test_the_suite_needs_no_optional_package():
         f"import sys; sys.modules.update(dict.fromkeys({optional}))\n"
         "import carpark_mj.suite.evaluation\n"
         "from carpark_mj.registry import environment\n"
-        "print(environment('valet').num_agents)"
+        "print(environment('valet').layout)"
     )
     done = python("-c", code)
-    assert done.stdout.split() == ["1"], done.stderr
+    assert done.stdout.split() == ["valet"], done.stderr
 
 
 @pytest.mark.parametrize("name", FAULTS)

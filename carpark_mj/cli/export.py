@@ -24,6 +24,7 @@ from carpark_mj.policy import onnx_export
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
 from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
 from carpark_mj.policy.outside import Rows, plain_values, rows_of
+from carpark_mj.policy.widening import save_mean
 
 # Most that numbers of an action of a model and of its policy may differ by. Where
 # float32 itself is not as good as that, twice its error: both are computed in it.
@@ -54,7 +55,10 @@ def main(config: ExportConfig) -> Path:
     require_writable(out, new_folders=True)  # before the work
     if out.suffix == ".npz":
         out.parent.mkdir(parents=True, exist_ok=True)
-        save_policy(config.run, out)
+        if config.mean_with:
+            save_mean(config.run, config.mean_with, out)
+        else:
+            save_policy(config.run, out)
     else:
         make = _car_model if config.from_state else _model
         doing(COMPILING)

@@ -64,7 +64,7 @@ def load_policy(
     """
     require_float32()
     require_kind("env", env, EnvConfig | None)
-    path, header, own, parameters = _read(run)
+    path, header, own, parameters = read_policy(run)
     env = own if env is None else env
     config = network_config(header)
     _require_fit(run, config, own, env)
@@ -81,19 +81,21 @@ def load_policy(
     return LoadedPolicy(env, policy, header["env_steps"], path)
 
 
-def save_policy(run: str | Path, out: Path) -> None:
+def save_policy(run: str | Path, out: Path, parameters: Any = None) -> None:
     """Writes a checkpoint of a policy without its training state.
 
     It holds the normalizer and the averaged actor, or the parameters of another
-    algorithm, and the settings of the run less its folder.
+    algorithm, and the settings of the run less its folder. `parameters` take the place
+    of the run's.
     """
-    _, header, _, parameters = _read(run)
+    _, header, _, own = read_policy(run)
+    parameters = own if parameters is None else parameters
     settings = header["config"]
     kept = {name: settings[name] for name in settings if name not in FOLDER_SETTINGS}
     checkpoints.save(out, parameters, header | {"config": kept})
 
 
-def _read(run: str | Path) -> tuple[Path, dict[str, Any], EnvConfig, Any]:
+def read_policy(run: str | Path) -> tuple[Path, dict[str, Any], EnvConfig, Any]:
     """Checkpoint of a policy, its header, its environment, its parameters by kind."""
     path = runs.latest_checkpoint(runs.find_policy(run))
     header = checkpoints.read_header(path, env_steps=int, config=dict)

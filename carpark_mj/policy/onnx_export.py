@@ -191,10 +191,8 @@ def require_outside(config: EnvConfig) -> None:
         )
     pictures = [field.name for field in encoder.fields(config) if field.shape]
     noise = encoder.ultrasound.noise if encoder.ultrasound.on else 0.0
-    movers = encoder.tracked_movers
     for given, what in (
         (encoder.init_memory(config) is not None, "the past (rings.history)"),
-        (movers, f"movers with their velocities (tracked_movers {movers})"),
         (pictures, f"pictures ({', '.join(pictures)})"),
         (noise, f"ultrasound with noise (ultrasound.noise {noise})"),
     ):

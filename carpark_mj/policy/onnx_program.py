@@ -173,6 +173,16 @@ def _inverse_root(graph: Graph, dtype: Any, value: Value, **params: Any) -> Valu
     return graph.elementwise("Reciprocal", dtype, root)
 
 
+def _arctan2(graph: Graph, dtype: Any, y: Value, x: Value) -> Value:
+    zero, one, half_turn = (np.asarray(value, dtype) for value in (0.0, 1.0, np.pi))
+    add = graph.elementwise
+    still = [add("Equal", bool, value, zero) for value in (x, y)]
+    divisor = add("Where", dtype, add("And", bool, *still), one, x)
+    side = add("Where", dtype, add("Less", bool, y, zero), -half_turn, half_turn)
+    turn = add("Where", dtype, add("Less", bool, x, zero), side, zero)
+    return add("Add", dtype, add("Atan", dtype, add("Div", dtype, y, divisor)), turn)
+
+
 def _clamp(graph: Graph, dtype: Any, low: Value, value: Value, high: Value) -> Value:
     least = graph.elementwise("Max", dtype, value, low)
     return graph.elementwise("Min", dtype, least, high)
@@ -187,6 +197,7 @@ _SAME = (
 # By primitive: of values that broadcast.
 _ELEMENTWISE: dict[str, Callable[..., Value]] = {
     **{name: _operator(name.capitalize()) for name in _SAME},
+    "atan2": _arctan2,
     "clamp": _clamp,
     "convert_element_type": lambda graph, dtype, value, **_: graph.cast(value, dtype),
     "eq": _operator("Equal"),

@@ -13,14 +13,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from carpark_mj.geometry.obstacles import Boxes, Discs, ObstacleKind, by_shape, merge
+from carpark_mj.geometry.obstacles import Boxes, Discs, Group, Movers, ObstacleKind
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.parked_cars import place_absent_agents
 from carpark_mj.observations import ObservationInput
 from carpark_mj.observations.ego import goal_code
 from carpark_mj.observations.sensors import observed
-from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY, Motion, ParkedCars, State
 from carpark_mj.vehicle import Vehicle
 
@@ -33,6 +32,8 @@ class Rows:
     parked: int = 0  # parked cars
     walls: int = 0  # walls and other boxes
     discs: int = 0  # pillars and other discs
+    people: int = 0
+    movers: int = 0  # drivers, carts and other boxes that may move
     lanes: int = 0
     bays: int = 0  # tracked bays, from which goals are chosen; 0 = goals are fixed
     bay_ends: bool = False  # whether some bays must be entered by an end of the car
@@ -55,7 +56,6 @@ class PlainInput:
 
 _POSE, _SIZE = "m, m, rad", "their lengths and widths"
 _PARKED = "centre, and heading of a car parked tail in"
-_FIXED = ("wall_", "disc_", "lane_")  # fields of `Layout`, too
 _END = "the end that goes in first: 0 either, 1 nose, 2 tail"
 INPUTS = (
     PlainInput("pose", (3,), _POSE, "own footprint: centre and heading"),
@@ -108,29 +108,47 @@ INPUTS = (
     PlainInput("disc_centre", ("discs", 2), "m", "pillars and other solid discs"),
     PlainInput("disc_radius", ("discs",), "m", "their radii"),
     PlainInput("disc_mask", ("discs",), "", "padding mask: valid rows", "bool"),
+    PlainInput("person_centre", ("people", 2), "m", "people"),
+    PlainInput("person_radius", ("people",), "m", "their radii"),
+    PlainInput("person_velocity", ("people", 2), "m/s", "their velocities"),
+    PlainInput("person_mask", ("people",), "", "padding mask: valid rows", "bool"),
+    PlainInput("mover_pose", ("movers", 3), _POSE, "carts, drivers and other movers"),
+    PlainInput("mover_size", ("movers", 2), "m", _SIZE),
+    PlainInput("mover_velocity", ("movers", 2), "m/s", "their velocities"),
+    PlainInput("mover_mask", ("movers",), "", "padding mask: valid rows", "bool"),
     PlainInput("lane_pose", ("lanes", 3), _POSE, "lanes: centre and direction"),
     PlainInput("lane_size", ("lanes", 2), "m", _SIZE),
     PlainInput("lane_one_way", ("lanes",), "", "one-way in that direction", "bool"),
     PlainInput("lane_mask", ("lanes",), "", "padding mask: valid rows", "bool"),
 )
+# Inputs that are fields of `Layout`, too.
+_FIXED = ("wall_", "disc_", "lane_")
+_FIXED_NAMES = [x.name for x in INPUTS if x.name.startswith(_FIXED)]
 
 
 def rows_of(state: State) -> Rows:
     """The rows that hold a lot (arrays or their shapes)."""
-    layout, movers = state.layout, state.movers.groups
-    boxes, discs = (
-        sum(group.count for group in movers if isinstance(group, shape))
-        for shape in (Boxes, Discs)
-    )
+    layout = state.layout
+    people, movers = (sum(x.count for x in groups) for groups in _movers(state))
     return Rows(
         others=state.goal.shape[0] - 1,
         parked=state.parked_cars.bay.shape[0],
-        walls=layout.wall_mask.shape[0] + boxes,
-        discs=layout.disc_mask.shape[0] + discs,
+        walls=layout.wall_mask.shape[0],
+        discs=layout.disc_mask.shape[0],
+        people=people,
+        movers=movers,
         lanes=layout.lane_mask.shape[0],
         bays=0 if state.tracked_bays is None else state.tracked_bays.shape[1],
         bay_ends=layout.bay_end is not None,
     )
+
+
+def _movers(state: State) -> tuple[list[Group], list[Group]]:
+    """People, and what else moves by itself."""
+    people, others = [], []
+    for group in state.movers.groups:
+        (people if group.kind == ObstacleKind.PERSON else others).append(group)
+    return people, others
 
 
 # Limits of a car's response, which `Vehicle` and the inputs call alike.
@@ -200,11 +218,24 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         key=unread,
         present=present,
         routes=routes,
+        movers=Movers(obstacles=(_groups(given),)),
     )
     before = jnp.concatenate([jnp.zeros(1, bool), given["other_priority"]])
     return ObservationInput(
         state, motion, num_observers=1, number=-before.astype(jnp.int32)
     )
+
+
+def _groups(given: Mapping[str, jax.Array]) -> tuple[Group, ...]:
+    """People and other movers that are given."""
+    groups: list[Group] = []
+    for name, shape, place, size, kind in (
+        ("person", Discs, "centre", "radius", ObstacleKind.PERSON),
+        ("mover", Boxes, "pose", "size", ObstacleKind.MOVER),
+    ):
+        found = (given[f"{name}_{x}"] for x in (place, size, "velocity", "mask"))
+        groups.append(shape(*found, kind=kind))
+    return tuple(group for group in groups if group.count)
 
 
 def _layout(rows: Rows, given: Mapping[str, jax.Array]) -> Layout:
@@ -225,7 +256,7 @@ def _layout(rows: Rows, given: Mapping[str, jax.Array]) -> Layout:
         bay_mask=jnp.ones(pose.shape[0], bool),
         wall_kind=jnp.zeros(rows.walls, jnp.int32),
         disc_kind=jnp.zeros(rows.discs, jnp.int32),
-        **{x.name: given[x.name] for x in INPUTS if x.name.startswith(_FIXED)},
+        **{name: given[name] for name in _FIXED_NAMES},
         spawn_pose=none,
         spawn_size=none[:, :2],
         spawn_spread=none[:, 0],
@@ -284,21 +315,22 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
 def _lot_values(state: State) -> dict[str, jax.Array]:
     """The inputs that all agents share."""
     layout, parked_cars = state.layout, state.parked_cars
-    there = lot_obstacles(layout, None, parked_cars, state.movers)
-    solid = [group for group in there if group.kind != ObstacleKind.PARKED_CAR]
-    walls, discs = (merge(same, num_agents=1) for same in by_shape(solid))
-    return {
+    values = {
         "parked_pose": parked_cars.pose_w,
         "parked_size": parked_cars.size,
         "parked_mask": parked_cars.present,
-        "wall_pose": walls.group.pose_w,
-        "wall_size": walls.group.size,
-        "wall_mask": walls.counts[0],
-        "disc_centre": discs.group.pose_w,
-        "disc_radius": discs.group.size,
-        "disc_mask": discs.counts[0],
-        **{x.name: getattr(layout, x.name) for x in INPUTS if x.dims[:1] == ("lanes",)},
+        **{
+            x.name: getattr(layout, x.name) for x in INPUTS if x.name.startswith(_FIXED)
+        },
     }
+    for name, groups in zip(("person", "mover"), _movers(state), strict=True):
+        if groups:
+            parts = zip(*(group.as_boxes for group in groups), strict=True)
+            pose, size, velocity, there = (jnp.concatenate(part) for part in parts)
+            values |= {f"{name}_velocity": velocity, f"{name}_mask": there}
+            values |= {f"{name}_pose": pose, f"{name}_size": size}
+            values |= {f"{name}_centre": pose[:, :2], f"{name}_radius": size[:, 0] / 2}
+    return values
 
 
 def _pad(value: jax.Array, shape: tuple[int, ...]) -> jax.Array:

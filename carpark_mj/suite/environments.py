@@ -10,6 +10,7 @@ from carpark_mj.config import (
     RandomizationConfig,
     RayConfig,
     SensorConfig,
+    SimConfig,
     SpawnConfig,
 )
 from carpark_mj.config.networks import NetworkConfig
@@ -49,7 +50,7 @@ HOPE = dataclasses.replace(
 
 # Cars of all sizes, each mostly where it has little room: in lots of every family, in
 # HOPE's levels and among pieces of outlines, at the scale of other cars. Tight bays
-# take several moves.
+# take several moves. Where there is room for them, other cars and people are about.
 _MEMBERS = {
     **dict.fromkeys(str(ANYWHERE.layout).split(","), (1.0, (0.95, 1.5))),
     **dict.fromkeys(str(HOPE.layout).split(","), (1.0, (0.72, 1.3))),
@@ -68,8 +69,9 @@ register_layout(
 VALET = dataclasses.replace(
     ANYWHERE,
     layout="valet",
-    num_agents=1,
-    min_agents=None,
+    num_agents=4,
+    movers=("pedestrians:number=0..6,attention=0.5..1.0", "cart", "drivers:number=1"),
+    sim=SimConfig(emergency_brake=0.3),
     fleet=FleetConfig(
         # HOPE's and TPCAP's car is drawn as often as 8 of the others.
         agents=("range:128", *8 * ("tpcap",)),
@@ -77,8 +79,13 @@ VALET = dataclasses.replace(
         snug=0.5,
     ),
     episode=EpisodeConfig(max_steps=500, parked_rule="exact"),  # 100 s
+    reward=dataclasses.replace(ANYWHERE.reward, extra={"person": 5.0}),
     observation=dataclasses.replace(
-        OBSERVATION, tracked_agents=0, own_response=True, own_gear=True
+        OBSERVATION,
+        tracked_agents=3,
+        tracked_movers=6,
+        own_response=True,
+        own_gear=True,
     ),
     # [est] of a good localisation.
     sensors=SensorConfig(position_noise=0.01, heading_noise=0.003, speed_noise=0.03),
@@ -105,8 +112,8 @@ HOPE_PPO = dataclasses.replace(
     env=HOPE,
 )
 
-# One car alone in very different scenes. Drawing them compiles for minutes, so lots are
-# stored. With one agent a lot a GPU has time for more lots than `anywhere` has.
+# Few cars in very different scenes. Drawing them compiles for minutes, so lots are
+# stored. Most lots have one bay, so that a GPU has time for more than `anywhere` has.
 VALET_PPO = dataclasses.replace(
     presets.ANYWHERE,
     preset="valet",
@@ -116,7 +123,6 @@ VALET_PPO = dataclasses.replace(
     num_minibatches=64,
     curriculum=dataclasses.replace(
         presets.ANYWHERE.curriculum,
-        conflict_ratio=0.0,
         reverse_ratio=0.4,
         neighbour_share=0.0,
     ),

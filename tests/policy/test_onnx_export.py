@@ -242,7 +242,6 @@ HEARS = ContinuousObservation(ultrasound=UltrasoundConfig(on=True))
     ("env", "reason"),
     [
         (EnvConfig(observation=PAST), "rings.history"),
-        (environment("considerate"), "tracked_movers 6"),
         (environment("sees"), "pictures .camera_depth, camera_seen"),
         (EnvConfig(observation=HEARS), "ultrasound.noise 0.01"),
     ],
@@ -257,6 +256,7 @@ X = RANDOM.normal(size=(4, 5)).astype(np.float32)
 Y = RANDOM.normal(size=(4, 5)).astype(np.float32)
 INDEX = np.array([3, -1, 0, 2], np.int32)
 FLAGS = X > 0
+SIGNS = np.array([[-2.0, 0.0, 0.5]], np.float32)
 
 
 def ran(function, *arrays):
@@ -324,6 +324,7 @@ CASES = {
     "outer": (lambda x, y: jnp.einsum("bi,ci,i->cb", x, y, x[0]), X, Y),
     "loop": (loop, X),
     "poses": (lambda x, y: to_local(x[:, :3], y[:, :3]), X, Y),
+    "directions": (lambda x, y: jnp.arctan2(x, y.T), SIGNS, SIGNS),
     "angles": (lambda x: wrap_angle(9.0 * x), X),
     "lengths": (lambda x: norm(x[..., :2]), X),
     "distances": (

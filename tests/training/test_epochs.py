@@ -32,6 +32,7 @@ from carpark_mj.policy.networks import (
     make_networks,
     network_inputs,
 )
+from carpark_mj.policy.widening import Trained, new_fields, widen
 from carpark_mj.training.ppo import variants
 from carpark_mj.training.ppo.collect import (
     AXIS,
@@ -43,7 +44,6 @@ from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
 from carpark_mj.training.ppo.learn import learn, network_params, num_learned, schedule
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.variants import Minibatch, Weights, ppo_loss
-from carpark_mj.training.ppo.warm_start import new_fields, widen
 
 LENGTH, AGENTS, SIZE, PARTS = 6, 12, 3, 4
 CONFIG = PPOConfig(
@@ -223,7 +223,8 @@ def test_a_critic_that_learns_to_see_judges_as_before():
         )
     )
     config = dataclasses.replace(SEEING, env=sees)
-    assert new_fields(config, blind) == ["camera_depth", "camera_seen"]
+    trained = Trained("blind", config.networks, blind)
+    assert new_fields(config.env, trained) == ["camera_depth", "camera_seen"]
 
     def begin(env, key):
         fields = make_fields(env)
@@ -235,7 +236,7 @@ def test_a_critic_that_learns_to_see_judges_as_before():
 
     before, theirs, fewer = begin(blind, jax.random.key(0))
     after, new, size = begin(sees, jax.random.key(1))
-    ours = widen(config, config.networks, blind, theirs, new)
+    ours = widen(config.networks, config.env, trained, theirs, new)
     assert jax.tree.map(jnp.shape, ours) == jax.tree.map(jnp.shape, new)
     rng = np.random.default_rng(2)
     seen = rng.uniform(size=(5, size)).astype(np.float32)  # pictures come last

@@ -13,12 +13,13 @@ from helpers.trees import same
 
 from carpark_mj.config import EnvConfig, RayConfig, ShareConfig, insert
 from carpark_mj.observations import ContinuousObservation, make_fields
-from carpark_mj.policy.loading import save_policy
+from carpark_mj.policy.loading import read_policy, save_policy
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer, update_normalizer
+from carpark_mj.policy.widening import Trained, save_mean, widen
 from carpark_mj.training.ppo.group import make_learner
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import load_or_init, save
-from carpark_mj.training.ppo.warm_start import require_run, warm_start, widen
+from carpark_mj.training.ppo.warm_start import require_run, warm_start
 
 NETWORKS = ("normalizer", "policy", "average", "value")
 TINY = dataclasses.replace(
@@ -175,6 +176,27 @@ def test_agents_that_observe_more_act_as_before_and_learn(other, tmp_path):
     assert (np.abs(slope).max(axis=1) > 0).all()
 
 
+def test_a_mean_lies_halfway_between_a_run_and_the_one_it_began_with(other, tmp_path):
+    folder, _ = other
+    _, begun = started(WIDER, folder, tmp_path)
+    moved = dataclasses.replace(
+        begun, average=jax.tree.map(lambda x: x + 1, begun.average)
+    )
+    save(tmp_path / "wide", WIDER, moved)
+    save_mean(str(tmp_path / "wide"), str(folder), tmp_path / "mean.npz")
+    expected = jax.tree.map(lambda x: x + 0.5, begun.average)
+    own, shared = (
+        expected["params"]["SetEncoder_0"]["own"],
+        TINY.networks.own_size,
+    )
+    assert shared < WIDER.networks.own_size  # features that only the run has stay
+    for name, x in own.items():
+        own[name] = np.concatenate([x[..., :shared], x[..., shared:] + 0.5], axis=-1)
+    found = read_policy(tmp_path / "mean.npz")[3]
+    assert_close(found["average"], expected, atol=1e-6)
+    assert same(found["normalizer"], begun.normalizer)
+
+
 def own_names(env):
     """The field of every own number of an agent."""
     fields = [field for field in make_fields(env) if not field.group]
@@ -188,9 +210,8 @@ def test_statistics_of_new_fields_have_unit_variance_and_go_on(other):
         part: state.replace(count=count, std_eps=0.0)
         for part, state in theirs.normalizer.items()
     }
-    wide = widen(
-        WIDER, TINY.networks, TINY.env, {"normalizer": seen}, {"normalizer": {}}
-    )
+    trained, nothing = Trained("narrow", TINY.networks, TINY.env), {"normalizer": {}}
+    wide = widen(WIDER.networks, WIDER.env, trained, {"normalizer": seen}, nothing)
     wide, inputs = wide["normalizer"], parked_learner(WIDER).inputs
     new = np.isin(own_names(WIDER.env), sorted(NEW))
     np.testing.assert_array_equal(wide["own"].mean[new], 0.0)
@@ -257,9 +278,8 @@ def test_near_rays_keep_their_bearings():
     theirs = init_normalizer(parked_learner(few).inputs)
     numbered = np.arange(old.size, dtype=np.float32)
     theirs = theirs | {"own": theirs["own"].replace(mean=numbered)}
-    wide = widen(
-        many, few.networks, few.env, {"normalizer": theirs}, {"normalizer": {}}
-    )
+    trained, nothing = Trained("few", few.networks, few.env), {"normalizer": {}}
+    wide = widen(many.networks, many.env, trained, {"normalizer": theirs}, nothing)
     found = np.asarray(wide["normalizer"]["own"].mean)[new]
     np.testing.assert_array_equal(found[::3], numbered[old])
     np.testing.assert_array_equal(np.delete(found, np.s_[::3]), 0.0)
