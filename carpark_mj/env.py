@@ -18,6 +18,7 @@ from carpark_mj.compilation import (
     choose_xla_flags,
     keep_compiled_programs,
     shard_automatically,
+    without_collection,
 )
 from carpark_mj.config import EnvConfig, LayoutConfig, insert, is_data, setting
 from carpark_mj.config.checks import require_choice, require_kind
@@ -177,6 +178,7 @@ class ParkingEnv:
         """What an agent's action consists of."""
         return action_spec(self.config)
 
+    @without_collection()
     def reset(
         self,
         key: jax.Array,
@@ -243,6 +245,7 @@ class ParkingEnv:
             check_starts(self.config, given, state)
         return own_buffers(state), observe(self.config, state)
 
+    @without_collection()
     @float32_only
     @shard_automatically
     def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:

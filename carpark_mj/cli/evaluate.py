@@ -96,4 +96,7 @@ def report(config: EvaluateConfig, task: Task, result: Evaluation) -> None:
         drivers = len({(row["lot"], row["agent"]) for row in result.episodes})
         each = f"{made // drivers} by each of {drivers} agents"
         print(f"{made:,} episodes: {each} ({asked:,} asked for, rounded up)")
+    lots = len({row["lot"] for row in result.episodes})
+    if lots < config.num_lots != EvaluateConfig.num_lots:
+        print(f"{lots:,} lots: episodes fill no more ({config.num_lots:,} asked for)")
     print(f"wrote {', '.join(map(str, written))}")

@@ -256,7 +256,6 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
         for level in {row["level"] for row in episodes} if config.videos else ():
             require_filmed(level)
     else:
-        doing(COMPILING)
         episodes, drives, drawn = _drive_all(config)
     return write_report(folder, episodes, drives, drawn, config.videos)
 
@@ -281,6 +280,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
             for each in dict.fromkeys(evaluators)  # equal for levels that are alike
         }
         tasks[name] = [(each, *pairs[each]) for each in evaluators]
+    doing(COMPILING)
     first = config.first_case
     part = slice(first, first + config.cases if config.cases else None)
     cases = [find_level(level).pick(part) for level in config.levels]

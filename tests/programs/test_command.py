@@ -1,5 +1,7 @@
 """The command `carpark_mj`: what it lists and refuses, what a person waits for."""
 
+import contextlib
+import gc
 import json
 import os
 import re
@@ -334,6 +336,28 @@ def test_without_a_folder_to_write_nothing_is_kept(undecided, tmp_path, monkeypa
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     keep_compiled_programs()
     assert options() == [None, 1.0]
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_garbage_is_collected_after_tracing_as_before(collects):
+    (gc.enable if collects else gc.disable)()
+    new = []
+    try:
+        with contextlib.suppress(ValueError), compilation.without_collection():
+            new = [{}]
+            assert not gc.isenabled()
+            raise ValueError
+        assert gc.isenabled() == collects
+        old = gc.get_objects(generation=2)
+    finally:
+        gc.enable()
+    assert any(x is new for x in old) == collects
+    # Objects that the user has frozen stay so.
+    gc.freeze()
+    with compilation.without_collection():
+        pass
+    assert gc.get_freeze_count() > compilation.FROZEN
+    gc.unfreeze()
 
 
 @pytest.mark.parametrize(

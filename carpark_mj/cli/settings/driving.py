@@ -96,7 +96,8 @@ class EvaluateConfig(DriveSettings):
         horizon: simulated time [s]; all episodes that begin within it count, instead of
             an equal number per agent, so that short episodes weigh more. `episodes`
             then sets the number of lots.
-        num_lots: lots simulated side by side, each with its own share of the episodes.
+        num_lots: lots simulated side by side, each with its own share of the episodes;
+            no more than these fill.
         rule: parked rule of the evaluation: tanner, strict, precise, exact, metadrive,
             or a registered one; default: that of the run.
         min_agents: least number of agents; lots have `min_agents` to `num_agents`,
