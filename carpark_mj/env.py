@@ -39,8 +39,7 @@ from carpark_mj.obstacles import step_movers
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.spawning.checks import check_cars, check_exits, check_numbers
-from carpark_mj.spawning.fleet import Fleet
-from carpark_mj.spawning.randomization import check_randomization
+from carpark_mj.spawning.fleet import Fleet, check_randomization
 from carpark_mj.spawning.reset_options import (
     ResetOptions,
     check_starts,

@@ -187,7 +187,7 @@ _PACKAGES = {
     "export": "onnx onnxruntime",
     "web": "mjviser",
     "video": "moviepy",
-    "planner": "ompl",
+    "planner": "ompl shapely",
     "sb3": "sbx stable_baselines3",
     "sweep": "submitit",
     "sb3,torchrl": "torch",

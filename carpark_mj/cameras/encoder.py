@@ -22,7 +22,7 @@ from carpark_mj.observations import (
     Part,
     ego,
 )
-from carpark_mj.vehicle.range import fleet_cars
+from carpark_mj.vehicle.presets import fleet_cars
 
 Channel = Literal["depth", "seen"]
 

@@ -10,8 +10,7 @@ from carpark_mj.cli.clock import wait_for_user
 from carpark_mj.cli.settings.lots import Crop, EditConfig, LayoutsConfig
 from carpark_mj.config import LAYOUTS, LayoutConfig
 from carpark_mj.config.checks import counted
-from carpark_mj.editor.document import EXTENT, Draft, read_picture
-from carpark_mj.editor.server import EditorServer
+from carpark_mj.editor.server import EXTENT, Draft, EditorServer, read_picture
 from carpark_mj.evaluation.aggregation import wilson_interval
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.layouts import DesignCar, layout_config

@@ -110,9 +110,7 @@ def counted(number: int, noun: str) -> str:
 
 def require_seed(seed: Any) -> None:
     """Refuses a seed that is negative, too large, or not a whole number."""
-    whole = type(seed) is not bool and isinstance(seed, numbers.Integral)
-    if not (whole and 0 <= int(seed) <= MAX_SEED):
-        raise ValueError(f"seed must lie in [0, {MAX_SEED}] and be whole, not {seed!r}")
+    require_count("seed", seed, 0, MAX_SEED)
 
 
 def require_kind(name: str, value: object, kind: Any) -> None:

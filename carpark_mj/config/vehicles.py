@@ -2,8 +2,6 @@
 
 from carpark_mj.extensions import Entry
 
-# Name and parameters of a car that is not registered.
-READ = Entry("carpark_mj.vehicle.sheet:read_vehicle")
 _TEXT = Entry("carpark_mj.vehicle.sheet:read_as_text")
 
 

@@ -176,7 +176,7 @@ class Agent:
         points = segment.pose[(ahead >= 0) & (ahead <= way)][::10]
         nothing = Solids(pose[near], size[near], np.zeros((0, 2)), np.zeros(0))
         wide = sight.car.length + 2 * gap, sight.car.width + 2 * gap
-        here = FreeSpace(nothing, wide, sight.extent, grid=False)
+        here = FreeSpace(nothing, wide, sight.extent)
         return all(here.is_free(*place) for place in centre(sight.car, points))
 
 
@@ -264,7 +264,7 @@ def require_plannable(env: ParkingEnv) -> None:
         )
     if env.config.goals.dynamic:
         raise ValueError("the planner needs fixed goals, goals.dynamic = False")
-    require_packages("ompl")
+    require_packages("ompl", "shapely")
 
 
 def sights(state: State) -> list[list[Sight]]:
@@ -311,12 +311,10 @@ def _look(state: State) -> dict[str, Any]:
 def _joined(name: str, groups: Sequence[Group]) -> dict[str, jax.Array]:
     """Poses, sizes and masks of groups (..., n) of one shape."""
     axis = groups[0].pose_w.ndim - 2
-    columns: dict[str, list[Any]] = {
-        f"{name}_pose": [group.pose_w for group in groups],
-        f"{name}_size": [group.size for group in groups],
-        f"{name}_mask": [group.mask for group in groups],
+    return {
+        f"{name}_{part}": jnp.concatenate([getattr(g, field) for g in groups], axis)
+        for part, field in (("pose", "pose_w"), ("size", "size"), ("mask", "mask"))
     }
-    return {key: jnp.concatenate(x, axis) for key, x in columns.items()}
 
 
 def _sights(seen: dict[str, Any]) -> Iterator[dict[int, Sight]]:

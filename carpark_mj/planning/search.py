@@ -232,7 +232,7 @@ def unreached(
     Returns:
         Indices of the bays that were tried, and of those without a path.
     """
-    require_packages("ompl")
+    require_packages("ompl", "shapely")
     bays = np.asarray(layout.bay_pose, float)
     ends = np.asarray(layout.bay_mask & (layout.bay_kind != BayKind.EXIT))
     tried = np.random.default_rng(seed).permutation(np.flatnonzero(ends))[:count]
@@ -285,16 +285,7 @@ def _has_path(
     low = np.maximum(ends.min(axis=0) - AROUND, -extent)
     high = np.minimum(ends.max(axis=0) + AROUND, extent)
     middle = np.array([*(low + high) / 2, 0.0])
-    reach = math.hypot(*(high - low)) / 2
-    wide = np.hypot(*solids.size.T) / 2
-    boxes = np.hypot(*(solids.pose - middle)[:, :2].T) < reach + wide
-    discs = np.hypot(*(solids.centre - middle[:2]).T) < reach + solids.radius
-    near = Solids(
-        solids.pose[boxes] - middle,
-        solids.size[boxes],
-        solids.centre[discs] - middle[:2],
-        solids.radius[discs],
-    )
+    near = solids._replace(pose=solids.pose - middle, centre=solids.centre - middle[:2])
     one_way = layout.one_way is not None and layout.one_way[bay]
     goal, half = (goal - middle)[None] if one_way else goal - middle, (high - low) / 2
     return search(start - middle, goal, near, car, half, seed, SEARCH).path is not None

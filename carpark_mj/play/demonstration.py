@@ -15,12 +15,6 @@ from carpark_mj.observations import observation_size
 from carpark_mj.policy.runs import CONFIG_VERSION, from_dict
 from carpark_mj.reading import TEXT, Archive, ArrayForm, parse_object
 
-# The arrays, a row for each control step.
-STEPS = (
-    *("observations", "next_observations", "actions", "rewards"),
-    *("terminated", "truncated", "success", "poses", "next_poses"),
-)
-
 
 @dataclasses.dataclass(frozen=True)
 class Demonstration:
@@ -54,6 +48,10 @@ class Demonstration:
         arrays["header"] = json.dumps(header)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
+
+
+# The arrays, a row for each control step.
+STEPS = tuple(field.name for field in dataclasses.fields(Demonstration))[2:]
 
 
 def load_demonstration(path: Path) -> Demonstration:

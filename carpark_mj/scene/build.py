@@ -14,7 +14,7 @@ import numpy as np
 from carpark_mj.config.checks import counted
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
-from carpark_mj.scene import cameras, looks, markings, parts
+from carpark_mj.scene import cameras, looks, parts
 from carpark_mj.scene.camera_flags import OFFSCREEN_HEIGHT, OFFSCREEN_WIDTH
 from carpark_mj.scene.movers import add_movers
 from carpark_mj.vehicle import contact_wheels as contact
@@ -59,9 +59,9 @@ def build_scene(
     looks.add_materials(spec)
     parts.add_ground(spec)
     parts.add_verge(spec, extent)
-    markings.add_bay_lines(spec, layout)
-    markings.add_lane_arrows(spec, layout)
-    markings.add_bay_numbers(spec, layout)
+    parts.add_bay_lines(spec, layout)
+    parts.add_lane_arrows(spec, layout)
+    parts.add_bay_numbers(spec, layout)
     parts.add_walls(spec, layout)
     parts.add_discs(spec, layout)
     add_movers(spec, movers)

@@ -88,7 +88,7 @@ class FleetConfig(CheckedConfig):
     """Vehicles to draw cars from; an empty list means `EnvConfig.vehicle`.
 
     Each is a preset's name, a vehicle file, as `EnvConfig.vehicle` is, or `range:N` for
-    N cars of many sizes (`carpark_mj.vehicle.range`).
+    N cars of many sizes (`carpark_mj.vehicle.presets`).
 
     Attributes:
         agents: presets of the agents, drawn at every spawn, each equally often.

@@ -36,18 +36,28 @@ TAKES_CLOSE_BAY = 0.5  # probability that a close start has the bay for its goal
 
 def place_shapes(config: SpawnConfig, num_agents: int, num_bays: int) -> Shapes:
     """The numbers of a start with a fixed goal, none for starts whose share is 0."""
-    tries, goal = (
-        0 if is_off(config.conflict_ratio) else special.ATTEMPTS,
-        (2, num_bays),
-    )
-    course = {"course_goal": goal, **special.course_shapes(num_agents)}
-    return {
-        "goal": goal,  # see `new_goal`
-        **starts.spawn_shapes(config),
-        **{name: (tries, *shape) for name, shape in course.items()},
-        **special.reverse_shapes(not is_off(config.reverse_ratio)),
-        **special.misaligned_shapes(not is_off(config.misaligned_ratio)),
-    }
+    goal = (2, num_bays)
+    shapes = {"goal": goal, **starts.spawn_shapes(config)}  # see `new_goal`
+    if not is_off(config.conflict_ratio):
+        course = {"course_goal": goal, **special.course_shapes(num_agents)}
+        shapes |= {name: (special.ATTEMPTS, *x) for name, x in course.items()}
+    if not is_off(config.reverse_ratio):
+        shapes |= special.REVERSE_SHAPES
+    if not is_off(config.misaligned_ratio):
+        shapes |= special.MISALIGNED_SHAPES
+    return shapes
+
+
+def _draw(
+    config: SpawnConfig, shapes: Shapes, tries: jax.Array, key: jax.Array
+) -> tuple[Draws, jax.Array]:
+    """The numbers of a start, and a key to redraw its pose; `key` is consumed."""
+    again = key
+    if config.max_redraws:
+        key, again = jax.random.split(key)
+    draws = starts.draw_uniform(shapes, key)
+    # After a rejected try it is random, which can be anywhere: above all ratios.
+    return draws | {"kind": jnp.where(tries > 0, 2.0, draws["kind"])}, again
 
 
 def place_agent(
@@ -67,14 +77,9 @@ def place_agent(
     if config.goals.dynamic:
         return place_exploring(config.spawn, inputs, placing, agent, key)
     spawn, layout, drive_out = config.spawn, inputs.layout, config.goals.drive_out
-    again = key
-    if spawn.max_redraws:
-        key, again = jax.random.split(key)
     shapes = place_shapes(spawn, placing.goal.shape[0], layout.num_bays)
-    draws = starts.draw_uniform(shapes, key)
-    # After a rejected try it is random, which can be anywhere: above all ratios.
-    number = jnp.where(placing.tries[agent] > 0, 2.0, draws["kind"])
-    draws["kind"], kind = number, starts.draw_kind(spawn, number)
+    draws, again = _draw(spawn, shapes, placing.tries[agent], key)
+    kind = starts.draw_kind(spawn, draws["kind"])
     keeps_goal = inputs.first or drive_out
 
     def with_goal(scores: jax.Array) -> tuple[Placing, Surroundings]:
@@ -224,27 +229,21 @@ def place_exploring(
     layout, only_random = inputs.layout, inputs.first and not config.kinds_at_reset
     placing = placing.set(agent, goal=NO_BAY)
     around = surroundings(inputs, placing, agent, placed_only=inputs.first)
-    again = key
-    if config.max_redraws:
-        key, again = jax.random.split(key)
-    bays = 0 if only_random else layout.num_bays
+    bays, no_walk = 0 if only_random else layout.num_bays, is_off(config.close_ratio)
     shapes = starts.spawn_shapes(config) | {
         # Of a point close to every bay.
-        "bay_walk": (
-            0 if is_off(config.close_ratio) else bays,
-            starts.walk_numbers(config),
-        ),
+        "bay_walk": (0 if no_walk else bays, starts.walk_numbers(config)),
         "bay_heading": (bays,),
         "order": (bays,),  # which bay
     }
-    draws = starts.draw_uniform(shapes, key)
+    draws, again = _draw(config, shapes, placing.tries[agent], key)
     pose = starts.random_pose(config, layout, around, draws)
     if config.max_redraws:
         pose = starts.redraw(config, layout, around, pose, again)
     if only_random:
         return placing.set(agent, pose_w=pose)
-    number = jnp.where(placing.tries[agent] > 0, 2.0, draws["kind"])
-    kind, bay = starts.draw_kind(config, number), jnp.full((), NO_BAY, jnp.int32)
+    kind = starts.draw_kind(config, draws["kind"])
+    bay = jnp.full((), NO_BAY, jnp.int32)
     if not is_off(config.close_ratio):
         others_goal = jnp.where(around.others, placing.goal, NO_BAY)
         taken = jnp.concatenate([placing.parked_bay, others_goal])

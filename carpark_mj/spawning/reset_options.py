@@ -16,7 +16,7 @@ from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.collisions import find_hits
 from carpark_mj.mdp.parked_cars import bay_fits, marked
 from carpark_mj.types import NO_BAY, State
-from carpark_mj.vehicle.range import fleet_cars
+from carpark_mj.vehicle.presets import fleet_cars
 
 TOLERANCE = 1e-3  # m, rad or m/s by which a start may differ from what was asked for
 
@@ -89,16 +89,12 @@ def given_goals(options: ResetOptions | None, num_agents: int) -> jax.Array:
     return options.goal
 
 
-def kept_clear(
-    layout: Layout, options: ResetOptions | None, size: jax.Array
-) -> jax.Array:
+def kept_clear(layout: Layout, options: ResetOptions, size: jax.Array) -> jax.Array:
     """(bays,) bool, bays that are given as goals or in which a given start stands.
 
     `size` (2,) is the footprint of the largest car [m].
     """
     clear = jnp.zeros(layout.num_bays, bool)
-    if options is None:
-        return clear
     if options.goal is not None:
         clear = clear | marked(layout, options.goal)
     if options.pose is not None:

@@ -29,7 +29,7 @@ from carpark_mj.observations import sensors
 from carpark_mj.obstacles import begin_movers, lot_obstacles, make_movers, trace_still
 from carpark_mj.physics.base import Physics, where_cars
 from carpark_mj.spawning.checks import is_made_for
-from carpark_mj.spawning.fleet import Fleet
+from carpark_mj.spawning.fleet import Fleet, randomize_all
 from carpark_mj.spawning.goals import begin_goals, place_agent
 from carpark_mj.spawning.placing import (
     MAX_TRIES,
@@ -39,7 +39,6 @@ from carpark_mj.spawning.placing import (
     place_waiting,
     start_placing,
 )
-from carpark_mj.spawning.randomization import randomize_all
 from carpark_mj.spawning.reset_options import ResetOptions, given_goals, has_pose
 from carpark_mj.types import NO_BAY, Events, PhysicsState, State
 from carpark_mj.vehicle import Vehicle

@@ -118,16 +118,14 @@ def _into_region(
     return point, region, inside.any(axis=-1)
 
 
-def reverse_shapes(on: bool = True) -> Shapes:
-    """The numbers of a reverse start; none if it is off."""
-    n, points = (PATHS, POINTS) if on else (0, 0)
-    return {
-        "nose_out": (n,),  # which way round the car stands in the bay
-        "share": (n, ARCS),  # of the arcs in a path
-        "curvature": (n, ARCS),  # of the arcs, up to the car's sharpest on either side
-        "direction": (n, ARCS),  # whether it is driven forwards
-        "path_point": (points,),  # which point of the path
-    }
+# The numbers of a reverse start.
+REVERSE_SHAPES: Shapes = {
+    "nose_out": (PATHS,),  # which way round the car stands in the bay
+    "share": (PATHS, ARCS),  # of the arcs in a path
+    "curvature": (PATHS, ARCS),  # of the arcs, up to the car's sharpest on either side
+    "direction": (PATHS, ARCS),  # whether it is driven forwards
+    "path_point": (POINTS,),  # which point of the path
+}
 
 
 def reverse_pose(
@@ -210,14 +208,12 @@ def paths_out(
     return jnp.stack([x, y, wrap_angle(yaw)], axis=-1)
 
 
-def misaligned_shapes(on: bool = True) -> Shapes:
-    """The numbers of a misaligned start; none if it is off."""
-    n = POSES if on else 0
-    return {
-        "off": (n, 3),  # offset from the middle, along the bay and across, and heading
-        "way_round": (n,),  # of the car
-        "score": (n,),  # of the free poses the largest wins
-    }
+# The numbers of a misaligned start.
+MISALIGNED_SHAPES: Shapes = {
+    "off": (POSES, 3),  # offset from the middle, along the bay and across, and heading
+    "way_round": (POSES,),  # of the car
+    "score": (POSES,),  # of the free poses the largest wins
+}
 
 
 def misaligned_pose(

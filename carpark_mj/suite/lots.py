@@ -36,7 +36,7 @@ from carpark_mj.suite.levels import LEVELS, CaseLevel, Cases, CaseStart
 from carpark_mj.suite.metadrive import MetaDriveConfig
 from carpark_mj.suite.tpcap import stack_layouts
 from carpark_mj.vehicle import VehicleParameters
-from carpark_mj.vehicle.range import usual_wheels
+from carpark_mj.vehicle.presets import usual_wheels
 from carpark_mj.vehicle.sheet import car_of_sheet, parameters_text
 
 VERSION = 1

@@ -21,13 +21,24 @@ benzclub and autoevolution (S-Class), dieselnews (Canter 515 Super Low City Cab)
 krafthand (Canter's wheelbases).
 """
 
+import dataclasses
+import functools
+import math
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from carpark_mj.config.vehicles import READ, is_name
+import numpy as np
+
+from carpark_mj.config.checks import Bounds, require_number
+from carpark_mj.config.vehicles import is_name
 from carpark_mj.extensions import Registry
-from carpark_mj.vehicle.parameters import TyreParameters, VehicleParameters
-from carpark_mj.vehicle.sheet import car_of_sheet
+from carpark_mj.vehicle.parameters import (
+    TyreParameters,
+    VehicleParameters,
+    kerb_to_kerb,
+)
+from carpark_mj.vehicle.sheet import car_of_sheet, read_vehicle
 
 VEHICLES: Registry[VehicleParameters] = Registry("vehicle")
 
@@ -39,163 +50,61 @@ def register_vehicle(name: str, params: VehicleParameters) -> VehicleParameters:
 
 def preset(name: str) -> VehicleParameters:
     """The vehicle of a name, or of a file (`carpark_mj.vehicle.sheet`)."""
-    return VEHICLES[name] if is_name(name) else READ.load()(name)[1]
+    return VEHICLES[name] if is_name(name) else read_vehicle(name)[1]
 
 
-# Fiat 500 (2007), front-driven.
-CITY = VehicleParameters(
-    length=3.546,  # [press]
-    width=1.627,  # [press]
-    height=1.488,  # [press]
-    wheelbase=2.300,  # [press]
-    track_width=1.41,  # [est]
-    rear_overhang=0.576,  # [est]
-    mass=1000.0,  # [est] kerb mass of 865 to 980 kg [press] and a driver
-    cg_to_front_axle=0.87,  # [fiat]
-    cg_height=0.53,  # [est]
-    roll_inertia=310.0,  # [od]
-    pitch_inertia=1200.0,  # [od]
-    yaw_inertia=1240.0,  # [od]
-    wheel_radius=0.293,  # [est] 185/55 R15
-    tyre_width=0.185,  # [est]
-    turning_circle=9.3,  # [circle]
-    front_drive=1.0,  # [press]
-    max_drive_torque=1350.0,  # [est] 102 N m x 13.4
-    max_power=51e3,  # [est]
-    wheel_mass=15.0,  # [est]
-    wheel_inertia=0.7,  # [est]
-    wheel_tilt_inertia=0.42,  # [est]
-    knuckle_mass=8.0,  # [est]
-    tyre=TyreParameters(vertical_stiffness=21_000.0, vertical_damping=1600.0),  # [est]
-)
+_NAMES = ("city", "compact", "sedan", "sedan_fwd", "suv", "van")
+# Fiat 500 (2007); VW Golf VII, the car of all published policies; BMW 320i (E90);
+# Toyota Camry (XV50); Toyota RAV4 (2013 to 2018); VW Transporter T6, short wheelbase.
+# A source or a note follows the number; numbers without one are [est].
+_NUMBERS = {
+    "length": (3.546, 4.255, 4.520, 4.805, 4.570, 4.904),  # [press]
+    "width": (1.627, 1.799, 1.817, 1.820, 1.845, 1.904),  # [press]
+    "height": (1.488, 1.452, 1.421, 1.470, 1.660, 1.970),  # city, compact [press]
+    "wheelbase": (2.300, 2.637, 2.760, 2.776, 2.659, 3.000),  # [press]
+    "track_width": (1.41, 1.54, 1.505, 1.58, 1.56, 1.63),  # suv [press]
+    "rear_overhang": (0.576, 0.76, 1.00, 1.06, 0.99, 0.99),
+    # With a driver. city: kerb mass 865 to 980 kg [press]; sedan [ch], chassis and
+    # wheels, rounded; suv: 1637 kg [press].
+    "mass": (1000.0, 1380.0, 1560.0, 1560.0, 1700.0, 2050.0),
+    # city [fiat]; in front 50 % of sedan, 60 of sedan_fwd, 58 of suv, 55 of van, empty.
+    "cg_to_front_axle": (0.87, 1.05, 1.38, 1.11, 1.12, 1.35),
+    "cg_height": (0.53, 0.54, 0.53, 0.56, 0.65, 0.75),
+    "roll_inertia": (310.0, 510.0, 572.0, 606.0, 645.0, 845.0),  # [od]; sedan [ch]
+    "pitch_inertia": (1200.0, 2180.0, 2490.0, 2735.0, 2735.0, 4200.0),  # as roll
+    "yaw_inertia": (1240.0, 2250.0, 2790.0, 2820.0, 2820.0, 4330.0),  # [od]; [ch] 2768
+    # 185/55 R15, 205/55 R16, -, 215/55 R17 [press], 225/65 R17, 215/65 R16 C.
+    "wheel_radius": (0.293, 0.316, 0.318, 0.335, 0.362, 0.340),
+    "tyre_width": (0.185, 0.205, 0.225, 0.215, 0.225, 0.215),  # sedan_fwd [press]
+    # [circle], but sedan_fwd and van.
+    "turning_circle": (9.3, 10.9, 11.0, 11.2, 11.2, 11.9),
+    # city, compact [press]; suv: coupling closed, as it is when pulling away.
+    "front_drive": (1.0, 1.0, 0.0, 1.0, 0.5, 1.0),
+    # Torques of 102, 200 [press], 210, 231 [press], 233 and 340 N m times 13.4, 13,
+    # 14.3, 12, 12.5 and 14.5.
+    "max_drive_torque": (1350.0, 2600.0, 3000.0, 2800.0, 2900.0, 4900.0),
+    "max_power": (51e3, 90e3, 125e3, 133e3, 131e3, 110e3),  # compact, sedan_fwd [press]
+    "wheel_mass": (15.0, 20.0, 20.0, 20.0, 24.0, 24.0),
+    "wheel_inertia": (0.7, 1.0, 1.0, 1.0, 1.6, 1.4),
+    "wheel_tilt_inertia": (0.42, 0.6, 0.6, 0.6, 0.95, 0.85),
+    "knuckle_mass": (8.0, 10.0, 10.0, 10.0, 12.0, 13.0),
+}
+_SPRINGS = {
+    "vertical_stiffness": (21_000.0, 28_000.0, 30_000.0, 30_000.0, 33_000.0, 38_000.0),
+    "vertical_damping": (1600.0, 2200.0, 2400.0, 2400.0, 2600.0, 2900.0),
+}
 
-# VW Golf VII, front-driven: the car of all published policies.
-COMPACT = VehicleParameters(
-    length=4.255,  # [press]
-    width=1.799,  # [press]
-    height=1.452,  # [press]
-    wheelbase=2.637,  # [press]
-    track_width=1.54,  # [est]
-    rear_overhang=0.76,  # [est]
-    mass=1380.0,  # [est]
-    cg_to_front_axle=1.05,  # [est]
-    cg_height=0.54,  # [est]
-    roll_inertia=510.0,  # [od]
-    pitch_inertia=2180.0,  # [od]
-    yaw_inertia=2250.0,  # [od]
-    wheel_radius=0.316,  # [est] 205/55 R16
-    tyre_width=0.205,  # [est]
-    turning_circle=10.9,  # [circle]
-    front_drive=1.0,  # [press]
-    max_drive_torque=2600.0,  # 200 N m [press] x 13 [est]
-    max_power=90e3,  # [press]
-)
 
-# BMW 320i (E90), rear-driven.
-SEDAN = VehicleParameters(
-    length=4.520,  # [press]
-    width=1.817,  # [press]
-    height=1.421,  # [est]
-    wheelbase=2.760,  # [press]
-    track_width=1.505,  # [est]
-    rear_overhang=1.00,  # [est]
-    mass=1560.0,  # [ch] chassis and wheels, rounded
-    cg_to_front_axle=1.38,  # [est] half and half
-    cg_height=0.53,  # [est]
-    roll_inertia=572.0,  # [ch]
-    pitch_inertia=2490.0,  # [ch]
-    yaw_inertia=2790.0,  # [od]; [ch] 2768
-    wheel_radius=0.318,  # [est]
-    tyre_width=0.225,  # [est]
-    turning_circle=11.0,  # [circle]
-    front_drive=0.0,  # [est]
-    max_drive_torque=3000.0,  # [est] 210 N m x 14.3
-    max_power=125e3,  # [est]
-    tyre=TyreParameters(vertical_stiffness=30_000.0, vertical_damping=2400.0),  # [est]
-)
+def _car(column: int) -> VehicleParameters:
+    numbers = {name: row[column] for name, row in _NUMBERS.items()}
+    tyre = TyreParameters(**{name: row[column] for name, row in _SPRINGS.items()})
+    return VehicleParameters(**numbers, tyre=tyre)
 
-# Toyota Camry (XV50), front-driven.
-SEDAN_FWD = VehicleParameters(
-    length=4.805,  # [press]
-    width=1.820,  # [press]
-    height=1.470,  # [est]
-    wheelbase=2.776,  # [press]
-    track_width=1.58,  # [est]
-    rear_overhang=1.06,  # [est]
-    mass=1560.0,  # [est] kerb mass and a driver
-    cg_to_front_axle=1.11,  # [est] 60 % front
-    cg_height=0.56,  # [est]
-    roll_inertia=606.0,  # [od]
-    pitch_inertia=2735.0,  # [od]
-    yaw_inertia=2820.0,  # [od]
-    wheel_radius=0.335,  # [press] 215/55 R17
-    tyre_width=0.215,  # [press]
-    turning_circle=11.2,  # [est]
-    front_drive=1.0,  # [est]
-    max_drive_torque=2800.0,  # 231 N m [press] x 12 [est]
-    max_power=133e3,  # [press] 178 hp
-    tyre=TyreParameters(vertical_stiffness=30_000.0, vertical_damping=2400.0),  # [est]
-)
-
-# Toyota RAV4 (2013 to 2018), all-wheel drive.
-SUV = VehicleParameters(
-    length=4.570,  # [press]
-    width=1.845,  # [press]
-    height=1.660,  # [est]
-    wheelbase=2.659,  # [press]
-    track_width=1.56,  # [press]
-    rear_overhang=0.99,  # [est]
-    mass=1700.0,  # [press] 1637 kg and a driver
-    cg_to_front_axle=1.12,  # [est] 58 % front
-    cg_height=0.65,  # [est]
-    roll_inertia=645.0,  # [od]
-    pitch_inertia=2735.0,  # [od]
-    yaw_inertia=2820.0,  # [od]
-    wheel_radius=0.362,  # [est] 225/65 R17
-    tyre_width=0.225,  # [est]
-    turning_circle=11.2,  # [circle]
-    front_drive=0.5,  # [est] on-demand coupling closed, as it is when pulling away
-    max_drive_torque=2900.0,  # [est] 233 N m x 12.5
-    max_power=131e3,  # [est]
-    wheel_mass=24.0,  # [est]
-    wheel_inertia=1.6,  # [est]
-    wheel_tilt_inertia=0.95,  # [est]
-    knuckle_mass=12.0,  # [est]
-    tyre=TyreParameters(vertical_stiffness=33_000.0, vertical_damping=2600.0),  # [est]
-)
-
-# VW Transporter T6, short wheelbase, front-driven.
-VAN = VehicleParameters(
-    length=4.904,  # [press]
-    width=1.904,  # [press]
-    height=1.970,  # [est]
-    wheelbase=3.000,  # [press]
-    track_width=1.63,  # [est]
-    rear_overhang=0.99,  # [est]
-    mass=2050.0,  # [est]
-    cg_to_front_axle=1.35,  # [est] 55 % front, empty
-    cg_height=0.75,  # [est]
-    roll_inertia=845.0,  # [od]
-    pitch_inertia=4200.0,  # [od]
-    yaw_inertia=4330.0,  # [od]
-    wheel_radius=0.340,  # [est] 215/65 R16 C
-    tyre_width=0.215,  # [est]
-    turning_circle=11.9,  # [est]
-    front_drive=1.0,  # [est]
-    max_drive_torque=4900.0,  # [est] 340 N m x 14.5
-    max_power=110e3,  # [est]
-    wheel_mass=24.0,  # [est]
-    wheel_inertia=1.4,  # [est]
-    wheel_tilt_inertia=0.85,  # [est]
-    knuckle_mass=13.0,  # [est]
-    tyre=TyreParameters(vertical_stiffness=38_000.0, vertical_damping=2900.0),  # [est]
-)
 
 # Cars with their own looks, to which estimates are fitted. Cars of data sheets, papers
 # and other packages are registered too.
-PRESETS = MappingProxyType(
-    dict(city=CITY, compact=COMPACT, sedan=SEDAN, sedan_fwd=SEDAN_FWD, suv=SUV, van=VAN)
-)
+PRESETS = MappingProxyType({name: _car(k) for k, name in enumerate(_NAMES)})
+CITY, COMPACT = PRESETS["city"], PRESETS["compact"]
 for name, params in PRESETS.items():
     register_vehicle(name, params)
 
@@ -243,3 +152,102 @@ SHEETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
 )
 for name, quantities in SHEETS.items():
     register_vehicle(name, car_of_sheet(quantities).params)
+
+
+# `range:64` in a fleet stands for 64 cars, from a Smart fortwo to a long Sprinter. They
+# are drawn once, evenly and always the same, when an environment is built. Ranges hold
+# the data sheets of `carpark_mj.suite.lots`; what these do not say is [est].
+PREFIX = "range:"  # of a fleet's entry, before the number of cars
+MAX_CARS = 1024
+LONG = 4.8  # m, from where rear axles may steer
+LONGEST_WHEELBASE = 4.6  # m, of the longest vans [est]
+REAR_STEERING = 0.25  # share of long cars whose rear axle steers [est]
+# Drawn for each car, in this order.
+RANGES: Mapping[str, tuple[float, float]] = {
+    "length": (2.6, 7.0),  # m
+    "width": (-0.17, 0.17),  # m, about a width that grows with the length
+    "wheelbase": (0.56, 0.73),  # share of the length
+    "rear_overhang": (0.4, 0.62),  # share of both overhangs
+    "lock": (0.57, 0.76),  # rad, of the bicycle's wheel
+    "height": (0.75, 1.0),  # share of the width
+    "mass": (165.0, 255.0),  # kg per m^2 of the outline, with a driver
+    "front_drive": (0.0, 1.0),  # thirds: rear-driven, all wheels, front-driven
+    "steering_rate": (0.30, 0.60),  # rad/s [est]
+    "steering_lag": (0.0, 0.15),  # s [est]
+    "drive_lag": (0.0, 0.25),  # s [est] from electric motors to engines
+    "max_acceleration": (1.0, 3.0),  # m/s^2 [est]
+    "rear_steering": (0.08, 0.17),  # rad
+    "max_speed": (2.0, 3.5),  # m/s [est] of parking drivers
+    "max_reverse_speed": (1.5, 2.5),  # m/s [est]
+}
+
+
+def cars_of(name: str) -> tuple[tuple[str, VehicleParameters], ...]:
+    """The cars that an entry of a fleet stands for, each with its name."""
+    if name.startswith(PREFIX):
+        number = name.removeprefix(PREFIX)
+        if not number.isdecimal():
+            raise ValueError(f"{PREFIX}N needs the number of cars, not {name!r}")
+        return tuple((name, car) for car in cars_in_range(int(number)))
+    return (((name, preset(name)) if is_name(name) else read_vehicle(name)),)
+
+
+def fleet_cars(names: Iterable[str]) -> tuple[tuple[str, VehicleParameters], ...]:
+    """The cars of a fleet's entries, one after the other; see `cars_of`."""
+    return tuple(car for name in names for car in cars_of(name))
+
+
+@functools.cache
+def cars_in_range(number: int) -> tuple[VehicleParameters, ...]:
+    """Cars that cover the range evenly, fixed for a number, at most `MAX_CARS`."""
+    require_number("the number of a range's cars", number, Bounds(ge=1, le=MAX_CARS))
+    draw = np.random.default_rng(0)  # of a Latin hypercube in (0, 1)
+    columns = [(draw.permutation(number) + 0.5) / number for _ in RANGES]
+    rows = np.stack(columns, axis=1)
+    return tuple(_car_at(dict(zip(RANGES, row, strict=True))) for row in rows)
+
+
+def usual_width(length: float) -> float:
+    """Of cars of a length, both in m."""
+    return 1.15 + 0.145 * length
+
+
+def usual_wheels(length: float) -> dict[str, float]:
+    """Radius and width of the wheels of cars of a length, all in m [est]."""
+    return {"wheel_radius": 0.24 + 0.016 * length, "tyre_width": 0.14 + 0.013 * length}
+
+
+def _car_at(chance: Mapping[str, float]) -> VehicleParameters:
+    """The car at a point of the range."""
+
+    def drawn(name: str) -> float:
+        low, high = RANGES[name]
+        return low + chance[name] * (high - low)
+
+    length = drawn("length")
+    width = min(usual_width(length) + drawn("width"), 2.1)
+    wheelbase = min(drawn("wheelbase") * length, LONGEST_WHEELBASE)
+    quantities = {
+        "length": length,
+        "width": width,
+        "height": drawn("height") * width,
+        "wheelbase": wheelbase,
+        "rear_overhang": drawn("rear_overhang") * (length - wheelbase),
+        "mass": drawn("mass") * length * width,
+        "front_drive": math.floor(3 * chance["front_drive"]) / 2,
+        **usual_wheels(length),
+    }
+    quantities["track_width"] = width - quantities["tyre_width"] - 0.06
+    quantities["turning_circle"] = kerb_to_kerb(
+        wheelbase, quantities["track_width"], quantities["tyre_width"], drawn("lock")
+    )
+    # Parameters that are taken as they are drawn.
+    names = {field.name for field in dataclasses.fields(VehicleParameters)}
+    others = names & {*RANGES} - {*quantities}
+    quantities |= {name: drawn(name) for name in others}
+    # The first quarter of its range is stretched over all of it.
+    steers = chance["rear_steering"] / REAR_STEERING
+    if length > LONG and steers < 1.0:
+        low, high = RANGES["rear_steering"]
+        quantities["rear_steering"] = low + steers * (high - low)
+    return car_of_sheet(quantities).params

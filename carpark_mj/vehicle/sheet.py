@@ -130,7 +130,7 @@ def car_of_sheet(quantities: Mapping[str, Any]) -> Sheet:
         ValueError: a quantity is missing, unknown, impossible or contradicts another.
     """
     given = _checked(dict(quantities))
-    for convert in (_overhangs, _track, _masses, _tyre_sizes, _power, _drive):
+    for convert in (_overhangs, _means, _masses, _tyre_sizes, _drive):
         convert(given)
     tyre, rear_steering = given.pop("tyre", {}), given.pop("rear_steering", None)
     steering = {name: given.pop(name, None) for name in SHEET if name in given}
@@ -225,14 +225,15 @@ def _overhangs(given: dict[str, Any]) -> None:
     _agree("length", given["length"], whole, 0.01, "wheelbase and overhangs")
 
 
-def _track(given: dict[str, Any]) -> None:
-    """One track for both axles: their mean."""
-    both = ("track_front", "track_rear")
-    tracks = [given.pop(name) for name in both if name in given]
-    if tracks:
-        mean = sum(tracks) / len(tracks)
-        track = given.setdefault("track_width", mean)
-        _agree("track_width", track, mean, 0.05, "tracks of the axles")
+def _means(given: dict[str, Any]) -> None:
+    """One track for both axles, their mean, and the engine's power."""
+    for name, others, within, told in (
+        ("track_width", ("track_front", "track_rear"), 0.05, "tracks of the axles"),
+        ("max_power", ("power",), 0.3, "the engine's power"),
+    ):
+        if found := [given.pop(other) for other in others if other in given]:
+            mean = sum(found) / len(found)
+            _agree(name, given.setdefault(name, mean), mean, within, told)
 
 
 def _masses(given: dict[str, Any]) -> None:
@@ -286,12 +287,6 @@ def _tyre_size(name: str, size: str) -> tuple[float, float]:
         raise ValueError(f"{name} must be as in 205/55 R16, not {size!r}")
     width, aspect, rim = map(float, found.groups())
     return (rim * _INCH / 2 + width * aspect / 100) / 1000, width / 1000
-
-
-def _power(given: dict[str, Any]) -> None:
-    if (power := given.pop("power", None)) is not None:
-        most = given.setdefault("max_power", power)
-        _agree("max_power", most, power, 0.3, "the engine's power")
 
 
 def _drive(given: dict[str, Any]) -> None:

@@ -29,7 +29,7 @@ from carpark_mj.precision import is_real
 from carpark_mj.registry import environment
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import NO_BAY
-from carpark_mj.vehicle.range import fleet_cars
+from carpark_mj.vehicle.presets import fleet_cars
 
 
 class Options(TypedDict, total=False):

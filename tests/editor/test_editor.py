@@ -13,8 +13,7 @@ import pytest
 from helpers.mutating import with_junk
 from helpers.programs import assert_refused
 
-from carpark_mj.editor.document import Draft, find_faults, read_picture
-from carpark_mj.editor.server import EditorServer
+from carpark_mj.editor.server import Draft, EditorServer, find_faults, read_picture
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.files import complete, document_text, read_json
 

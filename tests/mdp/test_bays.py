@@ -50,11 +50,11 @@ from carpark_mj.spawning.fleet import draw_bays, kind_logits
 from carpark_mj.spawning.goals import goal_of_start
 from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
+    MISALIGNED_SHAPES,
+    REVERSE_SHAPES,
     clamp_to_bay_end,
     misaligned_pose,
-    misaligned_shapes,
     paths_out,
-    reverse_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.suite.metadrive import METADRIVE
@@ -223,7 +223,7 @@ def test_the_end_that_goes_in_is_everybody_s(layout):
 
 
 def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
-    draws = draw_uniform(reverse_shapes(), jax.random.key(0))
+    draws = draw_uniform(REVERSE_SHAPES, jax.random.key(0))
     drawn = draws["nose_out"]
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     for end, facing in ((BayEnd.NOSE_FIRST, {-1.0}), (BayEnd.TAIL_FIRST, {1.0})):
@@ -241,7 +241,7 @@ def test_misaligned_starts_stand_as_the_car_must_park(layout):
     def start(goal, key):
         placing = placing_one(inputs, goal)
         around = surroundings(inputs, placing, jnp.array(0))
-        draws = draw_uniform(misaligned_shapes(), key)
+        draws = draw_uniform(MISALIGNED_SHAPES, key)
         return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
 
     for goal, low, high in ((0, 0.3, 0.7), (1, 1.0, 1.0), (2, 0.0, 0.0)):

@@ -19,7 +19,7 @@ from carpark_mj.physics.coordinates import (
 from carpark_mj.physics.forces import CarForces, generalized_forces
 from carpark_mj.physics.mjx_step import MjxStep, with_masses
 from carpark_mj.physics.newton_euler import advance, mass_properties
-from carpark_mj.spawning.randomization import randomize
+from carpark_mj.spawning.fleet import randomize
 from carpark_mj.vehicle import COMPACT, PRESETS, Vehicle, make_vehicle
 from carpark_mj.vehicle.drive import init_actuators
 from carpark_mj.vehicle.mjcf import car_model

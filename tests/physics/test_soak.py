@@ -21,7 +21,7 @@ from helpers.compiling import optimized_jit
 from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.mdp.actions import sanitize_numbers
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.spawning.randomization import randomize
+from carpark_mj.spawning.fleet import randomize
 from carpark_mj.vehicle import PRESETS, make_vehicle
 
 CAR_STEPS = int(float(os.environ.get("CAR_STEPS", "2e6")))  # substeps of all cars

@@ -12,7 +12,7 @@ from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.mjx_step import ContactPhysics, MjxStep
 from carpark_mj.physics.unrolled import UnrolledStep, run_in_kernel
-from carpark_mj.spawning.randomization import randomize_all
+from carpark_mj.spawning.fleet import randomize_all
 from carpark_mj.vehicle import PRESETS, make_vehicle
 from vehicle_suite.shipped import drive
 

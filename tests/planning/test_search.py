@@ -11,6 +11,7 @@ from helpers.planned import CAR, case, drive
 from helpers.scenes import polygons
 
 from carpark_mj.config import SimConfig
+from carpark_mj.geometry import box_disc_overlap, boxes_overlap
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.planning import search as module
 from carpark_mj.planning.obstacles import FreeSpace, Solids
@@ -182,29 +183,22 @@ def draw_boxes(rng, count):
     return pose, rng.uniform(0.2, 3.0, (count, 2))
 
 
-def test_a_pose_is_free_exactly_where_shapely_finds_no_overlap():
+def test_a_pose_is_free_exactly_where_the_task_finds_no_overlap():
     rng = np.random.default_rng(0)
     pose, size = draw_boxes(rng, 6)
     centre, radius = rng.uniform(-6, 6, (2, 2)), np.array([0.3, 0.8])
-    solids = Solids(pose, size, centre, radius)
-    space = FreeSpace(solids, SIZE, EXTENT)
-    discs = shapely.points(centre)
-    solid = shapely.union_all(polygons(pose, size))
+    space = FreeSpace(Solids(pose, size, centre, radius), SIZE, EXTENT)
     cars, _ = draw_boxes(rng, 4000)
     free = np.array([space.is_free(*car) for car in cars])
-    bare = FreeSpace(solids, SIZE, EXTENT, grid=False)
-    assert [bare.is_free(*car) for car in cars] == free.tolist()
-    inside, outside = (
-        polygons(cars, np.array(SIZE) + change) for change in (-1e-6, 1e-6)
-    )
 
-    def clear(boxes):
-        gaps = shapely.distance(boxes[:, None], discs) > radius
-        return ~shapely.intersects(boxes, solid) & gaps.all(axis=1)
+    def clear(change):
+        own = jnp.array(cars)[:, None], jnp.array(SIZE) + change
+        hit = boxes_overlap(*own, pose, size).any(axis=1)
+        return np.asarray(~(hit | box_disc_overlap(*own, centre, radius).any(axis=1)))
 
-    sure = clear(inside) == clear(outside)
+    sure = clear(1e-4) == clear(-1e-4)
     assert sure.mean() > 0.99
-    np.testing.assert_array_equal(free[sure], clear(outside)[sure])
+    np.testing.assert_array_equal(free[sure], clear(0.0)[sure])
     assert 0.1 < free.mean() < 0.9
 
 

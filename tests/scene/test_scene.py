@@ -20,7 +20,7 @@ from carpark_mj.scene.build import build_scene
 from carpark_mj.scene.camera_flags import LOT_CAMERAS
 from carpark_mj.scene.cameras import fit_eye, frame_lot, view_yaw
 from carpark_mj.scene.looks import ASPHALT, ZENITH, agent_colour
-from carpark_mj.scene.markings import add_bay_numbers
+from carpark_mj.scene.parts import add_bay_numbers
 from carpark_mj.vehicle import COMPACT, PRESETS
 
 AGENTS, PARKED = 3, 4

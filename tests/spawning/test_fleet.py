@@ -27,7 +27,7 @@ from carpark_mj.layouts import build
 from carpark_mj.layouts.base import LayoutConfig
 from carpark_mj.mdp.parked_cars import AWAY, relocate_parked_cars
 from carpark_mj.observations import ContinuousObservation
-from carpark_mj.spawning.randomization import randomize_all
+from carpark_mj.spawning.fleet import randomize_all
 from carpark_mj.types import NO_BAY
 from carpark_mj.vehicle import COMPACT, PRESETS, VEHICLES, register_vehicle
 

@@ -101,6 +101,21 @@ def test_close_crash_and_random_starts_come_in_their_ratios():
     assert near[~close].mean() < 0.01
 
 
+def test_after_a_rejected_try_the_start_is_random():
+    goal, parked_cars, pose = jax.tree.map(lambda x: x[0], lots(300))
+    placing = start_placing(goal, parked_cars.bay, pose, FIRST)
+
+    @functools.partial(jax.jit, static_argnums=0)
+    def start(ratio, tries):
+        config = config_of(SpawnConfig(close_ratio=ratio, min_distance=0.0))
+        before = dataclasses.replace(placing, tries=jnp.full(AGENTS, tries))
+        inputs, key = SpawnInputs(LAYOUT, parked_cars), jax.random.key(3)
+        return place_agent(config, inputs, before, jnp.array(0), key).pose_w[0]
+
+    np.testing.assert_array_equal(start(1.0, 1), start(0.0, 0))
+    assert (start(1.0, 0) != start(0.0, 0)).any()
+
+
 def test_agents_that_end_together_are_no_targets():
     before, after = placed(MIXED, done=np.arange(AGENTS) < 2)
     check_occupancy(after.goal, after.parked_bay, np.ones((2000, 36), bool))

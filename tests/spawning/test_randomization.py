@@ -14,7 +14,7 @@ from helpers.trees import leaves, same
 
 from carpark_mj.config import EnvConfig, RandomizationConfig, SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.spawning.randomization import randomize
+from carpark_mj.spawning.fleet import randomize
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY

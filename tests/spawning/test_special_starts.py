@@ -38,15 +38,15 @@ from carpark_mj.spawning.special_starts import (
     FARTHEST,
     LONGEST,
     MARGIN,
+    MISALIGNED_SHAPES,
     NEAREST,
+    REVERSE_SHAPES,
     ROOM,
     Targets,
     course_pose,
     course_shapes,
     misaligned_pose,
-    misaligned_shapes,
     reverse_pose,
-    reverse_shapes,
 )
 from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.types import NO_BAY, ParkedCars
@@ -235,7 +235,7 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
     around = surroundings(inputs, placing, jnp.array(0))
 
     def one(key):
-        draws = draw_uniform(misaligned_shapes(), key)
+        draws = draw_uniform(MISALIGNED_SHAPES, key)
         return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
 
     pose, found = many(one, COUNT, 4)
@@ -303,7 +303,7 @@ def reverse_starts(layouts, cars, keys):
         inputs = SpawnInputs(layout, parked, cars=cars)
         waiting = jnp.array([True, False])
         placing = start_placing(goal, bay, jnp.stack([pose, pose]), waiting)
-        draws = draw_uniform(reverse_shapes(), draw_key)
+        draws = draw_uniform(REVERSE_SHAPES, draw_key)
         around = surroundings(inputs, placing, jnp.array(0))
         start = reverse_pose(inputs, placing, around, jnp.array(0), draws)
         return start, draws, goal[0], pose, parked

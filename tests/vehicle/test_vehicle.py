@@ -28,8 +28,13 @@ from carpark_mj.vehicle.parameters import (
     scaled,
     steering_for_circle,
 )
-from carpark_mj.vehicle.presets import COMPACT
-from carpark_mj.vehicle.range import RANGES, cars_in_range, cars_of, usual_width
+from carpark_mj.vehicle.presets import (
+    COMPACT,
+    RANGES,
+    cars_in_range,
+    cars_of,
+    usual_width,
+)
 from carpark_mj.vehicle.vehicle import wheels_of
 from vehicle_suite.formulas import axle_loads
 
