@@ -36,7 +36,7 @@ MOSAIC = {
     "parking.gif": "square: seven cars",
     "gallery/lot.gif": "anywhere: aisles",
     "dead_end.gif": "anywhere: a dead end",
-    "gallery/chase.gif": "square: behind a car",
+    "gallery/valet.gif": "valet: behind a van",
     "gallery/street.gif": "anywhere: a street",
     "gallery/hope.gif": "hope: a tight bay",
 }

@@ -34,7 +34,7 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import save
 
-MAX_SIZE = 3.2e6  # bytes; three layers of 512 units behind 384 of own numbers
+MAX_SIZE = 3.5e6  # bytes; three layers of 512 units behind 384 of own numbers, sets
 
 
 def act(loaded, count=50):
