@@ -81,11 +81,15 @@ def out_of_reach(paths: int, seed: int, vehicle: str = "") -> Inspect:
     return inspect
 
 
+def _writer(path: Path) -> Callable[[Layout], str]:
+    return LAYOUT_WRITERS[path.suffix[1:]]
+
+
 def save(layout: Layout, part: Crop | None, path: Path, *said: object) -> None:
     """Writes a layout, or a part of it, by the suffix, and prints the file's name."""
     if part is not None:
         layout = crop(layout, part)
-    write_text(path, LAYOUT_WRITERS[path.suffix[1:]](layout))
+    write_text(path, _writer(path)(layout))
     bays = counted(int(layout.bay_mask.sum()), "bay")
     print(*said, f"wrote {path}: {bays}", sep="\n")
 
@@ -96,6 +100,7 @@ def main(config: LayoutsConfig) -> int:
     for file in filter(None, (config.save, config.plot)):
         require_writable(Path(file))  # refused before the work
     if config.save:
+        _writer(Path(config.save))  # so is a suffix that none has
         [drawn] = draw(config.layouts[0], 1, config.seed)
         save(drawn, config.crop, Path(config.save))
     if config.plot:

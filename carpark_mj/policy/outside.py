@@ -323,13 +323,13 @@ def _lot_values(state: State) -> dict[str, jax.Array]:
             x.name: getattr(layout, x.name) for x in INPUTS if x.name.startswith(_FIXED)
         },
     }
+    empty: Any = (jnp.zeros((0, 3)), *[jnp.zeros((0, 2))] * 2, jnp.zeros(0, bool))
     for name, groups in zip(("person", "mover"), _movers(state), strict=True):
-        if groups:
-            parts = zip(*(group.as_boxes for group in groups), strict=True)
-            pose, size, velocity, there = (jnp.concatenate(part) for part in parts)
-            values |= {f"{name}_velocity": velocity, f"{name}_mask": there}
-            values |= {f"{name}_pose": pose, f"{name}_size": size}
-            values |= {f"{name}_centre": pose[:, :2], f"{name}_radius": size[:, 0] / 2}
+        parts = zip(empty, *(group.as_boxes for group in groups), strict=True)
+        pose, size, velocity, there = (jnp.concatenate(part) for part in parts)
+        values |= {f"{name}_velocity": velocity, f"{name}_mask": there}
+        values |= {f"{name}_pose": pose, f"{name}_size": size}
+        values |= {f"{name}_centre": pose[:, :2], f"{name}_radius": size[:, 0] / 2}
     return values
 
 

@@ -86,6 +86,8 @@ def widen(
     Its agents may observe more, and have more `own_size`. `taken` are the `normalizer`
     and networks by name, and `new` the same of `networks` that take nothing over.
     """
+    if networks.encoder != "set":  # without parts, and none of them may grow
+        return taken
     ours, theirs = _places(networks, env), _places(trained.networks, trained.env)
     rows = {
         part: (len(ours[part]), np.array([ours[part].index(name) for name in names]))
@@ -172,8 +174,9 @@ def save_mean(run: str, other: str, out: Path) -> None:
         raise ValueError(f"{run} and {other} must both be policies of PPO")
     size = max(before.own_size, own.own_size)
     rest = {n: getattr(own, n) for n in ("value_layers", "min_std", "max_std")}
-    if replace(before, own_size=size, **rest) != own:
-        raise ValueError(f"{other} has other networks than {run}: {before}, not {own}")
+    other_size = replace(before, own_size=size, **rest)
+    if differ := [x for x, value in vars(own).items() if vars(other_size)[x] != value]:
+        raise ValueError(f"{other} and {run} have different {', '.join(differ)}")
     require_actions(other, other_env, env)
     trained = Trained(other, before, other_env)
     new_fields(env, trained)  # refuses what the run does not observe

@@ -190,6 +190,9 @@ def _parse(row: CsvRow) -> Row:
     ends = [parsed[name] for name in ENDINGS]
     if not {*ends} <= {0.0, 1.0} or not any(ends):
         raise ValueError(f"{row.place}: {', '.join(ENDINGS)} must be 0 or 1, and one 1")
+    for name in ("length", "ms / decision"):
+        if not 0 < parsed[name] < math.inf:
+            raise ValueError(f"{row.place}: {name} must be positive and finite")
     return parsed
 
 

@@ -11,6 +11,7 @@ runs/SWEEP/
 import contextlib
 import dataclasses
 import fcntl
+import json
 import os
 import shutil
 import subprocess
@@ -56,7 +57,8 @@ from carpark_mj.training.run_folder import read_config
 
 POLL_SECONDS = {"local": 0.5, "debug": 0.0, "slurm": 10.0}
 ENDLESS = 10 * 365 * 24 * 60  # of a local job, which submitit would end [min]
-SLURM = ("time=240", "gpus_per_node=1", "cpus_per_task=4")  # asked for if not given
+# Asked for if not given.
+SLURM = ("timeout_min=240", "gpus_per_node=1", "cpus_per_task=4")
 REQUEUES = 10  # times that Slurm queues a job again at its time limit
 Status = Literal["done", "stopped", "failed", "waiting"]
 
@@ -238,6 +240,14 @@ class Work:
         return DelayedSubmission(self)
 
 
+def _value(text: str) -> Any:
+    """What a text is in JSON, or the text."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
 def make_executor(where: Where, folder: Path) -> submitit.AutoExecutor:
     """The executor of a cluster; `folder` is for what jobs print."""
     asked: dict[str, Any] = {"timeout_min": ENDLESS}
@@ -245,16 +255,13 @@ def make_executor(where: Where, folder: Path) -> submitit.AutoExecutor:
     if where.cluster == "slurm":
         settings = (*SLURM, f"array_parallelism={where.jobs or 1000}", *where.slurm)
         named = [setting.partition("=") for setting in settings]
-        asked = {
-            f"slurm_{name.replace('-', '_')}": int(value) if value.isdigit() else value
-            for name, _, value in named
-        }
+        asked = {f"slurm_{n.replace('-', '_')}": _value(text) for n, _, text in named}
         options["slurm_max_num_timeout"] = REQUEUES
     try:
         # Jobs may start elsewhere.
         executor = submitit.AutoExecutor(folder.resolve(), where.cluster, **options)
         executor.update_parameters(name=folder.parent.name, **asked)
-    except (RuntimeError, NameError) as error:
+    except (RuntimeError, NameError, TypeError, ValueError) as error:
         raise ValueError(f"cluster {where.cluster}: {error}") from None
     # Jobs inherit the environment, and import what this process can.
     paths = [str(Path(path).resolve()) for path in sys.path]

@@ -184,6 +184,9 @@ def test_a_file_is_refused_before_lots_are_drawn(flag, tmp_path, monkeypatch, ca
     path = tmp_path / "no" / f"a.{'png' if flag == '--plot' else 'json'}"
     words = ["square", flag, str(path)]
     assert_refused(capsys, "layouts", words, f"cannot use {path}: ")
+    if flag == "--save":
+        words = ["square", flag, str(tmp_path / "a.bmp")]
+        assert_refused(capsys, "layouts", words, "unknown format to save 'bmp'")
 
 
 def test_a_link_in_place_of_a_temporary_file_is_not_followed(tmp_path, monkeypatch):

@@ -137,7 +137,10 @@ def test_another_policy_or_a_broken_one_is_a_difference():
 
 
 LOTS = 32
-MORE = {"square": {"others": 9, "parked": 24, "walls": 30, "discs": 2}}
+MORE = {
+    "square": {"others": 9, "parked": 24, "walls": 30, "discs": 2}
+    | {"people": 2, "movers": 1}  # which its lots do not have
+}
 # Lots that compile in seconds, with required ends, and cars of different response.
 FLEET = FleetConfig(agents=("compact", "city"))
 SIMPLER = {"valet": {"layout": "clutter", "fleet": FLEET}}

@@ -1,6 +1,7 @@
 """Results of the suite that several processes have written, read together."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -116,6 +117,8 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
         ([episode(1, held_out="0")], "other held-out cases, '0'"),
         ([episode(1000)], "line 2: there is no case 1000 of level 'extreme'"),
         ([episode(2), episode(1, length="")], "line 3: length must be .*''"),
+        ([episode(1, length=0.0)], "line 2: length must be positive"),
+        ([episode(1, **{"ms / decision": math.inf})], "line 2: ms / decision must be"),
     ],
 )
 def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):

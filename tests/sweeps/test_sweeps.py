@@ -198,8 +198,22 @@ def test_a_submission_to_slurm_asks_for_its_settings(tmp_path):
                 process_job(job.paths.folder)
         for work, _ in jobs:
             assert read_outcome(tmp_path, work.runs[0]).status == "done"
-        with pytest.raises(ValueError, match="Unknown argument 'gpu'"):
-            make_executor(Where(cluster="slurm", slurm=("gpu=1",)), tmp_path)
+        other = ("timeout_min=30", "mem_gb=1.5", 'setup=["module load cuda"]')
+        asked = make_executor(Where(cluster="slurm", slurm=other), tmp_path)
+        found = asked._executor.parameters
+        assert (found["time"], found["mem"]) == (30, "1536MB")
+        assert found["setup"] == ["module load cuda"]
+        for wrong in ("gpu=1", "setup=module load cuda"):
+            with pytest.raises(ValueError, match="cluster slurm: "):
+                make_executor(Where(cluster="slurm", slurm=(wrong,)), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("cluster", "setting"), [("slurm", "partition"), ("local", "partition=gpu")]
+)
+def test_settings_of_slurm_have_values_and_a_cluster(cluster, setting):
+    with pytest.raises(ValueError, match=setting):
+        Where(cluster=cluster, slurm=(setting,))
 
 
 def test_jobs_that_stand_in_the_queue_are_not_submitted_again(tmp_path, monkeypatch):

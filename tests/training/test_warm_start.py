@@ -195,6 +195,11 @@ def test_a_mean_lies_halfway_between_a_run_and_the_one_it_began_with(other, tmp_
     found = read_policy(tmp_path / "mean.npz")[3]
     assert_close(found["average"], expected, atol=1e-6)
     assert same(found["normalizer"], begun.normalizer)
+    save_mean("hope", "hope", tmp_path / "flat.npz")  # without parts to widen
+    assert same(read_policy(tmp_path / "flat.npz")[3], read_policy("hope")[3])
+    with pytest.raises(ValueError, match="encoder"):
+        save_mean("hope", str(folder), tmp_path / "mixed.npz")
+    assert not (tmp_path / "mixed.npz").exists()
 
 
 def own_names(env):

@@ -132,9 +132,10 @@ class Where(CheckedConfig):
         side_by_side: largest number of runs that a job trains in one program, if they
             differ only in seeds and in numbers such as `discount` and
             `env.reward.park`; runs with `minutes` train alone.
-        slurm: what to ask Slurm for, `NAME=VALUE` each, as its `sbatch` or submitit
-            names it: partition, account, time [min], gpus-per-node, mem_gb. A job whose
-            time ends is queued again and resumes.
+        slurm: what to ask Slurm for, `NAME=VALUE` each, as submitit names it:
+            partition, account, time [min], gpus-per-node, mem_gb; values may be JSON,
+            as in `additional_parameters='{"reservation": "lab"}'`. A job whose time
+            ends is queued again and resumes.
         stochastic: evaluate sampled actions instead of the deterministic policy.
     """
 
@@ -143,6 +144,14 @@ class Where(CheckedConfig):
     side_by_side: Count = 8
     slurm: tuple[str, ...] = ()
     stochastic: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cluster != "slurm":
+            require_unset(self, f"with cluster {self.cluster}", "slurm")
+        for setting in self.slurm:
+            if not all(setting.partition("=")):
+                raise ValueError(f"slurm must be NAME=VALUE each, not {setting!r}")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

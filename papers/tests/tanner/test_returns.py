@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.paying import GOAL, MAX_STEPS, STEERING_CHANGE, terms
+from helpers.paying import GOAL, LIMITS, MAX_STEPS, terms
 from helpers.scenes import cars, lot
 from helpers.states import HandPhysics, hand_cars
 from helpers.transitions import no_events, transition
@@ -18,6 +18,8 @@ from carpark_mj.mdp.rewards import TERMS
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_papers.tanner.environments import TANNER_QLEARNING
 from carpark_papers.tanner.grid import FINE, GridPhysics, GridState
+
+STEERING_CHANGE = 0.2 * LIMITS["steering_rate"]  # rad in 0.2 s
 
 
 def driven(distances, speed=1.0, steering=0.0):
