@@ -160,11 +160,15 @@ def _widen_statistics(state: Any, size: int, rows: np.ndarray) -> Any:
 
 
 def save_mean(run: str, other: str, out: Path) -> None:
-    """Writes the policy of a run, each weight the mean of its own and another run's.
+    """Writes a policy whose weights and statistics are the means of two runs'.
 
     The run began with the weights of the `other`, or both with those of a third, so
     that their mean acts alike (Wortsman et al. 2022, "Model soups"). The other may
-    observe less, see `widen`: half of the weights of new fields remain.
+    observe less: it counts as widened, see `widen`. Environment, settings and steps
+    are the run's.
+
+    Raises:
+        ValueError: other networks, actions or observations.
     """
     (_, header, env, ours), (_, other_header, other_env, theirs) = (
         read_policy(name) for name in (run, other)

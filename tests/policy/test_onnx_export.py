@@ -156,11 +156,18 @@ def driven(name):
     return loaded, rows, *states(ParkingEnv(loaded.env, SlidePhysics()), rows)
 
 
+def moving(key, group):
+    """Obstacles that all move, with all headings: those of a reset stand."""
+    key = jax.random.fold_in(key, group.kind)
+    velocity = jax.random.uniform(key, (group.count, 2), minval=-1.5, maxval=1.5)
+    return dataclasses.replace(group, velocity_w=velocity)
+
+
 def states(env, rows):
     """Inputs and observations of all agents of random lots, in random motion."""
 
     def draw(key):
-        start, speed, yaw_rate, steering, choice, gear = jax.random.split(key, 6)
+        start, speed, yaw_rate, steering, choice, gear, walk = jax.random.split(key, 7)
         state, _ = env.reset(start)
         motion, cars = state.motion, state.goal.shape
         motion = dataclasses.replace(
@@ -171,7 +178,9 @@ def states(env, rows):
         )
         direction = jax.random.randint(gear, cars, -1, 2).astype(jnp.float32)
         stats = dataclasses.replace(state.stats, direction=direction)
-        state = dataclasses.replace(state, motion=motion, stats=stats)
+        groups = tuple(moving(walk, group) for group in state.movers.groups)
+        movers = dataclasses.replace(state.movers, obstacles=(groups,))
+        state = dataclasses.replace(state, motion=motion, stats=stats, movers=movers)
         if state.tracked_bays is not None:  # some have chosen a bay
             goal = jnp.where(
                 jax.random.bernoulli(choice, 0.5, cars),
