@@ -6,6 +6,7 @@ Entities of a new kind, and more features of the agent's own numbers, begin as o
 run; what reads them begins at zero.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.networks import NetworkConfig
+from carpark_mj.extensions import unknown_name
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.compose import OWN, observation_sets, part_name
 from carpark_mj.observations.fields import ORDERED, Field
@@ -159,7 +161,7 @@ def _widen_statistics(state: Any, size: int, rows: np.ndarray) -> Any:
     )
 
 
-def save_mean(run: str, other: str, out: Path) -> None:
+def save_mean(run: str, other: str, out: Path, kinds: Sequence[str] = ()) -> None:
     """Writes a policy whose weights and statistics are the means of two runs'.
 
     The run began with the weights of the `other`, or both with those of a third, so
@@ -167,8 +169,11 @@ def save_mean(run: str, other: str, out: Path) -> None:
     observe less: it counts as widened, see `widen`. Environment, settings and steps
     are the run's.
 
+    With `kinds` of entities, as "agent", nothing is averaged: what reads them is the
+    run's, all else the other's. The policy acts as the other where none is present.
+
     Raises:
-        ValueError: other networks, actions or observations.
+        ValueError: other networks, actions or observations; unknown kinds.
     """
     (_, header, env, ours), (_, other_header, other_env, theirs) = (
         read_policy(name) for name in (run, other)
@@ -186,7 +191,20 @@ def save_mean(run: str, other: str, out: Path) -> None:
     new_fields(env, trained)  # refuses what the run does not observe
     theirs = widen(own, env, trained, theirs, ours)
 
-    def mean(own: jax.Array, their: jax.Array) -> jax.Array:
-        return (own + their) / 2 if jnp.issubdtype(own.dtype, jnp.floating) else own
+    known = [part.group for part in observation_sets(make_fields(env)).sets]
+    if strange := [kind for kind in kinds if own.encoder != "set" or kind not in known]:
+        raise ValueError(unknown_name("kind of entity", strange[0], known))
+    places = _places(own, env)[HIDDEN] if kinds else []
+    rows = np.array([place.rpartition(" ")[0] in kinds for place in places])
 
-    save_policy(run, out, jax.tree.map(mean, ours, theirs))
+    def choose(path: Any, own: jax.Array, their: jax.Array) -> jax.Array:
+        if not kinds:
+            mixed = jnp.issubdtype(own.dtype, jnp.floating)
+            return (own + their) / 2 if mixed else own
+        names = jax.tree_util.keystr(path, simple=True, separator="/").split("/")
+        if names[-2:] == [f"{HIDDEN}_0", "kernel"]:
+            return jnp.where(rows[:, None], own, their)
+        parts = {*names, *(name.rpartition("_")[0] for name in names)}
+        return own if parts & {*kinds} else their
+
+    save_policy(run, out, jax.tree_util.tree_map_with_path(choose, ours, theirs))

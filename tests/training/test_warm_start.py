@@ -202,6 +202,29 @@ def test_a_mean_lies_halfway_between_a_run_and_the_one_it_began_with(other, tmp_
     assert not (tmp_path / "mixed.npz").exists()
 
 
+def test_what_reads_agents_of_a_run_changes_nothing_without_them(other, tmp_path):
+    folder, _ = other
+    wide, begun = started(WIDER, folder, tmp_path)
+    moved = {n: jax.tree.map(lambda x: x + 1, getattr(begun, n)) for n in NETWORKS}
+    save(tmp_path / "wide", WIDER, dataclasses.replace(begun, **moved))
+    out = tmp_path / "mixed.npz"
+    save_mean(str(tmp_path / "wide"), str(folder), out, ["agent"])
+    found = read_policy(out)[3]
+    mixed = dataclasses.replace(begun, normalizer=found["normalizer"])
+    names, rng = names_of(WIDER.env), np.random.default_rng(2)
+    among = rng.uniform(-1, 1, (50, names.size)).astype(np.float32)
+    alone = np.where(np.char.startswith(names, "agent_"), 0.0, among)
+    for seen, alike in ((alone, True), (among, False)):
+        before = outputs(wide, begun, "policy", begun.average, seen)
+        after = outputs(wide, mixed, "policy", found["average"], seen)
+        assert np.allclose(after, before, rtol=1e-5, atol=1e-5) == alike
+    encoder = found["average"]["params"]["SetEncoder_0"]
+    own = moved["average"]["params"]["SetEncoder_0"]
+    assert same(encoder["agent_0"], own["agent_0"])
+    with pytest.raises(ValueError, match="agents"):
+        save_mean(str(tmp_path / "wide"), str(folder), out, ["agents"])
+
+
 def own_names(env):
     """The field of every own number of an agent."""
     fields = [field for field in make_fields(env) if not field.group]
