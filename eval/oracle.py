@@ -21,12 +21,13 @@ if __name__ == "__main__":  # before the imports, which take seconds
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import jax
 import numpy as np
+import shapely
 
 from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import adapted
@@ -112,7 +113,11 @@ def run(config: OracleConfig) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for lot, seen in enumerate(sights(state)):
         begun = {"lot": lot, "family": list(shares)[member[lot]]}
-        rows += [begun | row for row in answers(seen, seconds, config.seed)]
+        for agent, at in enumerate(Lot(seen, config.seed).solve(seconds).arrival):
+            late = "late" if np.isfinite(at) else "none found"
+            row = begun | {"agents_present": len(seen), "agent": agent}
+            row["outcome"] = "in time" if at <= seconds else late
+            rows.append(row | {"arrival": float(at)})
         if config.out:  # after every lot: they take seconds each
             file.parent.mkdir(parents=True, exist_ok=True)
             write_csv(file, rows)
@@ -120,18 +125,6 @@ def run(config: OracleConfig) -> list[dict[str, Any]]:
     if config.out:
         print(f"wrote {file}")
     return rows
-
-
-def answers(
-    seen: Sequence[Sight], seconds: float, seed: int
-) -> Iterator[dict[str, Any]]:
-    """A row for each agent of a lot."""
-    arrival = solve(seen, seconds, seed).arrival
-    for agent in range(len(seen)):
-        outcome = "late" if np.isfinite(arrival[agent]) else "none found"
-        outcome = "in time" if arrival[agent] <= seconds else outcome
-        row = {"agents_present": len(seen), "agent": agent, "outcome": outcome}
-        yield row | {"arrival": float(arrival[agent])}
 
 
 def describe(rows: list[dict[str, Any]]) -> str:
@@ -188,14 +181,6 @@ class Answer(NamedTuple):
         return np.where(self.parks, seconds, np.inf)
 
 
-def solve(sights: Sequence[Sight], seconds: float, seed: int = 0) -> Answer:
-    """Plans how all agents of a lot park, at rest at first, in `seconds` of an episode.
-
-    `seed` is that of searches and orders.
-    """
-    return _Lot(sights, seed).solve(seconds)
-
-
 class _Turns(NamedTuple):
     """Cars that have driven so far."""
 
@@ -206,10 +191,11 @@ class _Turns(NamedTuple):
     parks: np.ndarray  # (agents,) bool, which have parked
 
 
-class _Lot:
-    """Plans for the cars of a lot."""
+class Lot:
+    """Plans for the cars of a lot, at rest at first."""
 
-    def __init__(self, sights: Sequence[Sight], seed: int) -> None:
+    def __init__(self, sights: Sequence[Sight], seed: int = 0) -> None:
+        """Finds ways without other cars; `seed` is that of searches and orders."""
         self._sights, self._seed = sights, seed
         self._size = [np.array([s.car.length, s.car.width]) for s in sights]
         self._wide = [size + 2 * MARGIN for size in self._size]
@@ -223,6 +209,7 @@ class _Lot:
         self._numbers = np.random.default_rng(seed)
 
     def solve(self, seconds: float) -> Answer:
+        """How all agents park in `seconds` of an episode."""
         alone = np.array([bool(ways) for ways in self._ways])
         lengths = [len(ways[0]) if ways else np.inf for ways in self._ways]
         order, breadth = list(np.argsort(lengths, kind="stable")), len(lengths)
@@ -344,7 +331,7 @@ class _Lot:
     def _first(
         self, turns: _Turns, k: int, paths: list[np.ndarray]
     ) -> dict[int, Drive]:
-        """The drive of car k that arrives first; none if others block all paths."""
+        """The drive of car k that arrives first, by k; none if others block all."""
         others = [drive for other, drive in enumerate(turns.drives) if other != k]
         own = turns.drives[k]
         begin, found = len(own.point) - 1, []
@@ -433,22 +420,19 @@ def instants(path: PlannedPath, car: VehicleParameters) -> np.ndarray:
 def meet(
     pose: np.ndarray, size: np.ndarray, other: np.ndarray, other_size: np.ndarray
 ) -> np.ndarray:
-    """(n, m) bool, which poses (n, 3), (m, 3) of two rectangles overlap (SAT)."""
-    dx = other[:, 0] - pose[:, None, 0]
-    dy = other[:, 1] - pose[:, None, 1]
-    found = np.hypot(dx, dy) < (math.hypot(*size) + math.hypot(*other_size)) / 2
-    rows, columns = np.nonzero(found)
-    x, y, a, b = dx[found], dy[found], pose[rows, 2], other[columns, 2]
-    half, other_half = np.asarray(size) / 2, np.asarray(other_size) / 2
-    c, s = np.abs(np.cos(b - a)), np.abs(np.sin(b - a))
-    apart = np.zeros(len(x), bool)
-    for yaw, own, its in ((a, half, other_half), (b, other_half, half)):
-        along = np.abs(np.cos(yaw) * x + np.sin(yaw) * y)
-        across = np.abs(np.cos(yaw) * y - np.sin(yaw) * x)
-        apart |= along >= own[0] + its[0] * c + its[1] * s
-        apart |= across >= own[1] + its[0] * s + its[1] * c
-    found[rows, columns] = ~apart
+    """(n, m) bool, which poses (n, 3), (m, 3) of two rectangles overlap."""
+    found = np.zeros((len(pose), len(other)), bool)
+    tree = shapely.STRtree(rectangles(other, other_size))
+    found[tuple(tree.query(rectangles(pose, size), "intersects"))] = True
     return found
+
+
+def rectangles(pose: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Shapely's polygons (n,) of a rectangle at poses (n, 3)."""
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    turn = np.moveaxis(np.array([[cos, sin], [-sin, cos]]), 2, 0)
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2 * size
+    return np.asarray(shapely.polygons(corners @ turn + pose[:, None, :2]))
 
 
 def schedule(

@@ -20,26 +20,24 @@ import jax
 from carpark_mj.files import require_writable
 from carpark_mj.vehicle import PRESETS, preset
 from shell import command
-from vehicle_suite import chassis, driver, engines, turns
+from vehicle_suite import engines, manoeuvres
 from vehicle_suite.report import Study, write_report
 from vehicle_suite.testbeds import BrushTestbed, ContactTestbed, Tyres
 
 Manoeuvre = Callable[[Study], None]
 
 COMMON: tuple[Manoeuvre, ...] = (
-    turns.turning, chassis.stops, chassis.straight, chassis.slope_hold,
-    engines.mirror, turns.lateral_limit, engines.convergence,
+    manoeuvres.turning, manoeuvres.stops, manoeuvres.straight, manoeuvres.slope_hold,
+    engines.mirror, manoeuvres.lateral_limit, engines.convergence,
 )  # fmt: skip
 SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
     "brush": (
-        *COMMON, turns.understeer, turns.step_steer,
-        engines.brush_engines, driver.harder_is_slower, driver.hold_on_ice,
-        driver.creep, driver.coast_after_release, driver.stop_from_a_walk, driver.taps,
-        driver.speed_control, driver.reversing, driver.automatic,
-        driver.wheel_stop, driver.ramp,
+        *COMMON, manoeuvres.understeer, manoeuvres.step_steer,
+        engines.brush_engines, engines.taps, engines.reversing, engines.wheel_stop,
     ),
     "contact": (
-        *COMMON, turns.rolling_turns, engines.contact_engines, chassis.suspension
+        *COMMON, engines.contact_engines, manoeuvres.rolling_turns,
+        manoeuvres.suspension,
     ),
 }  # fmt: skip
 TESTBEDS = {"brush": BrushTestbed, "contact": ContactTestbed}

@@ -24,11 +24,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from matplotlib.figure import Figure
 from scipy import integrate
 
 from carpark_mj.evaluation.tables import markdown
-from carpark_mj.files import require_writable, write_atomically, write_text
+from carpark_mj.files import drawn_axes, require_writable, write_text
 from carpark_mj.vehicle import COMPACT, VehicleParameters
 from shell import Folder, command
 from vehicle_suite import formulas
@@ -231,15 +230,13 @@ def parking_run() -> Run:
 
 def trials() -> list[Trial]:
     """Drives everything."""
-    runs = {
-        "slalom at 3 m/s": (our_run(our_car(), slalom, 8.0, 3.0), slalom),
-        "brake in a turn at 6 m/s": (
-            our_run(our_car(), brake_in_turn, 3.6, 6.0),
-            brake_in_turn,
-        ),
+    car, braked = our_car(), "brake in a turn at 6 m/s"
+    runs: dict[str, tuple[Run, Inputs]] = {
+        "slalom at 3 m/s": (our_run(car, slalom, 8.0, 3.0), slalom),
+        braked: (our_run(car, brake_in_turn, 3.6, 6.0), brake_in_turn),
         "parking, two gear changes": (parking_run(), parking),
     }
-    found = []
+    found: list[Trial] = []
     for name, (run, inputs) in runs.items():
         (track,) = BrushTestbed().drive([run])
         models = ("KS",) if inputs is parking else ("MB", "STD")
@@ -266,25 +263,23 @@ def table(found: list[Trial]) -> str:
 
 def draw(path: Path, found: list[Trial]) -> None:
     """Paths above, distances over time below."""
-    figure = Figure((4.6 * len(found), 7.0), layout="constrained")
-    axes = figure.subplots(2, len(found))
-    for column, trial in enumerate(found):
-        above, below = axes[0, column], axes[1, column]
-        above.plot(*trial.path.T, "k", lw=2.5, alpha=0.4, label="ours")
-        for model, referee in trial.paths.items():
-            above.plot(*referee.position.T, "--", label=model)
-            distance, yaw = trial.apart(model)
-            (line,) = below.plot(referee.time, 100 * distance, label=f"{model}, cm")
-            degrees, label = 10 * np.degrees(yaw), f"{model}, 0.1 deg"
-            below.plot(referee.time, degrees, ":", color=line.get_color(), label=label)
-        above.set(title=trial.name, xlabel="x [m]", ylabel="y [m]")
-        below.set(xlabel="time [s]", ylabel="distance [cm], yaw difference [0.1 deg]")
-        if "KS" in trial.paths:
-            above.set_aspect("equal", adjustable="datalim")
-        for axis in (above, below):
-            axis.grid(alpha=0.3)
-            axis.legend(fontsize=8)
-    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=110))
+    count = len(found)
+    with drawn_axes(path, (4.6 * count, 7.0), "", nrows=2, ncols=count) as axes:
+        for trial, above, below in zip(found, axes[:count], axes[count:], strict=True):
+            above.plot(*trial.path.T, "k", lw=2.5, alpha=0.4, label="ours")
+            for model, referee in trial.paths.items():
+                above.plot(*referee.position.T, "--", label=model)
+                distance, yaw = trial.apart(model)
+                (line,) = below.plot(referee.time, 100 * distance, label=f"{model}, cm")
+                tenths = 10 * np.degrees(yaw)
+                more = {"color": line.get_color(), "label": f"{model}, 0.1 deg"}
+                below.plot(referee.time, tenths, ":", **more)
+            above.set(title=trial.name, xlabel="x [m]", ylabel="y [m]")
+            below.set(xlabel="time [s]", ylabel="distance [cm], yaw [0.1 deg]")
+            if "KS" in trial.paths:
+                above.set_aspect("equal", adjustable="datalim")
+            for axis in (above, below):
+                axis.legend(fontsize=8)
 
 
 def run(config: Folder) -> None:

@@ -1,16 +1,31 @@
-"""Mirror symmetry, time step, and MJX against C MuJoCo and `mjx.step`."""
+"""The shipped driver and time step, and MJX against C MuJoCo and `mjx.step`."""
 
 import dataclasses
+import itertools
 import math
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from carpark_mj.config import CONTACT_SIM_DT, SimConfig
+from carpark_mj.config import (
+    CONTACT_SIM_DT,
+    EnvConfig,
+    EpisodeConfig,
+    SimConfig,
+    Surface,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry import move_forward
+from carpark_mj.layouts import make_layout
+from carpark_mj.mdp.collisions import KERB_HEIGHT
 from carpark_mj.physics.mjx_step import contact_car_model
+from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
+from carpark_mj.vehicle.vehicle import SURFACES, with_grip
 from vehicle_suite.report import Study
 from vehicle_suite.shipped import CCar, drive
 from vehicle_suite.testbeds import BrushTestbed, Run, Testbed
@@ -129,3 +144,89 @@ def drive_in_c(
     """The same in C MuJoCo, in float64."""
     with jax.enable_x64(True):
         return CCar(params, sim, speed=ROLLING, model=model).drive(PEDALS)[:, :2]
+
+
+# The shipped driver: `MjxPhysics` drives as in training
+
+SECONDS, DT = 15.0, 0.01  # s, of a drive and between its instants
+TAPS, TAP_PEDALS = (10, 20, 30), (0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # instants
+SMOOTH = 5  # instants over which an acceleration is averaged, a fifth of a rocking
+PEDAL_STEPS = 20  # of a random drive
+
+
+def taps(study: Study) -> None:
+    """A car at rest whose pedal is tapped and released, both ways.
+
+    It comes to rest without moving back, and below 0.05 m/s without a jerk.
+    """
+    tapped = np.array([*itertools.product((1.0, -1.0), TAP_PEDALS, TAPS)])
+    way, pedal, end = tapped.T
+    instant = np.arange(round(SECONDS / DT))[:, None]
+    controls = np.zeros((len(instant), len(way), 2))
+    controls[..., 1] = np.where(instant < end, way * pedal, 0.0)
+    car = make_vehicle(study.params)
+    cars = jax.tree.map(lambda x: jnp.stack([x] * len(way)), car)
+    motion = drive(SimConfig(ctrl_dt=DT, trace_dt=DT), cars, controls).motion
+    speed = way * np.asarray(motion.speed, float)
+    acceleration = np.diff(speed, axis=0) / DT
+    smooth = np.lib.stride_tricks.sliding_window_view(acceleration, SMOOTH, 0).mean(-1)
+    jerk = np.abs(np.diff(smooth, axis=0) / DT)
+    middle = (SMOOTH + 1) // 2  # of the instants that a jerk is computed from
+    counts = np.abs(speed[middle : middle + len(jerk)]) < 0.05
+    jerk = np.where(counts & (instant[: len(jerk)] >= end), jerk, 0.0)
+    for tap in TAPS:
+        what, those = f"tap of {tap * DT:g} s on the pedal", end == tap
+        study.row(f"{what}, rebound", max(float(-speed[:, those].min()), 0.0))
+        study.row(f"{what}, jerk below 0.05 m/s", float(jerk[:, those].max()))
+
+
+def reversing(study: Study) -> None:
+    """Path errors of a time step of 10 ms under random pedals, in float64."""
+    drives = 8 if study.quick else 48
+    surfaces: tuple[Surface, ...] = ("dry", "ice")
+    controls = np.zeros((PEDAL_STEPS, drives, 2))
+    dice = np.random.default_rng(0)
+    controls[..., 1] = dice.uniform(-1.0, 1.0, (PEDAL_STEPS, drives))
+    with jax.enable_x64(True):
+        car, dry = make_vehicle(study.params), SURFACES["dry"]
+        kinds = [with_grip(car, SURFACES[surface] / dry) for surface in surfaces]
+        cars = [kind for kind in kinds for _ in range(drives)]
+        fleet = jax.tree.map(lambda *x: jnp.stack(x), *cars)
+        twice = np.tile(controls, (1, len(surfaces), 1))
+        sims = (SimConfig(sim_dt=dt, trace_dt=0.1) for dt in (0.01, 0.001))
+        motions = (drive(sim, fleet, twice).motion for sim in sims)
+        paths = (np.asarray(motion.trace_w)[..., 0] for motion in motions)
+        coarse, exact = (np.moveaxis(x, 2, 1).reshape(-1, len(cars)) for x in paths)
+    length = np.abs(np.diff(exact, axis=0)).sum(0)
+    error = 100 * np.abs(coarse - exact).max(0) / length
+    what = "time-step error, 10 against 1 ms, random reversing"
+    for surface, errors in zip(surfaces, np.split(error, len(surfaces)), strict=True):
+        for share in (0.5, 0.9, 1.0):
+            name = f"{what}, {surface}, quantile {share:g}"
+            study.row(name, float(np.quantile(errors, share)))
+
+
+def wheel_stop(study: Study) -> None:
+    """A car reverses into a bay until a wheel stop stops its rear tyres."""
+    params, distance = study.params, 0.9
+    rules: Any = {"parked_rule": "precise", "kerb_speed": 0.6, "respawn": False}
+    episode = EpisodeConfig(wheel_stops=distance, **rules)
+    config = EnvConfig(num_agents=1, num_parked_cars=0, episode=episode)
+    env = ParkingEnv(config, vehicle=params)
+    layout = make_layout(env.layout_config)
+    bay, (length, _) = layout.bay_pose[0], layout.bay_size[0]
+    start = move_forward(bay, 1.0)[None]
+    options = ResetOptions(pose=start, goal=jnp.zeros(1, jnp.int32))
+    state, _ = jax.jit(env.reset)(jax.random.key(0), options=options)
+    step, speed = jax.jit(env.step), 0.0
+    for _ in range(60):  # drives back at a walk
+        pedal = np.clip(2.0 * (-0.4 - speed), -1.0, 1.0)
+        state, timestep = step(state, jnp.array([[0.0, pedal]]))
+        speed = float(timestep.motion.speed[0])
+    ahead = jnp.array([jnp.cos(bay[2]), jnp.sin(bay[2])])
+    to_end = float(jnp.dot(state.motion.xy[0] - bay[:2], ahead))
+    found = to_end + float(length) / 2 - params.centre_offset
+    reach = math.sqrt(2 * params.wheel_radius * KERB_HEIGHT - KERB_HEIGHT**2)
+    height = f"{100 * KERB_HEIGHT:g} cm"
+    what = f"wheel stop {height} high, touched at 0.4 m/s, rear axle"
+    study.row(what, found, distance + reach)

@@ -12,14 +12,13 @@ import math
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from carpark_mj.evaluation import tables
-from carpark_mj.files import write_atomically, write_csv, write_text
+from carpark_mj.files import drawn_axes, write_csv, write_text
 from carpark_mj.reading import read_csv
 from carpark_mj.vehicle import VehicleParameters
 from vehicle_suite.testbeds import Testbed, Tyres
@@ -153,25 +152,25 @@ def draw(path: Path, look: dict[str, str], curves: Sequence[Curve]) -> None:
     panels = list(dict.fromkeys(c.panel for c in curves))
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure((1.0 + 4.2 * columns, 1.0 + 3.0 * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flat
-    for axis, panel in zip(axes, panels, strict=False):
-        colours: dict[str, str] = {}
-        for curve in (c for c in curves if c.panel == panel):
-            label = "" if curve.label in colours else curve.label
-            colour = colours.setdefault(curve.label, f"C{len(colours)}")
-            line = {"color": colour, "label": label, "markersize": 4}
-            axis.plot(curve.x, curve.y, curve.style, **line)
-        axis.set_title(panel, fontsize=10)
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize=8)
-        axis.set(xscale=look["scale"], yscale=look["scale"])
-    for axis in axes[len(panels) :]:
-        axis.remove()
-    figure.suptitle(look["title"])
-    figure.supxlabel(look["x"])
-    figure.supylabel(look["y"])
-    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=110))
+    size = 1.0 + 4.2 * columns, 1.0 + 3.0 * rows
+    grid: Any = {"nrows": rows, "ncols": columns, "sharex": True, "sharey": True}
+    with drawn_axes(path, size, "", **grid) as axes:
+        for axis, panel in zip(axes, panels, strict=False):
+            colours: dict[str, str] = {}
+            for curve in (c for c in curves if c.panel == panel):
+                label = "" if curve.label in colours else curve.label
+                colour = colours.setdefault(curve.label, f"C{len(colours)}")
+                line = {"color": colour, "label": label, "markersize": 4}
+                axis.plot(curve.x, curve.y, curve.style, **line)
+            axis.set_title(panel, fontsize=10)
+            axis.legend(fontsize=8)
+            axis.set(xscale=look["scale"], yscale=look["scale"])
+        for axis in axes[len(panels) :]:
+            axis.remove()
+        figure = axes[0].figure
+        figure.suptitle(look["title"])
+        figure.supxlabel(look["x"])
+        figure.supylabel(look["y"])
 
 
 def write_report(folder: Path, studies: Sequence[Study], command: str) -> list[Row]:

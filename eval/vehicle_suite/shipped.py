@@ -30,24 +30,6 @@ from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import VehicleParameters
 
 
-class Driver(NamedTuple):
-    """What a driver adds to the pedal: speed control, and letting go.
-
-    Attributes:
-        target: speed to be controlled [m/s].
-        gain: pedal per m/s below it; 0 is no control.
-        release: speed below which the pedal is let go for good [m/s]; 0 is never.
-        after: control step before which it is not.
-        period: of the driver [control steps].
-    """
-
-    target: float = 0.0
-    gain: float = 0.0
-    release: float = 0.0
-    after: int = 0
-    period: int = 1
-
-
 class Recording(NamedTuple):
     """What cars (...) did: after each of T control steps."""
 
@@ -63,24 +45,17 @@ def _program(sim: SimConfig, dtype: Any):
     physics = (ContactPhysics if sim.tyres == "contact" else MjxPhysics)(sim)
 
     @jax.jit
-    def run(state: CarState, controls: jax.Array, driver: Driver) -> Recording:
-        def step(carry: tuple[CarState, jax.Array, jax.Array], now: tuple):
-            state, pedal, released = carry
-            instant, command = now
-            speed = physics.read(state).speed
-            asked = command[..., 1] + driver.gain * (driver.target - speed)
-            slow = (jnp.abs(speed) < driver.release) & (instant >= driver.after)
-            lets_go = released | slow
-            asked = jnp.where(lets_go, 0.0, jnp.clip(asked, -1.0, 1.0))
-            acts = instant % driver.period == 0
-            pedal = jnp.where(acts, asked, pedal)
-            released = jnp.where(acts, lets_go, released)
+    def run(state: CarState, controls: jax.Array, release: float, after: int):
+        def step(carry: tuple[CarState, jax.Array], now: tuple):
+            (state, released), (instant, command) = carry, now
+            slow = jnp.abs(physics.read(state).speed) < release
+            released = released | (slow & (instant >= after))
+            pedal = jnp.where(released, 0.0, command[..., 1])
             state = physics.step(state, jnp.stack([command[..., 0], pedal], -1))
             seen = Recording(physics.read(state), state.qpos, state.qvel)
-            return (state, pedal, released), seen
+            return (state, released), seen
 
-        pedal = jnp.zeros_like(controls[0, ..., 1])
-        start = state, pedal, jnp.zeros(pedal.shape, bool)
+        start = state, jnp.zeros(controls.shape[1:-1], bool)
         return jax.lax.scan(step, start, (jnp.arange(len(controls)), controls))[1]
 
     return physics, run
@@ -92,16 +67,20 @@ def drive(
     controls: np.ndarray,
     speed: ArrayLike = 0.0,
     pose: ArrayLike = (0.0, 0.0, 0.0),
-    driver: Driver = Driver(),  # noqa: B008
+    release: float = 0.0,
+    after: int = 0,
 ) -> Recording:
-    """Drives cars (...) by control steps (T, ..., 2) from poses (..., 3) and speeds."""
+    """Drives cars (...) by control steps (T, ..., 2) from poses (..., 3) and speeds.
+
+    A pedal is let go for good below the speed `release` [m/s], from a step on.
+    """
     dtype = jnp.result_type(float)
     physics, run = _program(sim, dtype)
     pose = np.broadcast_to(pose, (*controls.shape[1:-1], 3))
     state = physics.init(jnp.array(pose, dtype), cars)
     if np.any(speed):
         state = physics.set_speed(state, jnp.array(speed, dtype))
-    return jax.device_get(run(state, jnp.array(controls, dtype), driver))
+    return jax.device_get(run(state, jnp.array(controls, dtype), release, after))
 
 
 class CCar:

@@ -16,8 +16,11 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from carpark_mj.config import SimConfig
 from carpark_mj.physics.coordinates import (
     CarIndex,
+    column,
+    dot,
     init_tyres,
     pack_coordinates,
     pack_tyres,
@@ -25,16 +28,12 @@ from carpark_mj.physics.coordinates import (
     unpack_tyres,
 )
 from carpark_mj.physics.forces import roll
+from carpark_mj.physics.mjx_step import contact_car_model
 from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.precision import full_float32
-from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
-from carpark_mj.vehicle.contact_wheels import (
-    TIMESTEP,
-    add_contact_wheels,
-    set_contact_options,
-)
+from carpark_mj.vehicle import COMPACT, Vehicle, contact_wheels, make_vehicle
 from carpark_mj.vehicle.drive import WheelTorques, ackermann
-from carpark_mj.vehicle.mjcf import WHEELS, add_car, car_model, per_wheel
+from carpark_mj.vehicle.mjcf import WHEELS, car_model, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from carpark_mj.vehicle.vehicle import wheels_of
 from vehicle_suite.formulas import front_wheel_angles
@@ -242,8 +241,9 @@ def _program(x64: bool):
 
     def substep(carry, vehicle: Vehicle, gravity, signal, dt):
         qpos, qvel, tyres = carry
-        ctrl, drive, brake = controls(vehicle, signal, qpos, qvel)
         at = unpack_coordinates(INDEX, qpos, qvel)
+        ahead = dot(column(at.rotation, 0), at.velocity)
+        ctrl, drive, brake = controls(vehicle, signal, ahead)
         torques = [WheelTorques(*pair) for pair in zip(drive, brake, strict=True)]
         wheels, bristles = wheels_of(vehicle), unpack_tyres(tyres)
         forces, bristles = roll(wheels, at, bristles, torques, dt)
@@ -266,21 +266,15 @@ def _program(x64: bool):
 
 
 def controls(
-    vehicle: Vehicle, signal: jax.Array, qpos: jax.Array, qvel: jax.Array
+    vehicle: Vehicle, signal: jax.Array, speed: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Servo targets (2,) [rad], drive and brake torques (4,) [N m] of the test driver.
 
-    `signal` (5,) is a row of `Run.signals`.
+    `signal` (5,) is a row of `Run.signals`, the speed is along the car [m/s].
     """
     steering, force, brake, target, gain = signal
-    w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
-    forward = jnp.stack(
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
-    )
-    hold = gain * (target - forward @ qvel[:3])
-    limit = HOLD_LIMIT * GRAVITY * vehicle.mass
-    force = force + jnp.clip(hold, -limit, limit)
-    radius = vehicle.wheel_radius
+    limit, radius = HOLD_LIMIT * GRAVITY * vehicle.mass, vehicle.wheel_radius
+    force = force + jnp.clip(gain * (target - speed), -limit, limit)
     drive = force * radius * vehicle.drive_share
     front = jnp.stack(ackermann(vehicle, steering))
     return front, drive, brake * radius * vehicle.brake_share
@@ -298,15 +292,13 @@ def vehicle_of(run: Run) -> Vehicle:
 def contact_model(
     params: VehicleParameters, dt: float, suspension: bool = False
 ) -> mujoco.MjModel:
-    """The car with its steering servos on contact wheels and a plane."""
-    spec = mujoco.MjSpec()
-    set_contact_options(spec)
-    spec.option.timestep = dt
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    spec.worldbody.add_geom(name="ground", type=plane, size=[0, 0, 1])
-    add_car(spec.worldbody, spec, params, prefix="", suspension=suspension)
-    add_contact_wheels(spec, params, "", "ground", suspension)
-    return spec.compile()
+    """The car with its steering servos on contact wheels, solved as in scenes."""
+    model = contact_car_model(
+        params, SimConfig(sim_dt=dt, tyres="contact", suspension=suspension)
+    )
+    for name in ("impratio", "iterations", "ls_iterations", "tolerance"):
+        setattr(model.opt, name, getattr(contact_wheels, name.upper()))
+    return model
 
 
 def rigid_joints(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
@@ -324,7 +316,7 @@ class ContactTestbed:
     beside their rolling resistance. A track leaves the travel of a suspension out.
     """
 
-    dt: float = TIMESTEP
+    dt: float = contact_wheels.TIMESTEP
     suspension: bool = False
     tyres: Tyres = "contact"
 

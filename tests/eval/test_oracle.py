@@ -24,12 +24,12 @@ from oracle import (
     OUTCOMES,
     STOP,
     Drive,
+    Lot,
     describe,
     instants,
     main,
     meet,
     schedule,
-    solve,
 )
 
 SECONDS = 60.0
@@ -89,7 +89,7 @@ def check_witness(seen, answer):
 def test_cars_nose_to_nose_in_a_blind_lane_cannot_change_places():
     blocks = [(-15, 1.3, 15, 6), (-15, -6, 15, -1.3)]
     seen = lane([((-5, 0, 0), (8, 0, 0)), ((5, 0, math.pi), (-8, 0, 0))], blocks)
-    answer = solve(seen, SECONDS)
+    answer = Lot(seen).solve(SECONDS)
     assert answer.alone.all()
     assert not answer.parks.any()
 
@@ -98,7 +98,7 @@ def test_a_car_lets_another_pass_that_pulls_into_its_bay():
     # The bay of the second lies beside the lane's end, behind it.
     blocks = [(-15, 1.3, 15, 6), (-15, -6, 5, -1.3)]
     seen = lane([((-5, 0, 0), (10, 0, 0)), ((3, 0, math.pi), (11, -4, 0))], blocks)
-    answer = solve(seen, SECONDS)
+    answer = Lot(seen).solve(SECONDS)
     assert answer.parks.all()
     assert (answer.arrival <= SECONDS).all()
     check_witness(seen, answer)
@@ -107,7 +107,7 @@ def test_a_car_lets_another_pass_that_pulls_into_its_bay():
 def test_a_car_behind_walls_cannot_park():
     blocks = [(-15, 1.3, 15, 6), (-15, -6, 15, -1.3), (2, -1.3, 2.2, 1.3)]
     seen = lane([((-5, 0, 0), (8, 0, 0)), ((-11, 0, 0), (-7, 0, 0))], blocks)
-    answer = solve(seen, SECONDS)
+    answer = Lot(seen).solve(SECONDS)
     assert answer.alone.tolist() == [False, True]
     assert not answer.parks[0]
 
@@ -121,7 +121,7 @@ def tight():
 
 def test_starts_in_tight_lots_are_possible_and_drives_touch_nothing(tight):
     assert {len(seen) for seen in tight} == {3}
-    answers = [solve(seen, SECONDS) for seen in tight[:3]]
+    answers = [Lot(seen).solve(SECONDS) for seen in tight[:3]]
     for seen, answer in zip(tight, answers, strict=False):
         check_witness(seen, answer)
     parks = np.concatenate([answer.parks for answer in answers])
@@ -169,15 +169,6 @@ def straight(*ends):
     steps = np.linspace(first, last, round(np.hypot(*(last - first)[:2]) / 0.02) + 1)
     path = make_path(rear_axle(COMPACT, steps), COMPACT)
     return instants(path, COMPACT)
-
-
-def test_rectangles_meet_as_shapely_says():
-    numbers = np.random.default_rng(0)
-    poses, others = numbers.uniform(-4, 4, (2, 30, 3))
-    sizes = np.array([4.0, 1.8]), np.array([1.0, 3.0])
-    shapes = polygons(poses, sizes[0])[:, None], polygons(others, sizes[1])
-    expected = shapely.intersects(*shapes)
-    np.testing.assert_array_equal(meet(poses, sizes[0], others, sizes[1]), expected)
 
 
 def test_a_car_speeds_up_cruises_and_stops():

@@ -32,15 +32,6 @@ PLAIN = dataclasses.replace(
 # Formulas
 
 
-def test_loads_and_resistances_by_hand():
-    front, rear = formulas.axle_loads(PLAIN)
-    assert (front, rear) == pytest.approx((5886.0, 3924.0))  # 60 and 40 % of 9810 N
-    assert formulas.rolling_mass(PLAIN) == pytest.approx(1040.0)  # + 4 x 0.9 / 0.09
-    assert formulas.rolling_resistance(PLAIN) == pytest.approx(117.72)  # 0.012 m g
-    # 3 x 0.9 x 0.35 m / 20 of stretch, a quarter of it.
-    assert formulas.locking_distance(PLAIN) == pytest.approx(0.0118125)
-
-
 def test_load_transfers_by_hand():
     # (1000 x 0.5 + 4 x 0.9 / 0.3) kg m x 2 m/s^2 = 1024 N m over track or wheelbase.
     rigid = formulas.lateral_load_transfer(PLAIN, 2.0, "rigid")
@@ -61,30 +52,9 @@ def test_load_transfers_by_hand():
     assert formulas.tilt_angle(PLAIN, 2 * 28_000 * 0.0075, 1.5) == pytest.approx(0.01)
 
 
-def test_turning_geometry_by_hand():
-    angle = math.atan(0.5)  # R = 5 m to the rear axle's middle
-    assert formulas.turning_radius(PLAIN, angle) == pytest.approx(5.0)
-    left, right = formulas.front_wheel_angles(PLAIN, angle)
-    assert math.tan(left) == pytest.approx(2.5 / 4.25)
-    assert math.tan(right) == pytest.approx(2.5 / 5.75)
-    parallel = dataclasses.replace(PLAIN, ackermann=0.0)
-    assert formulas.front_wheel_angles(parallel, angle) == pytest.approx((angle, angle))
-    # Hubs at 4.25 and 5.75 m, the front ones 2.5 m ahead; the front axle drives.
-    front = (math.hypot(4.25, 2.5) + math.hypot(5.75, 2.5)) / 2 / 5
-    drag = 0.012 * (5886 * front + 3924) / front
-    assert formulas.rolling_drag(PLAIN, angle) == pytest.approx(drag)
-
-
 def test_kerb_circle_of_the_compact_is_the_published_one():
     # 10.9 m kerb to kerb, published for the Golf VII.
     assert formulas.kerb_circle(COMPACT) == pytest.approx(10.9, abs=0.02)
-
-
-def test_the_understeer_gradient_by_hand():
-    assert formulas.understeer_gradient(PLAIN, (1.0, 1.0)) == pytest.approx(0.0)
-    # Slip angles per m/s^2 are 1 / (g C), here with a front half as stiff.
-    expected = (1 / 6 - 1 / 12) / 9.81
-    assert formulas.understeer_gradient(PLAIN, (0.5, 1.0)) == pytest.approx(expected)
 
 
 def test_the_brush_curve_by_hand():
@@ -92,17 +62,6 @@ def test_the_brush_curve_by_hand():
     assert 1.5 * formulas.brush_shape(1500.0, 1000.0) == pytest.approx(0.875)
     assert -1.5 * formulas.brush_shape(-1500.0, 1000.0) == pytest.approx(-0.875)
     assert 9.0 * formulas.brush_shape(9000.0, 1000.0) == pytest.approx(1.0)
-
-
-def test_a_slow_turn_without_scrub_is_ackermanns():
-    tyre = dataclasses.replace(PLAIN.tyre, patch_radius=1e-6, rolling_resistance=1e-6)
-    car = dataclasses.replace(PLAIN, tyre=tyre)
-    for speed in (0.01, -0.01):
-        turn = formulas.steady_turn(car, 0.5, speed)
-        assert turn.radius == pytest.approx(2.5 / math.tan(0.5), rel=1e-6)
-    # Both axles slip alike, so that K = 0 holds the radius at speed to first order.
-    fast = formulas.steady_turn(car, 0.01, 10.0)
-    assert fast.radius == pytest.approx(2.5 / math.tan(0.01), rel=0.01)
 
 
 def test_the_step_response_settles_at_the_neutral_gain():

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from helpers.compiling import optimized_jit
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, Mover
+from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.geometry.obstacles import Boxes
 from carpark_mj.movers.scripted import ScriptedBox, ScriptedPerson
 from carpark_mj.registry import environment
 from carpark_mj.spawning.reset_options import ResetOptions
@@ -57,30 +56,45 @@ def test_lots_with_people_stay_finite():
         assert crashed > 0
 
 
-@pytest.mark.slow
-def test_who_is_hit_is_reported_as_in_mjx_and_stops_the_car():
-    person = ScriptedPerson(start=(1.0, 0.0, 0.0), trigger=1e-3)  # both stand
-    cart = ScriptedBox(start=(1.0, 7.0, 0.0), trigger=1e-3, size=(1.0, 0.6))
-    faces = 1.0 - person.size[0] / 2, 1.0 - cart.size[0] / 2
-    start = ResetOptions(pose=jnp.array([[-4.0, 0.0, 0.0], [-4.0, 7.0, 0.0]]))
-    driven = []
+@pytest.fixture(scope="module")
+def driven():
+    """Steps of a lot in `mjx` and in `scene` physics.
+
+    Two cars drive at a person and a cart, a third stands where a box rolls.
+    """
+    person = ScriptedPerson(start=(1.0, 0.0, 0.0), trigger=0.0)  # both stand
+    cart = ScriptedBox(start=(1.0, 7.0, 0.0), trigger=0.0, size=(1.0, 0.6))
+    rolls = {"start": (-3.5, -7.0, 0.0), "after": 0.0, "distance": 20.0}
+    roller = dataclasses.replace(cart, **rolls, yields=False)
+    pose = [[-4.0, 0.0, 0.0], [-4.0, 7.0, 0.0], [0.0, -7.0, 0.0]]
+    start, drives = ResetOptions(pose=jnp.array(pose)), []
     for physics in ("mjx", "scene"):
-        config = EnvConfig(num_parked_cars=0, physics=physics, movers=(person, cart))
+        config = EnvConfig(
+            num_agents=3,
+            num_parked_cars=0,
+            physics=physics,
+            movers=(person, cart, roller),
+            episode=EpisodeConfig(respawn=False),
+        )
         env = ParkingEnv(config)
         state, _ = jax.jit(env.reset)(jax.random.key(0), options=start)
-        step = jax.jit(env.step)
-        steps = []
-        while len(steps) < 20:
-            state, timestep = step(state, jnp.array([[0.0, 1.0]] * 2))
-            events = timestep.events
+        step, steps = jax.jit(env.step), []
+        for _ in range(20):
+            state, timestep = step(state, jnp.array([[0.0, 1.0]] * 2 + [[0.0, 0.0]]))
+            events, motion = timestep.events, timestep.motion
             hits = jnp.stack([events.hit_person, events.hit_mover], axis=-1)
-            motion = timestep.motion
             steps.append((hits, events.done, motion.trace_w, motion.speed))
-        driven.append([np.stack(x) for x in zip(*steps, strict=True)])
-    (hits, done, trace, _), judged = driven
-    last = done.argmax(axis=0)  # of the first episodes
+            place = motion.pose_w[2, 0], state.movers.groups[2].pose_w[0, 0]
+            steps[-1] += (jnp.stack(place),)
+        drives.append([np.stack(x) for x in zip(*steps, strict=True)])
+    return drives, (1.0 - person.size[0] / 2, 1.0 - cart.size[0] / 2)
+
+
+@pytest.mark.slow
+def test_who_is_hit_is_reported_as_in_mjx_and_stops_the_car(driven):
+    ((hits, done, trace, *_), judged), faces = driven
     for agent in range(2):
-        end = last[agent]
+        end = done[:, agent].argmax()
         for one, other in zip((hits, done), judged[:2], strict=True):
             np.testing.assert_array_equal(
                 one[: end + 1, agent], other[: end + 1, agent]
@@ -100,50 +114,14 @@ def test_who_is_hit_is_reported_as_in_mjx_and_stops_the_car():
         assert -0.3 * 2.5 < judged[3][end, agent] < 0.1
 
 
-@dataclasses.dataclass(frozen=True)
-class Roller(Mover):
-    """A box that rolls on at a speed and yields to nothing."""
-
-    speed: float = 1.0
-    mover: str = "roller"
-
-    def init(self, key, layout):
-        return jnp.float32(-3.5)
-
-    def step(self, key, state, lot, dt):
-        return state + self.speed * dt
-
-    def obstacles(self, state):
-        pose = jnp.stack([state, 0.0 * state, 0.0 * state])[None]
-        velocity = jnp.array([[self.speed, 0.0]])
-        return [Boxes(pose, jnp.array([[1.0, 0.6]]), velocity)]
-
-
 @pytest.mark.slow
-def test_a_mover_pushes_a_standing_car_from_step_to_step():
-    start = ResetOptions(pose=jnp.zeros((1, 3)))
-    ends = []
-    for physics in ("mjx", "scene"):
-        config = EnvConfig(
-            num_agents=1,
-            num_parked_cars=0,
-            physics=physics,
-            movers=(Roller(),),
-            episode=EpisodeConfig(respawn=False),
-        )
-        env = ParkingEnv(config)
-        state, _ = jax.jit(env.reset)(jax.random.key(0), options=start)
-        step, hits = jax.jit(env.step), []
-        for _ in range(12):
-            state, timestep = step(state, jnp.zeros((1, 2)))
-            hits.append(bool(timestep.events.hit_mover[0]))
-        ends.append((np.argmax(hits), state))
-    (first, alone), (judged, pushed) = ends
+def test_a_mover_pushes_a_standing_car_from_step_to_step(driven):
+    both, _ = driven
     # The face of the box is 3 m behind the middle of the car at first.
-    assert first == judged == np.floor((3.0 - COMPACT.length / 2) / 0.2)
-    assert float(alone.motion.pose_w[0, 0]) == 0.0
-    face = float(pushed.movers.groups[0].pose_w[0, 0]) + 0.5
-    tail = float(pushed.motion.pose_w[0, 0]) - COMPACT.length / 2
+    first = np.floor((3.0 - COMPACT.length / 2) / 0.2)
+    assert [hits[:, 2, 1].argmax() for hits, *_ in both] == [first, first]
+    (alone, _), (car, box) = (places[11] for *_, places in both)
+    assert alone == 0.0
     # A car that has crashed brakes, and what pushes is stronger.
-    assert abs(tail - face) < 0.1
-    assert tail + COMPACT.length / 2 > 0.5
+    assert abs((car - COMPACT.length / 2) - (box + 0.5)) < 0.1
+    assert car > 0.5

@@ -19,7 +19,7 @@ from carpark_mj.vehicle import COMPACT, PRESETS, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import SURFACES, with_grip, with_mass
 from vehicle_suite.formulas import rolling_mass, rolling_resistance
-from vehicle_suite.shipped import Driver, drive
+from vehicle_suite.shipped import drive
 from vehicle_suite.testbeds import INDEX
 
 DT = 0.01
@@ -196,8 +196,8 @@ def test_presets_accelerate_and_stop_by_force_over_mass(fleet):
     """
     pedals = np.zeros((BRAKE + 400, len(CARS), 2))
     pedals[..., 1] = np.where(np.arange(len(pedals)) < BRAKE, 1.0, -1.0)[:, None]
-    driver = Driver(release=0.2, after=BRAKE)
-    motion = drive(SimConfig(ctrl_dt=0.02), fleet, pedals, driver=driver).motion
+    sim, release = SimConfig(ctrl_dt=0.02), {"release": 0.2, "after": BRAKE}
+    motion = drive(sim, fleet, pedals, **release).motion
     for k, (name, variant) in enumerate(CARS):
         params = ROAD_CARS[name]
         x, speed = np.float64(motion.pose_w)[:, k, 0], np.float64(motion.speed)[:, k]

@@ -8,7 +8,7 @@ import pytest
 import physics_report
 from carpark_mj.config import SimConfig
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle, preset
-from vehicle_suite import chassis, driver, engines, turns
+from vehicle_suite import engines, manoeuvres
 from vehicle_suite.report import Study
 from vehicle_suite.shipped import drive
 from vehicle_suite.testbeds import BrushTestbed, Run
@@ -28,16 +28,17 @@ def check(manoeuvre, bed, params=COMPACT, quick=True) -> Study:
     return study
 
 
-ELSEWHERE = driver.taps, engines.brush_engines  # of every preset, or of other cars
-COSTLY = turns.turning, chassis.slope_hold
-COSTLY += engines.mirror, engines.convergence  # they compile float64
+ELSEWHERE = engines.taps, engines.brush_engines  # of every preset, or of other cars
+COSTLY = manoeuvres.turning, manoeuvres.slope_hold
+COSTLY += engines.mirror, engines.convergence, engines.reversing  # in float64
+COSTLY += (engines.wheel_stop,)
 
 
 def case(tyres: str, manoeuvre):
-    costly = manoeuvre in COSTLY or manoeuvre.__module__ == driver.__name__
-    name = f"{tyres}-{manoeuvre.__name__}"
-    marks = [pytest.mark.slow] if costly else []
-    return pytest.param(tyres, manoeuvre, id=name, marks=marks)
+    marks = [pytest.mark.slow] if manoeuvre in COSTLY else []
+    return pytest.param(
+        tyres, manoeuvre, id=f"{tyres}-{manoeuvre.__name__}", marks=marks
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,7 +81,7 @@ def test_a_second_of_driving_agrees_with_c_mujoco_and_mjx(car, bed):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_tap_on_the_pedal_ends_without_rocking(name, bed):
-    check(driver.taps, bed, preset(name))
+    check(engines.taps, bed, preset(name))
 
 
 def test_contact_wheels_in_mjx_stop_by_the_formula_and_stay():
@@ -102,7 +103,7 @@ def test_a_tall_soft_car_slides_before_it_tips_over(bed):
     # at patches that lean into the ground with the car it fell over.
     tyre = dataclasses.replace(COMPACT.tyre, vertical_stiffness=25_000.0)
     car = dataclasses.replace(COMPACT, cg_height=0.65, height=1.7, tyre=tyre)
-    check(turns.lateral_limit, bed, car)
+    check(manoeuvres.lateral_limit, bed, car)
 
 
 def test_runs_of_one_batch_do_not_touch_each_other(bed):

@@ -1,5 +1,7 @@
 """The unrolled step against `mjx.step`, in one kernel on GPUs, and its gradients."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,11 +11,22 @@ from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.physics import unrolled
 from carpark_mj.physics import unrolled as kernel
 from carpark_mj.physics.bicycle import BicyclePhysics
+from carpark_mj.physics.coordinates import (
+    CarDynamics,
+    CarIndex,
+    init_tyres,
+    pack_coordinates,
+    unpack_coordinates,
+)
+from carpark_mj.physics.forces import CarForces, generalized_forces
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.physics.mjx_step import ContactPhysics, MjxStep
+from carpark_mj.physics.mjx_step import ContactPhysics, MjxStep, with_masses
+from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.physics.unrolled import UnrolledStep, run_in_kernel
 from carpark_mj.spawning.fleet import randomize_all
-from carpark_mj.vehicle import PRESETS, make_vehicle
+from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
+from carpark_mj.vehicle.drive import init_actuators
+from carpark_mj.vehicle.mjcf import car_model
 from vehicle_suite.shipped import drive
 
 VARIED = RandomizationConfig(
@@ -64,6 +77,36 @@ def test_five_seconds_of_driving_agree_with_mjx(x64, tolerance, ground):
     ours, expected = (driven(name, x64, **ground) for name in ("unrolled", "mjx"))
     assert np.abs(expected[-1, :, :2] - expected[0, :, :2]).max() > 0.5  # they moved
     assert np.abs(ours - expected).max() < tolerance
+
+
+def test_a_tumbling_car_with_its_servo_at_the_limit_is_that_of_mjx():
+    """One substep: MJX stays implicit in the damping of a clipped servo."""
+    dt, gravity, rng = 0.01, (0.7, -1.1, -9.6), np.random.default_rng(3)
+    model = car_model(COMPACT, dt, gravity)
+    index = CarIndex(model)
+    qpos, qvel = rng.normal(size=13), rng.normal(0, 3, 12)
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    qpos[index.steer_qpos] = rng.uniform(-0.6, 0.6, 2)
+    sizes = {"force_w": (2e4, 3), "moment_b": (1e4, 3), "aligning": (200, 4)}
+    sizes |= {"spin": (800, 4), "load": (1, 4)}
+    with jax.enable_x64(True):
+        vehicle, step = make_vehicle(COMPACT), MjxStep(model, SimConfig())
+        forces = CarForces(
+            **{k: tuple(map(jnp.array, rng.normal(0, *n))) for k, n in sizes.items()}
+        )
+        qfrc = generalized_forces(index, forces)
+        rest = init_tyres(), init_actuators(vehicle)
+        car = CarDynamics(jnp.array(qpos), jnp.array(qvel), *rest)
+        judge = jax.jit(partial(step.integrate, with_masses(step.model, vehicle)))
+        at = unpack_coordinates(index, car.qpos, car.qvel)
+        masses = mass_properties(vehicle)
+        for targets in ((1.5, -1.5), (-1.5, 1.5)):  # asks for 40 times the limit
+            after = advance(masses, at, forces, targets, gravity, dt)
+            expected = judge(car, qfrc, jnp.array(targets))
+            for ours, theirs in zip(
+                pack_coordinates(index, after), expected[:2], strict=True
+            ):
+                assert ours == pytest.approx(np.asarray(theirs), abs=1e-11)
 
 
 def test_brush_tyres_are_stepped_unrolled_by_default():
