@@ -24,7 +24,6 @@ if TYPE_CHECKING:  # for editors; at run time names come from `_NAMES`
     from carpark_mj.layouts import make_layout as make_layout
     from carpark_mj.observations import ContinuousObservation as ContinuousObservation
     from carpark_mj.policy.host import from_function as from_function
-    from carpark_mj.policy.host import from_onnx as from_onnx
     from carpark_mj.policy.host import from_sb3 as from_sb3
     from carpark_mj.policy.host import from_torch as from_torch
     from carpark_mj.policy.loading import load_policy as load_policy
@@ -37,7 +36,7 @@ _NAMES = {
     "env": "ParkingEnv",
     "layouts": "make_layout",
     "observations": "ContinuousObservation",
-    "policy.host": "from_function from_onnx from_sb3 from_torch",
+    "policy.host": "from_function from_sb3 from_torch",
     "policy.loading": "load_policy",
     "training": "evaluate render",
     "wrappers.pettingzoo": "parallel_env",

@@ -178,12 +178,7 @@ def run_job(job: Job) -> list[Result]:
 
 
 def _run(job: Job, variables: dict[str, str]) -> Result:
-    """What a process of these variables reports of a job.
-
-    Raises:
-        ValueError: it refused the job (exit code 2).
-        WorkerError: it failed.
-    """
+    """What a process of these variables reports of a job; its failure is an error."""
     request = {"started": time.time(), **dataclasses.asdict(job)}
     done = subprocess.run(
         [sys.executable, "-c", WORKER, json.dumps(request)],

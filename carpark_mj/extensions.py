@@ -36,6 +36,9 @@ FORMATS = {
     "command": ("layouts import", "scenario import", "scenario export"),
     "level": ("parkbench",),
     "format to save": ("osm", "xodr"),
+    "format to export": ("onnx",),
+    "kind of policy": ("onnx",),
+    "flag": ("--from-state",),
 }
 
 
@@ -184,7 +187,6 @@ def _extensions(named: str) -> tuple[str, ...]:
 _PACKAGES = {
     "train,eval": "tyro rich matplotlib tensorboardX imageio_ffmpeg scipy",
     "torchrl": "torchrl benchmarl",
-    "export": "onnx onnxruntime",
     "web": "mjviser",
     "video": "moviepy",
     "planner": "ompl shapely",

@@ -43,6 +43,7 @@ class Command(Entry):
     drives: bool = False  # its help names the pretrained policies
     needs: tuple[str, ...] = ()  # packages of extras without which it is refused
     reads: bool = False  # the function reads the words itself, unless they ask for help
+    extended: bool = False  # an extension's package may replace it
 
 
 def _command(
@@ -115,10 +116,9 @@ COMMANDS = {
         "suite.page:main", "write a page about tests, with limits",
         "tables:ReportConfig", needs=("matplotlib",),
     ),
-    # Without output fusion: XLA 0.10 dies of it here (openxla/xla#47367).
     "export": _command(
-        "cli.export:main", "export a policy as an ONNX model",
-        "driving:ExportConfig", KEEPING, drives=True,
+        "cli.driver:export", "write a policy as a checkpoint of its own",
+        "driving:ExportConfig", drives=True, extended=True,
     ),
     "sweep": _command(
         "sweeps:main", "train every combination of some settings",
@@ -147,7 +147,7 @@ def find(words: Sequence[str]) -> tuple[str, list[str]]:
     pair, name = " ".join(words[:2]), words[0]
     if pair in COMMANDS or pair in FORMATS["command"]:
         name = pair
-    if name not in COMMANDS:
+    if name not in COMMANDS or COMMANDS[name].extended:
         load_extensions(packages=True)
     if name not in COMMANDS:
         raise ValueError(unknown_name("command", name, COMMANDS))

@@ -41,7 +41,6 @@ from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import require_writable, write_csv
 from carpark_mj.layouts import member_shares
-from carpark_mj.planning.obstacles import FreeSpace, Solids
 from carpark_mj.planning.paths import (
     SHIFT_TIME,
     STEP,
@@ -53,7 +52,7 @@ from carpark_mj.planning.paths import (
     speed_limit,
 )
 from carpark_mj.planning.policy import Sight, require_plannable, sights
-from carpark_mj.planning.search import SearchConfig, search
+from carpark_mj.planning.search import FreeSpace, SearchConfig, Solids, search
 from carpark_mj.registry import environment
 from carpark_mj.vehicle import VehicleParameters
 from shell import command

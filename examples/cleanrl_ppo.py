@@ -25,13 +25,7 @@ from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.cli.process import enable_output_fusion, enter
 from carpark_mj.config import EnvConfig, EpisodeConfig, RayConfig, RingConfig
-from carpark_mj.config.checks import (
-    CheckedConfig,
-    Count,
-    NonNegative,
-    Positive,
-    Ratio,
-)
+from carpark_mj.config.checks import CheckedConfig, Count, NonNegative, Positive, Ratio
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
 from carpark_mj.tasks.environment import JointEnv

@@ -22,12 +22,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E
 from carpark_mj.cameras.encoder import CameraObservation  # noqa: E402
 from carpark_mj.cli.flags import read_flags  # noqa: E402
 from carpark_mj.cli.process import enter  # noqa: E402
-from carpark_mj.config import (  # noqa: E402
-    EnvConfig,
-    RayConfig,
-    RingConfig,
-    SpawnConfig,
-)
+from carpark_mj.config import EnvConfig, RayConfig, RingConfig, SpawnConfig  # noqa: E402
 from carpark_mj.config.checks import CheckedConfig, Count, Positive  # noqa: E402
 from carpark_mj.files import require_writable  # noqa: E402
 from carpark_mj.wrappers.sb3 import ParkVecEnv  # noqa: E402

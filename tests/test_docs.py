@@ -1,7 +1,6 @@
 """README, docs and code agree: commands, links, tables, snippets, numbers, versions."""
 
 import ast
-import csv
 import dataclasses
 import importlib
 import re
@@ -19,6 +18,7 @@ from helpers.pages import (
     cells,
     code,
     is_importable,
+    markdown_table,
     section,
 )
 from helpers.rules import LIMITS
@@ -37,8 +37,7 @@ from carpark_mj.extensions import FORMATS, Entry
 from carpark_mj.layouts.files import _SCHEMA, read_json
 from carpark_mj.mdp.goals import CONTEXTS
 from carpark_mj.mdp.rewards import TERMS, goal_weights
-from carpark_mj.observations import make_fields, markdown_table
-from carpark_mj.policy.outside import INPUTS
+from carpark_mj.observations import make_fields
 from carpark_mj.programs import COMMANDS as PROGRAMS
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import ENVIRONMENTS
@@ -71,7 +70,9 @@ def commands(page):
 
 
 def needs_formats(line):
-    """Whether carpark_formats has the command."""
+    """Whether carpark_formats has the command, or its flags."""
+    if line.startswith("carpark_mj export "):
+        return ".npz" not in line
     return line.startswith(tuple(f"carpark_mj {name}" for name in FORMATS["command"]))
 
 
@@ -84,19 +85,9 @@ COMMAND_LINES = sorted(
 )
 
 
-def test_observations_and_inputs_of_a_model_are_those_of_the_code():
+def test_observations_are_those_of_the_code():
     expected = markdown_table(make_fields(EnvConfig()))
     assert section(TEXTS["observation"], "observation table") == expected, expected
-    with (DOCS / "model_inputs.csv").open(newline="") as file:
-        found = list(csv.reader(file))
-    expected = [["input", "shape", "unit", "meaning"]]
-    for entry in INPUTS:
-        shape = ", ".join(map(str, entry.dims)) + "," * (len(entry.dims) == 1)
-        unit = entry.unit or entry.dtype
-        expected.append([entry.name, f"({shape})", unit, entry.meaning])
-    assert found == expected
-    named = re.findall(r"`(\w+)`", section(TEXTS["deployment"], "inputs of a car"))
-    assert named == [entry.name for entry in INPUTS]
 
 
 def test_report_and_readme_have_rows_of_the_physics_table():

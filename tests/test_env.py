@@ -11,15 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.scenes import check_occupancy, fields_of
-from helpers.sliding import (
-    APART,
-    HALT,
-    MAX_STEPS,
-    in_goal,
-    placed,
-    slide,
-    start,
-)
+from helpers.sliding import APART, HALT, MAX_STEPS, in_goal, placed, slide, start
 from helpers.trees import agent_of, leaves, same
 
 from carpark_mj.config import (

@@ -14,6 +14,7 @@ from helpers.programs import ROOT, python
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.suite.tpcap import TpcapConfig
 
 EXAMPLES = ROOT / "examples"
 
@@ -118,6 +119,29 @@ def test_a_search_learns_from_its_trials_and_ends_bad_ones(tmp_path, monkeypatch
     for config, trial in zip(asked, trials, strict=True):
         assert config.learning_rate == trial.params["learning_rate"]
         assert config.discount == 1.0 - trial.params["1 - discount"]
+
+
+@pytest.mark.slow
+def test_planned_paths_are_drawn(tmp_path):
+    pytest.importorskip("ompl")
+    flags = ("--levels", "extreme", "tpcap", "--cases", "1", "--out", "a.png")
+    ended = python(EXAMPLES / "planned_paths.py", *flags, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_start_and_goal_are_in_view_and_far_obstacles_are_not(monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    example = importlib.import_module("planned_paths")
+    layout = jax.device_get(TpcapConfig(4).generate(jax.random.key(0)))
+    low, high = example.view(layout, None)
+    ends = np.stack([layout.spawn_pose[0, :2], layout.bay_pose[0, :2]])
+    assert (low <= ends.min(axis=0)).all()
+    assert (high >= ends.max(axis=0)).all()
+    more = high - low - np.ptp(ends, axis=0) - 2 * example.AROUND
+    assert more.min() == pytest.approx(0.0, abs=1e-3)  # as close as the frame allows
+    assert (high - low)[0] == pytest.approx(example.ASPECT * (high - low)[1])
+    assert (high - low < 2 * layout.extent).any()
 
 
 SECONDS, PERIOD = 20.0, 0.2

@@ -88,7 +88,7 @@ def shape(line):
 @pytest.mark.parametrize("path", TUTORIALS)
 def test_a_tutorial_runs_and_prints_what_it_shows(path, tmp_path, monkeypatch):
     text = path.read_text()
-    needs = {"onnx": "onnxruntime", "parallel_env": "pettingzoo", "PIL": "PIL"}
+    needs = {"onnx": "carpark_formats", "parallel_env": "pettingzoo", "PIL": "PIL"}
     for word, package in needs.items():
         if word in text:
             pytest.importorskip(package)

@@ -1,4 +1,4 @@
-"""The policy of an evaluation, a video or a viewer, and its environment."""
+"""The policy of an evaluation, a video or a viewer, its environment, its checkpoint."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -7,15 +7,18 @@ from typing import Any
 
 from carpark_mj import pretrained
 from carpark_mj.cli.flags import as_flags, read_flags
-from carpark_mj.cli.settings.driving import LotSettings
+from carpark_mj.cli.settings.driving import ExportConfig, LotSettings
 from carpark_mj.config import EnvConfig, FleetConfig, RandomizationConfig, SensorConfig
 from carpark_mj.env import ParkingEnv
+from carpark_mj.extensions import unknown_name
+from carpark_mj.files import require_writable
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.checkpoints import CheckpointError
-from carpark_mj.policy.loading import load_policy
+from carpark_mj.policy.loading import load_policy, save_policy
 from carpark_mj.policy.named import POLICIES, find_named
 from carpark_mj.policy.networks import Policy
+from carpark_mj.policy.widening import save_mean
 from carpark_mj.registry import environment
 from carpark_mj.spawning.checks import parked_cars_needed
 
@@ -126,3 +129,20 @@ def adapt(
     if "vehicle" in given:
         given["fleet"] = FleetConfig()
     return dataclasses.replace(env, **given)
+
+
+def export(config: ExportConfig) -> Path:
+    """Writes a policy, or the mean of two, as a checkpoint alone; returns the file."""
+    out = Path(config.out)
+    if out.suffix != ".npz":
+        suffix = out.suffix[1:] if config.out else "onnx"
+        raise ValueError(unknown_name("format to export", suffix, ["npz"]))
+    load_policy(config.run)
+    require_writable(out, new_folders=True)  # before the work
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if config.mean_with:
+        save_mean(config.run, config.mean_with, out)
+    else:
+        save_policy(config.run, out)
+    print(f"wrote {out}: {out.stat().st_size / 1e6:.2f} MB")
+    return out

@@ -24,7 +24,7 @@ from tyro.constructors import (
 
 from carpark_mj import config as known  # its names load what they are of
 from carpark_mj.config.checks import Range
-from carpark_mj.extensions import VARIABLE
+from carpark_mj.extensions import FORMATS, VARIABLE, unknown_name
 from carpark_mj.pretrained import describe_names
 
 Config = TypeVar("Config")
@@ -186,6 +186,8 @@ def _sentence(box: str) -> str:
     for words, plain in PYTHON_WORDS.items():
         sentence = sentence.replace(words, plain)
     unknown = re.search(r"--[\w.-]+", sentence)
+    if unknown and unknown[0] in FORMATS["flag"]:
+        return unknown_name("flag", unknown[0], ())
     meant = re.findall(r"^--\w[\w.-]*", "\n".join(lines), re.MULTILINE)
     # Tyro lists them in another order.
     near = unknown and difflib.get_close_matches(unknown[0], meant, 1, 0.0)

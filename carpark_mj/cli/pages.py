@@ -6,16 +6,14 @@ imported before it is open.
 
 import contextlib
 import dataclasses
-import sys
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from typing import Any
 
 from carpark_mj.cli.clock import CLOCK, PERIOD, wait_for_user
-from carpark_mj.cli.process import one_line
 from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig, ServeConfig
 from carpark_mj.extensions import Entry, require_packages
-from carpark_mj.rendering.local_pages import HOST, Chosen
+from carpark_mj.rendering.local_pages import HOST
 
 
 @contextlib.contextmanager
@@ -45,38 +43,17 @@ def open_page(port: int, wanted: bool = True) -> Generator[Any]:
         server.stop()
 
 
-def show_lots(config: Any, wanted: bool, show: Callable[[Any, Any], None]) -> None:
-    """Shows a lot, and each that is chosen on its page, for which browsers wait.
-
-    A lot that cannot be shown is reported, and the one before it is shown again. `show`
-    shows the lot of a config on a page, if wanted; it raises `Chosen` for another one.
-    """
-    before = None
-    while True:
-        try:
-            with open_page(config.port, wanted) as page:
-                show(config, page)
-            return
-        except Chosen as chosen:
-            before, config = config, chosen.args[0]
-        except (OSError, ValueError) as error:
-            if before is None:
-                raise
-            print(one_line(error), file=sys.stderr, flush=True)
-            before, config = None, before
-
-
 def scene(config: SceneConfig) -> None:
     """`carpark_mj scene`."""
-    main = Entry("carpark_mj.cli.scene:main")
-    show_lots(config, config.view == "web", lambda *given: main.load()(*given))
+    with open_page(config.port, config.view == "web") as page:
+        Entry("carpark_mj.cli.scene:main").load()(config, page)
 
 
 def play(config: PlayConfig) -> None:
     """`carpark_mj play`."""
-    main = Entry("carpark_mj.cli.play:main")
     on_page = config.shown_in == "web" and not config.video
-    show_lots(config, on_page, lambda *given: main.load()(*given))
+    with open_page(config.port, on_page) as page:
+        Entry("carpark_mj.cli.play:main").load()(config, page)
 
 
 def serve(config: ServeConfig) -> None:

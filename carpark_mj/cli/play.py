@@ -23,7 +23,7 @@ if not has_display():
 from carpark_mj.cli.clock import COMPILING, PLACING, doing, wait_for_user
 from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.cli.process import one_line, patient_interrupts
-from carpark_mj.cli.scene import default_env, offer, run_live
+from carpark_mj.cli.scene import default_env, run_live
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable
 from carpark_mj.play.demonstration import Demonstration, load_demonstration
@@ -174,7 +174,7 @@ def make_wheel(config: PlayConfig, page: Any) -> tuple[Any, DrivenLot, dict[str,
         return pad(Controls(steer, pedal).action, env.action_spec.size)
 
     lot = DrivenLot(env, others, config.seed, read, lambda lot: save(lot, folder))
-    viewer = make_live_viewer(page, lot, offer(page, config))
+    viewer = make_live_viewer(page, lot)
     gui = page.gui
     with gui.add_folder("Drive"):
         gui.add_markdown("Arrows or WASD: steer, drive. Space: brake. R: restart.")

@@ -1,7 +1,6 @@
 """`carpark_mj scene`: a car park as MJCF, in a file or in a viewer."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +10,13 @@ import numpy as np
 
 from carpark_mj.cli.clock import COMPILING, PLACING, doing, wait_for_user
 from carpark_mj.cli.driver import adapted, find_driver
-from carpark_mj.cli.process import one_line
-from carpark_mj.cli.settings.driving import (
-    LotSettings,
-    SceneConfig,
-    SceneOutput,
-    ShownLot,
-)
-from carpark_mj.config import LAYOUTS, EnvConfig
+from carpark_mj.cli.settings.driving import LotSettings, SceneConfig, SceneOutput
+from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.files import require_writable, write_text
 from carpark_mj.layouts import layout_config
-from carpark_mj.pretrained import pretrained_names
 from carpark_mj.registry import environment
 from carpark_mj.rendering.gl import missing_display
-from carpark_mj.rendering.local_pages import Chosen
 from carpark_mj.rendering.web import LiveLot, make_live_viewer, make_viewer
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.checks import has_exits
@@ -66,46 +57,6 @@ def default_env(config: LotSettings) -> EnvConfig:
     return EnvConfig(layout=name, num_agents=agents, num_parked_cars=parked)
 
 
-DEFAULT, NOBODY = "default", "none"  # entries of the lists
-
-
-def offer(page: Any, config: ShownLot) -> Callable[[], None]:
-    """Lets a page choose another lot; gives what raises `Chosen` then, in any step."""
-    chosen: list[ShownLot] = []
-    layout, policy = config.layout or DEFAULT, config.policy or NOBODY
-    layouts = [*dict.fromkeys([DEFAULT, layout, *LAYOUTS])]
-    policies = [*dict.fromkeys([NOBODY, policy, *pretrained_names()])]
-    with page.gui.add_folder("Another lot"):
-        layout = page.gui.add_dropdown("Layout", layouts, initial_value=layout)
-        seed = page.gui.add_number("Seed", config.seed, min=0, step=1)
-        policy = page.gui.add_dropdown("Policy", policies, initial_value=policy)
-        show = page.gui.add_button("Show")
-        said = page.gui.add_markdown("")
-
-    @show.on_click
-    def _(_: Any) -> None:
-        try:
-            chosen.append(another(config, layout.value, seed.value, policy.value))
-        except ValueError as error:
-            said.content = one_line(error)
-
-    def check() -> None:
-        if chosen:
-            raise Chosen(chosen[0])
-
-    return check
-
-
-def another(config: ShownLot, layout: str, seed: int, policy: str) -> ShownLot:
-    """The config of another lot, from the entries of the lists."""
-    return dataclasses.replace(
-        config,
-        layout=None if layout == DEFAULT else layout,
-        seed=int(seed),
-        policy="" if policy == NOBODY else policy,
-    )
-
-
 def run_live(viewer: Any, lot: LiveLot) -> None:
     """Moves a lot on its page until Ctrl-C; until it can, the page shows its start."""
     doing(COMPILING)
@@ -121,7 +72,7 @@ def main(config: SceneConfig, page: Any = None) -> None:
         env = ParkingEnv(adapted(config, driver.env))
         doing(PLACING)
         lot = LiveLot(env, driver.policy(env), config.seed)
-        return run_live(make_live_viewer(page, lot, offer(page, config)), lot)
+        return run_live(make_live_viewer(page, lot), lot)
     require_view(config)
     if page is not None:
         doing(PLACING)
@@ -162,16 +113,7 @@ def show_scene(
     _require_display(output)
     if output.view == "web":
         model = spec.compile()
-        chosen = None
-        if isinstance(output, ShownLot) and not output.out:
-            chosen = offer(page, output)
-
-        def step(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-            if chosen:
-                chosen()
-            mujoco.mj_step(model, data)
-
-        viewer = make_viewer(page, model, mujoco.MjData(model), extent, step)
+        viewer = make_viewer(page, model, mujoco.MjData(model), extent)
         wait_for_user()
         viewer.run()
     elif output.view:

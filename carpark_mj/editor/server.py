@@ -14,15 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from carpark_mj.files import write_text
+from carpark_mj.layouts import files
 from carpark_mj.layouts.checks import ANY_CAR, list_faults
-from carpark_mj.layouts.files import (
-    FORMAT,
-    choices,
-    complete,
-    document_text,
-    parse_layout,
-    read_unchecked,
-)
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.reading import parse_object, read_bytes, read_object
 from carpark_mj.rendering.local_pages import HOST, NO_FRAMES, refusal
@@ -70,8 +63,8 @@ class Draft:
         """
         self.out = out
         self.kept = out.with_suffix(".draft.json")  # of unsaved changes
-        empty = {"format": FORMAT, "bays": [], "spawns": [], "extent": [*extent]}
-        self.saved = complete(empty) if source is None else _read(source)
+        empty = {"format": files.FORMAT, "bays": [], "spawns": [], "extent": [*extent]}
+        self.saved = files.complete(empty) if source is None else _read(source)
         # As the page last had it.
         self.document = _read(self.kept) if self.kept.exists() else self.saved
 
@@ -104,7 +97,7 @@ def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
     only; and `unreadable` if the lot cannot be read again.
     """
     try:
-        layout = parse_layout(document)
+        layout = files.parse_layout(document)
     except (ValueError, RecursionError) as error:
         rows = re.findall(r"\b(\w+)\[(\d+)\]", str(error))[:1]
         places = [[f"{kind}/{row}"] for kind, row in rows]
@@ -127,12 +120,12 @@ def find_faults(document: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _read(path: Path) -> dict[str, Any]:
     """Reads a layout file, which may have faults but not in its format."""
-    read_unchecked(path)
-    return complete(read_object(path))
+    files.read_unchecked(path)
+    return files.complete(read_object(path))
 
 
 def _write(path: Path, document: dict[str, Any]) -> None:
-    write_text(path, document_text(complete(document)))
+    write_text(path, files.document_text(files.complete(document)))
 
 
 PAGE = Path(__file__).parent / "page"
@@ -175,7 +168,7 @@ class EditorServer(ThreadingHTTPServer):
             ],
             "document": self.draft.document,
             "saved": self.draft.saved,
-            "choices": choices(),
+            "choices": files.choices(),
             "picture": self.picture and self.picture.size,
         }
 

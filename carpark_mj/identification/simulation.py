@@ -178,10 +178,7 @@ def _pieces(
 
 
 def _released(pedal: np.ndarray, speed: np.ndarray, stands: np.ndarray) -> np.ndarray:
-    """The pedal (n,) without the foot on the brake of a car that stands.
-
-    It would drive the car of `vehicle.drive` the other way.
-    """
+    """The pedal (n,) less the brake of a car that stands, which would drive it back."""
     moving = np.flatnonzero(~stands)
     after = np.searchsorted(moving, np.arange(len(pedal))).clip(max=len(moving) - 1)
     return np.where(stands & (pedal * speed[moving[after]] < 0), 0.0, pedal)

@@ -1,8 +1,6 @@
 """What agents observe: fields, and the functions that fill them."""
 
-from carpark_mj.observations.compose import cardinalities as cardinalities
 from carpark_mj.observations.compose import make_fields as make_fields
-from carpark_mj.observations.compose import markdown_table as markdown_table
 from carpark_mj.observations.compose import observation_size as observation_size
 from carpark_mj.observations.compose import observe as observe
 from carpark_mj.observations.compose import unpack as unpack

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import jax
@@ -86,32 +85,6 @@ def unpack(
 def observation_size(config: EnvConfig) -> int:
     """Length of an agent's observation."""
     return sum(field.size for field in make_fields(config))
-
-
-def cardinalities(config: EnvConfig) -> tuple[int, ...]:
-    """How many values each number of the observation can have, for tables."""
-    fields = make_fields(config)
-    if not all(field.is_whole and field.low == 0 for field in fields):
-        raise ValueError(
-            "a table needs an observation of whole numbers, not the encoding "
-            f"{config.observation.encoding!r}"
-        )
-    return tuple(int(field.high) + 1 for field in fields for _ in range(field.size))
-
-
-def markdown_table(fields: Iterable[Field]) -> str:
-    """Fields as a markdown table; of repeated entities the first.
-
-    Neighbours that differ in nothing but their names share a row.
-    """
-    rows = ["| field | size | range | meaning [unit] |", "|---|---|---|---|"]
-    first = [field for field in fields if field.index == 0]
-    for row, alike in itertools.groupby(
-        first, lambda x: f"{x.size} | {x.low:g} … {x.high:g} | {x.meaning} |"
-    ):
-        names = ", ".join(f"`{field.name}`" for field in alike)
-        rows.append(f"| {names} | {row}")
-    return "\n".join(rows)
 
 
 OWN = "own"  # name of the part that describes no repeated entity and is no picture

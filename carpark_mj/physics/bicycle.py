@@ -21,13 +21,7 @@ from flax import struct
 
 from carpark_mj.config import PHYSICS, EnvConfig, PhysicsConfig, SimConfig
 from carpark_mj.geometry import move_forward, wrap_angle
-from carpark_mj.physics.base import (
-    Physics,
-    contain_non_finite,
-    require_plain_ground,
-    run_substeps,
-    where_cars,
-)
+from carpark_mj.physics import base
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import drive
@@ -97,14 +91,14 @@ def accelerate(
     return jnp.sign(driven) * jnp.maximum(jnp.abs(driven) - brake / lever * dt, 0.0)
 
 
-class BicyclePhysics(Physics[BicycleState]):
+class BicyclePhysics(base.Physics[BicycleState]):
     """The kinematic bicycle behind the `Physics` interface."""
 
     config = PHYSICS.register("bicycle", BicycleConfig())
 
     def __init__(self, sim: SimConfig) -> None:
         """Takes the time steps; see `require_plain_ground` for what it refuses."""
-        require_plain_ground(sim, self.config.back_end)
+        base.require_plain_ground(sim, self.config.back_end)
         self.sim = sim
 
     @full_float32
@@ -139,7 +133,7 @@ class BicyclePhysics(Physics[BicycleState]):
             still.actuators, steering=state.actuators.steering
         )
         still = dataclasses.replace(still, actuators=actuators, trace_w=trace_w)
-        return where_cars(mask, still, state)
+        return base.where_cars(mask, still, state)
 
     @full_float32
     def step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
@@ -170,7 +164,7 @@ class BicyclePhysics(Physics[BicycleState]):
 
     def _step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
         vehicle = state.vehicle
-        carry, trace = run_substeps(
+        carry, trace = base.run_substeps(
             self.sim,
             lambda carry: self.substep(vehicle, controls, carry),
             (state.pose_w, state.speed, state.actuators),
@@ -178,7 +172,7 @@ class BicyclePhysics(Physics[BicycleState]):
         )
         moved = dict(zip(("pose_w", "speed", "actuators"), carry, strict=True))
         still = {"speed": jnp.zeros_like(state.speed)}
-        return contain_non_finite(state, {**moved, "trace_w": trace}, still)
+        return base.contain_non_finite(state, {**moved, "trace_w": trace}, still)
 
     def ahead(self, vehicle: Vehicle) -> jax.Array:
         """Footprint's centre ahead of the middle between the axles (...) [m]."""

@@ -21,18 +21,11 @@ from carpark_mj.geometry import move_forward, wrap_angle
 from carpark_mj.geometry.obstacles import Group
 from carpark_mj.layouts.types import Layout
 from carpark_mj.obstacles import make_movers, mover_shapes
+from carpark_mj.physics import scene_model
 from carpark_mj.physics.base import Physics, run_substeps
 from carpark_mj.physics.coordinates import CarDynamics, centre_pose, unpack_coordinates
 from carpark_mj.physics.forces import substep_forces
 from carpark_mj.physics.mjx import CarState, MjxPhysics, contain_cars, started
-from carpark_mj.physics.scene_model import (
-    Masses,
-    Moving,
-    SceneModel,
-    Solids,
-    absent,
-    solids_within,
-)
 from carpark_mj.precision import full_float32
 from carpark_mj.types import Motion
 from carpark_mj.vehicle.parameters import VehicleParameters
@@ -121,7 +114,7 @@ class ScenePhysics(Physics[SceneState]):
         self._num_parked_cars = num_parked_cars
         self._centre_offset = params.centre_offset
         self._counts = [group.count for group in movers]
-        self.scene = SceneModel(
+        self.scene = scene_model.SceneModel(
             sim, layout, params, num_agents, num_parked_cars, movers
         )
 
@@ -182,7 +175,7 @@ class ScenePhysics(Physics[SceneState]):
 
         Its movers are absent.
         """
-        nobody = absent(sum(self._counts))
+        nobody = scene_model.absent(sum(self._counts))
         with jax.named_scope("physics"):
             return self._step(state, controls, lambda left, pose_w: nobody)
 
@@ -202,14 +195,14 @@ class ScenePhysics(Physics[SceneState]):
             )
         with jax.named_scope("physics"):
             size = state.vehicle.size
-            movers = partial(solids_within, before, after, size=size)
+            movers = partial(scene_model.solids_within, before, after, size=size)
             return self._step(state, controls, movers)
 
     def _step(
         self,
         state: SceneState,
         controls: jax.Array,
-        movers: Callable[[jax.Array, jax.Array], Solids],
+        movers: Callable[[jax.Array, jax.Array], scene_model.Solids],
     ) -> SceneState:
         """Advances one lot.
 
@@ -218,7 +211,9 @@ class ScenePhysics(Physics[SceneState]):
         """
         cars = state.cars
         vehicle = in_conditions(state.vehicle, self.sim)
-        masses = Masses(vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos)
+        masses = scene_model.Masses(
+            vehicle.body_mass, vehicle.body_inertia, vehicle.body_ipos
+        )
         index = self._single.index
         forces = partial(substep_forces, index, dt=self.sim.sim_dt)
 
@@ -230,7 +225,7 @@ class ScenePhysics(Physics[SceneState]):
             car, parked_qpos, parked_qvel, touched, number = carry
             solids = movers(1.0 - number / self.sim.num_substeps, poses(carry))
             qfrc, ctrl, tyres, actuators = forces(vehicle, car, controls)
-            moving = Moving(car.qpos, car.qvel, parked_qpos, parked_qvel)
+            moving = scene_model.Moving(car.qpos, car.qvel, parked_qpos, parked_qvel)
             shapes = jax.tree.map(
                 lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), (moving, touched)
             )

@@ -20,7 +20,6 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.extensions import require_packages
 from carpark_mj.geometry.obstacles import Boxes, Group, by_shape
 from carpark_mj.obstacles import lot_obstacles
-from carpark_mj.planning.obstacles import FreeSpace, Solids
 from carpark_mj.planning.paths import (
     CREEP,
     CRUISE,
@@ -36,7 +35,7 @@ from carpark_mj.planning.paths import (
     rear_axle,
     track,
 )
-from carpark_mj.planning.search import Search, SearchConfig, search
+from carpark_mj.planning.search import FreeSpace, Search, SearchConfig, Solids, search
 from carpark_mj.policy.acting import StatePolicy
 from carpark_mj.policy.named import POLICIES
 from carpark_mj.types import State

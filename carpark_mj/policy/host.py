@@ -1,9 +1,12 @@
-"""Policies of other libraries: functions, torch modules, Stable-Baselines3, ONNX.
+"""Policies of other libraries: functions, torch modules, Stable-Baselines3.
 
 They are computed on the host, from NumPy observations of all agents of all lots at
 once, and drive wherever a policy does: in `carpark_mj.evaluate` and `render`, the
 suite, recordings, and by name on the command line (`carpark_mj.policy.named`).
 """
+
+# torch and Stable-Baselines3 are extras that the type checker does without.
+# pyright: reportMissingImports=false
 
 import contextlib
 import dataclasses
@@ -90,11 +93,11 @@ def from_torch(module: Any, env: Env = None) -> HostPolicy:
     It maps observations (n, size), of any number n, to actions.
     """
     require_packages("torch")
-    import torch  # pyright: ignore[reportMissingImports]
+    import torch
 
     name = type(module).__name__
     if isinstance(module, str | Path):
-        with _reading(module) as file:
+        with reading_file(module) as file:
             name, module = Path(file).stem, torch.export.load(file).module()
 
     def act(observation: Any) -> np.ndarray:
@@ -117,10 +120,10 @@ def from_sb3(model: Any, normalize: str | Path = "", env: Env = None) -> HostPol
     name, normalizer = type(model).__name__, None
     if isinstance(model, str | Path):
         require_packages("stable_baselines3")
-        with _reading(model) as file:
+        with reading_file(model) as file:
             name, model = Path(file).stem, _load_sb3(file)
     if normalize:
-        with _reading(normalize) as file:
+        with reading_file(normalize) as file:
             normalizer = pickle.loads(Path(file).read_bytes())
 
     def act(observation: Any) -> np.ndarray:
@@ -132,16 +135,8 @@ def from_sb3(model: Any, normalize: str | Path = "", env: Env = None) -> HostPol
 
 
 def _load_sb3(file: str) -> Any:
-    from stable_baselines3 import (  # pyright: ignore[reportMissingImports]
-        A2C,
-        DQN,
-        PPO,
-        SAC,
-        TD3,
-    )
-    from stable_baselines3.common.save_util import (  # pyright: ignore[reportMissingImports]
-        load_from_zip_file,
-    )
+    from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
+    from stable_baselines3.common.save_util import load_from_zip_file
 
     data = load_from_zip_file(file, device="cpu")[0] or {}
     # The policies of the first two are of the same classes.
@@ -151,33 +146,8 @@ def _load_sb3(file: str) -> Any:
     raise ValueError("it is no PPO, A2C, DQN, SAC or TD3: load it and pass the model")
 
 
-def from_onnx(path: str | Path, env: Env = None) -> HostPolicy:
-    """A policy from an ONNX model, whose first output is the action.
-
-    Its inputs are those of `carpark_mj export`, an input for every field, or one with
-    whole observations (batch, size).
-    """
-    require_packages("onnxruntime")
-    from carpark_mj.policy.onnx_export import make_session, split_observation
-
-    with _reading(path) as file:
-        session = make_session(file)
-    names = [entry.name for entry in session.get_inputs()]
-
-    def bind(env: ParkingEnv) -> Act:
-        def act(observation: Any) -> np.ndarray:
-            parts = {names[0]: observation}
-            if len(names) > 1:
-                parts = split_observation(env.config, observation)
-            return session.run(None, {name: parts[name] for name in names})[0]
-
-        return act
-
-    return HostPolicy(Path(path).stem, bind, env)
-
-
 @contextlib.contextmanager
-def _reading(path: str | Path) -> Generator[str]:
+def reading_file(path: str | Path) -> Generator[str]:
     """Gives the name of a file; what a library says of it becomes a `ValueError`."""
     Path(path).open("rb").close()
     try:

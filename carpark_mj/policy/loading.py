@@ -205,10 +205,7 @@ def _counts(fields: Sequence[Field]) -> dict[str, int]:
 
 
 def _drives_in(env: EnvConfig, fields: Sequence[Field], policy: Policy) -> Policy:
-    """A policy over `fields` for observations of an environment, which may lack some.
-
-    Observations of another size are refused.
-    """
+    """A policy over `fields` for observations of an environment that may lack some."""
     seen = make_fields(env)
     size, names = sum(field.size for field in seen), [field.name for field in seen]
     ends = np.cumsum([field.size for field in seen])

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.env import ParkingEnv
-from carpark_mj.extensions import Entry, Registry
+from carpark_mj.extensions import FORMATS, Entry, Registry
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.policy import host
 from carpark_mj.policy.acting import AnyPolicy, StatePolicy
@@ -70,14 +70,8 @@ def recorded_actions(env: ParkingEnv, path: Path) -> StatePolicy:
     return StatePolicy(lambda state: actions[jnp.minimum(state.step, len(rows))])
 
 
-# What makes policies, by the word before the colon in names such as `onnx:FILE`.
-READERS: dict[str, Callable[[str], Maker]] = {
-    "actions": lambda file: lambda env: recorded_actions(env, Path(file)),
-    "onnx": host.from_onnx,
-    "sb3": lambda files: host.from_sb3(*files.split(",", 1)),
-    "torch": host.from_torch,
-    "function": lambda home: _given.get(home) or host.from_function(_imported(home)),
-}
+# What makes policies, by the word before the colon in names such as `torch:FILE`.
+READERS: Registry[Callable[[str], Maker]] = Registry("kind of policy")
 _given: dict[str, Maker] = {}
 
 
@@ -101,7 +95,7 @@ def name_of(make: Maker) -> str:
 def find_named(name: str) -> Maker | None:
     """What makes a policy of `POLICIES` or `READERS`; None for other names."""
     kind, _, rest = name.partition(":")
-    if rest and kind in READERS:
+    if rest and (kind in READERS or kind in FORMATS["kind of policy"]):
         return READERS[kind](rest)
     if name in POLICIES:
         return POLICIES[name]
@@ -110,3 +104,9 @@ def find_named(name: str) -> Maker | None:
 
 POLICIES.register("zero", lambda env: zero_policy(env.action_spec))
 POLICIES.register("random", lambda env: random_policy(env.action_spec))
+READERS.register("actions", lambda x: lambda env: recorded_actions(env, Path(x)))
+READERS.register("sb3", lambda files: host.from_sb3(*files.split(",", 1)))
+READERS.register("torch", host.from_torch)
+READERS.register(
+    "function", lambda home: _given.get(home) or host.from_function(_imported(home))
+)

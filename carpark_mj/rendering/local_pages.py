@@ -1,4 +1,4 @@
-"""Pages for browsers on this machine: addresses, access and choices."""
+"""Pages for browsers on this machine: addresses and access."""
 
 import re
 from collections.abc import Sequence
@@ -12,10 +12,6 @@ HOST, PORT = "localhost", 8080
 # Bounded: viser would silently choose another one.
 Port = Annotated[int, Bounds(ge=1, le=65_535)]
 LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
-
-
-class Chosen(Exception):  # noqa: N818 - no error
-    """Another lot has been chosen on the page; its argument is the config of it."""
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | None:

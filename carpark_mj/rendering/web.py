@@ -196,10 +196,8 @@ def make_viewer(
     return viewer
 
 
-def make_live_viewer(
-    server: Any, lot: LiveLot, before: Callable[[], None] = lambda: None
-) -> Any:
-    """Shows a lot in which a policy drives, `before` every step; see `make_viewer`."""
+def make_live_viewer(server: Any, lot: LiveLot) -> Any:
+    """Shows a lot in which a policy drives; see `make_viewer`."""
     goals: list[Any] = []
     restarting = threading.Event()
 
@@ -217,7 +215,6 @@ def make_live_viewer(
         tally.content = f"**{lot.seconds:.0f} s**: {words}\n\n{lot.note}"
 
     def step(*scene: Any) -> None:
-        before()
         if restarting.is_set():
             restarting.clear()
             reset(*scene)

@@ -13,12 +13,7 @@ from carpark_mj.layouts import types as lot
 from carpark_mj.layouts.types import DiscKind, Layout, WallKind
 from carpark_mj.scene import looks
 from carpark_mj.scene.cameras import add_car_cameras, view_yaw
-from carpark_mj.scene.car_mesh import (
-    add_mesh,
-    car_meshes,
-    merge,
-    standing_wheels,
-)
+from carpark_mj.scene.car_mesh import add_mesh, car_meshes, merge, standing_wheels
 from carpark_mj.scene.looks import nearest_style
 from carpark_mj.vehicle.contact_wheels import add_locked_tyres
 from carpark_mj.vehicle.mjcf import WHEELS, add_car

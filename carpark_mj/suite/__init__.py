@@ -4,12 +4,6 @@ Importing the package registers their layouts, cars, movers, environments and le
 """
 
 # They import the others: the cases of HOPE, TPCAP and MetaDrive.
-from carpark_mj.suite import (
-    busy,
-    environments,
-    lots,
-    scenario,
-    standard_tests,
-)
+from carpark_mj.suite import busy, environments, lots, scenario, standard_tests
 
 __all__ = ["busy", "environments", "lots", "scenario", "standard_tests"]

@@ -27,26 +27,13 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig, LayoutConfig, MetricsConfig
 from carpark_mj.geometry import norm
-from carpark_mj.layouts.build import (
-    assemble,
-    bays,
-    boundary,
-    lanes,
-    spawns_in,
-    two_lanes,
-)
+from carpark_mj.layouts import build
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.layouts.types import Layout, WallKind
 from carpark_mj.movers.pedestrians import Pedestrians
 from carpark_mj.movers.scripted import ScriptedBox, ScriptedPerson
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.suite.levels import (
-    LEVELS,
-    CaseLevel,
-    Cases,
-    CaseStart,
-    read_published,
-)
+from carpark_mj.suite.levels import LEVELS, CaseLevel, Cases, CaseStart, read_published
 
 COLUMNS = 10  # bays in a row
 WIDTH, LENGTH = 2.5, 5.0  # m, of a bay
@@ -72,13 +59,13 @@ def aisle_lot(aisle: jax.Array, absent: jax.Array) -> Layout:
     there = jnp.arange(2 * COLUMNS) != absent
     half_y = aisle / 2 + LENGTH
     ground = jnp.stack([jnp.float32(2 * HALF_X), aisle])
-    lane = two_lanes(jnp.zeros(3), ground)
-    return assemble(
+    lane = build.two_lanes(jnp.zeros(3), ground)
+    return build.assemble(
         jnp.stack([jnp.float32(HALF_X), half_y]),
-        bays(jnp.concatenate([low, high]), (LENGTH, WIDTH), mask=there),
-        boundary(HALF_X, half_y, WALL, WallKind.WALL),
-        lanes(*lane, one_way=False),
-        spawns_in(DesignCar(), jnp.zeros((1, 3)), ground[None]),
+        build.bays(jnp.concatenate([low, high]), (LENGTH, WIDTH), mask=there),
+        build.boundary(HALF_X, half_y, WALL, WallKind.WALL),
+        build.lanes(*lane, one_way=False),
+        build.spawns_in(DesignCar(), jnp.zeros((1, 3)), ground[None]),
     )
 
 
@@ -88,7 +75,6 @@ class BusyAisle(LayoutConfig):
 
     Attributes:
         aisle: range of its width [m].
-        family: fixed.
     """
 
     aisle: tuple[float, float] = (6.0, 7.0)

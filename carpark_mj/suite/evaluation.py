@@ -19,7 +19,6 @@ from carpark_mj.cli.clock import COMPILING, doing
 from carpark_mj.cli.driver import find_driver
 from carpark_mj.cli.settings.tables import WORST, SuiteConfig
 from carpark_mj.config import EnvConfig, EpisodeConfig, SpawnConfig, find_rules
-from carpark_mj.config.checks import counted
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import Row, complete_row
 from carpark_mj.evaluation.evaluator import ended_episodes
@@ -43,24 +42,10 @@ from carpark_mj.policy.acting import (
 from carpark_mj.policy.named import RECORDED, find_named
 from carpark_mj.spawning.reset_options import check_starts
 from carpark_mj.suite.hope import HopeConfig
-from carpark_mj.suite.levels import (
-    Cases,
-    CaseStart,
-    find_level,
-    require_filmed,
-)
+from carpark_mj.suite.levels import Cases, CaseStart, find_level, require_filmed
 from carpark_mj.suite.page import write_report
-from carpark_mj.suite.path_figure import Drawn
 from carpark_mj.suite.report import PLANNER, made_with, require_gl, worst_first
-from carpark_mj.suite.results import (
-    CAR,
-    VEHICLE,
-    Drives,
-    Key,
-    Scene,
-    key_of,
-    read_runs,
-)
+from carpark_mj.suite.results import CAR, VEHICLE, Drives, Key, Scene, key_of, read_runs
 from carpark_mj.types import State
 from carpark_mj.vehicle import preset
 
@@ -70,7 +55,6 @@ MOVING = ("person", "mover")  # what cars of a level with movers may hit
 PLAIN = "movers", "fleet", "jitter", "randomization", "sensors", "metrics"
 BLIND = (PLANNER, "zero", "random")  # policies that use no observation
 TIMED = 20  # calls of a policy whose shortest counts
-MOST_DRAWN, DRAWN = 200, 4  # cases of a level in the picture of paths; those of more
 
 
 def suite_env(env: EnvConfig, rule: str, vehicle: str = VEHICLE) -> EnvConfig:
@@ -250,18 +234,17 @@ def main(config: SuiteConfig) -> list[dict[str, Any]]:
     if config.videos:
         require_gl()
     require_writable(folder / "suite.csv", new_folders=True)  # refused before the work
-    drawn: Drawn = []
     if config.combine:
         episodes, drives = read_runs([Path(name) for name in config.combine])
         for level in {row["level"] for row in episodes} if config.videos else ():
             require_filmed(level)
     else:
-        episodes, drives, drawn = _drive_all(config)
-    return write_report(folder, episodes, drives, drawn, config.videos)
+        episodes, drives = _drive_all(config)
+    return write_report(folder, episodes, drives, config.videos)
 
 
-def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn]:
-    """Episodes, the driven paths of the worst ones, and the planner's first paths."""
+def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives]]:
+    """Episodes, and the driven paths of the worst ones."""
 
     @functools.cache
     def evaluator_of(env: EnvConfig) -> CaseEvaluator:
@@ -286,7 +269,6 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
     cases = [find_level(level).pick(part) for level in config.levels]
     episodes: list[Row] = []
     drives: dict[Key, Drives] = {}
-    drawn: Drawn = []
     for name, seed in itertools.product(config.policies, config.seeds):
         for part, task in zip(cases, tasks[name], strict=True):
             evaluator, policy, planner = task
@@ -297,8 +279,6 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
                 seconds = evaluator.decision_time(policy, part)
             else:
                 rows = [row | _plan(planner, lot) for lot, row in enumerate(rows)]
-                if seed == config.seeds[0]:
-                    drawn += _drawn(planner, part)
                 seconds = planner.seconds / planner.decisions
             level = find_level(part.level)
             vehicle = level.vehicle or config.vehicle
@@ -311,7 +291,7 @@ def _drive_all(config: SuiteConfig) -> tuple[list[Row], dict[Key, Drives], Drawn
             for row in worst_first(rows)[:WORST]:
                 number, length = rows.index(row), round(row["length"])
                 drives[key_of(row)] = driven.of(number, length)
-    return episodes, drives, drawn
+    return episodes, drives
 
 
 def _plan(planner: Planner, lot: int) -> Row:
@@ -322,20 +302,3 @@ def _plan(planner: Planner, lot: int) -> Row:
         "planned_path": path.length if path else math.nan,
         "planning_seconds": seconds,
     }
-
-
-def _drawn(planner: Planner, cases: Cases) -> Drawn:
-    """Titles, layouts and paths of the cases in the picture."""
-    found: Drawn = []
-    if cases.start is not None and cases.start.options.goal is None:
-        return found  # of goals drawn at random
-    many = len(find_level(cases.level).numbers) > MOST_DRAWN
-    count, name = DRAWN if many else None, cases.level.partition(":")[0]
-    for lot, number in enumerate(cases.number[:count].tolist()):
-        path = planner.searches(lot, 0)[0].path
-        result = "no path"
-        if path:
-            result = f"{path.length:.1f} m, {counted(path.shifts, 'gear change')}"
-        layout = jax.tree.map(lambda x, lot=lot: x[lot], cases.layouts)
-        found.append((f"{name} {number}: {result}", layout, path))
-    return found

@@ -23,14 +23,8 @@ import numpy as np
 
 from carpark_mj.config import LayoutConfig, register_layout
 from carpark_mj.geometry import box_corners, box_distance, boxes_overlap, move_forward
+from carpark_mj.layouts import standards
 from carpark_mj.layouts.build import assemble, bays, spawns, walls
-from carpark_mj.layouts.standards import (
-    DesignCar,
-    Level,
-    Orientation,
-    TightBay,
-    tight_bay,
-)
 from carpark_mj.layouts.types import Layout, WallKind
 from carpark_mj.suite.tpcap import START, TPCAP_CAR
 
@@ -64,12 +58,11 @@ class HopeConfig(LayoutConfig):
         level: how much room there is, see `standards.tight_bay`.
         orientation: of the bay to the aisle; `extreme` exists for `parallel` only.
         car: the design car of the case; by default HOPE's and TPCAP's.
-        family: fixed.
     """
 
-    level: Level = "normal"
-    orientation: Orientation = "perpendicular"
-    car: DesignCar = TPCAP_CAR
+    level: standards.Level = "normal"
+    orientation: standards.Orientation = "perpendicular"
+    car: standards.DesignCar = TPCAP_CAR
     family: str = "hope"
     is_enclosed = False  # cars can leave
 
@@ -78,9 +71,9 @@ class HopeConfig(LayoutConfig):
         _ = self.room
 
     @property
-    def room(self) -> TightBay:
+    def room(self) -> standards.TightBay:
         """The room that the level leaves; an unknown name is a ValueError."""
-        return tight_bay(self.orientation, self.level, self.car)
+        return standards.tight_bay(self.orientation, self.level, self.car)
 
     @property
     def min_bays(self) -> int:
@@ -152,8 +145,8 @@ def _draw_case(level: _Level, key: jax.Array) -> Layout:
 
 
 # The levels that HOPE has.
-for _level in get_args(Level):
-    for _side in get_args(Orientation):
+for _level in get_args(standards.Level):
+    for _side in get_args(standards.Orientation):
         if (_level, _side) != ("extreme", "perpendicular"):
             register_layout(f"hope_{_level}_{_side}", HopeConfig(_level, _side))
 

@@ -51,7 +51,6 @@ class MetaDriveConfig(LayoutConfig):
 
     Attributes:
         spaces: on both sides together, an even number.
-        family: fixed.
     """
 
     spaces: Annotated[int, Bounds(ge=4, le=1000)] = 8

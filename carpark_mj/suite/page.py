@@ -20,37 +20,10 @@ import numpy as np
 from carpark_mj.cli.settings.tables import WORST, ReportConfig
 from carpark_mj.config.checks import require_name
 from carpark_mj.evaluation.aggregation import Row, wilson_interval
-from carpark_mj.evaluation.tables import picture, print_rows, table, write_page
+from carpark_mj.evaluation.tables import print_rows, table, write_page
 from carpark_mj.files import require_writable
-from carpark_mj.suite.path_figure import Drawn, plot_paths
-from carpark_mj.suite.report import (
-    PLANNER,
-    PRINTED,
-    by_level,
-    film_of,
-    header,
-    make_videos,
-    same_columns,
-    short_level,
-    shown_cells,
-    shown_levels,
-    table_rows,
-    tables_of,
-    worst_first,
-    write_tables,
-)
-from carpark_mj.suite.results import (
-    Drives,
-    Key,
-    by_policy,
-    key_of,
-    read_runs,
-    vehicle_of,
-    write_run,
-    write_submission,
-)
+from carpark_mj.suite import report, results
 from carpark_mj.types import ENDINGS
-from carpark_mj.vehicle import preset
 
 # Shares of all repetitions.
 RATES = "parked", "crashed", "timed_out", "hit_person", "hit_mover", "near_miss"
@@ -190,17 +163,17 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
     limits = list(map(parse_limit, config.limits))
     page, folders = Path(config.out), list(map(Path, config.runs))
     require_writable(page, new_folders=True)
-    episodes, _ = read_runs(folders)
+    episodes, _ = results.read_runs(folders)
     films = {
         key: file
         for folder in reversed(folders)  # the first one's count
-        for key in map(key_of, episodes)
-        if (file := film_of(folder, key)).exists()
+        for key in map(results.key_of, episodes)
+        if (file := report.film_of(folder, key)).exists()
     }
     page.parent.mkdir(parents=True, exist_ok=True)
     judged = write_test_page(page, episodes, films, limits, config.title)
     if judged:
-        print_rows(judged, config.title or header(episodes)[0], left=4)
+        print_rows(judged, config.title or report.header(episodes)[0], left=4)
     print(f"wrote {page}")
     return judged
 
@@ -208,69 +181,68 @@ def main(config: ReportConfig) -> list[dict[str, Any]]:
 def write_report(
     folder: Path,
     episodes: Sequence[Row],
-    drives: Mapping[Key, Drives],
-    drawn: Drawn,
+    drives: Mapping[results.Key, results.Drives],
     num_videos: int,
 ) -> list[dict[str, Any]]:
     """Writes all files of the suite and prints the table; returns the table's rows.
 
-    `drives` are those of the worst episodes, `drawn` the cases of the picture of paths;
-    `num_videos` are made of each policy and level.
+    `drives` are those of the worst episodes; `num_videos` are made of each policy and
+    level.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    page, pictures = folder / "suite.html", list[Path]()
-    if drawn:
-        pictures.append(folder / "paths.png")
-        plot_paths(pictures[0], drawn, preset(vehicle_of(episodes[0])))
-    rows, head = all_rows(episodes), header(episodes)
-    written = [*write_run(folder, episodes, drives), write_submission(folder, episodes)]
-    written += [*write_tables(folder, head, rows), page]
-    write_test_page(page, episodes, {}, pictures=pictures)
-    shown = [shown_cells(row) | {"level": short_level(row["level"])} for row in rows]
-    cells = [{k: x for k, x in row.items() if k in PRINTED} for row in shown]
+    page = folder / "suite.html"
+    rows, head = all_rows(episodes), report.header(episodes)
+    written = [
+        *results.write_run(folder, episodes, drives),
+        results.write_submission(folder, episodes),
+    ]
+    written += [*report.write_tables(folder, head, rows), page]
+    write_test_page(page, episodes, {})
+    shown = [
+        report.shown_cells(row) | {"level": report.short_level(row["level"])}
+        for row in rows
+    ]
+    cells = [{k: x for k, x in row.items() if k in report.PRINTED} for row in shown]
     print_rows(cells, head[0], left=2)
     if len({row["level"] for row in rows}) > 1:
-        print_rows(by_level(rows), "Parked [%] with Wilson's 95 % interval", left=1)
-    parts = by_policy(episodes).values()
-    worst = [row for part in parts for row in worst_first(part)[:num_videos]]
-    if films := make_videos(folder, worst, drives):  # once more, with them
-        write_test_page(page, episodes, films, pictures=pictures)
-    print(f"wrote {', '.join(map(str, [*written, *pictures]))}")
+        print_rows(
+            report.by_level(rows), "Parked [%] with Wilson's 95 % interval", left=1
+        )
+    parts = results.by_policy(episodes).values()
+    worst = [row for part in parts for row in report.worst_first(part)[:num_videos]]
+    if films := report.make_videos(folder, worst, drives):  # once more, with them
+        write_test_page(page, episodes, films)
+    print(f"wrote {', '.join(map(str, written))}")
     return rows
 
 
 def write_test_page(
     page: Path,
     episodes: Sequence[Row],
-    films: Mapping[Key, Path],
+    films: Mapping[results.Key, Path],
     limits: Sequence[Limit] = (),
     title: str = "",
-    pictures: Sequence[Path] = (),
 ) -> list[dict[str, Any]]:
-    """Writes the page with films, embedded; returns the limits' rows.
-
-    The pictures are PNG files.
-    """
-    names = shown_levels(row["level"] for row in episodes)
+    """Writes the page with films, embedded; returns the limits' rows."""
+    names = report.shown_levels(row["level"] for row in episodes)
     parts = {
         f"{policy}, {names[level]}": part
-        for (policy, level), part in by_policy(episodes).items()
+        for (policy, level), part in results.by_policy(episodes).items()
     }
     judged = [
         {"policy and level": which} | judge(limit, part)
         for which, part in parts.items()
         for limit in limits
     ]
-    own, *about = header(episodes)
+    own, *about = report.header(episodes)
     sections = [("Limits", PRINT + table(judged))] if judged else [("", PRINT)]
-    found = tables_of(all_rows(episodes))
+    found = report.tables_of(all_rows(episodes))
     sections += [(heading, table(_filled(cells))) for heading, cells in found.items()]
-    sections += [(path.stem.capitalize(), picture(path)) for path in pictures]
     sections.append(("Distributions", histograms(parts)))
     contacts = [x for x in episodes if x["crashed"] or x.get("near_miss")]
     sections.append(("Contacts and near misses", table(list(map(_contact, contacts)))))
     for which, part in parts.items():
-        worst = worst_first(part)[:WORST]
+        worst = report.worst_first(part)[:WORST]
         shown = "".join(_film(row, films) for row in worst)
         sections.append((f"Worst of {which}", table(list(map(_worst, worst))) + shown))
     sections.append(("To repeat", table(list(map(_repeat, parts.values())))))
@@ -281,8 +253,12 @@ def write_test_page(
 
 def all_rows(episodes: Sequence[Row]) -> list[Row]:
     """The table: the planner first, as others are compared with its paths."""
-    names = sorted({row["policy"] for row in episodes}, key=lambda n: (n != PLANNER, n))
-    return same_columns([row for name in names for row in table_rows(name, episodes)])
+    names = sorted(
+        {row["policy"] for row in episodes}, key=lambda n: (n != report.PLANNER, n)
+    )
+    return report.same_columns(
+        [row for name in names for row in report.table_rows(name, episodes)]
+    )
 
 
 def _filled(cells: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
@@ -292,7 +268,7 @@ def _filled(cells: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
 
 
 def _contact(row: Row) -> dict[str, Any]:
-    level = short_level(row["level"])
+    level = report.short_level(row["level"])
     which = {"policy": row["policy"], "level": level}
     which |= {name: row[name] for name in ("case", "seed")}
     hit = [x.removeprefix("hit_") for x in row if x.startswith("hit_") and row[x]]
@@ -328,9 +304,9 @@ def _repeat(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _film(row: Row, films: Mapping[Key, Path]) -> str:
+def _film(row: Row, films: Mapping[results.Key, Path]) -> str:
     """The film of an episode, embedded, if there is one."""
-    if (file := films.get(key_of(row))) is None:
+    if (file := films.get(results.key_of(row))) is None:
         return ""
     data = base64.b64encode(file.read_bytes()).decode()
     return (

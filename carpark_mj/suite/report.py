@@ -13,9 +13,7 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.evaluation.aggregation import Row, summarize, wilson_interval
-from carpark_mj.evaluation.tables import (
-    markdown,
-)
+from carpark_mj.evaluation.tables import markdown
 from carpark_mj.files import write_csv, write_text
 from carpark_mj.geometry.obstacles import take
 from carpark_mj.rendering.gl import choose_gl
@@ -24,13 +22,7 @@ from carpark_mj.rendering.renderer import LotRenderer, RenderingError
 from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import draw_frame, frame_indices, write_video
 from carpark_mj.suite.levels import find_level, in_order, pick_cases
-from carpark_mj.suite.results import (
-    VEHICLE,
-    Drives,
-    Key,
-    key_of,
-    vehicle_of,
-)
+from carpark_mj.suite.results import VEHICLE, Drives, Key, key_of, vehicle_of
 from carpark_mj.types import NO_BAY, OUTCOMES
 from carpark_mj.vehicle import preset
 from carpark_mj.vehicle.parameters import scaled

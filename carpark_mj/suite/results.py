@@ -19,13 +19,7 @@ import numpy as np
 from carpark_mj.evaluation.aggregation import Row, summarize
 from carpark_mj.files import write_atomically, write_csv, write_json
 from carpark_mj.geometry.obstacles import Group
-from carpark_mj.reading import (
-    TEXT,
-    Archive,
-    ArrayForm,
-    CsvRow,
-    read_csv,
-)
+from carpark_mj.reading import TEXT, Archive, ArrayForm, CsvRow, read_csv
 from carpark_mj.suite.levels import find_level
 from carpark_mj.types import ENDINGS, ParkedCars
 

@@ -30,13 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import EnvConfig, FleetConfig, LayoutConfig, MetricsConfig
-from carpark_mj.config.checks import (
-    Bounds,
-    CheckedConfig,
-    Count,
-    Natural,
-    Positive,
-)
+from carpark_mj.config.checks import Bounds, CheckedConfig, Count, Natural, Positive
 from carpark_mj.layouts.registry import FixedLayoutConfig, make_layout
 from carpark_mj.layouts.standards import BAY_LENGTH, BAY_WIDTH
 from carpark_mj.layouts.types import BayEnd, Layout, layout_maxima, pad_layout

@@ -254,7 +254,6 @@ class TpcapConfig(LayoutConfig):
 
     Attributes:
         case: its number, 1 to 20; None = any of them.
-        family: fixed.
     """
 
     case: int | None = None

@@ -111,7 +111,7 @@ def evaluate(run: AnyRun, **settings: Any) -> "Evaluation":
     Args:
         run: a `Run`, a run's folder or checkpoint, a loaded policy, the name of a
             policy (a pretrained one, `zero`, `random`, `planner`, `onnx:FILE`), or what
-            makes one for an environment, as `from_onnx` and `from_function` give it.
+            makes one for an environment, as `from_torch` and `from_function` give it.
         **settings: of `carpark_mj.cli.evaluate.EvaluateConfig`.
 
     Raises:

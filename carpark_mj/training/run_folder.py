@@ -211,10 +211,7 @@ def named(arguments: Sequence[str], setting: str) -> str:
 def _read_file(
     path: Path, default: Config, presets: Mapping[str, Config], named: str
 ) -> Config:
-    """The settings of a file: the `config.json` of a run, or some in YAML.
-
-    The others are of the preset `named` on the command line, or of its own.
-    """
+    """The settings of a run's `config.json`, or of YAML, the others a preset's."""
     from carpark_mj.cli.flags import as_flags, read_flags
 
     text = read_text(path)

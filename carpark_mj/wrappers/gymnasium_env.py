@@ -20,16 +20,7 @@ from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.types import own_buffers
-from carpark_mj.wrappers.batch import (
-    HEIGHT,
-    RENDER_MODES,
-    WIDTH,
-    NumpyBatch,
-    Screen,
-    Seeds,
-    require_render_mode,
-    require_shape,
-)
+from carpark_mj.wrappers import batch
 from carpark_mj.wrappers.options import (
     OPTIONS,
     Options,
@@ -49,7 +40,7 @@ Given = dict[str, Any] | None  # options of `reset` for one agent
 class Parking:
     """What single environments and batches share."""
 
-    _batch: NumpyBatch
+    _batch: batch.NumpyBatch
     _by_env: Callable[[Any], Any]  # values of the environment from those of its batch
     _table: np.ndarray | None  # of discrete actions
     _spec: EnvSpec | None = None
@@ -93,7 +84,7 @@ class Parking:
     ) -> dict[str, Any]:
         """Sets what draws; returns the metadata."""
         self.render_mode = render_mode
-        self._screen = Screen(share(ParkingEnv, env.config), camera, None, *size)
+        self._screen = batch.Screen(share(ParkingEnv, env.config), camera, None, *size)
         metadata: Any = type(self).metadata  # pyright: ignore[reportAttributeAccessIssue]
         return {**metadata, "render_fps": round(1.0 / env.config.sim.ctrl_dt)}
 
@@ -113,14 +104,14 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
       goal are and the reward by term.
     """
 
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": batch.RENDER_MODES}  # noqa: RUF012
 
     def __init__(
         self,
         render_mode: str | None = None,
         camera: str = "topdown",
-        width: int = WIDTH,
-        height: int = HEIGHT,
+        width: int = batch.WIDTH,
+        height: int = batch.HEIGHT,
         **options: Unpack[Options],
     ) -> None:
         """Makes the environment; it is compiled by the first reset and step.
@@ -132,11 +123,11 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
             height: of pictures [pixels].
             **options: see `Options`; there is always one agent.
         """
-        require_render_mode(render_mode, RENDER_MODES)
+        batch.require_render_mode(render_mode, batch.RENDER_MODES)
         if (steps := _asked_steps(inspect.currentframe())) is not None:
             options["max_episode_steps"] = steps
         env = self._make(options)
-        self._batch = NumpyBatch(env, 1, restart=False)
+        self._batch = batch.NumpyBatch(env, 1, restart=False)
         self.metadata = self._open(env, render_mode, camera, width, height)
         self.observation_space = self._space(env)
         self.action_space = self._acts(env, options)
@@ -170,7 +161,7 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         if not self._running:
             raise ResetNeeded("call reset before the first step of an episode")
         action = np.asarray(action)
-        require_shape("an action", action, self.action_space.shape)
+        batch.require_shape("an action", action, self.action_space.shape)
         step = self._batch.step_numpy(self._rows(action))
         terminated, truncated = bool(step.terminated[0, 0]), bool(step.truncated[0, 0])
         self._running = not (terminated or truncated)
@@ -238,8 +229,8 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         num_envs: int = 1,
         render_mode: str | None = None,
         camera: str = "topdown",
-        width: int = WIDTH,
-        height: int = HEIGHT,
+        width: int = batch.WIDTH,
+        height: int = batch.HEIGHT,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **options: Unpack[Options],
     ) -> None:
@@ -248,7 +239,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         Modes by name are `SameStep`, `NextStep` and `Disabled`; in the last one
         environments whose episode has ended stand still until they are reset.
         """
-        require_render_mode(render_mode, self.metadata["render_modes"])
+        batch.require_render_mode(render_mode, self.metadata["render_modes"])
         mode = self.autoreset_mode = AutoresetMode(autoreset_mode)  # TorchRL reads it
         if mode not in self._modes:
             raise ValueError(
@@ -262,7 +253,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
                 f"{env.num_agents}, not {num_envs}"
             )
         same = mode is AutoresetMode.SAME_STEP
-        self._batch = NumpyBatch(env, num_envs // env.num_agents, restart=same)
+        self._batch = batch.NumpyBatch(env, num_envs // env.num_agents, restart=same)
         self.num_envs = num_envs
         self.metadata = self._open(env, render_mode, camera, width, height)
         self.metadata["autoreset_mode"] = mode
@@ -278,7 +269,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         return self._batch.num_lots
 
     def reset(
-        self, *, seed: Seeds = None, options: Given | list[dict[str, Any]] = None
+        self, *, seed: batch.Seeds = None, options: Given | list[dict[str, Any]] = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begins an episode in every environment.
 
@@ -292,7 +283,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         no = np.zeros(self.num_envs, bool)
         if isinstance(options, dict) and {*options} == {"reset_mask"}:
             due = np.asarray(options["reset_mask"], bool)
-            require_shape("reset_mask", due, no.shape)
+            batch.require_shape("reset_mask", due, no.shape)
             lots = due.reshape(self.num_lots, -1)
             if (lots != lots[:, :1]).any():
                 raise ValueError("reset_mask must have all agents of a lot, or none")
@@ -304,7 +295,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         told = {"is_success": no, "crashed": no, **self._told()}
         return jax.tree.map(np.copy, observation), _infos(due, told)
 
-    def _restarted(self, due: np.ndarray, seed: Seeds, key: Any = None) -> Any:
+    def _restarted(self, due: np.ndarray, seed: batch.Seeds, key: Any = None) -> Any:
         """Resets the environments that are due; observations of all of them."""
         lots = due.reshape(self.num_lots, -1)[:, 0]
         fresh = self._by_env(self._batch.restart(lots, seed, key))
@@ -327,7 +318,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
     ) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advances all environments by a control step; `actions` (num_envs, size)."""
         actions = np.asarray(actions)
-        require_shape("actions", actions, self.action_space.shape)
+        batch.require_shape("actions", actions, self.action_space.shape)
         mode, begins = self.autoreset_mode, self._ended
         key = own_buffers(self._batch.state.key) if begins.any() else None
         step = self._batch.step_numpy(self._rows(actions))

@@ -13,14 +13,7 @@ from carpark_mj.config.checks import require_kind
 from carpark_mj.mdp.goals import possible_choices
 from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.environment import AgentsEnvironment, JointEnv
-from carpark_mj.wrappers.batch import (
-    HEIGHT,
-    RENDER_MODES,
-    WIDTH,
-    NumpyBatch,
-    Screen,
-    require_render_mode,
-)
+from carpark_mj.wrappers import batch
 from carpark_mj.wrappers.options import (
     Options,
     action_mask,
@@ -45,8 +38,8 @@ Results = tuple[
 def parallel_env(
     render_mode: str | None = None,
     camera: str = "topdown",
-    width: int = WIDTH,
-    height: int = HEIGHT,
+    width: int = batch.WIDTH,
+    height: int = batch.HEIGHT,
     **options: Unpack[Options],
 ) -> "AgentsParallelEnv":
     """A lot with several agents, each with one episode.
@@ -61,7 +54,7 @@ def parallel_env(
     config = configure(options)
     env = share(JointEnv, config)
     fps = 1 / config.sim.ctrl_dt
-    screen = Screen(env, camera, None, width, height)
+    screen = batch.Screen(env, camera, None, width, height)
     space = observation_space(config)
     return AgentsParallelEnv(env, space, screen, render_mode, fps, options)
 
@@ -77,7 +70,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
 
     metadata: dict[str, Any] = {  # noqa: RUF012
         "name": "carpark_mj_v0",
-        "render_modes": RENDER_MODES,
+        "render_modes": batch.RENDER_MODES,
         "is_parallelizable": True,
     }
 
@@ -85,7 +78,7 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
         self,
         env: AgentsEnvironment,
         space: spaces.Box | spaces.Dict,
-        screen: Screen,
+        screen: batch.Screen,
         render_mode: str | None,
         fps: float,
         options: Options | None = None,
@@ -94,9 +87,9 @@ class AgentsParallelEnv(ParallelEnv[str, Any, Any]):
 
         Of the options it reads `discrete` and `details`.
         """
-        require_render_mode(render_mode, RENDER_MODES)
+        batch.require_render_mode(render_mode, batch.RENDER_MODES)
         self._screen = screen
-        self._lots = NumpyBatch(env, 1, restart=False)
+        self._lots = batch.NumpyBatch(env, 1, restart=False)
         self._observation: np.ndarray | None = None
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": fps}

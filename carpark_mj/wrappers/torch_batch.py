@@ -26,11 +26,12 @@ class TorchBatch:
 
     def reset(self, seed: Seeds = None, options: ResetOptions | None = None) -> Any:
         """Begins all lots; see `Batch.reset`."""
-        return _to_torch(self.batch.reset(seed, options))
+        return jax.tree.map(torch.from_dlpack, self.batch.reset(seed, options))
 
     def restart(self, due: torch.Tensor) -> Any:
         """Resets some lots, `due` (num_lots,) bool; see `Batch.restart`."""
-        return _to_torch(self.batch.restart(_to_jax(due, self.device)))
+        observation = self.batch.restart(_to_jax(due, self.device))
+        return jax.tree.map(torch.from_dlpack, observation)
 
     def step(self, action: torch.Tensor) -> Step:
         """Advances all lots by a control step; see `Batch.step`.
@@ -42,10 +43,6 @@ class TorchBatch:
         dtype = torch.float32 if self.batch.env.action_spec.continuous else torch.int32
         timestep = self.batch.step(_to_jax(action.to(dtype), self.device))
         return Step.of(timestep, torch.from_dlpack)
-
-
-def _to_torch(arrays: Any) -> Any:
-    return jax.tree.map(torch.from_dlpack, arrays)
 
 
 def _to_jax(tensor: torch.Tensor, device: torch.device) -> jax.Array:

@@ -19,14 +19,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from carpark_mj.cli.export import environment_rows
+from carpark_formats.onnx.car import Rows, plain_values
+from carpark_formats.onnx.export import environment_rows
+from carpark_formats.onnx.models import inputs_of, make_car_model
 from carpark_mj.config import PARKED_RULES, EnvConfig, FleetConfig, SensorConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.mdp.parked_cars import fits
 from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.onnx_export import inputs_of, make_car_model
-from carpark_mj.policy.outside import Rows, plain_values
 from carpark_mj.scene.build import drivable_scene, scene_xml
 from carpark_mj.spawning.config import RandomizationConfig
 from carpark_mj.types import State

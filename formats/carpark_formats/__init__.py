@@ -1,4 +1,4 @@
-"""Files of other programs: maps of car parks and scenarios, for carpark_mj."""
+"""Files of other programs for carpark_mj: maps, scenarios, ONNX models."""
 
 from carpark_mj.programs import COMMANDS, KEEPING, Command
 
@@ -22,3 +22,12 @@ for _name, (_home, _summary, _settings) in {
         f"carpark_formats.settings:{_settings}",
         KEEPING,
     )
+
+COMMANDS["export"] = Command(  # the core's writes checkpoints alone
+    "carpark_formats.onnx.export:main",
+    "export a policy as an ONNX model, or as a checkpoint",
+    "carpark_formats.settings:OnnxConfig",
+    KEEPING,  # without output fusion, of which XLA 0.10 dies here (openxla/xla#47367)
+    drives=True,
+    extended=True,
+)

@@ -5,9 +5,12 @@ from typing import Annotated
 
 import tyro
 
+from carpark_mj.cli.settings.driving import ExportConfig
 from carpark_mj.cli.settings.lots import Crop
+from carpark_mj.config.checks import Seed, require_unset
 from carpark_mj.files import require_suffix
 
+COUNTS = ("others", "parked", "walls", "discs", "people", "movers", "lanes")
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 
 
@@ -104,3 +107,54 @@ class ScenarioExportConfig:
         require_suffix("out", self.out, ".xml", *[".xosc"] * (not self.run))
         if bool(self.run) != bool(self.problem):
             raise ValueError("--run and --problem belong together")
+
+
+@dataclasses.dataclass(frozen=True)
+class OnnxConfig(ExportConfig):
+    """Exports a policy as an ONNX model, or as a checkpoint without training state.
+
+    carpark_mj export runs/cpu-0                      # runs/cpu-0/policy.onnx
+    carpark_mj export runs/cpu-0 --from-state         # runs/cpu-0/car.onnx, for a car
+    carpark_mj export runs/cpu-0 --out policy.npz     # as the pretrained policies are
+
+    An ONNX model has an input for every observation field, with the normalisation
+    inside. With --from-state the observation is inside too; inputs are poses of the
+    car, the others and the walls. A model is written only if onnxruntime computes the
+    policy's actions with it.
+
+    Attributes:
+        out: file to write: .onnx, or .npz for a checkpoint of the policy alone;
+            default `policy.onnx` (`car.onnx` with --from-state) in the run folder, or
+            in `runs/NAME` of a pretrained policy.
+        seed: seed of the observations that the model is checked on.
+        from_state: the inputs are poses of the car and its surroundings, and the model
+            computes the observation.
+        others: number of rows for other driving cars; default and least: as many as the
+            environment has.
+        parked: number of rows for parked cars, likewise.
+        walls: number of rows for walls and other boxes, likewise.
+        discs: number of rows for pillars and other discs, likewise.
+        people: number of rows for people, likewise.
+        movers: number of rows for carts, drivers and other movers, likewise.
+        lanes: number of rows for lanes, likewise.
+    """
+
+    seed: Seed = 0
+    from_state: bool = False
+    others: int | None = None
+    parked: int | None = None
+    walls: int | None = None
+    discs: int | None = None
+    people: int | None = None
+    movers: int | None = None
+    lanes: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_suffix("out", self.out, ".onnx", ".npz")
+        if self.out.endswith(".npz"):
+            require_unset(self, "on a checkpoint", "seed", "from_state")
+        else:
+            require_unset(self, "on a model", "mean_with")
+        if not self.from_state:
+            require_unset(self, "without --from-state", *COUNTS)

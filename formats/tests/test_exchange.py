@@ -13,11 +13,7 @@ import yaml
 from helpers.programs import assert_refused, exit_code
 from map_texts import TURN, TURNED, commonroad
 
-from carpark_formats.commonroad import (
-    commonroad_text,
-    read_commonroad,
-    solution_text,
-)
+from carpark_formats.commonroad import commonroad_text, read_commonroad, solution_text
 from carpark_formats.openscenario import openscenario_text, read_openscenario
 from carpark_mj.geometry import to_local, to_world
 from carpark_mj.suite.scenario import make_scenario, read_scenario

@@ -1,7 +1,9 @@
 """The distribution: its commands, its wheel, and what the pages say of it."""
 
 import ast
+import csv
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -9,21 +11,28 @@ from pathlib import Path
 
 import pytest
 import yaml
-from helpers.pages import PAGES, calls
+from helpers.pages import PAGES, calls, section
 from helpers.programs import ROOT, python, rows_of
 from map_texts import openstreetmap, write
 from test_docs import check_command, needs_formats
 
 import afternoon
+from carpark_formats.onnx.car import INPUTS
 from carpark_mj.extensions import FORMATS, Entry
 from carpark_mj.layouts.base import LAYOUT_WRITERS
+from carpark_mj.policy.named import READERS
 from carpark_mj.programs import COMMANDS, find
 from carpark_mj.suite.levels import LEVELS
 
 FORMATS_FOLDER = Path(__file__).parents[1]
 PAGES = [*PAGES, FORMATS_FOLDER / "README.md"]
 LINES = {line for page in PAGES for line in calls(page.read_text())}
-HOMES = {"level": LEVELS, "format to save": LAYOUT_WRITERS, "command": COMMANDS}
+HOMES = {
+    "command": COMMANDS,
+    "level": LEVELS,
+    "format to save": LAYOUT_WRITERS,
+    "kind of policy": READERS,
+}
 
 
 @pytest.mark.parametrize("line", sorted(filter(needs_formats, LINES)))
@@ -33,12 +42,26 @@ def test_a_command_of_the_formats_exists_and_takes_its_flags(line):
 
 
 def test_everything_that_the_core_says_comes_with_the_package_does():
-    for kind, names in FORMATS.items():
-        for name in names:
-            assert name in HOMES[kind], (kind, name)
+    for kind, home in HOMES.items():
+        for name in FORMATS[kind]:
+            assert name in home, (kind, name)
     for name in FORMATS["command"]:
         assert callable(COMMANDS[name].load())
         assert Entry(COMMANDS[name].settings).load().__doc__
+
+
+def test_inputs_of_a_model_are_those_of_the_pages():
+    with (ROOT / "docs" / "model_inputs.csv").open(newline="") as file:
+        found = list(csv.reader(file))
+    expected = [["input", "shape", "unit", "meaning"]]
+    for entry in INPUTS:
+        shape = ", ".join(map(str, entry.dims)) + "," * (len(entry.dims) == 1)
+        unit = entry.unit or entry.dtype
+        expected.append([entry.name, f"({shape})", unit, entry.meaning])
+    assert found == expected
+    page = (ROOT / "docs" / "deployment.md").read_text()
+    named = re.findall(r"`(\w+)`", section(page, "inputs of a car"))
+    assert named == [entry.name for entry in INPUTS]
 
 
 def test_only_public_names_of_the_core_are_imported():
@@ -58,9 +81,10 @@ for name in sys.argv[1:]:
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(text):
         run(name, ["--help"])
     assert f"usage: carpark_mj {name}" in text.getvalue(), name
+    assert ("--from-state" in text.getvalue()) == (name == "export"), name
     with contextlib.suppress(ValueError):
         raise AssertionError(run(name, ["--no-such-flag", "1"]))
-print(*[x for x in ("jax", "mujoco", "shapely", "ezdxf") if x in sys.modules])
+print(*[x for x in ("jax", "mujoco", "shapely", "ezdxf", "onnx") if x in sys.modules])
 """
 
 
@@ -81,7 +105,7 @@ def test_the_wheel_brings_its_commands_and_helps_without_jax(wheel, tmp_path):
     paths = {"PYTHONPATH": os.pathsep.join([str(wheel), str(ROOT)]), "cwd": tmp_path}
     listed = python("-m", "carpark_mj", **paths)
     assert all(f"\n  {name} " in listed.stdout for name in FORMATS["command"])
-    helped = python("-c", USED, *FORMATS["command"], **paths)
+    helped = python("-c", USED, *FORMATS["command"], "export", **paths)
     assert (helped.returncode, helped.stdout) == (0, "\n"), helped.stderr
     write(tmp_path, "lot.osm", openstreetmap())
     words = "-m", "carpark_mj", "layouts", "import", "lot.osm", "--out", "lot.json"

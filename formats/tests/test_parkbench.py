@@ -17,11 +17,7 @@ from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayEnd
 from carpark_mj.policy.named import zero_policy
 from carpark_mj.registry import ANYWHERE
-from carpark_mj.suite.evaluation import (
-    CaseEvaluator,
-    SuiteConfig,
-    suite_env,
-)
+from carpark_mj.suite.evaluation import CaseEvaluator, SuiteConfig, suite_env
 from carpark_mj.suite.levels import find_level, pick_cases
 from carpark_mj.suite.tpcap import EDGE
 from carpark_mj.suite.tpcap import START as START_SIDE

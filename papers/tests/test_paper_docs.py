@@ -4,12 +4,21 @@ import re
 import shlex
 
 import pytest
-from helpers.pages import PAGES, PAPERS, ROOT, calls, cells, is_importable, section
+from helpers.pages import (
+    PAGES,
+    PAPERS,
+    ROOT,
+    calls,
+    cells,
+    is_importable,
+    markdown_table,
+    section,
+)
 from test_docs import check_command, commands
 
 from carpark_mj.cli.flags import read_flags
 from carpark_mj.config import LAYOUTS, REWARDS
-from carpark_mj.observations import make_fields, markdown_table
+from carpark_mj.observations import make_fields
 from carpark_mj.programs import STUDY_PROGRAMS
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.training.run_folder import named

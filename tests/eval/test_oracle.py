@@ -12,9 +12,9 @@ from helpers.scenes import polygons
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.paths import make_path, rear_axle
 from carpark_mj.planning.policy import Sight, sights
+from carpark_mj.planning.search import Solids
 from carpark_mj.registry import environment
 from carpark_mj.vehicle import COMPACT
 from oracle import (

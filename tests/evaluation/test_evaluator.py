@@ -18,7 +18,7 @@ from helpers.sliding import SlidePhysics
 from jax.tree_util import Partial
 from rich.console import Console
 
-from carpark_mj.cli.evaluate import EvaluateConfig, Task, report, subfolder
+from carpark_mj.cli.evaluate import EvaluateConfig, report, subfolder
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.aggregation import (
@@ -315,9 +315,7 @@ def test_parts_have_summaries_and_a_printed_table(
 
 
 def test_the_file_names_the_policy(everything, tmp_path):
-    config, env = EvaluateConfig("runs/a"), ParkingEnv(BICYCLES)
-    policy = zero_policy(env.action_spec)
-    report(config, Task("runs/a", policy, env, tmp_path), everything)
+    report(EvaluateConfig("runs/a"), BICYCLES, tmp_path, everything)
     stored = json.loads((tmp_path / "evaluation.json").read_text())
     assert stored["settings"]["policy"] == "runs/a"
     assert stored["settings"]["seed"] == 0
@@ -326,11 +324,9 @@ def test_the_file_names_the_policy(everything, tmp_path):
 def test_an_evaluation_is_written_before_it_is_printed(
     everything, tmp_path, monkeypatch
 ):
-    env = ParkingEnv(BICYCLES)
-    task = Task("zero", zero_policy(env.action_spec), env, tmp_path)
     monkeypatch.setattr(Console, "print", no_printing)
     with pytest.raises(BrokenPipeError):
-        report(EvaluateConfig("zero"), task, everything)
+        report(EvaluateConfig("zero"), BICYCLES, tmp_path, everything)
     assert {"evaluation.csv", "evaluation.json"} <= {p.name for p in tmp_path.iterdir()}
 
 

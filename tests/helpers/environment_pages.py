@@ -5,9 +5,9 @@ import re
 
 import gymnasium
 from gymnasium import spaces
-from helpers.pages import ROOT, code, section
+from helpers.pages import ROOT, code, markdown_table, section
 
-from carpark_mj.observations import make_fields, markdown_table
+from carpark_mj.observations import make_fields
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.tasks.goal_pose import POSE
 from carpark_mj.wrappers.goal import GoalParking

@@ -1,6 +1,7 @@
 """What pages say: tables between markers, blocks of code, commands, names."""
 
 import importlib
+import itertools
 import re
 from pathlib import Path
 
@@ -26,6 +27,21 @@ def cells(page, name):
     """The rows of a table between markers, less its two head lines."""
     rows = section(page, name).splitlines()[2:]
     return [[cell.strip().strip("`") for cell in row[1:-1].split("|")] for row in rows]
+
+
+def markdown_table(fields):
+    """Fields as a markdown table; of repeated entities the first.
+
+    Neighbours that differ in nothing but their names share a row.
+    """
+    rows = ["| field | size | range | meaning [unit] |", "|---|---|---|---|"]
+    first = [field for field in fields if field.index == 0]
+    for row, alike in itertools.groupby(
+        first, lambda x: f"{x.size} | {x.low:g} … {x.high:g} | {x.meaning} |"
+    ):
+        names = ", ".join(f"`{field.name}`" for field in alike)
+        rows.append(f"| {names} | {row}")
+    return "\n".join(rows)
 
 
 def code(page, language):

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from carpark_mj.planning.obstacles import Solids
 from carpark_mj.planning.paths import Driven, Progress, track
+from carpark_mj.planning.search import Solids
 from carpark_mj.suite.levels import load_held_out
 from carpark_mj.vehicle import preset
 

@@ -23,8 +23,7 @@ assert Path(carpark_mj.__file__).is_relative_to(wheel), carpark_mj.__file__
 
 import dataclasses
 
-from carpark_mj.cli.export import ExportConfig
-from carpark_mj.cli.export import main as export
+from carpark_mj.cli.driver import ExportConfig, export
 from carpark_mj.cli.layouts import LayoutsConfig
 from carpark_mj.cli.layouts import main as look
 from carpark_mj.config import EnvConfig

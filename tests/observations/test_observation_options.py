@@ -36,11 +36,7 @@ from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import tracks_parked_cars
-from carpark_mj.observations import (
-    ContinuousObservation,
-    ObservationInput,
-    make_fields,
-)
+from carpark_mj.observations import ContinuousObservation, ObservationInput, make_fields
 from carpark_mj.observations.ranges import SENSORS, cast_rays, echo_distances
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import NO_BAY

@@ -14,7 +14,6 @@ from carpark_mj.config import SimConfig
 from carpark_mj.geometry import box_disc_overlap, boxes_overlap
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.planning import search as module
-from carpark_mj.planning.obstacles import FreeSpace, Solids
 from carpark_mj.planning.paths import (
     BLEND,
     CREEP,
@@ -27,7 +26,7 @@ from carpark_mj.planning.paths import (
     make_path,
     rear_axle,
 )
-from carpark_mj.planning.search import SearchConfig, search
+from carpark_mj.planning.search import FreeSpace, SearchConfig, Solids, search
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 CASES = [("normal", 0), ("normal", 1), ("complex", 0), ("complex", 1), ("extreme", 0)]

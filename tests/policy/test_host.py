@@ -13,9 +13,7 @@ from carpark_mj.config import EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.mdp.actions import action_table
-from carpark_mj.policy import onnx_export
-from carpark_mj.policy.host import from_function, from_onnx, from_sb3, from_torch
-from carpark_mj.policy.loading import load_policy
+from carpark_mj.policy.host import from_function, from_sb3, from_torch
 from carpark_mj.policy.named import find_named
 from carpark_mj.registry import FIRST
 
@@ -71,23 +69,6 @@ def test_integers_are_numbers_of_rows_of_the_table(env, seen):
 def test_functions_of_other_shapes_are_refused_before_driving(env, act, message):
     with pytest.raises(ValueError, match=message):
         from_function(act)(env)
-
-
-def test_an_exported_model_acts_as_its_policy(run, tmp_path):
-    loaded, file = load_policy(run), tmp_path / "policy.onnx"
-    file.write_bytes(onnx_export.make_model(loaded).SerializeToString())
-    fields, env = onnx_export.make_fields(loaded.env), ParkingEnv(loaded.env)
-    assert len(fields) > 20  # of several cars
-    observation = np.random.default_rng(1).normal(size=(7, env.observation_size))
-    observation = observation.astype(np.float32)
-    found = acts(from_onnx(file), env, observation)
-    expected = loaded.policy(observation, jax.random.key(0))[0]
-    np.testing.assert_allclose(found, expected, atol=1e-4)
-    with pytest.raises(ValueError, match=r"policy fails on .*agent_present"):
-        from_onnx(file)(ParkingEnv(FIRST))
-    (tmp_path / "other.onnx").write_text("no model")
-    with pytest.raises(ValueError, match=r"other\.onnx cannot be loaded"):
-        find_named(f"onnx:{tmp_path / 'other.onnx'}")
 
 
 def test_a_torch_module_acts_the_same_from_its_file(env, seen, tmp_path):

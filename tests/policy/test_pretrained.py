@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.mutating import with_junk
+from helpers.programs import assert_refused, exit_code
 from helpers.sliding import sliding
 from helpers.tiny_policy import TINY, parked_learner
 from helpers.trees import same
@@ -27,7 +28,6 @@ from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import FOLDER_SETTINGS
-from carpark_mj.policy.onnx_export import policy_actions
 from carpark_mj.policy.runs import find_policy
 from carpark_mj.pretrained import pretrained_names
 from carpark_mj.training.ppo.config import PPOConfig
@@ -40,7 +40,7 @@ MAX_SIZE = 3.5e6  # bytes; three layers of 512 units behind 384 of own numbers, 
 def act(loaded, count=50):
     size = (count, observation_size(loaded.env))
     seen = np.random.default_rng(3).normal(size=size).astype(np.float32)
-    return policy_actions(loaded, seen)
+    return np.asarray(jax.jit(loaded.policy)(seen, jax.random.key(0))[0])
 
 
 def test_a_policy_alone_acts_like_its_run(run, shipped):
@@ -51,6 +51,20 @@ def test_a_policy_alone_acts_like_its_run(run, shipped):
     again = shipped / "again.npz"
     loading.save_policy("tiny", again)
     assert again.read_bytes() == (shipped / "tiny.npz").read_bytes()
+
+
+def test_the_command_writes_a_policy_alone_or_nothing(run, shipped, tmp_path, capsys):
+    out = tmp_path / "new" / "a.npz"
+    assert exit_code("export", [str(run), "--out", str(out)]) == 0
+    assert f"wrote {out}" in capsys.readouterr().out
+    assert out.read_bytes() == (shipped / "tiny.npz").read_bytes()
+    for words, said in (
+        (["nowhere", "--out", "b/a.npz"], "no run folder or checkpoint at nowhere"),
+        (["tiny", "--out", "b/a.pb"], "pb'"),
+        (["tiny", "--out", "/proc/a.npz"], "/proc/a.npz"),
+    ):
+        assert_refused(capsys, "export", words, said)
+        assert not Path("b").exists()
 
 
 def test_it_holds_nothing_that_only_training_needs(run, shipped):
@@ -127,16 +141,16 @@ def test_weights_that_are_not_finite_do_not_drive(shipped, part, value):
     ],
 )
 def test_evaluations_of_another_task_do_not_replace_the_own_one(shipped, flags, folder):
-    task = evaluate.prepare(evaluate.EvaluateConfig(run="tiny", **flags))
-    assert task.folder == Path(folder)
-    assert not task.folder.exists()  # made with its first file
+    *_, found = evaluate.prepare(evaluate.EvaluateConfig(run="tiny", **flags))
+    assert found == Path(folder)
+    assert not found.exists()  # made with its first file
 
 
 def test_a_checkpoint_is_evaluated_beside_its_run(run):
     file = runs.latest_checkpoint(run)
-    task = evaluate.prepare(evaluate.EvaluateConfig(run=str(file)))
-    assert task.folder == run / "evaluations" / file.stem
-    assert evaluate.prepare(evaluate.EvaluateConfig(run=str(run))).folder == run
+    *_, folder = evaluate.prepare(evaluate.EvaluateConfig(run=str(file)))
+    assert folder == run / "evaluations" / file.stem
+    assert evaluate.prepare(evaluate.EvaluateConfig(run=str(run)))[-1] == run
 
 
 def test_a_flat_network_drives_with_as_many_cars_only(tmp_path):

@@ -21,8 +21,9 @@ from carpark_mj.compilation import SHARE_LOOPS, cache_folder, keep_compiled_prog
 from carpark_mj.config import LAYOUTS
 from carpark_mj.extensions import FORMATS, Entry
 from carpark_mj.layouts.base import LAYOUT_WRITERS
+from carpark_mj.policy.named import READERS
 from carpark_mj.pretrained import pretrained_names
-from carpark_mj.programs import COMMANDS, STUDY_PROGRAMS, Command, study
+from carpark_mj.programs import COMMANDS, STUDY_PROGRAMS, Command, _command, study
 from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.suite.levels import LEVELS
 from carpark_mj.training.ppo.parts import PRESETS
@@ -123,11 +124,13 @@ def test_without_any_study_it_is_said_what_to_install(programs, capsys):
 @pytest.fixture
 def alone(monkeypatch):
     """Takes away what carpark_formats has registered, if it is installed."""
-    for parts in (LEVELS, LAYOUT_WRITERS):
+    for parts in (LEVELS, LAYOUT_WRITERS, READERS):
         own = {name: parts[name] for name in parts if name not in OTHERS}
         monkeypatch.setattr(parts, "_parts", own)
     for name in FORMATS["command"]:
         monkeypatch.delitem(COMMANDS, name, raising=False)
+    core = _command("cli.driver:export", "", "driving:ExportConfig")
+    monkeypatch.setitem(COMMANDS, "export", core)
 
 
 OTHERS = {name for names in FORMATS.values() for name in names}
@@ -135,6 +138,9 @@ WITHOUT = (
     *(f"{name} a.xml --out b.json" for name in FORMATS["command"]),
     *(f"layouts square --save a.{suffix}" for suffix in FORMATS["format to save"]),
     *(f"suite zero --levels {name}:a --out suite" for name in FORMATS["level"]),
+    *(f"evaluate {kind}:a --out b" for kind in FORMATS["kind of policy"]),
+    *(f"export square {flag}" for flag in FORMATS["flag"]),
+    *("export square", "export square --out a.onnx"),
 )
 
 

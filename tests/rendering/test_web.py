@@ -12,17 +12,16 @@ import numpy as np
 import pytest
 from helpers.instants import instant
 
-from carpark_mj.cli.pages import open_page, show_lots
+from carpark_mj.cli.pages import open_page
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
-from carpark_mj.cli.scene import another
 from carpark_mj.cli.settings.driving import SceneConfig
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations.fields import Tracked
 from carpark_mj.rendering import web
-from carpark_mj.rendering.local_pages import HOST, Chosen
+from carpark_mj.rendering.local_pages import HOST
 from carpark_mj.rendering.renderer import (
     CIRCLE_SIDES,
     LotRenderer,
@@ -86,27 +85,6 @@ def test_a_live_lot_moves_pose_by_pose_and_starts_again_alike(lot):
 def test_a_policy_drives_in_the_browser_only():
     with pytest.raises(ValueError, match="browser only"):
         SceneConfig(view="window", policy="runs/none")
-
-
-def test_lots_chosen_on_a_page_are_shown_in_turn(capsys):
-    first = SceneConfig(view="web")
-    wrong = another(first, "street", 3, "none")
-    shown = []
-
-    def show(config, page):
-        shown.append(config)
-        if len(shown) == 1:
-            raise Chosen(wrong)
-        if config is wrong:
-            raise ValueError("no such lot")
-
-    show_lots(first, False, show)
-    assert shown == [first, wrong, first]  # goes back to what it can show
-    assert capsys.readouterr().err.count("\n") == 1
-    assert (wrong.layout, wrong.seed, wrong.policy) == ("street", 3, "")
-    assert another(wrong, "default", 3, "square").layout is None
-    with pytest.raises(ValueError, match="no such lot"):
-        show_lots(wrong, False, show)
 
 
 @pytest.fixture(scope="module")

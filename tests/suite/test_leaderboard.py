@@ -13,12 +13,7 @@ from carpark_mj.suite import page as pages
 from carpark_mj.suite.levels import find_level
 from carpark_mj.suite.page import judge, parse_limit
 from carpark_mj.suite.report import FOLDER, shown_levels
-from carpark_mj.suite.results import (
-    Drives,
-    key_of,
-    write_run,
-    write_submission,
-)
+from carpark_mj.suite.results import Drives, key_of, write_run, write_submission
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -15,7 +15,6 @@ from carpark_mj.registry import ANYWHERE
 from carpark_mj.suite.evaluation import CaseEvaluator, suite_env
 from carpark_mj.suite.levels import load_held_out, pick_cases
 from carpark_mj.suite.page import write_test_page
-from carpark_mj.suite.path_figure import AROUND, ASPECT, _view
 from carpark_mj.suite.report import (
     header,
     shown_cells,
@@ -25,7 +24,6 @@ from carpark_mj.suite.report import (
     write_tables,
 )
 from carpark_mj.suite.results import key_of
-from carpark_mj.suite.tpcap import TpcapConfig
 
 
 def test_every_case_gives_one_row_from_its_own_start():
@@ -159,15 +157,3 @@ def test_files_hold_the_table_the_worst_and_videos(tmp_path):
     assert "path found" not in html  # of no row here
     (cells,) = tables_of([row | {"level": "scenario:/a/b.yaml:4"}])["Results"]
     assert cells["level"] == "scenario:b.yaml:4"
-
-
-def test_start_and_goal_are_in_view_and_far_obstacles_are_not():
-    layout = jax.device_get(TpcapConfig(4).generate(jax.random.key(0)))
-    low, high = _view(layout, None)
-    ends = np.stack([layout.spawn_pose[0, :2], layout.bay_pose[0, :2]])
-    assert (low <= ends.min(axis=0)).all()
-    assert (high >= ends.max(axis=0)).all()
-    more = high - low - np.ptp(ends, axis=0) - 2 * AROUND
-    assert more.min() == pytest.approx(0.0, abs=1e-3)  # as close as the frame allows
-    assert (high - low)[0] == pytest.approx(ASPECT * (high - low)[1])
-    assert (high - low < 2 * layout.extent).any()

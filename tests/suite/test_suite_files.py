@@ -15,12 +15,7 @@ from carpark_mj.suite import report as suite_videos
 from carpark_mj.suite.evaluation import SuiteConfig, main
 from carpark_mj.suite.levels import load_held_out
 from carpark_mj.suite.report import FASTER, make_videos, recording_of
-from carpark_mj.suite.results import (
-    CASES_FILE,
-    key_of,
-    read_runs,
-    write_run,
-)
+from carpark_mj.suite.results import CASES_FILE, key_of, read_runs, write_run
 from carpark_mj.suite.tpcap import load_tpcap
 
 

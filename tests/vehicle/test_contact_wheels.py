@@ -21,11 +21,7 @@ from carpark_mj.vehicle.contact_wheels import (
 )
 from carpark_mj.vehicle.mjcf import WHEELS, add_car, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, kerb_to_kerb
-from vehicle_suite.formulas import (
-    front_wheel_angles,
-    rolling_mass,
-    rolling_resistance,
-)
+from vehicle_suite.formulas import front_wheel_angles, rolling_mass, rolling_resistance
 
 
 @pytest.mark.parametrize("lock", [25.0, 30.0, 34.2, 36.0])

@@ -6,11 +6,12 @@ import re
 import gymnasium
 import pytest
 from helpers import environment_pages as pages
+from helpers.pages import markdown_table
 from helpers.registering import restore_after
 
 from carpark_mj.config import PARKED_RULES, REWARDS, EnvConfig
 from carpark_mj.mdp.rewards import TERMS
-from carpark_mj.observations import make_fields, markdown_table
+from carpark_mj.observations import make_fields
 from carpark_mj.registration import ENTRY_POINTS
 from carpark_mj.registry import FIRST
 from carpark_mj.tasks.goal_pose import FEATURES

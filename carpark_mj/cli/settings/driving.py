@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from carpark_mj.cameras import Rig
 
 LOT = ("layout", "policy", "num_agents", "num_parked_cars", "vehicle", "seed", "out")
-COUNTS = ("others", "parked", "walls", "discs", "people", "movers", "lanes")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -258,60 +257,22 @@ class RenderConfig(DriveSettings):
 
 @dataclasses.dataclass(frozen=True)
 class ExportConfig(CheckedConfig):
-    """Exports a policy as an ONNX model, or as a checkpoint without training state.
+    """Writes a policy as a checkpoint without training state.
 
-    carpark_mj export runs/cpu-0                      # runs/cpu-0/policy.onnx
-    carpark_mj export runs/cpu-0 --from-state         # runs/cpu-0/car.onnx, for a car
     carpark_mj export runs/cpu-0 --out policy.npz     # as the pretrained policies are
 
-    An ONNX model has an input for every observation field, with the normalisation
-    inside. With --from-state the observation is inside too; inputs are poses of the
-    car, the others and the walls. A model is written only if onnxruntime computes the
-    policy's actions with it.
+    ONNX models come with carpark_formats: `pip install ./formats`.
 
     Attributes:
         run: pretrained policy, run folder or checkpoint file.
-        out: file to write: .onnx, or .npz for a checkpoint of the policy alone;
-            default `policy.onnx` (`car.onnx` with --from-state) in the run folder, or
-            in `runs/NAME` of a pretrained policy.
+        out: file to write, .npz.
         mean_with: another run that this one was warm-started from, whose weights are
             averaged with its own; for .npz.
-        seed: seed of the observations that the model is checked on.
-        from_state: the inputs are poses of the car and its surroundings, and the model
-            computes the observation.
-        others: number of rows for other driving cars; default and least: as many as the
-            environment has.
-        parked: number of rows for parked cars, likewise.
-        walls: number of rows for walls and other boxes, likewise.
-        discs: number of rows for pillars and other discs, likewise.
-        people: number of rows for people, likewise.
-        movers: number of rows for carts, drivers and other movers, likewise.
-        lanes: number of rows for lanes, likewise.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     out: str = ""
     mean_with: str = ""
-    seed: Seed = 0
-    from_state: bool = False
-    others: int | None = None
-    parked: int | None = None
-    walls: int | None = None
-    discs: int | None = None
-    people: int | None = None
-    movers: int | None = None
-    lanes: int | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_suffix("out", self.out, ".onnx", ".npz")
-        if self.out.endswith(".npz"):
-            reason = "on a checkpoint"
-            require_unset(self, reason, "seed", "from_state")
-        else:
-            require_unset(self, "on a model", "mean_with")
-        if not self.from_state:
-            require_unset(self, "without --from-state", *COUNTS)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -222,7 +222,7 @@ class SuiteConfig(CheckedConfig):
         combine: folders of this command; drives no case and combines their episodes in
             one table.
         out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
-            `suite.html`, `videos/` and, of the planner, `paths.png`.
+            `suite.html` and `videos/`.
     """
 
     policies: Annotated[Names, tyro.conf.arg(metavar="POLICY")] = ()

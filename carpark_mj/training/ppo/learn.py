@@ -18,14 +18,7 @@ from carpark_mj.layouts.stored import StoredConfig
 from carpark_mj.observations.compose import ObservationSets
 from carpark_mj.policy.brax import PPONetworkParams, PPONetworks
 from carpark_mj.policy.networks import update_normalizer
-from carpark_mj.training.ppo.collect import (
-    AXIS,
-    Rollout,
-    TrainingState,
-    compute_advantages,
-    drop_absent,
-    neighbours_mean,
-)
+from carpark_mj.training.ppo import collect
 from carpark_mj.training.ppo.config import CurriculumConfig, PPOConfig
 from carpark_mj.training.ppo.parts import VARIANTS
 from carpark_mj.training.ppo.variants import Minibatch, Variant, Weights
@@ -99,8 +92,8 @@ def learn(
     networks: PPONetworks,
     inputs: ObservationSets,
     optimizer: optax.GradientTransformation,
-    state: TrainingState,
-    rollout: Rollout,
+    state: collect.TrainingState,
+    rollout: collect.Rollout,
     key: jax.Array,
 ) -> tuple[tuple[Any, Any, Any, Any], dict[str, jax.Array]]:
     """Learns from the rollout of this device's agents, in epochs of minibatches.
@@ -123,7 +116,7 @@ def learn(
     normalizer = state.normalizer
     if details.normalizes:
         normalizer = update_normalizer(
-            inputs, normalizer, rollout.observation, rollout.weight, AXIS
+            inputs, normalizer, rollout.observation, rollout.weight, collect.AXIS
         )
     share = neighbour_share(config.curriculum, progress)
     near: Any = rollout.near  # with a share it is given
@@ -133,7 +126,7 @@ def learn(
     if rollout.weight is not None:
         key, drop_key = jax.random.split(key)
         count = num_learned(config, num_agents)
-        rollout, kept = drop_absent(rollout, count, drop_key)
+        rollout, kept = collect.drop_absent(rollout, count, drop_key)
         if share is not None:  # the advantages of those dropped are not computed
             is_kept = jnp.zeros(num_agents, bool).at[kept].set(True)
             of_lots = is_kept.reshape(-1, near.shape[-1])
@@ -155,7 +148,7 @@ def learn(
             values = jax.lax.map(value, rollout.observation)
         else:
             values = value(_flat(rollout.observation)).reshape(rollout.reward.shape)
-        advantage, target = compute_advantages(
+        advantage, target = collect.compute_advantages(
             rollout,
             values,
             value(rollout.final_observation),
@@ -164,7 +157,7 @@ def learn(
         )
         if share is not None:
             everyone = jnp.zeros(near.shape[:2]).at[:, kept].set(advantage)
-            advantage += share * neighbours_mean(near, everyone)[:, kept]
+            advantage += share * collect.neighbours_mean(near, everyone)[:, kept]
         return Minibatch(
             observation=rollout.observation,
             raw_action=rollout.raw_action,
@@ -196,7 +189,7 @@ def learn(
             grads, losses = grad(
                 unravel(params), networks, normalizer, batch, weights, loss_key
             )
-            grads = jax.lax.pmean(ravel_pytree(grads)[0], AXIS)
+            grads = jax.lax.pmean(ravel_pytree(grads)[0], collect.AXIS)
             updates: Any
             updates, moments = optimizer.update(grads, moments)
             return (params - rate * updates, moments), losses
@@ -214,7 +207,7 @@ def learn(
     )
     params = unravel(params)
     learned = (normalizer, params.policy, params.value, moments)
-    return learned, jax.lax.pmean(jax.tree.map(jnp.mean, losses), AXIS)
+    return learned, jax.lax.pmean(jax.tree.map(jnp.mean, losses), collect.AXIS)
 
 
 def num_learned(config: PPOConfig, num_agents: int) -> int:

@@ -13,7 +13,6 @@ from helpers.states import config_of, parked_at, parked_in, state_of
 from carpark_mj.config import WORLD_UNIT, RingConfig
 from carpark_mj.layouts import make_layout
 from carpark_mj.observations import (
-    cardinalities,
     make_fields,
     observation_size,
     observe,
@@ -24,6 +23,7 @@ from carpark_mj.spawning.starts import draw_uniform, random_pose, spawn_shapes
 from carpark_papers.tanner.environments import TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 from carpark_papers.tanner.indices import IndexObservation
 from carpark_papers.tanner.observation import TannerObservation
+from carpark_papers.tanner.q_learning.tables import cardinalities
 
 BASIC, RINGS = TANNER_QLEARNING, TANNER_QLEARNING_RINGS
 PER_LEVEL = WORLD_UNIT / 0.2  # m/s

@@ -14,8 +14,19 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import cardinalities
+from carpark_mj.observations import make_fields
 from carpark_mj.policy.networks import Policy
+
+
+def cardinalities(config: EnvConfig) -> tuple[int, ...]:
+    """How many values each number of the observation can have, for tables."""
+    fields = make_fields(config)
+    if not all(field.is_whole and field.low == 0 for field in fields):
+        raise ValueError(
+            "a table needs an observation of whole numbers, not the encoding "
+            f"{config.observation.encoding!r}"
+        )
+    return tuple(int(field.high) + 1 for field in fields for _ in range(field.size))
 
 
 class Tables:

@@ -17,13 +17,16 @@ from flax import struct
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import training_key
 from carpark_mj.files import write_csv
-from carpark_mj.observations import cardinalities
 from carpark_mj.policy import checkpoints, runs
 from carpark_mj.training.loop import NAME, Loop, two_panels
 from carpark_mj.training.run_folder import read_header
 from carpark_mj.types import OUTCOMES, State
 from carpark_papers.tanner.q_learning.config import QLearningConfig
-from carpark_papers.tanner.q_learning.tables import action_choices, state_index
+from carpark_papers.tanner.q_learning.tables import (
+    action_choices,
+    cardinalities,
+    state_index,
+)
 
 CHUNK = 5000  # control steps between looks at the clock
 

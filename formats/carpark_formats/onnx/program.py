@@ -15,7 +15,7 @@ from jax import ShapeDtypeStruct as Form
 from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from carpark_mj.policy.onnx_graph import BATCH, Graph, Named, Value
+from carpark_formats.onnx.graph import BATCH, Graph, Named, Value
 
 LONGEST_LOOP = 16  # iterations
 _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")

@@ -7,17 +7,16 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 from helpers.programs import ROOT, python
 
-from carpark_mj.cli.export import environment_rows
+from carpark_formats.onnx.export import environment_rows
+from carpark_formats.onnx.models import make_car_model, make_session
 from carpark_mj.cli.scene import SceneConfig, make_scene
 from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.onnx_export import make_car_model, make_session
 from carpark_mj.scene.build import scene_xml
 from carpark_mj.vehicle import preset
-
-onnxruntime = pytest.importorskip("onnxruntime")
 
 pytestmark = pytest.mark.slow
 DEPLOY = ROOT / "examples" / "deploy"

@@ -1,7 +1,6 @@
-"""`python train/export.py`: a checked ONNX model or a policy alone, or nothing."""
+"""`carpark_mj export`: a checked ONNX model or a policy alone, or nothing."""
 
 import dataclasses
-import importlib.util
 
 import jax
 import numpy as np
@@ -13,12 +12,13 @@ from helpers.programs import assert_refused, exit_code
 from helpers.tiny_policy import parked_learner
 from rich.console import Console
 
+from carpark_formats.onnx import export as command
+from carpark_formats.onnx.models import split_observation
+from carpark_formats.settings import OnnxConfig
 from carpark_mj import pretrained
-from carpark_mj.cli import export as command
 from carpark_mj.config import insert
 from carpark_mj.observations import observation_size
 from carpark_mj.policy import loading
-from carpark_mj.policy.onnx_export import split_observation
 from carpark_mj.training.ppo.train import save
 
 TINY = insert(tiny_policy.TINY, {"env.num_agents": 3, "env.min_agents": 1})
@@ -55,7 +55,7 @@ def once():
 @pytest.fixture
 def quick(monkeypatch, once):
     """Fewer observations are compared, and each roll-out is driven once."""
-    export = command.onnx_export
+    export = command.models
     monkeypatch.setattr(command, "CHECKED", 200)
     monkeypatch.setattr(command, "rollout", once(command.rollout))
     monkeypatch.setattr(export, "sensitivity", once(export.sensitivity))
@@ -87,7 +87,7 @@ def test_a_model_is_written_before_it_is_described(
 ):
     monkeypatch.setattr(Console, "print", no_printing)
     with pytest.raises(BrokenPipeError):
-        command.main(command.ExportConfig(str(trained), str(tmp_path / "a.onnx")))
+        command.main(OnnxConfig(str(trained), str(tmp_path / "a.onnx")))
     assert [path.name for path in tmp_path.iterdir()] == ["a.onnx"]
 
 
@@ -104,7 +104,7 @@ def test_a_pretrained_policy_is_exported_into_runs(
 def test_a_model_that_acts_otherwise_is_not_written(
     trained, tmp_path, capsys, monkeypatch, quick
 ):
-    make = command.onnx_export.make_model
+    make = command.models.make_model
 
     def wrong(loaded):
         def act(observation, key):
@@ -113,7 +113,7 @@ def test_a_model_that_acts_otherwise_is_not_written(
 
         return make(dataclasses.replace(loaded, policy=act))
 
-    monkeypatch.setattr(command.onnx_export, "make_model", wrong)
+    monkeypatch.setattr(command.models, "make_model", wrong)
     said = "differs from the policy by 2e-05"
     refused(capsys, trained, "--out", tmp_path / "a.onnx", said=said)
     assert list(tmp_path.iterdir()) == []
@@ -127,7 +127,7 @@ def test_a_model_with_the_observation_inside_is_checked_too(
     assert exit_code("export", flags) == 0
     assert "200 observations of a roll-out: " in capsys.readouterr().out
     assert out.exists()
-    make, made = command.onnx_export.make_car_model, []
+    make, made = command.models.make_car_model, []
 
     def wrong(loaded, rows):
         policy = loaded.policy
@@ -136,16 +136,14 @@ def test_a_model_with_the_observation_inside_is_checked_too(
             made.append(make(dataclasses.replace(loaded, policy=other), rows))
         return made[0]
 
-    monkeypatch.setattr(command.onnx_export, "make_car_model", wrong)
+    monkeypatch.setattr(command.models, "make_car_model", wrong)
     out.unlink()
     refused(capsys, *flags, said="differs from the policy by 0.002")
     assert not out.exists()
     # It may where float32 costs as much, and in no other state.
     for costly, code in ((200, 0), (199, 2)):
         cost = np.where(np.arange(200) < costly, 1.0, 0.0)
-        monkeypatch.setattr(
-            command.onnx_export, "sensitivity", lambda *_, cost=cost: cost
-        )
+        monkeypatch.setattr(command.models, "sensitivity", lambda *_, cost=cost: cost)
         assert exit_code("export", flags) == code
 
 
@@ -170,14 +168,3 @@ BAD = {
 def test_bad_input_is_one_sentence_and_exit_code_2(case, trained, capsys):
     words, said = BAD[case]
     refused(capsys, *words.format(run=trained).split(), said=said)
-
-
-def test_without_packages_models_are_refused_not_checkpoints(
-    trained, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    said = '[export]"'
-    refused(capsys, trained, "--out", tmp_path / "a.onnx", said=said)
-    assert exit_code("export", [str(trained), "--out", str(tmp_path / "a.npz")]) == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
-    assert loading.load_policy(tmp_path / "a.npz").env == TINY.env

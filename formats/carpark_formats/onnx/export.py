@@ -10,21 +10,19 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from carpark_formats.onnx import models
+from carpark_formats.onnx.car import Rows, plain_values, rows_of
+from carpark_formats.settings import COUNTS, OnnxConfig
 from carpark_mj.cli.clock import COMPILING, doing
-from carpark_mj.cli.driver import output_folder
-from carpark_mj.cli.settings.driving import COUNTS, ExportConfig
+from carpark_mj.cli.driver import export, output_folder
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.evaluation.tables import print_rows
-from carpark_mj.extensions import require_packages
 from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
-from carpark_mj.policy import onnx_export
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
-from carpark_mj.policy.loading import LoadedPolicy, load_policy, save_policy
-from carpark_mj.policy.outside import Rows, plain_values, rows_of
-from carpark_mj.policy.widening import save_mean
+from carpark_mj.policy.loading import LoadedPolicy, load_policy
 
 # Most that numbers of an action of a model and of its policy may differ by. Where
 # float32 itself is not as good as that, twice its error: both are computed in it.
@@ -43,71 +41,63 @@ class Model(NamedTuple):
     batch: tuple[str, ...]  # dimensions before these shapes
 
 
-def main(config: ExportConfig) -> Path:
+def main(config: OnnxConfig) -> Path:
     """Exports, checks and writes; returns the file."""
-    out = Path(config.out)
-    if out.suffix != ".npz":
-        require_packages("onnx", "onnxruntime")
-    loaded = load_policy(config.run)
+    if config.out.endswith(".npz"):
+        return export(config)
+    loaded, out = load_policy(config.run), Path(config.out)
     if not config.out:
         name = "car.onnx" if config.from_state else "policy.onnx"
         out = output_folder(loaded.path) / name
     require_writable(out, new_folders=True)  # before the work
-    if out.suffix == ".npz":
-        out.parent.mkdir(parents=True, exist_ok=True)
-        if config.mean_with:
-            save_mean(config.run, config.mean_with, out)
-        else:
-            save_policy(config.run, out)
-    else:
-        make = _car_model if config.from_state else _model
-        doing(COMPILING)
-        model = make(loaded, config)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        data = model.proto.SerializeToString()
-        write_atomically(out, lambda temporary: temporary.write_bytes(data))
-        print("\n".join(model.found))
-        spec = action_spec(loaded.env)
-        output = onnx_export.OUTPUT, (spec.size,), onnx_export.describe_action(spec)
-        rows = [
-            {"name": x, "shape": (*model.batch, *shape), "range and meaning": meaning}
-            for x, shape, meaning in [*model.inputs, output]
-        ]
-        print_rows(rows, "inputs and output", ends={len(rows) - 2})
+    make = _car_model if config.from_state else _model
+    doing(COMPILING)
+    model = make(loaded, config)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    data = model.proto.SerializeToString()
+    write_atomically(out, lambda temporary: temporary.write_bytes(data))
+    print("\n".join(model.found))
+    spec = action_spec(loaded.env)
+    output = models.OUTPUT, (spec.size,), models.describe_action(spec)
+    rows = [
+        {"name": x, "shape": (*model.batch, *shape), "range and meaning": meaning}
+        for x, shape, meaning in [*model.inputs, output]
+    ]
+    print_rows(rows, "inputs and output", ends={len(rows) - 2})
     print(f"wrote {out}: {out.stat().st_size / 1e6:.2f} MB")
     return out
 
 
-def _model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
+def _model(loaded: LoadedPolicy, config: OnnxConfig) -> Model:
     """The model of a policy, for a batch of observations."""
-    proto = onnx_export.make_model(loaded)
+    proto = models.make_model(loaded)
     seen = rollout(loaded, CHECKED, config.seed)["observation"]
-    difference = onnx_export.largest_difference(proto, loaded, seen)
-    found = _require_alike(difference, onnx_export.rounding_error(loaded, seen))
-    inputs = [(x.name, x.shape, x.meaning) for x in onnx_export.onnx_inputs(loaded.env)]
+    difference = models.largest_difference(proto, loaded, seen)
+    found = _require_alike(difference, models.rounding_error(loaded, seen))
+    inputs = [(x.name, x.shape, x.meaning) for x in models.onnx_inputs(loaded.env)]
     return Model(proto, [found], inputs, ("batch",))
 
 
-def _car_model(loaded: LoadedPolicy, config: ExportConfig) -> Model:
+def _car_model(loaded: LoadedPolicy, config: OnnxConfig) -> Model:
     """The model of a policy and its observation, for a car outside the simulator."""
     counts = {name: getattr(config, name) for name in COUNTS}
     rows = environment_rows(loaded.env, counts)
-    proto = onnx_export.make_car_model(loaded, rows)
+    proto = models.make_car_model(loaded, rows)
     seen = rollout(loaded, CHECKED, config.seed, rows)
-    session = onnx_export.make_session(proto)
+    session = models.make_session(proto)
     start = time.process_time()
-    action = onnx_export.decisions(session, seen)
+    action = models.decisions(session, seen)
     spent = (time.process_time() - start) / CHECKED
     observation = seen["observation"]
     rounding = np.maximum(
-        onnx_export.rounding_error(loaded, observation),
-        onnx_export.sensitivity(loaded, rows, seen, config.seed),
+        models.rounding_error(loaded, observation),
+        models.sensitivity(loaded, rows, seen, config.seed),
     )
-    expected = onnx_export.policy_actions(loaded, observation)
-    difference = onnx_export.differences(action, expected)
+    expected = models.policy_actions(loaded, observation)
+    difference = models.differences(action, expected)
     found = [_require_alike(difference, rounding)]
     found.append(f"{1e3 * spent:.2f} ms a decision on one core")
-    taken, describe = onnx_export.inputs_of(proto), onnx_export.describe
+    taken, describe = models.inputs_of(proto), models.describe
     inputs = [(x.name, x.shape(rows), describe(x)) for x in taken]
     return Model(proto, found, inputs, ())
 

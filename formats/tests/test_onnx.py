@@ -12,23 +12,12 @@ import pytest
 from helpers.exporting import observations, untrained
 from helpers.sliding import SlidePhysics
 
-from carpark_mj.cli.export import environment_rows
-from carpark_mj.config import (
-    EnvConfig,
-    FleetConfig,
-    GoalConfig,
-    RayConfig,
-    RingConfig,
-    UltrasoundConfig,
-)
-from carpark_mj.env import ParkingEnv
-from carpark_mj.geometry import boxes, norm, to_local, wrap_angle
-from carpark_mj.mdp.actions import action_spec
-from carpark_mj.observations import ContinuousObservation, make_fields, observe
-from carpark_mj.policy.loading import load_policy
-from carpark_mj.policy.onnx_export import (
+from carpark_formats.onnx.car import plain_values
+from carpark_formats.onnx.export import environment_rows
+from carpark_formats.onnx.models import (
     METADATA,
     decisions,
+    from_onnx,
     inputs_of,
     join_inputs,
     largest_difference,
@@ -42,9 +31,22 @@ from carpark_mj.policy.onnx_export import (
     sensitivity,
     split_observation,
 )
-from carpark_mj.policy.onnx_program import make_graph
-from carpark_mj.policy.outside import plain_values
-from carpark_mj.registry import environment
+from carpark_formats.onnx.program import make_graph
+from carpark_mj.config import (
+    EnvConfig,
+    FleetConfig,
+    GoalConfig,
+    RayConfig,
+    RingConfig,
+    UltrasoundConfig,
+)
+from carpark_mj.env import ParkingEnv
+from carpark_mj.geometry import boxes, norm, to_local, wrap_angle
+from carpark_mj.mdp.actions import action_spec
+from carpark_mj.observations import ContinuousObservation, make_fields, observe
+from carpark_mj.policy.loading import load_policy
+from carpark_mj.policy.named import find_named
+from carpark_mj.registry import FIRST, environment
 
 WIDE = ContinuousObservation(
     global_information=True, own_car=True, rays=RayConfig(count=5), tracked_movers=2
@@ -93,6 +95,19 @@ def test_a_model_acts_like_its_policy(name, encoder):
     assert action.shape == (len(seen), spec.size)
     assert action.dtype == spec.dtype
     assert np.ptp(action, axis=0).min() > 0.1  # it depends on what is seen
+
+
+def test_a_model_drives_as_its_policy(tmp_path):
+    loaded, file = untrained(ENVS["fixed"]), tmp_path / "policy.onnx"
+    file.write_bytes(make_model(loaded).SerializeToString())
+    seen, key = observations(loaded.env, 7), jax.random.key(0)
+    found = jax.jit(from_onnx(file)(ParkingEnv(loaded.env)))(seen, key)[0]
+    np.testing.assert_allclose(found, loaded.policy(seen, key)[0], atol=1e-4)
+    with pytest.raises(ValueError, match=r"policy fails on .*agent_present"):
+        find_named(f"onnx:{file}")(ParkingEnv(FIRST))
+    (tmp_path / "other.onnx").write_text("no model")
+    with pytest.raises(ValueError, match=r"other\.onnx cannot be loaded"):
+        find_named(f"onnx:{tmp_path / 'other.onnx'}")
 
 
 def test_rounding_is_that_of_float32_and_small_for_small_sums():

@@ -6,28 +6,30 @@ Fields of repeated entities become one input with a row for each entity:
 `agent_0_position`, `agent_1_position` ... are `agent_position` (batch, count, 2).
 
 `make_car_model`: with the observation inside, for cars outside the simulator. Its
-inputs are those of `carpark_mj.policy.outside.INPUTS` that the policy reads; it has no
+inputs are those of `carpark_formats.onnx.car.INPUTS` that the policy reads; it has no
 batch.
 """
 
 import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_formats.onnx.car import INPUTS, PlainInput, Rows, sight_of
+from carpark_formats.onnx.graph import BATCH
+from carpark_formats.onnx.program import make_graph
 from carpark_mj.config import EnvConfig
-from carpark_mj.extensions import require_packages
+from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.observations import ContinuousObservation, Field, make_fields
 from carpark_mj.observations.compose import is_picture, join
 from carpark_mj.policy.acting import as_argument
+from carpark_mj.policy.host import Act, HostPolicy, reading_file
 from carpark_mj.policy.loading import LoadedPolicy
-from carpark_mj.policy.onnx_graph import BATCH
-from carpark_mj.policy.onnx_program import make_graph
-from carpark_mj.policy.outside import INPUTS, PlainInput, Rows, sight_of
 
 OUTPUT = "action"
 METADATA = "carpark_mj"  # key of a car model's metadata, as JSON
@@ -101,7 +103,6 @@ def make_model(loaded: LoadedPolicy) -> Any:
             f"only policies without pictures become ONNX models, not one that observes "
             f"{', '.join(pictures)}"
         )
-    require_packages("onnx", "onnxruntime")
     inputs = {entry.name: entry for entry in onnx_inputs(loaded.env)}
 
     def act(*arrays: jax.Array) -> dict[str, jax.Array]:
@@ -294,3 +295,28 @@ def decisions(session: Any, values: dict[str, np.ndarray]) -> np.ndarray:
     count = len(values[names[0]])
     rows = ({name: values[name][k, ...] for name in names} for k in range(count))
     return np.stack([session.run(None, row)[0] for row in rows])
+
+
+def from_onnx(path: str | Path, env: EnvConfig | str | None = None) -> HostPolicy:
+    """A policy from an ONNX model, whose first output is the action.
+
+    Its inputs are those of `carpark_mj export`, an input for every field, or one with
+    whole observations (batch, size).
+
+    Raises:
+        ValueError: onnxruntime cannot read it.
+    """
+    with reading_file(path) as file:
+        session = make_session(file)
+    names = [entry.name for entry in session.get_inputs()]
+
+    def bind(env: ParkingEnv) -> Act:
+        def act(observation: Any) -> np.ndarray:
+            parts = {names[0]: observation}
+            if len(names) > 1:
+                parts = split_observation(env.config, observation)
+            return session.run(None, {name: parts[name] for name in names})[0]
+
+        return act
+
+    return HostPolicy(Path(path).stem, bind, env)

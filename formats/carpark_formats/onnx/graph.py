@@ -31,7 +31,7 @@ class Graph:
 
     def __init__(self, batched: str = "") -> None:
         """Begins an empty one; `batched` names an input whose first axis is a batch."""
-        import onnx  # of the extra `export`
+        import onnx  # only where a model is made
 
         self._make, self._constant = onnx.helper, onnx.numpy_helper.from_array
         self._batched = batched
