@@ -141,7 +141,7 @@ def export(config: ExportConfig) -> Path:
     require_writable(out, new_folders=True)  # before the work
     out.parent.mkdir(parents=True, exist_ok=True)
     if config.mean_with:
-        save_mean(config.run, config.mean_with, out)
+        save_mean(config.run, config.mean_with, out, config.kinds)
     else:
         save_policy(config.run, out)
     print(f"wrote {out}: {out.stat().st_size / 1e6:.2f} MB")
