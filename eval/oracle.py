@@ -66,7 +66,7 @@ MARGIN = 0.02  # m on every side of a car that drives
 ORDERS = 6
 BREADTH = 3  # cars of an order among which the one that parks first is next
 WAYS = 2  # of every car in a lot without others
-TWO = {"paths": 2, "more_paths": 0}  # of a search
+TWO: Any = {"paths": 2, "slow": math.inf}  # of a search
 # Long steps: most of a lot is open, and a search that fails is soon given up.
 ALONE = SearchConfig(
     (0.08, 0.02, 0.0), step=1.0, max_tests=2500, shorten_tests=1000, **TWO
@@ -306,7 +306,7 @@ class Lot:
             pose = instants(path, car)
             if meet(pose[-1:], self._wide[k], way, size).any():
                 continue
-            free = all(self._space[k].is_free(*place) for place in pose)
+            free = self._space[k].is_free(pose).all()
             if not free or self._hits(turns, k, pose):
                 continue
             found = self._first(turns, k, [pose])

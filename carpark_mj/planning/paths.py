@@ -28,6 +28,7 @@ from carpark_mj.vehicle.drive import SWITCH_SPEED, close_hold, hold_braking
 STEP = 0.02  # m between points of a path
 BLEND = 0.8  # m, over which the steering changes
 SHORTEST = 0.03  # m; shorter segments are left out
+TURN = 0.02  # rad; but no more turn than this: many short ones turn a car in its place
 CRUISE = 1.2  # m/s, highest speed, unless a path must be driven in less time
 FASTEST = 2.0  # m/s, highest speed then
 CREEP = 0.3  # m/s, below which a car without a pedal stops: the brake holds it
@@ -107,7 +108,9 @@ def make_path(pose: np.ndarray, car: VehicleParameters) -> PlannedPath | None:
     segments: list[Segment] = []
     for first, last in itertools.pairwise(bounds):
         points, gear = pose[first : last + 1], int(gears[first])
-        if np.hypot(*np.diff(points[:, :2], axis=0).T).sum() < SHORTEST:
+        length = np.hypot(*np.diff(points[:, :2], axis=0).T).sum()
+        before = segments[-1].pose[-1, 2] if segments else yaw[0]
+        if length < SHORTEST and abs(points[-1, 2] - before) < TURN:
             continue
         if segments and segments[-1].gear == gear:  # what lay between was left out
             points = np.concatenate([segments.pop().pose, points])

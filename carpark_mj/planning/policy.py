@@ -30,7 +30,6 @@ from carpark_mj.planning.paths import (
     PlannedPath,
     Progress,
     brake,
-    centre,
     hurry,
     rear_axle,
     track,
@@ -110,7 +109,10 @@ class Agent:
         pose, size, _ = sight.movers
         if self._stuck >= (PATIENCE_MOVERS if len(pose) else PATIENCE):
             solids = sight.solids.with_boxes(*sight.others)
-            self._plan(sight, solids.with_boxes(pose, size + 2 * PASSING))
+            # Less from those that are near already.
+            room = _space(sight, pose, size, 0.0).room(rear_axle(sight.car, sight.pose))
+            room = min(PASSING, room / 2)
+            self._plan(sight, solids.with_boxes(pose, size + 2 * room))
         pace = self._pace(sight)
         command = self._follow(sight, pace)
         if pace == 0.0 or command is None:
@@ -173,13 +175,17 @@ class Agent:
         segment = path.segments[number]
         ahead = segment.distance - segment.distance[point]
         points = segment.pose[(ahead >= 0) & (ahead <= way)][::10]
-        nothing = Solids(pose[near], size[near], np.zeros((0, 2)), np.zeros(0))
-        wide = sight.car.length + 2 * gap, sight.car.width + 2 * gap
-        here = FreeSpace(nothing, wide, sight.extent)
-        return all(here.is_free(*place) for place in centre(sight.car, points))
+        return bool(_space(sight, pose[near], size[near], gap).is_free(points).all())
 
 
-SLOW = 0.7  # of an episode, for which a path is slow: more are searched for
+def _space(sight: Sight, pose: np.ndarray, size: np.ndarray, gap: float) -> FreeSpace:
+    """Poses of the rear axle with a gap [m] to boxes (k, 3), (k, 2)."""
+    boxes, car = Solids(pose, size, np.zeros((0, 2)), np.zeros(0)), sight.car
+    wide = car.length + 2 * gap, car.width + 2 * gap
+    return FreeSpace(boxes, wide, sight.extent, car.centre_offset)
+
+
+SLOW = 0.7  # of an episode, for which a path is slow: less clearance is tried
 
 
 class Planner:

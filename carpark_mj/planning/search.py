@@ -1,11 +1,12 @@
 """Paths by OMPL: RRT-Connect in the space of Reeds and Shepp, shortened.
 
-RRT-Connect (Kuffner and LaValle, ICRA 2000) grows a tree from the start and one from
-the goal; Sucan, Moll and Kavraki, *The Open Motion Planning Library*, 2012. Its steps
-are short, because in a tight bay only short moves are free, and it restarts when it
-takes long. It mostly ends in the first of its goals, so the two ways round in the bay
-take turns. Of a few paths the quickest to drive is taken; more are searched for if all
-are slow. The number of collision tests ends a search, not time.
+A tight bay is left by many short moves, of which random samples find few. So a lattice
+of moves at full lock or straight on leads out of the bay and away from the start, with
+the fewest moves. RRT-Connect (Kuffner and LaValle, ICRA 2000; Sucan, Moll and Kavraki,
+*The Open Motion Planning Library*, 2012) joins the two: it grows a tree from either
+side and restarts when it takes long. It mostly ends in the first of its goals, so they
+are drawn at random. Of a few paths the quickest to drive is taken. The number of
+collision tests ends a search, not time.
 """
 
 import dataclasses
@@ -20,75 +21,28 @@ import numpy as np
 
 from carpark_mj.extensions import require_packages
 from carpark_mj.layouts.types import BayKind, Layout
+from carpark_mj.planning.obstacles import FreeSpace, Solids
 from carpark_mj.planning.paths import STEP, PlannedPath, centre, make_path, rear_axle
 from carpark_mj.vehicle import VehicleParameters
-
-_CORNERS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2  # of a unit square
-
-
-class Solids(NamedTuple):
-    """Obstacles that do not move."""
-
-    pose: np.ndarray  # (n, 3) centre poses of boxes
-    size: np.ndarray  # (n, 2) length and width [m]
-    centre: np.ndarray  # (m, 2) of discs
-    radius: np.ndarray  # (m,) [m]
-
-    def with_boxes(self, pose: np.ndarray, size: np.ndarray) -> "Solids":
-        """These and more boxes (k, 3), (k, 2)."""
-        return self._replace(
-            pose=np.concatenate([self.pose, pose]),
-            size=np.concatenate([self.size, size]),
-        )
-
-
-class FreeSpace:
-    """The poses of a rectangle in a lot that are free of collisions."""
-
-    def __init__(
-        self, solids: Solids, size: tuple[float, float], extent: np.ndarray
-    ) -> None:
-        """For a rectangle [m] in a lot of half widths `extent` (2,) [m]."""
-        import shapely  # comes with the planner's extra
-
-        self.extent, self._shapely, self._corners = extent, shapely, _CORNERS * size
-        pairs = zip(solids.pose, solids.size, strict=True)
-        self._boxes = shapely.union_all([self._box(_CORNERS * b, *a) for a, b in pairs])
-        self._discs, self._radius = shapely.points(solids.centre), solids.radius
-        shapely.prepare(self._boxes)
-
-    def _box(self, corners: np.ndarray, x: float, y: float, yaw: float) -> Any:
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        return self._shapely.polygons(corners @ ((cos, sin), (-sin, cos)) + (x, y))
-
-    def is_free(self, x: float, y: float, yaw: float) -> bool:
-        """Whether the rectangle touches nothing, with its centre within the extent."""
-        if abs(x) > self.extent[0] or abs(y) > self.extent[1]:
-            return False
-        car = self._box(self._corners, x, y, yaw)
-        if self._shapely.intersects(self._boxes, car):
-            return False
-        if not len(self._radius):
-            return True
-        return bool((self._shapely.distance(self._discs, car) >= self._radius).all())
 
 
 @dataclasses.dataclass(frozen=True)
 class SearchConfig:
     """How paths are searched."""
 
-    # distances to keep from obstacles [m]; the first that leads to a path counts
+    # distances to keep from obstacles [m]; the first with a path not slow counts
     clearances: tuple[float, ...] = (0.08, 0.05, 0.02)
     # share of the full lock that is left to the tracking controller
     spare_steering: float = 0.05
     step: float = 0.3  # longest extension of a tree [m]
     paths: int = 4  # how many paths are searched for, at each clearance
-    # how many more, at most, while the quickest takes longer than `slow`
-    more_paths: int = 12
-    slow: float = 70.0  # [s]
+    slow: float = 70.0  # [s], from which the next clearance may lead to a quicker one
     max_tests: int = 8_000  # collision tests of a search, after which it is given up
     shorten_tests: int = 3_000  # collision tests that shorten a path
     resolution: float = 0.05  # distance between tested poses [m]
+    # lengths of a lattice's moves [m], each tried where longer ones do not lead out
+    moves: tuple[float, ...] = (0.05, 0.03)
+    max_poses: int = 60_000  # of a lattice, after which it is given up
 
 
 class Search(NamedTuple):
@@ -110,6 +64,9 @@ def search(
 ) -> Search:
     """Searches a path to a bay, nose in or nose out.
 
+    Where start or goal are nearer to obstacles than the least clearance, half of their
+    distance is kept.
+
     Args:
         start: (3,) pose of the footprint's centre.
         goal: (3,) of the bay's middle, either way round; (1, 3) if only that way.
@@ -120,27 +77,28 @@ def search(
         config: of the search; the defaults if None.
     """
     config, begun = config or SearchConfig(), time.thread_time()
-    most = config.paths + config.more_paths
-    seeds = np.random.SeedSequence(seed).generate_state(most).tolist()
-    poses = _poses_in_bay(goal)
-    for clearance in config.clearances:
-        size = car.length + 2 * clearance, car.width + 2 * clearance
-        space = FreeSpace(solids, size, extent)
-        if not (space.is_free(*start) and space.is_free(*np.atleast_2d(goal)[0])):
-            continue
-        here = rear_axle(car, start)
-        ends = rear_axle(car, poses), rear_axle(car, poses[::-1])
-        best: PlannedPath | None = None
-        for number, own_seed in enumerate(seeds):
-            path = _connect(here, ends[number % 2], space, car, config, own_seed)
-            if path and (best is None or path.duration < best.duration):
-                best = path
-            is_slow = best is not None and best.duration > config.slow
-            if number + 1 >= config.paths and not is_slow:
-                break
-        if best is not None:
-            return Search(best, time.thread_time() - begun, clearance)
-    return Search(None, time.thread_time() - begun, math.nan)
+    seeds = np.random.SeedSequence(seed).generate_state(config.paths).tolist()
+    lock = car.max_steering * (1.0 - config.spare_steering)
+    curvature = math.tan(lock) / car.wheelbase
+    size, ends = np.array([car.length, car.width]), _poses_in_bay(goal)
+    both = np.stack([start, ends[0]])
+    room = FreeSpace(solids, size, extent).room(both).min() / 2
+    away = min(AWAY, math.dist(*both[:, :2]) / 2)
+    clearances = [*config.clearances, *[room] * int(room < config.clearances[-1])]
+    best = Search(None, 0.0, math.nan)
+    for clearance in clearances:
+        space = FreeSpace(solids, size + 2 * clearance, extent, car.centre_offset)
+        starts, goals = (
+            _ways_out(rear_axle(car, side), space, car, curvature, away, config)
+            for side in (start[None], ends)
+        )
+        for own_seed in seeds if len(starts.out) and len(goals.out) else ():
+            path = _connect(starts, goals, space, car, curvature, config, own_seed)
+            if path and (not best.path or path.duration < best.path.duration):
+                best = best._replace(path=path, clearance=clearance)
+        if best.path and best.path.duration <= config.slow:
+            break
+    return best._replace(seconds=time.thread_time() - begun)
 
 
 def _poses_in_bay(goal: np.ndarray) -> np.ndarray:
@@ -151,10 +109,104 @@ def _poses_in_bay(goal: np.ndarray) -> np.ndarray:
     return np.array(sorted(turned))
 
 
-def _wrap(yaw: float) -> float:
-    """The direction in [-pi, pi): OMPL leaves out states beyond its bounds."""
-    yaw = math.remainder(yaw, 2 * math.pi)
-    return -math.pi if yaw == math.pi else yaw
+def _wrap(yaw: Any) -> Any:
+    """Directions in [-pi, pi): OMPL leaves out states beyond its bounds."""
+    return (yaw + math.pi) % (2 * math.pi) - math.pi
+
+
+AWAY = 1.8  # m from where a lattice begins to where it is left
+LEAST = 0.08  # m, of a lattice's moves: a car cannot drive shorter ones exactly
+EXITS = 8  # of a lattice, for a search
+
+
+class _Ways(NamedTuple):
+    """Ways out of a tight place, from poses of a lattice to where it begins."""
+
+    pose: np.ndarray  # (n, 3) of the rear axle
+    before: np.ndarray  # (n,) index of where the move to it began; -1 = none
+    out: np.ndarray  # indices of those that are outside
+
+    def way(self, pose: np.ndarray) -> np.ndarray:
+        """(m, 3) from a pose of the lattice to where it begins."""
+        index, way = int(np.abs(self.pose - pose).sum(axis=1).argmin()), []
+        while index >= 0:
+            way.append(index)
+            index = int(self.before[index])
+        return self.pose[way]
+
+
+def _ways_out(
+    begin: np.ndarray,
+    space: FreeSpace,
+    car: VehicleParameters,
+    curvature: float,
+    away: float,
+    config: SearchConfig,
+) -> _Ways:
+    """The fewest moves from poses (k, 3) of the rear axle to those so far away [m].
+
+    A breadth-first search: of all poses that n moves reach, six moves of any length
+    lead to those that n + 1 reach. One pose stands for all in its cell.
+    """
+    ways = _Ways(begin, np.zeros(0, int), np.zeros(0, int))
+    for move in config.moves:
+        if not len(ways.out):
+            ways = _lattice(begin, space, car, curvature, away, move, config.max_poses)
+    return ways
+
+
+def _lattice(
+    begin: np.ndarray,
+    space: FreeSpace,
+    car: VehicleParameters,
+    curvature: float,
+    away: float,
+    move: float,
+    most: int,
+) -> _Ways:
+    """`_ways_out` with moves of multiples of `move` [m], of at `most` so many poses."""
+    cell = np.array([move / 3, move / 3, 0.6 * move * curvature])
+    seen, poses, before = set[tuple[int, ...]](), list[np.ndarray](), list[np.ndarray]()
+
+    def keep_free(pose: np.ndarray, source: np.ndarray) -> tuple[np.ndarray, ...]:
+        kept = space.is_free(pose)
+        return pose[kept], source[kept]
+
+    def add(pose: np.ndarray, source: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Those of the poses that are new and free, and their sources; adds them."""
+        pose[:, 2] = _wrap(pose[:, 2])
+        cells = map(tuple, np.floor(pose / cell).astype(int).tolist())
+        new = [k for k, own in enumerate(cells) if not (own in seen or seen.add(own))]
+        pose, source = keep_free(pose[new], source[new])
+        poses.append(pose)
+        before.append(source)
+        return pose, source
+
+    def is_far(pose: np.ndarray) -> np.ndarray:
+        return np.hypot(*(centre(car, pose) - middle)[:, :2].T) >= away
+
+    middle = centre(car, begin[0])
+    add(begin.copy(), np.full(len(begin), -1))
+    first = 0
+    while True:
+        whole = np.concatenate(poses)
+        index = np.arange(first, len(whole))
+        far = is_far(whole[first:])
+        if far.any() or not len(index) or len(whole) > most:
+            return _Ways(whole, np.concatenate(before), index[far])
+        first = len(whole)
+        for way, side in itertools.product((move, -move), (-curvature, 0.0, curvature)):
+            now, source, turn = whole[index], index, way * side
+            chord = way * np.sinc(turn / (2 * math.pi))
+            length = 0.0
+            while len(now):
+                length += move
+                ahead = now[:, 2] + turn / 2
+                step = chord * np.cos(ahead), chord * np.sin(ahead), turn + 0 * ahead
+                keep = add if length > min(LEAST, away / 2) else keep_free
+                now, source = keep(now + np.stack(step, axis=1), source)
+                near = ~is_far(now)
+                now, source = now[near], source[near]
 
 
 @functools.cache
@@ -182,39 +234,34 @@ class _Counter:
 
 
 def _connect(
-    start: np.ndarray,
-    goals: np.ndarray,
+    starts: _Ways,
+    goals: _Ways,
     space: FreeSpace,
     car: VehicleParameters,
+    curvature: float,
     config: SearchConfig,
     seed: int,
 ) -> PlannedPath | None:
-    """One search and its path from (3,) to goals (n, 3) of the rear axle, or None."""
+    """One search and its path between where two lattices begin, or None."""
     base, geometric, util = _ompl()
     util.RNG.setSeed(max(seed, 1))  # 0 is none
-    lock = car.max_steering * (1.0 - config.spare_steering)
-    curves = base.ReedsSheppStateSpace(car.wheelbase / math.tan(lock))
+    curves = base.ReedsSheppStateSpace(1.0 / curvature)
     bounds = base.RealVectorBounds(2)
     for axis, half in enumerate(space.extent.tolist()):
         bounds.setLow(axis, -half)
         bounds.setHigh(axis, half)
     curves.setBounds(bounds)
     curves.setLongestValidSegmentFraction(config.resolution / curves.getMaximumExtent())
-
-    def is_free(state: Any) -> bool:
-        (x, y, yaw), offset = _pose(state), car.centre_offset
-        return space.is_free(
-            x + offset * math.cos(yaw), y + offset * math.sin(yaw), yaw
-        )
-
-    count = _Counter(is_free)
+    count = _Counter(lambda state: bool(space.is_free(np.array(_pose(state)))))
     setup = geometric.SimpleSetup(curves)
     setup.setStateValidityChecker(count)
     information = setup.getSpaceInformation()
     ends = base.GoalStates(information)
-    setup.addStartState(_state(curves, start))
-    for goal in goals:
-        ends.addState(_state(curves, goal))
+    draw = np.random.default_rng(seed)
+    for ways, add in ((starts, setup.addStartState), (goals, ends.addState)):
+        roots = np.flatnonzero(ways.before < 0)
+        for number in (*draw.permutation(ways.out)[:EXITS], *roots):
+            add(_state(curves, ways.pose[number]))
     setup.setGoal(ends)
     planner = geometric.RRTConnect(information)
     planner.setRange(config.step)
@@ -224,16 +271,19 @@ def _connect(
     setup.solve(stop)
     if not setup.haveExactSolutionPath():
         return None
-    whole = _points(curves, setup.getSolutionPath().getStates())
+    found = np.array([*map(_pose, setup.getSolutionPath().getStates())])
+    way = starts.way(found[0])[::-1], found[1:-1], goals.way(found[-1])
+    states = [_state(curves, pose) for pose in np.concatenate(way)]
+    whole = _points(curves, states)
     # A shortened path is checked at the end, whatever is left.
     count.left, count.searches = config.shorten_tests, False
-    setup.simplifySolution(stop)
-    short = _points(curves, setup.getSolutionPath().getStates())
+    path = geometric.PathGeometric(information, states)
+    geometric.PathSimplifier(information).simplify(path, stop)
+    short = _points(curves, path.getStates())
     # OMPL hands a shortened path out that touches obstacles, with a warning.
-    for points in (short, whole):
-        if all(space.is_free(*place) for place in centre(car, points)):
-            return make_path(points, car)
-    return None
+    free = [x for x in (short, whole) if space.is_free(x).all()]
+    paths = [path for points in free if (path := make_path(points, car))]
+    return min(paths, key=lambda path: path.duration, default=None)
 
 
 def _state(curves: Any, pose: np.ndarray) -> Any:
@@ -260,7 +310,7 @@ def _pose(state: Any) -> tuple[float, float, float]:
 
 STARTS = 4  # spawn regions tried for a bay, the nearest first
 AROUND = 15.0  # m beyond start and bay in which a path may lie
-SEARCH = SearchConfig(clearances=(0.05, 0.02), paths=2, more_paths=0)
+SEARCH = SearchConfig(clearances=(0.05, 0.02), paths=2)
 
 
 def unreached(

@@ -17,7 +17,9 @@ from carpark_mj.planning.policy import (
     LOOK_AHEAD,
     MAX_PLANS,
     PACES,
+    PASSING,
     PATIENCE,
+    PATIENCE_MOVERS,
     Agent,
     Planner,
     Sight,
@@ -111,6 +113,20 @@ def test_an_agent_stops_for_another_one_and_plans_around_it():
     assert len(agent.searches) == 1
     agent.act(sight(others=others))
     assert len(agent.searches) == 2
+
+
+def test_an_agent_sets_out_from_a_mover_close_behind_it():
+    """Nearer than it keeps from movers that it drives around."""
+    agent = Agent((0,), 0.2, SearchConfig(paths=1))
+    seen = sight(begins=True)
+    yaw, reach = seen.pose[2], CAR.length / 2 + 0.5 * PASSING + 0.15
+    there = seen.pose - reach * np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    mover = there[None], np.full((1, 2), 0.3), np.zeros((1, 2))
+    agent.act(seen._replace(movers=mover))
+    agent._stuck = PATIENCE_MOVERS
+    agent.act(sight()._replace(movers=mover))
+    assert len(agent.searches) == 2
+    assert agent.searches[1].path is not None
 
 
 def test_an_agent_without_a_path_stands_and_gives_up_after_a_few_searches():
