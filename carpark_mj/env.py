@@ -134,6 +134,7 @@ class ParkingEnv:
                 f"bicycle, not {self.physics.config.back_end}"
             )
         self._spawner = Spawner(config, self.fleet, self.physics, self._layout)
+        self._compiled_step = jax.jit(self._step)
 
     def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
         """The environment with some settings replaced by values, which may be traced.
@@ -151,6 +152,7 @@ class ParkingEnv:
         env = copy.copy(self)
         env.config = insert(self.config, values)
         env._spawner = self._spawner.with_config(env.config)
+        env._compiled_step = jax.jit(env._step)
         return env
 
     @property
@@ -265,6 +267,13 @@ class ParkingEnv:
         shape = (self.config.num_agents, self.action_spec.size)
         if action.shape != shape:
             raise ValueError(f"action must be of shape {shape}, not {action.shape}")
+        leaves = jax.tree.leaves((state, action))
+        if any(isinstance(leaf, Tracer) for leaf in leaves):
+            return self._step(state, action)
+        # Else JAX would compile the loops anew, at every step.
+        return self._compiled_step(state, action)
+
+    def _step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         config, before = self.config, state
         keys = self._spawner.split_keys(state.key)
         act = actions.parse(config, self._stop_finished(before, action))

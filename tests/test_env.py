@@ -56,6 +56,19 @@ def test_reset_starts_every_episode_at_zero():
 # Step
 
 
+def test_a_step_outside_jit_compiles_once():
+    env, reset, step = slide()
+    state, _ = reset(jax.random.key(0))
+    after, _ = env.step(state, HALT)
+    assert same(after, step(state, HALT)[0])
+    compiled = []
+    listen = lambda event, *_, **__: compiled.append(event)  # noqa: E731
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    env.step(after, HALT)
+    jax.monitoring.unregister_event_duration_listener(listen)
+    assert not any("compile" in event for event in compiled)
+
+
 def test_step_is_pure():
     env, step, state = start()
     before, constants = leaves(state), dict(vars(env))

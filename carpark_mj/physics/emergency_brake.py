@@ -19,7 +19,6 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import xlogy
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry.obstacles import Group, ObstacleKind
@@ -38,7 +37,7 @@ ARCS = 3  # ways between two steering angles
 SHARE = np.array([1, 4, 9, 16], np.float32) / 16  # of a way, the places looked at
 # Of g T², the drift across a slope g of a car that slides for T to a stop, by the share
 # s of its way: friction opposes the velocity, so that dv/dt = g - v / (T - t).
-DRIFT = (SHARE + xlogy(1.0 - SHARE, 1.0 - SHARE)) / 4
+DRIFT = (SHARE + (1.0 - SHARE) * np.log(np.maximum(1.0 - SHARE, 1e-9))) / 4
 
 
 def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:

@@ -104,8 +104,9 @@ def check_cars(
     def bays() -> Iterable[np.ndarray]:
         if layout is not None:
             return [_bays(layout)]
-        drawn = itertools.product(range(SAMPLED_LOTS), lot.parts)
-        return (_draw_bays(part, number) for number, part in drawn)
+        # Family by family: each compiles a program, and the first often suffices.
+        drawn = itertools.product(lot.parts, range(SAMPLED_LOTS))
+        return itertools.starmap(_draw_bays, drawn)
 
     if fleet.mixed:
         slack, goals = config.episode.slack, _num_goals(config)
