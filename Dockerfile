@@ -7,6 +7,7 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /opt/carpark_mj
 COPY . .
-RUN pip install --no-cache-dir -e ".[train,eval]"
+RUN pip install --no-cache-dir -e ".[train,eval]" \
+    && pip install --no-cache-dir ./formats
 WORKDIR /work
 ENTRYPOINT ["carpark_mj"]

@@ -33,7 +33,7 @@ _broken: dict[str, str] = {}  # why an extension cannot be imported
 
 # Names that come with carpark_formats, by their kinds; only messages need them.
 FORMATS = {
-    "command": ("layouts import", "scenario import", "scenario export"),
+    "command": ("layouts import", "scenario import", "scenario export", "serve"),
     "level": ("parkbench",),
     "format to save": ("osm", "xodr"),
     "format to export": ("onnx",),

@@ -79,10 +79,6 @@ COMMANDS = {
         "cli.pages:play", "drive a car yourself",
         "driving:PlayConfig", KEEPING, drives=True,
     ),
-    "serve": _command(
-        "cli.pages:serve", "step a lot from outside, by JSON lines",
-        "driving:ServeConfig", KEEPING, drives=True,
-    ),
     "list": _command(
         "cli.listing:main", "list layouts, environments, vehicles, policies, presets",
         "lots:ListConfig",

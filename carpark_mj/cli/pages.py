@@ -5,13 +5,12 @@ imported before it is open.
 """
 
 import contextlib
-import dataclasses
 import threading
 from collections.abc import Generator
 from typing import Any
 
-from carpark_mj.cli.clock import CLOCK, PERIOD, wait_for_user
-from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig, ServeConfig
+from carpark_mj.cli.clock import CLOCK, PERIOD
+from carpark_mj.cli.settings.driving import PlayConfig, SceneConfig
 from carpark_mj.extensions import Entry, require_packages
 from carpark_mj.rendering.local_pages import HOST
 
@@ -54,19 +53,3 @@ def play(config: PlayConfig) -> None:
     on_page = config.shown_in == "web" and not config.video
     with open_page(config.port, on_page) as page:
         Entry("carpark_mj.cli.play:main").load()(config, page)
-
-
-def serve(config: ServeConfig) -> None:
-    """Serves lots to programs, see `carpark_mj.wrappers.json_lines`."""
-    from carpark_mj.cli.driver import adapted, find_driver
-    from carpark_mj.env import ParkingEnv
-    from carpark_mj.wrappers.json_lines import LineServer
-
-    env = adapted(config, find_driver(config.run).env)
-    episode = dataclasses.replace(env.episode, respawn=False)
-    lots = ParkingEnv(dataclasses.replace(env, episode=episode))
-    with LineServer(lots, config.port) as server:
-        address = ":".join(map(str, server.server_address))
-        print(f"serving {address}, one JSON object a line (Ctrl-C ends)", flush=True)
-        wait_for_user()
-        server.serve_forever()

@@ -5,10 +5,11 @@ from typing import Annotated
 
 import tyro
 
-from carpark_mj.cli.settings.driving import ExportConfig
+from carpark_mj.cli.settings.driving import DriveSettings, ExportConfig
 from carpark_mj.cli.settings.lots import Crop
 from carpark_mj.config.checks import Seed, require_unset
 from carpark_mj.files import require_suffix
+from carpark_mj.rendering.local_pages import Port
 
 COUNTS = ("others", "parked", "walls", "discs", "people", "movers", "lanes")
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
@@ -107,6 +108,25 @@ class ScenarioExportConfig:
         require_suffix("out", self.out, ".xml", *[".xosc"] * (not self.run))
         if bool(self.run) != bool(self.problem):
             raise ValueError("--run and --problem belong together")
+
+
+@dataclasses.dataclass(frozen=True)
+class ServeConfig(DriveSettings):
+    """Serves a lot on a local socket: JSON lines step it from outside.
+
+    carpark_mj serve zero --layout my_lot.json --vehicle my_car.yaml --num-agents 1
+    carpark_mj serve valet --port 9000
+
+    The program at the other end drives. `run` names an environment's policy, whose
+    observations the answers have. The documentation describes requests and answers.
+
+    Attributes:
+        run: pretrained policy, run folder or checkpoint file, whose environment is
+            served, or `zero`: the default one.
+        port: of this machine; other machines cannot connect.
+    """
+
+    port: Port = 8790
 
 
 @dataclasses.dataclass(frozen=True)

@@ -45,6 +45,8 @@ def test_everything_that_the_core_says_comes_with_the_package_does():
     for kind, home in HOMES.items():
         for name in FORMATS[kind]:
             assert name in home, (kind, name)
+    ours = {n for n, x in COMMANDS.items() if x.home.startswith("carpark_formats.")}
+    assert ours == {*FORMATS["command"], "export"}
     for name in FORMATS["command"]:
         assert callable(COMMANDS[name].load())
         assert Entry(COMMANDS[name].settings).load().__doc__

@@ -160,25 +160,6 @@ class RecordConfig(DriveSettings):
 
 
 @dataclasses.dataclass(frozen=True)
-class ServeConfig(DriveSettings):
-    """Serves a lot on a local socket: JSON lines step it from outside.
-
-    carpark_mj serve zero --layout my_lot.json --vehicle my_car.yaml --num-agents 1
-    carpark_mj serve valet --port 9000
-
-    The program at the other end drives. `run` names an environment's policy, whose
-    observations the answers have. The documentation describes requests and answers.
-
-    Attributes:
-        run: pretrained policy, run folder or checkpoint file, whose environment is
-            served, or `zero`: the default one.
-        port: of this machine; other machines cannot connect.
-    """
-
-    port: Port = 8790
-
-
-@dataclasses.dataclass(frozen=True)
 class RenderConfig(DriveSettings):
     """Renders a policy's evaluation episodes off-screen to an mp4, a GIF or a still.
 

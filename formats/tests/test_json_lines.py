@@ -8,12 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.programs import exit_code
 
+from carpark_formats import json_lines
+from carpark_formats.json_lines import LineServer
 from carpark_mj.config import EnvConfig, EpisodeConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts.files import parse_layout
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.wrappers.json_lines import LineServer
 
 CONFIG = EnvConfig(
     layout="square_compact",
@@ -69,6 +71,23 @@ def test_a_client_drives_as_the_environment_steps(client):
         assert answer["done"] == (count == 3)
     assert answer["timed_out"] == [True]
     assert answer["speed"][0] > 0.1
+
+
+def test_the_command_serves_lots_of_its_flags_that_stay_at_their_ends(monkeypatch):
+    served = []
+
+    class Once(LineServer):
+        def serve_forever(self):
+            served.append((self.server_address[1], self.env.config))
+
+    monkeypatch.setattr(json_lines, "LineServer", Once)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    flags = "--layout square_compact --num-agents 1 --num-parked-cars 3"
+    assert exit_code("serve", ["zero", *flags.split(), "--port", str(port)]) == 0
+    [(at, config)] = served
+    assert (at, config.num_agents, config.num_parked_cars) == (port, 1, 3)
+    assert not config.episode.respawn
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ episodes ended and whether all have. A bad request is answered by {"error": "...
 """
 
 import contextlib
+import dataclasses
 import json
 import socket
 import socketserver
@@ -23,6 +24,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from carpark_formats.settings import ServeConfig
+from carpark_mj.cli.clock import wait_for_user
+from carpark_mj.cli.driver import adapted, find_driver
 from carpark_mj.config.checks import require_seed
 from carpark_mj.env import ParkingEnv
 from carpark_mj.extensions import unknown_name
@@ -35,6 +39,18 @@ from carpark_mj.types import NO_BAY, OUTCOMES, State
 HOST = "127.0.0.1"
 OPTIONS = ("seed", "pose", "speed", "goal")
 Answer = dict[str, Any]
+
+
+def serve(config: ServeConfig) -> None:
+    """Serves lots to programs until it is interrupted."""
+    env = adapted(config, find_driver(config.run).env)
+    episode = dataclasses.replace(env.episode, respawn=False)
+    lots = ParkingEnv(dataclasses.replace(env, episode=episode))
+    with LineServer(lots, config.port) as server:
+        address = ":".join(map(str, server.server_address))
+        print(f"serving {address}, one JSON object a line (Ctrl-C ends)", flush=True)
+        wait_for_user()
+        server.serve_forever()
 
 
 class LineProtocol:
