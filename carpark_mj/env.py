@@ -7,7 +7,8 @@ The object holds constants only; everything that changes is in `State`.
 
 import copy
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -134,7 +135,6 @@ class ParkingEnv:
                 f"bicycle, not {self.physics.config.back_end}"
             )
         self._spawner = Spawner(config, self.fleet, self.physics, self._layout)
-        self._compiled_step = jax.jit(self._step)
 
     def with_values(self, values: Mapping[str, jax.Array | float]) -> "ParkingEnv":
         """The environment with some settings replaced by values, which may be traced.
@@ -152,7 +152,6 @@ class ParkingEnv:
         env = copy.copy(self)
         env.config = insert(self.config, values)
         env._spawner = self._spawner.with_config(env.config)
-        env._compiled_step = jax.jit(env._step)
         return env
 
     @property
@@ -272,6 +271,14 @@ class ParkingEnv:
             return self._step(state, action)
         # Else JAX would compile the loops anew, at every step.
         return self._compiled_step(state, action)
+
+    @functools.cached_property
+    def _compiled_step(self) -> Callable[..., tuple[State, TimeStep]]:
+        return jax.jit(self._step)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Copies are other environments, and programs cannot be pickled.
+        return {k: x for k, x in vars(self).items() if k != "_compiled_step"}
 
     def _step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         config, before = self.config, state

@@ -38,7 +38,7 @@ FORMATS = {
     "format to save": ("osm", "xodr"),
     "format to export": ("onnx",),
     "kind of policy": ("onnx",),
-    "flag": ("--from-state",),
+    "flag": ("export --from-state",),
 }
 
 

@@ -10,14 +10,16 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from carpark_mj.cli.flags import read_flags
+from carpark_mj.cli.process import enter
 from carpark_mj.config import EnvConfig
-from carpark_mj.config.checks import counted
+from carpark_mj.config.checks import CheckedConfig, Count, counted
 from carpark_mj.env import ParkingEnv
+from carpark_mj.files import require_writable
 from carpark_mj.geometry import box_corners
 from carpark_mj.planning.paths import centre
 from carpark_mj.planning.policy import planner_policy
@@ -34,24 +36,27 @@ GEARS = {1: "tab:blue", -1: "tab:red"}
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
+class Settings(CheckedConfig):
     """Settings.
 
     Attributes:
-        levels: of the suite, whose cases begin without movers.
+        levels: of the suite, whose cases are lots alone: without starts of their own.
         cases: the first ones of each level.
         out: PNG to write.
     """
 
     levels: tuple[str, ...] = HOPE_LEVELS
-    cases: int = 4
+    cases: Count = 4
     out: Path = Path("planned_paths.png")
 
 
 def planned(level: str, count: int):
     """The car, and a title, the layout and the path (or None) of each case."""
+    cases = pick_cases(level, count)
+    if cases.start is not None:
+        raise ValueError(f"cases of {level} have starts of their own: not drawn")
     env = ParkingEnv(find_level(level).env(suite_env(EnvConfig(), "strict")))
-    cases, (policy, planner) = pick_cases(level, count), planner_policy(env)
+    policy, planner = planner_policy(env)
     keys = jax.random.split(jax.random.key(0), len(cases.number))
     state, _ = jax.jit(jax.vmap(env.reset_to_layout))(cases.layouts, keys)
     jax.block_until_ready(policy.act(state))  # plans where an episode begins
@@ -106,6 +111,7 @@ def view(layout, path):
 
 def main(settings: Settings) -> None:
     """Plans and draws."""
+    require_writable(settings.out)
     cases = [
         (*case, car)
         for car, found in (planned(x, settings.cases) for x in settings.levels)
@@ -135,5 +141,10 @@ def main(settings: Settings) -> None:
     print(f"wrote {settings.out}")
 
 
+def run() -> None:
+    """Draws with the settings on the command line."""
+    main(read_flags(Settings, description=__doc__))
+
+
 if __name__ == "__main__":
-    main(tyro.cli(Settings))
+    enter("planned_paths", "planned_paths:run")

@@ -3,7 +3,9 @@
 Steps are worked by hand on sliding cars (`helpers.sliding`).
 """
 
+import copy
 import dataclasses
+import pickle
 import re
 
 import jax
@@ -67,6 +69,9 @@ def test_a_step_outside_jit_compiles_once():
     env.step(after, HALT)
     jax.monitoring.unregister_event_duration_listener(listen)
     assert not any("compile" in event for event in compiled)
+    assert pickle.loads(pickle.dumps(env)).config == env.config
+    for other in (copy.copy(env), env.with_values({})):  # steps of their own
+        assert other._compiled_step is not env._compiled_step
 
 
 def test_step_is_pure():

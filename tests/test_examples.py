@@ -142,6 +142,8 @@ def test_start_and_goal_are_in_view_and_far_obstacles_are_not(monkeypatch):
     assert more.min() == pytest.approx(0.0, abs=1e-3)  # as close as the frame allows
     assert (high - low)[0] == pytest.approx(example.ASPECT * (high - low)[1])
     assert (high - low < 2 * layout.extent).any()
+    with pytest.raises(ValueError, match="busy have starts"):  # not at the region's
+        example.planned("busy", 1)
 
 
 SECONDS, PERIOD = 20.0, 0.2

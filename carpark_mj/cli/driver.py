@@ -11,7 +11,7 @@ from carpark_mj.cli.settings.driving import ExportConfig, LotSettings
 from carpark_mj.config import EnvConfig, FleetConfig, RandomizationConfig, SensorConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.extensions import unknown_name
-from carpark_mj.files import require_writable
+from carpark_mj.files import require_suffix, require_writable
 from carpark_mj.layouts import layout_config
 from carpark_mj.policy.acting import AnyPolicy
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -134,9 +134,9 @@ def adapt(
 def export(config: ExportConfig) -> Path:
     """Writes a policy, or the mean of two, as a checkpoint alone; returns the file."""
     out = Path(config.out)
-    if out.suffix != ".npz":
-        suffix = out.suffix[1:] if config.out else "onnx"
-        raise ValueError(unknown_name("format to export", suffix, ["npz"]))
+    if not config.out or out.suffix == ".onnx":
+        raise ValueError(unknown_name("format to export", "onnx", ()))
+    require_suffix("out", config.out, ".npz")
     load_policy(config.run)
     require_writable(out, new_folders=True)  # before the work
     out.parent.mkdir(parents=True, exist_ok=True)

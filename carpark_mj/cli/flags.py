@@ -113,7 +113,7 @@ def read_flags(
         except SystemExit:
             if not box.getvalue():
                 raise
-    raise ValueError(_sentence(box.getvalue()))
+    raise ValueError(_sentence(box.getvalue(), prog))
 
 
 def as_flags(settings: Mapping[str, str], config: Any) -> list[str]:
@@ -175,7 +175,7 @@ def command_help(text: str) -> str:
     return f"{text}\n\nPretrained policies: {describe_names()}."
 
 
-def _sentence(box: str) -> str:
+def _sentence(box: str, prog: str | None) -> str:
     """Tyro's message in a box on stderr as one line, without the box and its title."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", box)
     lines = [line.strip("│ ") for line in text.splitlines()]
@@ -186,9 +186,10 @@ def _sentence(box: str) -> str:
     for words, plain in PYTHON_WORDS.items():
         sentence = sentence.replace(words, plain)
     unknown = re.search(r"--[\w.-]+", sentence)
-    if unknown and unknown[0] in FORMATS["flag"]:
-        return unknown_name("flag", unknown[0], ())
     meant = re.findall(r"^--\w[\w.-]*", "\n".join(lines), re.MULTILINE)
+    named = f"{prog} {unknown[0]}".removeprefix("carpark_mj ") if unknown else ""
+    if sentence.startswith("Unrecognized") and named in FORMATS["flag"]:
+        return unknown_name("flag", named, ())
     # Tyro lists them in another order.
     near = unknown and difflib.get_close_matches(unknown[0], meant, 1, 0.0)
     if near:

@@ -111,7 +111,8 @@ def _poses_in_bay(goal: np.ndarray) -> np.ndarray:
 
 def _wrap(yaw: Any) -> Any:
     """Directions in [-pi, pi): OMPL leaves out states beyond its bounds."""
-    return (yaw + math.pi) % (2 * math.pi) - math.pi
+    turn = 2 * math.pi
+    return (yaw + math.pi) % turn % turn - math.pi  # rounded, the first may be a turn
 
 
 AWAY = 1.8  # m from where a lattice begins to where it is left

@@ -192,7 +192,9 @@ def save_mean(run: str, other: str, out: Path, kinds: Sequence[str] = ()) -> Non
     theirs = widen(own, env, trained, theirs, ours)
 
     known = [part.group for part in observation_sets(make_fields(env)).sets]
-    if strange := [kind for kind in kinds if own.encoder != "set" or kind not in known]:
+    if kinds and own.encoder != "set":
+        raise ValueError(f"kinds need a set encoder, and {run} has {own.encoder!r}")
+    if strange := [kind for kind in kinds if kind not in known]:
         raise ValueError(unknown_name("kind of entity", strange[0], known))
     places = _places(own, env)[HIDDEN] if kinds else []
     rows = np.array([place.rpartition(" ")[0] in kinds for place in places])

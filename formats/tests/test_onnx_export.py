@@ -160,6 +160,7 @@ def test_observations_of_a_rollout_are_of_agents_that_drive(trained, quick):
 BAD = {
     "no run": ("nowhere", "no run folder or checkpoint at nowhere"),
     "another format": ("zero --out a.pb", "out must end in .onnx or .npz"),
+    "no rows": ("zero --others 3", "others 3 has no effect without --from-state"),
     "unwritable": ("{run} --out /proc/a.npz", "/proc/a.npz"),
 }
 

@@ -64,6 +64,7 @@ BAD = {
     "refused": (["--eye.reach", "11"], "reach must be at most 10, not 11.0"),
     "choice": (["--eye.kind", "none"], "invalid choice 'none' for argument"),
     "near miss": (["--siz", "3"], "Unrecognized options: --siz, 3; perhaps you meant"),
+    "of another command": (["--from-state"], "Unrecognized options: --from-state"),
     "wide": (["--eye.kind", WIDE], f"invalid choice '{WIDE}' for argument"),
 }
 

@@ -111,6 +111,14 @@ def test_a_bay_is_entered_either_way_round_whatever_its_heading(start, yaw):
     assert found.path.length == pytest.approx(12.0, abs=0.01)
 
 
+def test_directions_stay_within_bounds_to_the_last_bit():
+    turns = math.pi * np.arange(-5.0, 6.0)
+    for yaw in (turns, np.nextafter(turns, -99.0), np.nextafter(turns, 99.0)):
+        found = module._wrap(yaw)
+        assert ((found >= -math.pi) & (found < math.pi)).all()
+        np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * yaw), atol=1e-12)
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi, 2.5])
 def test_the_quicker_way_round_is_driven_in_a_bay_and_in_its_opposite(yaw):
     """Straight ahead, where nothing stands in the way."""

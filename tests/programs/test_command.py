@@ -139,7 +139,7 @@ WITHOUT = (
     *(f"layouts square --save a.{suffix}" for suffix in FORMATS["format to save"]),
     *(f"suite zero --levels {name}:a --out suite" for name in FORMATS["level"]),
     *(f"evaluate {kind}:a --out b" for kind in FORMATS["kind of policy"]),
-    *(f"export square {flag}" for flag in FORMATS["flag"]),
+    *(flag.replace(" ", " square ") for flag in FORMATS["flag"]),
     *("export square", "export square --out a.onnx"),
 )
 

@@ -197,8 +197,9 @@ def test_a_mean_lies_halfway_between_a_run_and_the_one_it_began_with(other, tmp_
     assert same(found["normalizer"], begun.normalizer)
     save_mean("hope", "hope", tmp_path / "flat.npz")  # without parts to widen
     assert same(read_policy(tmp_path / "flat.npz")[3], read_policy("hope")[3])
-    with pytest.raises(ValueError, match="encoder"):
-        save_mean("hope", str(folder), tmp_path / "mixed.npz")
+    for pair, kinds in ((("hope", str(folder)), ()), (("hope", "hope"), ["agent"])):
+        with pytest.raises(ValueError, match="encoder"):
+            save_mean(*pair, tmp_path / "mixed.npz", kinds)
     assert not (tmp_path / "mixed.npz").exists()
 
 

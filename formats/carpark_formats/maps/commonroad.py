@@ -1,6 +1,6 @@
 """CommonRoad scenarios, version 2020a: lanelets, static obstacles, planning problems.
 
-`commonroad-io` reads them too, but needs a protobuf that the extra `export` cannot use.
+`commonroad-io` reads them too, but needs a protobuf that `onnx` cannot use.
 """
 
 import dataclasses
