@@ -126,7 +126,7 @@ def learned(monkeypatch, share, near, weight, reward=None, done=1.0):
         found.append(prepare(params))
         raise StopIteration
 
-    monkeypatch.setattr(epochs, "compute_advantages", watched)
+    monkeypatch.setattr(epochs.collect, "compute_advantages", watched)
     stopped = SimpleNamespace(normalizes=0, prepared=prepared)
     monkeypatch.setattr(epochs, "VARIANTS", {config.variant: stopped})
     given = begun(*parts, jax.random.key(0), update), steps, jax.random.key(2)
