@@ -150,7 +150,12 @@ class LineServer(socketserver.ThreadingTCPServer):
     def __init__(self, env: ParkingEnv, port: int) -> None:
         """Listens at a port; 0 = any free one, see `server_address`."""
         self.env, self.clients = env, set[socket.socket]()
-        super().__init__((HOST, port), _Client)
+        try:
+            super().__init__((HOST, port), _Client)
+        except OSError as error:
+            raise OSError(
+                f"cannot serve on port {port}: {error.strerror}; choose one with --port"
+            ) from None
 
     def server_close(self) -> None:
         """Ends all connections and waits for their threads, which use JAX."""

@@ -88,6 +88,9 @@ def test_the_command_serves_lots_of_its_flags_that_stay_at_their_ends(monkeypatc
     [(at, config)] = served
     assert (at, config.num_agents, config.num_parked_cars) == (port, 1, 3)
     assert not config.episode.respawn
+    taken = socket.create_server(("127.0.0.1", 0))
+    with taken, pytest.raises(OSError, match="--port"):
+        LineServer(ParkingEnv(config), taken.getsockname()[1])
 
 
 @pytest.mark.parametrize(
