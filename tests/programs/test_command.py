@@ -189,13 +189,13 @@ importlib.util.find_spec = lambda name: None if name in needed else find(name)
 seen, words = {}, {"suite": ["zero", "--cases", "1"], "sweep": ["--base", "cpu"]}
 words |= {"scenario": ["a.yaml", "zero"], "report": ["runs/a"]}
 missing = []
-for name, command in COMMANDS.items():
+for name, command in [*COMMANDS.items()]:  # packages add theirs
     if command.needs:
         try:
             run(name, words.get(name, []))
         except ModuleNotFoundError as error:
             missing.append(error.name)
-for name, command in COMMANDS.items():
+for name, command in [*COMMANDS.items()]:  # packages add theirs
     if not command.settings:
         continue
     text = io.StringIO()
