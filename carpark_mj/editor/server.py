@@ -18,7 +18,7 @@ from carpark_mj.layouts import files
 from carpark_mj.layouts.checks import ANY_CAR, list_faults
 from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.reading import parse_object, read_bytes, read_object
-from carpark_mj.rendering.local_pages import HOST, NO_FRAMES, refusal
+from carpark_mj.rendering.local_pages import HOST, NO_FRAMES, listening, refusal
 
 KINDS = {
     ".png": "image/png",
@@ -144,12 +144,8 @@ class EditorServer(ThreadingHTTPServer):
     def __init__(self, draft: Draft, port: int, picture: Picture | None = None) -> None:
         """Listens on a port, or on a free one if it is 0."""
         self.draft, self.picture, self.turn = draft, picture, threading.Lock()
-        try:
+        with listening(port):
             super().__init__((HOST, port), _Handler)
-        except OSError as error:
-            raise OSError(
-                f"cannot serve on port {port}: {error.strerror}; choose one with --port"
-            ) from None
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Prints the error unless the browser has only dropped a connection."""

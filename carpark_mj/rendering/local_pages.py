@@ -1,7 +1,8 @@
 """Pages for browsers on this machine: addresses and access."""
 
+import contextlib
 import re
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from typing import Annotated
 
 from carpark_mj.config.checks import Bounds
@@ -12,6 +13,17 @@ HOST, PORT = "localhost", 8080
 # Bounded: viser would silently choose another one.
 Port = Annotated[int, Bounds(ge=1, le=65_535)]
 LOCAL = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?", re.IGNORECASE)
+
+
+@contextlib.contextmanager
+def listening(port: int) -> Generator[None]:
+    """Names the port and its flag if a server inside cannot listen there."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(
+            f"cannot serve on port {port}: {error.strerror}; choose one with --port"
+        ) from None
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], reads: bool) -> str | None:

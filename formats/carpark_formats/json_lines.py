@@ -33,6 +33,7 @@ from carpark_mj.extensions import unknown_name
 from carpark_mj.geometry.obstacles import Boxes
 from carpark_mj.layouts.files import layout_text
 from carpark_mj.reading import parse_object
+from carpark_mj.rendering.local_pages import listening
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.types import NO_BAY, OUTCOMES, State
 
@@ -150,12 +151,8 @@ class LineServer(socketserver.ThreadingTCPServer):
     def __init__(self, env: ParkingEnv, port: int) -> None:
         """Listens at a port; 0 = any free one, see `server_address`."""
         self.env, self.clients = env, set[socket.socket]()
-        try:
+        with listening(port):
             super().__init__((HOST, port), _Client)
-        except OSError as error:
-            raise OSError(
-                f"cannot serve on port {port}: {error.strerror}; choose one with --port"
-            ) from None
 
     def server_close(self) -> None:
         """Ends all connections and waits for their threads, which use JAX."""
