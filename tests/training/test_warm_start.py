@@ -219,9 +219,14 @@ def test_what_reads_agents_of_a_run_changes_nothing_without_them(other, tmp_path
         before = outputs(wide, begun, "policy", begun.average, seen)
         after = outputs(wide, mixed, "policy", found["average"], seen)
         assert np.allclose(after, before, rtol=1e-5, atol=1e-5) == alike
-    encoder = found["average"]["params"]["SetEncoder_0"]
-    own = moved["average"]["params"]["SetEncoder_0"]
-    assert same(encoder["agent_0"], own["agent_0"])
+    mine, own, theirs = (
+        (tree["params"]["SetEncoder_0"], tree["params"]["MLP_0"]["hidden_0"]["kernel"])
+        for tree in (found["average"], moved["average"], begun.average)
+    )
+    assert same(mine[0]["agent_0"], own[0]["agent_0"])
+    read = (mine[1] == own[1]).all(axis=1)  # rows behind the agents' features
+    assert read.sum() == WIDER.networks.entity_size
+    np.testing.assert_array_equal(mine[1][~read], theirs[1][~read])
     with pytest.raises(ValueError, match="agents"):
         save_mean(str(tmp_path / "wide"), str(folder), out, ["agents"])
 
