@@ -18,7 +18,6 @@ from carpark_mj.policy.checkpoints import CheckpointError
 from carpark_mj.policy.loading import load_policy, save_policy
 from carpark_mj.policy.named import POLICIES, find_named
 from carpark_mj.policy.networks import Policy
-from carpark_mj.policy.widening import save_mean
 from carpark_mj.registry import environment
 from carpark_mj.spawning.checks import parked_cars_needed
 
@@ -132,7 +131,7 @@ def adapt(
 
 
 def export(config: ExportConfig) -> Path:
-    """Writes a policy, or the mean of two, as a checkpoint alone; returns the file."""
+    """Writes a policy as a checkpoint of its own; returns the file."""
     out = Path(config.out)
     if not config.out or out.suffix == ".onnx":
         raise ValueError(unknown_name("format to export", "onnx", ()))
@@ -140,9 +139,6 @@ def export(config: ExportConfig) -> Path:
     load_policy(config.run)
     require_writable(out, new_folders=True)  # before the work
     out.parent.mkdir(parents=True, exist_ok=True)
-    if config.mean_with:
-        save_mean(config.run, config.mean_with, out, config.kinds)
-    else:
-        save_policy(config.run, out)
+    save_policy(config.run, out)
     print(f"wrote {out}: {out.stat().st_size / 1e6:.2f} MB")
     return out

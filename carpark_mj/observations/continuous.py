@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 
@@ -48,6 +48,8 @@ class ContinuousObservation(ObservationConfig):
             brake, mass, driven axle and speed limits.
         own_gear: observe the direction of the own last motion. A car at rest between
             two moves then knows which it has begun.
+        own_past: observe the time, how often and where the car has changed its
+            direction, and for how long it rests. Agents then vary what failed.
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.
@@ -64,6 +66,7 @@ class ContinuousObservation(ObservationConfig):
     own_car: bool = False
     own_response: bool = False
     own_gear: bool = False
+    own_past: bool = False
     lines: bool = False
     rings: RingConfig = dataclasses.field(
         default_factory=lambda: RingConfig((5.0, 6.2, 8.0))
@@ -94,6 +97,7 @@ class ContinuousObservation(ObservationConfig):
             (self.own_car, ego.CAR),
             (self.own_response, ego.RESPONSE),
             (self.own_gear, ego.GEAR),
+            (self.own_past, ego.past_part(env.sim.ctrl_dt)),
         )
         parts += [part for on, part in optional if on]
         if agents:
@@ -151,13 +155,15 @@ class ContinuousObservation(ObservationConfig):
         tracked = track_parked_cars(self.tracked_parked_cars, pose, cars)
         return mark(*tracked, cars.bay.shape[0])
 
-    def init_memory(self, env: EnvConfig) -> jax.Array | None:
-        """What the rings counted before: nothing."""
-        return ranges.init_history(self.rings, env.num_agents)
+    def init_memory(self, env: EnvConfig) -> dict[str, Any]:
+        """What the rings counted and the car did before: nothing."""
+        past = {"past": ego.init_past(env.num_agents)} if self.own_past else {}
+        return ranges.init_history(self.rings, env.num_agents) | past
 
-    def remember(self, state: State) -> jax.Array | None:
-        """What the rings have counted."""
-        return ranges.update_history(self.rings, state)
+    def remember(self, state: State) -> dict[str, Any]:
+        """What the rings have counted and the car has done."""
+        past = {"past": ego.update_past(state)} if self.own_past else {}
+        return ranges.update_history(self.rings, state) | past
 
 
 ENCODERS.register("continuous", ContinuousObservation)

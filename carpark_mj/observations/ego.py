@@ -9,6 +9,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from carpark_mj.geometry import box_room, norm, rotate, to_local
 from carpark_mj.layouts.routes import RouteLeft, route_to
@@ -32,7 +33,8 @@ from carpark_mj.observations.fields import (
     repeated_values,
     unit_vector,
 )
-from carpark_mj.types import NO_BAY
+from carpark_mj.observations.sensors import observed
+from carpark_mj.types import NO_BAY, State
 
 
 def _goal_field(name: str, size: int, meaning: str) -> Field:
@@ -199,6 +201,83 @@ GEAR = Part(
     (Field("own_gear", 1, -1.0, 1.0, _GEAR),),
     lambda sight: {"own_gear": sight.own(sight.state.stats.direction)[..., None]},
 )
+
+
+TURNS = 4  # times the direction of travel changed last, whose places are observed
+CHANGES = 20.0  # changes of direction in a tight bay
+LONG = 100.0  # s, about a long episode
+REST = 10.0  # s
+STANDING = 0.01  # m, shorter steps are rest
+
+
+@struct.dataclass
+class Past:
+    """What agents remember of their episodes, arrays (num_agents, ...).
+
+    Attributes:
+        turns_w: (..., TURNS, 3) measured poses at the last changes of the direction of
+            travel, the newest first.
+        changes: number of these changes so far.
+        path: driven length so far [m].
+        rest: control steps since the car last moved.
+    """
+
+    turns_w: jax.Array
+    changes: jax.Array
+    path: jax.Array
+    rest: jax.Array
+
+
+def init_past(num_agents: int) -> Past:
+    """Nothing yet."""
+    zero = jnp.zeros(num_agents, jnp.float32)
+    return Past(jnp.zeros((num_agents, TURNS, 3), jnp.float32), zero, zero, zero)
+
+
+def update_past(state: State) -> Past:
+    """The past once the state belongs to it."""
+    past: Past = state.memory["past"]
+    pose, stats = observed(state).pose_w[:, None], state.stats
+    turned = (stats.gear_changes > past.changes)[:, None, None]
+    turns = jnp.concatenate([pose, past.turns_w[:, :-1]], axis=1)
+    return Past(
+        turns_w=jnp.where(turned, turns, past.turns_w),
+        changes=stats.gear_changes,
+        path=stats.path,
+        rest=jnp.where(stats.path - past.path < STANDING, past.rest + 1.0, 0.0),
+    )
+
+
+@functools.cache
+def past_part(ctrl_dt: float) -> Part:
+    """What agents remember, `Past`; `ctrl_dt` is the time of a control step [s]."""
+
+    def fill(sight: ObservationInput) -> dict[str, jax.Array]:
+        past, step = sight.own((sight.state.memory["past"], sight.state.step))
+        known = jnp.arange(TURNS) < past.changes[:, None]
+        local = to_local(sight.motion.pose_w[:, None], past.turns_w)
+        place = jnp.clip(local[..., :2] / (2 * NEAR), -1.0, 1.0)
+        turns = jnp.concatenate([place, unit_vector(local[..., 2])], axis=-1)
+        turns = jnp.where(known[..., None], turns, 0.0)
+        seconds = ctrl_dt * jnp.stack([step / LONG, past.rest / REST], axis=-1)
+        return {
+            "own_time": jnp.clip(seconds, 0.0, 2.0),
+            "own_changes": jnp.clip(past.changes / CHANGES, 0.0, 2.0)[:, None],
+            "own_turns": turns.reshape(len(turns), -1),
+        }
+
+    times = f"since the episode began [{LONG:g} s], since the car moved [{REST:g} s]"
+    changes = f"times the direction of travel has changed [{CHANGES:g}]"
+    turns = (
+        f"where it last changed, {TURNS} times, the newest first: x and y, body frame "
+        f"[{NEAR * 2:g} m], clipped, cos and sin of the heading less own; 0 = not yet"
+    )
+    fields = (
+        _own("own_time", 2, times),
+        _own("own_changes", 1, changes),
+        Field("own_turns", 4 * TURNS, -1.0, 1.0, turns),
+    )
+    return Part(fields, fill)
 
 
 _ROOM_LEFT = f"length and width less own [{LENGTH:g} m]"

@@ -242,28 +242,27 @@ def ring_counts(config: RingConfig, sight: ObservationInput) -> dict[str, jax.Ar
         return {}
     counts = count_rings(config, sight)
     if config.history:
-        past = sight.state.memory.reshape(counts.shape[0], -1)
+        past = sight.state.memory["rings"].reshape(counts.shape[0], -1)
         counts = jnp.concatenate([counts, past], axis=1)
     return {name: counts[:, k : k + 1] for k, name in enumerate(_ring_names(config))}
 
 
-def init_history(config: RingConfig, num_agents: int) -> jax.Array | None:
-    """Past counts (num_agents, history, rings) int32, oldest first: zeros.
+def init_history(config: RingConfig, num_agents: int) -> dict[str, jax.Array]:
+    """The part "rings" of `State.memory`, if the past is observed: zeros.
 
-    None if the past is not observed.
+    Past counts (num_agents, history, rings) int32, oldest first.
     """
-    if not config.history:
-        return None
     shape = (num_agents, config.history, len(config.diameters))
-    return jnp.zeros(shape, jnp.int32)
+    return {"rings": jnp.zeros(shape, jnp.int32)} if config.history else {}
 
 
-def update_history(config: RingConfig, state: State) -> jax.Array | None:
+def update_history(config: RingConfig, state: State) -> dict[str, jax.Array]:
     """The past once the counts of the state belong to it; see `init_history`."""
     if not config.history:
-        return None
+        return {}
     counts = count_rings(config, ObservationInput.of(state)).astype(jnp.int32)
-    return jnp.concatenate([state.memory[:, 1:], counts[:, None]], axis=1)
+    past = state.memory["rings"][:, 1:]
+    return {"rings": jnp.concatenate([past, counts[:, None]], axis=1)}
 
 
 def _ring_names(config: RingConfig) -> list[str]:

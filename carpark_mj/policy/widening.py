@@ -1,4 +1,4 @@
-"""Networks whose agents observe more, and means of the weights of two runs.
+"""Networks whose agents observe more.
 
 Weights of new fields begin at zero, so that the networks act as they did; their running
 statistics begin at mean 0 and standard deviation 1, for observations are of order 1.
@@ -6,10 +6,8 @@ Entities of a new kind, and more features of the agent's own numbers, begin as o
 run; what reads them begins at zero.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -18,17 +16,10 @@ import numpy as np
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.networks import NetworkConfig
-from carpark_mj.extensions import unknown_name
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.compose import OWN, observation_sets, part_name
 from carpark_mj.observations.fields import ORDERED, Field
 from carpark_mj.observations.ranges import RAYS, RAYS_NEAR
-from carpark_mj.policy.loading import (
-    network_config,
-    read_policy,
-    require_actions,
-    save_policy,
-)
 
 HIDDEN = "hidden"  # of `hidden_0`, the first layer behind the encoder
 _BY_BEARING = (RAYS, RAYS_NEAR)  # fields whose numbers have bearings
@@ -159,54 +150,3 @@ def _widen_statistics(state: Any, size: int, rows: np.ndarray) -> Any:
         std=_spread(state.std, 1.0, size, rows),
         summed_variance=_spread(state.summed_variance, count, size, rows),
     )
-
-
-def save_mean(run: str, other: str, out: Path, kinds: Sequence[str] = ()) -> None:
-    """Writes a policy whose weights and statistics are the means of two runs'.
-
-    The run began with the weights of the `other`, or both with those of a third, so
-    that their mean acts alike (Wortsman et al. 2022, "Model soups"). The other may
-    observe less: it counts as widened, see `widen`. Environment, settings and steps
-    are the run's.
-
-    With `kinds` of entities, as "agent", nothing is averaged: what reads them is the
-    run's, all else the other's. The policy acts as the other where none is present.
-
-    Raises:
-        ValueError: other networks, actions or observations; unknown kinds.
-    """
-    (_, header, env, ours), (_, other_header, other_env, theirs) = (
-        read_policy(name) for name in (run, other)
-    )
-    own, before = network_config(header), network_config(other_header)
-    if own is None or before is None:
-        raise ValueError(f"{run} and {other} must both be policies of PPO")
-    size = max(before.own_size, own.own_size)
-    rest = {n: getattr(own, n) for n in ("value_layers", "min_std", "max_std")}
-    other_size = replace(before, own_size=size, **rest)
-    if differ := [x for x, value in vars(own).items() if vars(other_size)[x] != value]:
-        raise ValueError(f"{other} and {run} have different {', '.join(differ)}")
-    require_actions(other, other_env, env)
-    trained = Trained(other, before, other_env)
-    new_fields(env, trained)  # refuses what the run does not observe
-    theirs = widen(own, env, trained, theirs, ours)
-
-    known = [part.group for part in observation_sets(make_fields(env)).sets]
-    if kinds and own.encoder != "set":
-        raise ValueError(f"kinds need a set encoder, and {run} has {own.encoder!r}")
-    if strange := [kind for kind in kinds if kind not in known]:
-        raise ValueError(unknown_name("kind of entity", strange[0], known))
-    places = _places(own, env)[HIDDEN] if kinds else []
-    rows = np.array([place.rpartition(" ")[0] in kinds for place in places])
-
-    def choose(path: Any, own: jax.Array, their: jax.Array) -> jax.Array:
-        if not kinds:
-            mixed = jnp.issubdtype(own.dtype, jnp.floating)
-            return (own + their) / 2 if mixed else own
-        names = jax.tree_util.keystr(path, simple=True, separator="/").split("/")
-        if names[-2:] == [f"{HIDDEN}_0", "kernel"]:
-            return jnp.where(rows[:, None], own, their)
-        parts = {*names, *(name.rpartition("_")[0] for name in names)}
-        return own if parts & {*kinds} else their
-
-    save_policy(run, out, jax.tree_util.tree_map_with_path(choose, ours, theirs))

@@ -52,11 +52,12 @@ HOPE = dataclasses.replace(
 # HOPE's levels and among pieces of outlines, at the scale of other cars. Tight bays
 # take several moves. Where there is room for them, other cars and people are about.
 _MEMBERS = {
-    **dict.fromkeys(str(ANYWHERE.layout).split(","), (1.0, (0.95, 1.5))),
+    **dict.fromkeys(str(ANYWHERE.layout).split(","), (2.5, (0.95, 1.5))),
     **dict.fromkeys(str(HOPE.layout).split(","), (1.0, (0.72, 1.3))),
+    "hope_extreme_parallel": (3.0, (0.72, 1.3)),
     "clutter_sizes": (3.0, (0.95, 1.05)),
     "clutter_sizes_tight": (3.0, (0.95, 1.05)),
-    "clutter_parallel": (2.0, (0.95, 1.05)),
+    "clutter_parallel": (3.0, (0.95, 1.05)),
     "clutter_vans": (2.0, (0.95, 1.0)),
 }
 register_layout(
@@ -86,6 +87,7 @@ VALET = dataclasses.replace(
         tracked_movers=6,
         own_response=True,
         own_gear=True,
+        own_past=True,
     ),
     # [est] of a good localisation.
     sensors=SensorConfig(position_noise=0.01, heading_noise=0.003, speed_noise=0.03),

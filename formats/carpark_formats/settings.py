@@ -174,7 +174,5 @@ class OnnxConfig(ExportConfig):
         require_suffix("out", self.out, ".onnx", ".npz")
         if self.out.endswith(".npz"):
             require_unset(self, "on a checkpoint", "seed", "from_state")
-        else:
-            require_unset(self, "on a model", "mean_with")
         if not self.from_state:
             require_unset(self, "without --from-state", *COUNTS)

@@ -44,6 +44,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import boxes, norm, to_local, wrap_angle
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.observations import ContinuousObservation, make_fields, observe
+from carpark_mj.observations.ego import TURNS, Past
 from carpark_mj.policy.loading import load_policy
 from carpark_mj.policy.named import find_named
 from carpark_mj.registry import FIRST, environment
@@ -178,6 +179,17 @@ def moving(key, group):
     return dataclasses.replace(group, velocity_w=velocity)
 
 
+def driven_before(key, cars):
+    """A random past: up to eight turns, of which half are remembered."""
+    places, changes, rest = jax.random.split(key, 3)
+    return Past(
+        turns_w=jax.random.uniform(places, (*cars, TURNS, 3), minval=-9.0, maxval=9.0),
+        changes=1.0 * jax.random.randint(changes, cars, 0, 2 * TURNS),
+        path=jnp.zeros(cars),
+        rest=1.0 * jax.random.randint(rest, cars, 0, 80),
+    )
+
+
 def states(env, rows):
     """Inputs and observations of all agents of random lots, in random motion."""
 
@@ -195,7 +207,15 @@ def states(env, rows):
         stats = dataclasses.replace(state.stats, direction=direction)
         groups = tuple(moving(walk, group) for group in state.movers.groups)
         movers = dataclasses.replace(state.movers, obstacles=(groups,))
-        state = dataclasses.replace(state, motion=motion, stats=stats, movers=movers)
+        state = dataclasses.replace(
+            state,
+            motion=motion,
+            stats=stats,
+            movers=movers,
+            step=jax.random.randint(key, cars, 0, 400),
+        )
+        if "past" in state.memory:
+            state = state.replace(memory={"past": driven_before(key, cars)})
         if state.tracked_bays is not None:  # some have chosen a bay
             goal = jnp.where(
                 jax.random.bernoulli(choice, 0.5, cars),

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.observing import BAYS, CONFIGS, observed
-from helpers.scenes import cars, lot
-from helpers.sliding import placed, sliding
+from helpers.scenes import cars, fields_of, lot
+from helpers.sliding import POSES, placed, sliding
 from helpers.states import config_of, state_of
 
 from carpark_mj.config import (
@@ -22,6 +22,7 @@ from carpark_mj.config import (
     RingConfig,
     ShareConfig,
 )
+from carpark_mj.geometry import to_local
 from carpark_mj.layouts import layout_config
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import tracks_parked_cars
@@ -32,7 +33,8 @@ from carpark_mj.observations import (
     observe,
 )
 from carpark_mj.observations.compose import OWN, observation_sets
-from carpark_mj.observations.fields import FAR, FARTHEST, Field
+from carpark_mj.observations.ego import TURNS
+from carpark_mj.observations.fields import FAR, FARTHEST, NEAR, Field
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.registry import ANYWHERE
 
@@ -176,6 +178,38 @@ def test_entities_are_present_where_their_mask_is_1_or_missing():
     sets = observation_sets([Field("speed", 1, -1, 1, ""), *cars])
     present = sets.present(sets.split(jnp.zeros((2, sets.size))))
     np.testing.assert_array_equal(present["car"], np.ones((2, 3), bool))
+
+
+def test_agents_remember_when_and_where_they_turned():
+    observation = dataclasses.replace(POSES, own_past=True)
+    config = EnvConfig(num_agents=2, num_parked_cars=0, observation=observation)
+    env, reset, step = sliding(config)
+    state, _ = reset(jax.random.key(0))
+    state = placed(env, state, [[-4.0, 0.0, 0.3], [4.0, 0.0, 0.0]])
+    turns = []
+    for k, pedal in enumerate((1, -1, -1, 1, -1, 0, -1, 1, -1, 1, 0, 0)):
+        state, timestep = step(state, jnp.array([[0.4, pedal], [0.0, 0.0]]))
+        seen = fields_of(timestep.observation, config)
+        known = [to_local(state.motion.pose_w[0], pose) for pose in turns[::-1][:TURNS]]
+        wanted = np.zeros((TURNS, 4))
+        for row, (x, y, yaw) in zip(wanted, known, strict=False):
+            row[:] = x / (2 * NEAR), y / (2 * NEAR), np.cos(yaw), np.sin(yaw)
+        assert np.abs(wanted[:, :2]).max() < 1.0
+        np.testing.assert_allclose(
+            seen["own_turns"][0].reshape(TURNS, 4), wanted, atol=1e-5
+        )
+        np.testing.assert_allclose(seen["own_changes"][:, 0], [len(turns) / 20, 0.0])
+        np.testing.assert_allclose(seen["own_time"][:, 0], 0.2 * (k + 1) / 100)
+        if k in (1, 3, 4, 7, 8, 9):  # of the past from the next step on
+            turns.append(state.motion.pose_w[0])
+    # The last step is not of the past yet, but the cars stood before the first.
+    rests = seen["own_time"][:, 1] * 10 / 0.2
+    np.testing.assert_allclose(rests, [1, 12], rtol=1e-6)
+    late = jnp.array([config.episode.max_steps, 0], jnp.int32)
+    _, timestep = step(state.replace(step=late), jnp.zeros((2, 2)))
+    seen = fields_of(timestep.observation, config)
+    for name in ("own_time", "own_changes", "own_turns"):
+        np.testing.assert_array_equal(seen[name][0], 0.0)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -168,22 +168,23 @@ def test_rings_count_cars_if_asked_to():
 
 
 def test_the_past_of_the_rings_shifts():
-    assert BASE.init_memory(config_of(BASE, num_agents=3)) is None
-    assert BASE.remember(state_of(BAYS, THREE, 0)) is None
+    assert not BASE.init_memory(config_of(BASE, num_agents=3))
+    assert not BASE.remember(state_of(BAYS, THREE, 0))
     rings = RingConfig((5.0, 8.0), history=2)
     observation = dataclasses.replace(BASE, rings=rings)
     config = config_of(observation, num_agents=3)
     history = observation.init_memory(config)
-    assert history is not None
-    np.testing.assert_array_equal(history, np.zeros((3, 2, 2)))
+    np.testing.assert_array_equal(history["rings"], np.zeros((3, 2, 2)))
     # A wall of 1 m that comes nearer to all cars: out of both rings, in one, in both.
     at_origin = cars([(0.0, 0.0, 0.0)] * 3)
     for x in (9.0, 4.0, 2.0):
         layout = lot([(20.0, 0.0, 0.0)], [(x, 0.0, 0.0)])
         state = state_of(layout, at_origin, 0, memory=history)
         history = observation.remember(state)
-    assert history.dtype == jnp.int32
-    np.testing.assert_array_equal(history[0], [[0, 1], [1, 1]])  # the newest last
+    assert history["rings"].dtype == jnp.int32
+    np.testing.assert_array_equal(
+        history["rings"][0], [[0, 1], [1, 1]]
+    )  # the newest last
     # In fields: now, two steps ago, one step ago, in units of the cap.
     named = observed(observation, BAYS, THREE, [0, 1, 2], history=history)
     names = [f.name for f in make_fields(config) if f.name.startswith("ring_")]
@@ -223,7 +224,8 @@ def test_motions_and_the_order_of_others_change_nothing(chosen):
     parked = np.asarray(layout.bay_pose)[bays[:10]]
     tracked = np.stack([rng.permutation(bays[10:14])[:2] for _ in range(count)])
     goal = np.array([bays[10], NO_BAY, *bays[10 : 10 + count - 2]])
-    history = jnp.array(rng.integers(0, 3, (count, 2, 3)), jnp.int32)
+    counts = jnp.array(rng.integers(0, 3, (count, 2, 3)), jnp.int32)
+    history = {"rings": counts}
     bays, goal = (tracked, goal) if chosen else (None, np.arange(6))
     here = observed(config, layout, motion, goal, parked, bays, history)
     shift = (3.0, -7.0, 0.6)
@@ -233,7 +235,7 @@ def test_motions_and_the_order_of_others_change_nothing(chosen):
     order, mixed = np.array([0, 4, 2, 5, 1, 3]), rng.permutation(10)
     shuffled = jax.tree.map(lambda x: x[order], motion)
     bays = None if bays is None else bays[order]
-    plan = (goal[order], parked[mixed], bays, history[order])
+    plan = (goal[order], parked[mixed], bays, {"rings": counts[order]})
     other = observed(config, layout, shuffled, *plan)
     for name, value in here.items():
         # float32 at 30 m is 2e-6 m, and headings are sums of rounded angles.

@@ -249,13 +249,14 @@ def test_memory_of_rings_and_tracking_of_others_follow_them_too():
     seen = ContinuousObservation(tracked_agents=1, tracked_parked_cars=1, rings=rings)
     believed, true = scattered(0), scattered(1)
     late = init_sensors(SensorConfig(delay_min=1, delay_max=1), believed, KEY)
-    parked, memory = parked_at(AISLES.bay_pose[4:8]), jnp.zeros((5, 1, 1), jnp.int32)
+    parked = parked_at(AISLES.bay_pose[4:8])
+    memory = {"rings": jnp.zeros((5, 1, 1), jnp.int32)}
 
     def facts(motion, sensors=None):
         more = {"sensors": sensors, "memory": memory, "parked_cars": parked}
         state = state_of(AISLES, motion, jnp.arange(5), **more)
-        reads = (seen.remember, seen.tracks_agents, seen.tracks_parked_cars)
-        return [read(state) for read in reads]
+        tracks = [read(state) for read in (seen.tracks_agents, seen.tracks_parked_cars)]
+        return [seen.remember(state)["rings"], *tracks]
 
     views = facts(true, late), facts(believed), facts(true)
     for found, expected, truly in zip(*views, strict=True):

@@ -13,9 +13,9 @@ from helpers.trees import same
 
 from carpark_mj.config import EnvConfig, RayConfig, ShareConfig, insert
 from carpark_mj.observations import ContinuousObservation, make_fields
-from carpark_mj.policy.loading import read_policy, save_policy
+from carpark_mj.policy.loading import save_policy
 from carpark_mj.policy.networks import NetworkConfig, init_normalizer, update_normalizer
-from carpark_mj.policy.widening import Trained, save_mean, widen
+from carpark_mj.policy.widening import Trained, widen
 from carpark_mj.training.ppo.group import make_learner
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.training.ppo.train import load_or_init, save
@@ -117,10 +117,20 @@ def test_a_policy_alone_rests_while_a_critic_learns(other, tmp_path):
 
 
 SHARE = ShareConfig(steering=True, priority=True)
-MORE = ContinuousObservation(own_car=True, own_gear=True, lines=True, share=SHARE)
+MORE = ContinuousObservation(
+    own_car=True, own_gear=True, own_past=True, lines=True, share=SHARE
+)
 WIDER = insert(TINY, {"env.observation": MORE, "networks.own_size": 16})
 NEW = {"own_size", "own_wheelbase", "own_rear_axle", "own_turning_radius"}
-NEW |= {"own_gear", "line_room", "agent_0_steering", "agent_0_priority"}
+NEW |= {
+    "own_time",
+    "own_changes",
+    "own_turns",
+    "own_gear",
+    "line_room",
+    "agent_0_steering",
+    "agent_0_priority",
+}
 
 
 def names_of(env):
@@ -174,61 +184,6 @@ def test_agents_that_observe_more_act_as_before_and_learn(other, tmp_path):
     slopes = jax.jit(jax.grad(loss))(state.value)["params"]
     slope = slopes["SetEncoder_0"]["own"]["kernel"]
     assert (np.abs(slope).max(axis=1) > 0).all()
-
-
-def test_a_mean_lies_halfway_between_a_run_and_the_one_it_began_with(other, tmp_path):
-    folder, _ = other
-    _, begun = started(WIDER, folder, tmp_path)
-    moved = dataclasses.replace(
-        begun, average=jax.tree.map(lambda x: x + 1, begun.average)
-    )
-    save(tmp_path / "wide", WIDER, moved)
-    save_mean(str(tmp_path / "wide"), str(folder), tmp_path / "mean.npz")
-    expected = jax.tree.map(lambda x: x + 0.5, begun.average)
-    own, shared = (
-        expected["params"]["SetEncoder_0"]["own"],
-        TINY.networks.own_size,
-    )
-    assert shared < WIDER.networks.own_size  # features that only the run has stay
-    for name, x in own.items():
-        own[name] = np.concatenate([x[..., :shared], x[..., shared:] + 0.5], axis=-1)
-    found = read_policy(tmp_path / "mean.npz")[3]
-    assert_close(found["average"], expected, atol=1e-6)
-    assert same(found["normalizer"], begun.normalizer)
-    save_mean("hope", "hope", tmp_path / "flat.npz")  # without parts to widen
-    assert same(read_policy(tmp_path / "flat.npz")[3], read_policy("hope")[3])
-    for pair, kinds in ((("hope", str(folder)), ()), (("hope", "hope"), ["agent"])):
-        with pytest.raises(ValueError, match="encoder"):
-            save_mean(*pair, tmp_path / "mixed.npz", kinds)
-    assert not (tmp_path / "mixed.npz").exists()
-
-
-def test_what_reads_agents_of_a_run_changes_nothing_without_them(other, tmp_path):
-    folder, _ = other
-    wide, begun = started(WIDER, folder, tmp_path)
-    moved = {n: jax.tree.map(lambda x: x + 1, getattr(begun, n)) for n in NETWORKS}
-    save(tmp_path / "wide", WIDER, dataclasses.replace(begun, **moved))
-    out = tmp_path / "mixed.npz"
-    save_mean(str(tmp_path / "wide"), str(folder), out, ["agent"])
-    found = read_policy(out)[3]
-    mixed = dataclasses.replace(begun, normalizer=found["normalizer"])
-    names, rng = names_of(WIDER.env), np.random.default_rng(2)
-    among = rng.uniform(-1, 1, (50, names.size)).astype(np.float32)
-    alone = np.where(np.char.startswith(names, "agent_"), 0.0, among)
-    for seen, alike in ((alone, True), (among, False)):
-        before = outputs(wide, begun, "policy", begun.average, seen)
-        after = outputs(wide, mixed, "policy", found["average"], seen)
-        assert np.allclose(after, before, rtol=1e-5, atol=1e-5) == alike
-    mine, own, theirs = (
-        (tree["params"]["SetEncoder_0"], tree["params"]["MLP_0"]["hidden_0"]["kernel"])
-        for tree in (found["average"], moved["average"], begun.average)
-    )
-    assert same(mine[0]["agent_0"], own[0]["agent_0"])
-    read = (mine[1] == own[1]).all(axis=1)  # rows behind the agents' features
-    assert read.sum() == WIDER.networks.entity_size
-    np.testing.assert_array_equal(mine[1][~read], theirs[1][~read])
-    with pytest.raises(ValueError, match="agents"):
-        save_mean(str(tmp_path / "wide"), str(folder), out, ["agents"])
 
 
 def own_names(env):

@@ -247,22 +247,10 @@ class ExportConfig(CheckedConfig):
     Attributes:
         run: pretrained policy, run folder or checkpoint file.
         out: file to write, .npz.
-        mean_with: another run that this one was warm-started from, whose weights are
-            averaged with its own; for .npz.
-        kinds: with mean_with, kinds of entities: what reads them is this run's and all
-            else the other's, instead of means. With agent and mover a car alone drives
-            as the other's.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     out: str = ""
-    mean_with: str = ""
-    kinds: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.mean_with:
-            require_unset(self, "without --mean-with", "kinds")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -105,7 +105,7 @@ def make_teacher(config: PPOConfig) -> Teacher | None:
         raise ValueError("curriculum.teacher needs actions of numbers, not of choices")
     seen = load_policy(name).env.observation
     env = replace(config.env, observation=seen)
-    if seen.init_memory(env) is not None:
+    if jax.tree.leaves(seen.init_memory(env)):
         raise ValueError(f"curriculum.teacher {name} must not observe its past")
     if env.follows_routes and not config.env.follows_routes:
         raise ValueError(

@@ -18,7 +18,7 @@ from carpark_mj.layouts.routes import make_routes
 from carpark_mj.layouts.types import Layout
 from carpark_mj.mdp.parked_cars import place_absent_agents
 from carpark_mj.observations import ObservationInput
-from carpark_mj.observations.ego import goal_code
+from carpark_mj.observations.ego import TURNS, Past, goal_code, init_past
 from carpark_mj.observations.sensors import observed
 from carpark_mj.types import NO_BAY, Motion, ParkedCars, State
 from carpark_mj.vehicle import Vehicle
@@ -76,6 +76,10 @@ INPUTS = (
     PlainInput("mass", (), "kg", "own, unloaded"),
     PlainInput("front_drive", (), "", "share of the own drive at the front axle"),
     PlainInput("gear", (), "", "direction of the own last motion: 1, -1 or 0 = none"),
+    PlainInput("time", (), "control steps", "since the own episode began"),
+    PlainInput("rest", (), "control steps", "since the own car last moved"),
+    PlainInput("changes", (), "", "how often the own direction has changed"),
+    PlainInput("turns", (TURNS, 3), _POSE, "where it did last, the newest first"),
     PlainInput("goal_pose", (3,), _POSE, f"bay to park in: {_PARKED}"),
     PlainInput("goal_size", (2,), "m", "its length and width"),
     PlainInput("goal_end", (), "", _END, "int32"),
@@ -203,6 +207,7 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
     parked = jnp.where(given["parked_mask"], jnp.arange(rows.parked), NO_BAY)
     physics: Any = SimpleNamespace(vehicle=car)
     stats: Any = SimpleNamespace(direction=cars("gear"))
+    past = Past(cars("turns"), cars("changes"), path=unread, rest=cars("rest"))
     state = State(
         physics=physics,
         motion=motion,
@@ -210,8 +215,8 @@ def sight_of(rows: Rows, given: Mapping[str, jax.Array]) -> ObservationInput:
         goal=goal,
         tracked_bays=tracked_bays,
         parked_cars=ParkedCars(parked, given["parked_pose"], given["parked_size"]),
-        memory=unread,
-        step=unread,
+        memory={"past": past},
+        step=cars("time"),
         active=unread,
         stats=stats,
         sensors=None,
@@ -276,6 +281,7 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
     agent, other = jnp.arange(count)[:, None], jnp.arange(count - 1)
     other = other + (other >= agent)  # (num_agents, others)
     present = jnp.ones(count, bool) if state.present is None else state.present
+    past = (state.memory or {}).get("past") or init_past(count)
     values: dict[str, jax.Array] = {
         "pose": motion.pose_w,
         "speed": motion.speed,
@@ -287,6 +293,10 @@ def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
         "mass": car.rated_mass,
         "front_drive": car.drive_share[..., :2].sum(axis=-1),
         "gear": state.stats.direction,
+        "time": state.step.astype(jnp.float32),
+        "rest": past.rest,
+        "changes": past.changes,
+        "turns": past.turns_w,
         **{name: getattr(car, name) for name in _RESPONSE},
     }
     shared = ("pose", "size", "speed", "steering", "max_steering")

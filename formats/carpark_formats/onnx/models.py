@@ -193,7 +193,7 @@ def require_outside(config: EnvConfig) -> None:
     pictures = [field.name for field in encoder.fields(config) if field.shape]
     noise = encoder.ultrasound.noise if encoder.ultrasound.on else 0.0
     for given, what in (
-        (encoder.init_memory(config) is not None, "the past (rings.history)"),
+        ("rings" in encoder.init_memory(config), "past counts (rings.history)"),
         (pictures, f"pictures ({', '.join(pictures)})"),
         (noise, f"ultrasound with noise (ultrasound.noise {noise})"),
     ):

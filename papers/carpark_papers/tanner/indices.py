@@ -93,11 +93,11 @@ class IndexObservation(ObservationConfig):
         """Diameters of the rings."""
         return self.rings.diameters
 
-    def init_memory(self, env: EnvConfig) -> jax.Array | None:
+    def init_memory(self, env: EnvConfig) -> dict[str, jax.Array]:
         """What the rings counted before: nothing."""
         return init_history(self.rings, env.num_agents)
 
-    def remember(self, state: State) -> jax.Array | None:
+    def remember(self, state: State) -> dict[str, jax.Array]:
         """What the rings have counted."""
         return update_history(self.rings, state)
 

@@ -294,11 +294,11 @@ class TannerObservation(ObservationConfig):
             return None
         return in_view(self.view, state.motion.pose_w, state.layout.bay_pose[:, :2])
 
-    def init_memory(self, env: EnvConfig) -> jax.Array | None:
+    def init_memory(self, env: EnvConfig) -> dict[str, jax.Array]:
         """What the rings counted before: nothing."""
         return init_history(self.rings, env.num_agents)
 
-    def remember(self, state: State) -> jax.Array | None:
+    def remember(self, state: State) -> dict[str, jax.Array]:
         """What the rings have counted."""
         return update_history(self.rings, state)
 

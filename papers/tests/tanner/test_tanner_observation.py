@@ -38,7 +38,7 @@ def see(config, layout, motion, goal, parked=(), bays=None, present=True):
     history = config.observation.rings.history
     if history:
         shape = (len(goal), history, len(config.observation.rings.diameters))
-        state = state.replace(memory=jnp.zeros(shape, jnp.int32))
+        state = state.replace(memory={"rings": jnp.zeros(shape, jnp.int32)})
     seen = observe_jit(config, state)
     assert seen.dtype == jnp.float32
     return np.asarray(seen)
@@ -242,7 +242,7 @@ def test_it_agrees_with_the_indices_where_they_overlap():
         motion,
         rng.integers(0, 36, 60),
         parked_cars=parked_at(layout.bay_pose[:9], 2.0),
-        memory=history,
+        memory={"rings": history},
     )
     indices, tanner = (
         np.asarray(
