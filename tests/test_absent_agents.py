@@ -1,7 +1,6 @@
 """Lots that have fewer agents than they could: the absent leave no trace."""
 
 import dataclasses
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -24,9 +23,6 @@ from carpark_mj.config import (
 )
 from carpark_mj.env import ParkingEnv
 from carpark_mj.observations import ContinuousObservation, make_fields
-from carpark_mj.spawning import goals as fixed_goals
-from carpark_mj.spawning import special_starts
-from carpark_mj.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.types import NO_BAY, State, TimeStep
 
 PRESENT = 2
@@ -206,39 +202,3 @@ def test_the_number_of_agents_is_uniform_and_they_are_the_first():
     assert (present[:, :-1] >= present[:, 1:]).all()
     np.testing.assert_array_equal(state.active, present)
     assert (np.asarray(state.goal)[~present] == NO_BAY).all()
-
-
-def test_a_lot_of_all_agents_is_one_without_absent_ones():
-    config = FIXED
-    plain = ParkingEnv(config)
-    same = ParkingEnv(dataclasses.replace(config, min_agents=MOST))
-    key = jax.random.key(7)
-    state, seen = jax.jit(plain.reset)(key)
-    for env, count in ((same, None), (plain, jnp.int32(MOST))):
-        other, found = jax.jit(env.reset)(key, num_present=count)
-        assert (other.present is None) == (count is None)
-        np.testing.assert_array_equal(found, seen)
-        other = dataclasses.replace(other, present=None)
-        for a, b in zip(*map(jax.tree.leaves, (state, other)), strict=True):
-            assert jnp.array_equal(a, b)
-
-
-def test_no_start_is_on_course_to_an_absent_agent(monkeypatch):
-    """Targets are recorded in the pose that a stand-in for `course_pose` returns."""
-
-    def count_targets(config, layout, around, goal_xy, targets, draws):
-        mask = targets.mask.astype(jnp.float32)
-        return jnp.stack([mask.sum(), mask[0], mask[2:].sum()]), jnp.bool_(True)
-
-    monkeypatch.setattr(special_starts, "course_pose", count_targets)
-    spawn = SpawnConfig(conflict_ratio=1.0, close_ratio=0.0)
-    config = dataclasses.replace(FIXED, spawn=spawn)
-    env = ParkingEnv(config)
-    state, _ = jax.jit(env.reset)(jax.random.key(0), num_present=jnp.int32(3))
-    waiting = jnp.arange(MOST) == 1
-    bay = state.parked_cars.bay
-    placing = start_placing(state.goal, bay, state.motion.pose_w, waiting)
-    inputs = SpawnInputs(state.layout, state.parked_cars)
-    place = jax.jit(functools.partial(fixed_goals.place_agent, config))
-    placed = place(inputs, placing, jnp.int32(1), jax.random.key(1))
-    assert placed.pose_w[1].tolist() == [2.0, 1.0, 1.0]  # agents 0 and 2

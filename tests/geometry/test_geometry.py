@@ -94,16 +94,6 @@ def test_distances_of_boxes_and_points_agree_with_shapely(pairs):
     assert (expected == 0).sum() > 100
 
 
-def test_to_world_undoes_to_local():
-    reach = [20, 20, 3.1]
-    poses = np.random.default_rng(3).uniform(np.negative(reach), reach, (2, 1000, 3))
-    frame, pose = np.float32(poses)
-    there = geometry.to_world(frame, geometry.to_local(frame, pose))
-    np.testing.assert_allclose(there, pose, atol=3e-5)  # float32 at 40 m
-    there = geometry.to_local(frame, geometry.to_world(frame, pose))
-    np.testing.assert_allclose(there, pose, atol=3e-5)
-
-
 def test_ahead_is_x_left_is_y_and_moving_keeps_the_heading():
     north = jnp.array([1.0, 2.0, np.pi / 2])
     there = geometry.move_forward(north, 3.0)
@@ -152,22 +142,6 @@ def test_corners_go_counter_clockwise_from_front_left():
     expected = [[0.0, 4.0], [0.0, 0.0], [2.0, 0.0], [2.0, 4.0]]
     np.testing.assert_allclose(corners, expected, atol=1e-6)  # cos(pi/2) = -4e-8
     assert shapely.Polygon(np.asarray(corners)).exterior.is_ccw
-
-
-def test_geometry_broadcasts_over_leading_dimensions():
-    rng = np.random.default_rng(5)
-    pose_a, size_a = random_boxes(rng, 5)
-    pose_b, size_b = random_boxes(rng, 7)
-    args = pose_a[:, None], size_a[:, None], pose_b, size_b
-    for name in ("boxes_overlap", "box_inside", "box_distance"):
-        table = np.asarray(getattr(geometry, name)(*args))
-        pairs = [x.reshape(35, -1) for x in np.broadcast_arrays(*args[::2])]
-        sizes = [x.reshape(35, -1) for x in np.broadcast_arrays(*args[1::2])]
-        single = getattr(geometry, name)(pairs[0], sizes[0], pairs[1], sizes[1])
-        # Batched and single programs may round differently.
-        np.testing.assert_allclose(table, np.reshape(single, (5, 7)), atol=1e-5)
-    assert geometry.box_corners(pose_a[:, None], size_b).shape == (5, 7, 4, 2)
-    assert geometry.to_local(pose_a[:, None], pose_b).shape == (5, 7, 3)
 
 
 def test_box_disc_overlap_and_distance_agree_with_shapely():

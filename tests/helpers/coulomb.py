@@ -7,7 +7,7 @@ from carpark_mj.vehicle.parameters import GRAVITY
 STICK = 1e-3  # m/s, below which friction falls off, so that a car comes to rest
 
 
-def slide(params, pose, rates, seconds, push=lambda t: (0.0, 0.0), dt=2e-4):
+def slide(params, pose, rates, seconds, dt=2e-4):
     """Poses (n, 3) of rear axles after n slides.
 
     Args:
@@ -15,7 +15,6 @@ def slide(params, pose, rates, seconds, push=lambda t: (0.0, 0.0), dt=2e-4):
         pose: (n, 3) of the rear axles at the start [m, m, rad].
         rates: (n, 3) of them.
         seconds: how long.
-        push: force at the rear axle, world frame [N], by time [s].
         dt: time step [s].
     """
     pose, rates = np.asarray(pose, float), np.asarray(rates, float)
@@ -27,14 +26,13 @@ def slide(params, pose, rates, seconds, push=lambda t: (0.0, 0.0), dt=2e-4):
     nose, yaw, turn = np.exp(1j * pose[:, 2]), pose[:, 2], rates[:, 2]  # complex plane
     centre = pose[:, 0] + 1j * pose[:, 1] + ahead * nose
     velocity = rates[:, 0] + 1j * rates[:, 1] + 1j * turn * ahead * nose
-    for k in range(round(seconds / dt)):
+    for _ in range(round(seconds / dt)):
         nose = np.exp(1j * yaw)
         arm = nose[:, None] * (x + 1j * y)
         slip = velocity[:, None] + 1j * turn[:, None] * arm
         force = -grip * slip / np.maximum(np.abs(slip), STICK)
-        pushed = complex(*push(k * dt))
-        moment = (arm.conj() * force).imag.sum(-1) - ahead * (nose.conj() * pushed).imag
-        velocity = velocity + dt * (force.sum(-1) + pushed) / params.mass
+        moment = (arm.conj() * force).imag.sum(-1)
+        velocity = velocity + dt * force.sum(-1) / params.mass
         turn = turn + dt * moment / params.yaw_inertia
         centre, yaw = centre + dt * velocity, yaw + dt * turn
     axle = centre - ahead * np.exp(1j * yaw)

@@ -1,7 +1,6 @@
 """Every family of lots, judged by shapely: no overlaps, everything is reachable."""
 
 import functools
-from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -29,8 +28,7 @@ from carpark_mj.layouts import (
     pad_layout,
 )
 from carpark_mj.layouts.checks import describe_faults
-from carpark_mj.layouts.plot import number_bays, plot_layouts
-from carpark_mj.layouts.standards import Level, Orientation
+from carpark_mj.layouts.plot import number_bays
 from carpark_mj.layouts.tight import draw_tight_bay
 from carpark_mj.scene.build import drivable_scene
 from carpark_mj.spawning.starts import draw_uniform, spawn_pose, spawn_shapes
@@ -46,28 +44,16 @@ VARIANTS = {
     "lot, angled": LotConfig(
         angle=(50.0, 75.0), two_way=False, extra_aisle=(0.0, 0.6), boundary="kerb"
     ),
-    **{
-        f"{family}, {orientation}, {level}": config(
-            level=level, orientation=orientation
-        )
-        for family, config in (
-            ("garage_row", GarageRowConfig),
-            ("dead_end", DeadEndConfig),
-        )
-        for orientation in get_args(Orientation)
-        for level in get_args(Level)
-        if (orientation, level) != ("perpendicular", "extreme")
-    },
 }
-HARD = [
-    "garage_row, perpendicular, complex",
-    "garage_row, parallel, extreme",
-    "dead_end, perpendicular, complex",
-    "dead_end, parallel, extreme",
-]
+TIGHT = ("complex", "perpendicular"), ("extreme", "parallel")
+HARD = {
+    f"{config.family}, {orientation}, {level}": config(level, orientation)
+    for config in (GarageRowConfig, DeadEndConfig)
+    for level, orientation in TIGHT
+}
 PLAIN = ["square_compact", "street", "street_parallel", "angled", "lot"]
-NAMES = HARD + PLAIN + ["angled, back-in", "lot, deck with pillars", "lot, angled"]
-SHOWN = {name: LAYOUTS[name] for name in PLAIN} | VARIANTS
+SHOWN = HARD | {name: LAYOUTS[name] for name in PLAIN} | VARIANTS
+NAMES = [*SHOWN]
 PARALLEL = [name for name in NAMES if "parallel" in name]
 CAR = DesignCar()
 AREA = 0.02  # m^2; rounding of 1e-5 m along a few hundred metres of edges
@@ -182,19 +168,6 @@ def test_no_car_spawns_in_a_wall_a_disc_or_a_bay(name):
         assert not shapely.intersects(taken, cars).any()
         regions = shapely.union_all(boxes(layout, "spawn")).buffer(1e-3)
         assert shapely.intersects(regions, shapely.points(pose[k, :, :2])).all()
-
-
-@pytest.mark.parametrize("name", ["square_compact", "lot, deck with pillars", HARD[0]])
-def test_the_same_key_gives_the_same_lot_alone_and_in_a_batch(name):
-    config, layout = SHOWN[name], lots(name, 3)[2]
-    make = jax.jit(lambda key: pad_layout(config.generate(key), maxima()))
-    key = jax.random.split(jax.random.key(0), KEYS)[2]
-    one, again = make(key), make(key)
-    for a, b, c in zip(*map(jax.tree.leaves, (one, again, layout)), strict=True):
-        np.testing.assert_array_equal(a, b)
-        # Single and batched programs round differently: float32 at 50 m.
-        np.testing.assert_allclose(a, c, atol=2e-5)
-        assert not a.weak_type
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -322,7 +295,7 @@ def test_every_garage_bay_has_a_wall_on_both_sides_and_one_opposite(name):
             assert gap == pytest.approx(aisle, abs=1e-4)
 
 
-@pytest.mark.parametrize("name", [*PLAIN, *HARD[1::2]])
+@pytest.mark.parametrize("name", ["lot, deck with pillars", NAMES[1]])
 def test_scenes_run_without_a_warning(name):
     for layout in lots(name, 2):
         starts = np.asarray(layout.spawn_pose[layout.spawn_mask][:2])
@@ -337,25 +310,13 @@ def test_the_command_checks_and_draws(tmp_path, capsys):
     assert target.read_bytes()[:4] == b"\x89PNG"
     assert main(["ring", "--check", "1"]) == 2
     assert "unknown layout 'ring'" in capsys.readouterr().err
-    assert main(["nowhere.json", "--check", "1"]) == 2
-    assert "cannot read nowhere.json" in capsys.readouterr().err
     # JAX would take it for 0.
     assert main(["square", "--check", "1", "--seed", str(2**32)]) == 2
     assert "seed must lie in" in capsys.readouterr().err
 
 
-def test_the_plan_of_a_single_lot_numbers_its_bays(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(
-        "carpark_mj.layouts.plot.number_bays", lambda *x: drawn.append(x)
-    )
-    lot = make_layout("dead_end")
-    plot_layouts([("one", lot)], tmp_path / "one.png")
-    assert len(drawn) == 1
-    plot_layouts([("one", lot), ("two", lot)], tmp_path / "two.png")
-    assert len(drawn) == 1
-    monkeypatch.undo()
-    axes = Figure().add_axes((0, 0, 1, 1))
+def test_numbers_of_bays_stand_in_them():
+    lot, axes = make_layout("dead_end"), Figure().add_axes((0, 0, 1, 1))
     number_bays(axes, lot, 0.1)
     found = {int(text.get_text()): text.get_position() for text in axes.texts}
     assert [*found] == list(range(lot.num_bays))

@@ -256,12 +256,7 @@ def test_a_hand_worked_case_backing_into_a_perpendicular_bay():
     assert least_aisle(CAR, 90.0, 2.5, walled=False) == pytest.approx(4.00, abs=0.01)
 
 
-def test_wider_bays_and_nimbler_cars_need_less():
-    widths = np.linspace(2.3, 3.2, 10)
-    for angle in (45.0, 60.0, 90.0):
-        needed = [least_aisle(CAR, angle, w, walled=False) for w in widths]
-        assert (np.diff(needed) <= 0).all()
-    # A bay narrower than the car has no aisle.
+def test_nimbler_cars_need_narrower_aisles():
     assert least_aisle(CAR, 90.0, 1.7, walled=True) == math.inf
     nimble = DesignCar(max_steering=math.radians(40))
     assert least_parallel_aisle(nimble) > least_parallel_aisle(CAR) > CAR.width

@@ -35,7 +35,7 @@ from carpark_mj.mdp.metrics import (
     update_stats,
 )
 from carpark_mj.mdp.progress import MOVING
-from carpark_mj.types import NO_BAY, Events
+from carpark_mj.types import NO_BAY
 
 ONE, TWO = (EnvConfig(num_agents=count, num_parked_cars=16) for count in (1, 2))
 PLAN = lot([(0, 0, 0)])
@@ -123,21 +123,6 @@ def test_metrics_tell_how_a_car_stands_to_its_goal():
     np.testing.assert_allclose(metrics["final_speed"], [0.7, 0.2], atol=1e-6)
     np.testing.assert_array_equal(metrics["crashed"], [1.0, 0.0])
     np.testing.assert_array_equal(metrics["parked"], [0.0, 0.0])
-
-
-def test_every_event_and_every_sum_has_a_metric_of_its_own():
-    stats = after_speeds([1.0, -1.0]).replace(episode_return=jnp.array([7.0]))
-    for field in dataclasses.fields(Events):
-        events = no_events(1, **{field.name: [True]})
-        happened = transition(ONE, PLAN, STANDING, STANDING, events=events)
-        metrics = episode_metrics(happened, stats)
-        flags = {f.name: float(metrics[f.name][0]) for f in dataclasses.fields(Events)}
-        assert flags == {name: float(name == field.name) for name in flags}
-    assert float(metrics["episode_return"][0]) == 7.0
-    assert float(metrics["length"][0]) == 2.0
-    assert float(metrics["gear_changes"][0]) == 1.0
-    for value in metrics.values():
-        assert value.dtype == jnp.float32
 
 
 DT = SimConfig().ctrl_dt

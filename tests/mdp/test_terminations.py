@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.registering import restore_after
 from helpers.rules import LIMITS
-from helpers.scenes import cars, crossing, lot, moved, moved_cars
+from helpers.scenes import cars, crossing, lot, moved, moved_cars, random_lots
 from helpers.states import parked_at, parked_in, state_of
 
 from carpark_mj.config import ENDS, PARKED_RULES, End, EpisodeConfig, ParkedRule
@@ -243,48 +243,35 @@ def test_scaled_hitboxes_do_not_make_parking_harder():
 
 @functools.cache
 def random_states():
-    """Lots of 3 moving agents, 4 bays and 3 walls, crowded into 20 m.
+    """Lots of 3 moving agents, a bay and what stands, crowded into 20 m.
 
-    Half of the first agents stand in or almost in their bays.
+    In half of them the first agent stands in the bay or almost.
     """
     rng, count = np.random.default_rng(1), 1000
-
-    def poses(*shape):
-        return np.float32(rng.uniform([-10, -10, -3.1], [10, 10, 3.1], (*shape, 3)))
-
-    start, end = poses(count, 3), poses(count, 3)
-    share = np.linspace(0.25, 1.0, 4)[:, None]
-    trace = np.float32(start[..., None, :] + 0.15 * share * (end - start)[..., None, :])
-    size = np.float32(rng.uniform((3.0, 1.5), (5.0, 2.0), (count, 3, 2)))
-    bays, walls = poses(count, 4), poses(count, 3)
-    wall_size = np.float32(rng.uniform(0.5, 4.0, (count, 3, 2)))
-    near = rng.normal(0, (0.2, 0.2, 0.04), (count, 3))
-    pose, half = trace[..., -1, :].copy(), slice(0, count // 2)
-    pose[half, 0] = (bays[:, 0] + near)[half]
-    trace[half, 0] = pose[half, 0, None]
-    speed = rng.normal(0, 0.1, (count, 3))
-    finite = rng.uniform(size=(count, 3)) > 0.1
-    motion = cars(pose, speed, size=size, trace=trace, finite=finite)
-    step = rng.integers(5, 12, (count, 3))
-    active = rng.uniform(size=(count, 3)) > 0.1
-    return motion, bays, walls, wall_size, step, active
+    lots, motion, parked = random_lots(count, 10.0, 1, agents=3, parked=1, discs=0)
+    bay = rng.uniform((-10, -10, -3.1), (10, 10, 3.1), (count, 1, 3))
+    trace = np.array(motion.trace_w)
+    trace[::2, 0] = bay[::2] + rng.normal(0, (0.2, 0.2, 0.04), (count // 2, 1, 3))
+    speed, finite = rng.normal(0, 0.1, (count, 3)), rng.uniform(size=(count, 3)) > 0.1
+    more = {"size": motion.size, "trace": trace, "finite": finite}
+    motion = cars(trace[..., -1, :], speed, **more)
+    step, active = rng.integers(5, 12, (count, 3)), rng.uniform(size=(count, 3)) > 0.1
+    lots = lots.replace(bay_pose=jnp.asarray(bay, jnp.float32))
+    return lots, motion, parked, step, active
 
 
 @pytest.mark.parametrize("rule", RULES)
 def test_outcomes_exclude_each_other_and_depend_on_no_frame(rule):
-    motion, bays, walls, *rest = random_states()
-    template = lot(bays[0], walls[0], bay_size=(6.5, 3.5))
+    lots, motion, parked, step, active = random_states()
 
     @jax.jit
     @jax.vmap
-    def detect(motion, bay_pose, wall_pose, wall_size, step, active):
-        walls = {"wall_pose": wall_pose, "wall_size": wall_size}
-        layout = template.replace(bay_pose=bay_pose, **walls)
-        changes = {"parked_cars": parked_in(layout, [3]), "step": step}
-        state = state_of(layout, motion, jnp.arange(3), active=active, **changes)
+    def detect(layout, motion, parked, step, active):
+        changes = {"parked_cars": parked, "step": step, "active": active}
+        state = state_of(layout, motion, 0, **changes)
         return detect_events(EpisodeConfig(parked_rule=rule, max_steps=10), state)
 
-    events = jax.device_get(detect(motion, bays, walls, *rest))
+    events = jax.device_get(detect(lots, motion, parked, step, active))
     outcomes = ("parked", "crashed", "timed_out", "diverged")
     count = np.stack([getattr(events, name) for name in outcomes])
     assert (count.sum(axis=0) <= 1).all()
@@ -292,8 +279,10 @@ def test_outcomes_exclude_each_other_and_depend_on_no_frame(rule):
     hits = events.hit_agent | events.hit_parked_car | events.hit_wall
     np.testing.assert_array_equal(hits, events.crashed)
     shift = (12.0, -7.0, 0.9)
-    there = moved_cars(motion, shift), moved(bays, shift), moved(walls, shift)
-    there = detect(*there, *rest)
+    poses = (lots.bay_pose, lots.wall_pose, parked.pose_w)
+    bays, walls, stand = (moved(pose, shift) for pose in poses)
+    there = lots.replace(bay_pose=bays, wall_pose=walls), moved_cars(motion, shift)
+    there = detect(*there, parked.replace(pose_w=stand), step, active)
     for name in outcomes:
         # 3000 agents; one may lie within float32 rounding of a threshold.
         assert (getattr(events, name) != getattr(there, name)).sum() <= 1, name

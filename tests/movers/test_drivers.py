@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.lanes import with_lanes
 from helpers.scenes import cars
 from helpers.states import parked_in, state_of
 
 from carpark_mj.geometry import boxes_overlap
 from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
-from carpark_mj.layouts import MixtureConfig
+from carpark_mj.layouts import MixtureConfig, build
 from carpark_mj.layouts.base import LAYOUTS
 from carpark_mj.movers import Drivers, driving
 from carpark_mj.movers.traffic import AWAY, DRIVE, SIZE, STAY, track_path
@@ -23,24 +24,14 @@ LOOKS = Drivers(number=2, attention=1.0, aggressiveness=(0.5, 0.5))
 NOBODY = cars(np.array([[500.0, 500.0, 0.0]]))
 
 
-def lanes(*rows):
-    """A lot of two lanes (x, y, yaw, length, width, one-way) in the open."""
-    base = LAYOUTS["dead_end"].generate(jax.random.key(0))
-    row = jnp.array([(*row, 0)[: len(row)] for row in rows], jnp.float32)
-    return dataclasses.replace(
-        base,
-        bay_mask=jnp.zeros_like(base.bay_mask),
-        wall_mask=jnp.zeros_like(base.wall_mask),
-        lane_pose=row[:, :3],
-        lane_size=row[:, 3:5],
-        lane_one_way=row[:, 5] > 0,
-        lane_mask=jnp.ones(len(rows), bool),
-        extent=jnp.array([60.0, 60.0]),
-    )
+def in_the_open(poses, sizes, one_way):
+    """A lot of two lanes, without bays."""
+    lot = with_lanes(build.lanes(poses, sizes, one_way=one_way))
+    return lot.replace(bay_mask=jnp.zeros(1, bool), extent=jnp.array([60.0, 60.0]))
 
 
-TWO_WAY = lanes((0, 0, 0, 100, 7, 0), (0, 50, 0, 20, 7, 0))
-CROSSING = lanes((0, 0, 0, 100, 3, 1), (0, 0, np.pi / 2, 100, 3, 1))
+TWO_WAY = in_the_open([(0, 0, 0), (0, 50, 0)], [(100, 7), (20, 7)], False)
+CROSSING = in_the_open([(0, 0, 0), (0, 0, np.pi / 2)], (100, 3), True)
 
 
 @jax.jit

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.programs import ROOT
+from helpers.registering import restore_after
 from helpers.scenes import cars, lot
 from helpers.sliding import SlidePhysics, placed
 from helpers.states import any_hit, state_of
@@ -34,12 +35,9 @@ from carpark_mj.obstacles import (
     step_movers,
     trace_still,
 )
-from carpark_mj.policy.named import zero_policy
 from carpark_mj.policy.runs import from_dict
-from carpark_mj.rendering.recording import record, recording_stage, snapshot
-from carpark_mj.rendering.renderer import LotRenderer
 from carpark_mj.scene.build import drivable_scene
-from carpark_mj.scene.looks import MOVER
+from carpark_mj.vehicle import COMPACT
 
 LOT = lot([(30.0, 0.0, 0.0)])
 KEY = jax.random.key(0)
@@ -179,7 +177,7 @@ def test_obstacles_keep_their_shapes(faults, message):
 
 
 def test_names_are_those_of_the_registry(monkeypatch):
-    monkeypatch.setattr(MOVERS, "_parts", {})
+    restore_after(monkeypatch, MOVERS)
     MOVERS.register("hands", Hands())
     with pytest.raises(ValueError, match="'hands'"):
         MOVERS.register("hands", Hands((("init", 1),)))
@@ -267,6 +265,14 @@ def test_a_standing_car_sees_it_come_and_is_hit(cart):
     np.testing.assert_allclose(box.velocity_w[0], [-2.0, 0.0])
 
 
+def test_an_exported_scene_has_it_where_it_is(cart):
+    [box] = cart(start=(-6.0, 2.0), end=(6.0, 2.0), size=(3.0, 2.0)).obstacles(2.0)
+    start, nobody = np.array([[0.0, -9.0, 0.0]]), np.zeros((0, 3))
+    model = drivable_scene(LOT, COMPACT, start, nobody, movers=[box]).compile()
+    np.testing.assert_allclose(model.body("mover0").pos[:2], (-4.0, 2.0), atol=1e-5)
+    np.testing.assert_allclose(model.geom("mover0").size[:2], [1.5, 1.0])
+
+
 def test_who_begins_an_episode_keeps_clear_of_it(cart):
     mover = cart(start=(-8.0, -3.0), end=(8.0, 3.0), size=(9.0, 6.0), speed=3.0)
     spawn, alone = SpawnConfig(num_candidates=1), {"num_parked_cars": 0}
@@ -298,32 +304,3 @@ def test_who_begins_an_episode_keeps_clear_of_it(cart):
     assert not hit.any()
     assert begun.sum() > 300
     assert crashed.sum() > 50
-
-
-def test_pictures_show_it_where_it_is(cart):
-    mover = cart(start=(-6.0, 2.0), end=(6.0, 2.0), size=(3.0, 2.0))
-    config = EnvConfig(num_agents=1, num_parked_cars=0, movers=(mover,))
-    env = ParkingEnv(config, SlidePhysics())
-    recording = record(env, zero_policy(env.action_spec), 10, 0)
-    renderer = LotRenderer(recording_stage(env, recording), "topdown", (640, 640))
-    try:
-        for index in (0, 35):
-            seen = snapshot(recording, index)
-            [box] = seen.movers
-            renderer.place(seen)
-            picture = renderer.draw(seen, "topdown")
-            x, y = renderer.project(np.array([*box.pose_w[0, :2], 1.1]), "topdown")
-            colour, yellow = picture[round(y), round(x)] / 255, np.array(MOVER[:3])
-            lengths = np.linalg.norm(colour) * np.linalg.norm(yellow)
-            assert colour @ yellow > 0.98 * lengths
-            x, y = renderer.project(np.array([0.0, -10.0, 0.0]), "topdown")
-            asphalt = picture[round(y), round(x)].astype(float)
-            assert np.ptp(asphalt) < 25
-    finally:
-        renderer.close()
-    start, nobody = recording.pose_w[0, 0], np.zeros((0, 3))
-    spec = drivable_scene(recording.layout, env.vehicle, start, nobody, movers=[box])
-    model = spec.compile()
-    where = model.body("mover0").pos[:2]
-    np.testing.assert_allclose(where, box.pose_w[0, :2], atol=1e-5)
-    np.testing.assert_allclose(model.geom("mover0").size[:2], [1.5, 1.0])

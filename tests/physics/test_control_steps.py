@@ -1,4 +1,4 @@
-"""Control steps of 20 substeps: traces, batches and broken numbers."""
+"""Starts, and control steps of 20 substeps: traces, delays and broken numbers."""
 
 import dataclasses
 
@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from carpark_mj.config import SimConfig
+from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import CarState, MjxPhysics
+from carpark_mj.physics.mjx_step import ContactPhysics
 from carpark_mj.types import Motion
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.drive import make_lines, receive, send
@@ -62,16 +63,32 @@ def spoil(state: CarState, field: str, car: int, value: float) -> CarState:
     return state.replace(**{field: leaf.at[first].set(value)})
 
 
-def test_cars_start_at_rest_where_they_are_put(physics, start, compact):
+@pytest.mark.parametrize("name", ["mjx", "bicycle", "contact"])
+def test_cars_are_put_at_rest_and_others_left_alone(name):
+    tyres = "contact" if name == "contact" else "brush"
+    config = EnvConfig(
+        physics="bicycle" if name == "bicycle" else "mjx",
+        sim=SimConfig(tyres=tyres, sim_dt=0.004),
+    )
+    physics = config.physics_config.make(config, None, COMPACT)
+    assert isinstance(physics, ContactPhysics) == (name == "contact")
+    start = physics.init(jnp.array(POSES), stack([COMPACT] * NUM_COPIES))
     seen = see(physics, start)
     # float32 rounding.
     assert seen.pose_w == pytest.approx(POSES, abs=1e-6)
+    assert np.abs(seen.trace_w - POSES[:, None]).max() < 1e-6
     assert not seen.velocity_b.any()
     assert not seen.yaw_rate.any()
     assert seen.finite.all()
-    assert seen.trace_w == pytest.approx(np.repeat(POSES[:, None], 4, 1), abs=1e-6)
-    turned = physics.init(jnp.array([1.0, 2.0, 3.0 + 4 * np.pi]), compact)
-    assert see(physics, turned).pose_w == pytest.approx([1.0, 2.0, 3.0], abs=2e-6)
+    moving, first = physics.set_speed(start, jnp.ones(NUM_COPIES)), np.arange(6) < 3
+    where = jnp.array(POSES[::-1] + np.array([0.0, 0.0, 4 * np.pi]))
+    after = physics.place(moving, first, where, stack([PRESETS["suv"]] * NUM_COPIES))
+    seen = see(physics, after)
+    assert seen.pose_w[first] == pytest.approx(POSES[::-1][first], abs=2e-6)
+    np.testing.assert_array_equal(seen.speed == 0.0, first)
+    np.testing.assert_array_equal(seen.size[:, 0] == PRESETS["suv"].length, first)
+    for old, new in zip(*map(jax.tree.leaves, (moving, after)), strict=True):
+        np.testing.assert_array_equal(old[~first], new[~first])
 
 
 def test_a_control_step_is_its_substeps_and_traces_them_evenly(physics, step):
@@ -154,20 +171,6 @@ def test_cars_that_are_halted_stand_where_told_and_steer_on(back_end):
     np.testing.assert_allclose(state.actuators.hold, held)
 
 
-def test_any_leading_batch_shape_gives_the_same_motion(physics, step, start, moving):
-    def fold(tree):
-        return jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), tree)
-
-    expected = see(physics, step(moving, CONTROLS))
-    folded = see(physics, step(fold(moving), fold(CONTROLS)))
-    placed = physics.init(fold(jnp.array(POSES)), fold(start.vehicle))
-    assert np.array_equal(placed.qpos, fold(start).qpos)
-    for flat, grid in zip(*map(jax.tree.leaves, (expected, folded)), strict=True):
-        assert grid.shape == (2, 3, *flat.shape[1:])
-        # Other shapes are other programs in float32, measured 6e-8.
-        assert grid.reshape(flat.shape) == pytest.approx(flat, abs=1e-6)
-
-
 def test_a_broken_car_is_put_to_rest_and_disturbs_nobody(physics, step, moving):
     before, controls = see(physics, moving), CONTROLS.copy()
     controls[4] = np.nan
@@ -190,25 +193,6 @@ def test_a_broken_car_is_put_to_rest_and_disturbs_nobody(physics, step, moving):
     assert later.finite.all()
     travelled = np.linalg.norm((later.pose_w - seen.pose_w)[:, :2], axis=1)
     assert (travelled[[1, 3, 2]] > 0.2).all()
-
-
-@pytest.mark.parametrize("broken", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("which", [0, 1])
-def test_broken_controls_clip_or_leave_the_car(physics, step, moving, broken, which):
-    controls = CONTROLS.copy()
-    controls[2, which] = broken
-    after = step(moving, controls)
-    seen = see(physics, after)
-    assert seen.finite.tolist() == [True, True, not np.isnan(broken)] + [True] * 3
-    if np.isnan(broken):
-        before = see(physics, moving)
-        assert seen.pose_w[2] == pytest.approx(before.pose_w[2], abs=1e-6)  # float32
-        assert seen.steering[2] == before.steering[2]
-    else:
-        controls[2, which] = np.sign(broken)
-        clipped = see(physics, step(moving, controls))
-        assert np.array_equal(seen.pose_w, clipped.pose_w)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
 
 
 def test_a_car_with_a_broken_position_is_flagged_every_step(physics, step, moving):

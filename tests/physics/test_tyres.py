@@ -15,7 +15,6 @@ from carpark_mj.physics.coordinates import (
     unpack_tyres,
 )
 from carpark_mj.physics.forces import (
-    CarForces,
     TyreForces,
     WheelMotion,
     generalized_forces,
@@ -251,22 +250,6 @@ def scaled_to_nothing(wheel):
     names = [f"{way}_relaxation" for way in ("longitudinal", "lateral", "torsion")]
     keep = {name: getattr(wheel.tyre, name) for name in (*names, "friction")}
     return wheel.replace(tyre=nothing.replace(**keep))
-
-
-def test_scenes_place_forces_by_address():
-    class Shifted:
-        root_dof, nv = 3, 20
-        steer_dof, spin_dof = np.array([9, 11]), np.array([10, 12, 13, 14])
-
-    def numbers(first: int, count: int) -> tuple:
-        return tuple(jnp.array(float(first + i)) for i in range(count))
-
-    forces = CarForces(
-        numbers(1, 3), numbers(4, 3), numbers(7, 4), numbers(11, 4), numbers(0, 4)
-    )
-    qfrc = generalized_forces(Shifted, forces)
-    expected = [0] * 3 + [1, 2, 3, 4, 5, 6] + [7, 11, 8, 12, 13, 14] + [0] * 5
-    assert qfrc.tolist() == expected
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-20, 1e-3, 1.0, 60.0])

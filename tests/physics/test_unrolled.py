@@ -10,7 +10,6 @@ import pytest
 
 from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.physics import unrolled
-from carpark_mj.physics import unrolled as kernel
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.coordinates import (
     CarDynamics,
@@ -23,7 +22,7 @@ from carpark_mj.physics.forces import CarForces, generalized_forces
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.mjx_step import ContactPhysics, MjxStep, with_masses
 from carpark_mj.physics.newton_euler import advance, mass_properties
-from carpark_mj.physics.unrolled import UnrolledStep, run_in_kernel
+from carpark_mj.physics.unrolled import BLOCK, UnrolledStep, run_in_kernel
 from carpark_mj.spawning.fleet import randomize, randomize_all
 from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle
 from carpark_mj.vehicle.drive import init_actuators
@@ -174,7 +173,7 @@ def moving_cars(lots: int):
     return physics, jax.jit(physics.step)(state, controls[0]), controls[1]
 
 
-@pytest.mark.parametrize("shape", [(), (5,), (kernel.BLOCK,), (3, kernel.BLOCK + 1)])
+@pytest.mark.parametrize("shape", [(), (5,), (BLOCK,), (3, BLOCK + 1)])
 def test_a_kernel_gives_what_its_function_gives(shape):
     a, b, x = np.random.default_rng(0).uniform(-1, 1, (3, *shape)).astype(np.float32)
     args = (a, b), {"x": x, "y": x}
@@ -214,7 +213,7 @@ def test_cars_move_in_the_kernel_as_outside(monkeypatch):
 
 def test_a_cuda_program_is_one_kernel_without_loops(monkeypatch):
     physics, state, controls = moving_cars(lots=2)
-    monkeypatch.setattr(kernel, "has_triton", lambda: True)
+    monkeypatch.setattr(unrolled, "has_triton", lambda: True)
     traced = jax.jit(jax.vmap(physics.step)).trace(state, controls)
     for platform, kernels in (("cuda", 1), ("cpu", 0)):
         text = traced.lower(lowering_platforms=(platform,)).as_text()
@@ -224,7 +223,7 @@ def test_a_cuda_program_is_one_kernel_without_loops(monkeypatch):
 
 @pytest.mark.parametrize("wrap", [jax.jit, lambda f: jax.jit(jax.vmap(f))])
 def test_what_arguments_share_is_handed_to_the_kernel_once(monkeypatch, wrap):
-    monkeypatch.setattr(kernel, "has_triton", lambda: True)
+    monkeypatch.setattr(unrolled, "has_triton", lambda: True)
     seen = []
 
     def on_gpu(args):
@@ -235,7 +234,7 @@ def test_what_arguments_share_is_handed_to_the_kernel_once(monkeypatch, wrap):
         return sum(jax.tree.leaves(args))
 
     def four_times(x, y):
-        return kernel.on_cuda(on_gpu, elsewhere, {"wheels": [x] * 4, "car": y})
+        return unrolled.on_cuda(on_gpu, elsewhere, {"wheels": [x] * 4, "car": y})
 
     x, y = jnp.arange(3.0), jnp.ones(3)
     assert wrap(four_times)(x, y).tolist() == (4 * x + y).tolist()
@@ -277,7 +276,7 @@ def test_gradients_of_the_final_pose_are_central_differences(physics, compact):
 
 
 def test_the_kernel_for_gpus_has_the_gradient_of_the_loop(monkeypatch, compact):
-    monkeypatch.setattr(kernel, "has_triton", lambda: True)
+    monkeypatch.setattr(unrolled, "has_triton", lambda: True)
     cars = MjxPhysics(SimConfig())
     start = cars.init(jnp.zeros(3), compact)
 

@@ -71,15 +71,6 @@ def test_random_spawns_are_uniform_over_the_region():
     assert chi_square < 37.7  # the 0.1 % quantile at 15 degrees of freedom
 
 
-def test_spawn_headings_are_uniform():
-    for config in (RANDOM, CLOSE):
-        yaw = draw(config, make_layout("square"))[:, 2]
-        assert (np.abs(yaw) <= np.float32(np.pi)).all()
-        count = np.histogram(yaw, bins=12, range=(-np.pi, np.pi))[0]
-        chi_square = ((count - COUNT / 12) ** 2 / (COUNT / 12)).sum()
-        assert chi_square < 31.3  # the 0.1 % quantile at 11 degrees of freedom
-
-
 def test_regions_are_drawn_in_proportion_to_their_area():
     layout = two_regions()
     pose = draw(RANDOM, layout)
@@ -100,18 +91,6 @@ def test_random_spawns_keep_their_distance_if_there_is_room():
     assert gap[:, :2].min() > RANDOM.min_distance
     # Not from who is masked: 2 m about the middle of 558 m^2, a third of them taken.
     assert (gap[:, 2] < 2.0).mean() > np.pi * 2.0**2 / 558.0
-
-
-def test_farthest_candidate_is_taken_if_none_is_far_enough():
-    # An agent in the middle of a square of 4 m: no point is 7.38 m away.
-    layout = lot([(0.0, 20.0, 0.0)], spawn_size=(4.0, 4.0))
-    pose = draw(RANDOM, layout, others=people((0.0, 0.0)))
-    gap = np.linalg.norm(pose[:, :2], axis=1)
-    # Best of 16 uniform draws: mean of max over 16, worked out by sampling.
-    rng = np.random.default_rng(0)
-    sample = np.linalg.norm(rng.uniform(-2, 2, (20000, 16, 2)), axis=2).max(axis=1)
-    # Deviation 0.25 m over sqrt(4000): 0.004 m, five of them.
-    assert gap.mean() == pytest.approx(sample.mean(), abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -20,10 +20,8 @@ from helpers.learning import (
 )
 from helpers.sliding import POSES
 
-from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import EnvConfig, insert
 from carpark_mj.mdp.actions import ActionSpec
-from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.compose import OWN, ObservationSets
 from carpark_mj.observations.fields import Field
 from carpark_mj.policy.networks import (
@@ -32,7 +30,6 @@ from carpark_mj.policy.networks import (
     make_networks,
     network_inputs,
 )
-from carpark_mj.policy.widening import Trained, new_fields, widen
 from carpark_mj.training.ppo import variants
 from carpark_mj.training.ppo.collect import (
     AXIS,
@@ -212,39 +209,6 @@ def test_an_update_values_all_steps_and_teaches_the_eye(monkeypatch):
         layers = moved["params"]["SetEncoder_0"]["pictures_1x4x4"]
         assert min(jax.tree.leaves(layers)) > 0.0
         assert all(np.isfinite(x).all() for x in jax.tree.leaves(new))
-
-
-def test_a_critic_that_learns_to_see_judges_as_before():
-    blind, sees = (
-        dataclasses.replace(SEEING.env, observation=observation)
-        for observation in (
-            ContinuousObservation(),
-            CameraObservation(width=4, height=3),
-        )
-    )
-    config = dataclasses.replace(SEEING, env=sees)
-    trained = Trained("blind", config.networks, blind)
-    assert new_fields(config.env, trained) == ["camera_depth", "camera_seen"]
-
-    def begin(env, key):
-        fields = make_fields(env)
-        critic = make_networks(config.networks, fields, ActionSpec(2)).value_network
-        inputs = network_inputs(config.networks, fields)
-        value = jax.jit(critic.init)(key)
-        weights = {"normalizer": init_normalizer(inputs), "value": value}
-        return jax.jit(critic.apply), weights, inputs.size
-
-    before, theirs, fewer = begin(blind, jax.random.key(0))
-    after, new, size = begin(sees, jax.random.key(1))
-    ours = widen(config.networks, config.env, trained, theirs, new)
-    assert jax.tree.map(jnp.shape, ours) == jax.tree.map(jnp.shape, new)
-    rng = np.random.default_rng(2)
-    seen = rng.uniform(size=(5, size)).astype(np.float32)  # pictures come last
-    np.testing.assert_allclose(
-        after(ours["normalizer"], ours["value"], seen),
-        before(theirs["normalizer"], theirs["value"], seen[:, :fewer]),
-        rtol=1e-5,
-    )
 
 
 TINY = dataclasses.replace(

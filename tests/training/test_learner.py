@@ -29,7 +29,6 @@ from carpark_mj.observations.fields import Field
 from carpark_mj.policy.networks import MIN_DEVIATION, NetworkConfig, make_networks
 from carpark_mj.training import hosts
 from carpark_mj.training.hosts import Hosts, read_hosts
-from carpark_mj.training.ppo import learner as learner_module
 from carpark_mj.training.ppo import learner as learners
 from carpark_mj.training.ppo.collect import AXIS, compute_advantages
 from carpark_mj.training.ppo.config import PPOConfig
@@ -347,7 +346,6 @@ def test_flags_of_hosts_are_taken_out_of_the_others():
 IMPOSSIBLE = [
     (["--num-hosts", "2"], "need coordinator"),
     (["--coordinator", "auto", "--host", "0"], "HOST:PORT, not 'auto'"),
-    (["--coordinator", "a:b"], "coordinator must be HOST:PORT"),
     (["--coordinator", "a:1", "--num-hosts", "2", "--host", "2"], "host must lie in"),
     (["--num-hosts", "two"], "--num-hosts"),
 ]
@@ -416,7 +414,7 @@ def test_devices_act_learn_and_draw_lots_differently(monkeypatch):
         learned = (state.normalizer, state.policy, state.value, state.optimizer)
         return learned, {"act": rollout.raw_action, "learn": jax.random.uniform(key)}
 
-    monkeypatch.setattr(learner_module, "learn", no_learning)
+    monkeypatch.setattr(learners, "learn", no_learning)
     update = jax.vmap(learner.update, in_axes=None, axis_size=2, axis_name=AXIS)
     after, metrics = jax.jit(update)(learner.init())
     layout = after.env.pipeline_state.layout

@@ -161,20 +161,6 @@ CHANGES = {"env.layout": STREETS, "env.episode.max_steps": 2}
 FAMILIES = insert(CONFIG, CHANGES | {"curriculum.target_rate": 0.9})
 
 
-@pytest.mark.parametrize(
-    ("rates", "expected"),
-    [
-        # Nothing known, all alike: half by share, half uniform.
-        ((0.0, 0.0, 0.0), (5 / 12, 7 / 24, 7 / 24)),
-        # Shortfalls 0.0, 0.1 and 0.3: half of 0, 1/4, 3/4.
-        ((0.95, 0.8, 0.6), (0.25, 0.25, 0.5)),
-        ((0.9, 0.95, 1.0), (0.5, 0.25, 0.25)),
-    ],
-)
-def test_probabilities_are_half_by_share_half_by_shortfall(rates, expected):
-    np.testing.assert_allclose(THREE.probabilities(jnp.array(rates)), expected, 1e-5)
-
-
 def updated(rates, member, episodes, parked, length):
     """Rates after an unroll of agents (devices, n) in three members."""
 
@@ -218,6 +204,11 @@ def test_pairs_are_drawn_half_by_their_shortfall():
     pair = 2 * np.asarray(member) + np.asarray(present) - 1
     share = np.bincount(pair, minlength=4) / 4000
     np.testing.assert_allclose(share, expected, atol=0.04)  # five deviations
+    # Nothing known, all alike: half by share, half uniform.
+    equal = PAIRS.probabilities(jnp.zeros(4))
+    np.testing.assert_allclose(equal, np.array([5, 5, 3, 3]) / 16, rtol=1e-5)
+    good = PAIRS.probabilities(jnp.full(4, 0.95))  # none falls short
+    np.testing.assert_allclose(good, np.array([6, 6, 2, 2]) / 16, rtol=1e-5)
     # One family is drawn by its numbers of agents: shortfalls of 0.1 and 0.3.
     alone = make_families(0.9, layout_config("street"), range(1, 3))
     found = alone.probabilities(jnp.array([0.8, 0.6]))
@@ -268,14 +259,3 @@ def test_the_member_kept_for_every_agent_is_that_of_its_lot():
     assert set(metrics) >= {"family/street", "family/street 2"}
     rates = [float(metrics[f"family/{name}"]) for name in ("street", "street 2")]
     np.testing.assert_array_equal(rates, state.family_rates)
-
-
-def test_without_a_target_lots_are_drawn_with_the_keys_of_before():
-    families, key = make_families(0.0, STREETS, range(1, 9)), jax.random.key(5)
-    keys, member, present = families.draw(families.init(), key, 3)
-    assert member is None
-    assert present is None
-    np.testing.assert_array_equal(
-        jax.random.key_data(keys), jax.random.key_data(jax.random.split(key, 3))
-    )
-    assert families.metrics(families.init()) == {}

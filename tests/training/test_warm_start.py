@@ -11,6 +11,7 @@ from helpers.learning import assert_close, sliding_learner
 from helpers.tiny_policy import parked_learner
 from helpers.trees import same
 
+from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import EnvConfig, RayConfig, ShareConfig, insert
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.policy.loading import save_policy
@@ -218,21 +219,6 @@ def with_rays(count, **more):
     return insert(TINY, rays)
 
 
-def test_more_rays_take_over_those_of_the_same_bearings(other, tmp_path):
-    folder, theirs = other
-    assert TINY.env.observation.rays == RayConfig(24)
-    config = with_rays(72, near=0.0)
-    narrow, (wide, state) = parked_learner(TINY), started(config, folder, tmp_path)
-    # Every third of 72 bearings is one of 24.
-    names, rng = names_of(config.env), np.random.default_rng(2)
-    kept = names != "rays"
-    kept[np.flatnonzero(names == "rays")[::3]] = True
-    more = rng.uniform(-1, 1, (20, names.size)).astype(np.float32)
-    before = outputs(narrow, theirs, "policy", theirs.average, more[:, kept])
-    after = outputs(wide, state, "policy", state.average, more)
-    np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-5)
-
-
 def test_rays_of_another_reach_are_refused(other):
     config = with_rays(72, near=0.0, reach=20.0)
     config = dataclasses.replace(config, warm_start=str(other[0]))
@@ -240,14 +226,21 @@ def test_rays_of_another_reach_are_refused(other):
         warm_start(config, other[1])
 
 
-def test_a_new_kind_of_entity_is_learned_from(tmp_path):
-    seen = ContinuousObservation(tracked_parked_cars=0)
-    narrow = parked_learner(insert(TINY, {"env.observation": seen}))
+@pytest.mark.parametrize(
+    ("less", "more", "new"),
+    [
+        (ContinuousObservation(3, 0), ContinuousObservation(), "parked_car"),
+        (ContinuousObservation(), CameraObservation(width=4, height=3), "camera"),
+    ],
+)
+def test_a_new_part_is_learned_from(less, more, new, tmp_path):
+    narrow = parked_learner(insert(TINY, {"env.observation": less}))
     theirs = jax.device_get(narrow.init())
     save(tmp_path, narrow.config, theirs)
-    wide, state = started(TINY, tmp_path, tmp_path)
-    names, rng = names_of(TINY.env), np.random.default_rng(3)
-    kept = ~np.char.startswith(names, "parked_car")
+    config = insert(TINY, {"env.observation": more})
+    wide, state = started(config, tmp_path, tmp_path)
+    names, rng = names_of(config.env), np.random.default_rng(3)
+    kept = ~np.char.startswith(names, new)
     assert not kept.all()
     more = rng.uniform(0.6, 1, (20, names.size)).astype(np.float32)
     before = outputs(narrow, theirs, "value", theirs.value, more[:, kept]).sum()
@@ -261,9 +254,11 @@ def test_a_new_kind_of_entity_is_learned_from(tmp_path):
     assert (np.abs(slope).max(axis=1) > 0).all()
 
 
-def test_near_rays_keep_their_bearings():
+@pytest.mark.parametrize("name", ["rays", "rays_near"])
+def test_more_rays_take_over_those_of_the_same_bearings(name):
+    """Every third of 72 bearings is one of 24."""
     few, many = (with_rays(count, near=1.0) for count in (24, 72))
-    old, new = (own_names(config.env) == "rays_near" for config in (few, many))
+    old, new = (own_names(config.env) == name for config in (few, many))
     theirs = init_normalizer(parked_learner(few).inputs)
     numbered = np.arange(old.size, dtype=np.float32)
     theirs = theirs | {"own": theirs["own"].replace(mean=numbered)}

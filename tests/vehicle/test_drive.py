@@ -111,17 +111,6 @@ def test_a_pedal_against_a_crawl_drives_the_new_way_while_the_brake_fades(torque
     assert torques(-0.5, 0.0)[1] == torques(0.5, -0.0)[1] == 0.0
 
 
-@pytest.mark.parametrize("hold", [0.0, 0.1])
-def test_retarding_hardly_jumps_where_the_drive_takes_over(torques, hold: float):
-    pedal = np.linspace(0.1, 1, 7)
-    for speed in (SWITCH_SPEED * (1 - 1e-5), SWITCH_SPEED):
-        drive, brake = torques(-pedal, speed, hold)
-        held = min(14 * hold, hold + np.sqrt(2 * 3.0 * SWITCH_SPEED))  # by hand
-        expected = np.maximum(pedal * COMPACT.max_deceleration, held)
-        jump = (hold + 1e-4) * FORCE_TO_TORQUE
-        assert brake - drive == pytest.approx(expected * FORCE_TO_TORQUE, abs=jump)
-
-
 def test_a_closed_hold_bears_what_a_weak_drive_does_not(torques):
     pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -1e-6]))
     for sign in (1, -1):

@@ -1,6 +1,7 @@
 """The vehicle's model and arrays, presets against published figures, ranges."""
 
 import dataclasses
+import functools
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -14,11 +15,10 @@ from helpers.cars import ROAD_CARS
 
 from carpark_mj.benchmarking import count_equations
 from carpark_mj.config import EnvConfig, FleetConfig
-from carpark_mj.env import ParkingEnv
-from carpark_mj.layouts.lot import LotConfig
-from carpark_mj.layouts.standards import DesignCar
+from carpark_mj.layouts import make_layout
 from carpark_mj.observations import ContinuousObservation
 from carpark_mj.observations.ego import CAR, RESPONSE
+from carpark_mj.spawning.fleet import Fleet
 from carpark_mj.vehicle import VEHICLES, VehicleParameters, make_vehicle
 from carpark_mj.vehicle.mjcf import WHEELS, car_model, chassis_inertial, hub_positions
 from carpark_mj.vehicle.parameters import (
@@ -264,33 +264,15 @@ def test_observed_numbers_stay_in_their_ranges(vehicles):
     assert len(np.unique(np.concatenate(observed, axis=1), axis=0)) == 256
 
 
-ROOMY = LotConfig(
-    car=DesignCar(length=7.0, width=2.1, wheelbase=4.3, rear_overhang=1.6),
-    bay_length=(7.5, 8.0),
-    bay_width=(2.6, 3.2),
-    cross_aisle=(9.0, 10.0),
-    extra_aisle=(6.0, 7.0),
-)
-
-
-def roomy(number):
-    return ParkingEnv(
-        EnvConfig(
-            layout=ROOMY,
-            physics="bicycle",
-            num_agents=2,
-            num_parked_cars=4,
-            fleet=FleetConfig(agents=(f"range:{number}",)),
-            observation=ContinuousObservation(own_car=True, own_response=True),
-        )
-    )
-
-
 def test_more_cars_in_a_range_cost_no_more_in_a_program():
-    few, many = roomy(8), roomy(64)
-    assert len(many.fleet.agents) == 64
-    key = jax.random.key(0)
-    counts = [count_equations(jax.make_jaxpr(env.reset)(key)) for env in (few, many)]
+    layout, counts = make_layout("square"), []
+    for number in (8, 64):
+        kinds = FleetConfig(agents=(f"range:{number}",))
+        sight = ContinuousObservation(own_car=True)
+        fleet = Fleet(EnvConfig(fleet=kinds, observation=sight), COMPACT)
+        assert len(fleet.agents) == number
+        begin = functools.partial(fleet.start, layout)
+        counts.append(count_equations(jax.make_jaxpr(begin)(jax.random.key(0))))
     assert counts[0] == counts[1]
 
 
