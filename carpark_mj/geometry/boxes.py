@@ -208,7 +208,7 @@ def box_passes_disc(
     x, y = cos * dx + sin * dy, cos * dy - sin * dx
     if x.shape[-1] == 1:
         return jnp.zeros(x.shape, bool)
-    way_x, way_y = _ways(x), _ways(y)
+    way_x, way_y = ways_to(x), ways_to(y)
     half_x, half_y = 0.5 * size[..., 0], 0.5 * size[..., 1]
     # The middles of discs: slabs, backwards from the end of the way.
     enter_x, leave_x = _slab(x, way_x, half_x)
@@ -226,7 +226,7 @@ def box_passes_disc(
     return met
 
 
-def _ways(there: jax.Array) -> jax.Array:
+def ways_to(there: jax.Array) -> jax.Array:
     """Ways (..., k) to each of k > 1 instants; the first is extrapolated."""
     way = jnp.diff(there, axis=-1)
     first = way[..., :1]

@@ -30,6 +30,7 @@ from carpark_mj.geometry import (
     point_box_distance,
     rotate,
 )
+from carpark_mj.geometry.boxes import ways_to
 from carpark_mj.geometry.obstacles import (
     MARGIN,
     Boxes,
@@ -145,8 +146,14 @@ def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Arr
 
 
 def trace_radius(motion: Motion) -> jax.Array:
-    """Radii (num_agents,) [m] of circles about final centres that hold all traces."""
-    offset = motion.trace_w[..., :2] - motion.trace_w[:, -1:, :2]
+    """Radii (num_agents,) [m] of circles about final centres that hold all traces.
+
+    And the way to the first instant, which `box_passes_disc` extrapolates.
+    """
+    xy = jnp.moveaxis(motion.trace_w[..., :2], 1, -1)
+    if xy.shape[-1] > 1:
+        xy = jnp.concatenate([xy[..., :1] - ways_to(xy)[..., :1], xy], axis=-1)
+    offset = jnp.moveaxis(xy - xy[..., -1:], -1, 1)
     return norm(motion.size) / 2 + norm(offset).max(axis=1) + MARGIN
 
 

@@ -60,7 +60,7 @@ def test_a_limit_that_shrinks_ends_the_search_at_the_nearest():
 def dense_lots(seed):
     """Crowded lots, and every second one wide, so that hits are rare there."""
     reach = np.where(np.arange(LOTS) % 2, 40.0, 8.0)
-    return random_lots(LOTS, reach, seed, AGENTS, PARKED, WALLS, discs=0)
+    return random_lots(LOTS, reach, seed, AGENTS, PARKED, WALLS, discs=4)
 
 
 def test_touching_groups_is_touching_any_obstacle_that_is_there():
