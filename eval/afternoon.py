@@ -1,7 +1,7 @@
 """An engineer's afternoon with a parking function: prints the minutes of its steps.
 
     python eval/afternoon.py
-    python eval/afternoon.py --policy runs/mine --repetitions 1000 --out runs/afternoon
+    python eval/afternoon.py --repetitions 1000 --out runs/afternoon
 
 From a map, a data sheet and the log of a test drive to a report: the commands of the
 page "Test a parking function". The map is a part of San Jose's car park as Lanelet2,
@@ -44,46 +44,29 @@ drive: front
 turning_circle: 10.9
 """
 # What the test drive was driven with; the sheet does not have it.
-TRUE = Sought(
-    steering_delay=0.12,
-    pedal_delay=0.15,
-    steering_ratio=14.5,
-    steering_offset=0.0,
-    cornering_stiffness=10.0,
-    max_acceleration=2.0,
-    max_deceleration=4.0,
-    rolling_resistance=0.012,
-    drive_lag=0.1,
-    lateral_relaxation=0.5,
-    patch_radius=0.08,
-)
+TRUE = Sought(0.12, 0.15, 14.5, 0.0, 10.0, 2.0, 4.0, 0.012, 0.1, 0.5, 0.08)
 # Bay 31 between two cars; a child steps out between two others beside the lane.
-SCENARIO = {
-    "lot": "lot.json",
-    "vehicle": "car.yaml",
-    "start": [-21.0, -0.3, 0.0],
-    "goal": 31,
-    "parked": [17, 22, 23, 4],
-    "seconds": 60,
-    "spread": {"place": 0.3, "heading": 0.05},
-    "movers": [
-        {"kind": "person", "between": [23, 4], "speed": 1.5, "ahead": 8.0}
-        | {"spread": {"near": 1.0, "speed": 0.3}}
-    ],
-}
+SCENARIO = """\
+lot: lot.json
+vehicle: car.yaml
+start: [-21.0, -0.3, 0.0]
+goal: 31
+parked: [17, 22, 23, 4]
+seconds: 60
+spread: {place: 0.3, heading: 0.05}
+movers:
+  - {kind: person, between: [23, 4], speed: 1.5, ahead: 8.0,
+     spread: {near: 1.0, speed: 0.3}}
+"""
 LIMITS = "'parked>=0.95' 'crashed<=0.01' 'hit_person<=0.01' 'final_distance<=0.2'"
 STEPS = {
-    "map to lot": (
-        "layouts import map.osm --out lot.json",
-        "layouts lot.json --check 1 --paths 5 --plot lot.png",
-    ),
-    "data sheet": ("vehicles sheet.yaml",),
-    "log to car": ("identify log.csv --vehicle sheet.yaml --out car.yaml",),
-    "scenario": (
-        "scenario child.yaml {policy} --repetitions {repetitions} --videos {videos} "
-        "--out runs",
-    ),
-    "report": (f"report runs --limits {LIMITS} --out report.html",),
+    "map": "layouts san_jose --crop -40 35 20 65 --save map.osm",
+    "map to lot": "layouts import map.osm --out lot.json",
+    "plot": "layouts lot.json --check 1 --paths 5 --plot lot.png",
+    "data sheet": "vehicles sheet.yaml",
+    "log to car": "identify log.csv --vehicle sheet.yaml --out car.yaml",
+    "scenario": "scenario child.yaml anywhere --repetitions {} --videos 0 --out runs",
+    "report": f"report runs --limits {LIMITS} --out report.html",
 }
 
 
@@ -92,23 +75,16 @@ class AfternoonConfig(CheckedConfig):
     """Settings of `python eval/afternoon.py`.
 
     Attributes:
-        policy: what parks.
         repetitions: of the scenario.
-        videos: films of the worst, at most 10; they need off-screen OpenGL.
         out: folder of all files.
     """
 
-    policy: str = "anywhere"
     repetitions: Count = 1000
-    videos: int = 3
     out: str = "runs/afternoon"
 
 
-def write_inputs(folder: Path) -> None:
-    """Writes what the engineer brings: a map, a data sheet and a log."""
-    write_text(folder / "sheet.yaml", SHEET)
-    part = "layouts san_jose --crop -40 35 20 65 --save map.osm"
-    carpark_mj(part, folder)
+def write_log(folder: Path) -> None:
+    """Writes the log of the test drive."""
     log = record(Drive(TRUE, preset(str(folder / "sheet.yaml"))))
     names = ("time", *log.names, *log.measured)
     columns = (log.time, log.steering, log.pedal, *log.measured.values())
@@ -120,16 +96,8 @@ def write_scenario(folder: Path) -> None:
     """Writes the scenario, with the delays that the log's car file has in comments."""
     found = re.findall(r"# \w+ (\S+) .*: (sim\.\w+)", (folder / "car.yaml").read_text())
     settings = {name: round(float(value), 2) for value, name in found}  # of sim_dt
-    text = yaml.safe_dump(SCENARIO | {"settings": settings}, sort_keys=False)
+    text = SCENARIO + yaml.safe_dump({"settings": settings}, sort_keys=False)
     write_text(folder / "child.yaml", text)
-
-
-def carpark_mj(words: str, folder: Path) -> None:
-    """Runs a command in a folder; ValueError if it fails."""
-    print(f"$ carpark_mj {words}", flush=True)
-    program = [sys.executable, "-m", "carpark_mj", *shlex.split(words)]
-    if code := subprocess.run(program, cwd=folder, check=False).returncode:
-        raise ValueError(f"carpark_mj {words}: exit code {code}")
 
 
 def run(config: AfternoonConfig) -> None:
@@ -137,14 +105,18 @@ def run(config: AfternoonConfig) -> None:
     folder = Path(config.out)
     require_writable(folder / "minutes.csv", new_folders=True)
     folder.mkdir(parents=True, exist_ok=True)
-    write_inputs(folder)
-    rows, flags = [], dataclasses.asdict(config)
-    for name, commands in STEPS.items():
+    write_text(folder / "sheet.yaml", SHEET)
+    write_log(folder)
+    rows = []
+    for name, words in STEPS.items():
         begin = time.monotonic()
         if name == "scenario":
             write_scenario(folder)
-        for words in commands:
-            carpark_mj(words.format(**flags), folder)
+        words = words.format(config.repetitions)
+        print(f"$ carpark_mj {words}", flush=True)
+        program = [sys.executable, "-m", "carpark_mj", *shlex.split(words)]
+        if code := subprocess.run(program, cwd=folder, check=False).returncode:
+            raise ValueError(f"carpark_mj {words}: exit code {code}")
         minutes = round((time.monotonic() - begin) / 60, 2)
         rows.append({"step": name, "minutes": minutes})
     rows.append({"step": "all", "minutes": sum(row["minutes"] for row in rows)})

@@ -2,7 +2,7 @@
 
 python eval/figures.py
 
-Writes `success.svg`, `families.svg`, `start.svg` and `levels.svg` beside the tables.
+Writes `success.svg`, `families.svg` and `levels.svg` beside the tables.
 """
 
 from carpark_mj.cli.process import enter
@@ -64,7 +64,7 @@ def places(axes: Axes, labels: Sequence[str]) -> dict[str, int]:
     return lines
 
 
-def dots(axes: Axes, rows: list[Row], label: str, series: str) -> None:
+def dots(axes: Axes, rows: list[Row], label: str, series: str, **legend: Any) -> None:
     """Success rates [%] by label, a colour and marker for each value of `series`."""
     lines = places(axes, [row[label] for row in rows])
     names = list(dict.fromkeys(row[series] for row in rows))
@@ -75,6 +75,7 @@ def dots(axes: Axes, rows: list[Row], label: str, series: str) -> None:
         heights = [lines[row[label]] + shift for row in part]
         axes.plot(rates, heights, MARKERS[k], color=COLOURS[k], label=name)
     axes.set_xlabel("parked [%]")
+    axes.legend(**legend).get_title().set_color(INK)
 
 
 def success(axes: Axes, rows: list[Row]) -> None:
@@ -85,14 +86,14 @@ def success(axes: Axes, rows: list[Row]) -> None:
         if (row["group"], row["rule"]) == ("presets", "strict") and row["parked_low"]
         if not any(words in row["training"] for words in OTHER_SETTINGS)
     ]
-    lines = places(axes, [f"{row['policy']}, {row['evaluation']}" for row in rows])
+    labels = [f"{row['policy']}, {row['evaluation']}" for row in rows]
+    lines = places(axes, labels)
     shifts = {line: itertools.cycle((0.25, -0.25)) for line in lines}  # other seeds
     for colour, shipped in zip(COLOURS, ("yes", ""), strict=False):
         name = "shipped" if shipped else "other seed"
-        for row in rows:
+        for label, row in zip(labels, rows, strict=True):
             if row["shipped"] != shipped:
                 continue
-            label = f"{row['policy']}, {row['evaluation']}"
             middle, low, high = (
                 100 - float(row[key]) for key in ("parked", "parked_high", "parked_low")
             )
@@ -107,37 +108,21 @@ def success(axes: Axes, rows: list[Row]) -> None:
     axes.legend(loc="upper right")
 
 
-def families(axes: Axes, rows: list[Row]) -> None:
-    """Success rate of `anywhere` by family of layouts and number of agents."""
-    dots(axes, rows, "family", "agents")
-    legend = axes.legend(loc="lower left", title="agents")
-    legend.get_title().set_color(INK)
-
-
-def start(axes: Axes, rows: list[Row]) -> None:
-    """Seconds until a command ends, with empty caches and again."""
-    rows = [row for row in rows if row["kind"] == "command"]
-    lines = places(axes, [row["what"] for row in rows])
-    for k, measured in enumerate(("total, empty caches", "total, again")):
-        part = [row for row in rows if row["measured"] == measured]
-        heights = [lines[row["what"]] + 0.4 * k - 0.2 for row in part]
-        seconds = [float(row["seconds"]) for row in part]
-        axes.barh(heights, seconds, 0.38, color=COLOURS[k], label=measured)
-    axes.set_xlabel("time to the end of the command [s]")
-    axes.legend(loc="lower right")
-
-
 def levels(axes: Axes, rows: list[Row]) -> None:
     """Success rate by level of the suite and policy."""
     rows = [row for row in rows if row["section"] == "all levels, first cases"]
-    dots(axes, rows, "level", "policy")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.45, 1.0), ncols=3)
+    above: Any = {"loc": "lower center", "bbox_to_anchor": (0.45, 1.0), "ncols": 3}
+    dots(axes, rows, "level", "policy", **above)
+
+
+def families(axes: Axes, rows: list[Row]) -> None:
+    """Success rate of `anywhere` by family of layouts and number of agents."""
+    dots(axes, rows, "family", "agents", loc="lower left", title="agents")
 
 
 FIGURES = {
     "success": ("success.csv", success, 5.8),
     "families": ("families.csv", families, 3.4),
-    "start": ("start.csv", start, 7.5),
     "levels": ("suite.csv", levels, 5.0),
 }
 

@@ -1,9 +1,9 @@
 """Drives the manoeuvres of `vehicle_suite` and writes the report of vehicle dynamics.
 
 python eval/physics_report.py
-python eval/physics_report.py --presets compact --tyres brush --quick --out runs/physics
+python eval/physics_report.py --presets compact --quick --out runs/physics
 
-Writes `report.md`, `report.csv` and plots. Exit code 1: a row misses its tolerance.
+Writes `report.md` and `report.csv`. Exit code 1: a row misses its tolerance.
 """
 
 from carpark_mj.cli.process import enter
@@ -22,25 +22,13 @@ from carpark_mj.vehicle import PRESETS, preset
 from shell import command
 from vehicle_suite import engines, manoeuvres
 from vehicle_suite.report import Study, write_report
-from vehicle_suite.testbeds import BrushTestbed, ContactTestbed, Tyres
 
-Manoeuvre = Callable[[Study], None]
-
-COMMON: tuple[Manoeuvre, ...] = (
+SUITE: tuple[Callable[[Study], None], ...] = (
     manoeuvres.turning, manoeuvres.stops, manoeuvres.straight, manoeuvres.slope_hold,
-    engines.mirror, manoeuvres.lateral_limit, engines.convergence,
+    manoeuvres.lateral_limit, manoeuvres.understeer,
+    engines.convergence, engines.reversing, engines.taps,
+    engines.brush, engines.contact,
 )  # fmt: skip
-SUITES: dict[Tyres, tuple[Manoeuvre, ...]] = {
-    "brush": (
-        *COMMON, manoeuvres.understeer, manoeuvres.step_steer,
-        engines.brush_engines, engines.taps, engines.reversing, engines.wheel_stop,
-    ),
-    "contact": (
-        *COMMON, engines.contact_engines, manoeuvres.rolling_turns,
-        manoeuvres.suspension,
-    ),
-}  # fmt: skip
-TESTBEDS = {"brush": BrushTestbed, "contact": ContactTestbed}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,19 +38,15 @@ class ReportConfig:
     Attributes:
         presets: vehicle presets to test; default: all except task-specific ones
             (`tpcap`, `tanner`, `highway`).
-        tyres: tyre models to test.
         out: folder of the report.
         quick: run fewer cases, with shorter runs.
     """
 
     presets: tuple[str, ...] = ()
-    tyres: tuple[Tyres, ...] = ("brush", "contact")
     out: str = "docs/physics"
     quick: bool = False
 
     def __post_init__(self) -> None:
-        if not self.tyres:
-            raise ValueError("tyres must name at least one")
         for name in self.presets:
             preset(name)  # raises what is unknown
 
@@ -72,22 +56,18 @@ def run(config: ReportConfig) -> int:
     out = Path(config.out)
     require_writable(out / "report.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # few cars: no work for a GPU
-    studies = [
-        Study(bed, name, preset(name), config.quick)
-        for bed in (TESTBEDS[tyres]() for tyres in config.tyres)
-        for name in config.presets or sorted(PRESETS)
-    ]
+    names = config.presets or sorted(PRESETS)
+    studies = [Study(name, preset(name), config.quick) for name in names]
     for study in studies:
-        for manoeuvre in SUITES[study.tyres]:
+        for manoeuvre in SUITE:
             manoeuvre(study)
-        print(f"{study.preset}, {study.tyres}: done", flush=True)
+        print(f"{study.preset}: done", flush=True)
     parts = ["python eval/physics_report.py"]
     parts += ["--presets", *config.presets] * bool(config.presets)
-    parts += ["--tyres", *config.tyres] * (config.tyres != ReportConfig.tyres)
     parts += ["--quick"] * config.quick
     missed = write_report(out, studies, " ".join(parts))
     for row in missed:
-        print(f"{row.preset}, {row.tyres}: {row.row}: {row.verdict}")
+        print(f"{row.preset}: {row.row}: {row.verdict}")
     count = sum(len(study.rows) for study in studies)
     print(f"{count} rows, {len(missed)} missed; wrote {config.out}/report.md")
     return 1 if missed else 0

@@ -1,4 +1,4 @@
-"""Compares the car with the CommonRoad vehicle models; writes `referee.md` and a plot.
+"""Compares the car with the CommonRoad vehicle models; writes `referee.md`.
 
 python eval/referee.py
 python eval/referee.py --out runs/referee
@@ -6,9 +6,9 @@ python eval/referee.py --out runs/referee
 Needs the package `commonroad-vehicle-models` (in the extra `test`).
 
 Source: M. Althoff, G. Würsching, CommonRoad: Vehicle Models (2020); parameter set 2 is
-a BMW 320i, its tyres a Magic Formula fit from the ADAMS handbook. KS is the kinematic
-single track, STD the single track with drift (Magic Formula, load transfer), MB the
-multi-body model (suspended masses, roll, pitch, four wheels).
+a BMW 320i, its tyres a Magic Formula fit from the ADAMS handbook. STD is the single
+track with drift (Magic Formula, load transfer), MB the multi-body model (suspended
+masses, roll, pitch, four wheels).
 """
 
 from carpark_mj.cli.process import enter
@@ -27,11 +27,10 @@ import numpy as np
 from scipy import integrate
 
 from carpark_mj.evaluation.tables import markdown
-from carpark_mj.files import drawn_axes, require_writable, write_text
+from carpark_mj.files import require_writable, write_text
 from carpark_mj.vehicle import COMPACT, VehicleParameters
 from shell import Folder, command
-from vehicle_suite import formulas
-from vehicle_suite.testbeds import BrushTestbed, Run, Track
+from vehicle_suite.testbed import Run, Track, tracks_of
 
 Inputs = Callable[[float], tuple[float, float]]  # steering angle [rad], m/s^2 asked
 
@@ -51,13 +50,13 @@ def published_set() -> Any:
     return parameters_vehicle2()
 
 
-def our_car(ackermann: float = 0.0) -> VehicleParameters:
+def our_car() -> VehicleParameters:
     """The published set as a car of this package, as far as the models allow.
 
     Taken over: masses, wheelbase, centre of gravity, inertias, mean track, wheel
     radius and inertia, brake and drive split, initial slopes p_ky1 and p_kx1 and
     lateral peak p_dy1 of the tyres; suspension and tyre springs in series, mean of the
-    axles. MB steers both front wheels by one angle (`ackermann` 0). Its tyres have
+    axles. MB steers both front wheels by one angle. Its tyres have
     neither relaxation nor rolling resistance nor scrub torque, which are set as low as
     the equations allow. Their steering limit of 61 deg is not a BMW's; it is not used.
     """
@@ -104,15 +103,14 @@ def our_car(ackermann: float = 0.0) -> VehicleParameters:
         knuckle_mass=knuckle,
         front_drive=float(p.T_se),
         front_brake=p.T_sb,
-        ackermann=ackermann,
+        ackermann=0.0,
         tyre=tyre,
     )
 
 
-def our_run(
-    params: VehicleParameters, inputs: Inputs, duration: float, speed: float
-) -> Run:
+def our_run(inputs: Inputs, duration: float, speed: float) -> Run:
     """The models' inputs for the car: m a at the wheels, driving or braking."""
+    params = our_car()
     steering, asked = (
         lambda time, k=k: np.array([inputs(float(t))[k] for t in time]) for k in (0, 1)
     )
@@ -127,27 +125,22 @@ def our_run(
 
 
 def solve(model: str, inputs: Inputs, duration: float, speed: float) -> Reference:
-    """Simulates a reference model open loop.
+    """Simulates the reference model `MB` or `STD` open loop.
 
-    Args:
-        model: `MB`, `STD` (about the centre of gravity) or `KS` (about the rear axle).
-        inputs: steering angle and acceleration over time; the angle must start at 0.
-        duration: [s].
-        speed: at the start [m/s].
+    The steering angle and acceleration of `inputs` are over time [s], from an angle of
+    0; the speed [m/s] is that at the start.
     """
     from vehiclemodels.init_mb import init_mb
     from vehiclemodels.init_std import init_std
-    from vehiclemodels.vehicle_dynamics_ks import vehicle_dynamics_ks
     from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
     from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
 
     p = published_set()
-    core = [0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0]
-    start, dynamics = {
-        "MB": (lambda: init_mb(core, p), vehicle_dynamics_mb),
-        "STD": (lambda: init_std(core, p), vehicle_dynamics_std),
-        "KS": (lambda: core[:5], vehicle_dynamics_ks),
+    begin, dynamics = {
+        "MB": (init_mb, vehicle_dynamics_mb),
+        "STD": (init_std, vehicle_dynamics_std),
     }[model]
+    start = begin([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p)
 
     def rates(time: float, state: np.ndarray) -> list[float]:
         step = 1e-3  # s, central difference of the steering angle
@@ -156,9 +149,7 @@ def solve(model: str, inputs: Inputs, duration: float, speed: float) -> Referenc
 
     time = np.linspace(0.0, duration, round(duration / 0.05) + 1)
     options: Any = {"method": "LSODA", "max_step": 0.02, "rtol": 1e-6, "atol": 1e-8}
-    solved = integrate.solve_ivp(
-        rates, (0.0, duration), start(), t_eval=time, **options
-    )
+    solved = integrate.solve_ivp(rates, (0.0, duration), start, t_eval=time, **options)
     if not solved.success:
         raise ValueError(f"{model} could not be solved: {solved.message}")
     return Reference(time, solved.y[:2].T, solved.y[4])
@@ -171,17 +162,15 @@ class Trial(NamedTuple):
     track: Track
     paths: dict[str, Reference]
 
-    @property
-    def path(self) -> np.ndarray:
-        """(T + 1, 2) from 0 of the centre of gravity, for KS of the rear axle [m]."""
-        track, cg = self.track, self.track.cg
-        return track.position if "KS" in self.paths else (cg - cg[0])[:, :2]
-
     def apart(self, model: str) -> tuple[np.ndarray, np.ndarray]:
-        """Distance [m] and yaw difference [rad] from a model's car, (n,) each."""
-        reference = self.paths[model]
+        """Distance [m] and yaw difference [rad] from a model's car, (n,) each.
+
+        Positions are of the centre of gravity, from 0.
+        """
+        reference, cg = self.paths[model], self.track.cg[:, :2]
         rows = np.rint(reference.time / self.track.dt).astype(int)
-        distance = np.linalg.norm(self.path[rows] - reference.position, axis=1)
+        path = (cg - cg[0])[rows]
+        distance = np.linalg.norm(path - reference.position, axis=1)
         return distance, self.track.yaw[rows] - reference.yaw
 
 
@@ -196,51 +185,15 @@ def brake_in_turn(time: float) -> tuple[float, float]:
     return 0.12 * min(max(2 * time, 0.0), 1.0), -3.0 if time >= 2.0 else 0.0
 
 
-# Accelerations of the parking manoeuvre: forwards, back, forwards, 1 m/s at most.
-PARKING_TIMES = (0.0, 2.0, 4.0, 6.0, 7.5, 9.5, 11.5, 13.5, 15.0, 17.0, 18.0, 20.0)  # s
-PARKING_ACCELERATIONS = (0.5, 0, -0.5, 0, -0.5, 0, 0.5, 0, 0.5, 0, -0.5, 0)  # m/s^2
-PARKING_STEERING = (
-    (0.0, 1.5, 5.2, 7.8, 13.0, 15.0, 18.0, 20.0),  # s, at most 0.35 rad/s of their 0.4
-    (0.0, 0.45, 0.45, -0.45, -0.45, 0.2, 0.2, 0.0),  # rad
-)
-
-
-def parking(time: float) -> tuple[float, float]:
-    """Walking pace with two gear changes, steering 26 deg to both sides."""
-    row = int(np.searchsorted(PARKING_TIMES, time + 1e-9, side="right")) - 1
-    return float(np.interp(time, *PARKING_STEERING)), PARKING_ACCELERATIONS[max(row, 0)]
-
-
-def parking_run() -> Run:
-    """The parking manoeuvre for our car, which holds the speed that KS has."""
-    params = our_car(ackermann=1.0)
-    corners = np.append(PARKING_TIMES, 21.0)
-    gained = np.append(0.0, np.cumsum(np.diff(corners) * PARKING_ACCELERATIONS))
-
-    def force(time: np.ndarray) -> np.ndarray:
-        asked = np.array([parking(float(t))[1] for t in time])
-        return formulas.rolling_mass(params) * asked
-
-    def speed(time: np.ndarray) -> np.ndarray:
-        return np.interp(time, corners, gained)
-
-    run = our_run(params, parking, 20.0, 0.0)
-    return dataclasses.replace(run, force=force, brake=0.0, target=speed)
-
-
 def trials() -> list[Trial]:
     """Drives everything."""
-    car, braked = our_car(), "brake in a turn at 6 m/s"
-    runs: dict[str, tuple[Run, Inputs]] = {
-        "slalom at 3 m/s": (our_run(car, slalom, 8.0, 3.0), slalom),
-        braked: (our_run(car, brake_in_turn, 3.6, 6.0), brake_in_turn),
-        "parking, two gear changes": (parking_run(), parking),
-    }
     found: list[Trial] = []
-    for name, (run, inputs) in runs.items():
-        (track,) = BrushTestbed().drive([run])
-        models = ("KS",) if inputs is parking else ("MB", "STD")
-        paths = {m: solve(m, inputs, run.duration, run.speed) for m in models}
+    for name, inputs, duration, speed in (
+        ("slalom at 3 m/s", slalom, 8.0, 3.0),
+        ("brake in a turn at 6 m/s", brake_in_turn, 3.6, 6.0),
+    ):
+        (track,) = tracks_of([our_run(inputs, duration, speed)])
+        paths = {m: solve(m, inputs, duration, speed) for m in ("MB", "STD")}
         found.append(Trial(name, track, paths))
     return found
 
@@ -261,42 +214,20 @@ def table(found: list[Trial]) -> str:
     return markdown(rows)
 
 
-def draw(path: Path, found: list[Trial]) -> None:
-    """Paths above, distances over time below."""
-    count = len(found)
-    with drawn_axes(path, (4.6 * count, 7.0), "", nrows=2, ncols=count) as axes:
-        for trial, above, below in zip(found, axes[:count], axes[count:], strict=True):
-            above.plot(*trial.path.T, "k", lw=2.5, alpha=0.4, label="ours")
-            for model, referee in trial.paths.items():
-                above.plot(*referee.position.T, "--", label=model)
-                distance, yaw = trial.apart(model)
-                (line,) = below.plot(referee.time, 100 * distance, label=f"{model}, cm")
-                tenths = 10 * np.degrees(yaw)
-                more = {"color": line.get_color(), "label": f"{model}, 0.1 deg"}
-                below.plot(referee.time, tenths, ":", **more)
-            above.set(title=trial.name, xlabel="x [m]", ylabel="y [m]")
-            below.set(xlabel="time [s]", ylabel="distance [cm], yaw [0.1 deg]")
-            if "KS" in trial.paths:
-                above.set_aspect("equal", adjustable="datalim")
-            for axis in (above, below):
-                axis.legend(fontsize=8)
-
-
 def run(config: Folder) -> None:
-    """Drives the trials, writes the page and the plot, prints the table."""
+    """Drives the trials, writes the page and prints the table."""
     out = Path(config.out)
     require_writable(out / "referee.md", new_folders=True)  # refused before the work
     jax.config.update("jax_platforms", "cpu")  # one car: no work for a GPU
     found = trials()
     numbers: dict[str, float] = {}
-    for name, trial in zip(("slalom_mb_std", "brake_mb_std"), found[:2], strict=True):
+    for name, trial in zip(("slalom_mb_std", "brake_mb_std"), found, strict=True):
         apart = trial.paths["MB"].position - trial.paths["STD"].position
         numbers[name] = float(np.linalg.norm(apart, axis=1).max())
     text = (Path(__file__).parent / "referee.md").read_text()
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / "referee.md", text.format(table=table(found), **numbers))
-    draw(out / "referee.png", found)
-    print(f"{table(found)}\nwrote {config.out}/referee.md and referee.png")
+    print(f"{table(found)}\nwrote {config.out}/referee.md")
 
 
 main = command(Folder("docs/physics"), run, __doc__, fused=True)

@@ -1,6 +1,7 @@
 """Rates, speeds, versions and pictures of the pages are those that were recorded."""
 
 import re
+import shlex
 from statistics import fmean
 
 import pytest
@@ -187,7 +188,14 @@ def test_the_version_is_the_same_everywhere(place):
     assert found == [carpark_mj.__version__]
 
 
-CLIPS = gallery.commands(gallery.PAGE.read_text())
+CLIPS = {
+    line.split()[-1]: shlex.split(line)
+    for line in re.findall(
+        r"^carpark_mj render (.*--out \S+\.gif)$",
+        (DOCS / "gallery.md").read_text(),
+        re.MULTILINE,
+    )
+}
 
 
 @pytest.mark.parametrize("clip", sorted(CLIPS))

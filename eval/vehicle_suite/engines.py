@@ -1,50 +1,41 @@
-"""The shipped driver and time step, and MJX against C MuJoCo and `mjx.step`."""
+"""Errors of the time step, MJX against C MuJoCo, and the shipped driver's pedal."""
 
 import dataclasses
 import itertools
-import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from carpark_mj.config import (
-    CONTACT_SIM_DT,
-    EnvConfig,
-    EpisodeConfig,
-    SimConfig,
-    Surface,
-)
-from carpark_mj.env import ParkingEnv
-from carpark_mj.geometry import move_forward
-from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.collisions import KERB_HEIGHT
+from carpark_mj.config import CONTACT_SIM_DT, SimConfig, Surface
 from carpark_mj.physics.mjx_step import contact_car_model
-from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.vehicle import COMPACT, make_vehicle
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from carpark_mj.vehicle.vehicle import SURFACES, with_grip
 from vehicle_suite.report import Study
 from vehicle_suite.shipped import CCar, drive
-from vehicle_suite.testbeds import BrushTestbed, Run, Testbed
+from vehicle_suite.testbed import Run, tracks_of
 
-STEPS = {"brush": (0.01, 0.005, 0.002, 0.001), "contact": (0.004, 0.002, 0.001)}  # s
-FINEST = 0.0005  # s, the reference
+STEPS, FINEST = (0.01, 0.005, 0.002, 0.001), 0.0005  # s, and that of the reference
 TICK, ROLLING = 0.02, 2.0  # s, a control step; m/s, at the start
 # One second: pull away turning left, steer over, brake hard, hold.
 PEDALS = np.repeat(
     [[1.0, 1.0], [-0.6, 0.8], [0.4, -1.0], [0.4, 0.0]], [20, 15, 10, 5], axis=0
 )
+BRUSH = SimConfig(ctrl_dt=TICK, trace_dt=TICK)
+CONTACT = dataclasses.replace(BRUSH, sim_dt=CONTACT_SIM_DT, tyres="contact")
 
 
-def wander(params: VehicleParameters, side: float = 1.0) -> Run:
-    """Six seconds: pull away, steer left and right, brake to a stop in a turn."""
-    weight, lock = params.mass * GRAVITY, side * 0.8 * params.max_steering
+def convergence(study: Study) -> None:
+    """Path error of time steps against the finest, in float64.
+
+    Six seconds: pull away, steer left and right, brake to a stop in a turn.
+    """
+    weight, lock = study.params.mass * GRAVITY, 0.8 * study.params.max_steering
     until = 4.9999  # s, on a substep of every time step
-    return Run(
-        params,
+    wander = Run(
+        study.params,
         6.0,
         speed=0.5,
         steering=lambda time: lock * np.sin(1.5 * time),
@@ -52,96 +43,65 @@ def wander(params: VehicleParameters, side: float = 1.0) -> Run:
         brake=lambda time: np.where(time > until, 0.3 * weight, 0.0),
     )
 
-
-def in_float64(bed: Testbed) -> Testbed:
-    """The run in float64, the precision of C MuJoCo."""
-    return BrushTestbed(x64=True) if isinstance(bed, BrushTestbed) else bed
-
-
-def mirror(study: Study) -> None:
-    """A mirrored manoeuvre drives the mirrored path, in float64."""
-    runs = [wander(study.params), wander(study.params, -1.0)]
-    left, right = in_float64(study.bed).drive(runs)
-    apart = np.abs(left.position - right.position * [1, -1]).max()
-    study.row("mirror symmetry, 6 s", float(apart))
-
-
-def convergence(study: Study) -> None:
-    """Path error of time steps against the finest, in float64."""
-    steps, finest = STEPS[study.tyres], FINEST
-    if study.quick:
-        steps, finest = steps[:2], steps[-1]
-
     def path(dt: float) -> np.ndarray:
-        (track,) = in_float64(study.bed).drive([wander(study.params)], dt)
+        (track,) = tracks_of([wander], dt, x64=True)
         return track.position[:: track.at(0.1)]
 
+    steps, finest = (STEPS[:2], STEPS[-1]) if study.quick else (STEPS, FINEST)
     best = path(finest)
     length = float(np.linalg.norm(np.diff(best, axis=0), axis=1).sum())
-    errors = [float(np.linalg.norm(path(dt) - best, axis=1).max()) for dt in steps]
-    for dt, error in zip(steps, errors, strict=True):
+    for dt in steps:
+        error = float(np.linalg.norm(path(dt) - best, axis=1).max())
         study.row(f"time-step error, {1000 * dt:g} ms", 100 * error / length)
-    order = math.log(errors[0] / errors[1])
-    order /= math.log((steps[0] - finest) / (steps[1] - finest))
-    what = f"time-step order, {1000 * steps[0]:g} against {1000 * steps[1]:g} ms"
-    study.row(what, order, 1.0)
-    milli = 1000 * np.array(steps)
-    study.curve("convergence", "measured", milli, 1000 * np.array(errors), "o-")
-    bound = 5 * length * milli / 10
-    study.curve("convergence", "tolerance", milli, bound, "--")
 
 
-def brush_engines(study: Study) -> None:
-    """One second of the unrolled step against C MuJoCo and `mjx.step`, same tyres."""
-    sim = SimConfig(ctrl_dt=TICK, trace_dt=TICK)
-    stepped = dataclasses.replace(sim, stepper="mjx")
-    path = drive_in_c(study.params, sim)
-    for bits in (32,) if study.quick else (32, 64):
-        ours, mjx = (drive_in_mjx(study.params, s, bits) for s in (sim, stepped))
-        for what, other in (
-            ("C MuJoCo against MJX", path),
-            ("unrolled step against mjx.step", mjx),
-        ):
-            apart = float(np.abs(ours - other).max())
-            study.row(f"{what} in float{bits}, 1 s", apart)
+def brush(study: Study) -> None:
+    """One second on brush tyres in MJX against C MuJoCo."""
+    _against_c(study, "", BRUSH, (32,) if study.quick else (32, 64))
 
 
-def contact_engines(study: Study) -> None:
-    """One second in MJX against C MuJoCo, rigid and on springs.
+def contact(study: Study) -> None:
+    """The same on contact wheels, rigid and on springs.
 
     MJX compiles one car and takes the others as data (`with_wheels`), all but the
     constants that scale the softness of constraints. C has a model of each car with
     these constants here; what they cost the car against its own is a row, too.
     """
-    params = study.params
-    sim = SimConfig(sim_dt=CONTACT_SIM_DT, ctrl_dt=TICK, trace_dt=TICK, tyres="contact")
     for suspension in (False,) if study.quick else (False, True):
-        sim = dataclasses.replace(sim, suspension=suspension)
-        prefix = "suspension: " if suspension else ""
-        shared, compiled = (contact_car_model(car, sim) for car in (params, COMPACT))
+        sim = dataclasses.replace(CONTACT, suspension=suspension)
+        shared, compiled = (contact_car_model(x, sim) for x in (study.params, COMPACT))
         for constant in ("body_invweight0", "dof_invweight0"):
             getattr(shared, constant)[:] = getattr(compiled, constant)
-        path = drive_in_c(params, sim, shared)
-        for bits in (32,) if study.quick or suspension else (32, 64):
-            apart = np.abs(drive_in_mjx(params, sim, bits) - path).max()
-            what = f"{prefix}C MuJoCo against MJX in float{bits}, 1 s"
-            study.row(what, float(apart))
-        apart = np.abs(drive_in_c(params, sim) - path).max()
+        prefix = "contact wheels on springs: " if suspension else "contact wheels: "
+        bits = (32,) if study.quick or suspension else (32, 64)
+        path = _against_c(study, prefix, sim, bits, shared)
+        apart = np.abs(drive_in_c(study.params, sim) - path).max()
         what = f"{prefix}data of a shared model against an own model, 1 s"
         study.row(what, float(apart))
 
 
-def drive_in_mjx(params: VehicleParameters, sim: SimConfig, bits: int) -> np.ndarray:
-    """Positions (T, 2) of a car that rolls at first, with `PEDALS`."""
-    with jax.enable_x64(bits == 64):
-        motion = drive(sim, make_vehicle(params), PEDALS, ROLLING).motion
-        return np.asarray(motion.pose_w, float)[:, :2]
+def _against_c(
+    study: Study,
+    prefix: str,
+    sim: SimConfig,
+    precisions: tuple[int, ...],
+    model: mujoco.MjModel | None = None,
+) -> np.ndarray:
+    """Adds a row for each precision of MJX [bits]; returns the path in C."""
+    path = drive_in_c(study.params, sim, model)
+    for bits in precisions:
+        with jax.enable_x64(bits == 64):
+            motion = drive(sim, make_vehicle(study.params), PEDALS, ROLLING).motion
+            found = np.asarray(motion.pose_w, float)[:, :2]
+        apart = float(np.abs(found - path).max())
+        study.row(f"{prefix}C MuJoCo against MJX in float{bits}, 1 s", apart)
+    return path
 
 
 def drive_in_c(
     params: VehicleParameters, sim: SimConfig, model: mujoco.MjModel | None = None
 ) -> np.ndarray:
-    """The same in C MuJoCo, in float64."""
+    """Positions (T, 2) of a car that rolls at first, with `PEDALS`, in C MuJoCo."""
     with jax.enable_x64(True):
         return CCar(params, sim, speed=ROLLING, model=model).drive(PEDALS)[:, :2]
 
@@ -204,29 +164,3 @@ def reversing(study: Study) -> None:
         for share in (0.5, 0.9, 1.0):
             name = f"{what}, {surface}, quantile {share:g}"
             study.row(name, float(np.quantile(errors, share)))
-
-
-def wheel_stop(study: Study) -> None:
-    """A car reverses into a bay until a wheel stop stops its rear tyres."""
-    params, distance = study.params, 0.9
-    rules: Any = {"parked_rule": "precise", "kerb_speed": 0.6, "respawn": False}
-    episode = EpisodeConfig(wheel_stops=distance, **rules)
-    config = EnvConfig(num_agents=1, num_parked_cars=0, episode=episode)
-    env = ParkingEnv(config, vehicle=params)
-    layout = make_layout(env.layout_config)
-    bay, (length, _) = layout.bay_pose[0], layout.bay_size[0]
-    start = move_forward(bay, 1.0)[None]
-    options = ResetOptions(pose=start, goal=jnp.zeros(1, jnp.int32))
-    state, _ = jax.jit(env.reset)(jax.random.key(0), options=options)
-    step, speed = jax.jit(env.step), 0.0
-    for _ in range(60):  # drives back at a walk
-        pedal = np.clip(2.0 * (-0.4 - speed), -1.0, 1.0)
-        state, timestep = step(state, jnp.array([[0.0, pedal]]))
-        speed = float(timestep.motion.speed[0])
-    ahead = jnp.array([jnp.cos(bay[2]), jnp.sin(bay[2])])
-    to_end = float(jnp.dot(state.motion.xy[0] - bay[:2], ahead))
-    found = to_end + float(length) / 2 - params.centre_offset
-    reach = math.sqrt(2 * params.wheel_radius * KERB_HEIGHT - KERB_HEIGHT**2)
-    height = f"{100 * KERB_HEIGHT:g} cm"
-    what = f"wheel stop {height} high, touched at 0.4 m/s, rear axle"
-    study.row(what, found, distance + reach)

@@ -6,17 +6,13 @@ left. Axle quantities are (front, rear).
 """
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import optimize
 
 from carpark_mj.vehicle.mjcf import STEER_STIFFNESS
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
-
-# What a car stands on: springs over tyre patches, which stay where they are when it
-# leans (brush tyres), springs over hubs, which lean with it, or nothing soft.
-Stance = Literal["patches", "hubs", "rigid"]
 
 
 def rolling_mass(params: VehicleParameters) -> float:
@@ -33,22 +29,6 @@ def axle_loads(params: VehicleParameters) -> tuple[float, float]:
 def rolling_resistance(params: VehicleParameters) -> float:
     """c_rr m g [N]."""
     return params.tyre.rolling_resistance * params.mass * GRAVITY
-
-
-def rolling_drag(params: VehicleParameters, steering: float) -> float:
-    """Drive force [N] that rolling resistance takes in a turn without slip.
-
-    sum c_rr F_i v_i over the mean speed of the driven wheels: the hubs' speeds v_i
-    differ, and power is what balances.
-    """
-    ahead = math.tan(steering)
-    aside = ahead / params.wheelbase * params.track_width / 2
-    sides = 1 - aside, 1 + aside
-    front = sum(math.hypot(side, ahead) for side in sides) / 2
-    rear = sum(map(abs, sides)) / 2
-    loads = axle_loads(params)
-    power = params.tyre.rolling_resistance * (loads[0] * front + loads[1] * rear)
-    return power / (params.front_drive * front + (1 - params.front_drive) * rear)
 
 
 def locking_distance(params: VehicleParameters) -> float:
@@ -70,11 +50,6 @@ def axle_stiffness(
     return c * loads[0] * factors[0], c * loads[1] * factors[1]
 
 
-def turning_radius(params: VehicleParameters, steering: float) -> float:
-    """R = L / tan(delta) of the rear-axle centre without any tyre slip [m]."""
-    return params.wheelbase / math.tan(steering)
-
-
 def front_wheel_angles(
     params: VehicleParameters, steering: float
 ) -> tuple[float, float]:
@@ -84,75 +59,40 @@ def front_wheel_angles(
     return math.atan(tan / (1 - skew)), math.atan(tan / (1 + skew))
 
 
-def kerb_circle(params: VehicleParameters) -> float:
-    """D = 2 (L / sin(delta_o) + w / 2) [m] at full lock, w the tyre's width.
-
-    L / sin is the outer wheel's radius only where it stands square to it, with exact
-    Ackermann; otherwise its radius follows from that of the rear axle.
-    """
-    radius = turning_radius(params, params.max_steering) + params.track_width / 2
-    return 2 * math.hypot(radius, params.wheelbase) + params.tyre_width
-
-
-def understeer_gradient(
-    params: VehicleParameters, factors: tuple[float, float]
-) -> float:
-    """K = (m / L) (b / C_f - a / C_r) [rad s^2/m], linear tyres."""
-    front, rear = axle_stiffness(params, factors)
-    share = params.mass / params.wheelbase
-    return share * (params.cg_to_rear_axle / front - params.cg_to_front_axle / rear)
-
-
-def lateral_load_transfer(
-    params: VehicleParameters, acceleration: float, stance: Stance = "patches"
-) -> float:
+def lateral_load_transfer(params: VehicleParameters, acceleration: float) -> float:
     """Load that moves from the inner to the outer wheels [N].
 
-    (m h + 4 I / r) a_y / T / (1 - m g l / (k T^2)): moment of the centrifugal force and
+    (m h + 4 I / r) a_y / T / (1 - m g h / (k T^2)): moment of the centrifugal force and
     of the turning wheels' spin (gyroscopic), and the centre of gravity's own shift as
-    the car rolls on springs k per corner, l above what it stands on: its height h over
-    tyre patches, h - r over the hubs of a suspension, 0 if the car is rigid.
+    the car rolls on springs k per corner over tyre patches that stay where they are.
     """
-    return _load_transfer(params, acceleration, params.track_width, stance)
+    return _load_transfer(params, acceleration, params.track_width)
 
 
-def longitudinal_load_transfer(
-    params: VehicleParameters, acceleration: float, stance: Stance = "patches"
-) -> float:
+def longitudinal_load_transfer(params: VehicleParameters, acceleration: float) -> float:
     """Load that moves to the front axle at a deceleration [N].
 
-    (m h + 4 I / r) a / L / (1 - m g l / (k L^2)): as for roll, with the wheels' spin
+    (m h + 4 I / r) a / L / (1 - m g h / (k L^2)): as for roll, with the wheels' spin
     that stops in place of their gyroscopic moment. The car pitches about the middle of
     its wheelbase, which lowers a centre of gravity ahead of it, so m h loses
     m (b - L / 2) times the pitch angle.
     """
     base = params.wheelbase
-    shift = _load_transfer(params, acceleration, base, stance)
-    if stance == "rigid":
-        return shift
-    pitch = tilt_angle(params, shift, base)
+    shift = _load_transfer(params, acceleration, base)
+    # Two springs k give half the shift each.
+    pitch = shift / (params.tyre.vertical_stiffness * base)
     lower = params.mass * (params.cg_to_rear_axle - base / 2) * pitch
     return shift - lower * acceleration / base
 
 
-def tilt_angle(params: VehicleParameters, shift: float, base: float) -> float:
-    """Pitch or roll [rad] of a load shift [N] over the wheelbase or track width [m].
-
-    Two springs k give half the shift each: shift / (k base).
-    """
-    return shift / (params.tyre.vertical_stiffness * base)
-
-
 def _load_transfer(
-    params: VehicleParameters, acceleration: float, base: float, stance: Stance
+    params: VehicleParameters, acceleration: float, base: float
 ) -> float:
     spinning = 4 * params.wheel_inertia / params.wheel_radius
     moment = (params.mass * params.cg_height + spinning) * acceleration
-    above = params.cg_height - (params.wheel_radius if stance == "hubs" else 0.0)
-    above = 0.0 if stance == "rigid" else above
     # Four springs k at half the base from their middle resist tilting by k base^2.
     stiffness = params.tyre.vertical_stiffness * base**2
-    return moment / base / (1 - params.mass * GRAVITY * above / stiffness)
+    return moment / base / (1 - params.mass * GRAVITY * params.cg_height / stiffness)
 
 
 class Turn(NamedTuple):
@@ -228,40 +168,3 @@ def brush_shape(linear: float, limit: float) -> float:
     s = max(abs(linear) / limit, 1e-12)
     capped = min(s, 3.0)
     return (1 - capped / 3 + capped**2 / 27) * capped / s
-
-
-def step_response(
-    params: VehicleParameters, speed: float, time: np.ndarray
-) -> np.ndarray:
-    """Yaw rate (T,) per steering angle [1/s] after a step of the front wheels at t = 0.
-
-    Linear single-track car with roll about an axis on the ground and relaxing tyres:
-    states v_y, yaw rate r, roll angle phi and rate, the axles' bristles w and the step
-    delta; dw/dt = v_contact - v w / sigma, F = -(C / sigma w + d dw/dt).
-    """
-    m, v, h = params.mass, speed, params.cg_height
-    a, b = params.cg_to_front_axle, params.cg_to_rear_axle
-    tyre = params.tyre
-    rate = v / tyre.lateral_relaxation
-    stiffness, damping = (
-        k * params.track_width**2
-        for k in (tyre.vertical_stiffness, tyre.vertical_damping)
-    )
-    # Rows over the states (v_y, r, phi, phi', w_f, w_r, delta).
-    w_rate = np.array([[1.0, a, 0, 0, -rate, 0, -v], [1.0, -b, 0, 0, 0, -rate, 0]])
-    force = -2 * tyre.lateral_damping * w_rate
-    force[[0, 1], [4, 5]] -= np.array(axle_stiffness(params)) / tyre.lateral_relaxation
-    # m (v_y' + v r - h phi'') = F and I phi'' = h F + (m g h - k) phi - c phi'.
-    spring = np.array([0, 0, m * GRAVITY * h - stiffness, -damping, 0, 0, 0])
-    total = force.sum(0)
-    roll_rate = (h * total + spring) / params.roll_inertia
-    side = total / m + h * roll_rate
-    side[1] -= v
-    yaw = (a * force[0] - b * force[1]) / params.yaw_inertia
-    system = np.vstack([side, yaw, np.eye(7)[3], roll_rate, w_rate, np.zeros(7)])
-    step = linalg.expm(system * (time[1] - time[0]))
-    state, found = np.eye(7)[6], []
-    for _ in time:
-        found.append(state[1])
-        state = step @ state
-    return np.array(found)

@@ -7,7 +7,6 @@ steering wheel with lags, and it stands where the brakes have stopped it.
 """
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any, Literal
 
 import jax
@@ -15,19 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from carpark_mj.config import SimConfig
-from carpark_mj.identification.log import POSE, RATES, DriveLog
+from carpark_mj.identification.log import POSE, DriveLog
 from carpark_mj.identification.simulation import Sought
 from carpark_mj.vehicle.drive import ackermann
 from carpark_mj.vehicle.parameters import VehicleParameters
 from vehicle_suite.shipped import CCar
 
-DriveName = Literal[
-    "full", "slow", "no braking", "straight", "circle", "stops", "rolling"
-]
+DriveName = Literal["full", "circle", "stops", "rolling"]
 SINGLE_TRACK = "stops", "rolling"
 CYCLE = 10.0  # s: start, hold, brake, stand
-# Standard deviations: satellites with corrections, wheel speeds, gyroscope.
-NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003, "speed": 0.03, "yaw_rate": 0.005}
+# Standard deviations of satellites with corrections.
+NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003}
 LOG_DT = 0.02  # s
 # Times (n,) [s], angles of the steering wheel (n,) [rad], pedal (n,).
 Commands = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -66,30 +63,19 @@ class Drive:
         phase, (wide, fast) = dice.uniform(0, 6), dice.uniform([0.3, 0.1], [0.4, 0.2])
         angle = wide * np.sin(0.5 * time + phase) + fast * np.sin(1.7 * time)
         drive, brake = dice.uniform([0.5, 0.3], [0.65, 0.45])
-        pedals = drive, 0.1, brake
-        if self.kind == "slow":
-            pedals, angle = (0.6 * drive, 0.1, brake), 0.3 * angle
-        elif self.kind == "no braking":
-            pedals = 0.5 * drive, 0.1, 0.0
-        elif self.kind == "straight":
-            angle *= 0.0
-        elif self.kind == "circle":
+        if self.kind == "circle":
             angle[:] = 0.4
         moment = time % CYCLE
-        pedal = pedals[0] * ((moment > 0.5) & (moment < 3.5))
-        pedal += pedals[1] * ((moment >= 3.5) & (moment < 6.0))
-        pedal -= pedals[2] * ((moment > 6.0) & (moment < 9.0))
-        if self.kind == "no braking":
-            pedal *= time < 0.6 * self.seconds
+        pedal = drive * ((moment > 0.5) & (moment < 3.5))
+        pedal += 0.1 * ((moment >= 3.5) & (moment < 6.0))
+        pedal -= brake * ((moment > 6.0) & (moment < 9.0))
         width = round(0.3 / self.sim_dt)
         pedal = np.convolve(pedal, np.full(width, 1 / width), "same")
         return time, angle * float(self.true.steering_ratio), pedal
 
 
-def record(
-    drive: Drive, measured: Sequence[str] = POSE, noise: float = 1.0
-) -> DriveLog:
-    """The log of a drive; `noise` scales `NOISE`."""
+def record(drive: Drive) -> DriveLog:
+    """The log of a drive, with poses."""
     if drive.kind in SINGLE_TRACK:
         dice = np.random.default_rng(drive.seed)
         commands, path = _drive_single_track(drive, dice)
@@ -99,9 +85,8 @@ def record(
     every = round(LOG_DT / commands[0][1])
     time, wheel, pedal = (values[::every] for values in commands)
     rows = {
-        name: values[::every] + dice.normal(0.0, noise * NOISE[name], len(time))
-        for name, values in zip((*POSE, *RATES), path.T, strict=True)
-        if name in measured
+        name: values[::every] + dice.normal(0.0, NOISE[name], len(time))
+        for name, values in zip(POSE, path.T, strict=False)
     }
     return DriveLog(time, wheel, pedal, ("steering_wheel", "pedal"), rows)
 

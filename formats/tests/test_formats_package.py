@@ -120,7 +120,7 @@ def test_the_wheel_brings_its_commands_and_helps_without_jax(wheel, tmp_path):
 
 @pytest.mark.slow
 def test_an_afternoon_goes_from_a_map_to_a_report(tmp_path):
-    flags = ["--repetitions", "2", "--videos", "0", "--out", str(tmp_path / "day")]
+    flags = ["--repetitions", "2", "--out", str(tmp_path / "day")]
     assert afternoon.main(flags) == 0
     text = (tmp_path / "day" / "report.html").read_text()
     assert "child.yaml:2" in text

@@ -1,17 +1,18 @@
 """Cameras by hand and against MuJoCo's own pictures; shapely judges the bird's eye."""
 
 import functools
+import itertools
 import math
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 import shapely
 from helpers.scenes import cars, lot, moved, polygons
 from helpers.states import parked_at, parked_in, state_of
 
-from cameras import ENOUGH, compare, environment
 from carpark_mj.cameras import (
     RIGS,
     BirdsEye,
@@ -27,8 +28,10 @@ from carpark_mj.cameras import (
     see,
     see_from_above,
 )
+from carpark_mj.cameras.rig import BODY, CABIN
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
 from carpark_mj.layouts import WallKind, layout_config, make_layout
+from carpark_mj.layouts.types import WALL_HEIGHTS, DiscKind
 
 # A car of 4 m x 2 m is 1.5 m tall.
 HEIGHTS = Heights((0.375,), (0.375,))
@@ -180,13 +183,65 @@ def test_faults_turn_shift_hide_and_darken():
     assert spread == pytest.approx(0.02, rel=0.1)
 
 
+TWO = Camera((1.2, 0.0, 0.4)), Camera((0.1, -1.2, 0.8), yaw=-1.5, pitch=0.2)
+BOX, CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+
+
 def test_depth_and_classes_are_those_of_mujocos_rays():
-    env = environment("lot")
-    state = jax.jit(lambda key: env.reset(key)[0])(jax.random.key(1))
-    found = compare(env, [state], meshes=False)
-    assert found.pixels == 2 * 5 * 64 * 48  # of two agents with five cameras
-    assert found.depth >= ENOUGH
-    assert found.classes >= ENOUGH
+    """Among turned cars, walls and a bollard, each as high as it is."""
+    rig, heights = Rig(TWO, width=64, height=48), Heights((0.375,), (0.5,))
+    walls, post = [(9.0, 5.0, 0.5), (2.0, -6.0, -1.1)], (2.0, -3.5, 0.4)
+    sizes, kinds = [(5.0, 0.4), (6.0, 0.3)], [WallKind.WALL, WallKind.KERB]
+    layout = lot([(-40.0, 0.0, 0.0)], walls, wall_size=sizes, discs=[post])
+    agents, parked = [(0.0, 0.0, 0.6), (5.0, 6.0, -2.0)], (8.0, -4.0, 1.2)
+    state = state_of(
+        layout.replace(
+            wall_kind=jnp.array(kinds), disc_kind=jnp.array([DiscKind.BOLLARD])
+        ),
+        cars(agents),
+        0,
+        parked_cars=parked_at([parked], (5.0, 1.8)),
+    )
+    spec, looks = mujoco.MjSpec(), [Seen.FLOOR]
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+
+    def add(look, pose, half, low, high, shape=BOX):
+        x, y, yaw = pose
+        size, turn = [*half, (high - low) / 2], [math.cos(yaw / 2), 0, 0]
+        at = {"pos": [x, y, (low + high) / 2], "quat": [*turn, math.sin(yaw / 2)]}
+        spec.worldbody.add_geom(type=shape, size=[*size, 0][:3], **at)
+        looks.append(look)
+
+    for pose, size, kind in zip(walls, sizes, kinds, strict=True):
+        look = Seen.KERB if kind == WallKind.KERB else Seen.WALL
+        add(look, pose, np.divide(size, 2), 0.0, WALL_HEIGHTS[kind])
+    add(Seen.WALL, (*post[:2], 0.0), (0.4,), 0.0, 0.9, CYLINDER)
+    own = [(pose, 4.0, 2.0, 1.5) for pose in agents]
+    for pose, length, width, high in (*own, (parked, 5.0, 1.8, 2.5)):
+        for rear, front, wide, bottom, top in (BODY, CABIN):
+            centre = moved([length / 4 * (rear + front), 0.0, 0.0], pose)
+            half = length / 4 * (front - rear), width / 2 * wide
+            add(Seen.CAR, centre, half, max(bottom * high, 0.16), top * high)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    pictures = jax.device_get(see_jit(rig, state, heights))
+    for (agent, pose), (k, camera) in itertools.product(
+        enumerate(agents), enumerate(TWO)
+    ):
+        x, y, yaw = pose
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+        eye = np.multiply(camera.position, (2.0, 1.0, 1.5)) @ turn + [x, y, 0.0]
+        rays = (rig.directions[k].reshape(-1, 3) @ turn).ravel()
+        geom, depth = np.zeros(64 * 48, np.int32), np.zeros(64 * 48)
+        found = geom, depth, None, len(geom), 1e3
+        mujoco.mj_multiRay(model, data, eye, rays, None, True, -1, *found)
+        depth = np.where(geom < 0, rig.reach, np.minimum(depth, rig.reach))
+        seen = np.where(geom < 0, Seen.SKY, np.array(looks)[geom])
+        off = np.abs(pictures.depth[agent, k].ravel() - depth)
+        assert (off < 0.01).mean() > 0.998
+        assert (pictures.seen[agent, k].ravel() == seen).mean() > 0.998
 
 
 CONFIG = BirdsEye(pixels=60, span=20.0)

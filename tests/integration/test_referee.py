@@ -1,4 +1,4 @@
-"""Our car beside CommonRoad's multi-body, drift and kinematic models."""
+"""Our car beside CommonRoad's multi-body and drift models."""
 
 import numpy as np
 import pytest
@@ -24,8 +24,6 @@ def found():
         ("brake in a turn at 6 m/s", "MB", 0.25, 1.2),
         # Measured 0.07 m and 0.5 deg.
         ("brake in a turn at 6 m/s", "STD", 0.25, 1.2),
-        # Measured 0.04 m, a lag of the speed control, and 0.5 deg on 11 m.
-        ("parking, two gear changes", "KS", 0.08, 0.8),
     ],
 )
 def test_our_car_stays_with_the_referee(found, name, model, metres, degrees):
@@ -38,16 +36,10 @@ def test_our_car_stays_with_the_referee(found, name, model, metres, degrees):
     assert np.degrees(np.abs(yaw)).max() < degrees
 
 
-def test_the_parking_manoeuvre_changes_gear_twice(found):
-    track = found["parking, two gear changes"].track
-    driving = np.sign(track.speed[np.abs(track.speed) > 0.2])
-    assert np.count_nonzero(np.diff(driving)) == 2
-
-
 def test_inputs_respect_the_steering_rate_of_the_referee():
     limit = referee.published_set().steering.v_max
     time = np.linspace(0.0, 20.0, 4001)
-    for inputs in (referee.slalom, referee.brake_in_turn, referee.parking):
+    for inputs in (referee.slalom, referee.brake_in_turn):
         angle = np.array([inputs(float(t))[0] for t in time])
         assert np.abs(np.diff(angle) / np.diff(time)).max() < limit
 

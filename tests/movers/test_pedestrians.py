@@ -251,14 +251,15 @@ def test_force_from_behind_is_less_and_always_finite():
 
 
 @pytest.mark.parametrize("density", WEIDMANN)
-def test_crowds_walk_as_fast_as_published_at_any_period(density, monkeypatch):
-    monkeypatch.setattr(crowds, "ONE_WAY", (8.0, 3.0))
-    monkeypatch.setattr(crowds, "ONE_WAY_TIME", 12.0)
+def test_crowds_walk_as_fast_as_published_at_any_period(density):
     keys = jax.random.split(jax.random.key(0), 4)
-    walk = jax.jit(
-        jax.vmap(crowds.one_way, (0, None, None, None)), static_argnums=(1, 2, 3)
-    )
-    slow, fast = (float(walk(keys, density, 0.2, dt).mean()) for dt in (0.2, 0.02))
+    walk = jax.jit(jax.vmap(crowds.walk, (0, None)), static_argnums=1)
+
+    def pace(dt):
+        place = crowds.Corridor(8.0, 3.0, density, dt=dt, seconds=12.0)
+        return float(walk(keys, place)[0][:, round(6.0 / dt) :].mean())
+
+    slow, fast = pace(0.2), pace(0.02)
     assert slow == pytest.approx(WEIDMANN[density], rel=0.2)
     assert fast == pytest.approx(slow, rel=0.08)
 

@@ -20,7 +20,7 @@ from vehicle_suite import engines, manoeuvres
 from vehicle_suite.formulas import rolling_mass, rolling_resistance
 from vehicle_suite.report import Study
 from vehicle_suite.shipped import drive
-from vehicle_suite.testbeds import INDEX, BrushTestbed, Run
+from vehicle_suite.testbed import INDEX, Run, tracks_of
 
 DT = 0.01
 SIM = SimConfig(ctrl_dt=DT, trace_dt=DT)
@@ -240,13 +240,8 @@ def test_the_brake_holds_every_preset_on_a_slope_of_a_fifth(fleet):
 # The manoeuvres of the physics report: every row of the compact car, and some more
 
 
-@pytest.fixture(scope="module")
-def bed() -> BrushTestbed:
-    return BrushTestbed()
-
-
-def check(manoeuvre, bed, params=COMPACT, quick=True) -> Study:
-    study = Study(bed, "car", params, quick)
+def check(manoeuvre, params=COMPACT, quick=True) -> Study:
+    study = Study("car", params, quick)
     manoeuvre(study)
     assert study.rows
     missed = [f"{row.row}: {row.verdict}" for row in study.rows if not row.passes]
@@ -254,30 +249,25 @@ def check(manoeuvre, bed, params=COMPACT, quick=True) -> Study:
     return study
 
 
-APART = engines.taps, engines.brush_engines  # of every preset, or of other cars
+APART = engines.taps, engines.brush  # of every preset, or of other cars
 COSTLY = manoeuvres.turning, manoeuvres.slope_hold
-COSTLY += engines.mirror, engines.convergence, engines.reversing  # in float64
-COSTLY += (engines.wheel_stop,)
-
-
-def case(tyres: str, manoeuvre):
-    marks = [pytest.mark.slow] if manoeuvre in COSTLY else []
-    return pytest.param(
-        tyres, manoeuvre, id=f"{tyres}-{manoeuvre.__name__}", marks=marks
-    )
+COSTLY += engines.convergence, engines.reversing  # in float64
 
 
 @pytest.mark.parametrize(
-    ("tyres", "manoeuvre"),
+    "manoeuvre",
     [
-        case(tyres, manoeuvre)
-        for tyres, suite in physics_report.SUITES.items()
-        for manoeuvre in suite
+        pytest.param(
+            manoeuvre,
+            id=manoeuvre.__name__,
+            marks=[pytest.mark.slow] if manoeuvre in COSTLY else [],
+        )
+        for manoeuvre in physics_report.SUITE
         if manoeuvre not in APART
     ],
 )
-def test_the_compact_passes(tyres, manoeuvre):
-    check(manoeuvre, physics_report.TESTBEDS[tyres]())
+def test_the_compact_passes(manoeuvre):
+    check(manoeuvre)
 
 
 # Differs from the car that MJX compiles in everything that a batch may mix.
@@ -296,17 +286,17 @@ UNLIKE = dataclasses.replace(
 )
 
 
-def test_a_second_of_driving_agrees_with_c_mujoco_and_mjx(bed):
-    study = check(engines.brush_engines, bed, UNLIKE, quick=False)
-    assert len(study.rows) == 4  # in float32 and float64
+def test_a_second_of_driving_agrees_with_c_mujoco():
+    study = check(engines.brush, UNLIKE, quick=False)
+    assert len(study.rows) == 2  # in float32 and float64
     assert max(row.measured for row in study.rows) < 5e-6  # measured up to 1e-6
-    path = engines.drive_in_c(UNLIKE, SimConfig(ctrl_dt=0.02, trace_dt=0.02))
+    path = engines.drive_in_c(UNLIKE, engines.BRUSH)
     assert np.linalg.norm(path[-1]) > 1.0  # m
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_tap_on_the_pedal_ends_without_rocking(name, bed):
-    check(engines.taps, bed, preset(name))
+def test_a_tap_on_the_pedal_ends_without_rocking(name):
+    check(engines.taps, preset(name))
 
 
 def test_contact_wheels_in_mjx_stop_by_the_formula_and_stay():
@@ -323,18 +313,18 @@ def test_contact_wheels_in_mjx_stop_by_the_formula_and_stay():
     assert np.abs(rest - rest[-1]).max() < 1e-4
 
 
-def test_a_tall_soft_car_slides_before_it_tips_over(bed):
+def test_a_tall_soft_car_slides_before_it_tips_over():
     # Its static threshold is (T / 2h - lean) g = 1.0 g, above mu g = 0.9 g. With forces
     # at patches that lean into the ground with the car it fell over.
     tyre = dataclasses.replace(COMPACT.tyre, vertical_stiffness=25_000.0)
     car = dataclasses.replace(COMPACT, cg_height=0.65, height=1.7, tyre=tyre)
-    check(manoeuvres.lateral_limit, bed, car)
+    check(manoeuvres.lateral_limit, car)
 
 
-def test_runs_of_one_batch_do_not_touch_each_other(bed):
+def test_runs_of_one_batch_do_not_touch_each_other():
     runs = [Run(COMPACT, t, speed=v) for t, v in ((0.5, 1.0), (1.0, 2.0), (0.7, 3.0))]
-    together = bed.drive(runs)
+    together = tracks_of(runs)
     for run, track in zip(runs, together, strict=True):
-        assert len(track.qpos) == round(run.duration / bed.dt) + 1
+        assert len(track.qpos) == round(run.duration / DT) + 1
         assert track.speed[0] == pytest.approx(run.speed)
-        assert np.array_equal(bed.drive([run])[0].qpos, track.qpos)
+        assert np.array_equal(tracks_of([run])[0].qpos, track.qpos)

@@ -107,6 +107,15 @@ def test_a_relaxed_tyre_at_rest_feels_its_load_and_nothing_else(compact):
     assert not any(leaf.any() for leaf in jax.tree.leaves(state))
 
 
+def test_a_push_aside_meets_springs_and_dampers_of_the_bristles(compact):
+    speed, tyre = 1e-3, COMPACT.tyre  # m/s from rest, far from sliding
+    forces, _ = advance(compact, wheels(left=speed), init_tyres(), BRAKED, DT)
+    load = np.asarray(compact.tyres.static_load)
+    spring = tyre.cornering_stiffness * load / tyre.lateral_relaxation * speed * DT
+    expected = -(spring + tyre.lateral_damping * speed)
+    assert np.asarray(forces.left) == pytest.approx(expected, rel=1e-3)
+
+
 def test_scrub_torque_grows_to_that_of_a_sliding_disc(compact):
     state, motion = init_tyres(), wheels(yaw_rate=0.4)
     for _ in range(50):

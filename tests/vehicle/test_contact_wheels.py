@@ -22,7 +22,7 @@ from carpark_mj.physics.mjx_step import (
 )
 from carpark_mj.scene import looks, parts
 from carpark_mj.scene.build import drivable_scene
-from carpark_mj.vehicle import COMPACT, PRESETS, make_vehicle, preset
+from carpark_mj.vehicle import COMPACT, PRESETS, contact_wheels, make_vehicle, preset
 from carpark_mj.vehicle.contact_wheels import (
     FULL_BRAKE,
     add_contact_wheels,
@@ -35,7 +35,6 @@ from carpark_mj.vehicle.mjcf import WHEELS, add_car, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, kerb_to_kerb
 from vehicle_suite import formulas
 from vehicle_suite.formulas import front_wheel_angles, rolling_mass, rolling_resistance
-from vehicle_suite.testbeds import contact_model
 
 
 @pytest.mark.parametrize("lock", [25.0, 30.0, 34.2, 36.0])
@@ -128,6 +127,14 @@ def test_driven_wheels_settle_at_their_share_of_the_limit_less_the_loss(name, st
         assert mean * np.sign(drive) == pytest.approx(
             wanted, abs=0.05 if steer else 2e-3
         )
+
+
+def test_a_car_at_full_lock_turns_about_its_rear_axle_s_line():
+    car = Driven()
+    car.run(6.0, steer=COMPACT.max_steering, drive=0.3)
+    radius = math.hypot(*car.data.qvel[:2]) / car.data.qvel[5]
+    expected = COMPACT.wheelbase / math.tan(COMPACT.max_steering)
+    assert radius == pytest.approx(expected, rel=1e-3)  # 3.882 m
 
 
 def braked_distance(params, speed, force):
@@ -272,8 +279,17 @@ DT = 0.002
 SPRUNG = SimConfig(sim_dt=0.004, tyres="contact", suspension=True)
 
 
+def contact_model(params, suspension: bool):
+    """The car on contact wheels, solved as in scenes."""
+    sim = SimConfig(sim_dt=DT, tyres="contact", suspension=suspension)
+    model = contact_car_model(params, sim)
+    for name in ("impratio", "iterations", "ls_iterations", "tolerance"):
+        setattr(model.opt, name, getattr(contact_wheels, name.upper()))
+    return model
+
+
 def settled(params, suspension: bool, seconds: float = 4.0):
-    model = contact_model(params, DT, suspension)
+    model = contact_model(params, suspension)
     data = mujoco.MjData(model)
     for _ in range(round(seconds / DT)):
         mujoco.mj_step(model, data)
@@ -293,7 +309,7 @@ def test_every_car_sits_as_high_and_as_level_as_without_springs(name):
 
 
 def test_a_spring_carries_its_corner_without_the_wheel():
-    model = contact_model(COMPACT, DT, True)
+    model = contact_model(COMPACT, True)
     front, rear = formulas.axle_loads(COMPACT)
     wheel = COMPACT.wheel_mass * 9.81
     # In front a knuckle stands on the tyre beside the wheel.
@@ -344,7 +360,7 @@ def test_in_mjx_springs_and_friction_are_each_cars_own():
     changed = with_wheels(
         mjx.put_model(model), CarIndex(model), WheelIndex(model), vehicle, jnp.zeros(4)
     )
-    springs = "jnt_stiffness", "dof_damping", "qpos_spring"
+    springs = "jnt_stiffness", "dof_damping", "qpos_spring", "geom_size"
     for name in (*springs, "dof_frictionloss", "pair_friction"):
         found = np.asarray(getattr(changed, name))
         assert found == pytest.approx(getattr(expected, name), rel=1e-5), name

@@ -1,4 +1,4 @@
-"""Runs of a test driver on either tyre model, and the tracks recorded of them.
+"""Runs of a test driver on brush tyres, and the tracks recorded of them.
 
 The driver's inputs act at once: no pedal, rate limit or speed limiter stands between
 the standard's manoeuvre and the car.
@@ -8,15 +8,12 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from carpark_mj.config import SimConfig
 from carpark_mj.physics.coordinates import (
     CarIndex,
     column,
@@ -28,26 +25,23 @@ from carpark_mj.physics.coordinates import (
     unpack_tyres,
 )
 from carpark_mj.physics.forces import roll
-from carpark_mj.physics.mjx_step import contact_car_model
 from carpark_mj.physics.newton_euler import advance, mass_properties
 from carpark_mj.precision import full_float32
-from carpark_mj.vehicle import COMPACT, Vehicle, contact_wheels, make_vehicle
+from carpark_mj.vehicle import COMPACT, Vehicle, make_vehicle
 from carpark_mj.vehicle.drive import WheelTorques, ackermann
-from carpark_mj.vehicle.mjcf import WHEELS, car_model, per_wheel
+from carpark_mj.vehicle.mjcf import car_model
 from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from carpark_mj.vehicle.vehicle import wheels_of
-from vehicle_suite.formulas import front_wheel_angles
 
-Tyres = Literal["brush", "contact"]
 Signal = float | Callable[[np.ndarray], np.ndarray]  # a constant, or of time (T,) [s]
 
+DT = 0.01  # s, the substep of training
 LOCKING = 20.0  # g, a brake force over the weight that locks every wheel at once
 SPEED_GAIN = 3.0  # 1/s, acceleration per speed error of the test driver
 HOLD_LIMIT = 0.3  # g, the most that holding a speed may ask for
 CHUNK = 100  # substeps of one call of the compiled program
 WIDTH = 16  # cars of one call; fewer are filled up
-LEVEL = (0.0, 0.0, -GRAVITY)
-INDEX = CarIndex(car_model(COMPACT, 0.01, LEVEL))
+INDEX = CarIndex(car_model(COMPACT, DT, (0.0, 0.0, -GRAVITY)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,11 +96,6 @@ class Run:
         return qpos, qvel
 
 
-def step(final: float, start: float) -> Signal:
-    """Zero until `start` [s], then `final`."""
-    return lambda time: np.where(time < start - 1e-9, 0.0, final)
-
-
 def ramp(final: float, start: float, rise: float) -> Signal:
     """Zero until `start` [s], then linearly to `final` within `rise` [s]."""
     return lambda time: final * np.clip((time - start) / rise, 0.0, 1.0)
@@ -122,8 +111,6 @@ class Track:
         load, drive: (T, 4) vertical loads [N] and drive torques [N m] of the wheels.
         position, yaw: (T + 1, 2) [m] and (T + 1,) [rad] of the rear axle, unwrapped.
         speed, yaw_rate: (T + 1,) forward [m/s], [rad/s].
-        wheel_angles: (T + 1, 2) of the front wheels about their kingpins [rad].
-        rotation: (T + 1, 3, 3) body to world.
         cg, cg_velocity: (T + 1, 3) of the centre of gravity [m], [m/s], world frame.
     """
 
@@ -136,18 +123,16 @@ class Track:
         yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
         self.position, self.yaw, self.yaw_rate = qpos[:, :2], np.unwrap(yaw), qvel[:, 5]
         self.speed = qvel[:, 0] * np.cos(yaw) + qvel[:, 1] * np.sin(yaw)
-        self.wheel_angles = qpos[:, INDEX.steer_qpos]
         rotation = Rotation.from_quat(qpos[:, 3:7], scalar_first=True)
         cg_b = np.array([run.params.cg_to_rear_axle, 0.0, run.params.cg_height])
-        self.rotation = rotation.as_matrix()
-        self.cg = qpos[:, :3] + self.rotation @ cg_b
-        turning = np.cross(qvel[:, 3:6], cg_b)
-        self.cg_velocity = qvel[:, :3] + (self.rotation @ turning[..., None])[..., 0]
+        self.cg = qpos[:, :3] + rotation.apply(cg_b)
+        turning = rotation.apply(np.cross(qvel[:, 3:6], cg_b))
+        self.cg_velocity = qvel[:, :3] + turning
 
     @property
     def steering(self) -> np.ndarray:
         """(T + 1,) bicycle angle of the mean cotangent of the front wheels' [rad]."""
-        tan = np.tan(self.wheel_angles)
+        tan = np.tan(self.qpos[:, INDEX.steer_qpos])
         total, out = tan.sum(1), np.zeros(len(tan))
         turned = np.abs(total) >= 1e-12
         return np.arctan(np.divide(2 * tan.prod(1), total, out=out, where=turned))
@@ -185,53 +170,38 @@ def circle_radius(path: np.ndarray) -> float:
     return math.sqrt(c + x**2 + y**2)
 
 
-def crossing(x: np.ndarray, y: np.ndarray, level: float) -> float:
-    """Abscissa at which y first reaches a level from below; NaN if never."""
-    i = int(np.argmax(y >= level))
-    if y[i] < level:
-        return math.nan
-    return float(np.interp(level, y[i - 1 : i + 1], x[i - 1 : i + 1]) if i else x[0])
+def tracks_of(runs: Sequence[Run], dt: float = DT, x64: bool = False) -> list[Track]:
+    """Drives the runs in MJX in substeps `dt` [s], `WIDTH` at a time."""
+    groups = (runs[i : i + WIDTH] for i in range(0, len(runs), WIDTH))
+    with jax.enable_x64(x64):
+        return [track for group in groups for track in _drive(group, dt, x64)]
 
 
-@dataclasses.dataclass(frozen=True)
-class BrushTestbed:
-    """The `mjx` back end with brush tyres, by default in substeps `dt` [s]."""
-
-    dt: float = 0.01
-    x64: bool = False
-    tyres: Tyres = "brush"
-
-    def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
-        """Drives the runs, `WIDTH` at a time."""
-        groups = (runs[i : i + WIDTH] for i in range(0, len(runs), WIDTH))
-        with jax.enable_x64(self.x64):
-            return [x for runs in groups for x in self._drive(runs, dt or self.dt)]
-
-    def _drive(self, runs: Sequence[Run], dt: float) -> list[Track]:
-        cars = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
-        signals = [run.signals(dt) for run in cars]
-        length = -(-max(map(len, signals)) // CHUNK) * CHUNK
-        instants = np.arange(length)
-        table = np.stack([s[np.minimum(instants, len(s) - 1)] for s in signals], 1)
-        dtype = jnp.result_type(float)
-        starts = [np.stack(x) for x in zip(*(r.start() for r in cars), strict=True)]
-        vehicles = jax.tree.map(lambda *x: jnp.stack(x), *map(vehicle_of, cars))
-        bristles = jax.tree.map(lambda x: jnp.tile(x, (WIDTH, 1)), init_tyres(dtype))
-        qpos, qvel = (jnp.array(x, dtype) for x in starts)
-        carry, rows = (qpos, qvel, bristles), []
-        fixed = vehicles, jnp.array([run.gravity for run in cars], dtype)
-        for part in np.split(table, length // CHUNK):
-            inputs = jnp.array(part, dtype), dtype.type(dt)
-            carry, seen = _program(self.x64)(carry, *fixed, *inputs)
-            rows.append(jax.device_get(seen))
-        seen = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
-        for k, start in enumerate(starts):  # of the states, which have one row more
-            seen[k] = np.concatenate([start[None], seen[k]])
-        ends = [len(s) for s in signals]
-        return [
-            Track(run, dt, *(x[: ends[i] + (k < 2), i] for k, x in enumerate(seen)))
-            for i, run in enumerate(runs)
-        ]
+def _drive(runs: Sequence[Run], dt: float, x64: bool) -> list[Track]:
+    cars = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
+    signals = [run.signals(dt) for run in cars]
+    length = -(-max(map(len, signals)) // CHUNK) * CHUNK
+    instants = np.arange(length)
+    table = np.stack([s[np.minimum(instants, len(s) - 1)] for s in signals], 1)
+    dtype = jnp.result_type(float)
+    starts = [np.stack(x) for x in zip(*(r.start() for r in cars), strict=True)]
+    vehicles = jax.tree.map(lambda *x: jnp.stack(x), *map(vehicle_of, cars))
+    bristles = jax.tree.map(lambda x: jnp.tile(x, (WIDTH, 1)), init_tyres(dtype))
+    qpos, qvel = (jnp.array(x, dtype) for x in starts)
+    carry, rows = (qpos, qvel, bristles), []
+    fixed = vehicles, jnp.array([run.gravity for run in cars], dtype)
+    for part in np.split(table, length // CHUNK):
+        inputs = jnp.array(part, dtype), dtype.type(dt)
+        carry, seen = _program(x64)(carry, *fixed, *inputs)
+        rows.append(jax.device_get(seen))
+    seen = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
+    for k, start in enumerate(starts):  # of the states, which have one row more
+        seen[k] = np.concatenate([start[None], seen[k]])
+    ends = [len(s) for s in signals]
+    return [
+        Track(run, dt, *(x[: ends[i] + (k < 2), i] for k, x in enumerate(seen)))
+        for i, run in enumerate(runs)
+    ]
 
 
 @functools.cache
@@ -287,76 +257,3 @@ def vehicle_of(run: Run) -> Vehicle:
     stiffness = vehicle.tyres.lateral_stiffness * factors
     tyres = dataclasses.replace(vehicle.tyres, lateral_stiffness=stiffness)
     return dataclasses.replace(vehicle, tyres=tyres)
-
-
-def contact_model(
-    params: VehicleParameters, dt: float, suspension: bool = False
-) -> mujoco.MjModel:
-    """The car with its steering servos on contact wheels, solved as in scenes."""
-    model = contact_car_model(
-        params, SimConfig(sim_dt=dt, tyres="contact", suspension=suspension)
-    )
-    for name in ("impratio", "iterations", "ls_iterations", "tolerance"):
-        setattr(model.opt, name, getattr(contact_wheels, name.upper()))
-    return model
-
-
-def rigid_joints(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Where the rigid car's `qpos` (13,) and `qvel` (12,) lie in a model's."""
-    slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
-    positions = np.delete(np.arange(model.nq), model.jnt_qposadr[slides])
-    return positions, np.delete(np.arange(model.nv), model.jnt_dofadr[slides])
-
-
-@dataclasses.dataclass(frozen=True)
-class ContactTestbed:
-    """Plain `mujoco.mj_step`.
-
-    Drive torques are applied to the wheels, brakes are dry friction of the axles
-    beside their rolling resistance. A track leaves the travel of a suspension out.
-    """
-
-    dt: float = contact_wheels.TIMESTEP
-    suspension: bool = False
-    tyres: Tyres = "contact"
-
-    def drive(self, runs: Sequence[Run], dt: float | None = None) -> list[Track]:
-        """Drives the runs, one after the other."""
-        return [self._drive(run, dt or self.dt) for run in runs]
-
-    def _drive(self, run: Run, dt: float) -> Track:
-        params = run.params
-        model = contact_model(params, dt, self.suspension)
-        data, (positions, velocities) = mujoco.MjData(model), rigid_joints(model)
-        data.qpos[positions], data.qvel[velocities] = run.start()
-        spin = CarIndex(model).spin_dof
-        rolling = model.dof_frictionloss[spin].copy()
-        shares = np.array(
-            [per_wheel(params.front_drive), per_wheel(params.front_brake)]
-        )
-        most = HOLD_LIMIT * GRAVITY * params.mass
-        tyres = {model.geom(f"tyre_{name}").id: k for k, name in enumerate(WHEELS)}
-        qpos, qvel = [data.qpos[positions]], [data.qvel[velocities]]
-        loads, torques, rotation, contact = [], [], np.zeros(9), np.zeros(6)
-        model.opt.gravity = run.gravity
-        for steering, force, brake, target, gain in run.signals(dt):
-            mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
-            hold = gain * (target - rotation[::3] @ data.qvel[:3])
-            force = force + np.clip(hold, -most, most)
-            torques.append(force * params.wheel_radius * shares[0])
-            data.qfrc_applied[spin] = torques[-1]
-            brakes = brake * params.wheel_radius * shares[1]
-            model.dof_frictionloss[spin] = rolling + brakes
-            data.ctrl = front_wheel_angles(params, float(steering))
-            mujoco.mj_step(model, data)
-            qpos.append(data.qpos[positions])
-            qvel.append(data.qvel[velocities])
-            loads.append(np.zeros(4))
-            for c, pair in enumerate(data.contact.geom):
-                mujoco.mj_contactForce(model, data, c, contact)
-                pressed = [tyres[geom] for geom in pair if geom in tyres]
-                loads[-1][pressed] += contact[0]
-        return Track(run, dt, *map(np.array, (qpos, qvel, loads, torques)))
-
-
-Testbed = BrushTestbed | ContactTestbed
