@@ -47,14 +47,7 @@ from carpark_mj.spawning.reset_options import (
     read_reset_options,
 )
 from carpark_mj.spawning.spawner import Spawner, StepKeys
-from carpark_mj.types import (
-    Motion,
-    PhysicsState,
-    State,
-    TimeStep,
-    Transition,
-    own_buffers,
-)
+from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 choose_xla_flags()
@@ -210,11 +203,7 @@ class ParkingEnv:
         require_choice("split", split, Split)
         members = len(member_shares(self.layout_config))
         _require_index("member", member, 0, members - 1)
-        if self._layout is not None:
-            return self.reset_to_layout(self._layout, key, num_present, options)
-        key, layout_key = jax.random.split(key)
-        layout = self.draw_layout(layout_key, split, member)
-        return self.reset_to_layout(layout, key, num_present, options)
+        return self._start("_reset", num_present, options, split, key, member)
 
     @float32_only
     @shard_automatically
@@ -227,8 +216,6 @@ class ParkingEnv:
             return self.layout_config.generate(key)
         return self.layout_config.generate_member(member, key)
 
-    @float32_only
-    @shard_automatically
     def reset_to_layout(
         self,
         layout: Layout,
@@ -237,13 +224,33 @@ class ParkingEnv:
         options: ResetOptions | None = None,
     ) -> tuple[State, jax.Array]:
         """Starts a given lot, which must have enough bays for cars and goals."""
+        return self._start("_begin", num_present, options, layout, key)
+
+    def _start(
+        self, method: str, num_present: Any, options: ResetOptions | None, *args: Any
+    ) -> tuple[State, jax.Array]:
         _require_index("num_present", num_present, 1, self.num_agents)
         given = read_reset_options(self.config, options)
-        state = self._spawner.begin_lot(layout, key, num_present, given)
-        leaves = jax.tree.leaves((state, given))
-        if given and not any(isinstance(leaf, Tracer) for leaf in leaves):
+        state, observation = self._run(method, num_present, given, *args)
+        if given and not _is_traced((state, given)):
             check_starts(self.config, given, state)
-        return own_buffers(state), observe(self.config, state)
+        return state, observation
+
+    def _reset(
+        self, present: Any, given: Any, split: Split, key: jax.Array, member: Any
+    ) -> tuple[State, jax.Array]:
+        if (layout := self._layout) is None:
+            key, layout_key = jax.random.split(key)
+            layout = self.draw_layout(layout_key, split, member)
+        return self._begin(present, given, layout, key)
+
+    @float32_only
+    @shard_automatically
+    def _begin(
+        self, present: Any, given: Any, layout: Layout, key: jax.Array
+    ) -> tuple[State, jax.Array]:
+        state = self._spawner.begin_lot(layout, key, present, given)
+        return state, observe(self.config, state)
 
     @without_collection()
     @float32_only
@@ -266,19 +273,22 @@ class ParkingEnv:
         shape = (self.config.num_agents, self.action_spec.size)
         if action.shape != shape:
             raise ValueError(f"action must be of shape {shape}, not {action.shape}")
-        leaves = jax.tree.leaves((state, action))
-        if any(isinstance(leaf, Tracer) for leaf in leaves):
-            return self._step(state, action)
-        # Else JAX would compile the loops anew, at every step.
-        return self._compiled_step(state, action)
+        return self._run("_step", state, action)
+
+    def _run(self, method: str, *args: Any) -> Any:
+        # Outside of `jax.jit`, JAX would compile every operation, and loops each time.
+        run = getattr(self, method) if _is_traced(args) else self._compiled[method]
+        return run(*args)
 
     @functools.cached_property
-    def _compiled_step(self) -> Callable[..., tuple[State, TimeStep]]:
-        return jax.jit(self._step)
+    def _compiled(self) -> dict[str, Callable[..., Any]]:
+        reset = jax.jit(self._reset, static_argnums=2)  # the split
+        begin, step = jax.jit(self._begin), jax.jit(self._step)
+        return {"_reset": reset, "_begin": begin, "_step": step}
 
     def __getstate__(self) -> dict[str, Any]:
         # Copies are other environments, and programs cannot be pickled.
-        return {k: x for k, x in vars(self).items() if k != "_compiled_step"}
+        return {k: x for k, x in vars(self).items() if k != "_compiled"}
 
     def _step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
         config, before = self.config, state
@@ -316,7 +326,7 @@ class ParkingEnv:
             final_observation = None
             if config.episode.final_observation:
                 final_observation = observe(config, goals.track_bays(config, after))
-        return own_buffers(state), TimeStep(
+        return state, TimeStep(
             observation=observation,
             reward=jnp.sum(jnp.stack(list(terms.values())), axis=0),
             terminated=events.parked | events.crashed,
@@ -372,6 +382,10 @@ class ParkingEnv:
             stop = drive.stopping_action(state.motion.speed)
             stop = jnp.pad(stop, ((0, 0), (0, spec.size - 2)))
         return jnp.where(state.active[:, None], action, stop).astype(spec.dtype)
+
+
+def _is_traced(tree: Any) -> bool:
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def _require_index(name: str, value: Any, least: int, most: int) -> None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jax.core import Tracer
 
 from carpark_mj.geometry.obstacles import NO_MOVERS, Movers
 from carpark_mj.layouts.routes import Routes
@@ -334,16 +333,6 @@ class TimeStep:
     goal_events: GoalEvents | None = None
     target_pose: jax.Array | None = None
     final_observation: jax.Array | None = None
-
-
-def own_buffers(tree: Tree) -> Tree:
-    """Copies arrays outside of jit, so that callers may donate them.
-
-    Outside of `jax.jit` a function may return its own arguments, constants of an
-    environment, or one array in several places. A program that donates its argument
-    (`donate_argnums`) would delete or refuse these.
-    """
-    return jax.tree.map(lambda x: x if isinstance(x, Tracer) else x.copy(), tree)
 
 
 def without_empty(tree: Any) -> Any:

@@ -48,20 +48,30 @@ def test_reset_is_a_function_of_the_key():
 # Step
 
 
-def test_a_step_outside_jit_compiles_once():
+def test_outside_jit_programs_compile_once_and_compute_what_they_do_inside():
     env, reset, step = slide()
-    state, _ = reset(jax.random.key(0))
-    after, _ = env.step(state, HALT)
-    assert same(after, step(state, HALT)[0])
+    key = jax.random.key(0)
+
+    def drive():
+        state, seen = env.reset(key)
+        return (
+            state,
+            seen,
+            env.reset_to_layout(state.layout, key),
+            env.step(state, HALT),
+        )
+
+    state, seen = reset(key)
+    assert same(drive(), (state, seen, (state, seen), step(state, HALT)))
     compiled = []
     listen = lambda event, *_, **__: compiled.append(event)  # noqa: E731
     jax.monitoring.register_event_duration_secs_listener(listen)
-    env.step(after, HALT)
+    drive()
     jax.monitoring.unregister_event_duration_listener(listen)
     assert not any("compile" in event for event in compiled)
     assert pickle.loads(pickle.dumps(env)).config == env.config
-    for other in (copy.copy(env), env.with_values({})):  # steps of their own
-        assert other._compiled_step is not env._compiled_step
+    for other in (copy.copy(env), env.with_values({})):  # programs of their own
+        assert other._compiled is not env._compiled
 
 
 def test_step_is_pure():

@@ -30,7 +30,7 @@ from carpark_mj.rendering.stage import Snapshot, Stage
 from carpark_mj.scene import camera_flags
 from carpark_mj.spawning.reset_options import ResetOptions, check_starts
 from carpark_mj.tasks.environment import Environment
-from carpark_mj.types import Motion, State, TimeStep, own_buffers
+from carpark_mj.types import Motion, State, TimeStep
 
 # Lots that are restarted together: the share of a batch that ends in a step of long
 # episodes. A batch restarts as many such groups as it takes.
@@ -65,7 +65,7 @@ class Batch:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         other = copy.copy(self)  # environments hold constants only
-        other._state = own_buffers(self._state)
+        other._state = jax.tree.map(lambda x: x.copy(), self._state)
         return other
 
     @property

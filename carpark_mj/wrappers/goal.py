@@ -15,7 +15,6 @@ from carpark_mj.layouts import Layout
 from carpark_mj.mdp.rewards import term_weights
 from carpark_mj.observations import make_fields
 from carpark_mj.physics.base import Physics
-from carpark_mj.spawning.reset_options import ResetOptions
 from carpark_mj.tasks.goal_pose import (
     FEATURES,
     NUM_FEATURES,
@@ -91,20 +90,14 @@ class GoalParking(ParkingEnv):
         paid = -reward.extra["pose"] * norm - reward.crash * crashed
         return paid.astype(np.float32)
 
-    def reset_to_layout(
-        self,
-        layout: Layout,
-        key: jax.Array,
-        num_present: jax.Array | None = None,
-        options: ResetOptions | None = None,
+    def _begin(
+        self, present: Any, given: Any, layout: Layout, key: jax.Array
     ) -> tuple[State, jax.Array]:
-        """See `ParkingEnv.reset_to_layout`."""
-        state, seen = super().reset_to_layout(layout, key, num_present, options)
+        state, seen = super()._begin(present, given, layout, key)
         return state, self._vector(state, seen)
 
-    def step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
-        """See `ParkingEnv.step`."""
-        after, timestep = super().step(state, action)
+    def _step(self, state: State, action: jax.Array) -> tuple[State, TimeStep]:
+        after, timestep = super()._step(state, action)
         vector = self._vector(after, timestep.observation)
         return after, dataclasses.replace(timestep, observation=vector)
 

@@ -19,7 +19,6 @@ from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
 from carpark_mj.spawning.reset_options import ResetOptions
-from carpark_mj.types import own_buffers
 from carpark_mj.wrappers import batch
 from carpark_mj.wrappers.options import (
     OPTIONS,
@@ -320,7 +319,7 @@ class ParkVectorEnv(Parking, VectorEnv[Any, np.ndarray, np.ndarray]):  # pyright
         actions = np.asarray(actions)
         batch.require_shape("actions", actions, self.action_space.shape)
         mode, begins = self.autoreset_mode, self._ended
-        key = own_buffers(self._batch.state.key) if begins.any() else None
+        key = self._batch.state.key.copy() if begins.any() else None
         step = self._batch.step_numpy(self._rows(actions))
         terminated, truncated = step.terminated.ravel(), step.truncated.ravel()
         crashed = step.crashed.ravel()

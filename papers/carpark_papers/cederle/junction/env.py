@@ -9,13 +9,13 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.physics.base import where_cars
 from carpark_mj.physics.bicycle import BicyclePhysics
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.precision import float32_only
-from carpark_mj.types import own_buffers
 from carpark_mj.vehicle import preset
 from carpark_papers.cederle.junction import observations, rules
 from carpark_papers.cederle.junction.cars import Cars, PathCars, SteeredCars
@@ -101,7 +101,7 @@ class JunctionEnv:
             image = self._draw(state) if image is None else jnp.asarray(image)
             frames = jnp.repeat(image[..., None], self.config.raster.frames, axis=-1)
             state = dataclasses.replace(state, frames=frames)
-        return own_buffers(state), self._observe(state)
+        return _own_buffers(state), self._observe(state)
 
     def _begin(self, key: jax.Array) -> State:
         """The state at the start of an episode, still without images."""
@@ -183,7 +183,7 @@ class JunctionEnv:
             state = where_cars(timestep.over, fresh, state)
             observation = jnp.where(timestep.over, first, seen)
             timestep = dataclasses.replace(timestep, observation=observation)
-        return own_buffers(state), timestep
+        return _own_buffers(state), timestep
 
     def _move(self, state: State, action: jax.Array) -> State:
         """The state after the cars have moved; agents that had finished have left."""
@@ -220,3 +220,12 @@ def make_cars(config: JunctionConfig) -> Cars:
         return PathCars(config.sim)
     physics = BicyclePhysics if config.cars == "bicycle" else MjxPhysics
     return SteeredCars(physics(config.sim), preset(config.vehicle))
+
+
+def _own_buffers(state: State) -> State:
+    """Copies arrays outside of jit, so that callers may donate them.
+
+    There a function may return its own arguments, or one array in several places. A
+    program that donates its argument (`donate_argnums`) would delete or refuse these.
+    """
+    return jax.tree.map(lambda x: x if isinstance(x, Tracer) else x.copy(), state)
