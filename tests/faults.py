@@ -17,14 +17,7 @@ ROOT = Path(__file__).parents[1]
 
 
 class Fault(NamedTuple):
-    """A wrong line in place of a right one.
-
-    Attributes:
-        path: file in carpark_mj.
-        right: text that the file holds once.
-        wrong: text in its place.
-        tests: files in tests that must fail.
-    """
+    """A wrong text in place of a right one that a file holds once; `tests` find it."""
 
     path: str
     right: str

@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import importlib
+import pkgutil
 import re
 import shlex
 from operator import attrgetter
@@ -17,7 +18,6 @@ from helpers.pages import (
     calls,
     cells,
     code,
-    is_importable,
     markdown_table,
     section,
 )
@@ -244,7 +244,7 @@ def test_links_files_and_modules_exist(page):
     for name in re.findall(path, text):
         assert (ROOT / name).exists(), name
     for name in re.findall(r"`(carpark_mj(?:\.\w+)+)", text):
-        assert is_importable(name), name
+        pkgutil.resolve_name(name)  # its error says what is missing
 
 
 def test_the_page_of_commands_names_every_command():

@@ -14,7 +14,6 @@ from helpers.programs import ROOT, python
 
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.suite.tpcap import TpcapConfig
 
 EXAMPLES = ROOT / "examples"
 
@@ -65,32 +64,20 @@ def test_cloning_takes_the_mean_action_and_iql_a_better_one(monkeypatch):
     assert mean["iql"] > 0.75
 
 
-@pytest.mark.parametrize(
-    ("flags", "line"),
-    [
-        ("--discount 2", "discount must lie in [0, 1], not 2.0"),
-        ("--out no/a.png", "cannot use no/a.png: No such file or directory"),
-    ],
-)
-def test_bad_flags_of_an_example_are_one_line(flags, line, tmp_path):
+def test_a_bad_flag_of_an_example_is_one_line(tmp_path):
     pytest.importorskip("torch")
-    ended = python(EXAMPLES / "cleanrl_ppo.py", *flags.split(), cwd=tmp_path)
-    assert (ended.returncode, ended.stderr) == (2, f"cleanrl_ppo: {line}\n")
+    ended = python(EXAMPLES / "cleanrl_ppo.py", "--out", "no/a.png", cwd=tmp_path)
+    said = "cleanrl_ppo: cannot use no/a.png: No such file or directory\n"
+    assert (ended.returncode, ended.stderr) == (2, said)
 
 
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("# A readme", r"XML parse error \d+: .*"),
-        ("<mujoco/>", r"Invalid name 'agent0/car'\. .*"),
-    ],
-)
-def test_what_is_no_scene_to_drive_is_one_line(text, line, tmp_path):
+def test_what_is_no_scene_to_drive_is_one_line(tmp_path):
     path = tmp_path / "a.xml"
-    path.write_text(text)
+    path.write_text("<mujoco/>")
     ended = python("-I", EXAMPLES / "drive_scene.py", path)
     assert ended.returncode == 2
-    assert re.fullmatch(rf".*drive_scene\.py: {path}: {line}\n", ended.stderr)
+    said = r"Invalid name 'agent0/car'\. .*"
+    assert re.fullmatch(rf".*drive_scene\.py: {path}: {said}\n", ended.stderr)
 
 
 def test_a_search_learns_from_its_trials_and_ends_bad_ones(tmp_path, monkeypatch):
@@ -128,22 +115,6 @@ def test_planned_paths_are_drawn(tmp_path):
     ended = python(EXAMPLES / "planned_paths.py", *flags, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_start_and_goal_are_in_view_and_far_obstacles_are_not(monkeypatch):
-    monkeypatch.syspath_prepend(EXAMPLES)
-    example = importlib.import_module("planned_paths")
-    layout = jax.device_get(TpcapConfig(4).generate(jax.random.key(0)))
-    low, high = example.view(layout, None)
-    ends = np.stack([layout.spawn_pose[0, :2], layout.bay_pose[0, :2]])
-    assert (low <= ends.min(axis=0)).all()
-    assert (high >= ends.max(axis=0)).all()
-    more = high - low - np.ptp(ends, axis=0) - 2 * example.AROUND
-    assert more.min() == pytest.approx(0.0, abs=1e-3)  # as close as the frame allows
-    assert (high - low)[0] == pytest.approx(example.ASPECT * (high - low)[1])
-    assert (high - low < 2 * layout.extent).any()
-    with pytest.raises(ValueError, match="busy have starts"):  # not at the region's
-        example.planned("busy", 1)
 
 
 SECONDS, PERIOD = 20.0, 0.2

@@ -60,7 +60,6 @@ def test_arrays_are_read_as_written_in_any_order_of_memory(tmp_path):
 @pytest.mark.parametrize(
     ("name", "array"),
     [
-        ("speed", np.zeros((3, 5), np.float32)),
         ("speed", np.zeros((3, 4, 1), np.float32)),
         ("speed", np.zeros((3, 4))),
         ("speed", np.zeros((2, 4), np.float32)),  # of fewer drives than the others

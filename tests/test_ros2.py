@@ -1,10 +1,7 @@
 """The ROS 2 example without ROS: its mappings fit the messages that it names."""
 
-import ast
-import configparser
 import json
 import math
-import runpy
 import socket
 import sys
 import threading
@@ -94,26 +91,6 @@ def test_messages_fit_their_types():
 def test_commands_become_actions(asked, speed, expected):
     drive = dict(zip(("steering_angle", "speed"), asked, strict=True))
     assert action(drive, speed, 0.6) == pytest.approx(expected)
-
-
-def test_colcon_installs_the_node_where_ros2_run_looks(monkeypatch):
-    given = {}
-    tools = SimpleNamespace(setup=lambda **settings: given.update(settings))
-    monkeypatch.setitem(sys.modules, "setuptools", tools)
-    runpy.run_path(str(PACKAGE / "setup.py"))
-    name = given["name"]
-    assert f"<name>{name}</name>" in (PACKAGE / "package.xml").read_text()
-    files = dict(given["data_files"])
-    # The marker by which ROS finds packages is an empty file of their name.
-    assert files["share/ament_index/resource_index/packages"] == [f"resource/{name}"]
-    assert all((PACKAGE / file).is_file() for many in files.values() for file in many)
-    [script] = given["entry_points"]["console_scripts"]
-    module, _, function = script.partition("=")[2].strip().partition(":")
-    tree = ast.parse((PACKAGE / f"{module.replace('.', '/')}.py").read_text())
-    assert function in {getattr(node, "name", "") for node in tree.body}
-    config = configparser.ConfigParser()
-    config.read(PACKAGE / "setup.cfg")
-    assert config["install"]["install_scripts"] == f"$base/lib/{name}"
 
 
 class FakeNode:

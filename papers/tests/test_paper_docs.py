@@ -1,7 +1,9 @@
 """What the pages of the papers say is what the code declares."""
 
+import pkgutil
 import re
 import shlex
+from statistics import fmean
 
 import pytest
 from helpers.pages import (
@@ -10,10 +12,10 @@ from helpers.pages import (
     ROOT,
     calls,
     cells,
-    is_importable,
     markdown_table,
     section,
 )
+from helpers.programs import rows_of
 from test_docs import check_command, commands
 
 from carpark_mj.cli.flags import read_flags
@@ -109,4 +111,46 @@ def test_tables_of_the_papers_are_those_of_the_code():
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_names_of_the_papers_package_exist(page):
     for name in re.findall(r"`(carpark_papers(?:\.\w+)+)", page.read_text()):
-        assert is_importable(name), name
+        pkgutil.resolve_name(name)  # its error says what is missing
+
+
+# Figures of Tanner 2022 in the study's table: what varies, the columns of a setting.
+FIGURES = {
+    "5.5": ("agents", ["env.num_agents"]),
+    "5.14": ("agents that choose goals", ["env.num_agents"]),
+}
+
+
+def runs_of(figure, columns, source):
+    groups = {}
+    for run in rows_of(ROOT / "docs" / "study" / f"figure-{figure}.csv"):
+        if run["source"] == source:
+            groups.setdefault(tuple(int(run[c]) for c in columns), []).append(run)
+    return dict(sorted(groups.items()))
+
+
+def study_table():
+    """The table of the study's page, from the recorded runs."""
+    lines = [
+        "| figure | varied | | published [%] | ours [%] |",
+        "|---|---|---|---|---|",
+    ]
+    for figure, (name, columns) in FIGURES.items():
+        sources = [runs_of(figure, columns, x) for x in ("Tanner 2022", "ours")]
+        assert sources[0].keys() == sources[1].keys()
+        values = ", ".join(str(value) for (value,) in sources[0])
+        for metric in ("parked", "crashed"):
+            means = [
+                [f"{100 * fmean(float(run[metric]) for run in x):.1f}" for x in y]
+                for y in (source.values() for source in sources)
+            ]
+            theirs, ours = map(", ".join, means)
+            what = f"| {figure} | {name}: {values} | {metric} "
+            lines.append(f"{what}| {theirs} | {ours} |")
+    return "\n".join(lines)
+
+
+def test_the_study_s_table_is_that_of_its_recorded_runs():
+    expected = study_table()
+    found = section((ROOT / "docs" / "study.md").read_text(), "figures")
+    assert found == expected, f"paste this:\n{expected}"

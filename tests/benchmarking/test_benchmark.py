@@ -16,7 +16,6 @@ from carpark_mj.benchmarking import (
     Job,
     count_equations,
     jobs_of,
-    start_table,
 )
 from carpark_mj.training.ppo import learner
 from carpark_mj.training.ppo.parts import PRESETS
@@ -170,18 +169,3 @@ def test_loops_and_calls_count_what_they_hold():
     assert count_equations(called.jaxpr) == 2
     looped = count_equations(jax.make_jaxpr(loop)(0.0).jaxpr)
     assert 3 <= looped < 9
-
-
-def test_starts_are_medians_of_both_processes():
-    one = dict.fromkeys(benchmarking.PHASES, 1.0)
-    one |= {"reset_equations": 2000, "step_equations": 6000}
-    found = [one | {"process": "first", "total_s": x} for x in (9.0, 10.0, 30.0)]
-    found += [x | {"process": "second", "total_s": 2.0} for x in found]
-    job = dataclasses.replace(JOB, what="start", variant="default", lots=1)
-    head, _, cells = start_table({job: found}).splitlines()
-    names, values = ([x.strip() for x in y.split("|")] for y in (head, cells))
-    row = dict(zip(names, values, strict=True))
-    assert row["environment"] == "default"
-    assert row["first: total [s]"] == "10.0"
-    assert row["second: total [s]"] == "2.0"
-    assert row["step equations"] == "6,000"

@@ -15,7 +15,6 @@ from carpark_mj.cameras import Heights, Seen, see
 from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import ENCODERS, EnvConfig, GoalConfig, RayConfig, RingConfig
 from carpark_mj.observations import make_fields, observation_size
-from carpark_mj.observations import unpack as unpack_fields
 from carpark_mj.observations.fields import FAR
 from carpark_mj.observations.sensors import observed
 from carpark_mj.registry import environment
@@ -58,16 +57,6 @@ def test_pictures_are_what_the_cameras_see():
     assert (np.abs(depth - pictures.depth[0]) <= near).all()
     seen = np.round(observation["camera_seen"] * (max(Seen) / 255))
     np.testing.assert_array_equal(seen, pictures.seen[0])
-
-
-def test_pictures_are_taken_out_of_vectors_of_any_shape():
-    vector = jax.random.uniform(jax.random.key(0), (1, observation_size(CONFIG)))
-    unpack = jax.jit(functools.partial(unpack_fields, make_fields(CONFIG)))
-    alone, many = unpack(vector[0]), unpack(jnp.tile(vector, (2, 3, 1)))
-    assert {name: x.shape for name, x in alone.items()} == SHAPES
-    for name, array in alone.items():
-        assert array.dtype == (jnp.float32 if name == "vector" else jnp.uint8)
-        np.testing.assert_array_equal(many[name][1, 2], array)
 
 
 def gymnasium_vector():

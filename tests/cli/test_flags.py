@@ -132,10 +132,8 @@ RUN = EnvConfig(num_agents=5, min_agents=3)
     [
         ({}, [3, 4, 5]),
         ({"num_agents": 2}, [2]),
-        ({"num_agents": 5}, [5]),
         ({"min_agents": 1}, [1, 2, 3, 4, 5]),
         ({"num_agents": 2, "min_agents": 1}, [1, 2]),
-        ({"num_agents": None, "min_agents": None}, [3, 4, 5]),
     ],
 )
 def test_a_number_of_agents_is_that_of_every_lot(changes, counts):

@@ -10,7 +10,7 @@ import sys
 import pytest
 from helpers.programs import ROOT, python
 
-from carpark_mj.cli.clock import Clock, doing
+from carpark_mj.cli.clock import Clock
 from carpark_mj.cli.process import OUTPUT_FUSION
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
@@ -36,21 +36,19 @@ def main():
 """
 
 
-def started(tmp_path, body):
-    """Writes a command of some lines, and how Python runs it."""
-    indented = "".join(f"    {line}\n" for line in body.splitlines())
-    (tmp_path / "job.py").write_text(START + indented)
-    return "from carpark_mj.cli.process import enter; enter('job', 'job:main')"
-
-
 @pytest.fixture
 def run(tmp_path):
-    """Runs a command of some lines in a folder of its own."""
+    """Runs a command of some lines in a folder of its own, from a shell."""
 
-    def run(body, stdout=subprocess.PIPE, handler="default_int_handler", **environment):
-        signals = f"import signal; signal.signal(signal.SIGINT, signal.{handler}); "
+    def run(body, stdout=-1, handler="default_int_handler", streams="", **environment):
+        indented = "".join(f"    {line}\n" for line in body.splitlines())
+        (tmp_path / "job.py").write_text(START + indented)
+        code = (
+            f"import signal; signal.signal(signal.SIGINT, signal.{handler}); "
+            "from carpark_mj.cli.process import enter; enter('job', 'job:main')"
+        )
         done = subprocess.run(
-            [sys.executable, "-c", signals + started(tmp_path, body)],
+            ["sh", "-c", f'"$@" {streams}', "sh", sys.executable, "-c", code],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
             stdout=stdout,
@@ -159,18 +157,9 @@ STREAMS = (
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "2>/dev/full"])
-def test_streams_that_cannot_be_written_cost_no_work(closed, tmp_path):
-    command = [sys.executable, "-c", started(tmp_path, STREAMS)]
-    ended = subprocess.run(
-        ["sh", "-c", f'"$@" {closed}', "sh", *command],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=50,
-        check=False,
-    )
-    assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
+def test_streams_that_cannot_be_written_cost_no_work(closed, run, tmp_path):
+    code, said = run(STREAMS, streams=closed)
+    assert (code, "Traceback" in said) == (0, False)
     assert (tmp_path / "file").read_text() == "done"
 
 
@@ -192,35 +181,6 @@ def test_an_environment_that_nothing_can_run_in_is_refused(name, value, run, tmp
     assert name.lower() in said.lower()
     assert (value in said, said.count("\n")) == (True, 1)
     assert not (tmp_path / "file").exists()
-
-
-# A program whose argument is still being computed, and callbacks with 1 MB.
-PROGRAM = """
-import os
-os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-from carpark_mj.cli.process import dispatch_synchronously
-dispatch_synchronously()
-import jax, jax.numpy as jnp, numpy as np
-
-def step(x, _):
-    shape = jax.ShapeDtypeStruct((), jnp.float32)
-    seen = jax.pure_callback(lambda y: np.asarray(y)[0], shape, jnp.sin(x))
-    return x + seen, None
-
-run = jax.jit(lambda x: jax.lax.scan(step, x, None, 20)[0])
-for seed in range(40):
-    x = jax.random.normal(jax.random.key(seed), (250_000,))
-    run(x).block_until_ready()
-print("ended")
-"""
-
-
-@pytest.mark.skipif(
-    not hasattr(os, "sched_setaffinity"), reason="processes keep to no core here"
-)
-def test_callbacks_with_large_arrays_end_on_one_core():
-    done = python("-c", PROGRAM)
-    assert done.stdout == "ended\n", done.stderr
 
 
 # Runs a script that finds no policy. Says what it has set when MuJoCo is first imported
@@ -251,16 +211,12 @@ print(json.dumps({
 """
 
 
-def left_behind(script, flags=None):
-    """What `SCRIPT` says of a script, started with `XLA_FLAGS` or without."""
-    done = python("-c", SCRIPT, ROOT / script, XLA_FLAGS=flags, MUJOCO_GL=None)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
 def test_a_script_sets_up_what_it_needs():
     assert choose_gl() is None, "this machine cannot render"
-    left = left_behind("eval/render.py")
+    script = ROOT / "eval" / "render.py"
+    done = python("-c", SCRIPT, script, XLA_FLAGS=None, MUJOCO_GL=None)
+    assert done.returncode == 0, done.stderr
+    left = json.loads(done.stdout)
     assert left["gl"] == os.environ["MUJOCO_GL"]
     assert not left["asynchronous"]
     assert (left["fused"], left["flags"]) == (True, OUTPUT_FUSION)
@@ -386,9 +342,3 @@ def test_work_goes_on_without_the_terminal(monkeypatch):
     monkeypatch.setattr(os, "write", hang_up)
     clock.printed()
     clock.set("")
-
-
-def test_without_a_clock_what_is_done_is_printed(monkeypatch, capsys):
-    monkeypatch.setattr(os, "isatty", lambda descriptor: True)
-    doing("thinking")
-    assert capsys.readouterr().out == "thinking ...\n"

@@ -132,12 +132,10 @@ def test_settings_that_contradict_each_other_are_refused(change, message):
     ("sim_dt", "ctrl_dt", "trace_dt", "expected"),
     [
         (0.01, 0.2, 0.05, 4),
-        (0.005, 0.2, 0.05, 4),
         (0.01, 0.2, 0.03, 10),  # 3 substeps do not divide 20, 2 do
         (0.01, 0.2, 0.01, 20),
         (0.01, 0.2, 1.0, 1),
         (0.01, 0.07, 0.05, 7),  # 7 is prime: every substep
-        (0.01, 0.1, 0.05, 2),
         (0.02, 0.1, 0.05, 5),
         (0.1, 0.3, 0.3, 1),
     ],
@@ -172,11 +170,14 @@ def test_every_layout_has_a_known_family():
         assert name == "from_file" or family().family == name
 
 
-def test_values_are_inserted_by_their_paths():
+def test_values_are_inserted_with_what_follows_from_them():
     config = EnvConfig()
-    new = insert(config, {"reward.park": 3.0, "num_agents": 5})
-    assert (new.reward.park, new.num_agents) == (3.0, 5)
-    assert new.reward.crash == config.reward.crash
+    assert (config.physics_config.back_end, config.varies) == ("mjx", False)
+    values = {"reward.park": 3.0, "physics": "bicycle", "occupancy": (0.1, 0.2)}
+    new = insert(config, values)
+    assert new.reward == dataclasses.replace(config.reward, park=3.0)
+    assert (new.physics_config.back_end, new.varies) == ("bicycle", True)
+    assert (config.physics_config.back_end, config.varies) == ("mjx", False)
     assert config == EnvConfig()
 
 
@@ -237,14 +238,6 @@ def test_tuples_have_their_length_truth_is_no_number_and_numpys_are():
     config = SimConfig(ctrl_dt=np.float32(0.25), sim_dt=np.float64(0.05))
     assert config.num_substeps == 5
     assert EnvConfig(num_agents=np.int32(3)).num_agents == 3
-
-
-def test_what_follows_from_settings_follows_from_the_new_ones():
-    config = EnvConfig()
-    assert (config.physics_config.back_end, config.varies) == ("mjx", False)
-    new = insert(config, {"physics": "bicycle", "occupancy": (0.1, 0.2)})
-    assert (new.physics_config.back_end, new.varies) == ("bicycle", True)
-    assert (config.physics_config.back_end, config.varies) == ("mjx", False)
 
 
 BAD_REWARDS = [

@@ -128,7 +128,6 @@ def test_the_zero_policy_stands_until_time_is_up(run):
 @pytest.mark.parametrize(
     ("shares", "lots", "counts"),
     [
-        ([0.25] * 4, 128, [32] * 4),
         ([0.25] * 4, 4, [1] * 4),
         ([0.25, 0.5, 0.25], 8, [2, 4, 2]),
         ([1.0], 3, [3]),
@@ -261,19 +260,6 @@ def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys
         assert name in printed
 
 
-def test_the_first_table_tells_outcomes_and_how_episodes_went(everything, capsys):
-    rate = {"rate": 0.25, "low": 0.1, "high": 0.4, "count": 1}
-    driven = {"time_to_park": 12.34, "path": 17.26, "gear_changes": 1.5}
-    driven |= {"final_distance": 0.123, "final_heading": 0.1, "final_speed": 0.456}
-    summary = dict.fromkeys(ENDINGS, rate) | driven | {"wrong_way_share": 0.037}
-    print_table(everything.summary | summary, "a title")
-    printed = " ".join(capsys.readouterr().out.split())
-    texts = ("a title: 90 episodes", "25.0%", "10.0% … 40.0%", "timed out", "12.3 s")
-    texts += ("17.3 m", "1.5 gear changes", "0.12 m", "5.7 deg", "0.46 m/s")
-    for text in (*texts, "3.7% of the distance driven against the lanes"):
-        assert text in printed
-
-
 def test_every_crash_stands_in_a_row_of_what_was_hit(capsys):
     hits = [f"hit_{kind.label}" for kind in ObstacleKind]
     nothing = {"length": 10.0, **dict.fromkeys((*ENDINGS, *hits), 0.0), "crashed": 1.0}
@@ -314,20 +300,15 @@ def test_parts_have_summaries_and_a_printed_table(
     assert f"by {column.replace('_', ' ')}" in capsys.readouterr().out
 
 
-def test_the_file_names_the_policy(everything, tmp_path):
-    report(EvaluateConfig("runs/a"), BICYCLES, tmp_path, everything)
-    stored = json.loads((tmp_path / "evaluation.json").read_text())
-    assert stored["settings"]["policy"] == "runs/a"
-    assert stored["settings"]["seed"] == 0
-
-
 def test_an_evaluation_is_written_before_it_is_printed(
     everything, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(Console, "print", no_printing)
     with pytest.raises(BrokenPipeError):
         report(EvaluateConfig("zero"), BICYCLES, tmp_path, everything)
-    assert {"evaluation.csv", "evaluation.json"} <= {p.name for p in tmp_path.iterdir()}
+    assert (tmp_path / "evaluation.csv").exists()
+    stored = json.loads((tmp_path / "evaluation.json").read_text())
+    assert stored["settings"]["policy"] == "zero"
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,6 @@ from carpark_mj.tasks.goal_pose import POSE
 from carpark_mj.wrappers.goal import GoalParking
 
 FOLDER = ROOT / "docs" / "environments"
-CONTROLS = (
-    ("steer", "target of the road-wheel angle over its limit, left positive"),
-    ("pedal", "acceleration forwards; against the motion it brakes"),
-)
 
 
 def read(page):
@@ -46,15 +42,6 @@ def summary(name, env):
         ("creation", f"`gymnasium.{make}`"),
     ]
     return table(("", ""), rows)
-
-
-def actions(name, env):
-    box = env.single_action_space
-    rows = [
-        (number, f"`{part}`", f"{box.low[number]:g}", f"{box.high[number]:g}", meaning)
-        for number, (part, meaning) in enumerate(CONTROLS)
-    ]
-    return table(("number", "control", "least", "most", "meaning"), rows)
 
 
 def observation(name, env):

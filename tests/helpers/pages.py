@@ -1,6 +1,5 @@
 """What pages say: tables between markers, blocks of code, commands, names."""
 
-import importlib
 import itertools
 import re
 from pathlib import Path
@@ -55,13 +54,3 @@ def calls(page):
     text = re.sub(r"^```\w*\n.*?^```", "", page, flags=re.MULTILINE | re.DOTALL)
     quoted = [" ".join(q.split()) for q in re.findall(r"`([^`]+)`", text)]
     return [line.split("#")[0].strip() for line in blocks.splitlines()] + quoted
-
-
-def is_importable(name):
-    """Whether a dotted name is a module, or something in one."""
-    try:
-        importlib.import_module(name)
-    except ImportError:
-        module, _, attribute = name.rpartition(".")
-        return hasattr(importlib.import_module(module), attribute)
-    return True

@@ -47,13 +47,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def python(*arguments: Any, cwd: Any = None, **variables: str | None):
-    """Runs Python in a process of its own, which imports this checkout.
-
-    Args:
-        *arguments: of the interpreter.
-        cwd: where it runs, if not here.
-        **variables: of its environment; None = not set.
-    """
+    """Runs Python apart, importing this checkout; without variables that are None."""
     given = os.environ | {"PYTHONPATH": str(ROOT)} | variables
     return subprocess.run(
         [sys.executable, *map(str, arguments)],

@@ -10,12 +10,7 @@ STEPS = 2
 
 
 def check_roll_out(env, lots):
-    """Asserts the shapes and types of what a roll-out gives.
-
-    Args:
-        env: the environment.
-        lots: (count,) of a batch, or () for one lot.
-    """
+    """Asserts shapes and types of a roll-out; `lots` is (count,), or () for one lot."""
     assert isinstance(env, Environment)
     spec, agents = env.action_spec, (*lots, env.num_agents)
 

@@ -29,23 +29,3 @@ def parked_learner(config):
 
     learner.env = SimpleNamespace(reset=reset)
     return learner
-
-
-CARD = """## tiny
-
-| | |
-|---|---|
-| task | none: it was not trained |
-| training | `python train/ppo.py --seed 7` |
-| steps | 0 |
-| seed | 7 |
-| device | two CPU cores, 0 min |
-
-| evaluation | episodes | parked | crashed | timed out |
-|---|---:|---:|---:|---:|
-| `python eval/evaluate.py tiny` | 1,024 | 1.0 % (0.5 … 1.8) | 95.0 % (93.5 … 96.2) | 4.0 % (3.0 … 5.4) |
-
-Limits:
-
-- It does not park.
-"""  # noqa: E501

@@ -159,20 +159,13 @@ def with_value(name, value, at=slice(None)):
 
 REFUSED = {
     "no pedal": (without("pedal"), "lacks the columns pedal or acceleration"),
-    "no motion": (without("yaw"), "x, y and yaw or speed and yaw_rate"),
     "two units": (with_value("time_ms", 1), "time and time_ms: leave one"),
-    "two angles": (with_value("steering", 0), "steering_wheel and steering: leave"),
     "nan": (with_value("pedal", "nan", slice(9, 10)), "line 11: pedal must be finite"),
     "a pedal in percent": (with_value("pedal", 60.0), "pedal must lie within ±1"),
     "time that stands": (with_value("time", 3.0, slice(9, 11)), "time must increase"),
     "too short": (lambda rows: rows[:300], "must last 10 to 300 s, not 5.98"),
     "a gap": (lambda rows: rows[:300] + rows[400:], "at most 0.25 s apart, not 2.02"),
-    "few poses": (with_value("x", "", slice(9, None)), "x must have at least 2 values"),
     "a jump": (with_value("x", 1e300, slice(500, 501)), "to 60 m/s, not "),
-    "standing": (
-        lambda rows: [row | {"x": 0, "y": 0} for row in rows],
-        "must reach 0.5 to 60 m/s, not 0 ",
-    ),
 }
 
 

@@ -4,8 +4,6 @@ them in one training, so that they are seen to go together, and one by hand."""
 import csv
 import json
 import os
-import re
-import tomllib
 
 import pytest
 from helpers.programs import ROOT, python
@@ -63,16 +61,6 @@ def evaluated(extensions, policy, folder, *flags):
     return json.loads((folder / "evaluation.json").read_text())
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_package_names_its_module_as_an_entry_point(name):
-    project = tomllib.loads((PACKAGES / name / "pyproject.toml").read_text())
-    points = project["project"]["entry-points"]["carpark_mj.extensions"]
-    assert points == {name: name}
-    wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
-    assert wheel["only-include"] == [f"{name}.py"]
-    assert (PACKAGES / name / f"{name}.py").is_file()
-
-
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """The folder of a few updates with six packages, evaluated."""
@@ -107,11 +95,6 @@ def test_the_policy_is_read_back_with_them_and_refused_without(trained, tmp_path
         said = refused(others, "evaluate", trained)
         assert "unknown" in said
         assert repr(missing) in said
-
-
-def test_courts_are_checked_by_their_name():
-    said = run(("court",), "layouts", "court", "--check", "20")
-    assert said == "court: 20 lots, 0 problems\n"
 
 
 def test_a_policy_of_a_back_end_is_read_back_and_refused_by_others(tmp_path):
@@ -221,10 +204,3 @@ def test_an_installed_package_is_listed_and_runs(package):
     assert "\n  hello " in command([package], (), "study").stdout
     said = command([package], (), "list", "presets").stdout
     assert "of another package, " in said
-
-
-def test_without_it_they_are_unknown():
-    said = refused((), "train", "--preset", "tiny")
-    assert "unknown preset 'tiny'; choose from" in said
-    said = refused((), "study", "hello")
-    assert re.search("no program is installed|unknown program 'hello'", said)

@@ -11,8 +11,7 @@ from helpers.coulomb import slide
 from helpers.states import parked_in, state_of
 from scipy.spatial.transform import Rotation
 
-from carpark_mj.config import EnvConfig, EpisodeConfig, SimConfig
-from carpark_mj.env import ParkingEnv
+from carpark_mj.config import SimConfig
 from carpark_mj.geometry import box_distance
 from carpark_mj.layouts import make_layout
 from carpark_mj.mdp.collisions import find_hits
@@ -105,27 +104,20 @@ def test_factored_and_scene_cars_agree_until_a_contact():
 
 def test_a_lot_without_parked_cars_drives_like_factored():
     lots = 3
-    pose = starts(np.random.default_rng(2), lots)[:, :2]
-    vehicle = jax.tree.map(lambda x: x[:, :2], fleet(lots))
-    controls = np.broadcast_to(np.float32([0.3, 0.8]), (lots, 2, 2))
-    factored = MjxPhysics(SIM)
+    pose = starts(np.random.default_rng(2), lots)[:, :1]
+    vehicle = jax.tree.map(lambda x: x[:, :1], fleet(lots))
+    controls, nobody = np.full((lots, 1, 2), 0.8, np.float32), jnp.zeros((lots, 0, 3))
+    factored, empty = MjxPhysics(SIM), ScenePhysics(SIM, LAYOUT, COMPACT, 1, 0)
     alone, step = factored.init(pose, vehicle), jax.jit(factored.step)
+    state = jax.vmap(empty.set_parked_poses)(empty.init(pose, vehicle), nobody)
+    step_empty = jax.jit(jax.vmap(empty.step))
     for _ in range(3):
-        alone = step(alone, controls)
+        alone, state = step(alone, controls), step_empty(state, controls)
     expected = factored.read(alone).pose_w
     assert np.linalg.norm((expected - pose)[..., :2], axis=-1).min() > 0.1
-    for agents in (1, 2):
-        empty = ScenePhysics(SIM, LAYOUT, COMPACT, agents, 0)
-        first, cars = jax.tree.map(lambda x: x[:, :agents], (pose, vehicle))  # noqa: B023
-        nobody = jnp.zeros((lots, 0, 3))
-        state = jax.vmap(empty.set_parked_poses)(empty.init(first, cars), nobody)
-        step = jax.jit(jax.vmap(empty.step))
-        for _ in range(3):
-            state = step(state, controls[:, :agents])
-        assert empty.parked_poses(state, nobody).shape == (lots, 0, 3)
-        # As in the lot with parked cars: float32 against a float64 engine.
-        moved = empty.read(state).pose_w
-        np.testing.assert_allclose(moved, expected[:, :agents], atol=1e-4)
+    assert empty.parked_poses(state, nobody).shape == (lots, 0, 3)
+    # As in the lot with parked cars: float32 against a float64 engine.
+    np.testing.assert_allclose(empty.read(state).pose_w, expected, atol=1e-4)
 
 
 @functools.cache
@@ -209,7 +201,7 @@ def test_box_tests_and_contacts_agree():
         assert (~hits[..., kind] & clear).sum() > 2000
 
 
-def crash(gap_speed=2.5):
+def test_a_crash_is_physical():
     """Agent 0 drives into the side of agent 1, which stands; others are far."""
     pose = np.array(
         [[-6, 0, 0], [2, 0, np.pi / 2]] + [[8, -9 + 4 * k, 0] for k in range(5)],
@@ -224,11 +216,7 @@ def crash(gap_speed=2.5):
         states.append(step(states[-1], controls.copy()))
         if bool(states[-1].touched[0, 0]):
             controls[0, 1] = 0.0
-    return [jax.device_get(s) for s in states]
-
-
-def test_a_crash_is_physical():
-    states = crash()
+    states = jax.device_get(states)
     poses = np.array([s.cars.trace_w[:, -1] for s in states])
     touched = np.array([s.touched for s in states])
     first = int(np.argmax(touched[:, 0, 0]))
@@ -283,27 +271,6 @@ def test_a_hit_parked_car_turns_as_on_four_wheels():
     assert np.abs(state.parked_qpos[1:] - apart.parked_qpos[1:]).max() < 1e-5
 
 
-def test_an_agent_that_finishes_stays_in_the_way_and_is_pushed():
-    """Without respawn a crashed car brakes, and is a body still."""
-    config = EnvConfig(
-        num_agents=2,
-        num_parked_cars=4,
-        physics="scene",
-        episode=EpisodeConfig(respawn=False),
-    )
-    env = ParkingEnv(config)
-    state, _ = jax.jit(env.reset)(jax.random.key(3))
-    act, step = np.float32([[0.0, 1.0], [0.3, 1.0]]), jax.jit(env.step)
-    for _ in range(70):
-        state, timestep = step(state, act)
-    assert not state.active.any()  # straight on ends at a wall, where it then stops
-    before = np.asarray(state.motion.pose_w)
-    for _ in range(5):
-        state, timestep = step(state, act)
-    assert np.abs(np.asarray(state.motion.pose_w) - before).max() < 1e-2
-    assert not timestep.events.done.any()
-
-
 def test_parked_cars_are_moved_and_stay_pushed():
     (physics, begin, _), intended = scene(), LAYOUT.bay_pose[:PARKED]
     state = begin(starts(np.random.default_rng(0), 1)[0], intended)
@@ -328,16 +295,3 @@ def test_a_non_finite_car_is_contained_and_flagged():
     read = physics.read(after)
     assert list(np.asarray(read.finite)) == [k != 3 for k in range(AGENTS)]
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(read))
-
-
-def test_a_lot_does_not_depend_on_its_batch():
-    pose = starts(np.random.default_rng(2), 3)
-    parked = jnp.broadcast_to(LAYOUT.bay_pose[:PARKED], (3, PARKED, 3))
-    controls = np.full((3, AGENTS, 2), 0.7, np.float32)
-    physics, begin, step = scene()
-    batch, step_all = jax.vmap(begin)(pose, parked), jax.jit(jax.vmap(physics.step))
-    alone = begin(pose[1], parked[1])
-    for _ in range(3):
-        batch = step_all(batch, controls)
-        alone = step(alone, controls[1])
-    np.testing.assert_allclose(batch.cars.qpos[1], alone.cars.qpos, atol=1e-6)

@@ -69,7 +69,6 @@ def check(named, agent, expected):
 # Bays of 6 m x 3 m and cars of 4 m x 2 m. Agent 0 faces north, agent 1, 4 m ahead of
 # it, west; agent 2 stands 5 m to the left of agent 0 and faces east.
 BAYS = lot([(2.0, 9.0, math.pi / 2), (-4.0, 0.0, 0.0), (12.0, 1.0, math.pi), (2, 2, 0)])
-NONE = NO_BAY
 THREE = cars(
     [(2.0, 1.0, math.pi / 2), (2.0, 5.0, math.pi), (-3.0, 1.0, 0.0)],
     speed=[1.5, -0.6, 3.0],
@@ -120,8 +119,8 @@ def test_steering_and_order_of_others_by_hand():
 
 def test_dynamic_goals_by_hand():
     config = ContinuousObservation(rings=RingConfig(), global_information=True)
-    bays = [[2, 0], [1, NONE], [NONE, 2]]
-    named = observed(config, BAYS, THREE, [0, 2, NONE], (), bays)
+    bays = [[2, 0], [1, NO_BAY], [NO_BAY, 2]]
+    named = observed(config, BAYS, THREE, [0, 2, NO_BAY], (), bays)
     expected = {
         "goal_position": [8 / 20, 0.0],
         "goal_choice": [0.0, 0.0, 1.0],  # the second of its bays

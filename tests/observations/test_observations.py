@@ -252,8 +252,9 @@ def test_nearest_movers_come_first_in_the_own_frame():
     assert places(see(2, movers=())) == []
 
 
-@pytest.mark.parametrize("angle", [0.7, 2.5])
-def test_a_turned_lot_looks_the_same_also_with_those_who_stand(angle):
+def test_a_turned_lot_looks_the_same_also_with_those_who_stand():
+    angle = 2.5
+
     def turn(group):
         pose = group.pose_w.at[:, :2].set(rotate(group.pose_w[:, :2], angle))
         if isinstance(group, Boxes):

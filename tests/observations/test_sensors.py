@@ -68,15 +68,6 @@ def test_a_respawned_agent_has_new_sensors_without_a_past():
     assert set(np.asarray(after.delay[::2])) == {1, 2, 3}
 
 
-def test_exact_sensors_are_none_at_all():
-    exact, motion = SensorConfig(), standing(2, 3.0)
-    assert init_sensors(exact, motion, KEY) is None
-    assert measure(exact, lot_with(None), motion, KEY) is None
-    assert reset(exact, None, motion, jnp.ones(2, bool), KEY) is None
-    state = state_of(LOT, motion, 0)
-    assert observed(state) is state.motion
-
-
 ODOMETRY = SensorConfig(odometry_scale=0.01, odometry_veer=2e-3, odometry_turn=0.02)
 AHEAD = 1.25  # m, the centre of a car made by hand from its rear axle
 

@@ -1,6 +1,5 @@
 """Agents on planned paths: in the real car's physics, and in front of others."""
 
-import functools
 import math
 
 import jax
@@ -47,13 +46,9 @@ def sight(pose=None, others=NOBODY, begins=False):
 def test_the_physical_car_parks_on_its_path():
     env = ParkingEnv(suite_env(EnvConfig(), "strict"))
     policy, planner = planner_policy(env)
-    cases, extreme = pick_cases("complex", 2), pick_cases("extreme", 1)
-    join = functools.partial(jax.tree.map, lambda *parts: np.concatenate(parts))
-    names = ("layouts", "number", "kind", "start")
-    parts = {x: join(getattr(cases, x), getattr(extreme, x)) for x in names}
-    cases = cases._replace(**parts)
-    rows, _ = CaseEvaluator(env).drive(policy, cases, seed=0)
-    assert [row["parked"] for row in rows] == [1.0] * 3
+    rows, _ = CaseEvaluator(env).drive(policy, pick_cases("complex", 2), seed=0)
+    assert [row["kind"] for row in rows] == ["perpendicular", "parallel"]
+    assert [row["parked"] for row in rows] == [1.0] * 2
     for lot, row in enumerate(rows):
         [found] = planner.searches(lot, 0)
         # It counts the way of the car's middle, which swings out.
@@ -129,17 +124,14 @@ def test_an_agent_sets_out_from_a_mover_close_behind_it():
     assert agent.searches[1].path is not None
 
 
-def test_an_agent_without_a_path_stands_and_gives_up_after_a_few_searches():
-    agent = Agent((0,), 0.2, SearchConfig(paths=1, max_tests=50, clearances=(0.05,)))
-    start, goal, *_ = case("normal", 0)
-    lid = np.array([[goal[0], goal[1] + 3.2, 0.0]]), np.array([[40.0, 0.2]])
-    shut = sight(begins=True)
-    shut = shut._replace(solids=shut.solids.with_boxes(*lid), pose=start)
-    assert agent.act(shut) == (0.0, 0.0)
+def test_an_agent_without_a_path_gives_up_after_a_few_searches(monkeypatch):
+    nothing = Search(None, 0.0, math.nan)
+    monkeypatch.setattr(policy_module, "search", lambda *_: nothing)
+    agent = Agent((0,), 0.2, SearchConfig())
+    assert agent.act(sight(begins=True)) == (0.0, 0.0)
     for _ in range(PATIENCE * (MAX_PLANS + 2)):
-        assert agent.act(shut._replace(begins=False)) == (0.0, 0.0)
-    assert len(agent.searches) == MAX_PLANS
-    assert all(found.path is None for found in agent.searches)
+        assert agent.act(sight()) == (0.0, 0.0)
+    assert agent.searches == [nothing] * MAX_PLANS
 
 
 def test_a_path_too_long_for_the_episode_is_driven_faster(monkeypatch):

@@ -41,14 +41,26 @@ def planned(request):
     return task, search(start, goal, solids, CAR, extent, seed=1)
 
 
-def test_a_planned_path_keeps_its_clearance_from_everything(planned):
-    (_, _, solids, _), found = planned
-    pose = np.concatenate([segment.pose for segment in found.path.segments])
-    cars = polygons(centre(CAR, pose), (CAR.length, CAR.width))
+def check_path(found, start, goal, solids, car):
+    """It begins and ends where it must, in one piece, and keeps its clearance."""
+    segments = found.path.segments
+    pose = np.concatenate([segment.pose for segment in segments])
+    cars = polygons(centre(car, pose), (car.length, car.width))
     solid = shapely.union_all(polygons(solids.pose, solids.size))
     # Tested every 5 cm by the search, every 2 cm by its last check.
-    assert shapely.distance(cars, solid).min() >= found.clearance - 0.01
-    assert found.clearance > 0
+    least = max(found.clearance - 0.01, 0.8 * found.clearance)
+    assert shapely.distance(cars, solid).min() >= least > 0.0
+    step = np.diff(pose, axis=0)
+    assert np.hypot(*step[:, :2].T).max() < SHORTEST + 2 * STEP
+    assert np.abs(np.sin(step[:, 2])).max() < 2 * TURN
+    np.testing.assert_allclose(centre(car, pose[0])[:2], start[:2], atol=0.05)
+    np.testing.assert_allclose(centre(car, pose[-1])[:2], goal[:2], atol=0.05)
+    assert abs(math.sin(pose[-1, 2] - goal[2])) < 0.02  # nose in or nose out
+
+
+def test_a_planned_path_leads_into_the_bay_clear_of_everything(planned):
+    (start, goal, solids, _), found = planned
+    check_path(found, start, goal, solids, CAR)
 
 
 def test_a_planned_path_turns_no_tighter_than_the_car(planned):
@@ -63,15 +75,6 @@ def test_a_planned_path_turns_no_tighter_than_the_car(planned):
         way, turned = (np.convolve(x, np.ones(window)) for x in (gap, turn))
         assert (turned <= tightest * (way + SHORTEST + 2 * STEP)).all()
         assert np.abs(segment.steering).max() <= CAR.max_steering
-
-
-def test_a_planned_path_leads_from_the_start_into_the_bay(planned):
-    (start, goal, _, _), found = planned
-    first = found.path.segments[0].pose[0]
-    last = found.path.segments[-1].pose[-1]
-    np.testing.assert_allclose(centre(CAR, first)[:2], start[:2], atol=0.05)
-    np.testing.assert_allclose(centre(CAR, last)[:2], goal[:2], atol=0.05)
-    assert abs(math.sin(last[2] - goal[2])) < 0.02  # nose in or nose out
 
 
 def test_a_car_with_the_pedals_rules_follows_the_path_and_stands_in_the_bay(planned):
@@ -159,21 +162,6 @@ def test_slow_paths_are_worth_searches_nearer_to_obstacles(
     assert next(left, None) is None
 
 
-def check_path(found, start, goal, solids, car):
-    """It begins and ends where it must, in one piece, and keeps its clearance."""
-    segments = found.path.segments
-    pose = np.concatenate([segment.pose for segment in segments])
-    cars = polygons(centre(car, pose), (car.length, car.width))
-    solid = shapely.union_all(polygons(solids.pose, solids.size))
-    assert shapely.distance(cars, solid).min() >= 0.8 * found.clearance > 0.0
-    step = np.diff(pose, axis=0)
-    assert np.hypot(*step[:, :2].T).max() < SHORTEST + 2 * STEP
-    assert np.abs(np.sin(step[:, 2])).max() < 2 * TURN
-    np.testing.assert_allclose(centre(car, pose[0])[:2], start[:2], atol=0.05)
-    np.testing.assert_allclose(centre(car, pose[-1])[:2], goal[:2], atol=0.05)
-    assert abs(math.sin(pose[-1, 2] - goal[2])) < 0.02
-
-
 @pytest.mark.parametrize("name", ["compact", "van"])
 def test_a_slot_with_a_kerb_is_entered(name):
     """ISO 16787's, a quarter longer than the car and 0.2 m deeper."""
@@ -212,7 +200,7 @@ def test_a_walled_in_bay_has_no_path_and_no_endless_search(away, searches, monke
         return is_free(space, pose)
 
     monkeypatch.setattr(FreeSpace, "is_free", counted)
-    for most in (500, 505, 2000):
+    for most in (505, 2000):
         tests.clear()
         config = SearchConfig((0.05,), paths=2, max_tests=most)
         found = search(start, goal, closed, CAR, extent, config=config)
@@ -294,14 +282,11 @@ def test_a_path_is_cut_where_the_gear_changes():
     assert path.length == pytest.approx(4.0)
     assert path.shifts == 1
     np.testing.assert_allclose(path.segments[1].pose[0], [3.0, 0.0, 0.0])
-
-
-def test_driving_turning_the_wheels_and_shifting_take_time():
-    there = line(3.0)
-    back = there[-1] + line(1.0, way=-1)[1:]
-    path = make_path(np.concatenate([there, back]), CAR)
     # 1.56 m at 1.2 m/s, 1.44 m of braking by 0.5 m/s^2; 1 m of braking; the shift.
     assert path.duration == pytest.approx(1.3 + 2.4 + 2.0 + SHIFT_TIME, abs=0.1)
+
+
+def test_turning_the_wheels_takes_time():
     turn = arc(1.0)
     straight = line(len(turn) * STEP - STEP)
     more = make_path(turn, CAR).duration - make_path(straight, CAR).duration

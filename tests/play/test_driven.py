@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from helpers.mutating import damaged, with_junk
+from helpers.mutating import with_junk
 from helpers.programs import assert_refused
 
 from carpark_mj.cli.pages import open_page
@@ -18,9 +18,7 @@ from carpark_mj.cli.play import (
     replay,
     save,
 )
-from carpark_mj.config import EnvConfig
-from carpark_mj.observations import observation_size
-from carpark_mj.play.demonstration import STEPS, Demonstration, load_demonstration
+from carpark_mj.play.demonstration import STEPS, load_demonstration
 from carpark_mj.play.driving import (
     KEY_PEDAL,
     KEYS,
@@ -146,25 +144,15 @@ def test_a_page_has_a_wheel_and_a_pedal_that_drive(tmp_path):
     [
         ("--video a.mp4", "give --replay"),
         ("--replay none.npz", "cannot use none.npz"),
-        ("--view tv", "view"),
-        ("--layout moon --view web", "unknown layout 'moon'"),
         ("--view window", "no display"),
         ("--num-agents 0 --view web", "num_agents must be at least 1"),
-        ("--port 65536", "port must lie in [1, 65535], not 65536"),
+        ("--view web --out /dev/null", "cannot use /dev/null: File exists"),
     ],
 )
 def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert_refused(capsys, "play", arguments.split(), message)
-
-
-def test_a_folder_that_cannot_be_one_is_refused_before_the_drive(tmp_path, capsys):
-    pytest.importorskip("mjviser")
-    taken = tmp_path / "drives"
-    taken.write_text("a file")
-    words = ["--view", "web", "--out", str(taken)]
-    assert_refused(capsys, "play", words, f"cannot use {taken}: File exists")
 
 
 def test_other_files_are_no_drives(tmp_path):
@@ -177,41 +165,18 @@ def test_other_files_are_no_drives(tmp_path):
         load_demonstration(path)
 
 
-@pytest.fixture(scope="module")
-def still(tmp_path_factory):
-    """A drive in which nothing happens."""
-    config = EnvConfig(num_agents=1)
-    shape = (3, config.num_agents)
-    numbers = {name: np.zeros(shape, np.float32) for name in STEPS}
-    sizes = {"observations": observation_size(config), "actions": 2, "poses": 3}
-    sizes |= {f"next_{name}": sizes[name] for name in ("observations", "poses")}
-    for name, size in sizes.items():
-        numbers[name] = np.zeros((*shape, size), np.float32)
-    for name in ("terminated", "truncated", "success"):
-        numbers[name] = np.zeros(shape, bool)
-    path = tmp_path_factory.mktemp("still") / "drive.npz"
-    Demonstration(config, 3, **numbers).save(path)
-    return path
-
-
-def test_a_damaged_drive_is_one_of_its_environment_or_refused(still, tmp_path):
-    path, data = tmp_path / "x.npz", still.read_bytes()
-    for seed in range(200):
-        path.write_bytes(damaged(data, seed))
-        with contextlib.suppress(ValueError):
-            assert len(load_demonstration(path)) == 3
-
-
-def test_a_drive_with_junk_in_its_header_is_a_drive_or_refused(still, tmp_path):
-    path = tmp_path / "x.npz"
-    with np.load(still) as file:
+def test_a_drive_with_junk_in_its_header_is_a_drive_or_refused(lot, tmp_path):
+    drive(lot)
+    save(lot, tmp_path)
+    path = tmp_path / "drive-0.npz"
+    with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
     header = json.loads(str(arrays["header"]))
     for seed in range(200):
         junk = json.dumps(with_junk(header, seed))
         np.savez(path, **arrays | {"header": np.array(junk)})
         with contextlib.suppress(ValueError):
-            assert load_demonstration(path).actions.shape[0] == 3
+            assert len(load_demonstration(path)) == STEPS_DRIVEN
 
 
 STEP = 0.2  # s
@@ -230,7 +195,6 @@ def hold(keys, controls=None, speed=0.0, steps=1):
         ((), 0, 0),
         (("LEFT",), 1, 0),
         (("D",), -1, 0),
-        (("UP",), 0, 1),
         (("S",), 0, -1),
         (("W", "A"), 1, 1),
         (("LEFT", "RIGHT", "UP", "DOWN"), 0, 0),

@@ -3,7 +3,7 @@
 import shutil
 
 import pytest
-from helpers.tiny_policy import CARD, TINY, parked_learner
+from helpers.tiny_policy import TINY, parked_learner
 
 from carpark_mj import pretrained
 from carpark_mj.policy import loading
@@ -24,7 +24,7 @@ def shipped(run, tmp_path, monkeypatch):
     folder = tmp_path / "package"
     shutil.copytree(pretrained.FOLDER, folder)
     loading.save_policy(run, folder / "tiny.npz")
-    (folder / "tiny.md").write_text(CARD)
+
     monkeypatch.setattr(pretrained, "FOLDER", folder)
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")

@@ -7,10 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.training.acme import running_statistics
-from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.agents.ppo import networks as ppo_networks
 from brax.training.distribution import NormalTanhDistribution
-from brax.training.types import Transition
 from scipy import special, stats
 
 from carpark_mj.mdp.actions import ActionSpec, sanitize_indices
@@ -22,7 +20,6 @@ from carpark_mj.policy.networks import (
     NetworkConfig,
     init_normalizer,
     make_networks,
-    make_policy,
     network_inputs,
 )
 
@@ -66,7 +63,7 @@ def assert_mean(samples, expected):
     np.testing.assert_array_less(np.abs(samples.mean(axis=0) - expected), 4 * error)
 
 
-@pytest.mark.parametrize("spec", [ActionSpec(2), MIXED, ActionSpec(1, (4, 4))])
+@pytest.mark.parametrize("spec", [ActionSpec(2), MIXED])
 @pytest.mark.parametrize(("least", "most"), [(0.001, 0.0), (0.1, 0.0), (0.1, 0.3)])
 def test_deviations_of_numbers_stay_in_their_bounds(spec, least, most):
     distribution, n = action_distribution(spec, least, most), spec.continuous
@@ -176,55 +173,6 @@ def test_reported_moments_are_those_of_the_indices():
         index = stats.rv_discrete(values=(np.arange(len(p)), p))
         np.testing.assert_allclose(dist.loc[i], index.mean(), rtol=1e-5)
         np.testing.assert_allclose(dist.scale[i], index.std(), rtol=1e-4)
-
-
-@pytest.mark.parametrize("spec", [GRID, MIXED])
-def test_brax_s_loss_takes_them_as_they_are(spec):
-    # Actions as drawn: ratios are 1, so the policy's loss is minus the mean advantage,
-    # which is normalised to 0, and its gradient makes the better half likelier.
-    config, fields = NetworkConfig((8,), (8,)), [Field("x", 4, -1.0, 1.0, "")]
-    networks = make_networks(config, fields, spec)
-    normalizer = init_normalizer(network_inputs(config, fields))
-    container = ppo_losses.PPONetworkParams
-    params = container(
-        policy=jax.jit(networks.policy_network.init)(jax.random.key(0)),
-        value=jax.jit(networks.value_network.init)(jax.random.key(1)),
-    )
-    agents, steps = 64, 2
-    observation = jax.random.normal(jax.random.key(2), (agents, steps, 4))
-    policy = make_policy(networks, normalizer, params.policy, deterministic=False)
-    action, extras = jax.jit(policy)(observation, jax.random.key(3))
-    assert extras["raw_action"].dtype == action.dtype == spec.dtype
-    better = action[..., -1] == 0  # pays for the first choice of the last branch
-    data = Transition(
-        observation=observation,
-        action=action,
-        reward=better.astype(jnp.float32),
-        discount=jnp.zeros((agents, steps)),
-        next_observation=observation,
-        extras={
-            "policy_extras": extras,
-            "state_extras": {"truncation": jnp.zeros((agents, steps))},
-        },
-    )
-
-    def loss(params):
-        return ppo_losses.compute_ppo_loss(
-            params, normalizer, data, jax.random.key(4), networks, entropy_cost=0.0
-        )
-
-    (_, metrics), grads = jax.jit(jax.value_and_grad(loss, has_aux=True))(params)
-    assert abs(metrics["policy_loss"]) < 1e-5
-    assert abs(metrics["kl_mean"]) < 1e-4
-    assert all(np.isfinite(value) for value in metrics.values())
-
-    def chance(policy_params):
-        logits = networks.policy_network.apply(normalizer, policy_params, observation)
-        _, branches = split(spec, logits)
-        return branches[-1][..., 0].mean()
-
-    moved = jax.tree.map(lambda p, g: p - 0.1 * g, params.policy, grads.policy)
-    assert chance(moved) > chance(params.policy) + 1e-3
 
 
 @pytest.mark.parametrize("spec", [ActionSpec(2), *SPECS])

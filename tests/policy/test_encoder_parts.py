@@ -148,12 +148,13 @@ def test_pictures_of_a_shape_are_channels_beside_the_own_numbers():
     )
     assert INPUTS.own_size == parts[OWN].shape[1]
     assert [part.kinds for part in INPUTS.pictures] == [(0, KINDS), (0,)]
-
-
-def test_flat_networks_and_rows_have_no_pictures():
     flat = dataclasses.replace(CONFIG, encoder="flat")
     assert not network_inputs(flat, FIELDS).pictures
     assert not observation_sets([Field("x", 3, 0.0, 1.0, "", shape=(3,))]).pictures
+    # Statistics are of the own numbers alone.
+    normalizer = update_normalizer(INPUTS, init_normalizer(INPUTS), jnp.asarray(vector))
+    assert normalizer.keys() == {OWN}
+    assert normalizer[OWN].mean.shape == (4,)
 
 
 def test_a_layer_of_patches_is_a_strided_convolution():
@@ -185,13 +186,6 @@ def test_kinds_and_the_order_of_views_matter():
     same, changed, mixed = map(outputs, (vector, other, turned))
     for found in (changed, mixed):
         assert np.abs(found - same).max(axis=0)[[0, -1]].min() > 1e-4
-
-
-def test_statistics_are_of_the_own_numbers_alone():
-    start = init_normalizer(INPUTS)
-    normalizer = update_normalizer(INPUTS, start, jnp.asarray(observations(9)))
-    assert normalizer.keys() == {OWN}
-    assert normalizer[OWN].mean.shape == (4,)
 
 
 def test_half_precision_changes_no_parameter_and_little_else():

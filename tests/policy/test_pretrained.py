@@ -24,6 +24,8 @@ from carpark_mj.cli import evaluate
 from carpark_mj.cli.driver import adapt, find_driver
 from carpark_mj.config import GoalConfig, insert
 from carpark_mj.env import ParkingEnv
+from carpark_mj.layouts.clutter import ClutterConfig
+from carpark_mj.layouts.standards import DesignCar
 from carpark_mj.observations import make_fields, observation_size
 from carpark_mj.policy import checkpoints, loading, runs
 from carpark_mj.policy.checkpoints import CheckpointError
@@ -97,18 +99,6 @@ def test_a_policy_is_found_by_name_and_a_path_is_a_path(shipped):
             loading.load_policy(path)
 
 
-def test_a_policy_of_another_version_or_a_damaged_one_is_refused(shipped, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(runs, "CONFIG_VERSION", 99)
-        with pytest.raises(CheckpointError, match=r"tiny\.npz is of another"):
-            loading.load_policy("tiny")
-    path = shipped / "tiny.npz"
-    whole = path.read_bytes()
-    path.write_bytes(whole[:1000])
-    with pytest.raises(CheckpointError, match="truncated"):
-        loading.load_policy("tiny")
-
-
 def arrays_of(path):
     with np.load(path) as file:
         return {name: file[name] for name in file.files}
@@ -135,8 +125,6 @@ def test_weights_that_are_not_finite_do_not_drive(shipped, part, value):
         ({"num_agents": 2, "rule": "strict"}, "runs/tiny"),  # as in its own task
         ({"num_agents": 1}, "runs/tiny/evaluations/num_agents-1"),
         ({"nominal": True}, "runs/tiny"),  # nothing to turn off
-        ({"episodes": 8}, "runs/tiny/evaluations/episodes-8"),
-        ({"seed": 1}, "runs/tiny/evaluations/seed-1"),
         ({"stochastic": True, "out": "mine"}, "mine"),
     ],
 )
@@ -174,8 +162,6 @@ def test_a_flat_network_drives_with_as_many_cars_only(tmp_path):
 @pytest.mark.parametrize(
     "counts",
     [
-        {"tracked_agents": 0},
-        {"tracked_parked_cars": 0},
         {"tracked_agents": 0, "tracked_parked_cars": 0},
         {"tracked_agents": 3, "tracked_parked_cars": 1},
     ],
@@ -233,20 +219,15 @@ def test_every_policy_is_small_and_acts(shipped):
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def rows(card):
-    """The rows of the two tables of a card: settings by name, and evaluations."""
+def faults(name, card):
+    """What is wrong with the card of a policy."""
     cells = [
         [cell.strip() for cell in line.strip("|").split("|")]
         for line in card.splitlines()
         if line.startswith("|") and not line.startswith("|---") and line != "| | |"
     ]
     settings = {row[0]: row[1] for row in cells if len(row) == 2}
-    return settings, [row for row in cells if len(row) == 5][1:]
-
-
-def faults(name, card):
-    """What is wrong with the card of a policy."""
-    settings, evaluations = rows(card)
+    evaluations = [row for row in cells if len(row) == 5][1:]
     header = checkpoints.read_header(find_policy(name))
     wanted = ("task", "training", "steps", "seed", "device")
     yield from (f"no {row}" for row in wanted if not settings.get(row))
@@ -273,11 +254,11 @@ def faults(name, card):
             yield f"{rates} do not make 100 %"
 
 
-def test_every_policy_has_a_card_with_its_figures(shipped):
-    for name in pretrained_names():
-        assert list(faults(name, (shipped / f"{name}.md").read_text())) == [], name
-    cards = {path.stem for path in shipped.glob("*.md")}
-    assert cards == {*pretrained_names()}
+def test_every_policy_has_a_card_with_its_figures():
+    cards = {path.stem: path.read_text() for path in pretrained.FOLDER.glob("*.md")}
+    assert cards.keys() == {*pretrained_names()}
+    for name, card in cards.items():
+        assert list(faults(name, card)) == [], name
 
 
 def test_the_page_of_the_policies_shows_all_cards():
@@ -327,7 +308,7 @@ def test_a_round_trip_is_exact_and_keeps_keys_and_header(tmp_path):
         assert {file[name].dtype.kind for name in file.files} <= set("fiub")
 
 
-@pytest.mark.parametrize("kept", [0, 1, 100, 0.5, 0.98])
+@pytest.mark.parametrize("kept", [0, 100, 0.98])
 def test_a_truncated_checkpoint_is_one_clear_error(tmp_path, kept):
     path = tmp_path / "a.npz"
     checkpoints.save(path, tree(), {})
@@ -397,21 +378,11 @@ def test_a_config_survives_json(name):
     assert runs.from_dict(PPOConfig, json.loads(text)) == config
 
 
-@dataclasses.dataclass(frozen=True)
-class Eye:
-    reach: float = 1.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Seeing:
-    eye: Eye = dataclasses.field(default_factory=Eye)
-    other: Eye | None = None
-
-
-@pytest.mark.parametrize("other", [None, Eye(2.0)])
-def test_a_config_inside_a_config_or_none_survives_json(other):
-    text = json.dumps(dataclasses.asdict(Seeing(Eye(3.0), other)))
-    assert runs.from_dict(Seeing, json.loads(text)) == Seeing(Eye(3.0), other)
+@pytest.mark.parametrize("car", [None, DesignCar()])
+def test_a_config_with_a_config_or_none_survives_json(car):
+    config = ClutterConfig(largest=car)
+    text = json.dumps(dataclasses.asdict(config))
+    assert runs.from_dict(ClutterConfig, json.loads(text)) == config
 
 
 def test_an_older_checkpoint_is_refused_before_it_is_read(tmp_path):
@@ -426,9 +397,8 @@ def test_an_older_checkpoint_is_refused_before_it_is_read(tmp_path):
             loading.load_policy(run)
 
 
-@pytest.mark.parametrize("preset", ["anywhere", "dynamic"])
-def test_settings_with_junk_are_a_config_or_refused(preset):
-    data = dataclasses.asdict(PRESETS[preset])
+def test_settings_with_junk_are_a_config_or_refused():
+    data = dataclasses.asdict(PRESETS["anywhere"])
     for seed in range(300):
         try:
             config = runs.from_dict(PPOConfig, with_junk(data, seed))

@@ -17,7 +17,7 @@ from carpark_mj import __main__ as command
 from carpark_mj import __version__, compilation
 from carpark_mj import programs as programs_module
 from carpark_mj.cli.process import OUTPUT_FUSION, enable_output_fusion
-from carpark_mj.compilation import SHARE_LOOPS, cache_folder, keep_compiled_programs
+from carpark_mj.compilation import SHARE_LOOPS, keep_compiled_programs
 from carpark_mj.config import LAYOUTS
 from carpark_mj.extensions import FORMATS, Entry
 from carpark_mj.layouts.base import LAYOUT_WRITERS
@@ -311,15 +311,6 @@ def undecided(monkeypatch):
 
 def options():
     return [jax.config.values[name] for name in OPTIONS]
-
-
-def test_programs_are_kept_in_the_folder_of_caches(undecided, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
-    keep_compiled_programs()
-    assert options() == [str(tmp_path / "caches" / "carpark_mj" / "jax"), 0.1]
-    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # to be ignored
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / ".cache" / "carpark_mj" / "jax"
 
 
 def test_what_the_user_has_decided_stays(undecided, tmp_path, monkeypatch):

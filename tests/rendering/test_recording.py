@@ -17,10 +17,9 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.evaluation.evaluator import evaluate
 from carpark_mj.evaluation.keys import evaluation_key
 from carpark_mj.layouts import make_layout
-from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations import ContinuousObservation, make_fields
 from carpark_mj.observations.fields import Tracked
-from carpark_mj.policy.named import random_policy, zero_policy
+from carpark_mj.policy.named import random_policy
 from carpark_mj.policy.networks import (
     NetworkConfig,
     init_normalizer,
@@ -201,13 +200,22 @@ def test_tracked_bays_are_linked_and_empty_slots_are_not():
     assert links(what, Tracked()) == expected
 
 
+SUV = PRESETS["suv"]
+
+
 @pytest.fixture(scope="module")
 def small_env():
-    config = EnvConfig(num_agents=4, min_agents=1, num_parked_cars=4)
+    config = EnvConfig(
+        num_agents=4,
+        min_agents=1,
+        num_parked_cars=6,
+        occupancy=(0.05, 0.08),  # of 36 bays: 2
+        fleet=FleetConfig(parked_cars=("suv",)),
+    )
     return ParkingEnv(config, SlidePhysics())
 
 
-def test_absent_agents_are_not_recorded(small_env, monkeypatch):
+def test_absent_cars_are_not_recorded(small_env, monkeypatch):
     monkeypatch.setattr(record_module, "CHUNK", 2)
     counts = set()
     for seed in range(4):
@@ -216,9 +224,12 @@ def test_absent_agents_are_not_recorded(small_env, monkeypatch):
         for name in ("steering", "speed", "active", "parked", "step"):
             assert getattr(recording, name).shape[1] == count
         assert recording.pose_w.shape[2] == count
-        assert recording.parked_pose.shape[1] == 4
+        assert recording.parked_pose.shape[2] == 2
+        sizes = recording.parked_cars.size
+        np.testing.assert_allclose(sizes, [(SUV.length, SUV.width)] * 2)
         assert recording.active.all()
-        assert np.abs(recording.pose_w).max() < 100.0
+        for pose in (recording.pose_w, recording.parked_pose):
+            assert np.abs(pose[..., :2]).max() < 30.0
         counts.add(count)
     assert len(counts) > 1
 
@@ -233,17 +244,16 @@ def test_a_live_lot_begins_as_the_video_with_its_seed(small_env):
         np.testing.assert_array_equal(shown, goals)
         lot.step()  # absent agents are not shown
         assert len(shown) == lot.stage.num_agents == video.goal.shape[1]
-        assert np.abs(lot.stage.data.qpos).max() < 100.0
+        assert np.abs(lot.snapshot().pose_w).max() < 100.0
 
 
 # The stage
 
 
-NAMES = ("city", "van")
-KINDS = [PRESETS[name] for name in NAMES]
+KINDS = [PRESETS["city"], PRESETS["van"]]
 POSE = np.array([[5.0, 3.0, 0.4], [-6.0, -4.0, 2.0]])
 PARKED = np.array([[12.0, -2.0, 1.0], [-12.0, 6.0, -2.0]])
-CARS = [scaled(PRESETS["suv"], 1.05), PRESETS["city"]]
+CARS = [scaled(SUV, 1.05), PRESETS["city"]]
 
 
 @pytest.fixture(scope="module")
@@ -260,8 +270,13 @@ def hull(stage, name):
 
 
 @pytest.mark.parametrize("driven", [(0, 1), (1, 1), (1, 0)])
-def test_the_driven_car_stands_on_its_footprint(stage, driven):
+def test_cars_stand_on_their_footprints(stage, driven):
     stage.place(instant(POSE, PARKED, kind=np.array(driven)))
+    for k, params in enumerate(CARS):
+        centre, yaw, size = hull(stage, f"parked{k}/")
+        np.testing.assert_allclose(centre[:2], PARKED[k, :2], atol=1e-6)
+        assert yaw == pytest.approx(PARKED[k, 2])
+        np.testing.assert_allclose(size, (params.length, params.width))
     for agent, shown in enumerate(driven):
         for kind, infix in enumerate(("", "kind1/")):
             centre, yaw, size = hull(stage, f"agent{agent}/{infix}")
@@ -277,27 +292,8 @@ def test_the_driven_car_stands_on_its_footprint(stage, driven):
     assert stage.camera("topdown") == "topdown"
 
 
-def test_front_wheels_obey_the_driven_car_s_geometry(stage):
-    turned = {"steering": np.array([0.5, 0.5]), "kind": np.array([0, 1])}
-    stage.place(instant(POSE, PARKED, **turned))
-    for prefix, params in (("agent0/", KINDS[0]), ("agent1/kind1/", KINDS[1])):
-        angles = [stage.data.joint(f"{prefix}steer_{s}").qpos[0] for s in ("fl", "fr")]
-        # Ackermann: cotangents differ by track over wheelbase.
-        difference = 1 / np.tan(angles[1]) - 1 / np.tan(angles[0])
-        assert difference == pytest.approx(params.track_width / params.wheelbase)
-
-
-def test_parked_cars_stand_on_their_own_footprints(stage):
-    stage.place(instant(POSE, PARKED))
-    for k, params in enumerate(CARS):
-        centre, yaw, size = hull(stage, f"parked{k}/")
-        np.testing.assert_allclose(centre[:2], PARKED[k, :2], atol=1e-6)
-        assert yaw == pytest.approx(PARKED[k, 2])
-        np.testing.assert_allclose(size, (params.length, params.width))
-
-
-@pytest.mark.parametrize("scale", [0.9, 1.0, 1.1])
-def test_parked_cars_are_scaled_presets(scale):
+def test_parked_cars_are_scaled_presets():
+    scale = 1.1
     fleet = Fleet(EnvConfig(fleet=FleetConfig(parked_cars=tuple(PRESETS))), COMPACT)
     size = scale * np.float32([(p.length, p.width) for p in PRESETS.values()])
     kinds = np.arange(len(size))
@@ -307,23 +303,3 @@ def test_parked_cars_are_scaled_presets(scale):
     ):
         assert found.front_drive == params.front_drive
         assert found.height == pytest.approx(scale * params.height, rel=1e-5)
-
-
-def test_a_recording_knows_the_cars_there_are_and_no_others():
-    config = EnvConfig(
-        num_agents=1,
-        num_parked_cars=6,
-        occupancy=(0.05, 0.08),  # of 36 bays: 2
-        fleet=FleetConfig(NAMES, parked_cars=("suv",)),
-        observation=ContinuousObservation(own_car=True),
-    )
-    env = ParkingEnv(config, SlidePhysics())
-    story = record(env, zero_policy(ActionSpec(2)), 2, seed=0)
-    assert story.parked_pose.shape == (2, story.pose_w.shape[1], 2, 3)
-    assert np.abs(story.parked_pose[..., :2]).max() < 30.0
-    suv = PRESETS["suv"]
-    assert story.parked_cars is not None
-    np.testing.assert_allclose(story.parked_cars.size, [(suv.length, suv.width)] * 2)
-    assert story.kind is not None
-    assert story.kind.shape == (2, 1)
-    assert story.kind[0, 0] in (0, 1)

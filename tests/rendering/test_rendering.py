@@ -18,12 +18,11 @@ from carpark_mj.rendering.recording import (
     num_frames,
     snapshot,
 )
-from carpark_mj.rendering.renderer import FLASH_COLOURS, LotRenderer
-from carpark_mj.rendering.stage import Flash, Stage
+from carpark_mj.rendering.renderer import LotRenderer
+from carpark_mj.rendering.stage import Stage
 from carpark_mj.rendering.video import (
     draw_frame,
     draw_labels,
-    draw_status,
     frame_indices,
     write_video,
 )
@@ -83,31 +82,6 @@ def test_cars_are_drawn_in_their_colour_where_their_poses_are(renderer):
         assert (hue_distance(end, agent_colour(0)) < 20) == drawn, reach
 
 
-def test_goals_have_the_agent_s_colour_and_free_bays_not(renderer):
-    frame = draw(renderer)
-    for agent, bay in enumerate(GOAL):
-        # Off the centre: the line from the car ends there.
-        x, y, yaw = np.asarray(LAYOUT.bay_pose[bay])
-        spot = (x + 0.9 * np.cos(yaw + 1.2), y + 0.9 * np.sin(yaw + 1.2), 0.0)
-        pixel = patch(frame, project(renderer, spot))
-        assert hue_distance(pixel, agent_colour(agent)) < 15
-        free = patch(frame, project(renderer, [*BAYS[15][:2], 0]))
-        assert hue_distance(free, agent_colour(agent)) > 12
-
-
-def test_parked_cars_stand_in_their_bays_and_move_when_told(renderer):
-    before = draw(renderer).astype(int)
-    after = draw(renderer, parked=BAYS[[10, 12]]).astype(int)
-
-    def change(bay):
-        roof = project(renderer, [*BAYS[bay, :2], COMPACT.height])
-        return np.abs(patch(after, roof) - patch(before, roof)).sum()
-
-    assert change(30) > 60
-    assert change(12) > 60
-    assert change(10) < 3
-
-
 def test_labels_carry_the_agents_colours_at_cars_and_goals(renderer):
     frame = draw(renderer)
     bay_pose = BAYS[GOAL]
@@ -120,15 +94,6 @@ def test_labels_carry_the_agents_colours_at_cars_and_goals(renderer):
             colour = tuple(round(255 * c) for c in agent_colour(agent)[:3])
             box = labelled[round(y) - 9 : round(y) + 10, round(x) - 9 : round(x) + 10]
             assert (box == colour).all(axis=-1).sum() > 50
-
-
-def test_the_status_is_written_in_the_top_left_corner_only(renderer):
-    frame = draw(renderer)
-    changed = (draw_status(frame, seen()) != frame).any(axis=-1)
-    rows, columns = np.nonzero(changed)
-    assert rows.max() < 80
-    assert columns.max() < 200
-    assert changed.sum() > 500
 
 
 def recording(steps=3, traces=4, **events):
@@ -193,15 +158,10 @@ def test_a_gif_plays_in_real_time_and_loops(renderer, tmp_path):
     with Image.open(path) as gif:
         assert gif.size == (640, 360)
         assert gif.info["loop"] == 0
-        shown = np.asarray(gif.convert("RGB")).astype(int)
     # Equal frames are merged, and last longer.
     with Image.open(path) as gif:
         lasts = [f.info["duration"] for f in ImageSequence.Iterator(gif)]
     assert sum(lasts) == 4 * 100
-    # The palette moves no pixel far, least of all the cars.
-    error = np.abs(shown - pictures[0])
-    assert error.mean() < 4
-    assert error[np.ptp(pictures[0].astype(int), axis=2) > 60].mean() < 6
     with pytest.raises(ValueError, match=r"\.mp4 or \.gif"):
         write_video(tmp_path / "a.avi", iter(pictures), 10.0)
 
@@ -235,21 +195,6 @@ def test_a_renderer_draws_another_lot_as_a_new_one_does():
         for lot in (0, 1, 0):
             made.show_lot(stages[lot])
             np.testing.assert_array_equal(made.draw(what, "topdown"), new[lot])
-
-
-@pytest.mark.parametrize("outcome", ["parked", "crashed"])
-def test_an_ended_episode_flashes_in_its_colour_and_fades(renderer, outcome):
-    away = np.array([0.0, 8.0, 0.0])
-
-    def ring(age):
-        flash = Flash(away, 0, outcome, age)
-        frame = draw(renderer, flashes=(flash,))
-        radius = COMPACT.length * (0.6 + 0.5 * age)
-        return patch(frame, project(renderer, (radius, *away[1:])))
-
-    assert hue_distance(ring(0.0), FLASH_COLOURS[outcome]) < 12
-    bare = patch(draw(renderer), project(renderer, (COMPACT.length, *away[1:])))
-    assert np.abs(ring(1.0) - bare).sum() < np.abs(ring(0.0) - bare).sum()
 
 
 def test_snapshots_tell_states_tallies_and_flashes():
@@ -303,7 +248,6 @@ def test_an_agent_that_explores_has_no_goal_to_be_drawn(renderer):
 
 GL = {
     "": "apt install libegl1",
-    "egl": "apt install libegl1",
     "junk": "must be egl, osmesa or glfw",
     "osmesa": "libosmesa6",
     "glfw": "no display",
@@ -319,21 +263,12 @@ def test_an_opengl_that_cannot_work_is_told_what_it_lacks(wanted, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("MUJOCO_GL", wanted)
-    if wanted in ("junk", "osmesa", "egl"):  # MuJoCo cannot be imported
+    if wanted in ("junk", "osmesa"):  # MuJoCo cannot be imported
         with pytest.raises(ValueError, match=GL[wanted]):
             gl.check_gl()
     else:  # a command can do without pictures
         gl.check_gl()
     if wanted != "junk":
         assert GL[wanted] in gl.choose_gl()
-    if wanted in ("", "egl"):  # MuJoCo must still import, for training without them
+    if not wanted:  # MuJoCo must still import, for training without them
         assert "MUJOCO_GL" not in os.environ
-
-
-def test_a_display_that_does_not_answer_is_named(monkeypatch):
-    monkeypatch.setattr(gl.sys, "platform", "linux")
-    monkeypatch.setenv("DISPLAY", ":987")
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert "DISPLAY=:987" in gl.missing_display()
-    monkeypatch.delenv("DISPLAY")
-    assert "are unset" in gl.missing_display()

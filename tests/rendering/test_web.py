@@ -4,7 +4,6 @@ import contextlib
 import io
 import shutil
 import time
-import urllib.request
 from functools import partial
 
 import mujoco
@@ -15,7 +14,6 @@ from helpers.instants import instant
 from carpark_mj.cli.pages import open_page
 from carpark_mj.cli.play import PlayConfig
 from carpark_mj.cli.render import RenderConfig
-from carpark_mj.cli.settings.driving import SceneConfig
 from carpark_mj.config import EnvConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
@@ -82,11 +80,6 @@ def test_a_live_lot_moves_pose_by_pose_and_starts_again_alike(lot):
     np.testing.assert_array_equal(again, way)
 
 
-def test_a_policy_drives_in_the_browser_only():
-    with pytest.raises(ValueError, match="browser only"):
-        SceneConfig(view="window", policy="runs/none")
-
-
 @pytest.fixture(scope="module")
 def page(lot):
     pytest.importorskip("mjviser")
@@ -95,12 +88,6 @@ def page(lot):
         viewer._setup_gui()  # what `run` does first; the loop itself never returns
         viewer._render()
         yield f"http://{HOST}:{server.get_port()}"
-
-
-def test_the_page_is_served(page):
-    with urllib.request.urlopen(page, timeout=10) as answer:
-        assert answer.status == 200
-        assert b"<html" in answer.read().lower()
 
 
 @pytest.fixture
@@ -190,8 +177,7 @@ def test_cameras_have_names_and_follow_agents():
     assert camera_names("split", 2) == ("topdown", "agent0/chase")
     assert camera_names("split:1", 2) == ("topdown", "agent1/chase")
     assert camera_names("chase:9") == ("agent9/chase",)  # of any number of agents
-    wrong = ("chase:2", "driver:2", "chase:", "chase:-1", "top", "", "split:")
-    for name in (*wrong, "split:2", 3):
+    for name in ("chase:2", "chase:", "chase:-1", "top", "split:2", 3):
         with pytest.raises(ValueError, match=f"unknown camera {name!r}; choose topd"):
             camera_names(name, 2)
     play, render = partial(PlayConfig, view="window"), partial(RenderConfig, "zero")
@@ -227,9 +213,7 @@ def draw(flag, camera, *extras):
     ("flag", "camera", "expected"),
     [
         ("topdown", "topdown", [True, True]),
-        ("overview", "overview", [True, True]),
         ("split:1", "topdown", [False, True]),
-        ("split:1", "agent1/chase", [False, True]),
         ("chase:1", "agent1/chase", [False, True]),
         ("split:0", "topdown", [True, False]),
     ],

@@ -18,7 +18,7 @@ from carpark_mj.rendering.stage import Stage
 from carpark_mj.scene import looks, parts
 from carpark_mj.scene.build import build_scene
 from carpark_mj.scene.camera_flags import LOT_CAMERAS
-from carpark_mj.scene.cameras import fit_eye, frame_lot, view_yaw
+from carpark_mj.scene.cameras import frame_lot, view_yaw
 from carpark_mj.scene.looks import ASPHALT, ZENITH, agent_colour
 from carpark_mj.scene.parts import add_bay_numbers
 from carpark_mj.vehicle import COMPACT, PRESETS
@@ -87,9 +87,7 @@ def test_people_walk_on_two_legs_and_carts_stand_on_the_ground():
     model, data, angles = stage.model, stage.data, []
     for way in np.arange(0.0, 1.4, 0.1):
         stage.place(instant(np.zeros(3), movers=movers(way)))
-        legs = [data.body(f"mover0/leg{side}").xmat[2] for side in (0, 1)]
-        assert legs[0] == pytest.approx(-legs[1], abs=1e-6)
-        angles.append(legs[0])
+        angles.append(data.body("mover0/leg0").xmat[2])
         at = data.body("mover0").xpos[:2]
         np.testing.assert_allclose(at, xy[0] + np.array([way, 0.0]), atol=1e-6)
     assert max(angles) > 0.3
@@ -219,48 +217,9 @@ def test_the_lot_fills_the_frame_and_no_corner_is_cut(camera, fovy, extent, aspe
         assert long_across == ((extent[0] > extent[1]) == (aspect > 1.0))
 
 
-def test_no_nearer_eye_sees_all_points():
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-5.0, 5.0, (30, 3))
-    axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    eye = fit_eye(points, axes, 40.0, 1.5)
-
-    def all_seen(at):
-        x, y, back = ((points - at) @ axes).T
-        reach = -back * np.tan(np.radians(20.0))
-        inside = (np.abs(x) <= 1.5 * reach + 1e-9) & (np.abs(y) <= reach + 1e-9)
-        return ((back < 0) & inside).all()
-
-    assert all_seen(eye)
-    for step in rng.uniform(-0.5, 0.5, (200, 3)):
-        nearer = eye + axes @ [*step[:2], -abs(step[2]) - 1e-3]
-        assert not all_seen(nearer)
-
-
 def has_hue(pixels, colour):
     """Which pixels have a colour's hue, however bright."""
     return hue_distance(pixels, colour) < 8
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_the_driver_sees_sky_asphalt_and_bonnet_not_the_inside_of_the_body(name):
-    stage = Stage(LAYOUT, PRESETS[name], 1, 0)
-    with closing(LotRenderer(stage, "driver:0", (160, 120))) as renderer:
-        groups = renderer.model.geom_group.copy()
-        renderer.place(SEEN)
-        frame = renderer.draw(SEEN, "agent0/driver").astype(float)
-        # Other cameras see the roof again.
-        np.testing.assert_array_equal(renderer.model.geom_group, groups)
-
-    def share(rows, colour):
-        """Of the middle third's pixels whose hue is a colour's."""
-        pixels = frame[rows, 53:107]
-        bright = pixels.sum(axis=-1) > 90  # the dashboard is nearly black
-        return (has_hue(pixels, colour) & bright).mean()
-
-    assert share(slice(0, 40), ZENITH) > 0.9
-    assert share(slice(58, 76), ASPHALT) > 0.7
-    assert share(slice(70, 118), agent_colour(0)) > 0.1
 
 
 @pytest.fixture(scope="module")
@@ -273,23 +232,36 @@ def fleet():
         def draw(name):
             kind = np.array([list(PRESETS).index(name)])
             seen = dataclasses.replace(SEEN, kind=kind)
+            groups = renderer.model.geom_group.copy()
             renderer.place(seen)
-            return renderer.draw(seen, "agent0/driver").astype(float)
+            frame = renderer.draw(seen, "agent0/driver").astype(float)
+            # Other cameras see the roof again.
+            np.testing.assert_array_equal(renderer.model.geom_group, groups)
+            return frame
 
         yield draw
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_no_pillar_and_no_shadow_of_the_roof_cuts_the_driver_s_view(fleet, name):
+def test_the_driver_sees_the_road_and_no_pillar_cuts_the_view(fleet, name):
     frame = fleet(name)
-    paint = has_hue(frame, agent_colour(0)) & (frame.sum(axis=-1) > 90)
+    bright = frame.sum(axis=-1) > 90  # the dashboard is nearly black
+
+    def share(top, bottom, colour):
+        """Of the middle third's pixels whose hue is a colour's."""
+        middle = slice(top, bottom), slice(480, 800)
+        return (has_hue(frame[middle], colour) & bright[middle]).mean()
+
+    assert share(0, 240, ZENITH) > 0.9
+    assert share(350, 456, ASPHALT) > 0.7
+    assert share(420, 708, agent_colour(0)) > 0.1
+    paint = has_hue(frame, agent_colour(0)) & bright
     paint[: len(paint) // 2] = False  # sky
     sunlit = frame.sum(axis=-1) > 0.7 * np.median(frame[paint].sum(axis=-1))
     assert sunlit[paint].mean() > 0.99
     # Below the edge of the bonnet a column shows nothing but the car.
-    dashboard = frame.sum(axis=-1) < 90
     below = np.maximum.accumulate(paint, axis=0)
-    assert (paint | dashboard)[below].mean() > 0.99
+    assert (paint | ~bright)[below].mean() > 0.99
 
 
 @pytest.mark.parametrize("name", ["square", "street_parallel"])

@@ -68,10 +68,6 @@ def test_every_sheet_drives_in_turn_to_a_bay_that_it_fits_in():
     room = states.layout.bay_size[goal] - sizes
     assert room.min() > ENV.episode.slack - 1e-5
     assert (states.parked_cars.bay != NO_BAY).any(axis=1).all()
-    again = pick_cases("sheets", 2, first=5)
-    assert again.kind.tolist() == list(NAMES[5:7])
-    whole = jax.tree.map(lambda x: x[5:7], cases.layouts)
-    jax.tree.map(np.testing.assert_array_equal, again.layouts, whole)
 
 
 @pytest.mark.parametrize("level", ["sheets", *PARKED, "metadrive"])
@@ -84,16 +80,6 @@ def test_planner_zero_and_random_meet_the_cases_of_policies(level):
             assert getattr(env, field) == getattr(shown, field)
     with pytest.raises(ValueError, match=r"own_car"):  # it would not know its car
         find_level("sheets").env(policy_env("square", SQUARE, config))
-
-
-def test_sheets_are_cars_that_turn_as_published():
-    cars = read_sheets()
-    lengths = [car.length for car in cars.values()]
-    assert (len(cars), lengths) == (12, sorted(lengths))
-    for car in cars.values():
-        assert 0.45 < car.wheelbase / car.length < 0.73  # least with rear steering
-        assert math.radians(30) < car.max_steering < math.radians(45)
-        assert 130 < car.mass / (car.length * car.width) < 270
 
 
 @pytest.mark.parametrize("level", PARKED)
@@ -222,6 +208,5 @@ def test_more_spaces_make_a_longer_lot():
     lot = make_layout(MetaDriveConfig(spaces=12))
     assert lot.num_bays == MetaDriveConfig(spaces=12).min_bays == 15
     assert float(lot.extent[0]) == pytest.approx((57.75 + 2 * 3.5) / 2 + 0.3)
-    for spaces in (7, 2, True):
-        with pytest.raises(ValueError, match=f"spaces must .*, not {spaces}"):
-            MetaDriveConfig(spaces=spaces)
+    with pytest.raises(ValueError, match=r"spaces must .*, not 7"):
+        MetaDriveConfig(spaces=7)

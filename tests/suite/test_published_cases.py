@@ -128,14 +128,6 @@ def test_held_out_cases_are_drawn_from_the_test_split(level):
     np.testing.assert_allclose(kept.extent, drawn.extent, atol=MM)
 
 
-def test_a_parallel_goal_faces_the_way_the_car_starts():
-    for level in HOPE_LEVELS:
-        layouts, parallel = load_held_out(level)
-        yaw = np.asarray(layouts.spawn_pose[:, 0, 2] - layouts.bay_pose[:, 0, 2])
-        # Headings are up to 90 deg off the aisle, parked cars up to 15 deg.
-        assert (np.cos(yaw[parallel]) > np.cos(np.radians(105.0))).all()
-
-
 AHEAD = 4.689 / 2 - 0.929  # m, rear axle to the footprint's centre
 
 

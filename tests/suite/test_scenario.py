@@ -19,7 +19,6 @@ from carpark_mj.geometry import to_local
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.files import read_json
 from carpark_mj.layouts.types import BayEnd
-from carpark_mj.policy.loading import load_policy
 from carpark_mj.registry import FIRST
 from carpark_mj.suite import actors, evaluation, scenario
 from carpark_mj.suite.levels import find_level, pick_cases
@@ -84,39 +83,25 @@ def way(*path, **more):
     ("change", "said"),
     [
         ({"lot": "nowhere"}, "layout 'nowhere'"),
-        ({"lot": "no.json"}, "no.json"),
         ({"lot": {"bays": 3}}, "lot must"),
-        ({"vehicle": "tank"}, "vehicle 'tank'"),
         ({"start": [0.0, 0.0, 90.0]}, "heading of start"),
         ({"speed": 40.0}, "speed must lie in [-2, 3]"),
         ({"goal": 99}, "goal must be a bay of the lot"),
-        ({"goal": {"pose": [0.0, 0.0, 90.0]}}, "goal: the heading"),
         ({"goal": {"pose": [0.0, 0.0, 0.0], "size": [4.0, 2.5]}}, "the goal's bay, 4"),
-        ({"goal": {"pose": [0.0, 0.0, 0.0], "end": "side"}}, "goal: unknown end"),
         ({"parked": [6]}, "parked must be distinct bays other than the goal"),
-        ({"parked": [1, 1]}, "parked must be distinct"),
-        ({"rule": "kind"}, "parked rule 'kind'"),
         ({"rule": {"distance": -1.0}}, "rule: distance"),
         ({"weather": "rain"}, "setting 'weather'"),
         ({"spread": {"place": -0.1}}, "spread: place"),
-        (
-            {"movers": [WALKER, WALKER | {"between": [1, 2]}]},
-            "movers[1]: a mover needs",
-        ),
-        ({"movers": [{"kind": "person", "to": [0.0, 5.0]}]}, "needs a start"),
-        ({"movers": [WALKER | {"to": [0.0, 0.0]}]}, "points of a way"),
+        ({"movers": [WALKER, WALKER | {"between": [1, 2]}]}, "movers[1]: a mover"),
         ({"movers": [WALKER | {"kind": "cloud"}]}, "kind 'cloud'"),
         ({"movers": [{"between": [1, 99]}]}, "between must be a bay"),
-        ({"movers": [WALKER | {"path": [[1.0, 2.0]]}]}, "a mover needs"),
         ({"movers": [{"start": [0.0, 0.0], "near": 2.0}]}, "no trigger"),
         ({"movers": [WALKER | {"heading": 1.0}]}, "leave heading out"),
         (way([1.0]), "path must have rows"),
-        (way([1.0, 2.0, 0.0]), "speed of a point of path"),
         (way([0.0, 0.0]), "points of a way"),
         (way([1, 2], [3, 4, 1.0, 0.1]), "all with headings or none"),
         ({"settings": {"num_agents": 3}}, "settings must leave num_agents"),
         ({"settings": {"sim.steering_delai": 0.2}}, "steering-delai"),
-        ({"settings": ["sim.steering_delay=0.2"]}, "settings must be names"),
     ],
     ids=str,
 )
@@ -270,12 +255,11 @@ def test_policies_of_other_libraries_observe_as_in_their_environment(
         raise InterruptedError
 
     monkeypatch.setattr(evaluation, "CaseEvaluator", made)
-    for name in ("function:still:act", "valet"):
-        config = ScenarioConfig("mine.yaml", (name,), environment="first", out="out")
-        with pytest.raises(InterruptedError):
-            scenario.main(config)
-    envs = FIRST, load_policy("valet").env
-    assert seen == [(env.observation, env.physics) for env in envs]
+    names = ("function:still:act",)
+    config = ScenarioConfig("mine.yaml", names, environment="first", out="out")
+    with pytest.raises(InterruptedError):
+        scenario.main(config)
+    assert seen == [(FIRST.observation, FIRST.physics)]
 
 
 def test_a_start_in_a_wall_is_refused(tmp_path, monkeypatch):

@@ -64,13 +64,8 @@ def test_a_part_of_a_level_has_the_cases_of_the_level():
 def test_tpcap_s_cases_go_by_their_published_numbers():
     part = pick_cases("tpcap", 3, first=6)
     assert part.number.tolist() == [7, 8, 9]
-    lot = jax.device_get(make_layout("tpcap_8"))
-    count = len(lot.wall_mask)
-    assert part.layouts.wall_mask[1].sum() == count == lot.wall_mask.sum()
-    np.testing.assert_allclose(
-        part.layouts.wall_pose[1, :count], lot.wall_pose, atol=1e-6
-    )
-    np.testing.assert_allclose(part.layouts.bay_pose[1], lot.bay_pose, atol=1e-6)
+    bay = make_layout("tpcap_8").bay_pose
+    np.testing.assert_allclose(part.layouts.bay_pose[1], bay, atol=1e-6)
 
 
 def test_the_table_counts_by_kind_and_compares_paths():
@@ -125,17 +120,6 @@ def test_the_table_says_what_cars_hit_and_how_fast():
     assert "4 of busy (0 to 3)" in header(rows)[1]
 
 
-def test_crashes_are_worse_than_timeouts_than_slow_parking():
-    rows = [
-        episode(0),
-        episode(1, length=300.0),
-        episode(2, end="timed_out", length=500.0),
-        episode(3, end="crashed", length=20.0),
-        episode(4, end="crashed", length=90.0),
-    ]
-    assert [row["case"] for row in worst_first(rows)] == [4, 3, 2, 1, 0]
-
-
 def test_files_hold_the_table_the_worst_and_videos(tmp_path):
     episodes = [episode(0), episode(7, end="crashed")]
     (row,) = table_rows("x", episodes)
@@ -155,5 +139,8 @@ def test_files_hold_the_table_the_worst_and_videos(tmp_path):
     assert "case 7, seed 0" in worst
     assert shown_cells(row)["path found [%]"] == "–"
     assert "path found" not in html  # of no row here
+    late, slow = episode(1, end="timed_out"), episode(2, length=300.0)
+    order = [row["case"] for row in worst_first([slow, *episodes, late])]
+    assert order == [7, 1, 2, 0]
     (cells,) = tables_of([row | {"level": "scenario:/a/b.yaml:4"}])["Results"]
     assert cells["level"] == "scenario:b.yaml:4"

@@ -1,7 +1,6 @@
 """Results of the suite that several processes have written, read together."""
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from helpers.disks import no_printing
 from rich.console import Console
 
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.suite import report as suite_videos
 from carpark_mj.suite.evaluation import SuiteConfig, main
 from carpark_mj.suite.levels import load_held_out
 from carpark_mj.suite.report import FASTER, make_videos, recording_of
@@ -52,29 +50,14 @@ def test_what_processes_wrote_is_read_together(tmp_path):
     layout = load_held_out("extreme")[0]
     np.testing.assert_array_equal(recording.layout.bay_pose, layout.bay_pose[1])
     assert recording.goal[-1].tolist() == [0]
-
-
-def test_a_recording_of_a_tpcap_case_is_in_its_lot():
-    recording = recording_of(episode(8, level="tpcap"), drives(12))
-    lots = load_tpcap()
-    np.testing.assert_array_equal(recording.layout.bay_pose, lots.bay_pose[8 - 1])
-
-
-def test_runs_with_another_car_are_read_together(tmp_path):
-    rows = [episode(case, vehicle="compact") for case in (0, 3)]
-    folders = [write(tmp_path / str(row["case"]), row) for row in rows]
-    assert read_runs(folders)[0] == rows
-    main(SuiteConfig(combine=tuple(map(str, folders)), out=str(tmp_path / "out")))
-    assert "vehicle compact" in (tmp_path / "out" / "suite.md").read_text()
-    submitted = json.loads((tmp_path / "out" / "suite.json").read_text())
-    assert submitted["vehicle"] == "compact"
+    recording = recording_of(episode(8, level="tpcap"), drives(12))  # they begin with 1
+    np.testing.assert_array_equal(recording.layout.bay_pose, load_tpcap().bay_pose[7])
 
 
 def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
-    folders = [
-        write(tmp_path / "a", episode(0), episode(1)),
-        write(tmp_path / "b", episode(0, 1, end="parked"), episode(1, 1)),
-    ]
+    rows = [episode(0), episode(1), episode(0, 1, end="parked"), episode(1, 1)]
+    rows = [row | {"vehicle": "compact"} for row in rows]  # another car
+    folders = [write(tmp_path / "a", *rows[:2]), write(tmp_path / "b", *rows[2:])]
     # Another device is no other version.
     second = folders[1] / CASES_FILE
     second.write_text(second.read_text().replace("cpu", "gpu"))
@@ -95,7 +78,9 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
     assert "<video" not in (out / "suite.html").read_text()
     assert (row["cases"], row["seeds"], row["parked"]) == (2, 2, 0.25)
     assert row["by seed"] == [0.0, 0.5]
-    assert "seeds 0, 1" in (out / "suite.md").read_text()
+    for said in ("seeds 0, 1", "vehicle compact"):
+        assert said in (out / "suite.md").read_text()
+    assert json.loads((out / "suite.json").read_text())["vehicle"] == "compact"
     assert len(read_runs([out])[0]) == 4
     assert "suite.html" in capsys.readouterr().out
     with pytest.raises(ValueError, match="must not be one of the combined"):
@@ -113,7 +98,6 @@ def test_combining_makes_the_table_of_all(tmp_path, capsys, monkeypatch):
         ([episode(1000)], "line 2: there is no case 1000 of level 'extreme'"),
         ([episode(2), episode(1, length="")], "line 3: length must be .*''"),
         ([episode(1, length=0.0)], "line 2: length must be positive"),
-        ([episode(1, **{"ms / decision": math.inf})], "line 2: ms / decision must be"),
     ],
 )
 def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):
@@ -125,23 +109,15 @@ def test_results_that_do_not_fit_are_refused(rows, message, tmp_path):
         read_runs([good, bad])
 
 
-def test_a_video_is_faster_than_driving(tmp_path):
+def test_videos_are_faster_than_driving_and_each_run_has_its_own(tmp_path):
     import imageio_ffmpeg
 
     assert choose_gl() is None, "this machine cannot render"
-    row = episode(0, length=40.0)  # 8 s, and then the last picture for 1 s
-    (path,) = make_videos(tmp_path, [row], {key_of(row): drives(40)}).values()
-    assert path == tmp_path / "videos" / "x-extreme-0-0.mp4"
-    data = next(imageio_ffmpeg.read_frames(str(path)))
-    assert data["duration"] == pytest.approx(8.0 / FASTER + 1.0, abs=0.2)
-
-
-def test_runs_of_the_same_name_have_videos_of_their_own(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        suite_videos, "_write", lambda path, *_: path.write_text("video")
-    )
     names = ("runs/a/best", "runs/b/best", "runs/b-best")
-    rows = [episode(0, policy=name) for name in names]
-    videos = make_videos(tmp_path, rows, dict.fromkeys(map(key_of, rows), drives(4)))
+    # 4 s, and then the last picture for 1 s.
+    rows = [episode(0, policy=name, length=20.0) for name in names]
+    videos = make_videos(tmp_path, rows, dict.fromkeys(map(key_of, rows), drives(20)))
     assert len({*videos.values()}) == 3
-    assert all(path.read_text() == "video" for path in videos.values())
+    for path in videos.values():
+        data = next(imageio_ffmpeg.read_frames(str(path)))
+        assert data["duration"] == pytest.approx(4.0 / FASTER + 1.0, abs=0.2)

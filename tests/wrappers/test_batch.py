@@ -113,28 +113,6 @@ def test_lot_waits_for_its_last_agent():
     assert (key_data(lots.state) != before).any(axis=1)[1]
 
 
-def test_lots_that_are_due_are_begun_and_the_others_kept():
-    lots = batch(LOTS, restart=False)
-    lots.reset_numpy(0)
-    before = jax.device_get(lots.state.motion.pose_w)
-    due = np.arange(LOTS) % 3 == 0
-    observation = np.asarray(lots.restart(due))
-    after = np.asarray(lots.state.motion.pose_w)
-    np.testing.assert_array_equal(before[~due], after[~due])
-    assert not np.isclose(before[due], after[due]).all(axis=(1, 2)).any()
-    assert not observation[~due].any()
-    assert observation[due].any(axis=(1, 2)).all()
-
-
-def test_respawning_agents_begin_alone_and_their_lot_goes_on():
-    lots = batch(respawn=True)
-    lots.reset_numpy(0)
-    step = [lots.step_numpy(halt()) for _ in range(MAX_STEPS)][-1]
-    assert step.truncated.all()
-    assert step.final_observation is None  # not asked for
-    assert lots.state.active.all()
-
-
 def test_arrays_are_the_callers_own():
     lots = batch()
     kept = [lots.reset_numpy(0), *lots.step_numpy(halt())]
@@ -150,14 +128,9 @@ def test_arrays_are_the_callers_own():
     ("action", "message"),
     [
         (halt(3), r"shape \(4, 3, 2\), not \(3, 3, 2\)"),
-        (
-            np.where(np.arange(4)[:, None, None] == 2, np.nan, halt()),
-            "nan .lot 2, agent 0",
-        ),
-        (np.full((4, 3, 2), np.inf), "finite numbers, not inf"),
+        (halt() * np.nan, "finite numbers, not nan .lot 0, agent 0"),
         (halt() * 1j, "real numbers, not complex"),
         (None, "real numbers, not object"),
-        (halt().astype(str), "real numbers, not <U"),
     ],
 )
 def test_impossible_actions_are_refused(action, message):
@@ -193,22 +166,18 @@ def test_a_copy_goes_on_like_the_environment(copied, name):
     other.close()
 
 
-def test_so_does_a_copy_of_a_vector_or_of_a_lot_of_agents():
-    vector = gymnasium.make_vec(PARK, 2, config=QUICK)
-    vector.reset(seed=0)
-    actions, other = np.stack([AHEAD, -AHEAD]), copy.deepcopy(vector)
-    assert same(other.step(actions)[:4], vector.step(actions)[:4])
+def test_so_does_a_copy_of_a_lot_of_agents():
     pytest.importorskip("pettingzoo")
     env = carpark_mj.parallel_env(config=QUICK, agents=2, render_mode="rgb_array")
     env.reset(seed=0)
-    env.render()
+    assert env.render().std() > 10
     actions, other = dict.fromkeys(env.agents, AHEAD), pickled(env)
     assert same(other.step(actions)[0], env.step(actions)[0])
 
 
 def test_a_scene_is_pickled_too():
     config = EnvConfig(num_agents=1, num_parked_cars=0, physics="scene")
-    physics = pickled(carpark_mj.ParkingEnv(config)).physics
+    physics = pickled(ParkingEnv(config)).physics
     assert isinstance(physics, ScenePhysics)
     assert physics.scene.model.nq > 0
 
@@ -221,17 +190,23 @@ def tensors():
 
 
 def test_tensors_hold_the_numbers_of_the_numpy_batch():
+    """Whether actions are strided or require gradients."""
     torch = pytest.importorskip("torch")
     lots, reference = tensors(), batch()
     np.testing.assert_array_equal(lots.reset(3), reference.reset_numpy(3))
     for seed in range(MAX_STEPS + 2):
         action = np.random.default_rng(seed).uniform(-1, 1, (4, 3, 2))
-        step = lots.step(torch.as_tensor(action))
+        twice = torch.as_tensor(action.repeat(2, axis=2), dtype=torch.float32)
+        strided = twice[..., ::2].requires_grad_()
+        assert not strided.is_contiguous()
+        step = lots.step(strided)
         expected = reference.step_numpy(action)
+        strided.detach().zero_()
         for name, tensor in step._asdict().items():
             np.testing.assert_array_equal(tensor, getattr(expected, name), name)
     assert step.terminated.dtype == torch.bool
     assert step.observation.dtype == torch.float32
+    assert not step.observation.requires_grad
 
 
 def test_tensors_share_memory_and_stay_as_they_are():
@@ -252,29 +227,16 @@ def test_tensors_share_memory_and_stay_as_they_are():
             assert torch.equal(tensor, clone)
 
 
-def test_actions_may_be_strided_and_require_gradients():
-    torch = pytest.importorskip("torch")
-    one, other = tensors(), tensors()
-    one.reset(0)
-    other.reset(0)
-    plain = torch.rand(4, 3, 2)
-    strided = plain.permute(2, 1, 0).contiguous().permute(2, 1, 0).requires_grad_()
-    assert not strided.is_contiguous()
-    step = one.step(strided)
-    expected = other.step(plain)
-    plain.zero_()
-    assert not step.observation.requires_grad
-    for mine, theirs in zip(step, expected, strict=True):
-        assert torch.equal(mine, theirs)
-
-
 # Brax
 
 
 @functools.cache
 def brax():
-    """The wrapper on sliding cars, 4 lots, with its compiled functions."""
-    wrapped = BraxParking(slide()[0])
+    """The wrapper on sliding cars, with final observations, and compiled functions."""
+    plain, _, _ = slide()
+    episode = dataclasses.replace(plain.config.episode, final_observation=True)
+    config = dataclasses.replace(plain.config, episode=episode)
+    wrapped = BraxParking(ParkingEnv(config, plain.physics))
     return wrapped, jax.jit(wrapped.reset), jax.jit(wrapped.step)
 
 
@@ -302,8 +264,7 @@ def test_brax_flattens_lots_by_agents():
 
 
 def test_brax_steps_keep_the_structure_of_the_reset_state():
-    env, _, _ = slide()
-    wrapped = BraxParking(env)
+    wrapped, _, _ = brax()
     state = jax.eval_shape(wrapped.reset, jax.random.split(jax.random.key(0), 4))
     action = jax.ShapeDtypeStruct((12, 2), jnp.float32)
     after = jax.eval_shape(wrapped.step, state, action)
@@ -316,44 +277,26 @@ def test_brax_steps_keep_the_structure_of_the_reset_state():
     assert all(leaf.shape[0] == 12 for leaf in jax.tree.leaves(flat))
     fields = {"truncation", "present", "episode_done", "episode_metrics"}
     assert set(state.info) == fields | {"reward_terms", "final_observation"}
-    assert wrapped.observation_size == env.observation_size
-    assert wrapped.action_size == 2
 
 
-def test_brax_passes_final_observations_on():
-    plain, _, _ = slide()
-    episode = dataclasses.replace(plain.config.episode, final_observation=True)
-    config = dataclasses.replace(plain.config, episode=episode)
-    env = ParkingEnv(config, plain.physics)
-    wrapped = BraxParking(env)
-    keys = jax.random.split(jax.random.key(0), 4)
-    own = jax.eval_shape(wrapped.reset, keys)
-    state = brax()[1](keys)  # begins alike
-    lots = state.pipeline_state
-    lots = lots.replace(step=lots.step.at[1, 2].set(MAX_STEPS - 1))
-    state = state.replace(pipeline_state=lots)
-    after = jax.jit(wrapped.step)(state, np.zeros((12, 2), np.float32))
-    assert jax.tree.structure(own) == jax.tree.structure(after)
-    _, timestep = jax.jit(jax.vmap(env.step))(lots, np.zeros((4, 3, 2), np.float32))
-    final = after.info["final_observation"]
-    np.testing.assert_allclose(final[5], timestep.final_observation[1, 2], atol=1e-5)
-    assert not np.allclose(final[5], after.obs[5])  # that is of the next episode
-
-
-def test_brax_tells_truncations_from_terminations():
+def test_brax_tells_how_episodes_end_and_what_was_seen_last():
     env, _, _ = slide()
     _, reset, step = brax()
     state = reset(jax.random.split(jax.random.key(0), 4))
     lots = placed(env, state.pipeline_state, np.tile(APART, (4, 1, 1)))
+    halted = np.zeros((12, 2), np.float32)
+    seen = step(state.replace(pipeline_state=lots), halted).obs
     # Lot 1: agent 0 in a wall. Lot 2: agent 1 out of time.
     pose = np.array(lots.motion.pose_w)
     pose[1, 0, :2] = lots.layout.wall_pose[1, 4, :2]
     lots = placed(env, lots, pose)
     lots = lots.replace(step=lots.step.at[2, 1].set(MAX_STEPS - 1))
-    state = step(state.replace(pipeline_state=lots), np.zeros((12, 2), np.float32))
+    state = step(state.replace(pipeline_state=lots), halted)
     assert np.flatnonzero(state.done).tolist() == [3, 7]
     assert np.flatnonzero(state.info["episode_done"]).tolist() == [3, 7]
     assert np.flatnonzero(state.info["truncation"]).tolist() == [7]
     assert np.flatnonzero(state.info["episode_metrics"]["crashed"]).tolist() == [3]
     assert np.flatnonzero(state.info["episode_metrics"]["timed_out"]).tolist() == [7]
-    assert all(leaf.shape == (12,) for leaf in jax.tree.leaves(state.info))
+    final = state.info["final_observation"]
+    np.testing.assert_allclose(final[7], seen[7], atol=1e-5)
+    assert not np.allclose(final[7], state.obs[7])  # that is of the next episode

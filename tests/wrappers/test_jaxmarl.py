@@ -28,10 +28,8 @@ def test_lots_end_together_and_start_again(env):
     keys = jax.random.split(jax.random.key(0), LOTS)
     log = LogWrapper(env)
     observation, state = jax.vmap(log.reset)(keys)
-    assert observation["agent_0"].shape == (
-        LOTS,
-        *env.observation_space("agent_0").shape,
-    )
+    for agent in env.agents:
+        assert env.observation_space(agent).contains(observation[agent][0])
     drive = jnp.tile(jnp.array([0.0, 1.0]), (LOTS, 1))
     actions = {"agent_0": drive, "agent_1": 0 * drive}
 
@@ -60,13 +58,6 @@ def test_lots_end_together_and_start_again(env):
         )
     assert over.any(axis=0).all()
     assert any(alone)  # agent 1 drove on in one lot at least
-
-
-def test_observations_are_in_their_spaces(env):
-    actions = {a: env.action_space(a).sample(jax.random.key(2)) for a in env.agents}
-    _, state = env.reset(jax.random.key(0))
-    seen = env.step(jax.random.key(1), state, actions)[0]
-    assert all(env.observation_space(a).contains(seen[a]) for a in env.agents)
 
 
 def test_q_learners_have_numbered_actions():

@@ -10,7 +10,6 @@ import pytest
 
 import carpark_mj
 from carpark_mj.config import REWARDS, EnvConfig, EpisodeConfig
-from carpark_mj.env import ParkingEnv
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.mdp.goals import possible_choices
 from carpark_mj.registration import ENTRY_POINTS
@@ -23,7 +22,6 @@ from carpark_mj.wrappers.options import (
     configure,
     discrete_table,
     flat_action,
-    share,
 )
 
 
@@ -41,11 +39,6 @@ def test_options_set_fields_of_the_default_or_a_named_environment():
     few = configure({"config": SQUARE, "agents": 2})
     assert few == dataclasses.replace(SQUARE, num_agents=2)
     assert configure({}) == EnvConfig()
-
-
-def test_an_environment_is_made_once():
-    config = EnvConfig(num_agents=1)
-    assert share(ParkingEnv, config) is share(ParkingEnv, config)
 
 
 def test_a_table_of_actions_has_every_choice_and_a_zero():
@@ -71,7 +64,7 @@ def test_own_rows_are_actions_or_refused():
     np.testing.assert_array_equal(table, rows)
     grid = discrete_table(ActionSpec(0, (3, 2)), {"discrete": [[2, 1]]})
     assert grid.dtype == np.int32
-    for wrong in ([[0.0, 0.0, 0.5]], [[0.0, 0.0, 3]], [[0.0, 0.0]], [0.0], "all"):
+    for wrong in ([[0.0, 2.0, 0]], [[0.0, 0.0, 0.5]], [[0.0, 0.0]], [], 5, "all"):
         with pytest.raises(ValueError, match="rows of 3 numbers"):
             discrete_table(ActionSpec(2, (3,)), {"discrete": wrong})
 
@@ -146,15 +139,11 @@ def test_poses_as_goals_take_them_too():
     [
         ({"goals": 3}, r"unknown option 'goals' .* \('pose', 'speed', 'goal'\)"),
         (START | {"goal": 36}, "no bay 36: .* 0 to 35"),
-        ({"goal": -1}, "goal must be at least 0, not -1"),
         ({"goal": 1.0}, "goal must be a whole number, not 1.0"),
-        ({"goal": True}, "goal must be a whole number, not True"),
         ({"speed": float("nan")}, "speed must be a finite number, not nan"),
-        ({"speed": "fast"}, "speed must be a finite number, not 'fast'"),
         (START | {"speed": 50.0}, "speed must lie in"),
         ({"pose": (0.0, 0.0)}, "pose must be three finite numbers"),
         ({"pose": (0.0, np.nan, 0.0)}, "pose must be three finite numbers"),
-        ({"pose": "north"}, "pose must be three finite numbers"),
         (START | {"pose": (16.4, 0.0, 0.0)}, "agent 0 of lot 0: it would touch"),
     ],
 )
@@ -204,13 +193,8 @@ def test_stable_baselines_options_are_those_of_each_environment():
     env.set_options([{}, START, {}])
     env.reset()
     assert_starts(begun(env._env, 1), [START["pose"]], [1.5], [7])
-    for options, error, message in (
-        ({"bay": 3}, ValueError, "unknown option 'bay'"),
-        ([{}], ValueError, "each of the 3 environments, not 1"),
-        (3, TypeError, "options must be of Mapping or None, not 3"),
-    ):
-        with pytest.raises(error, match=message):
-            env.set_options(options)
+    with pytest.raises(ValueError, match="each of the 3 environments, not 1"):
+        env.set_options([{}])
 
 
 def test_agents_of_pettingzoo_have_options_by_name():
@@ -223,19 +207,13 @@ def test_agents_of_pettingzoo_have_options_by_name():
     assert state.goal[0, 1] == 7
     with pytest.raises(ValueError, match=r"unknown agent 'agent_2' .*'agent_1'\]"):
         env.reset(options={"agent_2": START})
-    with pytest.raises(ValueError, match="unknown option 'x'"):
-        env.reset(options={"agent_0": {"x": 1.0}})
 
 
 def test_torchrl_takes_those_of_all_lots():
     pytest.importorskip("torchrl")
-    import jax.numpy as jnp
-
     from carpark_mj.spawning.reset_options import ResetOptions
     from carpark_mj.wrappers.torchrl import TorchRLParking
 
     env = TorchRLParking(2, config=QUICK, agents=1, seed=0)
     env.reset(options=ResetOptions(goal=jnp.array([[3], [4]])))
     np.testing.assert_array_equal(env._lots.batch.state.goal, [[3], [4]])
-    with pytest.raises(TypeError, match="unexpected keyword"):
-        env.reset(option=3)

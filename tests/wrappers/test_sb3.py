@@ -68,14 +68,6 @@ def test_seeds_are_those_of_gymnasium_and_hold_for_one_reset():
     assert agents.reset().shape[0] == 4
 
 
-def test_attributes_are_the_same_in_all_and_cannot_be_set_in_one():
-    env = ParkVecEnv(GOAL, 3)
-    assert env.get_attr("num_lots", [0, 2]) == [3, 3]
-    assert env.env_is_wrapped(gymnasium.Wrapper) == [False] * 3
-    with pytest.raises(AttributeError, match="'num_lots' of single environments"):
-        env.set_attr("num_lots", 4)
-
-
 def test_pictures_are_tiled_and_videos_run_in_real_time():
     env = ParkVecEnv(PARK, 2, render_mode="rgb_array")
     assert env.metadata["render_fps"] == 5  # a control step of 0.2 s a frame

@@ -138,14 +138,6 @@ def test_action_mask_of_torchrl_keeps_to_bays_that_are_tracked():
     assert masks.shape == (3, 20, 2, 77 * 3)
 
 
-def test_a_picture_of_a_lot_can_be_drawn(env):
-    env.reset()
-    picture = env.render(lot=1)
-    assert picture.ndim == 3
-    assert picture.dtype == np.uint8
-    assert picture.std() > 5
-
-
 def test_torchrls_own_gymnasium_wrappers_drive_it():
     options = {"physics": "bicycle", "parked_cars": 2}
     single = GymEnv(PARK, **options)
