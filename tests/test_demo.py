@@ -199,9 +199,7 @@ def test_keys_drive_the_first_car_and_give_it_back(driven, page):
     driven.evaluate("demo.worker.postMessage({ paused: false })")
 
 
-def test_people_walk_about_outside_of_parked_cars_and_the_policy_sees_them(
-    build, driven, page
-):
+def test_people_walk_outside_of_parked_cars_and_are_seen(build, driven, page):
     driven.evaluate("demo.worker.postMessage({ paused: true })")
     page = page(driven.built.parent, f"speed=9&people={build.PEOPLE}")
     page.wait_for_function("demo.report", timeout=WAIT)

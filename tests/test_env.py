@@ -48,7 +48,7 @@ def test_reset_is_a_function_of_the_key():
 # Step
 
 
-def test_outside_jit_programs_compile_once_and_compute_what_they_do_inside():
+def test_outside_jit_programs_compile_once_and_agree_with_jit():
     env, reset, step = slide()
     key = jax.random.key(0)
 
@@ -240,7 +240,7 @@ def test_every_setting_that_is_data_can_be_traced(dynamic):
     assert jax.eval_shape(step, values).shape == (3,)
 
 
-def test_traced_numbers_start_episodes_as_an_environment_with_them_does():
+def test_traced_numbers_start_episodes_as_settings_do():
     """Their shares, parameters of cars and noise, in resets and respawns."""
     one, other = (
         insert(

@@ -89,7 +89,7 @@ def test_the_page_shows_the_packages_as_they_are(section, name):
     assert code in block(section, "python")
 
 
-def test_the_new_reward_term_and_metric_are_those_of_their_packages():
+def test_new_reward_terms_and_metrics_are_those_of_packages():
     run("A metric")
     exec((PACKAGES / "haste" / "haste.py").read_text())
     reward = RewardConfig(extra={"haste": 0.01})

@@ -25,7 +25,7 @@ def extension(tmp_path, monkeypatch):
         del sys.modules[name]
 
 
-def test_two_parts_of_one_name_are_refused_and_what_is_no_name_is_unknown():
+def test_two_parts_of_one_name_are_refused():
     registry = Registry("car")
     mini = registry.register("mini", [1])
     assert registry.register("mini", mini) is mini  # a module reloaded

@@ -81,7 +81,7 @@ def test_an_aisle_between_rows_is_no_bay():
     assert max(shapely.area(shapely.intersection(bays, aisle))) < 1e-6
 
 
-def test_lines_that_bound_no_bay_give_none_and_lines_without_number_are_refused():
+def test_lines_that_bound_no_bay_give_none():
     far = [shapely.LineString([(0, 9 * k), (5, 9 * k)]) for k in range(5)]
     assert bays_between(far) == []
     assert bays_between([]) == []

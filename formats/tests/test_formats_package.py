@@ -41,7 +41,7 @@ def test_a_command_of_the_formats_exists_and_takes_its_flags(line):
     check_command(line)
 
 
-def test_everything_that_the_core_says_comes_with_the_package_does():
+def test_what_the_core_says_comes_with_the_package_does():
     for kind, home in HOMES.items():
         for name in FORMATS[kind]:
             assert name in home, (kind, name)

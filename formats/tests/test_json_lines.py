@@ -73,7 +73,7 @@ def test_a_client_drives_as_the_environment_steps(client):
     assert answer["speed"][0] > 0.1
 
 
-def test_the_command_serves_lots_of_its_flags_that_stay_at_their_ends(monkeypatch):
+def test_the_command_serves_the_lots_of_its_flags(monkeypatch):
     served = []
 
     class Once(LineServer):

@@ -116,7 +116,7 @@ def test_everything_has_its_own_look():
     assert seen[60, 80] == Seen.CAR
 
 
-def test_the_body_hides_what_is_behind_it_and_the_cabin_is_looked_out_of():
+def test_the_body_hides_what_is_behind_it_but_not_the_view_out():
     at = cars([(0.0, 0.0, 0.0)])
     seen = look(RIGS["surround"], wall(3.0), at).seen[0]
     own = (seen == Seen.OWN_CAR).mean(axis=(1, 2))

@@ -224,7 +224,7 @@ def test_no_field_takes_another_type_or_a_number_beyond_its_bounds(cls):
             cls(**{name: value})
 
 
-def test_tuples_have_their_length_truth_is_no_number_and_numpys_are():
+def test_tuples_have_their_length_and_truth_is_no_number():
     for value, kind in (
         ((0.1, 0.2, 0.3), tuple[float, float]),
         ((0.1,), tuple[float, float]),

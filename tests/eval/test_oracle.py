@@ -190,7 +190,7 @@ def test_nobody_waits_alone_or_drives_through_who_stands():
     assert schedule(pose, SIZE, [stands], 0) is None  # nobody drives through it
 
 
-def test_a_car_waits_until_another_has_crossed_and_stops_for_no_less_than_it_takes():
+def test_a_car_waits_until_another_has_crossed():
     own = straight((-12.0, 0, 0), (12.0, 0, 0))
     crossing = straight((0.0, -9, np.pi / 2), (0.0, 9, np.pi / 2))
     other = Drive(crossing, np.arange(len(crossing)), SIZE)

@@ -115,7 +115,7 @@ def test_every_lot_is_well_formed_and_holds_the_bays_promised(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_car_as_wide_as_ours_gets_from_every_spawn_region_to_every_bay(name):
+def test_a_car_gets_from_every_spawn_region_to_every_bay(name):
     """A disc of the car's width can roll there: nothing stands in the way."""
     half = CAR.width / 2
     for layout in lots(name, 12):
@@ -184,7 +184,7 @@ def test_the_design_car_is_the_default_vehicle():
 
 
 @pytest.mark.parametrize("name", ["street", "street_parallel", "lot"])
-def test_traffic_keeps_to_the_right_and_parked_cars_stand_as_described(name):
+def test_traffic_keeps_right_and_parked_cars_stand_as_described(name):
     for layout in lots(name, 10):
         lane = layout.lane_pose[layout.lane_mask]
         for x, y, yaw in lane:

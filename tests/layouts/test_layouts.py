@@ -155,7 +155,7 @@ def test_describe_faults_names_each_kind_of_fault(word, broken):
 
 
 @pytest.mark.parametrize("name", ["square_compact", "square"])
-def test_padding_keeps_a_layout_well_formed_and_its_real_rows_as_they_are(name):
+def test_padding_keeps_a_layout_well_formed_and_its_rows(name):
     layout = make_layout(name)
     assert describe_faults(layout) == []
     padded = pad_layout(layout, Maxima(40, 11, 2, 4, 3))

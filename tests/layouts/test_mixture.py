@@ -167,7 +167,7 @@ def test_a_member_of_a_mixture_can_be_asked_for():
     assert member(lots).tolist() == [0, 1, 2] * 3
 
 
-def test_members_that_share_a_program_are_drawn_with_their_own_numbers():
+def test_members_of_one_program_are_drawn_with_their_own_numbers():
     names = "hope_normal_perpendicular", "square", "hope_extreme_parallel"
     members = [LAYOUTS[name] for name in names]
     draw, key = jax.jit(mixture(names).generate_member), jax.random.key(1)
@@ -311,7 +311,7 @@ def test_starts_are_before_the_bay_and_elsewhere():
     assert box_inside(batch.spawn_pose, batch.spawn_size, *bounds).all()
 
 
-def test_lots_are_drawn_for_cars_between_two_sizes_and_without_density_are_open():
+def test_lots_are_drawn_for_cars_between_two_sizes():
     config = dataclasses.replace(LAYOUTS["clutter_sizes"], density=(0.0, 0.0))
     make = jax.jit(jax.vmap(config.generate))
     batch = make(jax.random.split(jax.random.key(1), 200))

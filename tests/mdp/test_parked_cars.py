@@ -33,7 +33,7 @@ COUNT = 3000
 ROUNDING = 2e-4  # m, float32 at coordinates of some 30 m and arcs near their ends
 
 
-def test_a_car_stands_within_the_lines_as_it_wishes_if_these_allow():
+def test_a_car_stands_in_the_lines_as_it_wishes_if_these_allow():
     """Random cars in random bays; a wish is an offset from the middle."""
     rng = np.random.default_rng(0)
     bay = rng.uniform((-30, -30, -np.pi), (30, 30, np.pi), (COUNT, 3))

@@ -78,7 +78,7 @@ def test_a_lot_is_searched_and_driven_alone_as_in_a_batch():
     assert actions[2].shape == (1, 2)
 
 
-def test_no_two_agents_lots_or_plans_are_searched_with_the_same_numbers(monkeypatch):
+def test_no_two_searches_have_the_same_random_numbers(monkeypatch):
     lots, agents, drawn = 2, 12, []
     seen = [dict.fromkeys(range(agents), sight())] * lots
     monkeypatch.setattr(policy_module, "_sights", lambda _: seen)

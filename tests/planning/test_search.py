@@ -77,7 +77,7 @@ def test_a_planned_path_turns_no_tighter_than_the_car(planned):
         assert np.abs(segment.steering).max() <= CAR.max_steering
 
 
-def test_a_car_with_the_pedals_rules_follows_the_path_and_stands_in_the_bay(planned):
+def test_the_pedals_rules_follow_the_path_and_end_in_the_bay(planned):
     (_, _, solids, _), found = planned
     poses, speeds, error = drive(found.path)
     assert error < 0.05
@@ -123,7 +123,7 @@ def test_directions_stay_within_bounds_to_the_last_bit():
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi, 2.5])
-def test_the_quicker_way_round_is_driven_in_a_bay_and_in_its_opposite(yaw):
+def test_the_quicker_way_round_is_driven_in_opposite_bays(yaw):
     """Straight ahead, where nothing stands in the way."""
     pytest.importorskip("ompl")
     goal = np.array([1.0, -2.0, yaw])

@@ -154,7 +154,7 @@ def test_without_the_formats_it_is_said_what_to_install(
     assert not [*tmp_path.iterdir()]
 
 
-def test_a_command_of_an_extension_is_found_when_no_other_has_its_name(monkeypatch):
+def test_a_command_of_an_extension_is_found_if_no_other_has_its_name(monkeypatch):
     def load(packages):
         monkeypatch.setitem(COMMANDS, "count", Command("builtins:len", "counts"))
 

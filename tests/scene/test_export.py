@@ -116,7 +116,7 @@ def test_the_sliders_do_what_the_guide_says(empty):
 
 
 @pytest.mark.parametrize("suspension", [False, True])
-def test_the_full_brake_holds_the_car_on_a_slope_and_leaves_its_springs_free(
+def test_the_full_brake_holds_on_a_slope_and_leaves_springs_free(
     suspension,
 ):
     lot = make_layout("square")

@@ -218,7 +218,7 @@ class Narrow(LayoutConfig):
         )
 
 
-def test_a_car_without_room_to_start_leaves_its_place_to_a_smaller_one():
+def test_a_car_without_room_leaves_its_place_to_a_smaller_one():
     """A city car of 3.5 m can start in all lots, a van of 4.9 m in some."""
     config = EnvConfig(
         layout=Narrow(),

@@ -219,7 +219,7 @@ def test_crowded_lane_start_has_the_most_room():
         np.testing.assert_allclose(own, max(room), atol=1e-4)
 
 
-def test_a_car_that_lots_are_not_made_for_starts_where_it_touches_nothing():
+def test_a_car_that_lots_are_not_made_for_starts_without_contact():
     """The compact has room among what stands wherever it may start, the van has not."""
     config = EnvConfig(
         layout="mixture",

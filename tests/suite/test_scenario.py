@@ -241,7 +241,7 @@ def test_a_scenario_is_driven_as_written(tmp_path, monkeypatch):
     assert "distance-0_1" in first["rule"]
 
 
-def test_policies_of_other_libraries_observe_as_in_their_environment(
+def test_other_libraries_policies_observe_as_in_their_environment(
     tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)

@@ -150,6 +150,6 @@ def test_every_car_has_an_environment(name, vehicle):
 
 
 @pytest.mark.parametrize("level", ["scenario", "iso16788", "busy:x"])
-def test_levels_of_files_need_a_path_and_standard_tests_a_known_name(level):
+def test_levels_of_files_need_a_path_standard_tests_a_name(level):
     with pytest.raises(ValueError, match=r"needs a file|unknown level"):
         find_level(level)

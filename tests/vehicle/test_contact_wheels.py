@@ -38,7 +38,7 @@ from vehicle_suite.formulas import front_wheel_angles, rolling_mass, rolling_res
 
 
 @pytest.mark.parametrize("lock", [25.0, 30.0, 34.2, 36.0])
-def test_polynomials_fit_the_ackermann_condition_within_three_hundredths(lock):
+def test_polynomials_fit_the_ackermann_condition(lock):
     circle = kerb_to_kerb(
         COMPACT.wheelbase, COMPACT.track_width, COMPACT.tyre_width, math.radians(lock)
     )
@@ -99,7 +99,7 @@ class Driven:
         return self.params.wheel_radius * np.array(spin)
 
 
-def test_steering_keeps_its_rate_and_the_equalities_hold_while_it_moves():
+def test_steering_keeps_its_rate_and_the_equalities_hold():
     car = Driven()
     rows = car.run(2.5, steer=COMPACT.max_steering)
     rate = np.diff(rows[:, 2]) / car.model.opt.timestep
@@ -115,7 +115,7 @@ def test_steering_keeps_its_rate_and_the_equalities_hold_while_it_moves():
 
 @pytest.mark.parametrize("steer", [0.0, 1.0])
 @pytest.mark.parametrize("name", ["compact", "sedan"])  # front- and rear-driven
-def test_driven_wheels_settle_at_their_share_of_the_limit_less_the_loss(name, steer):
+def test_driven_wheels_settle_at_their_limit_less_the_loss(name, steer):
     params = preset(name)
     reverse = params.max_reverse_speed / params.max_speed
     for drive, reached in ((1.0, 1.0), (0.5, 0.5), (-1.0, reverse)):
@@ -158,9 +158,7 @@ def test_the_brake_is_proportional_to_its_slider(brake):
 
 @pytest.mark.parametrize("suspension", [False, True])
 @pytest.mark.parametrize("name", PRESETS)
-def test_full_brake_reaches_the_grip_of_the_tyres_and_turns_no_wheel_back(
-    name, suspension
-):
+def test_full_brake_reaches_the_grip_and_turns_no_wheel_back(name, suspension):
     params = preset(name)
     for speed in (3.0, 5.0):
         car = Driven(params, suspension=suspension)
@@ -321,7 +319,7 @@ def test_a_spring_carries_its_corner_without_the_wheel():
         assert spring == pytest.approx(force, rel=1e-9)
 
 
-def test_a_balanced_car_that_is_kicked_upwards_heaves_as_a_damped_oscillator():
+def test_a_car_kicked_upwards_heaves_as_a_damped_oscillator():
     # Sprung centre of gravity midway: heave alone, omega^2 = 4 k / m.
     knuckles = 2 * COMPACT.knuckle_mass * COMPACT.wheelbase / 2 / COMPACT.mass
     middle = COMPACT.wheelbase / 2 - knuckles

@@ -98,7 +98,7 @@ def test_a_pedal_against_the_motion_brakes_in_proportion(torques):
         assert brake == pytest.approx(expected, abs=TORQUE_TOLERANCE)
 
 
-def test_a_pedal_against_a_crawl_drives_the_new_way_while_the_brake_fades(torques):
+def test_a_pedal_against_a_crawl_drives_while_the_brake_fades(torques):
     pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -1e-6]))
     for sign in (1, -1):
         drive, brake = torques(sign * pedal, sign * speed)
@@ -134,7 +134,7 @@ def wheels_at(speed: np.ndarray) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("wheels", ["roll", "slip", "stand", "spin"])
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("params", PRESETS.values(), ids=PRESETS)
-def test_no_pedal_against_the_motion_retards_less_than_a_weaker_one(
+def test_no_pedal_against_the_motion_retards_less_than_a_weaker(
     params: VehicleParameters, way: int, wheels: str
 ):
     vehicle = make_vehicle(params)
@@ -150,7 +150,7 @@ def test_no_pedal_against_the_motion_retards_less_than_a_weaker_one(
         assert np.diff(retarding, axis=0).min() >= 0.0
 
 
-def test_beyond_the_speed_limit_the_brakes_help_whatever_the_pedal(torques):
+def test_beyond_the_speed_limit_brakes_help_whatever_the_pedal(torques):
     against = np.array([-1.0, 0.0, 1e-6, 0.04, 0.2, 1.0])
     for limit in (COMPACT.max_speed, -COMPACT.max_reverse_speed):
         drive, brake = torques(-np.sign(limit) * against, 1.2 * limit)
@@ -290,7 +290,7 @@ def closed(vehicle: Vehicle, hold: float, pedal: float, speed: float) -> float:
     return float(close_hold(vehicle, *asked, 0.01))
 
 
-def test_the_hold_closes_where_a_slow_car_is_not_driven_along_its_motion(
+def test_the_hold_closes_where_a_slow_car_is_not_driven_on(
     compact: Vehicle,
 ):
     for way in (1, -1):

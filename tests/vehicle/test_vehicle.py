@@ -145,7 +145,7 @@ def test_wheels_stand_at_the_corners_in_fleets_of_any_shape():
         assert wheel.hub[1][1, 2] == pytest.approx(corner[1], rel=1e-6)
 
 
-def test_vehicle_arrays_carry_the_mass_properties_of_the_compiled_model():
+def test_vehicle_arrays_have_the_compiled_model_s_mass_properties():
     model = car_model(LIGHT, sim_dt=0.01, gravity=(0.0, 0.0, -GRAVITY))
     vehicle = make_vehicle(LIGHT)
     for name in ("body_mass", "body_inertia", "body_ipos", "body_pos"):

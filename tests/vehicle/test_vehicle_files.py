@@ -161,9 +161,7 @@ def test_a_steering_ratio_gives_rate_and_circle():
         ({"drive": "both"}, "unknown drive 'both'; choose from"),
     ],
 )
-def test_contradictions_are_refused_with_file_value_and_what_is_allowed(
-    change, message, tmp_path
-):
+def test_contradictions_are_refused_with_file_and_value(change, message, tmp_path):
     sheet = {k: v for k, v in (SIZE | change).items() if v is not None}
     path = tmp_path / "car.json"
     path.write_text(json.dumps(sheet))

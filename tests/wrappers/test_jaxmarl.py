@@ -71,7 +71,7 @@ def test_q_learners_have_numbered_actions():
     manager.batch_step(jax.random.key(2), state, {"agent_0": actions})
 
 
-def test_q_learners_know_which_bays_they_may_choose_and_what_was_paid():
+def test_q_learners_know_which_bays_they_may_choose():
     chosen = EnvConfig(goals=GoalConfig(dynamic=True, num_tracked_bays=2))
     given = {"config": chosen, "physics": "bicycle", "agents": 2, "parked_cars": 2}
     env = JaxMarlParking(discrete=True, details=True, **given)

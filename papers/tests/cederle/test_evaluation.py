@@ -122,7 +122,7 @@ def test_joint_rewards_are_counted_once():
     assert outcome(script).returns == 3.0
 
 
-def test_a_summary_says_whether_the_mean_solves_the_scenario_and_who_gives_way():
+def test_a_summary_says_whether_the_mean_solves_it_and_who_yields():
     outcomes = Outcomes(
         returns=np.array([90.0, 110.0]),
         length=np.array([50, 60]),
@@ -160,7 +160,7 @@ def test_cars_on_the_same_way_do_not_give_way_to_each_other():
     }
 
 
-def test_who_gives_way_is_told_of_missions_whichever_agents_have_them():
+def test_who_gives_way_is_told_of_missions_not_of_agents():
     """The car from the east stands; it may be either agent."""
     env = evaluation_env(JunctionConfig(shuffle=True), 0.0)
     keys = jax.random.split(jax.random.key(0), 8)
@@ -176,7 +176,7 @@ def test_who_gives_way_is_told_of_missions_whichever_agents_have_them():
     assert (row["west_before_east"], row["east_before_west"]) == (1.0, 0.0)
 
 
-def test_policies_are_evaluated_until_all_are_done_from_varied_starts():
+def test_policies_are_evaluated_until_done_from_varied_starts():
     config = evaluation_env(JunctionConfig(max_steps=50, jitter=0.0), 1.5).config
     assert (config.end, config.respawn, config.jitter) == ("all", False, 1.5)
     assert config.max_steps == MAX_STEPS

@@ -20,7 +20,7 @@ def keep(_):
     return [0, 0]
 
 
-def test_two_cars_that_keep_their_lanes_earn_what_they_drive_and_the_goal():
+def test_two_cars_in_their_lanes_earn_their_way_and_the_goal():
     """West to east at 15 m/s: 63.3 m less at most 2 m, within 5 s."""
     env, state = PAIR, junctions.begin(PAIR)
     steps = junctions.drive(env, state, keep, 75)
@@ -48,7 +48,7 @@ def test_cars_that_slow_down_stand_until_their_time_is_up():
     assert not state.motion.speed.any()
 
 
-def test_actions_stand_for_target_speeds_and_what_is_invalid_is_sanitized():
+def test_actions_stand_for_target_speeds_and_are_sanitized():
     speeds = target_speeds(jnp.array([0, 1, 2, 3]))
     assert speeds.tolist() == [15.0, 0.0, 12.5, 12.5]
     scalars = jnp.array([-1.0, -0.51, -0.5, -0.1, 0.0, 0.49, 0.5, 7.0, jnp.nan])
@@ -56,7 +56,7 @@ def test_actions_stand_for_target_speeds_and_what_is_invalid_is_sanitized():
     assert parse(INDEX, jnp.array([[0], [3], [9], [-1]])).tolist() == [0, 3, 3, 0]
 
 
-def test_the_human_driven_car_crashes_into_those_in_its_way_or_leaves():
+def test_the_human_driven_car_crashes_into_others_or_leaves():
     """All keep their lanes: the car that comes from the west meets it."""
     steps = junctions.drive(MIXED, junctions.begin(MIXED), lambda _: [0, 0, 0], 75)
     _, last = steps[-1]
@@ -103,7 +103,7 @@ def test_the_joint_reward_goes_to_agents_that_have_finished_too():
     np.testing.assert_array_equal(after[:, 0], after[:, 1])
 
 
-def test_random_actions_earn_what_the_runs_of_the_study_begin_with():
+def test_random_actions_earn_what_the_study_begins_with():
     """58.4, and 62.9 in one run; here 512 episodes earn 59.9 on average."""
     reset, step = BATCH
     state, _ = reset(jax.random.split(jax.random.key(0), 3))
@@ -156,7 +156,7 @@ def test_missions_are_dealt_out_and_starts_vary_if_asked():
     assert again.tolist() == pytest.approx([15.0] * 3, abs=1e-3)
 
 
-def test_a_car_that_waits_for_the_human_driven_one_earns_four_times_as_much():
+def test_waiting_for_the_human_driven_car_earns_four_times_as_much():
     """From the east: 1.6 s of braking and then on, or straight into the crash."""
     begun = junctions.begin(BESIDE_HUMAN)
     waits = junctions.drive(BESIDE_HUMAN, begun, lambda k: [int(k < 16), 0], 150)
@@ -167,9 +167,7 @@ def test_a_car_that_waits_for_the_human_driven_one_earns_four_times_as_much():
 
 
 @pytest.mark.parametrize(("held", "least", "most"), [(1, 0.0, 0.0), (5, 0.02, 0.2)])
-def test_random_actions_let_the_human_driven_car_pass_if_they_are_held(
-    held, least, most
-):
+def test_held_random_actions_let_the_human_driven_car_pass(held, least, most):
     """Why IPPO and MAPPO hold theirs: step by step nobody ever waits."""
 
     def episode(key):

@@ -90,7 +90,7 @@ def exact(state, agent):
     return (grey + free * GRASS).reshape(CONFIG.pixels, CONFIG.pixels)
 
 
-def test_images_are_those_of_areas_exactly_where_edges_lie_along_the_pixels():
+def test_images_are_areas_where_edges_lie_along_the_pixels():
     state = junctions.begin(ENV)
     image = np.asarray(drawn(CONFIG, state), float)
     assert image.shape == (2, 84, 84)
@@ -111,7 +111,7 @@ def test_images_of_cars_in_a_curve_are_those_of_areas_but_for_edges():
         assert error.max() < 60.0
 
 
-def test_the_car_heads_up_left_is_left_and_who_has_left_is_not_drawn():
+def test_the_car_heads_up_and_who_has_left_is_not_drawn():
     """Seen from the west, the car from the east is ahead on the left."""
     poses = [[8.0, 1.65, np.pi], [-7.0, -1.65, 0.0], [1.65, -30.0, np.pi / 2]]
     state = junctions.with_poses(junctions.begin(ENV), poses)

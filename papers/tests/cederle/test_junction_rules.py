@@ -55,7 +55,7 @@ def test_time_is_up_for_those_who_have_not_arrived():
     assert events(step=74) == [set(), set()]
 
 
-def test_a_crash_is_that_of_both_and_a_car_that_has_left_hits_nobody():
+def test_a_crash_is_that_of_both_and_who_has_left_hits_nobody():
     state = junctions.begin(ENV)
     state = junctions.with_poses(state, [APART[0], APART[1], [-17.0, -1.65, 0.0]])
     assert overlap(state).tolist() == [False, True, True]
@@ -125,9 +125,7 @@ def test_way_is_paid_in_pieces_of_more_than_half_a_metre():
         (("timed_out",), 1.4, 1.4),
     ],
 )
-def test_events_are_added_in_the_text_and_replace_the_way_in_the_program(
-    happened, added, replaced
-):
+def test_events_are_added_in_the_text_and_replace_the_way(happened, added, replaced):
     for rule, value in (("added", added), ("replaced", replaced)):
         found = reward(
             RewardRules(rule), jnp.array([1.4, 0.7]), events_of(happened, ())

@@ -95,7 +95,7 @@ def test_the_image_is_what_mujoco_sees_from_above(poses):
     assert len(np.unique(image)) > 20
 
 
-def test_the_scene_has_its_cars_where_they_are_and_hides_those_that_have_left():
+def test_the_scene_shows_cars_in_place_and_hides_those_that_left():
     state = junctions.with_poses(junctions.begin(ENV), [*TURNED, HUMAN])
     state = state.replace(present=np.array([True, True, True, False]))
     place = stage()
@@ -173,7 +173,7 @@ def test_below_every_car_stands_what_it_intends_or_how_it_ended(
     assert seconds == pytest.approx(count / 20)
 
 
-def test_cars_are_called_by_their_missions_whichever_agents_have_them(
+def test_cars_are_named_by_missions_whichever_agents_have_them(
     drives, tmp_path, monkeypatch
 ):
     seen = []

@@ -75,7 +75,7 @@ def test_lots_are_those_of_the_kinds_with_the_settings_of_the_run():
     assert SACConfig(environment="slots").env.physics == "mjx"
 
 
-def test_kinds_of_a_phase_are_drawn_equally_often_and_old_ones_as_asked():
+def test_kinds_of_a_phase_are_drawn_equally_often():
     phases = ("slots:100", "slots_diagonal:100", "slots_diagonal,slots_parallel:100")
     config = SACConfig(phases=phases, rehearsal=0.2)
     assert config.layout_of_phase(0) == SlotsConfig()

@@ -27,7 +27,7 @@ from carpark_papers.pandita.slots_env import SLOTS_OPTIONS, SlotsEnv
 from carpark_papers.pandita.task import PANDITA
 
 
-def test_the_twelve_are_there_can_be_trained_and_have_their_budgets():
+def test_the_twelve_can_be_trained_and_have_their_budgets():
     names = [experiment.name for experiment in EXPERIMENTS]
     assert names[:12] == [str(number) for number in range(1, 13)]
     assert len({*names}) == len(names)

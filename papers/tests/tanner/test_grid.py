@@ -77,7 +77,7 @@ def test_a_coarse_drive_by_hand(at_rest, heading, turn):
 
 
 @pytest.mark.parametrize("grid", [COARSE, FINE], ids=["coarse", "fine"])
-def test_the_sharpest_turns_are_the_bounds_of_the_observed_yaw_rate(grid):
+def test_the_sharpest_turns_bound_the_observed_yaw_rate(grid):
     config = EnvConfig(physics=grid)
     names = [field.name for field in make_fields(config) for _ in range(field.size)]
     index, space = names.index("yaw_rate"), observation_space(config)
@@ -96,7 +96,7 @@ def test_a_fine_move_by_hand():
 
 
 @pytest.mark.parametrize("grid", [COARSE, FINE], ids=["coarse", "fine"])
-def test_levels_and_turns_keep_their_limits_and_nobody_turns_standing(grid):
+def test_levels_and_turns_keep_limits_and_nobody_turns_standing(grid):
     controls, path, _ = random_drive(grid)
     level, heading = np.asarray(path.level), np.asarray(path.heading)
     assert level.min() == -grid.max_reverse
@@ -126,7 +126,7 @@ def test_every_move_is_the_exact_one_to_the_nearest_point(grid):
     assert np.abs(moves - exact).max() <= 0.5 + 1e-6
 
 
-def test_moves_to_opposite_sides_are_equally_long_where_halves_are_rounded():
+def test_moves_to_opposite_sides_are_equally_long():
     # One point along 30 deg is (0.5, 0.87): a half.
     grid = GridConfig(points=1, speed_step=1, headings=12, max_turn=1)
     moves = np.asarray(GridPhysics(grid, SimConfig())._moves)
@@ -179,7 +179,7 @@ def test_reading_is_in_metres_and_counter_clockwise_radians():
     assert vehicle.finite.all()
 
 
-def test_cars_start_on_the_nearest_point_and_heading_and_only_where_masked():
+def test_cars_start_on_the_nearest_point_and_where_masked():
     key = jax.random.key(1)
     pose = jax.random.uniform(key, (50, 3), minval=-3.0, maxval=3.0)
     physics, state = start(FINE, pose)

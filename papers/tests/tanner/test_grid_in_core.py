@@ -171,7 +171,7 @@ def test_all_starts_of_the_study_s_tasks_keep_their_distance(config):
     assert gaps(xy)[alone][done[alone]].min() > least
 
 
-def test_a_lot_of_agents_that_choose_begins_with_starts_of_all_kinds_if_asked():
+def test_agents_that_choose_begin_with_starts_of_all_kinds():
     three = GoalConfig(dynamic=True, num_tracked_bays=3)
 
     def goals(**spawn):

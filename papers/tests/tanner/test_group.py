@@ -202,9 +202,7 @@ def test_a_run_of_a_group_goes_on_alone_as_in_the_group(stopped, tmp_path):
         assert_same(host(load_or_init(Learner(configs[1]), [folder])), whole)
 
 
-def test_a_group_killed_between_two_checkpoints_goes_on_from_their_last_common_one(
-    stopped, tmp_path
-):
+def test_a_killed_group_goes_on_from_its_last_common_checkpoint(stopped, tmp_path):
     configs, folders = stopped
     folders = copied(folders, tmp_path)
     newest = runs.checkpoint_files(folders[1])[-1]

@@ -128,7 +128,7 @@ def test_only_whole_numbers_have_cardinalities():
         cardinalities(config_of(TannerObservation()))
 
 
-def test_random_starts_are_uniform_over_the_points_of_the_spawn_area():
+def test_random_starts_are_uniform_over_the_spawn_area():
     layout = make_layout("square")
     alone = Surroundings(
         pose_w=jnp.zeros((1, 3)),

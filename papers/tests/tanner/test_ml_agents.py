@@ -183,7 +183,7 @@ def test_before_the_update_ratios_are_one():
     assert float(parts["policy_loss"]) == pytest.approx(0.0, abs=1e-5)
 
 
-def test_initial_weights_have_the_spread_of_their_layers_and_no_bias():
+def test_initial_weights_have_the_spread_of_their_layers():
     params = fresh(3)
     actor, critic = params.policy["params"], params.value["params"]
     for layers, name, spread in (
@@ -201,7 +201,7 @@ def test_initial_weights_have_the_spread_of_their_layers_and_no_bias():
     assert np.abs(critic["hidden_1"]["kernel"]).max() <= edge  # uniform
 
 
-def test_an_epoch_learns_once_from_every_step_in_minibatches_from_anywhere(monkeypatch):
+def test_an_epoch_learns_once_from_every_step(monkeypatch):
     length, agents, parts = 12, 6, 6
     config = dataclasses.replace(
         PRESETS["tanner-fixed-original"], num_epochs=3, num_minibatches=parts

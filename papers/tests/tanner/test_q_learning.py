@@ -84,14 +84,14 @@ def drive_recorded(digits, env):
 
 
 @pytest.mark.parametrize("digits", RECORDED.values(), ids=RECORDED)
-def test_the_study_s_tables_park_always_in_the_dynamics_they_were_recorded_in(digits):
+def test_the_study_s_tables_always_park_in_their_own_dynamics(digits):
     summary = drive_recorded(digits, TANNER_QLEARNING_RECORDED)
     assert summary["parked"]["rate"] == 1.0
     # Published: 10.20 to 10.22 over the last 500 episodes, of many starts.
     assert summary["episode_return"] == pytest.approx(10.21, abs=0.03)
 
 
-def test_the_study_s_tables_mostly_fail_where_cars_do_not_turn_at_rest():
+def test_the_study_s_tables_mostly_fail_without_turns_at_rest():
     rate = drive_recorded(RECORDED["0.001"], TANNER_QLEARNING)["parked"]["rate"]
     assert 0.3 < rate < 0.5
 

@@ -44,7 +44,7 @@ def test_an_episode_of_tanners_sums_to_his_numbers_wherever_it_goes():
         assert got["time"].sum() == pytest.approx(-0.2, abs=1e-6)
 
 
-def test_an_episode_of_tanners_in_reverse_or_all_steering_costs_its_sum():
+def test_tanners_episode_in_reverse_or_steering_costs_its_sum():
     got = driven(np.linspace(30.0, 10.0, MAX_STEPS + 1), speed=-1.0)
     assert got["reverse"].sum() == pytest.approx(-0.1, abs=1e-6)  # float32
     for still in (0.0, -1e-6):  # on tyres a car that its brakes hold is never at 0

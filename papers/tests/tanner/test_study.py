@@ -140,7 +140,7 @@ def test_a_verdict_needs_three_runs_of_each(ours, theirs, said):
     assert verdict(ours, theirs) == said
 
 
-def test_a_budget_goes_to_the_fewest_programs_first_and_the_rest_is_named():
+def test_a_budget_goes_to_few_programs_first_and_names_the_rest():
     programs, minutes = (3, 2, 3, 1), (10, 30, 5, 2)
     costs = [
         Cost(experiment, 3, 3, n, m)

@@ -167,7 +167,7 @@ def test_the_options_add_and_drop_what_they_say():
     np.testing.assert_allclose(three[:, -2], [0.0, 0.75], atol=1e-6)
 
 
-def test_speeds_and_headings_of_physical_cars_are_not_rounded_but_bearings_are():
+def test_speeds_and_headings_are_not_rounded_but_bearings_are():
     # 10 deg left of up at 1 m/s, the goal 28.6 deg to the right of the car.
     one = cars([pose(0, 0, -10)], speed=1.0)
     layout = lot([pose(10 * math.sin(0.325), 10 * math.cos(0.325), 0)])
@@ -316,7 +316,7 @@ def test_rings_remember_the_counts_of_the_episode_only():
     np.testing.assert_array_equal(named["ring_12m_ago_2"], one_ago[:, :-1])
 
 
-def test_what_the_grid_shows_is_on_its_raster_and_within_the_declared_ranges():
+def test_what_the_grid_shows_is_on_its_raster_and_in_range():
     config, _, (seen, _, _) = jax.device_get(rollout())
     named = fields_of(seen, config)
     for field in make_fields(config):
