@@ -161,8 +161,8 @@ class State:
             exploring, or if the lot has no such agent. Fixed goals are distinct.
         tracked_bays: (num_agents, num_tracked_bays) int32 free bays each agent tracks,
             `NO_BAY` in empty slots; None while goals are fixed.
-        memory: past observed by agents, arrays (num_agents, ...), see
-            `ObservationConfig.init_memory`; None if they do not observe the past.
+        memory: past observed by agents, a pytree of arrays (num_agents, ...), see
+            `ObservationConfig.init_memory`; without any if they do not observe it.
         step: (num_agents,) int32 control steps made in the running episodes.
         active: (num_agents,) bool; False for absent agents and, without respawn, for
             agents that have finished.

@@ -146,6 +146,20 @@ def test_people_walk_everywhere_but_never_through_walls(drive):
         assert 0.8 < np.median(speed[people.phase == 2]) < 1.9
 
 
+def test_nobody_stands_in_anybody_or_in_a_parked_car(drive):
+    bays = MANY.bay_pose[:, None, :, None], jnp.array([4.0, 1.8]) - 1e-3
+    taken = (MANY.bay_mask & THIRD)[:, None, :, None]
+    for people, _, _ in drive:
+        all_of = people.xy, people.radius, people.present
+        xy, radius, there = (x[:, ::3] for x in all_of)
+        gap = norm(xy[:, :, :, None] - xy[:, :, None])
+        gap = np.asarray(gap - radius[..., None] - radius[:, :, None])
+        pairs = there[..., None] & there[:, :, None] & ~np.eye(15, dtype=bool)
+        assert gap[pairs].min() > -1e-4
+        over = box_disc_overlap(*bays, xy[:, :, None], radius[:, :, None])
+        assert not (over & taken & there[:, :, None]).any()
+
+
 def test_nobody_stays_for_long_by_a_car_that_waits(drive):
     people, first = drive[STANDS][0], MANY.spawn_pose[:, 0]
     walks = (people.phase != 0) & people.present  # round the car

@@ -57,6 +57,7 @@ class PlainInput:
 _POSE, _SIZE = "m, m, rad", "their lengths and widths"
 _PARKED = "centre, and heading of a car parked tail in"
 _END = "the end that goes in first: 0 either, 1 nose, 2 tail"
+_AGO = "as of a step ago"
 INPUTS = (
     PlainInput("pose", (3,), _POSE, "own footprint: centre and heading"),
     PlainInput("speed", (), "m/s", "own, of the rear axle, forwards > 0"),
@@ -77,8 +78,8 @@ INPUTS = (
     PlainInput("front_drive", (), "", "share of the own drive at the front axle"),
     PlainInput("gear", (), "", "direction of the own last motion: 1, -1 or 0 = none"),
     PlainInput("time", (), "control steps", "since the own episode began"),
-    PlainInput("rest", (), "control steps", "since the own car last moved"),
-    PlainInput("changes", (), "", "how often the own direction has changed"),
+    PlainInput("rest", (), "control steps", f"since the own car last moved, {_AGO}"),
+    PlainInput("changes", (), "", f"how often the own direction has changed, {_AGO}"),
     PlainInput("turns", (TURNS, 3), _POSE, "where it did last, the newest first"),
     PlainInput("goal_pose", (3,), _POSE, f"bay to park in: {_PARKED}"),
     PlainInput("goal_size", (2,), "m", "its length and width"),
