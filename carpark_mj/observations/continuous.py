@@ -49,7 +49,7 @@ class ContinuousObservation(ObservationConfig):
         own_gear: observe the direction of the own last motion. A car at rest between
             two moves then knows which it has begun.
         own_past: observe the time, how often and where the car has changed its
-            direction, and for how long it rests. Agents then vary what failed.
+            direction, and for how long it rests. A policy can then vary what failed.
         lines: observe the room between the own outline and the goal bay's lines.
         rings: circles that count objects.
         rays: bearings along which the free distance is observed.

@@ -13,6 +13,7 @@ import numpy as np
 import onnxruntime
 
 MAX_SPEED = 3.0  # m/s, forwards; the guide at the top of the scene has it
+MOTION = {"pose", "speed", "yaw_rate", "steering"}  # filled in every step
 FULL, HOLD = 0.3, 0.2  # brake of a full pedal, and of a car that is to stand
 
 
@@ -31,7 +32,10 @@ def park(scene_file: str, model_file: str, seconds: float = 60.0) -> dict[str, f
         yaw = np.arctan2(data.geom_xmat[of, 3], data.geom_xmat[of, 0])
         return np.c_[data.geom_xpos[of, :2], yaw], 2 * model.geom_size[of, :2]
 
+    filled = set()
+
     def fill(**known):  # other inputs are 0, so that masks leave padding out
+        filled.update(known)
         for name in known.keys() & inputs.keys():
             value = np.asarray(known[name])
             inputs[name][tuple(map(slice, value.shape))] = value
@@ -54,6 +58,12 @@ def park(scene_file: str, model_file: str, seconds: float = 60.0) -> dict[str, f
         pose, size = boxes(kind, end)
         there = {"pose": pose, "size": size, "mask": np.full(len(pose), True)}
         fill(**{f"{kind}_{name}": value for name, value in there.items()})
+    padded = {name.removesuffix("_mask") for name in inputs if name.endswith("_mask")}
+    own_inputs = {name for name in inputs if name.split("_")[0] not in padded}
+    if unknown := sorted(own_inputs - filled - MOTION):
+        sys.exit(
+            f"{model_file} also reads {', '.join(unknown)}, which are unknown here"
+        )
     steer, drive, brake = (
         data.actuator(f"agent0/{name}") for name in ("steer", "drive", "brake")
     )
