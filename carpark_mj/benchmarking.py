@@ -129,14 +129,9 @@ def table(rounds: Mapping[Job, Sequence[Result]]) -> str:
     about = next(iter(rounds.values()))[0]
     rows: list[dict[str, Any]] = []
     for results in rounds.values():
-        rate, compile_s, memory = (
-            best(result[name] for result in results)
-            for name, best in (
-                ("rate", max),
-                ("compile_s", min),
-                ("peak_memory_mb", max),
-            )
-        )
+        rate = max(result["rate"] for result in results)
+        compile_s = min(result["compile_s"] for result in results)
+        memory = max(result["peak_memory_mb"] for result in results)
         row = {name: results[0][name] for name in ("what", "layout", "agents")}
         row |= {"lots": f"{results[0]['lots']:,}", "rate": f"{rate:,.0f}"}
         row |= {"unit": results[0]["unit"], "compile [s]": f"{compile_s:,.1f}"}
@@ -272,8 +267,7 @@ def ppo_subject(job: Job) -> Subject:
     """Whole updates of PPO: simulation, observation, learning."""
     # Before any array is made: on CPUs it divides the lots over the cores.
     configure_jax()
-    from carpark_mj.training.ppo.group import GroupLearner
-    from carpark_mj.training.ppo.learner import Learner
+    from carpark_mj.training.ppo.group import make_learner
     from carpark_mj.training.ppo.parts import PRESETS
 
     name = job.variant
@@ -281,13 +275,11 @@ def ppo_subject(job: Job) -> Subject:
         name = "gpu" if jax.default_backend() == "gpu" else "cpu"
     config = dataclasses.replace(PRESETS[name], num_lots=job.lots)
     what = f"ppo {name}"
-    if job.runs == 1:
-        learner = Learner(config)
-        program = learner.compile()
-    else:
-        configs = [dataclasses.replace(config, seed=k) for k in range(job.runs)]
-        learner = GroupLearner(configs)
-        program = jax.jit(learner.compile(), donate_argnums=0)
+    seeds = range(job.runs)
+    learner = make_learner([dataclasses.replace(config, seed=k) for k in seeds])
+    program = learner.compile()
+    if job.runs > 1:
+        program = jax.jit(program, donate_argnums=0)
         what += f", {job.runs} runs"
     layout, carry = config.env.layout, learner.init()
     present = carry.env.info.get("present")  # None: all always are

@@ -37,7 +37,7 @@ from carpark_mj.observations import (
     unpack,
 )
 from carpark_mj.obstacles import step_movers
-from carpark_mj.physics.base import Physics, where_cars
+from carpark_mj.physics.base import Physics, freeze
 from carpark_mj.precision import float32_only, is_real, require_float32
 from carpark_mj.spawning.checks import check_cars, check_exits, check_numbers
 from carpark_mj.spawning.fleet import Fleet, check_randomization
@@ -47,7 +47,7 @@ from carpark_mj.spawning.reset_options import (
     read_reset_options,
 )
 from carpark_mj.spawning.spawner import Spawner, StepKeys
-from carpark_mj.types import Motion, PhysicsState, State, TimeStep, Transition
+from carpark_mj.types import State, TimeStep, Transition
 from carpark_mj.vehicle import VehicleParameters, drive, preset
 
 choose_xla_flags()
@@ -359,7 +359,7 @@ class ParkingEnv:
             motion = self.physics.read(physics)
         all_drive = config.episode.respawn and state.present is None
         if not (all_drive or config.physics_config.contacts):
-            physics, motion = _freeze(state, physics, motion)
+            physics, motion = freeze(state, physics, motion)
         pose_w = self.physics.parked_poses(physics, state.parked_cars.pose_w)
         return dataclasses.replace(
             state,
@@ -395,19 +395,3 @@ def _require_index(name: str, value: Any, least: int, most: int) -> None:
         raise ValueError(f"{name} must be a whole number, not {value!r}")
     if not isinstance(value, Tracer | None) and not least <= int(value) <= most:
         raise ValueError(f"{name} must lie in [{least}, {most}], not {value}")
-
-
-def _freeze(
-    state: State, physics: PhysicsState, motion: Motion
-) -> tuple[PhysicsState, Motion]:
-    """Keeps agents that are not active exactly where they stand, at rest."""
-    physics = where_cars(state.active, physics, state.physics)
-    rest = dataclasses.replace(
-        state.motion,
-        velocity_b=jnp.zeros_like(state.motion.velocity_b),
-        yaw_rate=jnp.zeros_like(state.motion.yaw_rate),
-    )
-    motion = where_cars(state.active, motion, rest)
-    still = jnp.broadcast_to(motion.pose_w[:, None], motion.trace_w.shape)
-    trace_w = where_cars(state.active, motion.trace_w, still)
-    return physics, dataclasses.replace(motion, trace_w=trace_w)

@@ -33,24 +33,17 @@ def require_float32() -> None:
         )
 
 
+# A decorator: traces a function with matrix products in full float32.
+full_float32 = jax.default_matmul_precision("highest")
+
+
 def float32_only(function: Callable[P, R]) -> Callable[P, R]:
     """As `full_float32`; refuses to run where JAX has been switched to float64."""
-    full = full_float32(function)
 
+    @full_float32
     @functools.wraps(function)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
         require_float32()
-        return full(*args, **kwargs)
-
-    return wrapped
-
-
-def full_float32(function: Callable[P, R]) -> Callable[P, R]:
-    """Traces the function with matrix products in full float32."""
-
-    @functools.wraps(function)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
-        with jax.default_matmul_precision("highest"):
-            return function(*args, **kwargs)
+        return function(*args, **kwargs)
 
     return wrapped

@@ -166,13 +166,12 @@ def _least_gap(
         (back_x + left_x, back_y - left_y),
         (front_x + left_x, front_y - left_y),
     )
-
-    def gap(corner: _Two) -> jax.Array:
-        x = jnp.maximum(jnp.abs(corner[0]) - own_half[0], 0.0)
-        y = jnp.maximum(jnp.abs(corner[1]) - own_half[1], 0.0)
-        return x * x + y * y
-
-    return functools.reduce(jnp.minimum, map(gap, corners))
+    gaps: list[jax.Array] = []
+    for x, y in corners:
+        ahead = jnp.maximum(jnp.abs(x) - own_half[0], 0.0)
+        aside = jnp.maximum(jnp.abs(y) - own_half[1], 0.0)
+        gaps.append(ahead * ahead + aside * aside)
+    return functools.reduce(jnp.minimum, gaps)
 
 
 def box_disc_distance(
@@ -266,9 +265,8 @@ def ray_box_distance(
 
     starts = optimization_barrier(along(offset))
     speeds = along(direction)
-    (enter_x, leave_x), (enter_y, leave_y) = (
-        slab(starts[i], speeds[i], size[..., i]) for i in range(2)
-    )
+    enter_x, leave_x = slab(starts[0], speeds[0], size[..., 0])
+    enter_y, leave_y = slab(starts[1], speeds[1], size[..., 1])
     enter, leave = jnp.maximum(enter_x, enter_y), jnp.minimum(leave_x, leave_y)
     hit = (enter <= leave) & (leave >= 0.0)
     return jnp.where(hit, jnp.maximum(enter, 0.0), jnp.inf)

@@ -136,8 +136,9 @@ class Group:
     def ray_distance(self, origin: jax.Array, direction: jax.Array) -> jax.Array:
         """Distances (..., rays) [m] along rays (..., rays, 2) to each of them."""
         axis = self.pose_w.ndim - 1
-        there = (jnp.expand_dims(x, axis) for x in (self.pose_w, self.size))
-        return self._ray_distance(origin, direction, *there)
+        pose = jnp.expand_dims(self.pose_w, axis)
+        size = jnp.expand_dims(self.size, axis)
+        return self._ray_distance(origin, direction, pose, size)
 
 
 @struct.dataclass
@@ -221,8 +222,9 @@ def merge(groups: Sequence[Group], num_agents: int) -> Merged:
 
 def by_shape(groups: Sequence[Group]) -> list[Sequence[Group]]:
     """The groups of boxes, then those of discs; no empty list."""
-    lists = ([g for g in groups if isinstance(g, shape)] for shape in (Boxes, Discs))
-    return [same for same in lists if same]
+    boxes = [group for group in groups if isinstance(group, Boxes)]
+    discs = [group for group in groups if isinstance(group, Discs)]
+    return [same for same in (boxes, discs) if same]
 
 
 @struct.dataclass

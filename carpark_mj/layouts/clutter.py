@@ -122,7 +122,9 @@ def _draw_lot(numbers: dict[str, Any], key: jax.Array) -> Layout:
     meets = boxes_overlap(pose[:, None], wall_size[:, None], *boxes)
     wall = wall & ~meets[:, :FREE].any(axis=1)
     taken = (meets & wall[:, None]).any(axis=0)
-    centre, radius, disc = _draw_discs(slot, discs)
+    centre = build.stacked(*_anywhere(slot, discs))
+    radius = build.draw(discs[3], RADIUS)
+    disc = (discs[2] < slot.density) & (slot.density >= OPEN)
     meets = box_disc_overlap(*boxes, centre[:, None], radius[:, None])
     disc = disc & ~meets[:, :FREE].any(axis=1)
     taken = taken | (meets & disc[:, None]).any(axis=0)
@@ -356,15 +358,6 @@ def _anywhere(slot: _Slot, chance: jax.Array) -> tuple[jax.Array, jax.Array]:
     length = slot.car[0]
     x = 2.2 * length * (2.0 * chance[0] - 1.0)
     return x, -1.2 * length + (1.8 * length + slot.aisle) * chance[1]
-
-
-def _draw_discs(
-    slot: _Slot, chance: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Draws discs by numbers (4, n): centres (n, 2), radii (n,) and mask (n,)."""
-    x, y = _anywhere(slot, chance[:2])
-    mask = (chance[2] < slot.density) & (slot.density >= OPEN)
-    return build.stacked(x, y), build.draw(chance[3], RADIUS), mask
 
 
 # How many walls each function draws.

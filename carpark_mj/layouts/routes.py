@@ -57,7 +57,13 @@ def make_routes(layout: Layout) -> Routes:
     # From the far lane of an aisle a car turns across the near one.
     across = _any_of(parallel, joined) | _any_of(joined, parallel)
     turns = across & (jnp.abs(sine) >= PARALLEL)
-    crossing = _crossings(pose, sine, turns)
+    ahead = jnp.stack([jnp.cos(pose[:, 2]), jnp.sin(pose[:, 2])], axis=-1)
+    delta = pose[:, None, :2] - pose[:, :2]  # from the second lane to the first
+    # Where centre lines cross, along the first: (delta x second) / sin(first - second).
+    cross = delta[..., 0] * ahead[:, 1] - delta[..., 1] * ahead[:, 0]
+    along = jnp.where(turns, cross / jnp.where(turns, sine, 1.0), 0.0)
+    crossing = pose[:, None, :2] + along[..., None] * ahead[:, None]
+    crossing = jnp.where(turns[..., None], crossing, 0.0)
 
     ahead = jnp.stack([jnp.cos(bays[:, 2]), jnp.sin(bays[:, 2])], axis=-1)
     mouth = bays[:, :2] + 0.5 * layout.bay_size[:, :1] * ahead
@@ -122,14 +128,3 @@ def _own_lanes(routes: Routes, layout: Layout, xy: jax.Array) -> jax.Array:
 def _any_of(left: jax.Array, right: jax.Array) -> jax.Array:
     """Product of two Boolean matrices (n, k), (k, m)."""
     return (left[:, :, None] & right).any(axis=1)
-
-
-def _crossings(pose: jax.Array, sine: jax.Array, valid: jax.Array) -> jax.Array:
-    """Points (lanes, lanes, 2) where centre lines cross; zeros unless valid."""
-    ahead = jnp.stack([jnp.cos(pose[:, 2]), jnp.sin(pose[:, 2])], axis=-1)
-    delta = pose[:, None, :2] - pose[:, :2]  # from the second lane to the first
-    # Along the first lane: (delta x second) / sin(first - second).
-    cross = delta[..., 0] * ahead[:, 1] - delta[..., 1] * ahead[:, 0]
-    along = jnp.where(valid, cross / jnp.where(valid, sine, 1.0), 0.0)
-    points = pose[:, None, :2] + along[..., None] * ahead[:, None]
-    return jnp.where(valid[..., None], points, 0.0)

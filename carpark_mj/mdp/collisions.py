@@ -65,8 +65,6 @@ STOP_INSET = 0.3  # m, from the lines on either side of its bay
 TYRE_WIDTH = 0.2  # m [est]
 PARALLEL = 2.4  # length over width of a bay from which it is parallel to its lane
 
-_Hits = dict[ObstacleKind, jax.Array]
-
 
 def find_hits(
     state: State, hitbox_scale: jax.Array | float = 1.0
@@ -78,32 +76,27 @@ def find_hits(
     effect.
     """
     motion, parked_cars, movers = state.motion, state.parked_cars, state.movers
+    hits: dict[ObstacleKind, jax.Array] = {}
     if motion.touched is not None:
         always = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR, ObstacleKind.WALL)
         kinds = {*always, *(group.kind for group in movers.groups)}
         columns = jnp.moveaxis(motion.touched, -1, 0)
         hits = {k: columns[k] for k in sorted(kinds) if k < columns.shape[0]}
-        hits = _add_hits(hits, motion, movers.groups)
+        obstacles = movers.groups
     else:
         motion = dataclasses.replace(motion, size=motion.size * hitbox_scale)
         size = parked_cars.size * hitbox_scale
         parked_cars = dataclasses.replace(parked_cars, size=size)
         obstacles = lot_obstacles(state.layout, motion, parked_cars, movers)
-        hits = _add_hits({}, motion, obstacles)
-    return {kind.label: hit for kind, hit in hits.items()}
-
-
-def _add_hits(hits: _Hits, motion: Motion, groups: Sequence[Group]) -> _Hits:
-    """Hits and those of more obstacles, by kind."""
-    num_agents, hits = motion.size.shape[0], dict(hits)
-    for same in by_shape(groups):
+    num_agents = motion.size.shape[0]
+    for same in by_shape(obstacles):
         if is_crowded(num_agents, sum(group.count for group in same)):
             found = _near_hits(motion, merge(same, num_agents))
         else:
             found = _all_hits(motion, same)
         for kind, hit in found:
             hits[kind] = hits[kind] | hit if kind in hits else hit
-    return hits
+    return {kind.label: hit for kind, hit in hits.items()}
 
 
 def _all_hits(
@@ -126,7 +119,7 @@ def _all_hits(
 
 
 def _near_hits(motion: Motion, them: Merged) -> list[tuple[ObstacleKind, jax.Array]]:
-    """Like `_group_hits`, for the near ones of many obstacles of a shape, by kind."""
+    """Like `_all_hits`, for the near ones of many obstacles of a shape, by kind."""
     trace, traced = motion.trace_w, them.group.traced
     bound = them.group.gaps(trace[:, -1, :2]) - them.excursion
     bound = jnp.where(them.counts, bound, jnp.inf)

@@ -138,7 +138,19 @@ class MetricsConfig(CheckedConfig):
 
 def init_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
     """Statistics of all agents of a lot at the start of their episodes."""
-    zero = jnp.zeros(config.num_agents, jnp.float32)
+    first = {f"return_{name}": 0.0 for name in term_weights(config)}
+    if config.goals.dynamic:
+        first |= dict.fromkeys(COUNTS, 0.0)
+    if config.metrics.driving:
+        first |= dict.fromkeys(SUMS, 0.0)
+    if config.metrics.safety:
+        first |= first_safety(hit_kinds(config.movers))
+    for metric in _registered(config):
+        if metric.tally in first:
+            raise ValueError(f"there is a metric {metric.tally!r} already")
+        first[metric.tally] = metric.first
+    count = config.num_agents
+    zero = jnp.zeros(count, jnp.float32)
     return EpisodeStats(
         episode_return=zero,
         length=zero,
@@ -147,7 +159,7 @@ def init_stats(config: EnvConfig, layout: Layout) -> EpisodeStats:
         direction=zero,
         invalid_actions=zero,
         wrong_way=zero if layout.has_lanes else None,
-        tallies=first_tallies(config),
+        tallies={k: jnp.full(count, x, jnp.float32) for k, x in first.items()},
     )
 
 
@@ -173,6 +185,18 @@ def update_stats(
     for metric in _registered(config):
         assert metric.value is not None
         step[metric.tally] = metric.value(config, transition)
+    if only := old.tallies.keys() ^ step.keys():
+        raise ValueError(f"{sorted(only)} are not both tallies and numbers of the step")
+    tallies: dict[str, jax.Array] = {}
+    for name, tally in old.tallies.items():
+        number = step[name].astype(jnp.float32)
+        if name.startswith("min_"):
+            number = jnp.minimum(tally, number)
+        elif name.startswith("peak_"):
+            number = jnp.maximum(tally, number)
+        elif not name.startswith("last_"):
+            number = tally + number
+        tallies[name] = number
     direction = direction_of_travel(motion)
     new = EpisodeStats(
         episode_return=old.episode_return + jnp.sum(jnp.stack([*terms.values()]), 0),
@@ -182,7 +206,7 @@ def update_stats(
         direction=jnp.where(direction != 0, direction, old.direction),
         invalid_actions=old.invalid_actions + transition.invalid_action,
         wrong_way=wrong_way,
-        tallies=fold_tallies(old.tallies, step),
+        tallies=tallies,
     )
     return jax.tree.map(lambda x, y: jnp.where(before.active, x, y), new, old)
 
@@ -215,41 +239,6 @@ def _registered(config: EnvConfig) -> list[Metric]:
     """Metrics of `MetricsConfig.extra` whose obstacles the lots may have."""
     found = [METRICS[name] for name in config.metrics.extra]
     return [x for x in found if x.kind in {None, *hit_kinds(config.movers)}]
-
-
-def first_tallies(config: EnvConfig) -> dict[str, jax.Array]:
-    """Tallies (num_agents,) float32 at the start of an episode."""
-    first = {f"return_{name}": 0.0 for name in term_weights(config)}
-    if config.goals.dynamic:
-        first |= dict.fromkeys(COUNTS, 0.0)
-    if config.metrics.driving:
-        first |= dict.fromkeys(SUMS, 0.0)
-    if config.metrics.safety:
-        first |= first_safety(hit_kinds(config.movers))
-    for metric in _registered(config):
-        if metric.tally in first:
-            raise ValueError(f"there is a metric {metric.tally!r} already")
-        first[metric.tally] = metric.first
-    return {k: jnp.full(config.num_agents, x, jnp.float32) for k, x in first.items()}
-
-
-def fold_tallies(
-    tallies: dict[str, jax.Array], step: dict[str, jax.Array]
-) -> dict[str, jax.Array]:
-    """Tallies (num_agents,) with a step's numbers of equal names folded in."""
-    if only := tallies.keys() ^ step.keys():
-        raise ValueError(f"{sorted(only)} are not both tallies and numbers of the step")
-    folded: dict[str, jax.Array] = {}
-    for name, old in tallies.items():
-        new = step[name].astype(jnp.float32)
-        if name.startswith("min_"):
-            new = jnp.minimum(old, new)
-        elif name.startswith("peak_"):
-            new = jnp.maximum(old, new)
-        elif not name.startswith("last_"):
-            new = old + new
-        folded[name] = new
-    return folded
 
 
 SUMS = (

@@ -56,14 +56,12 @@ def bay_fits(
 
 def free_bays(layout: Layout, taken: jax.Array) -> jax.Array:
     """(bays,) bool, the bays of a lot less those in `taken` (k,) int32."""
-    # No scatter: XLA on a CPU aborts where it fuses this one for a single agent.
-    number = jnp.arange(layout.num_bays)
-    return layout.bay_mask & (taken[:, None] != number).all(axis=0)
+    return layout.bay_mask & ~marked(layout, taken)
 
 
 def marked(layout: Layout, bay: jax.Array) -> jax.Array:
     """(bays,) bool, true at the indices `bay` (k,) int32; `NO_BAY` marks nothing."""
-    # No scatter, as in `free_bays`.
+    # No scatter: XLA on a CPU aborts where it fuses this one for a single agent.
     return (bay[:, None] == jnp.arange(layout.num_bays)).any(axis=0)
 
 

@@ -49,14 +49,10 @@ def _speed(state: State) -> jax.Array:
     return jnp.abs(state.motion.speed)
 
 
-def _hit(transition: Transition) -> jax.Array:
-    hit = transition.events.hit_person
-    return jnp.zeros(transition.goal.shape) if hit is None else hit.astype(jnp.float32)
-
-
 def person(_: EnvConfig, transition: Transition) -> jax.Array:
     """Penalty for a contact with a person, in addition to that of the crash."""
-    return _hit(transition)
+    hit = transition.events.hit_person
+    return jnp.zeros(transition.goal.shape) if hit is None else hit.astype(jnp.float32)
 
 
 def comfort(_: EnvConfig, transition: Transition) -> jax.Array:
@@ -93,10 +89,10 @@ def speed_at_least_gap(config: EnvConfig, transition: Transition) -> jax.Array:
     return jnp.where(gap < tallies["min_person_gap"], change, 0.0)
 
 
-def contact_speed(_: EnvConfig, transition: Transition) -> jax.Array:
+def contact_speed(config: EnvConfig, transition: Transition) -> jax.Array:
     """Own speed at a contact with a person, before the step in which it happened."""
     speed = jnp.maximum(_speed(transition.before), _speed(transition.after))
-    return _hit(transition) * speed
+    return person(config, transition) * speed
 
 
 def hard_braking(config: EnvConfig, transition: Transition) -> jax.Array:

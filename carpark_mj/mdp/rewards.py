@@ -267,17 +267,17 @@ def reward_terms(config: EnvConfig, transition: Transition) -> dict[str, jax.Arr
     are known to be 0 are not computed.
     """
     pays = transition.before.active & ~transition.events.diverged
-
-    def paid(name: str, weight: float) -> jax.Array:
+    paid: dict[str, jax.Array] = {}
+    for name, weight in term_weights(config).items():
         if is_off(weight):
-            return jnp.zeros(pays.shape, jnp.float32)
+            paid[name] = jnp.zeros(pays.shape, jnp.float32)
+            continue
         term = TERMS.get(name) or GOAL_TERMS.get(name) or REWARD_TERMS[name]
         share = 1.0 / config.episode.max_steps if term.per_step else 1.0
         value = term.value(config, transition, **config.reward.parameters(name))
         reward = term.sign * weight * share * value
-        return jnp.where(pays, reward, 0.0).astype(jnp.float32)
-
-    return {name: paid(name, weight) for name, weight in term_weights(config).items()}
+        paid[name] = jnp.where(pays, reward, 0.0).astype(jnp.float32)
+    return paid
 
 
 def _potential(

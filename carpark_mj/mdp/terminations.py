@@ -203,13 +203,13 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
         hits = find_hits_and_kerbs(config, state)
     else:
         hits = find_hits(state, config.hitbox_scale)
-    ends = [ENDS[name] for name in config.ends]
-
-    def ended(outcome: str, otherwise: jax.Array) -> jax.Array:
-        tests = [end.test(state) for end in ends if end.outcome == outcome]
-        return functools.reduce(jnp.logical_or, tests, otherwise)
-
-    hit = ended("crashed", functools.reduce(jnp.logical_or, hits.values()))
+    hit = functools.reduce(jnp.logical_or, hits.values())
+    late = state.step >= config.max_steps
+    for end in (ENDS[name] for name in config.ends):
+        if end.outcome == "crashed":
+            hit = hit | end.test(state)
+        else:
+            late = late | end.test(state)
     diverged = state.active & ~motion.finite
     alive = state.active & motion.finite
     bays = layout.bay_pose[goal], layout.bay_size[goal]
@@ -220,7 +220,6 @@ def detect_events(config: EpisodeConfig, state: State) -> Events:
     in_bay = in_bay & alive & (goal != NO_BAY)
     shared = jnp.tril(goal[:, None] == goal, k=-1)
     in_bay = in_bay & ~(shared & in_bay).any(axis=1)
-    late = ended("timed_out", state.step >= config.max_steps)
     parked = jnp.zeros_like(in_bay)
     for name, held in holds.items():
         rule = PARKED_RULES[name]

@@ -55,12 +55,6 @@ class SensorConfig(CheckedConfig):
         """Whether observations differ from the true motion."""
         return not all(map(is_off, vars(self).values()))
 
-    @property
-    def dead_reckons(self) -> bool:
-        """Whether cars know their poses by odometry only."""
-        parts = self.odometry_scale, self.odometry_veer, self.odometry_turn
-        return not all(map(is_off, parts))
-
 
 def init_sensors(
     config: SensorConfig, motion: Motion, key: jax.Array
@@ -69,7 +63,8 @@ def init_sensors(
     if not config.is_on:
         return None
     odometry = None
-    if config.dead_reckons:
+    drift = config.odometry_scale, config.odometry_veer, config.odometry_turn
+    if not all(map(is_off, drift)):
         key, odometry_key = jax.random.split(key)
         odometry = begin_odometry(config, motion.pose_w, odometry_key)
     reading_key, delay_key = jax.random.split(key)

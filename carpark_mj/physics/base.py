@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from carpark_mj.config import PhysicsConfig, SimConfig
 from carpark_mj.config.checks import require_unset
 from carpark_mj.geometry.obstacles import Group
-from carpark_mj.types import Motion, PhysicsState
+from carpark_mj.types import Motion, PhysicsState, State
 from carpark_mj.vehicle.vehicle import Vehicle
 
 S = TypeVar("S", bound=PhysicsState)
@@ -116,6 +116,22 @@ def where_cars(mask: jax.Array, new: Tree, old: Tree) -> Tree:
         return jnp.where(jnp.expand_dims(mask, range(mask.ndim, b.ndim)), a, b)
 
     return jax.tree.map(select, new, old)
+
+
+def freeze(
+    state: State, physics: PhysicsState, motion: Motion
+) -> tuple[PhysicsState, Motion]:
+    """Keeps agents that are not active exactly where they stand, at rest."""
+    physics = where_cars(state.active, physics, state.physics)
+    rest = dataclasses.replace(
+        state.motion,
+        velocity_b=jnp.zeros_like(state.motion.velocity_b),
+        yaw_rate=jnp.zeros_like(state.motion.yaw_rate),
+    )
+    motion = where_cars(state.active, motion, rest)
+    still = jnp.broadcast_to(motion.pose_w[:, None], motion.trace_w.shape)
+    trace_w = where_cars(state.active, motion.trace_w, still)
+    return physics, dataclasses.replace(motion, trace_w=trace_w)
 
 
 def contain_non_finite(

@@ -78,19 +78,6 @@ def advance(
     return jnp.concatenate([xy, wrap_angle(pose_w[..., 2] + turned)[..., None]], -1)
 
 
-def accelerate(
-    vehicle: Vehicle,
-    speed: jax.Array,
-    drive_torque: jax.Array,
-    brake: jax.Array,
-    dt: float,
-) -> jax.Array:
-    """Speed (...) [m/s] after `dt` under torques (...) [N m]; brakes only stop."""
-    lever = vehicle.mass * vehicle.wheel_radius
-    driven = speed + drive_torque / lever * dt
-    return jnp.sign(driven) * jnp.maximum(jnp.abs(driven) - brake / lever * dt, 0.0)
-
-
 class BicyclePhysics(base.Physics[BicycleState]):
     """The kinematic bicycle behind the `Physics` interface."""
 
@@ -141,11 +128,19 @@ class BicyclePhysics(base.Physics[BicycleState]):
 
         A car with a non-finite number is put back, at rest, and flagged.
         """
-        function = self._step
-        for _ in range(controls.ndim - 1):
-            function = jax.vmap(function)
+        vehicle = state.vehicle
         with jax.named_scope("physics"):
-            return function(state, controls)
+            carry, trace_w = base.run_substeps(
+                self.sim,
+                lambda carry: self.substep(vehicle, controls, carry),
+                (state.pose_w, state.speed, state.actuators),
+                lambda carry: move_forward(carry[0], self.ahead(vehicle)),
+            )
+            pose_w, speed, actuators = carry
+            moved = {"pose_w": pose_w, "speed": speed, "actuators": actuators}
+            moved["trace_w"] = jnp.moveaxis(trace_w, 0, -2)
+            still = {"speed": jnp.zeros_like(state.speed)}
+            return base.contain_non_finite(state, moved, still)
 
     def read(self, state: BicycleState) -> Motion:
         """The motion of the cars; see `Physics.read`."""
@@ -162,32 +157,21 @@ class BicyclePhysics(base.Physics[BicycleState]):
             finite=state.finite,
         )
 
-    def _step(self, state: BicycleState, controls: jax.Array) -> BicycleState:
-        vehicle = state.vehicle
-        carry, trace = base.run_substeps(
-            self.sim,
-            lambda carry: self.substep(vehicle, controls, carry),
-            (state.pose_w, state.speed, state.actuators),
-            lambda carry: move_forward(carry[0], self.ahead(vehicle)),
-        )
-        moved = dict(zip(("pose_w", "speed", "actuators"), carry, strict=True))
-        still = {"speed": jnp.zeros_like(state.speed)}
-        return base.contain_non_finite(state, {**moved, "trace_w": trace}, still)
-
     def ahead(self, vehicle: Vehicle) -> jax.Array:
         """Footprint's centre ahead of the middle between the axles (...) [m]."""
         return vehicle.centre_offset - vehicle.wheelbase / 2
 
     def substep(self, vehicle: Vehicle, controls: jax.Array, carry: Carry) -> Carry:
-        """One car after a substep of `SimConfig.sim_dt`; controls (2,)."""
-        dt = self.sim.sim_dt
+        """Cars (...) after a substep of `SimConfig.sim_dt`; controls (..., 2)."""
+        dt, (steer, pedal) = self.sim.sim_dt, jnp.unstack(controls, axis=-1)
         pose, speed, actuators = carry
-        steering = drive.steer_towards(vehicle, actuators.steering, controls[0], dt)
+        steering = drive.steer_towards(vehicle, actuators.steering, steer, dt)
         angle = steering + vehicle.steering_offset
         rear = speed * jnp.cos(slip_angle(angle))
-        actuators, brake = drive.press_pedal(
-            vehicle, actuators, controls[1], rear, rear, dt
-        )
-        faster = accelerate(vehicle, speed, actuators.drive, brake, dt)
+        actuators, brake = drive.press_pedal(vehicle, actuators, pedal, rear, rear, dt)
+        lever = vehicle.mass * vehicle.wheel_radius
+        driven = speed + actuators.drive / lever * dt
+        braked = jnp.maximum(jnp.abs(driven) - brake / lever * dt, 0.0)  # at most to 0
+        faster = jnp.sign(driven) * braked
         pose = advance(pose, (speed + faster) / 2, angle, vehicle.wheelbase, dt)
         return pose, faster, dataclasses.replace(actuators, steering=steering)

@@ -113,11 +113,6 @@ class SimConfig(CheckedConfig):
         require_number("sim_dt", self.sim_dt, bounds)
 
     @functools.cached_property
-    def has_delays(self) -> bool:
-        """Whether commands arrive late."""
-        return bool(self.steering_delay or self.pedal_delay)
-
-    @functools.cached_property
     def has_ramp(self) -> bool:
         """Whether the slope depends on the place."""
         return self.ramp[2] != 0.0

@@ -140,9 +140,9 @@ class TyreState:
     twist: jax.Array  # phi [rad]
 
 
-def init_tyres(dtype: jnp.dtype | None = None) -> TyreState:
-    """Relaxed tyres (4,) of one car."""
-    zero = jnp.zeros(4, dtype)
+def init_tyres(*lead: int, dtype: jnp.dtype | None = None) -> TyreState:
+    """Relaxed tyres (..., 4) of cars."""
+    zero = jnp.zeros((*lead, 4), dtype)
     return TyreState(longitudinal=zero, lateral=zero, twist=zero)
 
 

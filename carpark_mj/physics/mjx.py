@@ -108,15 +108,13 @@ class MjxPhysics(Physics[CarState]):
         pose = jnp.stack([pose_w[..., 0], pose_w[..., 1], wrap_angle(yaw)], -1)
         shape = (*lead, self.sim.num_traces, 3)
         actuators = drive.init_actuators(vehicle)
-        if self.sim.has_delays:
+        if self.sim.steering_delay or self.sim.pedal_delay:
             lines = drive.make_lines(self.sim, zero)
             actuators = dataclasses.replace(actuators, lines=lines)
         return CarState(
             qpos=jnp.stack([x, y, zero, *quat, *rest], -1),
             qvel=jnp.zeros((*lead, self._nv), dtype),
-            tyres=jax.tree.map(
-                lambda leaf: jnp.broadcast_to(leaf, (*lead, 4)), init_tyres(dtype)
-            ),
+            tyres=init_tyres(*lead, dtype=dtype),
             actuators=actuators,
             vehicle=vehicle,
             trace_w=jnp.broadcast_to(pose[..., None, :], shape),

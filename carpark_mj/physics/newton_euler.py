@@ -63,14 +63,17 @@ def mass_properties(vehicle: Vehicle) -> MassProperties:
         return x, y, z
 
     points = [(masses[..., _CHASSIS], vector(vehicle.body_ipos, _CHASSIS))]
+    corners: list[Vector] = []
     for knuckle, wheel in zip(_KNUCKLES, _FRONT_WHEELS, strict=True):
         mass = masses[..., knuckle] + masses[..., wheel]
         points.append((mass, vector(vehicle.body_pos, knuckle)))
+        tilt_x, _, tilt_z = vector(inertias, wheel)
+        along, across, vertical = vector(inertias, knuckle)
+        corners.append((along + tilt_x, across, vertical + tilt_z))
     points += [(masses[..., w], vector(vehicle.body_pos, w)) for w in _REAR_WHEELS]
-    mass = sum((m for m, _ in points), jnp.zeros_like(points[0][0]))
-    moment = scale(0.0, points[0][1])
+    mass, moment = jnp.zeros_like(points[0][0]), scale(0.0, points[0][1])
     for m, at in points:
-        moment = add(moment, scale(m, at))
+        mass, moment = mass + m, add(moment, scale(m, at))
     com = scale(1.0 / mass, moment)
 
     xx, yy, zz = vector(inertias, _CHASSIS)
@@ -87,18 +90,12 @@ def mass_properties(vehicle: Vehicle) -> MassProperties:
         )
         xy, xz, yz = xy - m * x * y, xz - m * x * z, yz - m * y * z
 
-    def corner(knuckle: int, wheel: int) -> Vector:
-        tilt_x, _, tilt_z = vector(inertias, wheel)
-        along, across, vertical = vector(inertias, knuckle)
-        return along + tilt_x, across, vertical + tilt_z
-
-    left, right = zip(_KNUCKLES, _FRONT_WHEELS, strict=True)
     wheels = _FRONT_WHEELS + _REAR_WHEELS
     return MassProperties(
         mass=mass,
         com=com,
         body_inertia=(xx, yy, zz, xy, xz, yz),
-        corner_inertia=(corner(*left), corner(*right)),
+        corner_inertia=(corners[0], corners[1]),
         spin_inertia=tuple(inertias[..., wheel, 1] for wheel in wheels),
     )
 
@@ -146,9 +143,26 @@ def advance(
         for i in range(len(WHEELS)):
             about_axle = turning[1]
             if i < len(STEERED):
-                about_axle = corners[i].about_axle(turning)
+                x, y = corners[i].axle
+                about_axle = x * turning[0] + y * turning[1] + corners[i].axle_turning
             spinning.append(forces.spin[i] / masses.spin_inertia[i] - about_axle)
-    return _integrate(at, linear, turning, steering, spinning, dt)
+
+    # Semi-implicit Euler.
+    def later(now: Sequence[jax.Array], rates: Sequence[jax.Array]) -> Any:
+        return tuple(x + dt * v for x, v in zip(now, rates, strict=True))
+
+    velocity, angular = later(at.velocity, linear), later(at.angular, turning)
+    steer_rate, spin = later(at.steer_rate, steering), later(at.spin, spinning)
+    return Coordinates(
+        position=later(at.position, velocity),
+        quaternion=rotate_by(at.quaternion, angular, dt),
+        steer=later(at.steer, steer_rate),
+        angle=later(at.angle, spin),
+        velocity=velocity,
+        angular=angular,
+        steer_rate=steer_rate,
+        spin=spin,
+    )
 
 
 class _Corner(NamedTuple):
@@ -164,11 +178,6 @@ class _Corner(NamedTuple):
     axle: tuple[jax.Array, jax.Array]  # (x, y) of the wheel's axle in the body frame
     # what steering adds to the angular acceleration about the axle
     axle_turning: jax.Array
-
-    def about_axle(self, turning: Vector) -> jax.Array:
-        """Angular acceleration of the corner about the axle [rad/s^2]."""
-        x, y = self.axle
-        return x * turning[0] + y * turning[1] + self.axle_turning
 
 
 def _front_corner(
@@ -215,33 +224,4 @@ def _front_corner(
         yaw_share=yaw_share,
         axle=(-sin, cos),
         axle_turning=-rate * ahead,
-    )
-
-
-def _integrate(
-    at: Coordinates,
-    linear: Vector,
-    turning: Vector,
-    steering: Sequence[jax.Array],
-    spinning: Sequence[jax.Array],
-    dt: float | jax.Array,
-) -> Coordinates:
-    """Semi-implicit Euler, by accelerations of origin (world), body, angles, spins."""
-
-    def later(now: Sequence[jax.Array], rates: Sequence[jax.Array]) -> Any:
-        return tuple(x + dt * v for x, v in zip(now, rates, strict=True))
-
-    velocity = later(at.velocity, linear)
-    angular = later(at.angular, turning)
-    steer_rate = later(at.steer_rate, steering)
-    spin = later(at.spin, spinning)
-    return Coordinates(
-        position=later(at.position, velocity),
-        quaternion=rotate_by(at.quaternion, angular, dt),
-        steer=later(at.steer, steer_rate),
-        angle=later(at.angle, spin),
-        velocity=velocity,
-        angular=angular,
-        steer_rate=steer_rate,
-        spin=spin,
     )

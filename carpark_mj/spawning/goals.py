@@ -17,10 +17,11 @@ import jax.numpy as jnp
 
 from carpark_mj.config.checks import is_off
 from carpark_mj.geometry import norm, point_box_distance
-from carpark_mj.geometry.obstacles import touches
+from carpark_mj.geometry.obstacles import take, touches
 from carpark_mj.layouts.types import BayKind, Layout
 from carpark_mj.mdp.goals import track_bays
-from carpark_mj.mdp.parked_cars import marked
+from carpark_mj.mdp.parked_cars import free_bays, marked
+from carpark_mj.physics.base import where_cars
 from carpark_mj.spawning import special_starts as special
 from carpark_mj.spawning import starts
 from carpark_mj.spawning.config import SpawnConfig
@@ -119,11 +120,7 @@ def place_agent(
     course = {name: draws[name] for name in ("course_goal", *special.course_shapes(0))}
     tried, good = jax.vmap(attempt)(course)
     conflict = kind.conflict & good.any()
-
-    def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-        return jnp.where(conflict, new[jnp.argmax(good)], old)
-
-    return jax.tree.map(choose, tried, drawn)
+    return where_cars(conflict, take(tried, jnp.argmax(good)), drawn)
 
 
 def new_goal(
@@ -171,7 +168,7 @@ def new_goal(
     candidate = candidate & (can_move | ~has_car)
     if fits.agents is not None:
         candidate = candidate & fits.agents[agent]
-    if fits.agents is not None:  # an agent that waits has not driven there
+        # An agent that waits has not driven there.
         own = (rows == old) & fits.agents[agent] & (placing.waited[agent] > 0)
         candidate = jnp.where(candidate.any(), candidate, own & ~has_car)
     found = candidate.any()
@@ -247,7 +244,7 @@ def place_exploring(
     if not is_off(config.close_ratio):
         others_goal = jnp.where(around.others, placing.goal, NO_BAY)
         taken = jnp.concatenate([placing.parked_bay, others_goal])
-        free = layout.bay_mask & ~marked(layout, taken)
+        free = free_bays(layout, taken)
 
         def beside(bay_pose: jax.Array, walk: jax.Array):
             xy, region = starts.close_points(config, layout, bay_pose[:2], walk[None])

@@ -207,14 +207,13 @@ class Spawner:
             kind = where_cars(fitting & begun, kind, state.kind)
         if self._may_wait:
             pose_w = place_absent_agents(pose_w, ~placing.waiting)
+        parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)
+        parked_pose_w = poses_in_bays(layout, parked_cars)
         physics = self._physics.place(state.physics, begun, pose_w, vehicles)
         if options is not None and options.speed is not None:
             speed = jnp.where(jnp.isnan(options.speed), 0, options.speed)
             physics = self._physics.set_speed(physics, speed)
-        parked_cars = in_bays(layout, state.parked_cars, placing.parked_bay)
-        physics = self._physics.set_parked_poses(
-            physics, poses_in_bays(layout, parked_cars)
-        )
+        physics = self._physics.set_parked_poses(physics, parked_pose_w)
         parked_pose_w = self._physics.parked_poses(physics, parked_cars.pose_w)
         motion = where_cars(begun, self._physics.read(physics), state.motion)
         active, present, waited = state.active, state.present, state.waited

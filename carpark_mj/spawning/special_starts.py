@@ -92,30 +92,23 @@ def course_pose(
     meeting = end + rest[:, None] * _unit(targets.xy[target] - end)
     start = meeting - (distance - rest)[:, None] * _unit(goal_xy - meeting)
 
-    start, region, inside = _into_region(config, layout, start)
+    # In the spawn region that holds it, on its grid if there is one.
+    spawn_pose, size = layout.spawn_pose, layout.spawn_size
+    local = rotate(start[:, None] - spawn_pose[:, :2], -spawn_pose[:, 2])
+    inside = jnp.all(jnp.abs(local) <= size / 2, axis=-1) & layout.spawn_mask
+    region = jnp.argmax(inside, axis=-1)
+    local = jnp.take_along_axis(local, region[:, None, None], axis=1)[:, 0]
+    local = on_grid(config, local, size[region])
+    start = spawn_pose[region, :2] + rotate(local, spawn_pose[region, 2])
     yaw = draw_heading(layout, region, draws["course_heading"])
     pose = jnp.concatenate([start, yaw[:, None]], axis=-1)
-    good = inside & (around.distance(start) > config.min_distance)
+    good = inside.any(axis=-1) & (around.distance(start) > config.min_distance)
     good = good & ~around.touches(pose)
     return pose[jnp.argmax(good)], found & good.any()
 
 
 def _unit(vector: jax.Array) -> jax.Array:
     return vector / jnp.maximum(norm(vector)[..., None], 1e-6)
-
-
-def _into_region(
-    config: SpawnConfig, layout: Layout, xy: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Points (n, 2) on the grid if there is one, their spawn regions, and if in any."""
-    pose, size = layout.spawn_pose, layout.spawn_size
-    local = rotate(xy[:, None] - pose[:, :2], -pose[:, 2])
-    inside = jnp.all(jnp.abs(local) <= size / 2, axis=-1) & layout.spawn_mask
-    region = jnp.argmax(inside, axis=-1)
-    local = jnp.take_along_axis(local, region[:, None, None], axis=1)[:, 0]
-    local = on_grid(config, local, size[region])
-    point = pose[region, :2] + rotate(local, pose[region, 2])
-    return point, region, inside.any(axis=-1)
 
 
 # The numbers of a reverse start.

@@ -121,7 +121,8 @@ def redraw(
 
     def goes_on(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
         count, pose = carry[0], carry[1][None]
-        keeps = ~around.touches(pose) & _is_far(config, around, pose)
+        far = around.distance(pose[:, :2]) > config.min_distance
+        keeps = ~around.touches(pose) & far
         return (count < config.max_redraws) & ~keeps[0]
 
     def again(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -149,14 +150,9 @@ def _random_points(
 def _best(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
     """The first of poses (n, 3) that keeps its distance, else the one of most room."""
     touches = around.touches(pose)
-    keeps = ~touches & _is_far(config, around, pose)
+    keeps = ~touches & (around.distance(pose[:, :2]) > config.min_distance)
     room = jnp.where(touches, -1.0, around.room(pose))
     return pose[jnp.where(keeps.any(), jnp.argmax(keeps), jnp.argmax(room))]
-
-
-def _is_far(config: SpawnConfig, around: Surroundings, pose: jax.Array) -> jax.Array:
-    """(n,) bool, whether poses (n, 3) keep their distance."""
-    return around.distance(pose[:, :2]) > config.min_distance
 
 
 def draw_heading(layout: Layout, region: jax.Array, number: jax.Array) -> jax.Array:

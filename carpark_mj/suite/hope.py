@@ -127,7 +127,14 @@ def _draw_case(level: _Level, key: jax.Array) -> Layout:
     taken = _join(solid, _Boxes(goal[None], bay[None], jnp.ones(1, bool)))
 
     def draw_start(key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        pose = _draw_start(level, edge, key)
+        """The footprint's centre, anywhere in the aisle near the goal."""
+        place_key, yaw_key, back_key = jax.random.split(key, 3)
+        share = jax.random.uniform(place_key, (2,), float)
+        x = level.half_length / 2 * (2 * share[0] - 1)
+        y = edge + START_ROOM + (level.aisle - 2 * START_ROOM) * share[1]
+        yaw = _normal([yaw_key], 1, START_HEADING, jnp.pi / 2)[0, 0]
+        yaw = yaw + jnp.where(jax.random.bernoulli(back_key), jnp.pi, 0.0)
+        pose = move_forward(jnp.stack([x, y, yaw]), level.offset)
         return ~taken.meet(pose, level.size + START + ROUNDING), pose
 
     start = _until(draw_start, start_key)
@@ -345,14 +352,3 @@ def _draw_above(level: _Level, edge: jax.Array, key: jax.Array) -> _Boxes:
     # Those drawn first stay.
     stays = jax.lax.fori_loop(0, count, keep, jnp.zeros(count, bool))
     return _join(wall, _Boxes(pose, size, stays & ~walled))
-
-
-def _draw_start(level: _Level, edge: jax.Array, key: jax.Array) -> jax.Array:
-    """Pose (3,) of the footprint's centre, anywhere in the aisle near the goal."""
-    place_key, yaw_key, back_key = jax.random.split(key, 3)
-    share = jax.random.uniform(place_key, (2,), float)
-    x = level.half_length / 2 * (2 * share[0] - 1)
-    y = edge + START_ROOM + (level.aisle - 2 * START_ROOM) * share[1]
-    yaw = _normal([yaw_key], 1, START_HEADING, jnp.pi / 2)[0, 0]
-    yaw = yaw + jnp.where(jax.random.bernoulli(back_key), jnp.pi, 0.0)
-    return move_forward(jnp.stack([x, y, yaw]), level.offset)

@@ -99,13 +99,12 @@ class Batch:
             keys = self._state.key
         else:
             keys = self._programs.keys(_seeds(seed, self.num_lots))
-        if options is None:
-            self._state, observation = self._programs.reset(keys)
-            return observation
-        if "options" not in inspect.signature(self.env.reset).parameters:
+        takes = inspect.signature(self.env.reset).parameters
+        if options is not None and "options" not in takes:
             raise ValueError(f"{type(self.env).__name__}.reset takes no options")
-        state, observation = self._programs.start(keys, options)
-        check_starts(self.env.config, options, state)
+        state, observation = self._programs.reset(keys, options)
+        if options is not None:
+            check_starts(self.env.config, options, state)
         self._state = state
         return observation
 
@@ -157,16 +156,9 @@ class Step(NamedTuple):
     @classmethod
     def of(cls, timestep: TimeStep, convert: Callable[[jax.Array], Any]) -> "Step":
         """Converts what learners need of a time step, array by array."""
-        step = cls(
-            timestep.observation,
-            timestep.final_observation,
-            timestep.reward,
-            timestep.terminated,
-            timestep.truncated,
-            timestep.events.success,
-            timestep.events.crashed,
-        )
-        return jax.tree.map(convert, step)
+        values = [getattr(timestep, name) for name in cls._fields[:-2]]
+        values += [timestep.events.success, timestep.events.crashed]
+        return cls._make(jax.tree.map(convert, values))
 
 
 class NumpyBatch(Batch):
@@ -259,8 +251,7 @@ class _Programs(NamedTuple):
     """The compiled functions of an environment's batches, whatever their size."""
 
     keys: Callable[[np.ndarray], jax.Array]
-    reset: Callable[[jax.Array], tuple[State, Any]]
-    start: Callable[[jax.Array, ResetOptions], tuple[State, Any]]
+    reset: Callable[[jax.Array, ResetOptions | None], tuple[State, Any]]
     restart: Callable[[State, jax.Array], tuple[State, Any]]
     step: Callable[[State, Any], tuple[State, TimeStep]]
 
@@ -282,13 +273,9 @@ def _programs(env: Environment, restart: bool) -> _Programs:
             final_observation=None if final is None else unpack(final),
         )
 
-    def reset(key: jax.Array) -> tuple[State, Any]:
-        state, seen = jax.vmap(env.reset)(key)
-        return state, unpack(seen)
-
-    def start(key: jax.Array, options: ResetOptions) -> tuple[State, Any]:
-        starter: Any = env  # one that takes options
-        state, seen = jax.vmap(starter.reset)(key, options=options)
+    def reset(key: jax.Array, options: ResetOptions | None) -> tuple[State, Any]:
+        given: Any = {} if options is None else {"options": options}
+        state, seen = jax.vmap(env.reset)(key, **given)
         return state, unpack(seen)
 
     def restart_due(state: State, due: jax.Array) -> tuple[State, Any]:
@@ -301,7 +288,6 @@ def _programs(env: Environment, restart: bool) -> _Programs:
     return _Programs(
         jax.jit(jax.vmap(jax.random.key)),
         jax.jit(reset),
-        jax.jit(start),
         jax.jit(restart_due, donate_argnums=0),
         jax.jit(step, donate_argnums=0),
     )

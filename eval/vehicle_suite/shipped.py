@@ -111,7 +111,7 @@ class CCar:
         self.data.qpos[3:7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
         self.data.qvel[:2] = speed * ahead
         self.data.qvel[self.index.spin_dof] = speed / params.wheel_radius
-        self._tyres = init_tyres(jnp.result_type(float))
+        self._tyres = init_tyres(dtype=jnp.result_type(float))
         self.actuators = init_actuators(self.vehicle)
         if speed:
             self.actuators = roll_freely(self.actuators, jnp.array(speed))

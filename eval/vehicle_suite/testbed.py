@@ -186,7 +186,7 @@ def _drive(runs: Sequence[Run], dt: float, x64: bool) -> list[Track]:
     dtype = jnp.result_type(float)
     starts = [np.stack(x) for x in zip(*(r.start() for r in cars), strict=True)]
     vehicles = jax.tree.map(lambda *x: jnp.stack(x), *map(vehicle_of, cars))
-    bristles = jax.tree.map(lambda x: jnp.tile(x, (WIDTH, 1)), init_tyres(dtype))
+    bristles = init_tyres(WIDTH, dtype=dtype)
     qpos, qvel = (jnp.array(x, dtype) for x in starts)
     carry, rows = (qpos, qvel, bristles), []
     fixed = vehicles, jnp.array([run.gravity for run in cars], dtype)

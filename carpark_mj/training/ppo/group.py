@@ -102,8 +102,8 @@ class GroupLearner(Learner):
         jitted = self._jitted(update, (self.specs, runs), runs)
         return lambda state, *values: jitted(state, self.data | dict(*values))
 
-    def stack(self, values: Sequence[Values]) -> Values:
-        """See `Learner.stack`; all runs have values of the same settings."""
+    def as_arrays(self, values: Sequence[Values]) -> Values:
+        """See `Learner.as_arrays`; all runs have values of the same settings."""
         if len({frozenset(own) for own in values}) > 1:
             raise ValueError("callbacks of all runs must set the same settings")
         first, *_ = values

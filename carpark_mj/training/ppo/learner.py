@@ -199,7 +199,7 @@ class Learner:
     def compile(self, scheduled: bool = False) -> Callable[..., Any]:
         """The jitted update `state -> (state, metrics)`; it consumes the state.
 
-        A `scheduled` one takes values, too, see `with_values` and `stack`.
+        A `scheduled` one takes values, too, see `with_values` and `as_arrays`.
         """
 
         def update(state: TrainingState, *values: Values) -> Any:
@@ -224,7 +224,7 @@ class Learner:
         run.env = BraxParking(self.env.env.with_values(own))
         return run
 
-    def stack(self, values: Sequence[Values]) -> Values:
+    def as_arrays(self, values: Sequence[Values]) -> Values:
         """Values of every run as `compile`'s update takes them."""
         (own,) = values
         return {path: np.asarray(x, np.float32) for path, x in own.items()}

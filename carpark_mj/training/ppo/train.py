@@ -145,7 +145,7 @@ def train(
             if hosts.is_first()
         ]
         while progress < 1.0 and not leaving and not diverged.all():
-            given = [learner.stack([scheduled(own, progress) for own in hooks])]
+            given = [learner.as_arrays([scheduled(own, progress) for own in hooks])]
             state, metrics = update(state, *given * any(hooks))
             # By name (runs,).
             values = {name: np.ravel(x) for name, x in jax.device_get(metrics).items()}

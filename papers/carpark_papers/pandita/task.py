@@ -89,15 +89,16 @@ class HighwayPhysics(BicyclePhysics):
         return jnp.zeros_like(vehicle.wheelbase)
 
     def substep(self, vehicle: Vehicle, controls: jax.Array, carry: Carry) -> Carry:
-        """One car after a substep; see `BicyclePhysics.substep`."""
-        dt = self.sim.sim_dt
+        """Cars (...) after a substep; see `BicyclePhysics.substep`."""
+        dt, (steer, pedal) = self.sim.sim_dt, jnp.unstack(controls, axis=-1)
         pose, speed, actuators = carry
-        steering = controls[0] * vehicle.max_steering
-        course = pose[2] + slip_angle(steering)
-        way = speed * jnp.stack([jnp.cos(course), jnp.sin(course)])
-        yaw = wrap_angle(pose[2] + _yaw_rate(vehicle, speed, steering) * dt)
-        pose = jnp.concatenate([pose[:2] + way * dt, yaw[None]])
-        wanted = controls[1] * vehicle.max_acceleration
+        steering = steer * vehicle.max_steering
+        course = pose[..., 2] + slip_angle(steering)
+        x = pose[..., 0] + speed * jnp.cos(course) * dt
+        y = pose[..., 1] + speed * jnp.sin(course) * dt
+        yaw = wrap_angle(pose[..., 2] + _yaw_rate(vehicle, speed, steering) * dt)
+        pose = jnp.stack([x, y, yaw], axis=-1)
+        wanted = pedal * vehicle.max_acceleration
         headroom = vehicle.max_speed - speed
         back = -vehicle.max_reverse_speed - speed
         wanted = jnp.where(headroom < 0.0, jnp.minimum(wanted, headroom), wanted)
