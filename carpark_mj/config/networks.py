@@ -3,7 +3,14 @@
 import dataclasses
 from typing import Annotated, Literal
 
-from carpark_mj.config.checks import Bounds, CheckedConfig, Count, NonNegative, Positive
+from carpark_mj.config.checks import (
+    Bounds,
+    CheckedConfig,
+    Count,
+    Natural,
+    NonNegative,
+    Positive,
+)
 
 MIN_STD = 0.001  # of actions before tanh; Brax's
 
@@ -25,6 +32,10 @@ class NetworkConfig(CheckedConfig):
             With a small value a policy may stop exploring.
         max_std: largest such deviation; 0 = no limit. A policy that depends on its
             noise drives worse without it.
+        bins: values at equal distances that each continuous action is chosen from,
+            instead of any by a normal distribution; 0 = any.
+        dither: time of an episode [s] after which a policy that takes the likeliest
+            `bins` adds noise, so that it ends what it would repeat for ever; 0 = none.
     """
 
     policy_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
@@ -36,6 +47,8 @@ class NetworkConfig(CheckedConfig):
     picture_size: Annotated[int, Bounds(ge=2)] = 64
     min_std: Positive = MIN_STD
     max_std: NonNegative = 0.0
+    bins: Natural = 0
+    dither: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -43,3 +56,7 @@ class NetworkConfig(CheckedConfig):
             raise ValueError(
                 f"max_std {self.max_std} must be 0 or at least min_std {self.min_std}"
             )
+        if self.bins == 1:
+            raise ValueError("bins must be 0 or at least 2, not 1")
+        if self.dither and not self.bins:
+            raise ValueError(f"dither {self.dither} needs bins")

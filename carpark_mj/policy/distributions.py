@@ -21,7 +21,7 @@ from carpark_mj.policy.brax import (
 
 
 def action_distribution(
-    spec: ActionSpec, min_std: float = MIN_STD, max_std: float = 0.0
+    spec: ActionSpec, min_std: float = MIN_STD, max_std: float = 0.0, bins: int = 0
 ) -> ParametricDistribution:
     """The distribution for actions of a kind: tanh-normal, categorical, or both.
 
@@ -29,9 +29,12 @@ def action_distribution(
         spec: the kind.
         min_std: least standard deviation of the numbers before tanh, above 0.
         max_std: largest; 0 = no limit.
+        bins: values that each number is chosen from; 0 = any, tanh-normal.
     """
     if not spec.continuous:
         return MultiCategorical(spec.choices)
+    if bins:
+        return Binned(spec, bins)
     normal = NormalTanhDistribution(spec.continuous, min_std=min_std)
     if max_std:
         normal = BoundedNormalTanh(spec.continuous, min_std, max_std)
@@ -122,6 +125,35 @@ class MultiCategorical(ParametricDistribution):
     def create_dist(self, parameters: jax.Array) -> Any:
         """The `Categoricals` of parameters (..., param_size)."""
         return Categoricals(tuple(jnp.split(parameters, self._ends, axis=-1)))
+
+
+class Binned(MultiCategorical):
+    """Numbers (..., k) in [-1, 1], of some values at equal distances, then indices.
+
+    Unlike a normal distribution it may have two modes: a car that could as well drive
+    forwards as backwards does not stand still between them.
+    """
+
+    def __init__(self, spec: ActionSpec, bins: int) -> None:
+        """Takes the kind of action, and how many values each of its numbers has."""
+        super().__init__((bins,) * spec.continuous + spec.choices)
+        self._postprocessor = _Spaced(spec, bins)
+
+
+class _Spaced(IdentityPostprocessor):
+    """The first indices as numbers at equal distances in [-1, 1]; the others stay."""
+
+    def __init__(self, spec: ActionSpec, bins: int) -> None:
+        numbers, others = np.ones(spec.continuous), np.ones(len(spec.choices))
+        scale = np.concatenate([numbers * 2 / (bins - 1), others])
+        self._scale = scale.astype(np.float32)
+        self._least = np.concatenate([-numbers, 0 * others]).astype(np.float32)
+
+    def forward(self, x: jax.Array) -> jax.Array:
+        return x * self._scale + self._least
+
+    def inverse(self, x: jax.Array) -> jax.Array:
+        return jnp.round((x - self._least) / self._scale).astype(jnp.int32)
 
 
 class NormalAndCategoricals:

@@ -20,6 +20,7 @@ from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.networks import (
     Policy,
     init_normalizer,
+    make_dither,
     make_networks,
     make_policy,
     network_inputs,
@@ -39,12 +40,14 @@ class LoadedPolicy:
         policy: acting function.
         steps: agent steps of its training.
         path: the checkpoint.
+        networks: its networks, if it has such.
     """
 
     env: EnvConfig
     policy: Policy
     steps: int
     path: Path
+    networks: NetworkConfig | None = None
 
 
 def load_policy(
@@ -74,11 +77,13 @@ def load_policy(
         fields, trained = make_fields(env), make_fields(own)
         if _kinds(fields) != _kinds(trained):
             fields = with_empty_sets(trained, fields)
-        networks = make_networks(config, fields, action_spec(env))
+        networks: Any = make_networks(config, fields, action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
-        policy = make_policy(networks, normalizer, actor, deterministic)
+        size = networks.parametric_action_distribution.param_size
+        dither = make_dither(config, fields, size)
+        policy = make_policy(networks, normalizer, actor, deterministic, dither)
         policy = _drives_in(env, fields, policy)
-    return LoadedPolicy(env, policy, header["env_steps"], path)
+    return LoadedPolicy(env, policy, header["env_steps"], path, config)
 
 
 def save_policy(run: str | Path, out: Path, parameters: Any = None) -> None:

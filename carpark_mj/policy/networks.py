@@ -18,6 +18,7 @@ from jax.tree_util import Partial
 from carpark_mj.config.networks import NetworkConfig
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import OWN, ObservationSets, observation_sets
+from carpark_mj.observations.ego import LONG
 from carpark_mj.observations.fields import Field
 from carpark_mj.policy.brax import networks as brax_networks
 from carpark_mj.policy.brax import ppo_networks, running_statistics, specs
@@ -28,6 +29,8 @@ from carpark_mj.policy.encoder import SetEncoder
 # Numbers that hardly varied in training (sizes in a lot of equal bays) must not swamp
 # the network when they do.
 MIN_DEVIATION = 0.1
+
+DITHERS, DITHER_STEP = 128, 0.2  # rows of noise, and the time between them [s]
 
 Normalizer = dict[str, Any]  # Brax's running statistics by part
 
@@ -161,7 +164,8 @@ def make_networks(
     They take a `Normalizer` of `network_inputs(config, fields)`.
     """
     inputs = network_inputs(config, fields)
-    distribution = action_distribution(action, config.min_std, config.max_std)
+    deviations = config.min_std, config.max_std
+    distribution = action_distribution(action, *deviations, config.bins)
     networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
     if config.encoder == "flat":
 
@@ -212,11 +216,47 @@ def make_policy(
     normalizer: Normalizer,
     policy_params: Any,
     deterministic: bool,
+    dither: Callable[[jax.Array], jax.Array] | None = None,
 ) -> Policy:
-    """An acting function `(observation, key) -> (action, extras)`."""
+    """An acting function `(observation, key) -> (action, extras)`.
+
+    A deterministic one adds `dither` of its observations to the logits, see
+    `make_dither`.
+    """
     make: Any = ppo_networks.make_inference_fn(networks)
 
     def act(params: Any, observation: jax.Array, key: jax.Array) -> Any:
-        return make(params, deterministic=deterministic)(observation, key)
+        if not (deterministic and dither):
+            return make(params, deterministic=deterministic)(observation, key)
+        logits: Any = networks.policy_network.apply(*params, observation)
+        chosen: Any = networks.parametric_action_distribution
+        return chosen.mode(logits + dither(observation)), {}
 
     return Partial(act, (normalizer, policy_params))
+
+
+def make_dither(
+    config: NetworkConfig, fields: Sequence[Field], size: int
+) -> Callable[[jax.Array], jax.Array] | None:
+    """What `NetworkConfig.dither` adds to logits (..., size), by the observation.
+
+    It is Gumbel noise, with which the likeliest choice is a sample, from a table by the
+    time: one observation has one action. None without a dither; `ValueError` if agents
+    do not observe the time.
+    """
+    if not config.dither:
+        return None
+    names = [field.name for field in fields]
+    if "own_time" not in names:
+        raise ValueError("networks.dither needs observation.own_past")
+    place = sum(field.size for field in fields[: names.index("own_time")])
+    table = np.random.default_rng(0).gumbel(size=(DITHERS, size)).astype(np.float32)
+    first = round(config.dither / DITHER_STEP)
+
+    def dither(observation: jax.Array) -> jax.Array:
+        time = observation[..., place] * (LONG / DITHER_STEP)
+        tick = jnp.floor(time + 0.5).astype(int)
+        noise = jnp.asarray(table)[tick % DITHERS]
+        return jnp.where(tick[..., None] < first, 0.0, noise)
+
+    return dither

@@ -12,6 +12,7 @@ from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.networks import (
     NetworkConfig,
     init_normalizer,
+    make_dither,
     make_networks,
     make_policy,
     network_inputs,
@@ -20,9 +21,9 @@ from carpark_mj.policy.networks import (
 
 
 @functools.cache
-def untrained(env, encoder="set", seed=1):
+def untrained(env, encoder="set", seed=1, **choices):
     """A policy with random weights, whose statistics are those of random numbers."""
-    config = NetworkConfig((16,), (16,), encoder)
+    config = NetworkConfig((16,), (16,), encoder, **choices)
     fields = make_fields(env)
     networks = make_networks(config, fields, action_spec(env))
     inputs = network_inputs(config, fields)
@@ -34,8 +35,10 @@ def untrained(env, encoder="set", seed=1):
         normalizer = update_normalizer(inputs, init_normalizer(inputs), seen)
         return normalizer, networks.policy_network.init(keys[1])
 
-    policy = make_policy(networks, *draw(jax.random.key(seed)), deterministic=True)
-    return LoadedPolicy(env, policy, 0, Path("none"))
+    size = networks.parametric_action_distribution.param_size
+    dither = make_dither(config, fields, size)
+    policy = make_policy(networks, *draw(jax.random.key(seed)), True, dither)
+    return LoadedPolicy(env, policy, 0, Path("none"), config)
 
 
 def observations(env, count=10_000):

@@ -167,6 +167,20 @@ def test_the_mode_is_the_likeliest_and_actions_are_in_range(spec, draws):
     np.testing.assert_allclose(back[unsaturated], raw[unsaturated], atol=1e-4)
 
 
+def test_bins_are_values_at_equal_distances_that_may_have_two_modes():
+    distribution = action_distribution(MIXED, bins=5)
+    raw = jnp.array([[0, 2, 1], [4, 3, 2]])
+    action = distribution.postprocess(raw)
+    np.testing.assert_allclose(action, [[-1.0, 0.0, 1.0], [1.0, 0.5, 2.0]], atol=1e-6)
+    np.testing.assert_array_equal(distribution.inverse_postprocess(action), raw)
+    p = np.array([0.4, 0.05, 0.05, 0.05, 0.45])  # either end, but not between
+    params = jnp.log(jnp.concatenate([p, p[::-1], jnp.array([0.2, 0.3, 0.5])]))
+    np.testing.assert_allclose(distribution.mode(params), [1.0, -1.0, 2.0], rtol=1e-6)
+    log_prob = np.log([0.4 * 0.05 * 0.3, 0.45 * 0.05 * 0.5])
+    found = distribution.log_prob(jnp.stack([params, params]), raw)
+    np.testing.assert_allclose(found, log_prob, rtol=1e-5)
+
+
 def test_reported_moments_are_those_of_the_indices():
     dist = action_distribution(GRID).create_dist(parameters(GRID))
     for i, p in enumerate(split(GRID, parameters(GRID))[1]):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -9,16 +10,22 @@ import numpy as np
 import pytest
 
 from carpark_mj.config import EnvConfig, GoalConfig
-from carpark_mj.mdp.actions import action_spec
+from carpark_mj.mdp.actions import ActionSpec, action_spec
 from carpark_mj.observations import make_fields
 from carpark_mj.observations.compose import OWN, EntitySet, ObservationSets
+from carpark_mj.observations.ego import LONG
+from carpark_mj.observations.fields import Field
 from carpark_mj.policy import entities
+from carpark_mj.policy.distributions import action_distribution
 from carpark_mj.policy.networks import (
+    DITHERS,
     MIN_DEVIATION,
     Arithmetic,
     NetworkConfig,
     init_normalizer,
+    make_dither,
     make_networks,
+    make_policy,
     network_inputs,
     normalize,
     update_normalizer,
@@ -256,3 +263,30 @@ def test_parts_are_scaled_alike_in_every_slot(counted):
     np.testing.assert_allclose(found["agent"], expected, rtol=1e-4)
     # What never varied is divided by the least deviation: (0.35 - 0.25) / 0.1.
     np.testing.assert_allclose(found[OWN][4], 0.1 / MIN_DEVIATION, rtol=1e-5)
+
+
+def test_a_dither_draws_by_the_time_from_what_is_likely():
+    config = NetworkConfig((8,), (8,), bins=3, dither=30.0)
+    p, n = np.array([0.2, 0.5, 0.3], np.float32), 3 * DITHERS
+    networks = SimpleNamespace(
+        policy_network=SimpleNamespace(
+            apply=lambda _, logits, seen: jnp.broadcast_to(logits, (len(seen), 3))
+        ),
+        parametric_action_distribution=action_distribution(ActionSpec(1), bins=3),
+    )
+    fields = [Field("x", 2, -1.0, 1.0, ""), Field("own_time", 2, 0.0, 2.0, "")]
+    dither = make_dither(config, fields, 3)
+    policy = make_policy(networks, None, jnp.log(p), True, dither)
+    time = 0.2 * np.arange(n) / LONG
+    seen = jnp.asarray(np.stack([0 * time, 0 * time, time, 0 * time], 1), jnp.float32)
+    action = np.asarray(policy(seen, jax.random.key(0))[0])[:, 0]
+    np.testing.assert_array_equal(action[:150], 0.0)  # the likeliest for 30 s
+    drawn = action[150 : 150 + DITHERS]
+    share = (drawn[:, None] == [-1.0, 0.0, 1.0]).mean(axis=0)
+    assert (np.abs(share - p) < 4 * np.sqrt(p * (1 - p) / DITHERS)).all()
+    np.testing.assert_array_equal(action[150 + DITHERS :], action[150:-DITHERS])
+    with pytest.raises(ValueError, match=r"observation\.own_past"):
+        make_dither(config, fields[:1], 3)
+    for wrong in ({"bins": 1}, {"dither": 1.0}):
+        with pytest.raises(ValueError, match="bins"):
+            NetworkConfig(**wrong)

@@ -51,7 +51,10 @@ def require_run(config: PPOConfig) -> None:
     theirs = network_config(checkpoints.read_header(path))
     if theirs is None:
         raise ValueError(f"{config.warm_start} has no networks for a warm start")
-    alike = {"min_std": own.min_std, "max_std": own.max_std}  # no weight's shape
+    # No weight's shape.
+    alike: dict[str, Any] = {
+        x: getattr(own, x) for x in ("min_std", "max_std", "dither")
+    }
     alike |= {} if has_critic else {"value_layers": own.value_layers}
     alike["own_size"] = max(theirs.own_size, own.own_size)
     if replace(theirs, **alike) != own:
@@ -101,7 +104,7 @@ def make_teacher(config: PPOConfig) -> Teacher | None:
     name = config.curriculum.teacher
     if not name:
         return None
-    if action_spec(config.env).choices:
+    if action_spec(config.env).choices or config.networks.bins:
         raise ValueError("curriculum.teacher needs actions of numbers, not of choices")
     seen = load_policy(name).env.observation
     env = replace(config.env, observation=seen)
