@@ -269,9 +269,7 @@ def test_a_dither_draws_by_the_time_from_what_is_likely():
     config = NetworkConfig((8,), (8,), bins=3, dither=30.0)
     p, n = np.array([0.2, 0.5, 0.3], np.float32), 3 * DITHERS
     networks = SimpleNamespace(
-        policy_network=SimpleNamespace(
-            apply=lambda _, logits, seen: jnp.broadcast_to(logits, (len(seen), 3))
-        ),
+        policy_network=SimpleNamespace(apply=lambda _, p, seen: p + 0 * seen[:, :1]),
         parametric_action_distribution=action_distribution(ActionSpec(1), bins=3),
     )
     fields = [Field("x", 2, -1.0, 1.0, ""), Field("own_time", 2, 0.0, 2.0, "")]
