@@ -100,8 +100,8 @@ FAULTS = {
     ),
     "lanes lead the wrong way": Fault(
         "layouts/build.py",
-        "back = jnp.concatenate([centre - right, yaw[..., None] + jnp.pi], axis=-1)",
-        "back = jnp.concatenate([centre - right, yaw[..., None]], axis=-1)",
+        "return stacked(x, y, yaw + jnp.array([0.0, jnp.pi])), lane",
+        "return stacked(x, y, yaw), lane",
         "layouts/test_routes.py",
     ),
     "velocities of others are in the frame of the lot": Fault(

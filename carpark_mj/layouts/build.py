@@ -74,32 +74,9 @@ def stacked(*columns: Any) -> jax.Array:
     return jnp.stack(jnp.broadcast_arrays(*columns), axis=-1)
 
 
-def cell_poses(
-    offset: jax.Array, width: jax.Array, length: jax.Array, angle: jax.Array
-) -> jax.Array:
-    """Poses (..., 3) of cells whose headings point out into the aisle.
-
-    Their near lines meet the aisle's edge at `offset` (...) [m]; their angle to it is
-    in (0, pi / 2] rad.
-    """
-    sin, cos = jnp.sin(angle), jnp.cos(angle)
-    # The corner at the far line touches the aisle's edge; from there to the centre it
-    # is half a width back and half a length in.
-    x = offset + width / sin - width / 2 * sin + length / 2 * cos
-    y = width / 2 * cos + length / 2 * sin
-    return stacked(x, y, angle + jnp.pi)
-
-
 def row_depth(width: jax.Array, length: jax.Array, angle: jax.Array) -> jax.Array:
     """Depth [m] of a row of bays, from the aisle's edge to its far corners."""
     return length * jnp.sin(angle) + width * jnp.cos(angle)
-
-
-def mirror(pose: jax.Array, flip_x: jax.Array, flip_y: jax.Array) -> jax.Array:
-    """Mirrors poses (..., 3) of boxes; flips are +1 (as it is) or -1."""
-    x, y, yaw = pose[..., 0] * flip_x, pose[..., 1] * flip_y, pose[..., 2]
-    yaw = jnp.arctan2(jnp.sin(yaw) * flip_y, jnp.cos(yaw) * flip_x)
-    return stacked(x, y, yaw)
 
 
 def _rows(row: str, mask: Any, **values: Any) -> Group:
@@ -185,14 +162,12 @@ def two_lanes(pose: Any, size: Any) -> tuple[jax.Array, jax.Array]:
     Traffic keeps to the right; the first lane runs along the aisle's heading.
     """
     pose, size = jnp.asarray(pose, jnp.float32), jnp.asarray(size, jnp.float32)
-    x, y, yaw = pose[..., 0], pose[..., 1], pose[..., 2]
-    aside = size[..., 1] / 4
-    right = jnp.stack([jnp.sin(yaw), -jnp.cos(yaw)], axis=-1) * aside[..., None]
-    centre = jnp.stack([x, y], axis=-1)
-    there = jnp.concatenate([centre + right, yaw[..., None]], axis=-1)
-    back = jnp.concatenate([centre - right, yaw[..., None] + jnp.pi], axis=-1)
+    x, y, yaw = jnp.unstack(pose[..., None], axis=-2)
+    aside = size[..., 1:] / 4 * jnp.array([-1.0, 1.0])
+    x, y = x - jnp.sin(yaw) * aside, y + jnp.cos(yaw) * aside
     lane = size * jnp.array([1.0, 0.5])
-    return jnp.stack([there, back], axis=-2), jnp.stack([lane, lane], axis=-2)
+    lane = jnp.broadcast_to(lane[..., None, :], (*lane.shape[:-1], 2, 2))
+    return stacked(x, y, yaw + jnp.array([0.0, jnp.pi])), lane
 
 
 def boundary(half_x: Any, half_y: Any, thickness: float, kind: WallKind) -> Group:
@@ -233,7 +208,7 @@ def assemble(extent: Any, *groups: Group) -> Layout:
         row, _, part = name.partition("_")
         value = jnp.concatenate([x for x in rows if len(x)] or rows[:1])
         if part == "pose":
-            value = jnp.concatenate([value[:, :2], wrap_angle(value[:, 2:])], axis=-1)
+            value = jnp.where(np.arange(3) == 2, wrap_angle(value), value)
         if (mask := f"{row}_mask") not in full:
             keep = jnp.expand_dims(fields[mask], range(1, value.ndim))
             value = jnp.where(keep, value, jnp.zeros((), value.dtype))

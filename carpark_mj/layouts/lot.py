@@ -215,32 +215,36 @@ def _rows(config: LotConfig, plan: _Plan) -> list[build.Group]:
     """Bays, strips at the ends of the rows and pillars; (aisles, 2 sides, cells)."""
     num_aisles, most = config.num_aisles[1], config.bays_per_row[1]
     shape = (num_aisles, 2, most)
-    first = jnp.zeros(shape, bool).at[0, 1].set(True)  # beside the outer wall
-    cell = jnp.arange(most)
-    accessible = first & (cell < config.num_accessible)
-    family = first & (cell < config.num_accessible + config.num_family) & ~accessible
-    kind = jnp.where(accessible, BayKind.ACCESSIBLE, BayKind.STANDARD)
-    kind = jnp.where(family, BayKind.FAMILY, kind)
+    kind, cell = np.full(shape, BayKind.STANDARD), np.arange(most)
+    wide = config.num_accessible, config.num_accessible + config.num_family
+    first = kind[0, 1]  # beside the outer wall
+    first[: wide[1]], first[: wide[0]] = BayKind.FAMILY, BayKind.ACCESSIBLE
+    accessible, family = kind == BayKind.ACCESSIBLE, kind == BayKind.FAMILY
     width = jnp.where(accessible, standards.ACCESSIBLE_WIDTH, plan.bay_width)
     width = jnp.where(family, standards.FAMILY_WIDTH, width)
     every = config.pillar_every
-    pillar = (cell > 0) & (cell % every == 0) if every else jnp.zeros(most, bool)
-    far = jnp.cumsum(width + jnp.where(pillar, PILLAR_GAP, 0.0), axis=-1)
+    pillar = (cell > 0) & (cell % every == 0) if every else np.zeros(most, bool)
+    far = jnp.cumsum(width + np.where(pillar, np.float32(PILLAR_GAP), 0), axis=-1)
     mask = plan.aisle_mask[:, None, None] & (far <= plan.row + SLACK)
     last = jnp.max(jnp.where(mask, far, 0.0), axis=-1, keepdims=True)
 
     def place(near: jax.Array, width: jax.Array) -> jax.Array:
-        """Poses of cells whose near lines lie so far behind the first bay's."""
-        offset = (near + plan.end) / jnp.sin(plan.angle)
-        pose = build.cell_poses(offset, width, plan.bay_length, plan.angle)
-        pose = pose - jnp.stack([plan.field / 2, -plan.aisle / 2, jnp.zeros(())])
+        """Poses of cells whose near lines lie so far behind the first bay's.
+
+        They head out into the aisle.
+        """
+        sin, cos, yaw = jnp.sin(plan.angle), jnp.cos(plan.angle), plan.angle + jnp.pi
+        # The corner at the far line touches the aisle's edge; from there to the centre
+        # it is half a width back and half a length in.
+        x = (near + plan.end) / sin + width / sin - width / 2 * sin
+        x = x + plan.bay_length / 2 * cos - plan.field / 2
+        y = width / 2 * cos + plan.bay_length / 2 * sin + plan.aisle / 2
         # Aisles alternate in direction if they have one; bays of the second side lie
         # to the right of it.
-        way = jnp.where(jnp.arange(num_aisles) % 2 == 0, 1.0, -1.0)
-        way = jnp.ones_like(way) if config.two_way else way
-        side = jnp.array([1.0, -1.0])
-        pose = build.mirror(pose, way[:, None, None], side[:, None])
-        return pose.at[..., 1].add(plan.aisle_y[:, None, None])
+        way = (-1.0) ** (np.arange(num_aisles) * (not config.two_way))[:, None, None]
+        side = np.array([[1.0], [-1.0]])
+        yaw = jnp.arctan2(jnp.sin(yaw) * side, jnp.cos(yaw) * way)
+        return build.stacked(x * way, y * side + plan.aisle_y[:, None, None], yaw)
 
     bay_pose = place(far - width, width)
     bay_size = build.stacked(plan.bay_length, width)
@@ -280,8 +284,8 @@ def _lanes(config: LotConfig, plan: _Plan) -> list[build.Group]:
     if config.two_way:
         (pose, size), mask = build.two_lanes(pose, size), mask[:, None]
     else:
-        backwards = (jnp.arange(len(mask)) % 2 == 1) != config.back_in
-        pose = pose.at[:, 2].set(jnp.where(backwards, jnp.pi, 0.0))
+        backwards = (np.arange(len(mask)) % 2 == 1) != config.back_in
+        pose = build.stacked(0.0, plan.aisle_y, np.where(backwards, np.pi, 0.0))
     groups = [*build.driven_lanes(config.car, pose, size, mask)]
 
     side = jnp.array([-1.0, 1.0])

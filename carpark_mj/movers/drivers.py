@@ -32,6 +32,7 @@ if the car sweeps no wall and no other bay on it, whether a car stands there or 
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Any
 
 import jax
@@ -93,9 +94,14 @@ def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic
     own = dataclasses.replace(own, tracks=traffic.tracks)
     keys = jax.random.split(key, 5)
     parks = jax.random.uniform(keys[0]) < search
-    turned, parked = _turn(keys[1], own), _park(keys[2], own, traffic, lot)
+    turn_key, swing_key = jax.random.split(keys[1])
+    most = max(own.tracks.mask.size, lot.layout.num_bays)
+    # At once, as each call of the generator is a loop.
+    draw = jax.vmap(partial(jax.random.gumbel, shape=(most,)))
+    luck = draw(jnp.stack([turn_key, *keys[2:]]))
+    turned, parked = _turn(swing_key, luck[0], own), _park(luck[1], own, traffic, lot)
     going_on = where_cars(parks & parked[1], parked, turned)
-    backed = _back_out(keys[3], own, lot)
+    backed = _back_out(luck[2], own, lot)
     stays = own.phase == STAY
     new, good = where_cars(stays, backed, going_on)
     path = new.path
@@ -105,7 +111,7 @@ def plan(key: jax.Array, traffic: Traffic, lot: State, search: float) -> Traffic
     good = good & _is_free(lot.layout, path.at(ways), new.bay)
     undecided = (own.phase == DRIVE) & (own.path.bend == 0.0)
     good = good & (undecided | stays)
-    entered, enters = _enter(keys[4], own, traffic, lot)
+    entered, enters = _enter(luck[3], own, traffic, lot)
     comes = (own.phase == AWAY) & (own.clock > ABSENCE) & enters
     new = where_cars(comes, entered, new)
     row = (jnp.arange(n) == who) & (good | comes)
@@ -124,32 +130,31 @@ def _begins_well(own: Traffic, start: jax.Array) -> jax.Array:
 
 
 def _pick(
-    key: jax.Array, cost: jax.Array, good: jax.Array
+    luck: jax.Array, cost: jax.Array, good: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """A good choice, likelier where costs are low, and whether there is one."""
-    score = jax.random.gumbel(key, cost.shape) - cost
+    score = luck[: cost.shape[0]] - cost
     index = jnp.argmax(jnp.where(good, score, -jnp.inf))
     return index, good.any()
 
 
-def _turn(key: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
+def _turn(key: jax.Array, luck: jax.Array, own: Traffic) -> tuple[Traffic, jax.Array]:
     """A driver that turns into another track."""
     tracks = own.tracks
     length = tracks.length
-    key, swing_key = jax.random.split(key)
-    swing = jnp.where(jax.random.bernoulli(swing_key), SWING, 0.0)
+    swing = jnp.where(jax.random.bernoulli(key), SWING, 0.0)
     beside = to_world(tracks.pose, jnp.stack([0.0, swing, 0.0]))
     arcs = arcs_into(beside, tracks.pose[own.track])
     good = tracks.mask & arcs.good & _begins_well(own, arcs.start)
     good = good & (arcs.along < length[own.track] + CROSSING)
     good = good & (arcs.beyond > -CROSSING) & (arcs.end < length - NOSE - 1.0)
-    index, found = _pick(key, jnp.zeros_like(arcs.start), good)
+    index, found = _pick(luck, jnp.zeros_like(arcs.start), good)
     path = arcs.path(index, length[index] - NOSE - arcs.end[index], 1.0)
     return dataclasses.replace(own, path=path, next_track=index), found
 
 
 def _park(
-    key: jax.Array, own: Traffic, traffic: Traffic, lot: State
+    luck: jax.Array, own: Traffic, traffic: Traffic, lot: State
 ) -> tuple[Traffic, jax.Array]:
     """A driver that turns into a free bay."""
     layout = lot.layout
@@ -163,7 +168,7 @@ def _park(
         good = good & (layout.bay_end != BayEnd.TAIL_FIRST)
     good = good & arcs.good & _begins_well(own, arcs.start)
     good = good & (rest > 0.0) & (arcs.beyond > -LONGEST)
-    index, found = _pick(key, jnp.zeros_like(rest), good)
+    index, found = _pick(luck, jnp.zeros_like(rest), good)
     # A free bay is neither occupied nor the goal of another car.
     found = found & ~(lot.parked_cars.bay == index).any() & ~(lot.goal == index).any()
     found = found & ~((traffic.bay == index) & traffic.present).any()
@@ -174,7 +179,7 @@ def _park(
     return new, found & ~there.any()
 
 
-def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Array]:
+def _back_out(luck: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Array]:
     """A driver that backs out of a bay onto a track."""
     tracks = own.tracks
     lanes = tracks.pose.at[:, 2].add(jnp.pi)
@@ -182,7 +187,7 @@ def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Ar
     place = -(arcs.end + BACK_ON)
     good = tracks.mask & arcs.good & (arcs.start > 0.1) & (arcs.along < LONGEST)
     good = good & (place > 0.0) & (place < tracks.length - NOSE - 1.0)
-    index, found = _pick(key, arcs.along, good)
+    index, found = _pick(luck, arcs.along, good)
     path = arcs.path(index, jnp.float32(BACK_ON), -1.0)
     # Somebody needs the bay: go.
     due = (own.clock > own.stay) | (lot.goal == own.bay).any()
@@ -198,11 +203,11 @@ def _back_out(key: jax.Array, own: Traffic, lot: State) -> tuple[Traffic, jax.Ar
 
 
 def _enter(
-    key: jax.Array, own: Traffic, traffic: Traffic, lot: State
+    luck: jax.Array, own: Traffic, traffic: Traffic, lot: State
 ) -> tuple[Traffic, jax.Array]:
     """A driver that enters where a track begins."""
     tracks = own.tracks
-    index, found = _pick(key, jnp.zeros_like(tracks.length), tracks.entry)
+    index, found = _pick(luck, jnp.zeros_like(tracks.length), tracks.entry)
     pose = move_forward(tracks.pose[index], ENTRY_INSET)
     ahead = move_forward(pose, NOSE)[:2]
     zero = jnp.float32(0.0)

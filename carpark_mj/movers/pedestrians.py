@@ -305,13 +305,10 @@ class Pedestrians(Mover):
         (least, n), places = _bounds(self.number), make_places(layout)
         bodies = group_outlines(others)
         room = self.radius[1] + START_SPARE
-        *keys, attention_key = jax.random.split(key, 12)
-        keys = iter(keys)
-
-        def share(probability: float | jax.Array) -> jax.Array:
-            return jax.random.uniform(next(keys), (n,)) < probability
-
-        order = jax.random.uniform(next(keys), places.mask.shape)
+        keys = jax.random.split(key, 12)
+        # At once, as each call of the generator is a loop; some keys draw otherwise.
+        chances = jax.vmap(lambda key: jax.random.uniform(key, (n,)))(keys)
+        order = jax.random.uniform(keys[0], places.mask.shape)
         # Of places too near to each other the last in order counts.
         near = norm(places.edge[:, None] - places.edge) < 2.0 * room
         near = near & (order > order[:, None]) & places.mask
@@ -319,12 +316,12 @@ class Pedestrians(Mover):
         order = jnp.argsort(jnp.where(good, order, 2.0))[:n]
         start = jnp.pad(order, (0, n - order.shape[0]))
         rank = jnp.arange(n)
-        wanted = jax.random.randint(next(keys), (), least, n + 1)
-        child = share(self.children)
+        wanted = jax.random.randint(keys[1], (), least, n + 1)
+        child = chances[2] < self.children
         # Of two neighbours in the list the second follows, so no follower leads.
-        follows = share(2.0 * self.groups) & (rank % 2 == 1)
+        follows = (chances[3] < 2.0 * self.groups) & (rank % 2 == 1)
         follows = follows & ~child & ~jnp.roll(child, 1)
-        angle = jax.random.uniform(next(keys), (TRIES, n), maxval=2 * jnp.pi)
+        angle = jax.random.uniform(keys[4], (TRIES, n), maxval=2 * jnp.pi)
         beside = 2.0 * room * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
         # Beside the leader, if there is room, clear of all others.
         tried = places.edge[jnp.roll(start, 1)] + beside
@@ -340,14 +337,14 @@ class Pedestrians(Mover):
         leader = jnp.where(follows, rank - 1, rank)
         start = start[leader]
         offset = jnp.where(follows[:, None], beside[which], 0.0)
-        deviation = jax.random.truncated_normal(next(keys), -2.0, 2.0, (n,))
+        deviation = jax.random.truncated_normal(keys[5], -2.0, 2.0, (n,))
         low, high = self.speed
         speed = (low + high) / 2 + deviation * (high - low) / 4
         low, high = self.radius
-        radius = jax.random.uniform(next(keys), (n,), minval=low, maxval=high)
+        radius = jax.random.uniform(keys[6], (n,), minval=low, maxval=high)
         at = places.edge[start] + offset
         low, high = _bounds(self.attention)
-        attention = jax.random.uniform(attention_key, minval=low, maxval=high)
+        attention = jax.random.uniform(keys[11], minval=low, maxval=high)
         nothing = jnp.array([AWAY, AWAY, 1.0, 0.0, 0.0, 0.0])
         return People(
             xy=at,
@@ -356,16 +353,16 @@ class Pedestrians(Mover):
             radius=jnp.where(child, CHILD, radius),
             present=(rank < wanted) & (rank < good.sum()),
             child=child,
-            stands=share(self.standing)[leader] & ~child,
-            straight=share(self.straight) & ~child,
-            attentive=share(attention) & ~child,
+            stands=(chances[7] < self.standing)[leader] & ~child,
+            straight=(chances[8] < self.straight) & ~child,
+            attentive=(chances[9] < attention) & ~child,
             leader=leader,
             offset=offset,
             place=start,
             target=start,
             phase=jnp.full(n, REST, jnp.int32),
             inside=jnp.zeros(n, bool),
-            clock=-jax.random.uniform(next(keys), (n,), maxval=FIRST_REST)[leader],
+            clock=-FIRST_REST * chances[10][leader],
             halted=jnp.zeros(n),
             near=jnp.broadcast_to(nothing[:, None, None], (6, n, NEAR)),
             turn=jnp.int32(0),

@@ -155,13 +155,17 @@ class Cart(Mover):
         self, key: jax.Array, state: CartState, lot: State, dt: float
     ) -> CartState:
         """It rolls on, or is pushed anywhere."""
-        when, where, hard = jax.random.split(key, 3)
         pose, speed = state.pose, state.speed
-        pushed = (speed == 0.0) & (jax.random.uniform(when) < dt / self.pause)
-        yaw = jax.random.uniform(where, maxval=2 * jnp.pi)
+
+        @jax.vmap  # at once, as each call of the generator is a loop
+        def draw(key: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+            return jax.random.uniform(key, minval=low, maxval=high)
+
+        low, high = jnp.array([[0.0, 0.0, 0.3], [1.0, 2 * jnp.pi, 1.0]])
+        chance, yaw, push = draw(jax.random.split(key, 3), low, high)
+        pushed = (speed == 0.0) & (chance < dt / self.pause)
         pose = pose.at[2].set(jnp.where(pushed, yaw, pose[2]))
-        push = jax.random.uniform(hard, minval=0.3, maxval=1.0) * self.speed
-        speed = jnp.where(pushed, push, speed)
+        speed = jnp.where(pushed, push * self.speed, speed)
         slower = jnp.maximum(speed - ROLLING * dt, 0.0)
         there = move_forward(pose, (speed + slower) / 2 * dt)
         ahead = move_forward(there, AHEAD)
