@@ -36,6 +36,8 @@ class NetworkConfig(CheckedConfig):
             instead of any by a normal distribution; 0 = any.
         dither: time of an episode [s] after which a policy that takes the likeliest
             `bins` adds noise, so that it ends what it would repeat for ever; 0 = none.
+        mirrored: whether such a policy averages over the scene and its mirror image, so
+            that it drives alike to the left and to the right.
     """
 
     policy_layers: Annotated[tuple[int, ...], Bounds(ge=1)] = (128, 128)
@@ -49,6 +51,7 @@ class NetworkConfig(CheckedConfig):
     max_std: NonNegative = 0.0
     bins: Natural = 0
     dither: NonNegative = 0.0
+    mirrored: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -58,5 +61,5 @@ class NetworkConfig(CheckedConfig):
             )
         if self.bins == 1:
             raise ValueError("bins must be 0 or at least 2, not 1")
-        if self.dither and not self.bins:
-            raise ValueError(f"dither {self.dither} needs bins")
+        if (self.dither or self.mirrored) and not self.bins:
+            raise ValueError("dither and mirrored need bins")

@@ -15,6 +15,7 @@ from carpark_mj.geometry import box_room, norm, rotate, to_local
 from carpark_mj.layouts.routes import RouteLeft, route_to
 from carpark_mj.layouts.types import Layout
 from carpark_mj.observations.fields import (
+    ASIDE,
     CLOSE,
     FAR,
     FARTHEST,
@@ -37,9 +38,10 @@ from carpark_mj.observations.sensors import observed
 from carpark_mj.types import NO_BAY, State
 
 
-def _goal_field(name: str, size: int, meaning: str) -> Field:
+def _goal_field(name: str, mirror: tuple[int, ...], meaning: str) -> Field:
     """Numbers in [-1, 1] about the goal."""
-    return Field(name, size, -1.0, 1.0, meaning, reveals_goal=True)
+    n = len(mirror)
+    return Field(name, n, -1.0, 1.0, meaning, reveals_goal=True, mirror=mirror)
 
 
 def _own(name: str, size: int, meaning: str, high: float = 2.0) -> Field:
@@ -57,11 +59,14 @@ def _motion(sight: ObservationInput) -> dict[str, jax.Array]:
 
 
 _FORWARD, _TURN = "own signed speed [forward limit]", "own yaw rate [rad/s], left > 0"
+_ANGLE = "own road-wheel angle [its limit], left > 0"
 MOTION = Part(
     (
         Field("speed", 1, -1.5, 1.5, _FORWARD, speed=math.inf),
-        Field("steering", 1, -1.0, 1.0, "own road-wheel angle [its limit], left > 0"),
-        Field("yaw_rate", 1, -2.0, 2.0, _TURN, speed=1.0, is_yaw_rate=True),
+        Field("steering", 1, -1.0, 1.0, _ANGLE, mirror=(-1,)),
+        Field(
+            "yaw_rate", 1, -2.0, 2.0, _TURN, speed=1.0, is_yaw_rate=True, mirror=(-1,)
+        ),
     ),
     _motion,
 )
@@ -88,10 +93,12 @@ _SIZE = f"length and width of the goal bay less own [{LENGTH:g} m]"
 GOAL = Part(
     (
         position_field("goal_position", "goal centre", reveals_goal=True),
-        _goal_field("goal_near", 2, f"goal centre, body frame [{NEAR:g} m], clipped"),
-        _goal_field("goal_heading", 2, "cos and sin of goal heading minus own"),
+        _goal_field(
+            "goal_near", ASIDE, f"goal centre, body frame [{NEAR:g} m], clipped"
+        ),
+        _goal_field("goal_heading", ASIDE, "cos and sin of goal heading minus own"),
         distance_field("goal_distance", "to the goal centre", reveals_goal=True),
-        _goal_field("in_bay", 2, f"own centre, goal frame [{NEAR:g} m], clipped"),
+        _goal_field("in_bay", ASIDE, f"own centre, goal frame [{NEAR:g} m], clipped"),
         Field("goal_size", 2, 0.0, 2.0, _SIZE, metres=LENGTH, reveals_goal=True),
     ),
     _goal,
@@ -109,7 +116,7 @@ _ROOM = (
     "room between the own outline and the goal bay's lines at +x, -x, +y, -y, goal "
     f"frame [{CLOSE:g} m], clipped"
 )
-LINES = Part((_goal_field("line_room", 4, _ROOM),), _lines)
+LINES = Part((_goal_field("line_room", (1, 2, 4, 3), _ROOM),), _lines)
 
 
 def on_last_stretch(sight: ObservationInput) -> jax.Array:
@@ -272,10 +279,11 @@ def past_part(ctrl_dt: float) -> Part:
         f"where it last changed, {TURNS} times, the newest first: x and y, body frame "
         f"[{NEAR * 2:g} m], clipped, cos and sin of the heading less own; 0 = not yet"
     )
+    aside = tuple(place * (-1) ** (place + 1) for place in range(1, 4 * TURNS + 1))
     fields = (
         _own("own_time", 2, times),
         _own("own_changes", 1, changes),
-        Field("own_turns", 4 * TURNS, -1.0, 1.0, turns),
+        Field("own_turns", 4 * TURNS, -1.0, 1.0, turns, mirror=aside),
     )
     return Part(fields, fill)
 

@@ -68,6 +68,8 @@ class Field:
             two. () = they are no picture.
         gamma: of a picture's bytes in dictionaries of observations: they are its share
             of the range to this power. Below 1, small numbers have more of the bytes.
+        mirror: numbers if left and right were exchanged, by place from 1, negative with
+            the other sign: (1, -2) for a point. () = unchanged.
     """
 
     name: str
@@ -85,12 +87,17 @@ class Field:
     reveals_goal: bool = False
     shape: tuple[int, ...] = ()
     gamma: float = 1.0
+    mirror: tuple[int, ...] = ()
+
+
+ASIDE = (1, -2)  # `Field.mirror` of points and vectors, and of cosines and sines
 
 
 def position_field(name: str, meaning: str, reveals_goal: bool = False) -> Field:
     """A point (2,) in the body frame in units of `FAR`, see `far`."""
     meaning, reach = f"{meaning}, body frame [{FAR:g} m]", FARTHEST
-    return Field(name, 2, -reach, reach, meaning, metres=FAR, reveals_goal=reveals_goal)
+    scale: Any = {"metres": FAR, "reveals_goal": reveals_goal, "mirror": ASIDE}
+    return Field(name, 2, -reach, reach, meaning, **scale)
 
 
 def distance_field(name: str, meaning: str, reveals_goal: bool = False) -> Field:
@@ -144,8 +151,10 @@ def repeated_values(group: str, values: dict[str, jax.Array]) -> dict[str, jax.A
 _NEAR = f"its centre, body frame [{NEAR * 2:g} m], clipped"
 POSE_FIELDS = (
     position_field("position", "its centre, x and y"),
-    Field("near_position", 2, -1.0, 1.0, _NEAR),
-    Field("heading", 2, -1.0, 1.0, "cos and sin of its heading minus own"),
+    Field("near_position", 2, -1.0, 1.0, _NEAR, mirror=ASIDE),
+    Field(
+        "heading", 2, -1.0, 1.0, "cos and sin of its heading minus own", mirror=ASIDE
+    ),
 )
 CAR_FIELDS = (
     mask_field("car"),

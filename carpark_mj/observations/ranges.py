@@ -130,10 +130,11 @@ def rays_part(config: RayConfig) -> Part:
 
     reach, near, free = config.reach, config.near, "free distance along"
     meaning = f"{free} bearings from ahead to the left [{reach:g} m]"
-    fields = (Field(RAYS, config.count, 0.0, 1.0, meaning),)
+    count, mirror = config.count, (1, *range(config.count, 1, -1))
+    fields = (Field(RAYS, count, 0.0, 1.0, meaning, mirror=mirror),)
     if config.near:
         meaning = f"{free} the bearings of `rays` [{near:g} m], clipped"
-        fields += (Field(RAYS_NEAR, config.count, 0.0, 1.0, meaning),)
+        fields += (Field(RAYS_NEAR, count, 0.0, 1.0, meaning, mirror=mirror),)
     return Part(fields, fill)
 
 
@@ -303,7 +304,9 @@ def ultrasound_part(config: UltrasoundConfig) -> Part:
         "distance in the cones of the sensors: front and rear bumper, left and right "
         f"side [{config.reach:g} m]"
     )
-    return Part((Field(ULTRASOUND, len(SENSORS), 0.0, 1.0, meaning),), fill)
+    mirror = (4, 3, 2, 1, 8, 7, 6, 5, 11, 12, 9, 10)
+    field = Field(ULTRASOUND, len(SENSORS), 0.0, 1.0, meaning, mirror=mirror)
+    return Part((field,), fill)
 
 
 def echo_distances(config: UltrasoundConfig, sight: ObservationInput) -> jax.Array:

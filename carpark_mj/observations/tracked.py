@@ -13,6 +13,7 @@ from carpark_mj.geometry import nearest, norm, rotate, to_local
 from carpark_mj.geometry.obstacles import Boxes, Group, ObstacleKind
 from carpark_mj.observations.ego import goal_code
 from carpark_mj.observations.fields import (
+    ASIDE,
     CAR_FIELDS,
     Field,
     ObservationInput,
@@ -136,7 +137,7 @@ _BEFORE = "1 if its number in the lot is lower than the own, else 0"
 def _shared(share: ShareConfig, num_tracked_bays: int) -> list[tuple[Field, Shared]]:
     """What tracked agents share."""
     speed = Field("speed", 1, -1.5, 1.5, _SPEED, speed=math.inf)
-    steering = Field("steering", 1, -1.0, 1.0, _ANGLE)
+    steering = Field("steering", 1, -1.0, 1.0, _ANGLE, mirror=(-1,))
     goal = position_field("goal", "centre of its goal"), _shared_goal
     if num_tracked_bays:
         goal = Field("goal", num_tracked_bays + 2, 0, 1, _PLACE), _goal_choice
@@ -183,7 +184,7 @@ STANDS = 0.05  # m/s, below which a velocity has no direction
 _VELOCITY = f"its velocity, body frame [{PACE:g} m/s]"
 _MOVER_FIELDS = (
     *CAR_FIELDS,
-    Field("velocity", 2, -3.0, 3.0, _VELOCITY, speed=PACE),
+    Field("velocity", 2, -3.0, 3.0, _VELOCITY, speed=PACE, mirror=ASIDE),
     Field("person", 1, 0.0, 1.0, "1 if it is a person, else 0"),
 )
 

@@ -20,7 +20,7 @@ from carpark_mj.policy import checkpoints, runs
 from carpark_mj.policy.networks import (
     Policy,
     init_normalizer,
-    make_dither,
+    make_finish,
     make_networks,
     make_policy,
     network_inputs,
@@ -80,8 +80,8 @@ def load_policy(
         networks: Any = make_networks(config, fields, action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
         size = networks.parametric_action_distribution.param_size
-        dither = make_dither(config, fields, size)
-        policy = make_policy(networks, normalizer, actor, deterministic, dither)
+        finish = make_finish(config, fields, size)
+        policy = make_policy(networks, normalizer, actor, deterministic, finish)
         policy = _drives_in(env, fields, policy)
     return LoadedPolicy(env, policy, header["env_steps"], path, config)
 

@@ -6,6 +6,7 @@ slots, which a set encoder masks, do not count. Pictures have none.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -211,52 +212,68 @@ def _set_network(network: SetNetwork) -> brax_networks.FeedForwardNetwork:
     return brax_networks.FeedForwardNetwork(init=init, apply=apply)
 
 
+Logits = Callable[[jax.Array], jax.Array]  # of observations
+
+
 def make_policy(
     networks: ppo_networks.PPONetworks,
     normalizer: Normalizer,
     policy_params: Any,
     deterministic: bool,
-    dither: Callable[[jax.Array], jax.Array] | None = None,
+    finish: Callable[[Logits, jax.Array], jax.Array] | None = None,
 ) -> Policy:
     """An acting function `(observation, key) -> (action, extras)`.
 
-    A deterministic one adds `dither` of its observations to the logits, see
-    `make_dither`.
+    A deterministic one takes the likeliest of the logits that `finish` makes, see
+    `make_finish`.
     """
     make: Any = ppo_networks.make_inference_fn(networks)
 
     def act(params: Any, observation: jax.Array, key: jax.Array) -> Any:
-        if not (deterministic and dither):
+        if not (deterministic and finish):
             return make(params, deterministic=deterministic)(observation, key)
-        logits: Any = networks.policy_network.apply(*params, observation)
+        logits: Any = functools.partial(networks.policy_network.apply, *params)
         chosen: Any = networks.parametric_action_distribution
-        return chosen.mode(logits + dither(observation)), {}
+        return chosen.mode(finish(logits, observation)), {}
 
     return Partial(act, (normalizer, policy_params))
 
 
-def make_dither(
+def make_finish(
     config: NetworkConfig, fields: Sequence[Field], size: int
-) -> Callable[[jax.Array], jax.Array] | None:
-    """What `NetworkConfig.dither` adds to logits (..., size), by the observation.
+) -> Callable[[Logits, jax.Array], jax.Array] | None:
+    """Makes the logits (..., size) of a deterministic policy; None: as they are.
 
-    It is Gumbel noise, with which the likeliest choice is a sample, from a table by the
-    time: one observation has one action. None without a dither; `ValueError` if agents
-    do not observe the time.
+    `mirrored` averages those of the scene and of its mirror image. `dither` adds Gumbel
+    noise, with which the likeliest choice is a sample, from a table by the time: an
+    observation has one action. `ValueError` if agents do not observe the time, or
+    observe pictures, which have no mirror image here.
     """
-    if not config.dither:
+    if not (config.dither or config.mirrored):
         return None
     names = [field.name for field in fields]
-    if "own_time" not in names:
+    if config.dither and "own_time" not in names:
         raise ValueError("networks.dither needs observation.own_past")
-    place = sum(field.size for field in fields[: names.index("own_time")])
+    if config.mirrored and any(field.shape for field in fields):
+        raise ValueError("networks.mirrored takes no pictures")
+    starts = np.cumsum([0, *(field.size for field in fields)])
+    places = [field.mirror or range(1, field.size + 1) for field in fields]
+    mirror = np.concatenate([np.array(x) for x in places])
+    order = abs(mirror) - 1 + np.repeat(starts[:-1], np.diff(starts))
+    sign = np.sign(mirror).astype(np.float32)
+    other = np.r_[config.bins - 1 : -1 : -1, config.bins : size]  # steers to there
     table = np.random.default_rng(0).gumbel(size=(DITHERS, size)).astype(np.float32)
     first = round(config.dither / DITHER_STEP)
 
-    def dither(observation: jax.Array) -> jax.Array:
-        time = observation[..., place] * (LONG / DITHER_STEP)
-        tick = jnp.floor(time + 0.5).astype(int)
+    def finish(logits: Logits, observation: jax.Array) -> jax.Array:
+        found = logits(observation)
+        if config.mirrored:
+            found = (found + logits(observation[..., order] * sign)[..., other]) / 2
+        if not config.dither:
+            return found
+        time = observation[..., starts[names.index("own_time")]]
+        tick = jnp.floor(time * (LONG / DITHER_STEP) + 0.5).astype(int)
         noise = jnp.asarray(table)[tick % DITHERS]
-        return jnp.where(tick[..., None] < first, 0.0, noise)
+        return found + jnp.where(tick[..., None] < first, 0.0, noise)
 
-    return dither
+    return finish

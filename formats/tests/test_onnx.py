@@ -59,7 +59,7 @@ ENVS = {
     "wide": EnvConfig(observation=WIDE),
     "past": EnvConfig(observation=ContinuousObservation(own_past=True)),
 }
-CHOICES = {"past": {"bins": 9, "dither": 30.0}}
+CHOICES = {"past": {"bins": 9, "dither": 30.0, "mirrored": True}}
 
 
 @pytest.mark.parametrize("name", sorted(ENVS))

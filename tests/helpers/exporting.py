@@ -12,7 +12,7 @@ from carpark_mj.policy.loading import LoadedPolicy
 from carpark_mj.policy.networks import (
     NetworkConfig,
     init_normalizer,
-    make_dither,
+    make_finish,
     make_networks,
     make_policy,
     network_inputs,
@@ -36,8 +36,8 @@ def untrained(env, encoder="set", seed=1, **choices):
         return normalizer, networks.policy_network.init(keys[1])
 
     size = networks.parametric_action_distribution.param_size
-    dither = make_dither(config, fields, size)
-    policy = make_policy(networks, *draw(jax.random.key(seed)), True, dither)
+    finish = make_finish(config, fields, size)
+    policy = make_policy(networks, *draw(jax.random.key(seed)), True, finish)
     return LoadedPolicy(env, policy, 0, Path("none"), config)
 
 

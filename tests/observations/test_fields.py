@@ -15,14 +15,19 @@ from helpers.states import config_of, state_of
 from carpark_mj.config import (
     ENCODERS,
     EnvConfig,
+    EpisodeConfig,
     FleetConfig,
     GoalConfig,
     ObservationConfig,
     RayConfig,
     ShareConfig,
+    UltrasoundConfig,
 )
+from carpark_mj.config.networks import NetworkConfig
+from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local
 from carpark_mj.layouts import layout_config
+from carpark_mj.layouts.types import mirror
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import tracks_parked_cars
 from carpark_mj.observations import (
@@ -34,8 +39,10 @@ from carpark_mj.observations import (
 from carpark_mj.observations.compose import OWN, observation_sets
 from carpark_mj.observations.ego import TURNS
 from carpark_mj.observations.fields import FAR, FARTHEST, NEAR, Field
+from carpark_mj.policy.networks import make_finish
 from carpark_mj.policy.runs import from_dict
 from carpark_mj.registry import ANYWHERE
+from carpark_mj.spawning.reset_options import ResetOptions
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -284,3 +291,38 @@ def test_values_that_are_not_those_of_the_fields_are_refused(names, filled, mess
     state = state_of(lot([(0.0, 0.0, 0.0)]), cars(np.zeros((3, 3))), 0)
     with pytest.raises(ValueError, match=message):
         jax.eval_shape(lambda state: observe(config, state), state)
+
+
+def test_a_mirrored_lot_is_seen_as_the_fields_say():
+    """Two cars drive the mirror image of the same ways."""
+    seen = ContinuousObservation(
+        *(1, 2),
+        **dict.fromkeys(("route", "lines", "own_gear", "own_past"), True),
+        rays=RayConfig(8, near=1.0),
+        ultrasound=UltrasoundConfig(on=True, noise=0.0),
+        share=ShareConfig(speeds=True, goals=True, steering=True),
+    )
+    stays = EpisodeConfig(respawn=False)
+    base = EnvConfig(layout="street", physics="bicycle", num_parked_cars=3)
+    config = dataclasses.replace(base, observation=seen, episode=stays)
+    env, key = ParkingEnv(config), jax.random.key(3)
+    layout, side = env.draw_layout(key), jnp.array([1.0, -1.0, -1.0])
+    pose, goal = jnp.array([[-4.0, 1.0, 0.3], [5.0, -1.0, 2.8]]), jnp.array([1, 6])
+    ways = jnp.array([[0.8, 0.9], [-0.5, 0.7], [-0.5, -1.0], [1.0, -0.8]])
+
+    @jax.jit
+    def drive(layout, pose, turn):
+        options = ResetOptions(pose=pose, goal=goal)
+        state, _ = env.reset_to_layout(layout, key, options=options)
+        actions = jnp.repeat(ways, 4, axis=0)[:, None] * jnp.array([turn, 1.0])
+        drive = jax.lax.scan(env.step, state, jnp.repeat(actions, 2, axis=1))
+        return drive[1].observation.reshape(-1, env.observation_size)
+
+    here, there = drive(layout, pose, 1.0), drive(mirror(layout), pose * side, -1.0)
+    asked = []
+    finish = make_finish(NetworkConfig(bins=3, mirrored=True), make_fields(config), 6)
+    logits = jnp.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    found = finish(lambda x: asked.append(x) or logits, here)
+    np.testing.assert_allclose(asked[1], there, atol=2e-4)
+    assert (np.abs(here - there).max(axis=0) > 0.01).mean() > 0.3
+    np.testing.assert_allclose(found, [1.0, 1.0, 1.0, 3.0, 4.0, 5.0])  # either steer

@@ -23,7 +23,7 @@ from carpark_mj.policy.networks import (
     Arithmetic,
     NetworkConfig,
     init_normalizer,
-    make_dither,
+    make_finish,
     make_networks,
     make_policy,
     network_inputs,
@@ -273,8 +273,8 @@ def test_a_dither_draws_by_the_time_from_what_is_likely():
         parametric_action_distribution=action_distribution(ActionSpec(1), bins=3),
     )
     fields = [Field("x", 2, -1.0, 1.0, ""), Field("own_time", 2, 0.0, 2.0, "")]
-    dither = make_dither(config, fields, 3)
-    policy = make_policy(networks, None, jnp.log(p), True, dither)
+    finish = make_finish(config, fields, 3)
+    policy = make_policy(networks, None, jnp.log(p), True, finish)
     time = 0.2 * np.arange(n) / LONG
     seen = jnp.asarray(np.stack([0 * time, 0 * time, time, 0 * time], 1), jnp.float32)
     action = np.asarray(policy(seen, jax.random.key(0))[0])[:, 0]
@@ -284,7 +284,7 @@ def test_a_dither_draws_by_the_time_from_what_is_likely():
     assert (np.abs(share - p) < 4 * np.sqrt(p * (1 - p) / DITHERS)).all()
     np.testing.assert_array_equal(action[150 + DITHERS :], action[150:-DITHERS])
     with pytest.raises(ValueError, match=r"observation\.own_past"):
-        make_dither(config, fields[:1], 3)
+        make_finish(config, fields[:1], 3)
     for wrong in ({"bins": 1}, {"dither": 1.0}):
         with pytest.raises(ValueError, match="bins"):
             NetworkConfig(**wrong)

@@ -53,7 +53,7 @@ def require_run(config: PPOConfig) -> None:
         raise ValueError(f"{config.warm_start} has no networks for a warm start")
     # No weight's shape.
     alike: dict[str, Any] = {
-        x: getattr(own, x) for x in ("min_std", "max_std", "dither")
+        x: getattr(own, x) for x in ("min_std", "max_std", "dither", "mirrored")
     }
     alike |= {} if has_critic else {"value_layers": own.value_layers}
     alike["own_size"] = max(theirs.own_size, own.own_size)
