@@ -2,6 +2,7 @@
 
 import sys
 import textwrap
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,10 +12,14 @@ from carpark_mj.extensions import VARIABLE, Registry, load_extensions
 
 @pytest.fixture
 def extension(tmp_path, monkeypatch):
-    """Writes a module that `VARIABLE` names; returns what writes it."""
+    """Writes a module that `VARIABLE` names; returns what writes it.
+
+    It can import `cars`, a registry, from `trial_registry`.
+    """
     monkeypatch.setattr(extensions, "_loaded", set(extensions._loaded))
     monkeypatch.setattr(extensions, "_broken", dict(extensions._broken))
     monkeypatch.syspath_prepend(str(tmp_path))
+    sys.modules["trial_registry"] = SimpleNamespace(cars=Registry("car"))
 
     def write(name, text):
         (tmp_path / f"{name}.py").write_text(textwrap.dedent(text))
@@ -38,9 +43,7 @@ def test_two_parts_of_one_name_are_refused():
 
 
 def test_an_unknown_name_imports_the_extensions(extension):
-    registry = Registry("car")
-    sys.modules["trial_registry"] = type(sys)("trial_registry")
-    sys.modules["trial_registry"].cars = registry
+    registry = sys.modules["trial_registry"].cars
     extension(
         "trial_package",
         """
@@ -58,8 +61,6 @@ def test_an_unknown_name_imports_the_extensions(extension):
 
 
 def test_an_extension_that_does_not_import_is_named(extension):
-    sys.modules["trial_registry"] = type(sys)("trial_registry")
-    sys.modules["trial_registry"].cars = Registry("car")
     extension(
         "trial_broken",
         """

@@ -1,6 +1,5 @@
 """Runs put together: points, tables, pictures, the page, and what is refused."""
 
-import csv
 import dataclasses
 import math
 import re
@@ -10,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 import pytest
 from helpers.disks import no_printing
-from helpers.programs import assert_refused, exit_code
+from helpers.programs import assert_refused, exit_code, rows_of
 from helpers.sweeping import write_run
 from rich.console import Console
 
@@ -113,8 +112,7 @@ def test_the_command_leaves_tables_pictures_and_one_page(tmp_path, capsys):
     out = tmp_path / "out"
     assert exit_code("analysis", [*runs, "--out", str(out)]) == 0
     assert "env.num_agents" in capsys.readouterr().out
-    with (out / "runs.csv").open(newline="") as file:
-        assert [row["env.num_agents"] for row in csv.DictReader(file)] == [*"1122"]
+    assert [row["env.num_agents"] for row in rows_of(out / "runs.csv")] == [*"1122"]
     for name in ("parked", "crashed", "length", "curve_parked"):
         assert (out / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
     page = (out / "report.html").read_text()

@@ -1,6 +1,5 @@
 """The benchmark: what it asks, how it compares; rates themselves are the machine's."""
 
-import csv
 import dataclasses
 import subprocess
 from types import SimpleNamespace
@@ -8,15 +7,10 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import pytest
-from helpers.programs import assert_refused
+from helpers.programs import assert_refused, rows_of
 
 from carpark_mj import benchmarking
-from carpark_mj.benchmarking import (
-    BenchmarkConfig,
-    Job,
-    count_equations,
-    jobs_of,
-)
+from carpark_mj.benchmarking import BenchmarkConfig, Job, count_equations, jobs_of
 from carpark_mj.training.ppo import learner
 from carpark_mj.training.ppo.parts import PRESETS
 
@@ -54,8 +48,7 @@ def test_jobs_take_turns_and_an_interrupted_run_keeps_its_rows(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         benchmarking.measure(jobs, run_job, repeats=3, out=str(out))
     assert asked == [4, 8, 4]
-    with out.open(newline="") as file:
-        kept = [(int(row["lots"]), row["round"]) for row in csv.DictReader(file)]
+    kept = [(int(row["lots"]), row["round"]) for row in rows_of(out)]
     assert kept == [(4, "1"), (8, "1"), (4, "2")]
 
 
@@ -106,10 +99,8 @@ def test_a_job_is_measured_in_a_process_of_its_own(monkeypatch):
     assert result["peak_memory_mb"] > 10
 
 
-FAILED, OOM = (
-    "could not measure physics brush with 3 lots: ",
-    "RESOURCE_EXHAUSTED: 3 TB",
-)
+FAILED = "could not measure physics brush with 3 lots: "
+OOM = "RESOURCE_EXHAUSTED: 3 TB"
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """Evaluations: episodes, and what is reported of them."""
 
 import collections
-import csv
 import dataclasses
 import functools
 import json
@@ -14,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.disks import no_printing
+from helpers.programs import rows_of
 from helpers.sliding import SlidePhysics
 from jax.tree_util import Partial
 from rich.console import Console
@@ -245,11 +245,10 @@ BICYCLES = EnvConfig(physics="bicycle")
 def test_what_is_written_adds_up_to_what_is_written(everything, tmp_path, capsys):
     table, data = write_evaluation(tmp_path, everything, {})
     words = ("family", "vehicle")
-    with table.open(newline="") as file:
-        rows = [
-            {name: float(x) for name, x in row.items() if name not in words}
-            for row in csv.DictReader(file)
-        ]
+    rows = [
+        {name: float(x) for name, x in row.items() if name not in words}
+        for row in rows_of(table)
+    ]
     stored = json.loads(data.read_text())
     assert json.dumps(summarize(rows)) == json.dumps(stored["summary"])  # NaN like NaN
     assert "families" not in stored  # of a single lot

@@ -1,15 +1,13 @@
 """Broad phase: nothing near is missed, and nothing else is visited."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.compiling import both_phases
 from helpers.scenes import random_lots
 from helpers.states import state_of
 
-from carpark_mj.geometry import obstacles as near
 from carpark_mj.geometry.obstacles import Boxes, Discs, touches, visit_near
 from carpark_mj.mdp.collisions import find_hits
 
@@ -89,29 +87,16 @@ def test_touching_groups_is_touching_any_obstacle_that_is_there():
     np.testing.assert_array_equal(touches(pose, size, groups), wanted)
 
 
-@functools.cache
-def compiled(crowded):
-    """Hits of a batch, by the broad phase or by testing every pair."""
+def find(layout, motion, parked):
+    hits = find_hits(state_of(layout, motion, 0, parked_cars=parked))
+    return jnp.stack([*hits.values()], axis=-1)
 
-    @jax.jit
-    @jax.vmap
-    def run(layout, motion, parked):
-        hits = find_hits(state_of(layout, motion, 0, parked_cars=parked))
-        return jnp.stack([*hits.values()], axis=-1)
 
-    def call(*scene):
-        before = near.MANY_PAIRS
-        near.MANY_PAIRS = 0 if crowded else 10**9
-        try:
-            return np.asarray(run(*scene))
-        finally:
-            near.MANY_PAIRS = before
-
-    return call
+BOTH = both_phases(find)
 
 
 def test_hits_are_those_of_testing_every_pair():
-    hits, all_hits = (compiled(crowded)(*dense_lots(0)) for crowded in (True, False))
+    all_hits, hits = (hits_of(*dense_lots(0)) for hits_of in BOTH)
     np.testing.assert_array_equal(hits, all_hits)
     for kind in range(3):  # both answers, in wide lots and in narrow ones
         assert 0.02 < all_hits[1::2, :, kind].mean() < 0.98
@@ -124,8 +109,7 @@ def test_a_car_that_is_nowhere_hides_nobody():
         pose_w=motion.pose_w.at[:, 3].set(jnp.nan),
         trace_w=motion.trace_w.at[:, 3].set(jnp.nan),
     )
-    scene = layout, lost, parked
-    hits, all_hits = (compiled(crowded)(*scene) for crowded in (True, False))
+    all_hits, hits = (hits_of(layout, lost, parked) for hits_of in BOTH)
     np.testing.assert_array_equal(hits, all_hits)
     assert not hits[:, 3].any()
     assert hits[:, :3].mean() > 0.1

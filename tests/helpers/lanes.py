@@ -20,6 +20,15 @@ def with_lanes(*groups, mask=None):
     return lot([(100.0, 0.0, 0.0)]).replace(**group)
 
 
+# An H of two aisles along x and a lane between their ends; the bay faces the far aisle.
+BLOCK = build.assemble(
+    (20.0, 30.0),
+    build.lanes(
+        [(0.0, 0.0, EAST), (0.0, 20.0, EAST), (12.0, 10.0, NORTH)],
+        [(20.0, 4.0), (20.0, 4.0), (24.0, 4.0)],
+    ),
+    build.bays([(-5.0, 15.5, NORTH)], (5.0, 2.5)),
+)
 # A two-way street along x, 6 m wide; a one-way aisle crosses it northwards at x = 10,
 # 4 m wide; and a garage's drive, where either way is right, leads south at x = -10.
 PLAN = with_lanes(

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from brax.envs.base import State as BraxState
 from helpers.sliding import POSES, SlidePhysics
@@ -91,9 +90,3 @@ def sliding_learner(config, kind=Learner):
     learner = kind(config)
     learner.env = BraxParking(ParkingEnv(config.env, SlidePhysics()))
     return learner
-
-
-def assert_close(found, expected, **tolerance):
-    """Asserts that two trees have the same numbers, leaf by leaf."""
-    for a, b in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
-        np.testing.assert_allclose(a, b, **tolerance)

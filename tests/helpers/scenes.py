@@ -119,6 +119,21 @@ def polygons(pose, size):
     return shapely.polygons(np.stack([ring.real, ring.imag], axis=-1))
 
 
+def boxes(layout, kind):
+    """The boxes of a kind (`bay`, `wall`, `lane`, `spawn`) in one lot as polygons."""
+    mask = getattr(layout, f"{kind}_mask")
+    return polygons(
+        getattr(layout, f"{kind}_pose")[mask], getattr(layout, f"{kind}_size")[mask]
+    )
+
+
+def solid(layout):
+    """Everything of one lot that is hit, as one shape."""
+    centres = shapely.points(layout.disc_centre[layout.disc_mask])
+    discs = shapely.buffer(centres, layout.disc_radius[layout.disc_mask])
+    return shapely.union_all([*boxes(layout, "wall"), *discs])
+
+
 def random_lots(count, reach, seed=0, agents=4, parked=5, walls=3, discs=4):
     """Layouts, cars and parked cars anywhere within `reach` [m] (count,) or ().
 
@@ -253,8 +268,7 @@ def try_out(spec: mujoco.MjSpec, seconds: float = 1.0) -> list[str]:
     for k in range(model.nu):
         is_brake = model.actuator(k).name.endswith("/brake")
         data.ctrl[k] = 0.0 if is_brake else 0.5 * model.actuator_ctrlrange[k, 1]
-    for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
+    mujoco.mj_step(model, data, nstep=round(seconds / model.opt.timestep))
     names = [name.removeprefix("mjWARN_") for name in mujoco.mjtWarning.__members__]
     counts = zip(names, (warning.number for warning in data.warning), strict=False)
     return [f"{name}, {number} times" for name, number in counts if number]

@@ -10,7 +10,14 @@ from helpers.states import parked_at
 from carpark_mj.config import EnvConfig
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.spawning.goals import place_agent
-from carpark_mj.spawning.placing import SpawnInputs, Surroundings, start_placing
+from carpark_mj.spawning.placing import (
+    SpawnInputs,
+    Surroundings,
+    start_placing,
+    surroundings,
+)
+from carpark_mj.spawning.special_starts import MISALIGNED_SHAPES, misaligned_pose
+from carpark_mj.spawning.starts import draw_uniform
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 
@@ -39,6 +46,17 @@ def begun(layout, spawn, agents=((0.0,) * 3,), count=1500):
         return place_agent(config, inputs, placing, jnp.array(0), key).pose_w[0]
 
     return many(one, count, 3)
+
+
+def misaligned(inputs, placing, count, seed=0):
+    """Attempts (count,) to start agent 0 askew in its bay, and which succeeded."""
+    around = surroundings(inputs, placing, jnp.array(0))
+
+    def one(key):
+        draws = draw_uniform(MISALIGNED_SHAPES, key)
+        return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
+
+    return many(one, count, seed)
 
 
 def surroundings_of(layout, xy=((0.0, 0.0),), others=False, size=None, outlines=None):

@@ -24,6 +24,12 @@ def same(a, b):
     return all(np.array_equal(x, y, equal_nan=x.dtype.kind == "f") for x, y in pairs)
 
 
+def assert_close(found, expected, **tolerance):
+    """Asserts that two trees have the same numbers, leaf by leaf."""
+    for a, b in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+        np.testing.assert_allclose(a, b, **tolerance)
+
+
 def agent_of(tree, agent):
     """One agent's part of a tree whose leaves lead with (agents,)."""
     return jax.tree.map(lambda x: x[agent], tree)

@@ -1,12 +1,11 @@
 """Extensions as their users have them: the packages of `examples/extensions`, six of
 them in one training, so that they are seen to go together, and one by hand."""
 
-import csv
 import json
 import os
 
 import pytest
-from helpers.programs import ROOT, python
+from helpers.programs import ROOT, python, rows_of
 
 from carpark_mj.training import Run
 
@@ -83,8 +82,8 @@ def test_they_and_the_layouts_are_in_an_evaluation(trained):
     assert {*found["families"]} <= {"court", "street"}
     assert summary["peak_lateral"]["max"] >= summary["peak_lateral"]["median"] > 0.0
     assert summary["mean_returns"]["haste"] < 0.0
-    with (trained / "evaluation.csv").open() as file:
-        most = max(float(row["peak_lateral"]) for row in csv.DictReader(file))
+    rows = rows_of(trained / "evaluation.csv")
+    most = max(float(row["peak_lateral"]) for row in rows)
     assert most == pytest.approx(summary["peak_lateral"]["max"])
 
 

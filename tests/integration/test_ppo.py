@@ -1,6 +1,5 @@
 """`train/ppo.py` and `train/sweep.py` as a user runs them: runs, kills, errors."""
 
-import csv
 import json
 import os
 import signal
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.programs import ROOT, assert_refused, python
+from helpers.programs import ROOT, assert_refused, python, rows_of
 
 from carpark_mj.cli import evaluate
 
@@ -62,13 +61,8 @@ def wait_for_rows(process, folder, rows):
         time.sleep(0.002)
 
 
-def rows(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def metrics(folder):
-    return rows(folder / "metrics.csv")
+    return rows_of(folder / "metrics.csv")
 
 
 def checkpoint(folder):
@@ -286,7 +280,7 @@ def test_a_killed_sweep_goes_on_from_its_checkpoints(tmp_path, monkeypatch):
         after = metrics(folder)
         assert [int(row["update"]) for row in after] == list(range(1, SWEPT + 1))
         assert after[:20] == found[:20]  # not trained again: seconds are in it
-    table = rows(sweep / "sweep.csv")
+    table = rows_of(sweep / "sweep.csv")
     assert [(row["run"], row["status"]) for row in table] == [
         (n, "done") for n in NAMES
     ]
@@ -294,5 +288,5 @@ def test_a_killed_sweep_goes_on_from_its_checkpoints(tmp_path, monkeypatch):
     assert all(0 <= float(row["parked"]) <= 1 for row in table)
     more = {"episodes": 4, "stochastic": True, "out": str(tmp_path / "alone")}
     evaluate.main(evaluate.EvaluateConfig(str(folders[1]), **more))
-    alone = rows(tmp_path / "alone/evaluation.csv")
-    assert alone == rows(folders[1] / "evaluation.csv")
+    alone = rows_of(tmp_path / "alone/evaluation.csv")
+    assert alone == rows_of(folders[1] / "evaluation.csv")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from helpers.programs import layouts as main
-from helpers.scenes import polygons, try_out
+from helpers.scenes import boxes, polygons, solid, try_out
 from helpers.spawning import surroundings_of
 from matplotlib.figure import Figure
 
@@ -77,20 +77,6 @@ def drawn(name):
 def lots(name, count=KEYS):
     batch = drawn(name)
     return [jax.tree.map(lambda x, k=k: x[k], batch) for k in range(count)]
-
-
-def boxes(layout, kind):
-    mask = getattr(layout, f"{kind}_mask")
-    return polygons(
-        getattr(layout, f"{kind}_pose")[mask], getattr(layout, f"{kind}_size")[mask]
-    )
-
-
-def solid(layout):
-    """Everything that is hit, as one shape."""
-    centres = shapely.points(layout.disc_centre[layout.disc_mask])
-    discs = shapely.buffer(centres, layout.disc_radius[layout.disc_mask])
-    return shapely.union_all([*boxes(layout, "wall"), *discs])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -14,6 +14,7 @@ import shapely
 from helpers.mutating import damaged, with_junk
 from helpers.programs import layouts as main
 from helpers.scenes import polygons
+from helpers.trees import assert_close
 
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import (
@@ -182,9 +183,7 @@ def test_where_a_case_lies_makes_no_difference(shift, tmp_path):
         goal = (5 + dx, 12 + dy, 1.0)
         return read_tpcap(case(tmp_path, shapes, start=(dx, dy, 0), goal=goal))
 
-    here, there = read(0.0, 0.0), read(*shift)
-    for one, other in zip(*map(jax.tree.leaves, (here, there)), strict=True):
-        np.testing.assert_allclose(other, one, atol=1e-5)
+    assert_close(read(*shift), read(0.0, 0.0), atol=1e-5)
 
 
 def test_a_tight_goal_gets_a_smaller_bay(tmp_path):

@@ -11,8 +11,9 @@ import pytest
 import shapely
 from helpers.programs import layouts as main
 from helpers.registering import restore_after
-from helpers.scenes import polygons
+from helpers.scenes import solid
 from helpers.sliding import SlidePhysics
+from helpers.trees import assert_close
 
 from carpark_mj.cli.layouts import families
 from carpark_mj.config import LAYOUTS, EnvConfig, register_layout
@@ -154,8 +155,7 @@ def test_an_environment_s_lots_are_those_of_the_split_asked_for(monkeypatch):
         number = int(lot_number(split, layout_key))
         assert number in span
         lot = make_layout(STREET, lot_key(number))
-        for mine, drawn in zip(*map(jax.tree.leaves, (started, lot)), strict=True):
-            np.testing.assert_allclose(mine, drawn, atol=2e-5)  # float32 at 20 m
+        assert_close(started, lot, atol=2e-5)  # float32 at 20 m
         same = np.allclose(default.bay_pose, started.bay_pose, atol=2e-5)
         assert same == (split == "train")
 
@@ -284,12 +284,8 @@ def test_most_starts_lead_to_the_bay(name):
     reached = []
     for k in range(40):
         lot = jax.tree.map(lambda x, k=k: x[k], batch)
-        walls = polygons(lot.wall_pose[lot.wall_mask], lot.wall_size[lot.wall_mask])
-        centres = shapely.points(lot.disc_centre[lot.disc_mask])
-        discs = shapely.buffer(centres, lot.disc_radius[lot.disc_mask])
         x, y = lot.extent
-        solid = shapely.union_all([*walls, *discs])
-        room = shapely.box(-x, -y, x, y).difference(solid)
+        room = shapely.box(-x, -y, x, y).difference(solid(lot))
         parts = shapely.get_parts(room.buffer(-DesignCar().width / 2))
         goal = shapely.points(lot.bay_pose[0, :2])
         [part] = [p for p in parts if p.intersects(goal)]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from helpers.lanes import EAST, PLAN, with_lanes
+from helpers.lanes import BLOCK, EAST, PLAN, with_lanes
 from helpers.scenes import polygons
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
@@ -116,19 +116,12 @@ def test_a_lot_without_lanes_is_open_ground():
 
 
 def test_around_the_block_by_hand():
-    """An H of two aisles and a lane between their ends; the bay faces the far aisle."""
-    east = build.lanes(
-        [(0.0, 0.0, 0.0), (0.0, 20.0, 0.0), (12.0, 10.0, np.pi / 2)],
-        [(20.0, 4.0), (20.0, 4.0), (24.0, 4.0)],
-    )
-    bay = build.bays([(-5.0, 15.5, np.pi / 2)], (5.0, 2.5))
-    layout = build.assemble((20.0, 30.0), east, bay)
-    routes = make_routes(layout)
-    left = way(routes, layout, jnp.float32([(-5.0, 0.0)]), jnp.zeros(1, int))
+    routes = make_routes(BLOCK)
+    left = way(routes, BLOCK, jnp.float32([(-5.0, 0.0)]), jnp.zeros(1, int))
     # 17 m east, 20 m north, then straight to the bay at (-17, -4.5).
     assert float(left.length[0]) == pytest.approx(17 + 20 + np.hypot(17, 4.5), 1e-5)
     np.testing.assert_allclose(left.next_xy[0], (12.0, 0.0), atol=1e-5)
-    inside = way(routes, layout, jnp.float32([(-5.0, 15.0)]), jnp.zeros(1, int))
+    inside = way(routes, BLOCK, jnp.float32([(-5.0, 15.0)]), jnp.zeros(1, int))
     assert float(inside.length[0]) == pytest.approx(0.5, 1e-5)
 
 

@@ -1,6 +1,5 @@
 """Bays: who fits, which end goes in first, from file to parked car, and exits."""
 
-import functools
 import json
 import math
 
@@ -11,7 +10,7 @@ import pytest
 from helpers.observing import observed
 from helpers.rules import LIMITS
 from helpers.scenes import cars, lot
-from helpers.spawning import many, placing_one
+from helpers.spawning import many, misaligned, placing_one
 from helpers.states import hand_cars, parked_at, parked_in, state_of
 
 from carpark_mj.config import (
@@ -45,12 +44,10 @@ from carpark_mj.observations import ContinuousObservation
 from carpark_mj.planning.search import _poses_in_bay
 from carpark_mj.spawning.fleet import draw_bays, kind_logits
 from carpark_mj.spawning.goals import goal_of_start
-from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
+from carpark_mj.spawning.placing import SpawnInputs, start_placing
 from carpark_mj.spawning.special_starts import (
-    MISALIGNED_SHAPES,
     REVERSE_SHAPES,
     clamp_to_bay_end,
-    misaligned_pose,
     paths_out,
 )
 from carpark_mj.spawning.starts import draw_uniform
@@ -235,15 +232,8 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
 def test_misaligned_starts_stand_as_the_car_must_park(layout):
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     inputs = SpawnInputs(layout, parked_at(), cars=car)
-
-    def start(goal, key):
-        placing = placing_one(inputs, goal)
-        around = surroundings(inputs, placing, jnp.array(0))
-        draws = draw_uniform(MISALIGNED_SHAPES, key)
-        return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
-
     for goal, low, high in ((0, 0.3, 0.7), (1, 1.0, 1.0), (2, 0.0, 0.0)):
-        pose, found = many(functools.partial(start, goal), 64)
+        pose, found = misaligned(inputs, placing_one(inputs, goal), 64)
         assert found.all()
         assert low <= (np.cos(pose[:, 2]) < 0.0).mean() <= high  # with the nose in
 

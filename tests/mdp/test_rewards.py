@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.lanes import BLOCK
 from helpers.paying import GOAL, LIMITS, MAX_STEPS, events, step, terms
 from helpers.scenes import cars, lot, moved, moved_cars
 from helpers.states import HandPhysics, hand_cars
@@ -21,7 +22,6 @@ from carpark_mj.config import (
     RewardConfig,
 )
 from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
-from carpark_mj.layouts import build
 from carpark_mj.layouts.routes import make_routes
 from carpark_mj.mdp.metrics import init_stats, update_stats
 from carpark_mj.mdp.people import HARD_BRAKING
@@ -105,20 +105,14 @@ def test_progress_telescopes_and_sums_to_zero_around_a_loop(closed):
 
 def test_progress_can_count_the_way_along_the_lanes():
     """Out of an aisle whose neighbour has the goal: away as the crow flies."""
-    aisles = build.lanes(
-        [(0.0, 0.0, 0.0), (0.0, 20.0, 0.0), (12.0, 10.0, math.pi / 2)],
-        [(20.0, 4.0), (20.0, 4.0), (24.0, 4.0)],
-    )
-    bay = build.bays([(-5.0, 15.5, math.pi / 2)], (5.0, 2.5))
-    layout = build.assemble((20.0, 30.0), aisles, bay)
     before, after = cars([(-5.0, 0.0, 0.0)]), cars([(-3.0, 0.0, 0.0)])
     got = {}
     for route in (False, True):
         reward = RewardConfig(progress=0.5, alignment=0.0, route=route)
         config = EnvConfig(num_agents=1, reward=reward)
         physics = HandPhysics(hand_cars(before, **LIMITS))
-        state = {"physics": physics, "routes": make_routes(layout)}
-        driven = transition(config, layout, before, after, state)
+        state = {"physics": physics, "routes": make_routes(BLOCK)}
+        driven = transition(config, BLOCK, before, after, state)
         got[route] = float(reward_terms(config, driven)["progress"][0])
     assert got[True] == pytest.approx(0.5 * 2.0, abs=1e-5)
     assert got[False] == pytest.approx(-0.5 * (math.hypot(2, 15.5) - 15.5), abs=1e-5)

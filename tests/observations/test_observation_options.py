@@ -1,7 +1,6 @@
 """Options of the observation: sharing, dynamic goals, rings' past, rays, ultrasound."""
 
 import dataclasses
-import functools
 import math
 
 import jax
@@ -9,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
+from helpers.compiling import both_phases
 from helpers.observing import observe_jit
 from helpers.scenes import (
     NOISE,
@@ -30,7 +30,6 @@ from carpark_mj.config import (
     ShareConfig,
     UltrasoundConfig,
 )
-from carpark_mj.geometry import obstacles as near
 from carpark_mj.geometry import ray_box_distance, ray_disc_distance
 from carpark_mj.layouts import build, make_layout
 from carpark_mj.layouts.routes import make_routes
@@ -277,25 +276,13 @@ def test_rays_that_only_graze_do_not_hit():
     assert ray_disc_distance(origin, ahead, behind[:2], jnp.float32(1.0)) == math.inf
 
 
-@functools.cache
-def compiled(crowded):
-    """Rays (lots, agents, count) [m], by the broad phase or by testing every pair."""
+def metres(layout, motion, parked):
+    """Rays (agents, count) [m]."""
+    around = lot_obstacles(layout, motion, parked)
+    return REACH * cast_rays(RayConfig(COUNT, REACH), motion, around)
 
-    @jax.jit
-    @jax.vmap
-    def run(layout, motion, parked):
-        around = lot_obstacles(layout, motion, parked)
-        return REACH * cast_rays(RayConfig(COUNT, REACH), motion, around)
 
-    def call(*scene):
-        before = near.MANY_PAIRS
-        near.MANY_PAIRS = 0 if crowded else 10**9
-        try:
-            return np.asarray(run(*scene))
-        finally:
-            near.MANY_PAIRS = before
-
-    return call
+rays_of, near_rays_of = both_phases(metres)
 
 
 def shapely_ways(layout, motion, parked, grown):
@@ -333,7 +320,7 @@ def shapely_ways(layout, motion, parked, grown):
 
 def test_rays_agree_with_shapely():
     scene = random_lots(60, 12.0)
-    got = compiled(False)(*scene)
+    got = rays_of(*scene)
     # Between the ways to slightly larger and slightly smaller obstacles; a polygon of
     # 512 corners is 2e-5 of a disc's radius too small.
     low, high = (shapely_ways(*scene, grown) for grown in (NOISE, -NOISE))
@@ -346,7 +333,7 @@ def test_rays_agree_with_shapely():
 
 def test_the_broad_phase_changes_nothing():
     scene = random_lots(200, 12.0, seed=1)
-    every, near = compiled(False)(*scene), compiled(True)(*scene)
+    every, near = rays_of(*scene), near_rays_of(*scene)
     np.testing.assert_allclose(near, every, atol=1e-5)  # float32, fused otherwise
 
 

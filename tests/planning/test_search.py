@@ -93,7 +93,7 @@ def test_the_pedals_rules_follow_the_path_and_end_in_the_bay(planned):
     assert (np.diff(moving) != 0).sum() == found.path.shifts
 
 
-NOTHING = np.zeros((0, 2)), np.zeros(0)
+NOTHING = Solids(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
 @pytest.mark.parametrize("start", [math.pi, -math.pi])
@@ -105,7 +105,7 @@ def test_a_bay_is_entered_either_way_round_whatever_its_heading(start, yaw):
     found = search(
         np.array([6.0, 0.0, start]),
         np.array([-6.0, 0.0, yaw]),
-        Solids(*walls, *NOTHING),
+        NOTHING.with_boxes(*walls),
         CAR,
         np.full(2, 20.0),
         config=SearchConfig(paths=2, clearances=(0.05,)),
@@ -129,10 +129,9 @@ def test_the_quicker_way_round_is_driven_in_opposite_bays(yaw):
     goal = np.array([1.0, -2.0, yaw])
     start = goal - 8.0 * np.array([math.cos(yaw), math.sin(yaw), 0.0])
     ahead = np.linspace(rear_axle(CAR, start), rear_axle(CAR, goal), round(8.0 / STEP))
-    solids = Solids(np.zeros((0, 3)), np.zeros((0, 2)), *NOTHING)
     for turn in (0.0, math.pi, -math.pi):
         bay = goal + np.array([0.0, 0.0, turn])
-        found = search(start, bay, solids, CAR, np.full(2, 20.0), seed=3)
+        found = search(start, bay, NOTHING, CAR, np.full(2, 20.0), seed=3)
         assert found.path.duration == pytest.approx(
             make_path(ahead, CAR).duration, abs=0.5
         )
@@ -170,7 +169,7 @@ def test_a_slot_with_a_kerb_is_entered(name):
     beside = (1.25 * car.length + car.length) / 2
     pose = [[-beside, 0.1, 0.0], [beside, 0.1, 0.0], [0.0, -car.width / 2 - 0.2, 0.0]]
     size = [[car.length, car.width]] * 2 + [[30.0, 0.2]]
-    solids = Solids(np.array(pose), np.array(size), *NOTHING)
+    solids = NOTHING.with_boxes(np.array(pose), np.array(size))
     start, goal = np.array([beside, car.width + 1.1, 0.0]), np.zeros(3)
     found = search(start, goal, solids, car, np.full(2, 20.0))
     check_path(found, start, goal, solids, car)
@@ -180,7 +179,7 @@ def test_a_car_nearer_to_a_wall_than_the_least_clearance_leaves_it():
     pytest.importorskip("ompl")
     start, goal = np.zeros(3), np.array([8.0, 3.0, 0.0])
     wall = np.array([[-CAR.length / 2 - 0.11, 0.0, 0.0]]), np.array([[0.2, 3.0]])
-    solids = Solids(*wall, *NOTHING)
+    solids = NOTHING.with_boxes(*wall)
     found = search(start, goal, solids, CAR, np.full(2, 20.0))
     assert 0.0 < found.clearance < 0.01
     check_path(found, start, goal, solids, CAR)
@@ -239,13 +238,12 @@ def test_a_pose_is_free_exactly_where_the_task_finds_no_overlap():
 
 
 def test_nothing_is_free_outside_the_lot():
-    nothing = Solids(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-    space = FreeSpace(nothing, SIZE, EXTENT)
+    space = FreeSpace(NOTHING, SIZE, EXTENT)
     assert space.is_free(np.array([11.9, -7.9, 1.0]))
     assert space.room(np.zeros(3)) == np.inf
     for x, y in ((12.1, 0.0), (-12.1, 0.0), (0.0, 8.1), (0.0, -8.1)):
         assert not space.is_free(np.array([x, y, 0.0]))
-    wall = nothing.with_boxes(np.zeros((1, 3)), np.ones((1, 2)))
+    wall = NOTHING.with_boxes(np.zeros((1, 3)), np.ones((1, 2)))
     assert not FreeSpace(wall, SIZE, EXTENT).is_free(np.array([0.0, 0.0, 0.3]))
     beside = np.array([0.0, SIZE[1] / 2 + 0.5 + 0.3, 0.0])
     assert FreeSpace(wall, SIZE, EXTENT).room(beside) == pytest.approx(0.3)

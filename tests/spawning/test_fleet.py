@@ -11,7 +11,7 @@ import pytest
 from helpers.cars import ROAD_CARS
 from helpers.scenes import check_occupancy
 from helpers.sliding import SlidePhysics, placed
-from helpers.trees import leaves, same
+from helpers.trees import agent_of, assert_close, same
 
 from carpark_mj.config import (
     PARKED_RULES,
@@ -180,21 +180,17 @@ def test_agents_change_cars_when_they_respawn_and_only_then(driven):
     seen, changed, masses = set(), 0, []
     for before, timestep, after in driven:
         done = timestep.events.done
-        for old, new in zip(
-            jax.tree.leaves(before.physics.vehicle),
-            jax.tree.leaves(after.physics.vehicle),
-            strict=True,
-        ):
-            np.testing.assert_array_equal(old[~done], new[~done])
+        cars = [agent_of(x.physics.vehicle, ~done) for x in (before, after)]
+        assert same(*cars)
         changed += (before.motion.size != after.motion.size).any(-1)[done].sum()
         seen |= set(kinds(after.motion.size, AGENTS)[done])
         # An agent that finds no bay for its new car keeps goal and car; few do here.
-        same = (before.goal == after.goal) & done
-        assert (before.motion.size == after.motion.size)[same].all()
+        stays = (before.goal == after.goal) & done
+        assert (before.motion.size == after.motion.size)[stays].all()
         assert (
             np.abs(after.physics.vehicle.mass / MASSES[after.kind] - 1) < 0.11
         ).all()
-        masses += after.physics.vehicle.mass[done & ~same].tolist()
+        masses += after.physics.vehicle.mass[done & ~stays].tolist()
     assert seen == {0, 1, 2}
     assert changed > 200
     assert len(set(masses)) > 0.99 * len(masses)
@@ -334,8 +330,7 @@ def test_a_loaded_car_has_the_mass_properties_of_one_built_so(params):
     inertias = {name: 1.25 * getattr(params, name) for name in names}
     inertias["cg_to_front_axle"] = params.wheelbase - float(cg[0])
     built = make_vehicle(dataclasses.replace(params, mass=float(mass), **inertias))
-    for got, expected in zip(leaves(loaded.tyres), leaves(built.tyres), strict=True):
-        np.testing.assert_allclose(got, expected, rtol=1e-5)
+    assert_close(loaded.tyres, built.tyres, rtol=1e-5)
 
 
 def test_surfaces_scale_grip_and_scrub_alike(compact):
@@ -343,9 +338,8 @@ def test_surfaces_scale_grip_and_scrub_alike(compact):
     for name, friction in SURFACES.items():
         tyre = dataclasses.replace(COMPACT.tyre, friction=friction)
         built = make_vehicle(dataclasses.replace(COMPACT, tyre=tyre))
-        both = leaves(in_conditions(compact, SimConfig(surface=name))), leaves(built)
-        for got, expected in zip(*both, strict=True):
-            np.testing.assert_allclose(got, expected, rtol=1e-6)
+        found = in_conditions(compact, SimConfig(surface=name))
+        assert_close(found, built, rtol=1e-6)
 
 
 def test_a_car_on_its_side_is_put_back_and_flagged():

@@ -10,11 +10,7 @@ import shapely
 from helpers.scenes import polygons
 from helpers.trees import same
 
-from carpark_mj.config import (
-    EnvConfig,
-    FleetConfig,
-    JitterConfig,
-)
+from carpark_mj.config import EnvConfig, FleetConfig, JitterConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.layouts import make_layout
 from carpark_mj.layouts.types import BayKind

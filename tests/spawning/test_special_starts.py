@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import shapely
 from helpers.rules import LIMITS
-from helpers.scenes import cars, lot, polygons
+from helpers.scenes import cars, lot, polygons, solid
 from helpers.spawning import (
     begun,
-    many,
     meetings,
     meets,
+    misaligned,
     placing_one,
     surroundings_of,
     walled,
@@ -26,16 +26,11 @@ from carpark_mj.layouts import layout_config, layout_maxima, make_layout, pad_la
 from carpark_mj.mdp.parked_cars import fits
 from carpark_mj.mdp.terminations import is_parked
 from carpark_mj.spawning.fleet import shuffled_bays
-from carpark_mj.spawning.placing import (
-    SpawnInputs,
-    start_placing,
-    surroundings,
-)
+from carpark_mj.spawning.placing import SpawnInputs, start_placing, surroundings
 from carpark_mj.spawning.special_starts import (
     FARTHEST,
     LONGEST,
     MARGIN,
-    MISALIGNED_SHAPES,
     NEAREST,
     REVERSE_SHAPES,
     ROOM,
@@ -43,7 +38,6 @@ from carpark_mj.spawning.special_starts import (
     Targets,
     course_pose,
     course_shapes,
-    misaligned_pose,
     paths_out,
     reverse_pose,
 )
@@ -220,13 +214,7 @@ def test_they_overlap_neither_an_agent_nor_a_parked_car():
     sizes = jnp.broadcast_to(jnp.array(SIZE), (2, 2))
     inputs = SpawnInputs(TIGHT, parked, sizes, sizes, cars=both)
     placing = placing_one(inputs, [0, 1], [np.zeros(3), near[1]])
-    around = surroundings(inputs, placing, jnp.array(0))
-
-    def one(key):
-        draws = draw_uniform(MISALIGNED_SHAPES, key)
-        return misaligned_pose(inputs, placing, around, jnp.array(0), draws)
-
-    pose, found = many(one, COUNT, 4)
+    pose, found = misaligned(inputs, placing, COUNT, 4)
     assert found.mean() > 0.9
     own = polygons(pose[found], SIZE)
     cars_beside = polygons(near, SIZE)
@@ -347,16 +335,13 @@ def test_a_start_is_free_and_the_way_back_ends_parked_in_the_bay(name):
     stands = jax.device_get(parked)
     for k in np.flatnonzero(found):
         plan = jax.tree.map(lambda x, k=k: x[k], plans)
-        walls = polygons(plan.wall_pose[plan.wall_mask], plan.wall_size[plan.wall_mask])
-        centres = shapely.points(plan.disc_centre[plan.disc_mask])
-        discs = shapely.buffer(centres, plan.disc_radius[plan.disc_mask])
         here = stands.present[k]
         parked_cars = polygons(stands.pose_w[k, here], stands.size[k, here])
-        solid = shapely.union_all([*walls, *discs, *parked_cars])
-        assert solid.distance(polygons(start[k], size[k])) > MARGIN - 1e-3
+        taken = shapely.union_all([solid(plan), *parked_cars])
+        assert taken.distance(polygons(start[k], size[k])) > MARGIN - 1e-3
         back = way[k, : at[k] + 1]
         back = np.concatenate([back, (back[1:] + back[:-1]) / 2])
-        assert not shapely.intersects(solid, polygons(back, size[k])).any()
+        assert not shapely.intersects(taken, polygons(back, size[k])).any()
 
 
 FAR = lot([(20.0, 0.0, np.pi), (20.0, 40.0, 0.0)], spawn_size=(1.0, 1.0))

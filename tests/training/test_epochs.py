@@ -9,16 +9,9 @@ import numpy as np
 import optax
 import pytest
 from brax.training.agents.ppo.losses import compute_gae
-from helpers.learning import (
-    SMALL,
-    acted,
-    assert_close,
-    begun,
-    rollout,
-    sliding_learner,
-    unrolled,
-)
+from helpers.learning import SMALL, acted, begun, rollout, sliding_learner, unrolled
 from helpers.sliding import POSES
+from helpers.trees import assert_close
 
 from carpark_mj.config import EnvConfig, insert
 from carpark_mj.mdp.actions import ActionSpec

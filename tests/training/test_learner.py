@@ -15,9 +15,9 @@ from brax.training.agents.ppo import losses as ppo_losses
 from brax.training.agents.ppo import train as brax_ppo
 from brax.training.types import Transition
 from helpers import splitting
-from helpers.learning import SMALL, acted, assert_close, rollout, sliding_learner
+from helpers.learning import SMALL, acted, rollout, sliding_learner
 from helpers.sliding import POSES
-from helpers.trees import same
+from helpers.trees import assert_close, same
 from jax.flatten_util import ravel_pytree
 from jax.sharding import PartitionSpec
 

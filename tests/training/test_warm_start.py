@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.training.types import UInt64
-from helpers.learning import assert_close, sliding_learner
+from helpers.learning import sliding_learner
 from helpers.tiny_policy import parked_learner
-from helpers.trees import same
+from helpers.trees import assert_close, same
 
 from carpark_mj.cameras.encoder import CameraObservation
 from carpark_mj.config import EnvConfig, RayConfig, ShareConfig, insert

@@ -33,8 +33,12 @@ from carpark_mj.vehicle.contact_wheels import (
 )
 from carpark_mj.vehicle.mjcf import WHEELS, add_car, per_wheel
 from carpark_mj.vehicle.parameters import GRAVITY, kerb_to_kerb
-from vehicle_suite import formulas
-from vehicle_suite.formulas import front_wheel_angles, rolling_mass, rolling_resistance
+from vehicle_suite.formulas import (
+    axle_loads,
+    front_wheel_angles,
+    rolling_mass,
+    rolling_resistance,
+)
 
 
 @pytest.mark.parametrize("lock", [25.0, 30.0, 34.2, 36.0])
@@ -240,8 +244,7 @@ def moved(params, pose, rates, seconds, downhill=0.0):
     joints = [data.joint(f"parked0/{axis}") for axis in AXES]
     for joint, at, rate in zip(joints, pose, rates, strict=True):
         joint.qpos, joint.qvel = at, rate
-    for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
+    mujoco.mj_step(model, data, nstep=round(seconds / model.opt.timestep))
     return np.array([(*j.qpos, *j.qvel) for j in joints]).T
 
 
@@ -289,8 +292,7 @@ def contact_model(params, suspension: bool):
 def settled(params, suspension: bool, seconds: float = 4.0):
     model = contact_model(params, suspension)
     data = mujoco.MjData(model)
-    for _ in range(round(seconds / DT)):
-        mujoco.mj_step(model, data)
+    mujoco.mj_step(model, data, nstep=round(seconds / DT))
     return model, data
 
 
@@ -308,7 +310,7 @@ def test_every_car_sits_as_high_and_as_level_as_without_springs(name):
 
 def test_a_spring_carries_its_corner_without_the_wheel():
     model = contact_model(COMPACT, True)
-    front, rear = formulas.axle_loads(COMPACT)
+    front, rear = axle_loads(COMPACT)
     wheel = COMPACT.wheel_mass * 9.81
     # In front a knuckle stands on the tyre beside the wheel.
     knuckle = COMPACT.knuckle_mass * 9.81
@@ -343,16 +345,14 @@ def test_a_car_kicked_upwards_heaves_as_a_damped_oscillator():
 
 
 def test_friction_of_the_axles_is_rolling_resistance_and_brake():
-    van = PRESETS["van"]
-    loss = axle_friction(make_vehicle(van), jnp.array([10.0, 10.0, 0.0, 0.0]))
-    rolling = formulas.rolling_resistance(van) * van.wheel_radius
+    loss = axle_friction(make_vehicle(VAN), jnp.array([10.0, 10.0, 0.0, 0.0]))
+    rolling = rolling_resistance(VAN) * VAN.wheel_radius
     assert float(loss.sum()) == pytest.approx(rolling + 20.0, rel=1e-5)
 
 
 def test_in_mjx_springs_and_friction_are_each_cars_own():
     """The van's data in the compact's model are the van's model."""
-    van = PRESETS["van"]
-    van = dataclasses.replace(van, tyre=dataclasses.replace(van.tyre, friction=0.7))
+    van = dataclasses.replace(VAN, tyre=dataclasses.replace(VAN.tyre, friction=0.7))
     model, expected = (contact_car_model(p, SPRUNG) for p in (COMPACT, van))
     vehicle = make_vehicle(van)
     changed = with_wheels(

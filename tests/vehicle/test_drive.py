@@ -98,27 +98,21 @@ def test_a_pedal_against_the_motion_brakes_in_proportion(torques):
         assert brake == pytest.approx(expected, abs=TORQUE_TOLERANCE)
 
 
-def test_a_pedal_against_a_crawl_drives_while_the_brake_fades(torques):
+def test_a_pedal_against_a_crawl_drives_while_brake_and_hold_fade(torques):
     pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -1e-6]))
+    fading = -speed / SWITCH_SPEED * FORCE_TO_TORQUE
     for sign in (1, -1):
         drive, brake = torques(sign * pedal, sign * speed)
         driven = pedal * COMPACT.max_acceleration * FORCE_TO_TORQUE
-        fading = -speed / SWITCH_SPEED * pedal * COMPACT.max_deceleration
-        retarding = np.maximum(fading * FORCE_TO_TORQUE, driven)
+        retarding = np.maximum(fading * pedal * COMPACT.max_deceleration, driven)
         assert drive == pytest.approx(sign * driven, abs=TORQUE_TOLERANCE)
         assert brake == pytest.approx(retarding - driven, abs=TORQUE_TOLERANCE)
+        # A closed hold bears what a weak drive does not.
+        _, brake = torques(sign * pedal, sign * speed, COMPACT.hold_deceleration)
+        held = fading * COMPACT.hold_deceleration
+        assert brake == pytest.approx(held, abs=TORQUE_TOLERANCE)
     # From a standstill there is nothing to brake.
     assert torques(-0.5, 0.0)[1] == torques(0.5, -0.0)[1] == 0.0
-
-
-def test_a_closed_hold_bears_what_a_weak_drive_does_not(torques):
-    pedal, speed = grid(np.linspace(0.1, 1, 7), np.array([-0.099, -0.05, -1e-6]))
-    for sign in (1, -1):
-        _, brake = torques(sign * pedal, sign * speed, COMPACT.hold_deceleration)
-        fading = -speed / SWITCH_SPEED * COMPACT.hold_deceleration
-        least = fading - pedal * COMPACT.max_acceleration
-        assert (brake >= least * FORCE_TO_TORQUE - TORQUE_TOLERANCE).all()
-        assert brake == pytest.approx(fading * FORCE_TO_TORQUE, abs=TORQUE_TOLERANCE)
 
 
 def wheels_at(speed: np.ndarray) -> dict[str, np.ndarray]:
@@ -290,9 +284,7 @@ def closed(vehicle: Vehicle, hold: float, pedal: float, speed: float) -> float:
     return float(close_hold(vehicle, *asked, 0.01))
 
 
-def test_the_hold_closes_where_a_slow_car_is_not_driven_on(
-    compact: Vehicle,
-):
+def test_the_hold_closes_where_a_slow_car_is_not_driven_on(compact: Vehicle):
     for way in (1, -1):
         for speed in (0.0, 0.05, 0.29):
             assert closed(compact, 0.0, way * 0.04, way * speed) > 0.0  # no pedal

@@ -2,10 +2,13 @@
 
 import copy
 import dataclasses
+import functools
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from unittest import mock
 
 import gymnasium
+import jax
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
@@ -13,6 +16,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
 from gymnasium.vector import AutoresetMode
+from helpers import trees
 from helpers.programs import python
 
 from carpark_mj.config import (
@@ -49,17 +53,8 @@ def make(name=PARK, **options):
     return gymnasium.make(name, **options).unwrapped
 
 
-def leaves(observation):
-    """Its arrays, whether it is one, a dictionary or a list of them."""
-    if isinstance(observation, dict):
-        return [observation[key] for key in sorted(observation)]
-    return observation if isinstance(observation, list) else [observation]
-
-
-def assert_close(one, other):
-    # Single and batched programs may round differently.
-    for a, b in zip(leaves(one), leaves(other), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-4)
+# Single and batched programs may round differently.
+assert_close = functools.partial(trees.assert_close, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -135,7 +130,7 @@ def test_many_are_as_gymnasium_s_own_vector_of_one_each(name, mode, details):
         assert_close(seen, expected)
         assert_close(one, other)
         check(infos, told)
-        for leaf in leaves(seen):
+        for leaf in jax.tree.leaves(seen):
             leaf[:] = np.nan  # the caller's own
         return *one, infos
 
@@ -316,23 +311,17 @@ def test_pictures_show_the_lot_and_what_has_moved_in_any_thread():
 
 
 def test_each_lot_has_a_picture_of_a_scene_built_once(monkeypatch):
-    built = []
-
-    class Counted(Stage):
-        def __init__(self, *args):
-            built.append(self)
-            super().__init__(*args)
-
-    monkeypatch.setattr(batch, "Stage", Counted)
+    built = mock.Mock(wraps=Stage)
+    monkeypatch.setattr(batch, "Stage", built)
     options = {"config": SHORT, "render_mode": "rgb_array"}
     vector = gymnasium.make_vec(PARK, COUNT, **options)
     vector.reset(seed=0)
     pictures = vector.render()
     np.testing.assert_array_equal(vector.render(), pictures)
-    assert len(built) == COUNT
+    assert built.of.call_count == COUNT
     vector.reset(seed=[0, 5, 2, 3])
     others = vector.render()
-    assert len(built) == COUNT + 1
+    assert built.of.call_count == COUNT + 1
     vector.close()
     np.testing.assert_array_equal(others[0], pictures[0])
     assert (np.diff([*pictures, others[1]], axis=0) != 0).any(axis=(1, 2, 3)).all()
@@ -347,16 +336,7 @@ def test_a_window_without_a_display_is_refused(monkeypatch):
 
 
 def test_a_window_shows_every_step(monkeypatch):
-    class Window:
-        synced = closed = 0
-
-        def sync(self):
-            self.synced += 1
-
-        def close(self):
-            self.closed += 1
-
-    window = Window()
+    window = mock.Mock()
     monkeypatch.setattr("carpark_mj.wrappers.batch.missing_display", lambda: None)
     monkeypatch.setattr("mujoco.viewer.launch_passive", lambda *_: window)
     env = make(render_mode="human", config=SHORT)
@@ -364,7 +344,7 @@ def test_a_window_shows_every_step(monkeypatch):
     env.step(AHEAD)
     assert env.render() is None
     env.close()
-    assert (window.synced, window.closed) == (2, 1)
+    assert (window.sync.call_count, window.close.call_count) == (2, 1)
 
 
 def test_import_registers_ids_and_loads_no_simulator():
