@@ -167,6 +167,7 @@ def make_networks(
     inputs = network_inputs(config, fields)
     deviations = config.min_std, config.max_std
     distribution = action_distribution(action, *deviations, config.bins)
+    make_finish(config, fields, distribution.param_size)  # refuses before a training
     networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
     if config.encoder == "flat":
 

@@ -27,9 +27,7 @@ CPU = PPOConfig(
     entropy_cost=1e-2,
     discount=0.98,
     curriculum=_CURRICULUM,
-    networks=NetworkConfig(
-        (64, 64), (64, 64), own_size=64, entity_size=32, min_std=0.1
-    ),
+    networks=NetworkConfig((64, 64), (64, 64), own_size=64, entity_size=32, bins=15),
 )
 # Lots in plenty and short unrolls: an update has as many steps, and simulates them in
 # fewer steps of more cars, which take a GPU hardly longer.
