@@ -11,7 +11,7 @@ from helpers.programs import assert_refused, rows_of
 
 from carpark_mj import benchmarking
 from carpark_mj.benchmarking import BenchmarkConfig, Job, count_equations, jobs_of
-from carpark_mj.training.ppo import learner
+from carpark_mj.training.ppo import group
 from carpark_mj.training.ppo.parts import PRESETS
 
 JOB = Job("physics", "brush", 3, 2, 16, steps=2, timings=1, clock="wall")
@@ -142,7 +142,7 @@ def test_the_steps_of_a_training_are_those_of_present_agents(monkeypatch):
             present = jnp.ones(4 * self.config.env.num_agents).at[5:].set(0.0)
             return SimpleNamespace(env=SimpleNamespace(info={"present": present}))
 
-    monkeypatch.setattr(learner, "Learner", Learner)
+    monkeypatch.setattr(group, "Learner", Learner)
     monkeypatch.setattr(benchmarking, "configure_jax", lambda: None)  # it is running
     subject = benchmarking.ppo_subject(
         dataclasses.replace(JOB, variant="anywhere", lots=4)
