@@ -68,8 +68,8 @@ class Field:
             two. () = they are no picture.
         gamma: of a picture's bytes in dictionaries of observations: they are its share
             of the range to this power. Below 1, small numbers have more of the bytes.
-        mirror: numbers if left and right were exchanged, by place from 1, negative with
-            the other sign: (1, -2) for a point. () = unchanged.
+        mirror: which number, from 1, each is in a mirror image, negative with the other
+            sign: (1, -2) for a point. 0 = it has none. () = unchanged.
     """
 
     name: str

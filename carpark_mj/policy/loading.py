@@ -79,8 +79,7 @@ def load_policy(
             fields = with_empty_sets(trained, fields)
         networks: Any = make_networks(config, fields, action_spec(env))
         normalizer, actor = parameters["normalizer"], parameters["average"]
-        size = networks.parametric_action_distribution.param_size
-        finish = make_finish(config, fields, size)
+        finish = make_finish(config, fields, action_spec(env))
         policy = make_policy(networks, normalizer, actor, deterministic, finish)
         policy = _drives_in(env, fields, policy)
     return LoadedPolicy(env, policy, header["env_steps"], path, config)

@@ -167,7 +167,7 @@ def make_networks(
     inputs = network_inputs(config, fields)
     deviations = config.min_std, config.max_std
     distribution = action_distribution(action, *deviations, config.bins)
-    make_finish(config, fields, distribution.param_size)  # refuses before a training
+    make_finish(config, fields, action)  # refuses before a training
     networks: Any = ppo_networks.PPONetworks  # its fields are hidden from Pyright
     if config.encoder == "flat":
 
@@ -241,28 +241,32 @@ def make_policy(
 
 
 def make_finish(
-    config: NetworkConfig, fields: Sequence[Field], size: int
+    config: NetworkConfig, fields: Sequence[Field], action: ActionSpec
 ) -> Callable[[Logits, jax.Array], jax.Array] | None:
-    """Makes the logits (..., size) of a deterministic policy; None: as they are.
+    """Makes the logits (..., k) of a deterministic policy; None: as they are.
 
     `mirrored` averages those of the scene and of its mirror image. `dither` adds Gumbel
     noise, with which the likeliest choice is a sample, from a table by the time: an
-    observation has one action. `ValueError` if agents do not observe the time, or
-    observe pictures, which have no mirror image here.
+    observation has one action. `ValueError` if agents do not observe the time, do not
+    steer by numbers, or observe pictures, which have no mirror image here.
     """
     if not (config.dither or config.mirrored):
         return None
     names = [field.name for field in fields]
     if config.dither and "own_time" not in names:
         raise ValueError("networks.dither needs observation.own_past")
-    if config.mirrored and any(field.shape for field in fields):
-        raise ValueError("networks.mirrored takes no pictures")
+    lacks = any(x.shape or 0 in x.mirror for x in fields)
+    if config.mirrored and (lacks or not action.continuous):
+        raise ValueError(
+            "networks.mirrored needs continuous actions, and fields with a mirror image"
+        )
+    size = config.bins * action.continuous + sum(action.choices)
     starts = np.cumsum([0, *(field.size for field in fields)])
     places = [field.mirror or range(1, field.size + 1) for field in fields]
     mirror = np.concatenate([np.array(x) for x in places])
     order = abs(mirror) - 1 + np.repeat(starts[:-1], np.diff(starts))
     sign = np.sign(mirror).astype(np.float32)
-    other = np.r_[config.bins - 1 : -1 : -1, config.bins : size]  # steers to there
+    other = np.r_[config.bins - 1 : -1 : -1, config.bins : size]  # steering reversed
     table = np.random.default_rng(0).gumbel(size=(DITHERS, size)).astype(np.float32)
     first = round(config.dither / DITHER_STEP)
 
@@ -273,7 +277,7 @@ def make_finish(
         if not config.dither:
             return found
         time = observation[..., starts[names.index("own_time")]]
-        tick = jnp.floor(time * (LONG / DITHER_STEP) + 0.5).astype(int)
+        tick = jnp.floor(time * (LONG / DITHER_STEP) + 0.49).astype(int)  # halves down
         noise = jnp.asarray(table)[tick % DITHERS]
         return found + jnp.where(tick[..., None] < first, 0.0, noise)
 

@@ -35,8 +35,7 @@ def untrained(env, encoder="set", seed=1, **choices):
         normalizer = update_normalizer(inputs, init_normalizer(inputs), seen)
         return normalizer, networks.policy_network.init(keys[1])
 
-    size = networks.parametric_action_distribution.param_size
-    finish = make_finish(config, fields, size)
+    finish = make_finish(config, fields, action_spec(env))
     policy = make_policy(networks, *draw(jax.random.key(seed)), True, finish)
     return LoadedPolicy(env, policy, 0, Path("none"), config)
 

@@ -28,6 +28,7 @@ from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry import to_local
 from carpark_mj.layouts import layout_config
 from carpark_mj.layouts.types import mirror
+from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.mdp.goals import tracks
 from carpark_mj.mdp.parked_cars import tracks_parked_cars
 from carpark_mj.observations import (
@@ -320,7 +321,8 @@ def test_a_mirrored_lot_is_seen_as_the_fields_say():
 
     here, there = drive(layout, pose, 1.0), drive(mirror(layout), pose * side, -1.0)
     asked = []
-    finish = make_finish(NetworkConfig(bins=3, mirrored=True), make_fields(config), 6)
+    mirrored = NetworkConfig(bins=3, mirrored=True)
+    finish = make_finish(mirrored, make_fields(config), ActionSpec(2))
     logits = jnp.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
     found = finish(lambda x: asked.append(x) or logits, here)
     np.testing.assert_allclose(asked[1], there, atol=2e-4)

@@ -273,7 +273,7 @@ def test_a_dither_draws_by_the_time_from_what_is_likely():
         parametric_action_distribution=action_distribution(ActionSpec(1), bins=3),
     )
     fields = [Field("x", 2, -1.0, 1.0, ""), Field("own_time", 2, 0.0, 2.0, "")]
-    finish = make_finish(config, fields, 3)
+    finish = make_finish(config, fields, ActionSpec(1))
     policy = make_policy(networks, None, jnp.log(p), True, finish)
     time = 0.2 * np.arange(n) / LONG
     seen = jnp.asarray(np.stack([0 * time, 0 * time, time, 0 * time], 1), jnp.float32)
@@ -283,8 +283,13 @@ def test_a_dither_draws_by_the_time_from_what_is_likely():
     share = (drawn[:, None] == [-1.0, 0.0, 1.0]).mean(axis=0)
     assert (np.abs(share - p) < 4 * np.sqrt(p * (1 - p) / DITHERS)).all()
     np.testing.assert_array_equal(action[150 + DITHERS :], action[150:-DITHERS])
+    seen = seen.at[:, 2].add(0.1 / LONG)  # steps of 0.1 s, however they are rounded
+    near = [policy(seen * (1 + x), jax.random.key(0))[0] for x in (-1e-6, 1e-6)]
+    np.testing.assert_array_equal(*near)
     with pytest.raises(ValueError, match=r"observation\.own_past"):
-        make_finish(config, fields[:1], 3)
+        make_finish(config, fields[:1], ActionSpec(1))
+    with pytest.raises(ValueError, match=r"networks\.mirrored"):  # nobody steers
+        make_finish(NetworkConfig(bins=3, mirrored=True), fields, ActionSpec(0, (3, 5)))
     for wrong in ({"bins": 1}, {"dither": 1.0}):
         with pytest.raises(ValueError, match="bins"):
             NetworkConfig(**wrong)

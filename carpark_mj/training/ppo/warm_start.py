@@ -105,7 +105,7 @@ def make_teacher(config: PPOConfig) -> Teacher | None:
     if not name:
         return None
     if action_spec(config.env).choices or config.networks.bins:
-        raise ValueError("curriculum.teacher needs actions of numbers, not of choices")
+        raise ValueError("curriculum.teacher takes neither choices nor networks.bins")
     seen = load_policy(name).env.observation
     env = replace(config.env, observation=seen)
     if jax.tree.leaves(seen.init_memory(env)):

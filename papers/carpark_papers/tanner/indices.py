@@ -71,6 +71,7 @@ class IndexObservation(ObservationConfig):
                 last,
                 "of the goal, clockwise from ahead",
                 reveals_goal=True,
+                mirror=(0,),
             ),
             *ring_fields(rings, rings.cap, "the circle about the car"),
         ]

@@ -202,6 +202,7 @@ class TannerObservation(ObservationConfig):
         num_tracked_bays = env.goals.num_tracked_bays if env.goals.dynamic else 0
 
         def parts(names: list[str], prefix: str = "", **traits: Any) -> list[Field]:
+            traits["mirror"] = (0,)  # clockwise shares of a turn have no image
             return [
                 Field(prefix + name, 1, -1.0, *_PARTS[name], **_scale(name), **traits)
                 for name in names
