@@ -39,10 +39,10 @@ from carpark_mj.observations import (
 )
 from carpark_mj.observations.compose import OWN, observation_sets
 from carpark_mj.observations.ego import TURNS
-from carpark_mj.observations.fields import FAR, FARTHEST, NEAR, Field
+from carpark_mj.observations.fields import ASIDE, FAR, FARTHEST, NEAR, Field
 from carpark_mj.policy.networks import make_finish
 from carpark_mj.policy.runs import from_dict
-from carpark_mj.registry import ANYWHERE
+from carpark_mj.registry import ANYWHERE, environment
 from carpark_mj.spawning.reset_options import ResetOptions
 
 
@@ -328,3 +328,9 @@ def test_a_mirrored_lot_is_seen_as_the_fields_say():
     np.testing.assert_allclose(asked[1], there, atol=2e-4)
     assert (np.abs(here - there).max(axis=0) > 0.01).mean() > 0.3
     np.testing.assert_allclose(found, [1.0, 1.0, 1.0, 3.0, 4.0, 5.0])  # either steer
+
+
+def test_points_and_directions_have_a_mirror_image():
+    for field in make_fields(environment("valet")):
+        if field.size == 2:  # other pairs are lengths and limits
+            assert (field.mirror == ASIDE) == (field.low < 0.0), field.name
