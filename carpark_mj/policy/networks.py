@@ -273,7 +273,8 @@ def make_finish(
     def finish(logits: Logits, observation: jax.Array) -> jax.Array:
         found = logits(observation)
         if config.mirrored:
-            found = (found + logits(observation[..., order] * sign)[..., other]) / 2
+            there = logits(observation[..., jnp.asarray(order)] * sign)
+            found = (found + there[..., jnp.asarray(other)]) / 2
         if not config.dither:
             return found
         time = observation[..., starts[names.index("own_time")]]
