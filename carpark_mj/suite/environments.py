@@ -89,8 +89,10 @@ VALET = dataclasses.replace(
         own_gear=True,
         own_past=True,
     ),
-    # [est] of a good localisation.
-    sensors=SensorConfig(position_noise=0.01, heading_noise=0.003, speed_noise=0.03),
+    # [est] of a good localisation, a step late at most.
+    sensors=SensorConfig(
+        position_noise=0.01, heading_noise=0.003, speed_noise=0.03, delay_max=1
+    ),
 )
 
 # HOPE's levels: one car alone. There is nobody to collide with, and no set of cars to
