@@ -1,5 +1,6 @@
 """Programs that run longer than they compile."""
 
+import contextlib
 import functools
 
 import jax
@@ -30,3 +31,14 @@ def both_phases(function):
         return call
 
     return make(10**9), make(0)
+
+
+def text_for(platform, function, *args):
+    """The program of a function for a platform that may be absent here."""
+    with contextlib.ExitStack() as stack:
+        if platform == "cuda" and jax.__version_info__ >= (0, 11):
+            device = jax.sharding.AbstractDevice("NVIDIA H100", None, "gpu")
+            mesh = jax.sharding.AbstractMesh((1,), ("lot",), abstract_device=device)
+            stack.enter_context(jax.sharding.use_abstract_mesh(mesh))
+        traced = jax.jit(function).trace(*args)
+        return traced.lower(lowering_platforms=(platform,)).as_text()

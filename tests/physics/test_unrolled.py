@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from helpers.compiling import text_for
 
 from carpark_mj.config import RandomizationConfig, SimConfig
 from carpark_mj.physics import unrolled
@@ -214,9 +215,8 @@ def test_cars_move_in_the_kernel_as_outside(monkeypatch):
 def test_a_cuda_program_is_one_kernel_without_loops(monkeypatch):
     physics, state, controls = moving_cars(lots=2)
     monkeypatch.setattr(unrolled, "has_triton", lambda: True)
-    traced = jax.jit(jax.vmap(physics.step)).trace(state, controls)
     for platform, kernels in (("cuda", 1), ("cpu", 0)):
-        text = traced.lower(lowering_platforms=(platform,)).as_text()
+        text = text_for(platform, jax.vmap(physics.step), state, controls)
         assert text.count("triton") == kernels
         assert ("stablehlo.while" in text) == (not kernels)
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import linen
+from helpers.compiling import text_for
 
 from carpark_mj.mdp.actions import ActionSpec
 from carpark_mj.observations.compose import OWN, observation_sets
@@ -85,8 +86,7 @@ def test_the_kernel_is_lowered_for_gpus():
     def total(layers):
         return entities.largest_in_kernel(layers, rows, present, jnp.bfloat16).sum()
 
-    traced = jax.jit(jax.grad(total)).trace(layers)
-    program = traced.lower(lowering_platforms=("cuda",)).as_text()
+    program = text_for("cuda", jax.grad(total), layers)
     assert program.count("__gpu$xla.gpu.triton") >= 2
 
 
