@@ -113,8 +113,12 @@ def _constant(value: Any) -> Value:
 
 def _loop(graph: Graph, params: Any, values: list[Value]) -> list[Value]:
     """A loop that only carries values on, written out."""
-    length, consts = params["length"], params["num_consts"]
-    if length > LONGEST_LOOP or len(values) > consts + params["num_carry"]:
+    length = params["length"]
+    if "ft_in" in params:  # JAX 0.11
+        consts, carried, _ = map(len, params["ft_in"].unpack())
+    else:
+        consts, carried = params["num_consts"], params["num_carry"]
+    if length > LONGEST_LOOP or len(values) > consts + carried:
         raise NotImplementedError(f"a loop over {length} values has no operator")
     carry = values[consts:]
     for _ in range(length):
