@@ -72,10 +72,6 @@ def _open_output(config: RenderConfig, folder: Path) -> Path:
     """The file to write, checked before the work."""
     name = "video.mp4" if config.frame is None else "frame.png"
     out = Path(config.out) if config.out else folder / name
-    if out.suffix not in ((".mp4", ".gif") if config.frame is None else (".png",)):
-        raise ValueError(
-            f"out must end in .mp4 or .gif, or in .png with --frame, not {out.name!r}"
-        )
     if (missing_gl := choose_gl()) and config.rig() is None:
         raise RenderingError(missing_gl)
     require_writable(out, new_folders=True)

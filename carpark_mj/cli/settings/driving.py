@@ -202,6 +202,9 @@ class RenderConfig(DriveSettings):
         super().__post_init__()
         if self.frame is not None:
             require_unset(self, "with --frame", "seconds", "fps")
+            require_suffix("out with --frame", self.out, ".png")
+        else:
+            require_suffix("out without --frame", self.out, ".mp4", ".gif")
         unknown = set(self.extras) - {"tracked", "rings"}
         if unknown:
             raise ValueError(
