@@ -18,14 +18,14 @@ from carpark_mj.observations.fields import (
     Tracked,
 )
 from carpark_mj.observations.ranges import RayConfig, RingConfig, UltrasoundConfig
-from carpark_mj.observations.sensors import observed
+from carpark_mj.observations.sensors import observed, predicted
 from carpark_mj.observations.tracked import (
     ShareConfig,
     mark,
     track_agents,
     track_parked_cars,
 )
-from carpark_mj.types import State
+from carpark_mj.types import Motion, State
 
 if TYPE_CHECKING:
     from carpark_mj.config import EnvConfig
@@ -37,8 +37,7 @@ class ContinuousObservation(ObservationConfig):
 
     Attributes:
         tracked_agents: number of nearest other agents observed, at most all in the lot.
-        tracked_parked_cars: number of nearest parked cars observed, at most all in the
-            lot.
+        tracked_parked_cars: number of nearest parked cars observed, at most all.
         share: further properties of tracked agents that are observed.
         global_information: observe, for the goal or each tracked bay, the distances to
             the nearest agent and to the nearest agent with this goal.
@@ -56,6 +55,8 @@ class ContinuousObservation(ObservationConfig):
         ultrasound: sensors in the bumpers and sides.
         route: observe the route along the lanes to the goal; fixed goals only.
         tracked_movers: number of nearest movers observed, people included.
+        delay_compensation: observe where cars are now by their late poses and by speeds
+            and yaw rates since, which cars know at once.
         encoding: name of the encoder; as a flag it chooses another.
     """
 
@@ -75,6 +76,7 @@ class ContinuousObservation(ObservationConfig):
     ultrasound: UltrasoundConfig = dataclasses.field(default_factory=UltrasoundConfig)
     route: bool = False
     tracked_movers: Natural = 0
+    delay_compensation: bool = False
     encoding: str = "continuous"
 
     def parts(self, env: EnvConfig) -> list[Part]:
@@ -120,7 +122,12 @@ class ContinuousObservation(ObservationConfig):
 
     def values(self, env: EnvConfig, state: State) -> dict[str, jax.Array]:
         """See `ObservationConfig.values`."""
-        return self.see(env, ObservationInput.of(state))
+        return self.see(env, ObservationInput(state, self.known(env, state)))
+
+    def known(self, env: EnvConfig, state: State) -> Motion:
+        """See `ObservationConfig.known`."""
+        late = observed(state)
+        return predicted(state, env.sim.ctrl_dt) if self.delay_compensation else late
 
     def see(self, env: EnvConfig, sight: ObservationInput) -> dict[str, jax.Array]:
         """Values (num_observers, field.size) of all fields by name."""

@@ -198,9 +198,8 @@ class Tracked:
 class ObservationConfig(CheckedConfig, abc.ABC):
     """An encoder of observations: a frozen dataclass of its settings.
 
-    It lists the fields of the vector and fills them. The properties and methods below
-    declare what else the encoder needs; a class overrides them where the defaults are
-    wrong.
+    It lists the fields of the vector and fills them. Properties and methods below say
+    what else the encoder needs; a class overrides them where the defaults are wrong.
 
     Attributes:
         encoding: its name in `ENCODERS`, the default of each class and never another.
@@ -227,8 +226,13 @@ class ObservationConfig(CheckedConfig, abc.ABC):
     def values(self, env: EnvConfig, state: State) -> Mapping[str, jax.Array]:
         """Values (num_agents, field.size) of all fields by name.
 
-        `observations.sensors.observed(state)` gives the measured poses of cars.
+        `known(env, state)` has the measured poses of cars.
         """
+
+    def known(self, env: EnvConfig, state: State) -> Motion:
+        """The motion of all agents (num_agents,) as they know it."""
+        del env
+        return observed(state)
 
     def check(self, env: EnvConfig) -> None:
         """Raises `ValueError` for environments that the encoder does not support."""

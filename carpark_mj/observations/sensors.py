@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from carpark_mj.config.checks import CheckedConfig, Natural, NonNegative, data, is_off
-from carpark_mj.geometry import move_forward, wrap_angle
+from carpark_mj.geometry import move_forward, rotate, wrap_angle
 from carpark_mj.types import Motion, Odometry, Reading, Sensors, State
 
 
@@ -124,6 +124,27 @@ def observed(state: State) -> Motion:
     agents = jnp.arange(sensors.delay.shape[0])
     late = jax.tree.map(lambda x: x[agents, sensors.delay], sensors.history)
     return dataclasses.replace(state.motion, **vars(late))
+
+
+def predicted(state: State, dt: float) -> Motion:
+    """The measured motion (num_agents,), brought from late readings to the present.
+
+    Only poses are late: a car knows its speed and yaw rate at once, and moves its last
+    known pose on by those since, read every `dt` [s].
+    """
+    motion, sensors = observed(state), state.sensors
+    if sensors is None:
+        return motion
+    past, pose = sensors.history, motion.pose_w
+    way, turn = (
+        dt * (x[:, 1:] + x[:, :-1]) / 2 for x in (past.velocity_b, past.yaw_rate)
+    )
+    for age in reversed(range(turn.shape[1])):
+        xy = rotate(way[:, age], pose[:, 2] + turn[:, age] / 2)
+        moved = pose + jnp.concatenate([xy, turn[:, age, None]], axis=-1)
+        pose = jnp.where((age < sensors.delay)[:, None], moved, pose)
+    newest = jax.tree.map(lambda x: x[:, 0], past)
+    return dataclasses.replace(motion, **vars(newest) | {"pose_w": pose})
 
 
 def _read(config: SensorConfig, motion: Motion, key: jax.Array) -> Reading:

@@ -88,6 +88,7 @@ VALET = dataclasses.replace(
         own_response=True,
         own_gear=True,
         own_past=True,
+        delay_compensation=True,
     ),
     # [est] of a good localisation, a step late at most.
     sensors=SensorConfig(
@@ -95,8 +96,7 @@ VALET = dataclasses.replace(
     ),
 )
 
-# HOPE's levels: one car alone. There is nobody to collide with, and no set of cars to
-# read.
+# HOPE's levels: one car alone, with nobody to collide with, and no set of cars to read.
 HOPE_PPO = dataclasses.replace(
     presets.SQUARE,
     preset="hope",
@@ -126,9 +126,7 @@ VALET_PPO = dataclasses.replace(
     stored_lots=12_288,
     num_minibatches=64,
     curriculum=dataclasses.replace(
-        presets.ANYWHERE.curriculum,
-        reverse_ratio=0.4,
-        neighbour_share=0.0,
+        presets.ANYWHERE.curriculum, reverse_ratio=0.4, neighbour_share=0.0
     ),
     env=VALET,
 )

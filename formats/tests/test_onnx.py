@@ -229,7 +229,8 @@ def states(env, rows):
                 state.goal,
             )
             state = dataclasses.replace(state, goal=goal)
-        return plain_values(rows, state), observe(env.config, state)
+        known = env.config.observation.known(env.config, state)
+        return plain_values(rows, state, known), observe(env.config, state)
 
     keys = jax.random.split(jax.random.key(3), LOTS)
     found, seen = jax.device_get(jax.jit(jax.vmap(draw))(keys))

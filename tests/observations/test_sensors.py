@@ -67,6 +67,7 @@ def test_a_respawned_agent_has_new_sensors_without_a_past():
 
 
 ODOMETRY = SensorConfig(odometry_scale=0.01, odometry_veer=2e-3, odometry_turn=0.02)
+DT = 0.2  # s, the control step
 AHEAD = 1.25  # m, the centre of a car made by hand from its rear axle
 
 
@@ -130,6 +131,32 @@ def test_cars_observe_where_they_believe_to_be_from_known_starts():
     np.testing.assert_array_equal(fresh.odometry.pose_w[:2000], 0.0)
     np.testing.assert_array_equal(fresh.odometry.pose_w[2000:], believed[2000:])
     assert (fresh.odometry.error[:2000] != after.odometry.error[:2000]).all()
+
+
+def test_delay_compensation_tells_where_late_cars_are_now():
+    def at(step):
+        """Cars that drive a circle ever faster, to the left."""
+        yaw, rate = 0.05 * step**2, 0.1 * step / DT
+        pose = np.tile(circle(5.0, np.array([yaw])), (200, 1))
+        return cars(pose, 5.0 * rate, 0.1 * step, rate, AHEAD * rate)
+
+    config = SensorConfig(delay_max=3)
+    sensors = init_sensors(config, at(0), KEY)
+    for step in range(4):
+        sensors = measure(config, lot_with(sensors, at(step)), at(step + 1), KEY)
+    late, exact = lot_with(sensors, at(4)), lot_with(None, at(4))
+    plain = config_of(ContinuousObservation())
+    env = config_of(ContinuousObservation(delay_compensation=True))
+    known, seen = env.observation.known(env, late), observed(late)
+    for name in ("pose_w", "velocity_b", "yaw_rate", "steering"):
+        true = getattr(late.motion, name)
+        # Chords instead of arcs of up to 0.35 rad.
+        np.testing.assert_allclose(getattr(known, name), true, atol=0.015)
+        off = np.abs(getattr(seen, name) - true).reshape(200, -1).max(axis=1)
+        np.testing.assert_array_equal(off > 0.05, sensors.delay > 0)
+    truth = observe_jit(env, exact)
+    np.testing.assert_allclose(observe_jit(env, late), truth, atol=0.02)
+    assert np.abs(observe_jit(plain, late) - truth).max() > 0.2
 
 
 def test_noise_has_the_configured_spread_and_no_bias():

@@ -272,12 +272,16 @@ def _layout(rows: Rows, given: Mapping[str, jax.Array]) -> Layout:
     )
 
 
-def plain_values(rows: Rows, state: State) -> dict[str, jax.Array]:
-    """The inputs of every agent of a lot by name, (num_agents, *shape), as measured.
+def plain_values(
+    rows: Rows, state: State, motion: Motion | None = None
+) -> dict[str, jax.Array]:
+    """The inputs of every agent of a lot by name, (num_agents, *shape).
 
-    `rows` are at least as many as the lot has.
+    `rows` are at least as many as the lot has; `motion` is as agents know it, None as
+    measured.
     """
-    motion, car, layout = observed(state), state.physics.vehicle, state.layout
+    motion = observed(state) if motion is None else motion
+    car, layout = state.physics.vehicle, state.layout
     count, goal, bays = state.goal.shape[0], state.goal, state.tracked_bays
     agent, other = jnp.arange(count)[:, None], jnp.arange(count - 1)
     other = other + (other >= agent)  # (num_agents, others)

@@ -23,6 +23,7 @@ from carpark_mj.files import require_writable, write_atomically
 from carpark_mj.mdp.actions import action_spec
 from carpark_mj.policy.acting import Carry, Step, acts, roll_out
 from carpark_mj.policy.loading import LoadedPolicy, load_policy
+from carpark_mj.types import State
 
 # Most that numbers of an action of a model and of its policy may differ by. Where
 # float32 itself is not as good as that, twice its error: both are computed in it.
@@ -142,6 +143,10 @@ def environment_rows(env: EnvConfig, counts: Mapping[str, int | None]) -> Rows:
     return dataclasses.replace(least, **given)
 
 
+def _known(config: EnvConfig, rows: Rows, state: State) -> dict[str, jax.Array]:
+    return plain_values(rows, state, config.observation.known(config, state))
+
+
 def rollout(
     loaded: LoadedPolicy, count: int, seed: int, rows: Rows | None = None
 ) -> dict[str, np.ndarray]:
@@ -155,7 +160,7 @@ def rollout(
     def report(step: Step) -> dict[str, jax.Array]:
         known: dict[str, jax.Array] = {}
         if rows is not None:
-            known = jax.vmap(functools.partial(plain_values, rows))(step.before)
+            known = jax.vmap(functools.partial(_known, env.config, rows))(step.before)
         return known | {"observation": step.observation}
 
     def run(key: jax.Array) -> dict[str, jax.Array]:
