@@ -27,7 +27,7 @@ BRUSH_SIM_DT = 0.02  # s; bristles and wheels ring from 0.04 s on
 MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
 MAX_DELAY = 2.0  # s, of an actuator
 MAX_CREEP = 2.0  # m/s^2
-MAX_GAP = 2.0  # m, to people, of emergency braking
+MAX_GAP = 2.0  # m, to people and vehicles, of emergency braking
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,8 +55,8 @@ class SimConfig(CheckedConfig):
         pedal_delay: dead time of drive and brakes [s], a multiple of `sim_dt`.
         creep: acceleration from rest of an automatic whose engine idles, no pedal
             pressed [m/s^2]; 0 = none, about 0.4 in real cars.
-        emergency_brake: gap to people [m] that automatic emergency braking keeps ahead
-            of a car that moves; 0 = none.
+        emergency_brake: gap to people, movers and other agents [m] that automatic
+            emergency braking keeps ahead of a car that moves; 0 = none.
     """
 
     sim_dt: Positive = 0.01
@@ -151,8 +151,7 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
         actuated: whether steer and pedal act through the steering, motor and brakes of
             `vehicle.drive`, as the planner expects.
         contacts: whether cars push each other and parked cars. If so, crashes are its
-            contacts, `Motion.touched`, and a car that has crashed goes on being
-            simulated.
+            contacts, `Motion.touched`, and cars that have crashed drive on.
         randomized: whether parameters that `RandomizationConfig` draws have an effect.
         keeps_ranges: whether cars are as slow as in a car park, so that observations
             keep to their ranges where walls surround the lot.

@@ -1,17 +1,18 @@
-"""Automatic emergency braking for people, as cars have it (UN R152).
+"""Automatic emergency braking for people and vehicles, as cars have it (UN R152).
 
-A car brakes fully if obeying its driver for a step would bring it so near to a person
-that it could not stop afterwards. True positions are read, as by a perfect sensor.
+A car brakes fully if obeying its driver for a step would bring it so near to a person,
+a mover or another agent's car that it could not stop afterwards. True positions are
+read, as by a perfect sensor. Parked cars and walls do not count.
 
 The footprint is swept along the way that obeys the pedal for a step and then brakes
 fully, and along the gap, on three arcs between the present steering angle and that of
 the next step, the outer one a fifth less curved. Load, grip, slopes, `creep` and
 `pedal_delay` count. Where full brakes lock the wheels, the car slides on from the
 velocity of its centre, drifts down the slope, and keeps its heading or turns on. It
-brakes if a person, at present or where the velocity leads meanwhile, is within 0.15 m
-of the sweep, twice that in a slide, and nearer by a tenth than at present: approaches
-to a car that stands or drives away do not count. The steering is held while it brakes,
-so that the swept area stays valid.
+brakes if one of them, at present or where the velocity leads meanwhile, is within
+`ASIDE` of the sweep, twice that in a slide, and nearer by a tenth than at present:
+approaches to a car that stands or drives away do not count. The steering is held while
+it brakes, so that the swept area stays valid.
 """
 
 import dataclasses
@@ -22,13 +23,15 @@ import numpy as np
 
 from carpark_mj.config import SimConfig
 from carpark_mj.geometry.obstacles import Group, ObstacleKind
+from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import Motion, State
 from carpark_mj.vehicle.drive import stopping_action
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
-PROTECTED = (ObstacleKind.PERSON,)
-ASIDE = 0.15  # m, gap beside the swept area of danger, twice where cars slide [est]
+# m, gaps beside the swept area of danger, twice where cars slide [est].
+_VEHICLES = ObstacleKind.AGENT, ObstacleKind.DRIVER, ObstacleKind.MOVER
+ASIDE = dict.fromkeys(_VEHICLES, 0.05) | {ObstacleKind.PERSON: 0.15}
 NEARER = 0.9  # of the present gap: what keeps more of it does not approach
 LEAST = 0.1  # m/s², assumed of brakes that do not hold the car on its slope
 WIDER = 0.8  # of the steering's curvature: cars turn wider the faster they are [est]
@@ -41,25 +44,25 @@ DRIFT = (SHARE + (1.0 - SHARE) * np.log(np.maximum(1.0 - SHARE, 1e-9))) / 4
 
 
 def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
-    """Controls (num_agents, 2) that brake and hold the steering near people in danger.
+    """Controls (num_agents, 2) that brake and hold the steering near who is in danger.
 
     From the lot at the start of a control step and what drivers command, steer and
     pedal in [-1, 1]. `sim` has a positive `emergency_brake`.
     """
-    groups = [group for group in state.movers.groups if group.kind in PROTECTED]
+    motion = state.motion
+    there = lot_obstacles(state.layout, motion, state.parked_cars, state.movers)
+    alone = motion.yaw_rate.shape[0] == 1
+    groups = [x for x in there if x.kind in ASIDE and not (alone and x is there[0])]
     if not groups:
         return controls
     with jax.named_scope("emergency_brake"):
         car = in_conditions(state.physics.vehicle, sim)
-        pose, time = sweep(sim, car, state.motion, controls)
-        aside = jnp.where(sliding(car), 2.0 * ASIDE, ASIDE)
-        found = [endangered(state.motion, (pose, time), aside, g) for g in groups]
-        stop = stopping_action(state.motion.speed)[:, 1]
+        swept = sweep(sim, car, motion, controls)
+        wider = jnp.where(sliding(car), 2.0, 1.0)
+        found = [endangered(motion, swept, wider * ASIDE[g.kind], g) for g in groups]
         danger = jnp.stack(found).any(axis=0)
-        held = state.motion.steering / car.max_steering
-        steer = jnp.where(danger, held, controls[:, 0])
-        pedal = jnp.where(danger, stop, controls[:, 1])
-        return jnp.stack([steer, pedal], axis=-1)
+        held = motion.steering / car.max_steering, stopping_action(motion.speed)[:, 1]
+        return jnp.where(danger[:, None], jnp.stack(held, axis=-1), controls)
 
 
 def sliding(car: Vehicle) -> jax.Array:

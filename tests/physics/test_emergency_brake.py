@@ -12,14 +12,17 @@ from helpers.states import state_of
 
 from carpark_mj.config import EnvConfig, SimConfig
 from carpark_mj.env import ParkingEnv
-from carpark_mj.geometry.obstacles import Discs, Movers, ObstacleKind
-from carpark_mj.physics.emergency_brake import ASIDE, override
+from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
+from carpark_mj.physics import emergency_brake
+from carpark_mj.physics.emergency_brake import override
 from carpark_mj.physics.mjx import MjxPhysics
+from carpark_mj.types import ParkedCars
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 GAP = 0.3  # m, that it keeps
 SIM = SimConfig(emergency_brake=GAP)
 RADIUS = 0.3  # m
+ASIDE = emergency_brake.ASIDE[ObstacleKind.PERSON]
 VEHICLE = make_vehicle(COMPACT)
 PHYSICS = MjxPhysics(SimConfig())
 PLACE = lot([(30.0, 0.0, 0.0)])
@@ -111,13 +114,16 @@ def test_cars_turn_wider_than_they_steer():
         assert bool(pedal(state, [1.0, 0.0]) < 0.0) == brakes
 
 
-def test_only_people_who_are_there_count():
+def test_people_and_movers_who_are_there_count():
     near, controls = (HALF[0] + 0.5, 0.0, 0.0, 0.0), jnp.array([[0.3, 0.7]])
-    assert float(pedal(scene(1.0, near), controls[0])) == -1.0
+    for kind in ObstacleKind.PERSON, ObstacleKind.MOVER, ObstacleKind.DRIVER:
+        assert float(pedal(scene(1.0, near, kind=kind), controls[0])) == -1.0
     absent = scene(1.0, near, present=False)
     assert float(pedal(absent, controls[0])) == pytest.approx(0.7)
-    cart = scene(1.0, near, kind=ObstacleKind.MOVER)
-    assert override(SIM, cart, controls) is controls
+    alone = scene(1.0)
+    parked = ParkedCars(jnp.zeros(1, int), jnp.array([[5.0, 0, 0]]), jnp.ones((1, 2)))
+    alone = dataclasses.replace(alone, parked_cars=parked, movers=Movers())
+    assert override(SIM, alone, controls) is controls
 
 
 def test_brakes_that_hold_less_or_later_begin_earlier():
@@ -129,11 +135,30 @@ def test_brakes_that_hold_less_or_later_begin_earlier():
         assert pedal(state, COASTS, sim) == -1.0, setting
 
 
+def driven(sim, start, wanted, discs=None, brakes=True):
+    """Whether the first car hits the discs, or the second; its speed; by step."""
+    physics, count = MjxPhysics(sim), len(start)
+    vehicle = jax.tree.map(lambda x: jnp.stack([x] * count), VEHICLE)
+    movers = Movers((), ((discs,),) if discs else ())
+
+    def step(moving, _):
+        motion = physics.read(moving)
+        state = state_of(PLACE, motion, jnp.zeros(count, int), movers=movers)
+        state = dataclasses.replace(state, physics=moving)
+        controls = jnp.where(brakes, override(sim, state, wanted), wanted)
+        moving = physics.step(moving, controls)
+        after = physics.read(moving)
+        trace = after.trace_w[:, :, None]
+        other = discs or Boxes(trace[1], after.size[1])
+        return moving, (other.overlap(trace[0], after.size[0]).any(), after.speed[0])
+
+    return jax.lax.scan(step, physics.init(start, vehicle), length=40)[1]
+
+
 def test_cars_that_slide_down_an_icy_slope_stop_before_people():
     """On locked wheels cars leave their arcs, and drift across the slope."""
     count, people = 64, 8
     sim = dataclasses.replace(SIM, surface="ice", grade_x=0.05)
-    physics, vehicle = MjxPhysics(sim), jax.tree.map(lambda x: x[None], VEHICLE)
     turn, away = jax.random.uniform(jax.random.key(2), (2, count, people))
     away, angle = 4.0 + 5.0 * away, 2.0 * jnp.pi * turn
     place = jnp.stack([away * jnp.cos(angle), away * jnp.sin(angle)], axis=-1)
@@ -142,24 +167,28 @@ def test_cars_that_slide_down_an_icy_slope_stop_before_people():
         still = jnp.full(people, RADIUS), jnp.zeros((people, 2))
         discs = Discs(place, *still, kind=ObstacleKind.PERSON)
         wanted = jnp.stack([0.6 * gear, gear])[None]
-
-        def step(moving, _):
-            motion = physics.read(moving)
-            state = state_of(PLACE, motion, 0, movers=Movers((), ((discs,),)))
-            state = dataclasses.replace(state, physics=moving)
-            moving = physics.step(moving, override(sim, state, wanted))
-            after = physics.read(moving)
-            hit = discs.overlap(after.trace_w[0][:, None], after.size[0]).any()
-            return moving, (hit, motion.speed[0])
-
-        start = jnp.stack([0.0 * yaw, 0.0 * yaw, yaw])[None]
-        return jax.lax.scan(step, physics.init(start, vehicle), length=40)[1]
+        return driven(sim, jnp.stack([0.0 * yaw, 0.0 * yaw, yaw])[None], wanted, discs)
 
     yaw = jnp.linspace(-jnp.pi, jnp.pi, count)
     gear = jnp.where(jnp.arange(count) % 4 == 0, -1.0, 1.0)
     hit, speed = jax.device_get(jax.jit(jax.vmap(one))(yaw, gear, place))
     assert not hit.any()
     assert (np.abs(speed) > 1.0).mean() > 0.1  # they drive for all that
+
+
+def test_cars_that_drive_at_each_other_hardly_ever_touch():
+    """Where both move, the way of the other is a guess."""
+
+    def one(place, brakes):
+        x, y, yaw, steer = place
+        start = jnp.array([[0.0, 0.0, 0.0], [7.0 + 2.0 * x, 5.0 * y, 3.0 * yaw]])
+        wanted = jnp.array([[0.0, 1.0], [steer, 1.0]])
+        return driven(SIM, start, wanted, brakes=brakes)[0].any()
+
+    place = jax.random.uniform(jax.random.key(3), (256, 4), minval=-1.0)
+    run = jax.jit(jax.vmap(one, (0, None)))
+    assert run(place, False).mean() > 0.3
+    assert run(place, True).mean() < 0.02
 
 
 @pytest.mark.parametrize("gap", [0.0, GAP])
