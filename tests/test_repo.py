@@ -150,6 +150,7 @@ STAGES = [
     ([f".{name}" for name in sorted(WITHOUT_MUJOCO)], HEAVY | {"mujoco"}),
     ((".env",), HEAVY - {"glfw"} | {"mujoco.mjx", "trimesh"} | AROUND_ENV),
     ((".registry",), {"carpark_mj.suite", *OTHERS}),
+    ((".policy.networks",), {"mujoco.mjx", "scipy", "trimesh"}),  # Brax alone
     # The settings of a training need no package of an extra; flax has rich.
     ((".training",), EXTRAS | {"carpark_mj.suite", *OTHERS}),
     ((), EXTRAS | OTHERS),  # after the settings were made

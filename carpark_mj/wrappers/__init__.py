@@ -3,6 +3,3 @@
 from carpark_mj.rendering.gl import choose_gl
 
 choose_gl()  # before anything imports MuJoCo
-
-# Before Brax, which would import MJX too: this one is quiet about missing Warp.
-import carpark_mj.physics.mjx_step  # noqa: E402, F401  # pyright: ignore[reportUnusedImport]

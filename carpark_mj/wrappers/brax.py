@@ -8,6 +8,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+
+# Before Brax, which imports MJX, too: this import is quiet about missing Warp.
+import carpark_mj.physics.mjx_step  # isort: skip # noqa: F401  # pyright: ignore
 from brax.envs.base import Env
 from brax.envs.base import State as BraxState
 

@@ -113,8 +113,7 @@ Info = Mapping[str, Any]  # of a step
 def goal_config(options: Options) -> EnvConfig:
     """The configuration of one agent from options.
 
-    By default the reward is `pose`, and both the goal pose and the parked rule end an
-    episode.
+    By default the reward is `pose`; the goal pose and the parked rule end episodes.
     """
     config = one_agent(configure({"reward": "pose", **options}, ONE_AGENT))
     if "rule" in options:

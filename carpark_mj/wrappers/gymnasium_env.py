@@ -381,8 +381,7 @@ class ParkManyVectorEnv(ParkVectorEnv):
     """`carpark_mj/ParkMany-v0`: every environment is an agent, several share a lot.
 
     Environments k n to k n + n - 1 are the n agents of lot k. Each agent auto-resets in
-    the same lot and step while the others drive on, so lots keep their layouts until
-    `reset`.
+    the same lot and step while others drive on: lots keep their layouts until `reset`.
     """
 
     _modes = (AutoresetMode.SAME_STEP,)

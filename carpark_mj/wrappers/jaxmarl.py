@@ -42,10 +42,7 @@ class JaxMarlAgents(MultiAgentEnv):
     outcomes = ENDINGS
 
     def __init__(
-        self,
-        env: AgentsEnvironment,
-        space: spaces.Box | spaces.Dict,
-        options: Options,
+        self, env: AgentsEnvironment, space: spaces.Box | spaces.Dict, options: Options
     ) -> None:
         """Wraps an environment in which agents that have finished wait for the others.
 
