@@ -95,10 +95,7 @@ def main(config: BenchmarkConfig) -> int:
 
 
 def measure(
-    jobs: Sequence[Job],
-    run: Callable[[Job], list[Result]],
-    repeats: int,
-    out: str = "",
+    jobs: Sequence[Job], run: Callable[[Job], list[Result]], repeats: int, out: str = ""
 ) -> dict[Job, list[Result]]:
     """Runs all jobs in each of `repeats` rounds; prints results on stderr.
 

@@ -79,8 +79,7 @@ def require_writable(path: Path, new_folders: bool = False) -> None:
 def write_atomically(path: Path, write: Any) -> None:
     """Calls `write(temporary_path)` and renames the result to `path`.
 
-    The temporary file keeps the suffix of `path` and is removed on any failure. Raises
-    `OSError`.
+    The temporary file keeps the suffix and is removed on any failure. Raises `OSError`.
     """
     with _temporary(path) as temporary:
         write(temporary)

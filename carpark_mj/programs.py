@@ -155,8 +155,7 @@ def run(
 ) -> object:
     """Runs one of `COMMANDS`; gives the exit code if that is an int, others mean 0.
 
-    The arguments are by default those of this process, which is set up first if
-    `set_up`.
+    By default the arguments are this process's, which `set_up` sets up first.
     """
     name, words = find([name, *(sys.argv[1:] if arguments is None else arguments)])
     command = COMMANDS[name]

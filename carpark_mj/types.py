@@ -36,8 +36,7 @@ class Motion:
         pose_w: (..., 3) yaw in [-pi, pi).
         velocity_b: (..., 2) velocity of the rear-axle centre, forward and left [m/s].
         yaw_rate: (...) [rad/s], counter-clockwise positive.
-        steering: (...) commanded road-wheel angle of the bicycle model [rad], left
-            positive.
+        steering: (...) commanded angle of the bicycle model's wheel [rad], left > 0.
         size: (..., 2) length and width of the footprint [m].
         trace_w: (..., k, 3) poses at k equally spaced instants of the last control
             step, at most `SimConfig.trace_dt` apart; the last equals `pose_w`.

@@ -1,20 +1,20 @@
 """The tutorials run: files, commands and snippets, with the output that they show."""
 
 import contextlib
+import dataclasses
 import io
 import os
 import re
 import shlex
 
 import pytest
+from helpers import learning
 from helpers.pages import ROOT
 from helpers.programs import exit_code, python
 from helpers.registering import restore_after
 
-from carpark_mj.config import REWARD_TERMS, EnvConfig
-from carpark_mj.policy.networks import NetworkConfig
+from carpark_mj.config import REWARD_TERMS
 from carpark_mj.rendering.gl import choose_gl
-from carpark_mj.training import PPOConfig
 
 # A block of code: its language, the name of the file that it is, its text.
 BLOCK = re.compile(r'^```(\w+)(?: title="(\S+)")?\n(.*?)^```', re.MULTILINE | re.DOTALL)
@@ -24,14 +24,7 @@ TUTORIALS = [
     pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem != QUICK))
     for path in sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 ]
-TINY = PPOConfig(
-    num_steps=64,
-    num_lots=4,
-    unroll_length=4,
-    num_minibatches=2,
-    networks=NetworkConfig((8,), (8,)),
-    env=EnvConfig(physics="bicycle", num_parked_cars=2),
-)
+TINY = dataclasses.replace(learning.SMALL, num_steps=64)
 # Flags that come last and make a command small; what else a snippet does less of.
 BICYCLE = "--physics bicycle"
 SMALL = {

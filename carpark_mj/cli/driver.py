@@ -100,10 +100,7 @@ def adapted(settings: LotSettings, env: EnvConfig, **changes: Any) -> EnvConfig:
 
 
 def adapt(
-    env: EnvConfig,
-    rule: str | None = None,
-    nominal: bool = False,
-    **changes: Any,
+    env: EnvConfig, rule: str | None = None, nominal: bool = False, **changes: Any
 ) -> EnvConfig:
     """The environment with the settings that are not None replaced.
 

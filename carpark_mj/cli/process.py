@@ -1,7 +1,6 @@
 """The process of a command: Ctrl-C, what it prints, errors that the user can fix.
 
-Only the standard library is imported at first, so that Ctrl-C is handled from the
-start.
+Only the standard library is imported at first: Ctrl-C is handled from the start.
 """
 
 import contextlib

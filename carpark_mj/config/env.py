@@ -53,8 +53,7 @@ class EnvConfig:
             have priority: if they leave fewer bays, fewer cars are parked.
         fleet: presets from which cars are drawn instead of `vehicle`.
         jitter: variation of parked cars' poses in their bays, and of their sizes.
-        movers: moving obstacles of the lot, names in `MOVERS`; from Python also
-            configs.
+        movers: moving obstacles of the lot: names in `MOVERS`, or configs.
         physics: name of the back end. `mjx`: one MJX model per car, see `sim.stepper`;
             box tests find crashes. `scene`: the whole lot in one C MuJoCo world, whose
             contacts are crashes; slow. `bicycle`: kinematic cars without slip.

@@ -213,8 +213,7 @@ def _number(what: str, value: Any, count: int) -> Any:
 class FromFileConfig(FixedLayoutConfig):
     """A layout file, read when the config is made.
 
-    Configs are equal if paths and contents are equal; a changed file gives another
-    config.
+    Configs are equal if paths and contents are: a changed file gives another config.
 
     Attributes:
         path: of the file; its suffix says the format: `.json`, in which a car park can

@@ -111,8 +111,7 @@ def _from_archive(path: Path) -> list[Car]:
 class Replay(Mover):
     """Cars of a recording, repeated; they stop for nothing.
 
-    A car is there from its first to its last sample, and goes straight from one to the
-    next.
+    A car is there from its first to its last sample, and goes straight between them.
 
     Attributes:
         path: `.csv` or `.npz`, see the module; read when the config is made.

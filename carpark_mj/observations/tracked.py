@@ -93,8 +93,7 @@ Shared = Callable[[ObservationInput, jax.Array], jax.Array]
 def agents_part(count: int, share: ShareConfig, num_tracked_bays: int) -> Part:
     """The nearest `count` other agents, with what they share.
 
-    `num_tracked_bays` is the number from which agents choose their goals; 0 = they are
-    fixed.
+    `num_tracked_bays` is the number from which agents choose goals; 0 = fixed goals.
     """
     shared = _shared(share, num_tracked_bays)
 

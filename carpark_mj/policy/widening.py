@@ -41,10 +41,7 @@ def new_fields(env: EnvConfig, trained: Trained) -> list[str]:
     # Of rays the numbers count, not how many there are.
     ours, theirs = (
         {
-            (
-                number,
-                replace(field, size=0) if field.name in _BY_BEARING else field,
-            )
+            (number, replace(field, size=0) if field.name in _BY_BEARING else field)
             for field in make_fields(each)
             if field.index == 0
             for number in _numbers(field)

@@ -5,8 +5,7 @@ perpendicular bays. The package stores them in whole millimetres, 1e-4 rad, mm/s
 
 - `crossing`: a person at 0.9 to 1.7 m/s from one row into the other, in the way of a
   car at 2 m/s as it comes, or up to 2.5 m before.
-- `dart_out`: a child at 2 to 3 m/s from the gap between two parked cars, up to 2 m
-  before.
+- `dart_out`: a child at 2 to 3 m/s from a gap between parked cars, up to 2 m before.
 - `backing_out`: a car that reverses out of its bay by 2.5 m or more when a car is 6 to
   11 m away, stands 1 to 4 s and drives back in.
 - `cart`: a cart that rolls askew into the aisle at 0.8 to 1.8 m/s, slows down by 0.1 to

@@ -37,8 +37,7 @@ class Scene(NamedTuple):
 class Drives(NamedTuple):
     """Driven paths of n cases, t control steps with k poses in each.
 
-    Values after the last step of an episode are meaningless. The first of the a agents
-    parks.
+    Values after an episode ends are meaningless. The first of the a agents parks.
     """
 
     pose_w: np.ndarray  # (n, t, a, k, 3) footprint centres

@@ -37,10 +37,7 @@ class Loop:
     """Progress, checkpoint times, time limit and Ctrl-C of a training."""
 
     def __init__(
-        self,
-        title: str,
-        config: RunConfig,
-        clock: Callable[[], float] = time.monotonic,
+        self, title: str, config: RunConfig, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """Starts the clocks; `clock` gives the time [s], `title` is that of the bar."""
         self._config, self._clock, self._asked = config, clock, False
@@ -123,8 +120,7 @@ class Loop:
 class MetricsLog:
     """One row per update in `metrics.csv` and the run's loggers.
 
-    On a resume the rows after the checkpoint are removed, so that no update appears
-    twice.
+    A resume removes the rows after the checkpoint: no update appears twice.
     """
 
     def __init__(self, folder: Path, resume_update: float, config: RunConfig) -> None:

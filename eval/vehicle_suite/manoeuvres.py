@@ -11,14 +11,7 @@ from carpark_mj.vehicle.parameters import GRAVITY, VehicleParameters
 from vehicle_suite import formulas
 from vehicle_suite.formulas import steady_turn
 from vehicle_suite.report import Study
-from vehicle_suite.testbed import (
-    LOCKING,
-    Run,
-    Track,
-    circle_radius,
-    ramp,
-    tracks_of,
-)
+from vehicle_suite.testbed import LOCKING, Run, Track, circle_radius, ramp, tracks_of
 
 LOCKS = (0.3, 0.6, 0.85, 1.0)  # of full lock
 SPEEDS = (0.5, 1.0, 3.0, -1.0)  # m/s

@@ -16,10 +16,7 @@ for _name, (_home, _summary) in {
         "tabular Q-learning on the grid, Tanner 2022",
     ),
     "tanner": ("tanner.experiments.program", "the figures of Tanner 2022"),
-    "sac": (
-        "pandita.sac.program",
-        "SAC and hindsight replay in slots, Pandita 2022",
-    ),
+    "sac": ("pandita.sac.program", "SAC and hindsight replay in slots, Pandita 2022"),
     "slots": ("pandita.experiments.program", "the experiments of Pandita 2022"),
     "junction": (
         "cederle.training.program",

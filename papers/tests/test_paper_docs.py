@@ -6,15 +6,7 @@ import shlex
 from statistics import fmean
 
 import pytest
-from helpers.pages import (
-    PAGES,
-    PAPERS,
-    ROOT,
-    calls,
-    cells,
-    markdown_table,
-    section,
-)
+from helpers.pages import PAGES, PAPERS, ROOT, calls, cells, markdown_table, section
 from helpers.programs import rows_of
 from test_docs import check_command, commands
 

@@ -50,7 +50,7 @@ WRONG = {
         "extra": (
             *({"hurry": 1.0}, {"park": 1.0}, {"bad_goal": 1.0}, {"reverse": -1.0}),
             *({"reverse.x": 1.0}, {"smoothness.by_speed": 1}),
-        ),
+        )
     },
     EnvConfig: {
         "occupancy": ((0.1, 0.2, 0.3), (0.3, 0.2)),

@@ -115,9 +115,7 @@ def test_the_sliders_do_what_the_guide_says(empty):
 
 
 @pytest.mark.parametrize("suspension", [False, True])
-def test_the_full_brake_holds_on_a_slope_and_leaves_springs_free(
-    suspension,
-):
+def test_the_full_brake_holds_on_a_slope_and_leaves_springs_free(suspension):
     lot = make_layout("square")
     spec = drivable_scene(lot, COMPACT, np.zeros((1, 3)), np.zeros((0, 3)), suspension)
     model = spec.compile()

@@ -58,8 +58,7 @@ assert_close = functools.partial(trees.assert_close, atol=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
-    [*((name, {"config": SHORT}) for name in SINGLE), (FIRST, {})],
+    ("name", "options"), [*((name, {"config": SHORT}) for name in SINGLE), (FIRST, {})]
 )
 def test_gymnasium_finds_no_fault(name, options):
     # It would open a window as well; pictures are looked at below.

@@ -22,8 +22,7 @@ _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
 
 
 def make_graph(
-    function: Callable[..., Mapping[str, jax.Array]],
-    inputs: Mapping[str, Form],
+    function: Callable[..., Mapping[str, jax.Array]], inputs: Mapping[str, Form]
 ) -> Any:
     """The ONNX model (`onnx.ModelProto`) of a function, which gives outputs by name.
 

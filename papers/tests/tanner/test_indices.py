@@ -12,11 +12,7 @@ from helpers.states import config_of, parked_at, parked_in, state_of
 
 from carpark_mj.config import WORLD_UNIT, RingConfig
 from carpark_mj.layouts import make_layout
-from carpark_mj.observations import (
-    make_fields,
-    observation_size,
-    observe,
-)
+from carpark_mj.observations import make_fields, observation_size, observe
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.spawning.placing import Surroundings
 from carpark_mj.spawning.starts import draw_uniform, random_pose, spawn_shapes
