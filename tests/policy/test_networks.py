@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.programs import python
 
 from carpark_mj.config import EnvConfig, GoalConfig
 from carpark_mj.mdp.actions import ActionSpec, action_spec
@@ -102,6 +103,12 @@ def outputs(many, *changed):
 def differ(a, b):
     """Of each output, the largest difference in any lot."""
     return np.abs(a - b).max(axis=0)
+
+
+def test_brax_is_whole_for_others():
+    """Its own first module waits until it is asked for a name."""
+    done = python("-c", "import carpark_mj.policy.networks, brax; print(brax.State)")
+    assert "brax.base.State" in done.stdout, done.stderr
 
 
 def test_the_order_of_cars_changes_no_output_that_of_bays_does(many):
