@@ -155,7 +155,7 @@ def run(
 ) -> object:
     """Runs one of `COMMANDS`; gives the exit code if that is an int, others mean 0.
 
-    By default the arguments are this process's, which `set_up` sets up first.
+    By default the arguments are this process's; `set_up` sets it up first.
     """
     name, words = find([name, *(sys.argv[1:] if arguments is None else arguments)])
     command = COMMANDS[name]

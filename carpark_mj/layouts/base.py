@@ -22,8 +22,7 @@ class LayoutConfig(CheckedConfig, abc.ABC):
             with its defaults.
         spawn_margin: free ground around spawn regions for larger cars [m].
         is_random: whether lots depend on the key.
-        is_enclosed: whether walls keep cars within the lot, and observations within
-            ranges.
+        is_enclosed: whether walls keep cars within the lot, and observations in range.
     """
 
     family: str

@@ -72,7 +72,7 @@ def find_hits(
     """What agents touched in the step that led to a state, (num_agents,) bool by kind.
 
     By the labels of `ObstacleKind`; in a collision of two agents both are hit.
-    `hitbox_scale` () multiplies all cars' sizes, but in physics with contacts.
+    `hitbox_scale` () multiplies all cars' sizes, except in physics with contacts.
     """
     motion, parked_cars, movers = state.motion, state.parked_cars, state.movers
     hits: dict[ObstacleKind, jax.Array] = {}

@@ -291,7 +291,7 @@ class ObservationInput:
 
     @classmethod
     def of(cls, state: State) -> Self:
-        """What all agents know."""
+        """What all agents measure."""
         return cls(state, observed(state))
 
     @property

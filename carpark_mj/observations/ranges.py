@@ -218,7 +218,7 @@ def count_rings(config: RingConfig, sight: ObservationInput) -> jax.Array:
     """Counts (num_observers, rings) int32, up to the cap, about the sensed positions.
 
     Objects are walls, each counted once, discs, movers and, with `RingConfig.cars`,
-    parked cars and other agents. Without a broad phase: the distance is the test.
+    parked cars and other agents. No broad phase: the distance is the cheapest test.
     """
     motion = sight.motion
     cars = (ObstacleKind.AGENT, ObstacleKind.PARKED_CAR)

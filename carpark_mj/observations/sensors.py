@@ -130,19 +130,22 @@ def predicted(state: State, dt: float) -> Motion:
     """The measured motion (num_agents,), brought from late readings to the present.
 
     Only poses are late: a car knows its speed and yaw rate at once, and moves its last
-    known pose on by those since, read every `dt` [s].
+    known pose on by those of its rear axle since, read every `dt` [s].
     """
     motion, sensors = observed(state), state.sensors
     if sensors is None:
         return motion
-    past, pose = sensors.history, motion.pose_w
+    past, offset = sensors.history, state.physics.vehicle.centre_offset
+    late = jnp.minimum(sensors.delay, state.step)[:, None]  # none before the episode
     way, turn = (
         dt * (x[:, 1:] + x[:, :-1]) / 2 for x in (past.velocity_b, past.yaw_rate)
     )
+    pose = move_forward(motion.pose_w, -offset)
     for age in reversed(range(turn.shape[1])):
         xy = rotate(way[:, age], pose[:, 2] + turn[:, age] / 2)
         moved = pose + jnp.concatenate([xy, turn[:, age, None]], axis=-1)
-        pose = jnp.where((age < sensors.delay)[:, None], moved, pose)
+        pose = jnp.where(age < late, moved, pose)
+    pose = move_forward(pose.at[:, 2].set(wrap_angle(pose[:, 2])), offset)
     newest = jax.tree.map(lambda x: x[:, 0], past)
     return dataclasses.replace(motion, **vars(newest) | {"pose_w": pose})
 

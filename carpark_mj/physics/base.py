@@ -43,7 +43,7 @@ class Physics(abc.ABC, Generic[S]):
     def step(self, state: S, controls: jax.Array) -> S:
         """Advances by one control step.
 
-        `controls` (..., k) are those of `PhysicsConfig`: of cars steer and pedal.
+        `controls` (..., k) as of `PhysicsConfig`: of cars steer and pedal in [-1, 1].
         """
 
     @abc.abstractmethod

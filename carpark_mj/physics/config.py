@@ -151,7 +151,7 @@ class PhysicsConfig(CheckedConfig, abc.ABC):
         actuated: whether steer and pedal act through the steering, motor and brakes of
             `vehicle.drive`, as the planner expects.
         contacts: whether cars push each other and parked cars. If so, crashes are its
-            contacts, `Motion.touched`, and cars that have crashed drive on.
+            contacts, `Motion.touched`, and cars that have crashed are simulated on.
         randomized: whether parameters that `RandomizationConfig` draws have an effect.
         keeps_ranges: whether cars are as slow as in a car park, so that observations
             keep to their ranges where walls surround the lot.

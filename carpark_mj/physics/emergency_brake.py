@@ -10,8 +10,8 @@ the next step, the outer one a fifth less curved. Load, grip, slopes, `creep` an
 `pedal_delay` count. Where full brakes lock the wheels, the car slides on from the
 velocity of its centre, drifts down the slope, and keeps its heading or turns on. It
 brakes if one of them, at present or where the velocity leads meanwhile, is within
-`ASIDE` of the sweep, twice that in a slide, and nearer by a tenth than at present:
-approaches to a car that stands or drives away do not count. The steering is held while
+`ASIDE` of the sweep, twice that in a slide, and nearer by a tenth than at present: who
+approaches a car that stands or drives away does not count. The steering is held while
 it brakes, so that the swept area stays valid.
 """
 

@@ -97,8 +97,7 @@ def roll_out(
 ) -> tuple[Carry, Any]:
     """Makes a control step for each of the keys (steps,), as one program.
 
-    Gives the carry after the last step, and of all steps (steps, ...) what `report`
-    keeps.
+    Gives the carry after the last step, and what `report` keeps of all (steps, ...).
     """
 
     def step(carry: Carry, key: jax.Array) -> tuple[Carry, Any]:

@@ -1,26 +1,29 @@
 """What networks and PPO use of Brax, without its simulator.
 
-The package `brax` begins with names that need MJX, trimesh and SciPy, a quarter of the
-time of all imports. Here they wait until somebody asks for one.
+Names of the package `brax` itself need MJX, trimesh and SciPy, a quarter of the time of
+all imports. Here they wait until somebody asks for one.
 """
 # ruff: noqa: E402, F401
 # pyright: reportUnusedImport=false
 
+import importlib.metadata
 import importlib.util
 import sys
 from typing import Any
 
 
 def _load(name: str) -> Any:
-    package = sys.modules["brax"]
-    del vars(package)["__getattr__"]
-    package.__spec__.loader.exec_module(package)  # pyright: ignore
-    return getattr(package, name)
+    if name not in ("Motion", "State", "System", "Transform"):
+        raise AttributeError(f"module 'brax' has no attribute {name!r}")
+    import carpark_mj.physics.mjx_step  # quiet about missing Warp
+
+    return getattr(importlib.import_module("brax.base"), name)
 
 
 if "brax" not in sys.modules and (found := importlib.util.find_spec("brax")):
     sys.modules["brax"] = importlib.util.module_from_spec(found)
-    vars(sys.modules["brax"])["__getattr__"] = _load
+    version = importlib.metadata.version("brax")
+    vars(sys.modules["brax"]).update(__getattr__=_load, __version__=version)
 
 from brax.training import networks
 from brax.training.acme import running_statistics, specs

@@ -40,8 +40,7 @@ def view_yaw(extent: np.ndarray, aspect: float = LEAST_ASPECT) -> float:
     """Direction [rad] that is to the right in the frames of `LOT_CAMERAS`.
 
     A lot of half widths `extent` (2,) [m] is seen from the south, or from the west if
-    its longer side then lies along the frame's; `aspect` is width over height of the
-    frame.
+    its longer side then lies along the frame's; `aspect` is the frame's width / height.
     """
     x, y = extent if aspect >= 1.0 else extent[::-1]
     return -math.pi / 2 if y > _LONG * x else 0.0

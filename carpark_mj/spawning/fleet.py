@@ -258,8 +258,7 @@ def draw_bays(
     (bays,) left, and then one of these bays, for `cars` (cars,) that need one. With
     `anywhere` a car that fits nowhere still gets a free bay. A share `snug` of the
     kinds is likelier the less `room` (kinds, bays) bays leave in length and width
-    together [m]. Returns both (cars,) int32, `NO_BAY` where there is none; `key` is
-    consumed.
+    together [m]. Returns both (cars,) int32, `NO_BAY` for none; `key` is consumed.
     """
     num_bays = free.shape[0]
 

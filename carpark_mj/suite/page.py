@@ -186,8 +186,7 @@ def write_report(
 ) -> list[dict[str, Any]]:
     """Writes all files of the suite and prints the table; returns the table's rows.
 
-    `drives` are those of the worst episodes; `num_videos` are made of each policy and
-    level.
+    `drives` are of the worst episodes; each policy and level has `num_videos` of them.
     """
     folder.mkdir(parents=True, exist_ok=True)
     page = folder / "suite.html"

@@ -14,8 +14,7 @@ are of public text; none of the standards was at hand. What is marked [own] is n
   the width, persons, and the crossing of 4 m at 5 km/h, 1.5 m to speed up [4]. The car
   begins 10 m before the person [4, not of the protocol], at most as fast as it
   reverses. NCAP's driver keeps the speed until the brake acts; here the policy drives
-  to a bay behind the person [own]. Dummies are discs as wide as the mean of their
-  sides.
+  to a bay behind the person [own]. Dummies are discs, as wide as their sides' mean.
 - `r158`, UN R158: something 0.3 m wide stands 0.2 to 1 m behind the car, as wide as
   that [5, 6]; it is 0.8 m high, which movers are not. R158 asks that it is shown or
   detected; here a car that stands must get to a bay behind it without a touch [own].

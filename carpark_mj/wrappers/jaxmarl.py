@@ -10,6 +10,8 @@ from typing import Any, Unpack
 import jax
 import jax.numpy as jnp
 from gymnasium import spaces
+
+import carpark_mj.physics.mjx_step  # isort: skip # noqa: F401 # quiet, before Brax
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box, Dict, Discrete
 

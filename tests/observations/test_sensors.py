@@ -138,13 +138,14 @@ def test_delay_compensation_tells_where_late_cars_are_now():
         """Cars that drive a circle ever faster, to the left."""
         yaw, rate = 0.05 * step**2, 0.1 * step / DT
         pose = np.tile(circle(5.0, np.array([yaw])), (200, 1))
-        return cars(pose, 5.0 * rate, 0.1 * step, rate, AHEAD * rate)
+        return cars(pose, 5.0 * rate, 0.1 * step, rate)  # the rear axle's
 
     config = SensorConfig(delay_max=3)
     sensors = init_sensors(config, at(0), KEY)
     for step in range(4):
         sensors = measure(config, lot_with(sensors, at(step)), at(step + 1), KEY)
-    late, exact = lot_with(sensors, at(4)), lot_with(None, at(4))
+    late = lot_with(sensors, at(4), step=jnp.full(200, 4))
+    exact = dataclasses.replace(late, sensors=None)
     plain = config_of(ContinuousObservation())
     env = config_of(ContinuousObservation(delay_compensation=True))
     known, seen = env.observation.known(env, late), observed(late)
@@ -154,6 +155,8 @@ def test_delay_compensation_tells_where_late_cars_are_now():
         np.testing.assert_allclose(getattr(known, name), true, atol=0.015)
         off = np.abs(getattr(seen, name) - true).reshape(200, -1).max(axis=1)
         np.testing.assert_array_equal(off > 0.05, sensors.delay > 0)
+    begun = env.observation.known(env, dataclasses.replace(late, step=jnp.zeros(200)))
+    np.testing.assert_allclose(begun.pose_w, seen.pose_w, atol=1e-5)
     truth = observe_jit(env, exact)
     np.testing.assert_allclose(observe_jit(env, late), truth, atol=0.02)
     assert np.abs(observe_jit(plain, late) - truth).max() > 0.2

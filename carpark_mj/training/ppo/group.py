@@ -32,8 +32,7 @@ OUTSIDE = (
 def program(config: PPOConfig) -> PPOConfig:
     """What decides the program: runs for which it is equal can be a group.
 
-    It is hashable, but not the config of a run: settings that may differ in a group are
-    blank.
+    It is hashable, but no config of a run: settings that may differ in it are blank.
     """
     data = dict.fromkeys(_data(config), 0.0)
     return insert(config, data | dict.fromkeys(OUTSIDE))
