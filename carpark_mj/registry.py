@@ -96,8 +96,7 @@ ANYWHERE = EnvConfig(
 
 # Up to four cars among people with varying attention, carts, and drivers.
 # Waiting takes time, so episodes are longer; hitting a person costs `person` besides
-# the crash. Cars have emergency braking: what remains to learn is to get on
-# without it.
+# the crash. Cars have emergency braking: what remains to learn is to get on without it.
 CONSIDERATE = dataclasses.replace(
     ANYWHERE,
     num_agents=4,

@@ -2,7 +2,7 @@
 
 Every car has the silhouette of a style (`scene.looks`), stretched to its own length,
 width, height, wheelbase, overhangs and wheels. All parts are watertight. Frame: the
-MJCF body's (rear axle on the ground, x forward, y left, z up); tyre and rim: the hub.
+MJCF body's (rear axle on the ground, x forward, y left, z up); of tyre and rim the hub.
 """
 
 from collections.abc import Sequence

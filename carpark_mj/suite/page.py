@@ -186,7 +186,7 @@ def write_report(
 ) -> list[dict[str, Any]]:
     """Writes all files of the suite and prints the table; returns the table's rows.
 
-    `drives` are of the worst episodes; each policy and level has `num_videos` of them.
+    `drives` are of the worst episodes; of each policy and level `num_videos` are films.
     """
     folder.mkdir(parents=True, exist_ok=True)
     page = folder / "suite.html"

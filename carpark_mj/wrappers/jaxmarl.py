@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from gymnasium import spaces
 
-import carpark_mj.physics.mjx_step  # isort: skip # noqa: F401 # quiet, before Brax
+import carpark_mj.physics.mjx_step  # isort: skip # noqa: F401 # quiet, if that loads MJX
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box, Dict, Discrete
 
