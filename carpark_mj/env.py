@@ -92,9 +92,8 @@ class ParkingEnv:
             vehicle: a custom car instead of the preset `config.vehicle`.
 
         Raises:
-            ValueError: the lot cannot hold the cars asked for, the randomization
-                could draw an impossible car, there is no such preset, or JAX computes
-                in float64.
+            ValueError: the lot cannot hold the cars, the randomization could draw an
+                impossible one, there is no such preset, or JAX computes in float64.
             TypeError: the config, the back end or the car has another type.
         """
         require_float32()
@@ -189,9 +188,8 @@ class ParkingEnv:
             member: () int32 which member of a mixture the lot is of; drawn if None.
             num_present: () int32 how many agents the lot has, from 1 to `num_agents`;
                 drawn if None, see `EnvConfig.min_agents`.
-            options: given start poses, speeds and goals. Impossible traced options are
-                not refused: a car that begins inside another has crashed after the
-                first step.
+            options: start poses, speeds and goals. Impossible traced ones are not
+                refused: a car inside another has crashed after the first step.
 
         Returns:
             The state and the observations (num_agents, observation_size).
@@ -344,7 +342,7 @@ class ParkingEnv:
     def _move(self, state: State, controls: jax.Array, keys: StepKeys) -> State:
         """The state when the cars have moved and their motion has been measured."""
         config, memory = self.config, self.config.observation.remember(state)
-        if config.sim.emergency_brake:
+        if config.sim.emergency_brake or config.sim.manoeuvre_brake:
             from carpark_mj.physics import emergency_brake  # only such cars load it
 
             controls = emergency_brake.override(config.sim, state, controls)

@@ -145,14 +145,18 @@ class EnvConfig:
             f"asks for the lines of the bay, as strict, not {episode.parked_rule}",
         )
         varies = self.randomization.is_on
-        reach, brake = self.reward.reeds_shepp_reach, self.sim.emergency_brake
+        reach, sim = self.reward.reeds_shepp_reach, self.sim
+        brakes = sim.emergency_brake or sim.manoeuvre_brake
         for wrong, what in (
             (
                 varies and not physics.randomized,
                 "randomization has no effect: leave it off",
             ),
             (reach and not physics.steers, f"reeds_shepp_reach must be 0, not {reach}"),
-            (brake and not physics.actuated, f"emergency_brake must be 0, not {brake}"),
+            (
+                brakes and not physics.actuated,
+                "emergency_brake and manoeuvre_brake must be 0",
+            ),
         ):
             yield bool(wrong), f"in {back_end} physics {what}"
         scale = episode.hitbox_scale

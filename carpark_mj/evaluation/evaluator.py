@@ -32,9 +32,8 @@ class Evaluation:
     """Results of an evaluation.
 
     Attributes:
-        episodes: a row per episode: lot, agent, episode, how many agents the lot has,
-            its metrics (see `carpark_mj.evaluation.catalogue`), and the lot's family by
-            name.
+        episodes: a row per episode: lot, agent, episode, the lot's number of agents and
+            family, and the metrics of `carpark_mj.evaluation.catalogue`.
         summary: aggregates of all episodes, see `aggregation.summarize`.
         families: summaries of the lots of each member of a mixture, by name; the lot's
             own if it is no mixture.
@@ -175,8 +174,7 @@ def _make_lots(
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Lots for at least so many episodes, see `evaluate`.
 
-    Their members of a mixture and numbers of agents (num_lots,) int32, and the names of
-    the members.
+    Members of a mixture and numbers of agents (num_lots,) int32; the members' names.
     """
     shares, counts = member_shares(env.layout_config), env.config.agent_counts
     mean_count = (counts.start + env.num_agents) / 2

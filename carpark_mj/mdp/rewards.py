@@ -55,9 +55,8 @@ class RewardTerm(CheckedConfig):
 
     Attributes:
         value: the term without weight and sign: a function of an `EnvConfig` and a
-            `Transition` that returns (num_agents,), in JAX. Its other arguments are
-            parameters, numbers with defaults. Where the weight is known to be 0 it is
-            not called.
+            `Transition` that returns (num_agents,), in JAX. Other arguments are its
+            parameters, numbers with defaults. It is not called where the weight is 0.
         sign: 1 = reward, -1 = penalty.
         per_step: divide the weight by `EpisodeConfig.max_steps`, so that a full episode
             adds up to it.
@@ -207,9 +206,8 @@ class RewardConfig(CheckedConfig):
         route: measure the distances of `progress` and `alignment` along the lanes
             (`carpark_mj.layouts.routes`) instead of straight; fixed goals only.
         reeds_shepp_reach: distance to the goal [m] within which `progress` measures the
-            shortest Reeds-Shepp path for the car's turning circle instead, nose in or
-            out. The path is mixed in linearly down to a quarter of this distance. 0 =
-            never.
+            shortest Reeds-Shepp path for the car's turning circle, nose in or out; it
+            is mixed in linearly down to a quarter of this distance. 0 = never.
         alignment: reward per radian of misalignment with the goal's axis removed,
             fading with the distance to the goal; negative when it grows.
         closeness: penalty per step, times 1 - clearance to the nearest other agent /

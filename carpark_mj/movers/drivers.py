@@ -253,8 +253,7 @@ class Drivers(Mover):
             neighbourhood; 0 drives the lowest speed with the longest headway, 1 the
             highest with the shortest, and accelerates twice as hard.
         attention: share of drivers that look for others before they drive.
-        search: probability of looking for a bay, rather than for a way on, where both
-            are near.
+        search: probability of looking for a bay where a way on is near, too.
         speed: of the least and the most aggressive [m/s].
         headway: of the most and the least aggressive [s]. Treiber et al. 2000: 1.6 s.
         stay: time in a bay [s].

@@ -115,8 +115,7 @@ class Replay(Mover):
 
     Attributes:
         path: `.csv` or `.npz`, see the module; read when the config is made.
-        offset: time of the recording at which lots begin [s], drawn from this range;
-            None = any.
+        offset: range of times of the recording at which lots begin [s]; None = any.
     """
 
     path: str = ""

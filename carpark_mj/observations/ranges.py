@@ -174,9 +174,8 @@ def _shorten(
 ) -> jax.Array:
     """Free distances (num_agents, count) cut where they meet any of n obstacles.
 
-    `gap` (num_agents, n) is that from the agents' centres to the obstacles, inf where
-    there is none; rays begin at (num_agents, 1, 1, 2) along unit vectors (num_agents,
-    1, count, 2).
+    `gap` (num_agents, n): from the agents' centres to the obstacles, inf where none is.
+    Rays begin at (num_agents, 1, 1, 2), along unit vectors (num_agents, 1, count, 2).
     """
     if not is_crowded(*gap.shape):
         found = take(group, None).ray_distance(origin, direction)

@@ -22,8 +22,7 @@ class SensorConfig(CheckedConfig):
     Attributes:
         position_noise: standard deviation of the white noise on x and y [m].
         heading_noise: standard deviation of the white noise on the yaw [rad].
-        speed_noise: standard deviation of the white noise on the velocity, forward and
-            left [m/s].
+        speed_noise: standard deviation of the white noise on both velocities [m/s].
         delay_min: shortest delay of a car's measurements [control steps].
         delay_max: longest delay [control steps]; the delay is drawn at every spawn.
         odometry_scale: standard deviation, over episodes, of the relative error of the
@@ -80,8 +79,7 @@ def measure(
 ) -> Sensors | None:
     """The sensors with the measurement of a control step; `key` is consumed.
 
-    The lot is that at the start of the step, `motion` of the cars (num_agents,) that at
-    its end.
+    The lot is that before the step, `motion` of the cars (num_agents,) that after it.
     """
     sensors = before.sensors
     if sensors is None:

@@ -8,8 +8,7 @@ the wheelbase L,
     x' = v cos(yaw + b),  y' = v sin(yaw + b),  yaw' = v sin(b) / (L / 2).
 
 highway-env takes the car's length for L and has no lag, see `highway`. Here L is the
-wheelbase, and steering and pedal act as in `vehicle.drive`, so that a policy drives
-both cars.
+wheelbase, and controls act as in `vehicle.drive`, so that a policy drives both cars.
 """
 
 import dataclasses

@@ -57,6 +57,7 @@ class SimConfig(CheckedConfig):
             pressed [m/s^2]; 0 = none, about 0.4 in real cars.
         emergency_brake: gap to people, movers and other agents [m] that automatic
             emergency braking keeps ahead of a car that moves; 0 = none.
+        manoeuvre_brake: gap to parked cars and walls [m] that braking keeps; 0 = none.
     """
 
     sim_dt: Positive = 0.01
@@ -72,6 +73,7 @@ class SimConfig(CheckedConfig):
     pedal_delay: Annotated[float, Bounds(ge=0.0, le=MAX_DELAY, unit="s")] = 0.0
     creep: Annotated[float, Bounds(ge=0.0, le=MAX_CREEP, unit="m/s^2")] = 0.0
     emergency_brake: Annotated[float, Bounds(ge=0.0, le=MAX_GAP, unit="m")] = 0.0
+    manoeuvre_brake: Annotated[float, Bounds(ge=0.0, le=MAX_GAP, unit="m")] = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,8 +1,8 @@
-"""Automatic emergency braking for people and vehicles, as cars have it (UN R152).
+"""Automatic braking: for people and vehicles (UN R152), and in manoeuvres.
 
 A car brakes fully if obeying its driver for a step would bring it so near to a person,
 a mover or another agent's car that it could not stop afterwards. True positions are
-read, as by a perfect sensor. Parked cars and walls do not count.
+read, as by a perfect sensor. Braking in manoeuvres is for parked cars and walls.
 
 The footprint is swept along the way that obeys the pedal for a step and then brakes
 fully, and along the gap, on three arcs between the present steering angle and that of
@@ -12,7 +12,8 @@ velocity of its centre, drifts down the slope, and keeps its heading or turns on
 brakes if one of them, at present or where the velocity leads meanwhile, is within
 `ASIDE` of the sweep, twice that in a slide, and nearer by a tenth than at present: who
 approaches a car that stands or drives away does not count. The steering is held while
-it brakes, so that the swept area stays valid.
+it brakes, so that the swept area stays valid. For parked cars and walls there is no gap
+ahead, `manoeuvre_brake` is the one aside, and a car that stands may steer.
 """
 
 import dataclasses
@@ -25,13 +26,15 @@ from carpark_mj.config import SimConfig
 from carpark_mj.geometry.obstacles import Group, ObstacleKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import Motion, State
-from carpark_mj.vehicle.drive import stopping_action
+from carpark_mj.vehicle.drive import HOLD_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
 # m, gaps beside the swept area of danger, twice where cars slide [est].
 _VEHICLES = ObstacleKind.AGENT, ObstacleKind.DRIVER, ObstacleKind.MOVER
 ASIDE = dict.fromkeys(_VEHICLES, 0.05) | {ObstacleKind.PERSON: 0.15}
+STATIC = ObstacleKind.PARKED_CAR, ObstacleKind.WALL
+STANDING = 0.05  # m/s; slower cars are left to the holding brake, and may steer [est]
 NEARER = 0.9  # of the present gap: what keeps more of it does not approach
 LEAST = 0.1  # m/s², assumed of brakes that do not hold the car on its slope
 WIDER = 0.8  # of the steering's curvature: cars turn wider the faster they are [est]
@@ -44,25 +47,34 @@ DRIFT = (SHARE + (1.0 - SHARE) * np.log(np.maximum(1.0 - SHARE, 1e-9))) / 4
 
 
 def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
-    """Controls (num_agents, 2) that brake and hold the steering near who is in danger.
+    """Controls (num_agents, 2) that brake and hold the steering where there is danger.
 
     From the lot at the start of a control step and what drivers command, steer and
-    pedal in [-1, 1]. `sim` has a positive `emergency_brake`.
+    pedal in [-1, 1]. Of `sim` a positive `emergency_brake` or `manoeuvre_brake` counts.
     """
     motion = state.motion
     there = lot_obstacles(state.layout, motion, state.parked_cars, state.movers)
     alone = motion.yaw_rate.shape[0] == 1
-    groups = [x for x in there if x.kind in ASIDE and not (alone and x is there[0])]
-    if not groups:
-        return controls
+    others = [x for x in there if x.kind in ASIDE and not (alone and x is there[0])]
     with jax.named_scope("emergency_brake"):
         car = in_conditions(state.physics.vehicle, sim)
-        swept = sweep(sim, car, motion, controls)
-        wider = jnp.where(sliding(car), 2.0, 1.0)
-        found = [endangered(motion, swept, wider * ASIDE[g.kind], g) for g in groups]
-        danger = jnp.stack(found).any(axis=0)
-        held = motion.steering / car.max_steering, stopping_action(motion.speed)[:, 1]
-        return jnp.where(danger[:, None], jnp.stack(held, axis=-1), controls)
+        held, pedal = motion.steering / car.max_steering, stop(sim, car, motion.speed)
+
+        def braked(sim: SimConfig, near: list[tuple[Group, float]], steer: jax.Array):
+            swept = sweep(sim, car, motion, controls)
+            wider = jnp.where(sliding(car), 2.0, 1.0)
+            found = [endangered(motion, swept, wider * gap, x) for x, gap in near]
+            danger = jnp.stack(found).any(axis=0)[:, None]
+            return jnp.where(danger, jnp.stack([steer, pedal], axis=-1), controls)
+
+        if sim.emergency_brake and others:
+            controls = braked(sim, [(x, ASIDE[x.kind]) for x in others], held)
+        if sim.manoeuvre_brake:
+            stands = jnp.abs(motion.speed) < STANDING
+            near = [(x, sim.manoeuvre_brake) for x in there if x.kind in STATIC]
+            no_gap = dataclasses.replace(sim, emergency_brake=0.0)
+            controls = braked(no_gap, near, jnp.where(stands, controls[:, 0], held))
+        return controls
 
 
 def sliding(car: Vehicle) -> jax.Array:
@@ -70,6 +82,19 @@ def sliding(car: Vehicle) -> jax.Array:
     return (
         car.max_deceleration * car.rated_mass / car.mass > car.tyres.friction * GRAVITY
     )
+
+
+def stop(sim: SimConfig, car: Vehicle, speed: jax.Array) -> jax.Array:
+    """Pedals (n,) in [-1, 1] that stop cars within a step, or brake fully.
+
+    Cars that slide brake fully. The holding brake, which closes in half a second, is
+    left to hold.
+    """
+    slides, decel = sliding(car), car.max_deceleration * car.rated_mass / car.mass
+    strength = (jnp.abs(speed) / sim.ctrl_dt + GRAVITY * sim.steepest) / decel
+    strength = jnp.where(slides, 1.0, jnp.minimum(strength, 1.0))
+    stands = jnp.abs(speed) < jnp.where(slides, HOLD_SPEED, STANDING)
+    return jnp.where(stands, 0.0, -jnp.sign(speed) * strength)
 
 
 def stopping_way(
@@ -94,8 +119,9 @@ def stopping_way(
     change = jnp.where(pedal < 0.0, pedal * decel, push) * sim.ctrl_dt
     before = jnp.maximum(speed, 0.0)
     after = jnp.clip(before + change, 0.0, jnp.maximum(before, limit))
-    way = (before + after) / 2 * sim.ctrl_dt + after * after / (2 * decel)
-    way = way + after * sim.pedal_delay
+    last = after % (decel * sim.ctrl_dt)  # lost evenly over the last step, see `stop`
+    way = (before + after) / 2 * sim.ctrl_dt + (after**2 - last**2) / (2 * decel)
+    way = way + last / 2 * sim.ctrl_dt + after * sim.pedal_delay
     gap = jnp.where(after > 0.0, sim.emergency_brake, 0.0)
     return way + gap, sim.ctrl_dt + sim.pedal_delay + after / decel
 

@@ -110,8 +110,7 @@ def advance(
 ) -> Coordinates:
     """Coordinates of cars (...) a substep of `dt` [s] later, as by `mjx.step`.
 
-    Steering targets are those of the servos [rad], gravity is in the world frame
-    [m/s^2].
+    Steering targets of the servos [rad], gravity in the world frame [m/s^2].
     """
     with jax.named_scope("newton_euler"):
         w, rotation = at.angular, at.rotation

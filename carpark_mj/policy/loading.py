@@ -88,9 +88,8 @@ def load_policy(
 def save_policy(run: str | Path, out: Path, parameters: Any = None) -> None:
     """Writes a checkpoint of a policy without its training state.
 
-    It holds the normalizer and the averaged actor, or the parameters of another
-    algorithm, and the settings of the run less its folder. `parameters` take the place
-    of the run's.
+    It holds the normalizer and the averaged actor, or another algorithm's parameters,
+    and the run's settings less its folder. `parameters` take the place of the run's.
     """
     _, header, _, own = read_policy(run)
     parameters = own if parameters is None else parameters

@@ -72,7 +72,7 @@ VALET = dataclasses.replace(
     layout="valet",
     num_agents=4,
     movers=("pedestrians:number=0..6,attention=0.5..1.0", "cart", "drivers:number=1"),
-    sim=SimConfig(emergency_brake=0.3),
+    sim=SimConfig(emergency_brake=0.3, manoeuvre_brake=0.01),
     fleet=FleetConfig(
         # HOPE's and TPCAP's car is drawn as often as 8 of the others.
         agents=("range:128", *8 * ("tpcap",)),

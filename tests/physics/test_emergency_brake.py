@@ -16,7 +16,7 @@ from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
 from carpark_mj.physics import emergency_brake
 from carpark_mj.physics.emergency_brake import override
 from carpark_mj.physics.mjx import MjxPhysics
-from carpark_mj.types import ParkedCars
+from carpark_mj.types import NO_BAY, ParkedCars
 from carpark_mj.vehicle import COMPACT, make_vehicle
 
 GAP = 0.3  # m, that it keeps
@@ -48,16 +48,22 @@ def pedal(state, controls, sim=SIM):
     return override(sim, state, jnp.asarray(controls)[None])[0, 1]
 
 
+def stop(speed):
+    """Way of full braking by 4 m/s² in steps of 0.2 s, of less in the last."""
+    last = speed % 0.8
+    return (speed**2 - last**2) / 8 + last / 2 * 0.2
+
+
 # Speed [m/s] and pedal; the way of a step that accelerates by 2 m/s² or brakes by up to
-# 4 m/s², and then of full braking [m].
+# 4 m/s², and then of a stop [m].
 WAYS = {
-    (2.0, 0.0): 2.0 * 0.2 + 2.0**2 / 8,
-    (2.0, 1.0): 2.2 * 0.2 + 2.4**2 / 8,
-    (2.0, -1.0): 1.6 * 0.2 + 1.2**2 / 8,
-    (3.0, 1.0): 3.0 * 0.2 + 3.0**2 / 8,  # as fast as it can
-    (0.0, 1.0): 0.2 * 0.2 + 0.4**2 / 8,
-    (0.0, 0.5): 0.1 * 0.2 + 0.2**2 / 8,
-    (-1.0, -1.0): 1.2 * 0.2 + 1.4**2 / 8,
+    (2.0, 0.0): 2.0 * 0.2 + stop(2.0),
+    (2.0, 1.0): 2.2 * 0.2 + stop(2.4),
+    (2.0, -1.0): 1.6 * 0.2 + stop(1.2),
+    (3.0, 1.0): 3.0 * 0.2 + stop(3.0),  # as fast as it can
+    (0.0, 1.0): 0.2 * 0.2 + stop(0.4),
+    (0.0, 0.5): 0.1 * 0.2 + stop(0.2),
+    (-1.0, -1.0): 1.2 * 0.2 + stop(1.4),
 }
 
 
@@ -135,8 +141,11 @@ def test_brakes_that_hold_less_or_later_begin_earlier():
         assert pedal(state, COASTS, sim) == -1.0, setting
 
 
-def driven(sim, start, wanted, discs=None, brakes=True):
-    """Whether the first car hits the discs, or the second; its speed; by step."""
+def driven(sim, start, wanted, discs=None, brakes=True, parked=None):
+    """Whether the first car hits the discs, the parked cars or the second; its speed.
+
+    By step, (40,) each.
+    """
     physics, count = MjxPhysics(sim), len(start)
     vehicle = jax.tree.map(lambda x: jnp.stack([x] * count), VEHICLE)
     movers = Movers((), ((discs,),) if discs else ())
@@ -145,11 +154,14 @@ def driven(sim, start, wanted, discs=None, brakes=True):
         motion = physics.read(moving)
         state = state_of(PLACE, motion, jnp.zeros(count, int), movers=movers)
         state = dataclasses.replace(state, physics=moving)
+        if parked:
+            state = dataclasses.replace(state, parked_cars=parked)
         controls = jnp.where(brakes, override(sim, state, wanted), wanted)
         moving = physics.step(moving, controls)
         after = physics.read(moving)
         trace = after.trace_w[:, :, None]
-        other = discs or Boxes(trace[1], after.size[1])
+        fixed = discs or (parked and Boxes(parked.pose_w, parked.size))
+        other = fixed or Boxes(trace[1], after.size[1])
         return moving, (other.overlap(trace[0], after.size[0]).any(), after.speed[0])
 
     return jax.lax.scan(step, physics.init(start, vehicle), length=40)[1]
@@ -189,6 +201,57 @@ def test_cars_that_drive_at_each_other_hardly_ever_touch():
     run = jax.jit(jax.vmap(one, (0, None)))
     assert run(place, False).mean() > 0.3
     assert run(place, True).mean() < 0.02
+
+
+def beside(ahead, speed=0.0):
+    """A car that parked cars stand before and behind, and a wall on its left."""
+    x = HALF[0] + ahead + 1.0
+    parked = jnp.array([[x, 0.0, 0.0], [-x, 0.0, 0.0]])
+    cars_there = ParkedCars(jnp.zeros(2, int), parked, jnp.full((2, 2), 2.0))
+    place = lot([(30.0, 0.0, 0.0)], [(0.0, HALF[1] + 0.5 + 0.1, 0.0)])
+    state = scene(speed)
+    return dataclasses.replace(
+        state, layout=place, parked_cars=cars_there, movers=Movers()
+    )
+
+
+def test_manoeuvres_end_before_what_stands():
+    """No gap ahead is kept, but one aside, and the way out stays free."""
+    sim = SimConfig(manoeuvre_brake=ASIDE)
+    for (speed, command), way in WAYS.items():
+        for more, brakes in ((-0.02, True), (0.02, False)):
+            state = beside(way + ASIDE + more, speed)
+            stop = -np.sign(speed) if brakes else command
+            assert float(pedal(state, [0.0, command], sim)) == pytest.approx(stop)
+    near = beside(0.5 * ASIDE)
+    # Both ways are closed, but the car may steer where it stands.
+    for command in (-1.0, 1.0):
+        got = override(sim, near, jnp.array([[0.4, command]]))
+        np.testing.assert_allclose(got, [[0.4, 0.0]], atol=1e-6)
+    one = dataclasses.replace(near.parked_cars, bay=jnp.array([0, NO_BAY]))
+    away = dataclasses.replace(near, parked_cars=one)
+    assert float(pedal(away, [0.0, -1.0], sim)) == -1.0
+
+
+def test_cars_hardly_ever_touch_what_stands():
+    count, sim = 256, SimConfig(manoeuvre_brake=0.01)
+    keys = jax.random.split(jax.random.key(4), 3)
+    turn, away, yaw = jax.random.uniform(keys[0], (3, count, 6))
+    away, angle = 4.0 + 3.0 * away, 2.0 * jnp.pi * turn
+    place = [away * jnp.cos(angle), away * jnp.sin(angle), 6.0 * yaw]
+    place, size = jnp.stack(place, axis=-1), jnp.ones((6, 2))
+    commands = jax.random.uniform(keys[1], (count, 2), minval=-1.0)
+
+    def one(place, wanted, brakes):
+        parked = ParkedCars(jnp.zeros(6, int), place, size)
+        start = jnp.zeros((1, 3))
+        return driven(sim, start, wanted[None], brakes=brakes, parked=parked)
+
+    run = jax.jit(jax.vmap(one, (0, 0, None)))
+    assert run(place, commands, False)[0].any(axis=1).mean() > 0.3
+    hit, speed = jax.device_get(run(place, commands, True))
+    assert hit.any(axis=1).mean() < 0.02
+    assert (np.abs(speed) > 0.3).mean() > 0.2  # they drive for all that
 
 
 @pytest.mark.parametrize("gap", [0.0, GAP])

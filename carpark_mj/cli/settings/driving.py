@@ -61,8 +61,7 @@ class DriveSettings(LotSettings):
             or `sb3:FILE,VECNORMALIZE`, `function:MODULE:NAME`.
         environment: name of an environment, see `carpark_mj.registry`; default: that of
             the run. A policy keeps the observation of its training.
-        movers: moving obstacles with settings, `pedestrians:number=20`; default: those
-            of the run.
+        movers: moving obstacles, `pedestrians:number=20`; default: those of the run.
         physics: back end; default: that of the run. In `scene`, crashes are contacts in
             one MuJoCo world.
         set: any other settings of the environment, as in
@@ -99,9 +98,8 @@ class EvaluateConfig(DriveSettings):
             no more than these fill.
         rule: parked rule of the evaluation: tanner, strict, precise, exact, metadrive,
             or a registered one; default: that of the run.
-        min_agents: least number of agents; lots have `min_agents` to `num_agents`,
-            each number equally often. Default: that of the run, or `num_agents` if that
-            is given.
+        min_agents: lots have `min_agents` to `num_agents` agents, each number equally
+            often. Default: that of the run, or `num_agents` if that is given.
         nominal: switch off noise and delay of sensors and randomization of the cars.
         stochastic: sample actions instead of taking the distribution's mode.
         out: folder for the CSV and JSON files; default: the run folder, or `runs/NAME`
@@ -175,8 +173,7 @@ class RenderConfig(DriveSettings):
             `frame.png` in the run folder.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
             wheel, or `split:K`: topdown and chase:K side by side. Or what the first
-            agent's cameras see: a rig, as `surround`, or one of its cameras, as
-            `surround:0`.
+            agent's cameras see: a rig (`surround`), or one of it (`surround:0`).
         channel: what a rig's pictures show: `colour`, `depth` or `seen`.
         show: comma-separated extras: `tracked` links every agent to the cars and bays
             it tracks, `rings` draws the circles in which it counts walls; of agent K
@@ -346,11 +343,9 @@ class PlayConfig(ShownLot):
             the layout, or that of the policy.
         policy: pretrained policy, run folder or checkpoint file that drives the other
             cars; without a policy they stand.
-        num_agents: number of cars, yours included; default 1, or as in the policy's
-            training.
+        num_agents: number of cars, yours included; default 1, or the policy's.
         seed: seed of the lot; the next lot has the next seed.
-        view: `window`, or `web` for a page on this machine; default: a window if there
-            is a display.
+        view: `window`, or `web` for a page; default: a window if there is a display.
         camera: camera of the window or the video: `topdown`, `overview`, `chase:0`,
             `driver:0` or `split`.
         out: folder in which every drive is saved as drive-K.npz.

@@ -96,8 +96,7 @@ class LayoutsConfig(CheckedConfig):
 
     Attributes:
         layouts: names or layout files; all families if none.
-        plot: picture to write, with two lots of each random layout named, or one of
-            every family.
+        plot: picture to write: two lots of each random layout, or one of every family.
         check: number of lots of each layout to check.
         paths: number of bays of each checked lot, drawn at random, to which the planner
             must find a path, with the rate of lots where it does and Wilson's interval
@@ -149,8 +148,7 @@ class EditConfig(CheckedConfig):
     Attributes:
         file: layout file (`.json`) to edit; an empty lot if not given.
         out: layout file to save to; by default the edited one. Another one must be new.
-        background: picture under the drawing (`.png`, `.jpg`, `.webp`), its middle at
-            the origin.
+        background: picture centred at the origin (`.png`, `.jpg`, `.webp`).
         width: width of the picture [m].
         port: port of the page on localhost.
     """

@@ -86,11 +86,9 @@ class BenchmarkConfig(CheckedConfig):
         preset: preset of `ppo`, with the batch as its number of lots; `auto` chooses by
             whether there is a GPU.
         runs: numbers of runs side by side of `ppo`, each with a batch of its own.
-        steps: control steps of 0.2 s per timing of `env` and `physics`; `ppo` times
-            updates.
+        steps: control steps of 0.2 s per timing; `ppo` times updates.
         timings: timings in each process; the best is reported.
-        clock: `wall`, or `cpu`: CPU seconds of all threads of the process, for busy
-            machines.
+        clock: `wall`, or `cpu`: CPU seconds of all threads, for busy machines.
         repeats: number of rounds; each measures everything once.
         out: CSV file of all measurements, written after each; empty = none.
     """
@@ -215,12 +213,10 @@ class SuiteConfig(CheckedConfig):
         rule: when a car counts as parked: tanner, strict, precise, exact, metadrive, or
             a registered rule.
         vehicle: preset or file of the car.
-        seeds: of the planner's searches and of stochastic policies; each seed drives
-            all cases.
+        seeds: of the planner and of stochastic policies; each drives all cases.
         videos: number of worst cases to film for every policy and level, at most 10;
             needs off-screen OpenGL.
-        combine: folders of this command; drives no case and combines their episodes in
-            one table.
+        combine: folders of this command; their episodes make one table, none is driven.
         out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
             `suite.html` and `videos/`.
     """

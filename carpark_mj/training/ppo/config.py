@@ -35,8 +35,7 @@ class CurriculumConfig(CheckedConfig):
         crash_until: progress at which the factor is reached.
         discount_end: discount factor at the end; 0 = that of the start. From progress
             0.3 to 0.8 the horizon, 1 / (1 - discount), changes linearly.
-        conflict_ratio: share of spawns in conflict with another agent; 0 = as in the
-            environment.
+        conflict_ratio: share of spawns in conflict with agents; 0 = the environment's.
         reverse_ratio: share of starts on a reversed exit path of the goal bay; 0 = as
             in the environment.
         misaligned_ratio: share of starts in the goal bay, over its lines by centimetres
@@ -93,8 +92,7 @@ class PPOConfig(TrainConfig):
         discount: discount factor per control step, at the start.
         gae_lambda: lambda of generalised advantage estimation.
         max_grad_norm: global norm to which gradients are clipped.
-        half_precision: compute the networks' inner layers in bfloat16 in training; set
-            encoder only.
+        half_precision: inner layers in bfloat16 in training; set encoder only.
         variant: details of the algorithm: `brax`, or of a study, as `ml-agents`.
         averaged_updates: the policy that is evaluated is the exponential moving average
             over about this many updates; 1 = the last one.
