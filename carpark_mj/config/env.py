@@ -146,16 +146,16 @@ class EnvConfig:
         )
         varies = self.randomization.is_on
         reach, sim = self.reward.reeds_shepp_reach, self.sim
-        brakes = sim.emergency_brake or sim.manoeuvre_brake
+        brakes = {x: getattr(sim, x) for x in ("emergency_brake", "manoeuvre_brake")}
         for wrong, what in (
             (
                 varies and not physics.randomized,
                 "randomization has no effect: leave it off",
             ),
             (reach and not physics.steers, f"reeds_shepp_reach must be 0, not {reach}"),
-            (
-                brakes and not physics.actuated,
-                "emergency_brake and manoeuvre_brake must be 0",
+            *(
+                (gap and not physics.actuated, f"{brake} must be 0, not {gap}")
+                for brake, gap in brakes.items()
             ),
         ):
             yield bool(wrong), f"in {back_end} physics {what}"

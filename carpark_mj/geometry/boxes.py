@@ -42,7 +42,7 @@ class _Pair(NamedTuple):
     def overlap(self) -> jax.Array:
         """Whether the interiors intersect, see `boxes_overlap`."""
         # Half extents of each box along the other's axes follow from |cos| and |sin| of
-        # the heading difference; only the axes of two rectangles can separate them.
+        # the heading difference; only the four axes of two boxes can separate them.
         cos, sin = jnp.abs(self.cos), jnp.abs(self.sin)
 
         def meet(offset: Any, own: Any, other: Any) -> jax.Array:

@@ -55,8 +55,8 @@ class RewardTerm(CheckedConfig):
 
     Attributes:
         value: the term without weight and sign: a function of an `EnvConfig` and a
-            `Transition` that returns (num_agents,), in JAX. Other arguments are its
-            parameters, numbers with defaults. It is not called where the weight is 0.
+            `Transition` that returns (num_agents,), in JAX. Other arguments are numbers
+            with defaults. Where its weight is known to be 0 it is not called.
         sign: 1 = reward, -1 = penalty.
         per_step: divide the weight by `EpisodeConfig.max_steps`, so that a full episode
             adds up to it.

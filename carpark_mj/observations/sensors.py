@@ -22,7 +22,7 @@ class SensorConfig(CheckedConfig):
     Attributes:
         position_noise: standard deviation of the white noise on x and y [m].
         heading_noise: standard deviation of the white noise on the yaw [rad].
-        speed_noise: standard deviation of the white noise on both velocities [m/s].
+        speed_noise: standard deviation of white noise on speeds forward and left [m/s].
         delay_min: shortest delay of a car's measurements [control steps].
         delay_max: longest delay [control steps]; the delay is drawn at every spawn.
         odometry_scale: standard deviation, over episodes, of the relative error of the

@@ -27,7 +27,7 @@ BRUSH_SIM_DT = 0.02  # s; bristles and wheels ring from 0.04 s on
 MAX_SUBSTEPS = 10_000  # of a control step; reference solutions take 1,000
 MAX_DELAY = 2.0  # s, of an actuator
 MAX_CREEP = 2.0  # m/s^2
-MAX_GAP = 2.0  # m, to people and vehicles, of emergency braking
+MAX_GAP = 2.0  # m, of automatic braking
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +57,7 @@ class SimConfig(CheckedConfig):
             pressed [m/s^2]; 0 = none, about 0.4 in real cars.
         emergency_brake: gap to people, movers and other agents [m] that automatic
             emergency braking keeps ahead of a car that moves; 0 = none.
-        manoeuvre_brake: gap to parked cars and walls [m] that braking keeps; 0 = none.
+        manoeuvre_brake: gap to parked cars and walls [m] at which it brakes; 0 = none.
     """
 
     sim_dt: Positive = 0.01

@@ -1,19 +1,21 @@
 """Automatic braking: for people and vehicles (UN R152), and in manoeuvres.
 
-A car brakes fully if obeying its driver for a step would bring it so near to a person,
-a mover or another agent's car that it could not stop afterwards. True positions are
-read, as by a perfect sensor. Braking in manoeuvres is for parked cars and walls.
+A car brakes, as hard as it must to stop within a step or as it can, if obeying its
+driver for a step would bring it so near to a person, a mover or another agent's car
+that it could not stop afterwards. True positions are read, as by a perfect sensor.
+Braking in manoeuvres is for parked cars and walls.
 
 The footprint is swept along the way that obeys the pedal for a step and then brakes
 fully, and along the gap, on three arcs between the present steering angle and that of
-the next step, the outer one a fifth less curved. Load, grip, slopes, `creep` and
-`pedal_delay` count. Where full brakes lock the wheels, the car slides on from the
-velocity of its centre, drifts down the slope, and keeps its heading or turns on. It
-brakes if one of them, at present or where the velocity leads meanwhile, is within
-`ASIDE` of the sweep, twice that in a slide, and nearer by a tenth than at present: who
-approaches a car that stands or drives away does not count. The steering is held while
-it brakes, so that the swept area stays valid. For parked cars and walls there is no gap
-ahead, `manoeuvre_brake` is the one aside, and a car that stands may steer.
+the next step, the outer one a fifth less curved. Load, grip, slopes, `drive_lag`,
+`creep` and `pedal_delay` count, but not commands that are under way. Where full brakes
+lock the wheels, the car slides on from the velocity of its centre, drifts down the
+slope, and keeps its heading or turns on. It brakes if one of them, at present or where
+the velocity leads meanwhile, is within `ASIDE` of the sweep, twice that in a slide, and
+nearer by a tenth than at present: who approaches a car that stands or drives away does
+not count. The steering is held while it brakes, so that the swept area stays valid. For
+parked cars and walls the gap ahead, too, is the small `manoeuvre_brake`, and a car that
+stands may steer.
 """
 
 import dataclasses
@@ -26,7 +28,7 @@ from carpark_mj.config import SimConfig
 from carpark_mj.geometry.obstacles import Group, ObstacleKind
 from carpark_mj.obstacles import lot_obstacles
 from carpark_mj.types import Motion, State
-from carpark_mj.vehicle.drive import HOLD_SPEED
+from carpark_mj.vehicle.drive import HOLD_PEDAL, HOLD_SPEED
 from carpark_mj.vehicle.parameters import GRAVITY
 from carpark_mj.vehicle.vehicle import Vehicle, in_conditions
 
@@ -58,7 +60,7 @@ def override(sim: SimConfig, state: State, controls: jax.Array) -> jax.Array:
     others = [x for x in there if x.kind in ASIDE and not (alone and x is there[0])]
     with jax.named_scope("emergency_brake"):
         car = in_conditions(state.physics.vehicle, sim)
-        held, pedal = motion.steering / car.max_steering, stop(sim, car, motion.speed)
+        held, pedal = motion.steering / car.max_steering, stop(sim, car, motion)
 
         def braked(sim: SimConfig, near: list[tuple[Group, float]], steer: jax.Array):
             swept = sweep(sim, car, motion, controls)
@@ -84,17 +86,20 @@ def sliding(car: Vehicle) -> jax.Array:
     )
 
 
-def stop(sim: SimConfig, car: Vehicle, speed: jax.Array) -> jax.Array:
+def stop(sim: SimConfig, car: Vehicle, motion: Motion) -> jax.Array:
     """Pedals (n,) in [-1, 1] that stop cars within a step, or brake fully.
 
     Cars that slide brake fully. The holding brake, which closes in half a second, is
     left to hold.
     """
+    gear, speed = jnp.sign(motion.speed), jnp.abs(motion.speed)
     slides, decel = sliding(car), car.max_deceleration * car.rated_mass / car.mass
-    strength = (jnp.abs(speed) / sim.ctrl_dt + GRAVITY * sim.steepest) / decel
-    strength = jnp.where(slides, 1.0, jnp.minimum(strength, 1.0))
-    stands = jnp.abs(speed) < jnp.where(slides, HOLD_SPEED, STANDING)
-    return jnp.where(stands, 0.0, -jnp.sign(speed) * strength)
+    climb = GRAVITY * jnp.cos(motion.pose_w[:, 2]) * gear
+    grades = sim.grade_x, sim.grade_x + sim.ramp[2]
+    wanted = speed / sim.ctrl_dt - jnp.minimum(*(climb * grade for grade in grades))
+    strength = jnp.clip(wanted / decel, HOLD_PEDAL, 1.0)
+    stands = speed < jnp.where(slides, HOLD_SPEED, STANDING)
+    return jnp.where(stands, 0.0, -gear * jnp.where(slides, 1.0, strength))
 
 
 def stopping_way(
@@ -112,11 +117,12 @@ def stopping_way(
     speed, pedal, limit = drive
     by_load = car.rated_mass / car.mass
     grip = car.tyres.friction * GRAVITY
-    decel = jnp.minimum(car.max_deceleration * by_load, grip) - climb
-    decel = jnp.maximum(decel, LEAST)
+    brake = jnp.minimum(car.max_deceleration * by_load, grip)
+    decel = jnp.maximum(brake - climb, LEAST)
     idle = 0.0 if car.creep is None else car.creep
     push = jnp.maximum(pedal * car.max_acceleration, idle) * by_load + climb
-    change = jnp.where(pedal < 0.0, pedal * decel, push) * sim.ctrl_dt
+    pull = jnp.where(pedal < 0.0, pedal * brake + climb, push)
+    change = pull * sim.ctrl_dt + jnp.maximum(pull, 0.0) * car.drive_lag
     before = jnp.maximum(speed, 0.0)
     after = jnp.clip(before + change, 0.0, jnp.maximum(before, limit))
     last = after % (decel * sim.ctrl_dt)  # lost evenly over the last step, see `stop`

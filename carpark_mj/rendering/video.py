@@ -52,8 +52,8 @@ def draw_labels(
 ) -> np.ndarray:
     """Labels agents with discs and goals with squares, both with the agent's index.
 
-    What the agent does, or how its episode ended, stands below its disc, for a moment
-    where one has just ended. Returns a new frame (height, width, 3) uint8.
+    What the agent does, or how its episode has ended, stands below its disc, and for a
+    moment where one has just ended. Returns a new frame (height, width, 3) uint8.
     """
     from PIL import Image, ImageDraw
 

@@ -30,7 +30,7 @@ class SpawnConfig(CheckedConfig):
 
     Attributes:
         close_ratio: share of spawns next to the goal.
-        close_distance: longest walk of close spawns, from the point nearest to it [m].
+        close_distance: longest walk of such spawns from the point nearest the goal [m].
         conflict_ratio: share of spawns in conflict with another agent: on a collision
             course, or with its goal where goals are dynamic.
         conflict_distance: on a collision course, shortest distance of the other agent

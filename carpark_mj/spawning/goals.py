@@ -138,7 +138,7 @@ def new_goal(
     `min_distance` from every other agent; the agent's last goal is preferred, the
     others are equally likely. Without a vacant bay only bays without parked cars can be
     the goal. No mover stands in a vacant bay. If no bay can be, the agent keeps its
-    goal; a car relocated there moves to a free bay, one that fits it if possible.
+    goal; a parked car relocated there moves to a free bay, if possible one that fits.
 
     Of `scores` (2, bays) in [0, 1) the largest first becomes the goal, the largest
     second takes its parked car.

@@ -46,7 +46,7 @@ class Options(TypedDict, total=False):
         max_episode_steps: `EpisodeConfig.max_steps`.
         reward: weights, or the name of a set of them.
         physics: `EnvConfig.physics`.
-        discrete: actions are rows of a table, `action_table`, or of own rows (n, size).
+        discrete: actions number rows of a table, `action_table`, or own rows (n, size).
         details: whether infos have `carpark_mj.wrappers.batch.details`, too.
     """
 

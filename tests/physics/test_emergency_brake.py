@@ -203,34 +203,49 @@ def test_cars_that_drive_at_each_other_hardly_ever_touch():
     assert run(place, True).mean() < 0.02
 
 
-def beside(ahead, speed=0.0):
-    """A car that parked cars stand before and behind, and a wall on its left."""
-    x = HALF[0] + ahead + 1.0
-    parked = jnp.array([[x, 0.0, 0.0], [-x, 0.0, 0.0]])
-    cars_there = ParkedCars(jnp.zeros(2, int), parked, jnp.full((2, 2), 2.0))
-    place = lot([(30.0, 0.0, 0.0)], [(0.0, HALF[1] + 0.5 + 0.1, 0.0)])
-    state = scene(speed)
-    return dataclasses.replace(
-        state, layout=place, parked_cars=cars_there, movers=Movers()
+def between(gap, speed=0.0, bay=0):
+    """A car between a parked car ahead and a wall behind, both at a gap."""
+    x = HALF[0] + gap + 1.0
+    parked = ParkedCars(
+        jnp.array([bay]), jnp.array([[x, 0.0, 0.0]]), jnp.full((1, 2), 2.0)
     )
+    place = lot([(30.0, 0.0, 0.0)], [(-x, 0.0, 0.0)], wall_size=(2.0, 2.0))
+    state = dataclasses.replace(scene(speed), layout=place, movers=Movers())
+    return dataclasses.replace(state, parked_cars=parked)
 
 
 def test_manoeuvres_end_before_what_stands():
-    """No gap ahead is kept, but one aside, and the way out stays free."""
-    sim = SimConfig(manoeuvre_brake=ASIDE)
+    """The large gap of emergency braking is not kept to it."""
+    sim = SimConfig(emergency_brake=GAP, manoeuvre_brake=ASIDE)
     for (speed, command), way in WAYS.items():
         for more, brakes in ((-0.02, True), (0.02, False)):
-            state = beside(way + ASIDE + more, speed)
+            got = pedal(between(way + ASIDE + more, speed), [0.0, command], sim)
             stop = -np.sign(speed) if brakes else command
-            assert float(pedal(state, [0.0, command], sim)) == pytest.approx(stop)
-    near = beside(0.5 * ASIDE)
+            assert float(got) == pytest.approx(stop)
     # Both ways are closed, but the car may steer where it stands.
+    near = between(0.5 * ASIDE)
     for command in (-1.0, 1.0):
         got = override(sim, near, jnp.array([[0.4, command]]))
         np.testing.assert_allclose(got, [[0.4, 0.0]], atol=1e-6)
-    one = dataclasses.replace(near.parked_cars, bay=jnp.array([0, NO_BAY]))
-    away = dataclasses.replace(near, parked_cars=one)
-    assert float(pedal(away, [0.0, -1.0], sim)) == -1.0
+    free = between(0.5 * ASIDE, bay=NO_BAY)
+    assert float(pedal(free, [0.0, 1.0], sim)) == 1.0
+
+
+def test_brakes_stop_cars_within_a_step():
+    speed = jnp.array([0.06, 0.1, 0.3, 0.5, 0.79, -0.1, -0.5])
+
+    @functools.partial(jax.jit, static_argnums=0)
+    def after(sim):
+        physics, count = MjxPhysics(sim), len(speed)
+        vehicle = jax.tree.map(lambda x: jnp.stack([x] * count), VEHICLE)
+        moving = physics.set_speed(physics.init(jnp.zeros((count, 3)), vehicle), speed)
+        brake = emergency_brake.stop(sim, vehicle, physics.read(moving))
+        controls = jnp.stack([jnp.zeros(count), brake], axis=-1)
+        return physics.read(physics.step(moving, controls)).speed
+
+    assert np.abs(after(SIM)).max() < 0.04
+    # Uphill they roll back until the holding brake has closed.
+    assert np.abs(after(dataclasses.replace(SIM, grade_x=0.1))).max() < 0.2
 
 
 def test_cars_hardly_ever_touch_what_stands():
@@ -254,11 +269,11 @@ def test_cars_hardly_ever_touch_what_stands():
     assert (np.abs(speed) > 0.3).mean() > 0.2  # they drive for all that
 
 
-@pytest.mark.parametrize("gap", [0.0, GAP])
-def test_the_program_of_a_step_brakes_only_where_asked_to(gap):
-    sim, people = SimConfig(emergency_brake=gap), ("pedestrians:number=1",)
+@pytest.mark.parametrize("brake", ["", "emergency_brake", "manoeuvre_brake"])
+def test_the_program_of_a_step_brakes_only_where_asked_to(brake):
+    sim, people = SimConfig(**{brake: GAP} if brake else {}), ("pedestrians:number=1",)
     env = ParkingEnv(EnvConfig(num_agents=1, sim=sim, movers=people))
     state, _ = jax.eval_shape(env.reset, jax.random.key(0))
     program = jax.make_jaxpr(env.step)(state, jnp.zeros((1, 2)))
     text = program.pretty_print(name_stack=True)
-    assert ("emergency_brake" in text) == (gap > 0.0)
+    assert ("emergency_brake" in text) == bool(brake)

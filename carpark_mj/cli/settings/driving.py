@@ -173,7 +173,7 @@ class RenderConfig(DriveSettings):
             `frame.png` in the run folder.
         camera: `topdown`, `overview`, `chase:K` behind agent K, `driver:K` at its
             wheel, or `split:K`: topdown and chase:K side by side. Or what the first
-            agent's cameras see: a rig (`surround`), or one of it (`surround:0`).
+            agent's cameras see: a rig (`surround`) or a camera of it (`surround:0`).
         channel: what a rig's pictures show: `colour`, `depth` or `seen`.
         show: comma-separated extras: `tracked` links every agent to the cars and bays
             it tracks, `rings` draws the circles in which it counts walls; of agent K

@@ -96,7 +96,7 @@ class LayoutsConfig(CheckedConfig):
 
     Attributes:
         layouts: names or layout files; all families if none.
-        plot: picture to write: two lots of each random layout, or one of every family.
+        plot: picture of two lots of each random layout named, or one of every family.
         check: number of lots of each layout to check.
         paths: number of bays of each checked lot, drawn at random, to which the planner
             must find a path, with the rate of lots where it does and Wilson's interval

@@ -216,7 +216,7 @@ class SuiteConfig(CheckedConfig):
         seeds: of the planner and of stochastic policies; each drives all cases.
         videos: number of worst cases to film for every policy and level, at most 10;
             needs off-screen OpenGL.
-        combine: folders of this command; their episodes make one table, none is driven.
+        combine: folders of this command to make one table of; no case is driven.
         out: folder for `suite.md`, `suite.csv`, `suite.json`, `cases.csv`, `worst.npz`,
             `suite.html` and `videos/`.
     """
