@@ -36,8 +36,8 @@ class CurriculumConfig(CheckedConfig):
         discount_end: discount factor at the end; 0 = that of the start. From progress
             0.3 to 0.8 the horizon, 1 / (1 - discount), changes linearly.
         conflict_ratio: share of spawns in conflict with agents; 0 = the environment's.
-        reverse_ratio: share of starts on a reversed exit path of the goal bay; 0: likewise.
-        misaligned_ratio: share of starts in the goal bay, askew or on lines; 0: likewise.
+        reverse_ratio: share of starts on a reversed exit path of the bay; 0 likewise.
+        misaligned_ratio: share of starts in the bay, askew or on lines; 0 likewise.
         target_rate: success rate, of episodes weighted by their steps, to reach in
             every family of a mixture: half of the new lots (`lot_life`) favour families
             and numbers of agents far below it. 0 = off; no effect on a single layout or
