@@ -271,7 +271,8 @@ def test_cars_hardly_ever_touch_what_stands():
 
 @pytest.mark.parametrize("brake", ["", "emergency_brake", "manoeuvre_brake"])
 def test_the_program_of_a_step_brakes_only_where_asked_to(brake):
-    sim, people = SimConfig(**{brake: GAP} if brake else {}), ("pedestrians:number=1",)
+    sim, people = SimConfig(), ("pedestrians:number=1",)
+    sim = dataclasses.replace(sim, **{brake: GAP} if brake else {})
     env = ParkingEnv(EnvConfig(num_agents=1, sim=sim, movers=people))
     state, _ = jax.eval_shape(env.reset, jax.random.key(0))
     program = jax.make_jaxpr(env.step)(state, jnp.zeros((1, 2)))
