@@ -304,8 +304,7 @@ class TimeStep:
     """Result of a step for the agents; all with leading dimension (num_agents,).
 
     Attributes:
-        observation: (num_agents, observation_size); of the new episode where an agent
-            has respawned.
+        observation: (num_agents, observation_size); where respawned, the new episode's.
         terminated: (num_agents,) bool, parked or crashed: do not bootstrap.
         truncated: (num_agents,) bool, timed out or diverged: bootstrap from
             `final_observation`.

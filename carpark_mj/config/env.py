@@ -66,8 +66,7 @@ class EnvConfig:
         spawn: where episodes start.
         episode: when episodes end.
         reward: reward weights.
-        observation: the encoder of the observation; `carpark_mj.config.ENCODERS` has
-            the named ones.
+        observation: its encoder; `carpark_mj.config.ENCODERS` has the named ones.
         randomization: parameters that differ between cars.
         sensors: noise, delay and drift of the observation.
         metrics: optional measurements.

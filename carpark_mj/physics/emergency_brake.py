@@ -14,8 +14,7 @@ slope, and keeps its heading or turns on. It brakes if one of them, at present o
 the velocity leads meanwhile, is within `ASIDE` of the sweep, twice that in a slide, and
 nearer by a tenth than at present: who approaches a car that stands or drives away does
 not count. The steering is held while it brakes, so that the swept area stays valid. For
-parked cars and walls the gap ahead, too, is the small `manoeuvre_brake`, and a car that
-stands may steer.
+parked cars and walls all gaps are `manoeuvre_brake`, and a car that stands may steer.
 """
 
 import dataclasses

@@ -44,8 +44,7 @@ class SpawnConfig(CheckedConfig):
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is
             taken, or the one with most room to the other agents if none does.
-        max_redraws: further rounds of `num_candidates` random poses while none keeps
-            `min_distance`.
+        max_redraws: further rounds of `num_candidates` while none keeps `min_distance`.
         spacing: spacing of the grid of start positions [m], centred in a spawn region
             and including its edges; 0 = anywhere.
         relocation: the parked car that moves into a bay where an agent has parked:

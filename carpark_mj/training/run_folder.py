@@ -65,24 +65,30 @@ def open_run(config: RunConfig) -> Generator[Path]:
             raise
 
 
+def require_new(config: RunConfig) -> None:
+    """Refuses the name of another run, unless it was killed before its settings."""
+    folder = Path(config.runs_dir, config.name)
+    if config.resume or not config.name or not folder.exists():
+        return
+    paths = folder.iterdir() if folder.is_dir() else [folder]
+    if not all(path.name == LOCK or is_temporary(path) for path in paths):
+        raise ValueError(
+            f"{folder} exists: choose another --name, or continue with --resume "
+            f"{folder}"
+        )
+
+
 def _new_folder(config: RunConfig) -> Path:
     """Makes the folder; an unnamed run never touches an older one."""
+    require_new(config)
     folder = first = Path(config.runs_dir, config.name or config.default_name)
     folder.parent.mkdir(parents=True, exist_ok=True)
     for number in itertools.count(2):
         with contextlib.suppress(FileExistsError):
-            folder.mkdir()
-            return folder
-        if config.name:
+            folder.mkdir(exist_ok=bool(config.name))
             break
         folder = first.with_name(f"{first.name}-{number}")
-    # A run was killed before it wrote its settings, or its lock is held.
-    paths = folder.iterdir() if folder.is_dir() else [folder]
-    if all(path.name == LOCK or is_temporary(path) for path in paths):
-        return folder
-    raise ValueError(
-        f"{folder} exists: choose another --name, or continue with --resume {folder}"
-    )
+    return folder
 
 
 def argument(folder: Path) -> str:

@@ -62,8 +62,7 @@ class DriveSettings(LotSettings):
         environment: name of an environment, see `carpark_mj.registry`; default: that of
             the run. A policy keeps the observation of its training.
         movers: moving obstacles, `pedestrians:number=20`; default: those of the run.
-        physics: back end; default: that of the run. In `scene`, crashes are contacts in
-            one MuJoCo world.
+        physics: back end; default: the run's. Crashes of `scene` are MuJoCo's contacts.
         set: any other settings of the environment, as in
             `sim.steering_delay=0.24 sensors.delay_max=2`.
     """

@@ -42,8 +42,7 @@ class AnalysisConfig:
         by: settings that group runs, by full name (`env.num_agents`); the first is the
             horizontal axis. Default: the settings that the sweeps vary.
         metrics: metrics of the evaluations, see the documentation's page on them.
-        out: folder to write to; default: the sweep's if one is given, else
-            `runs/analysis`.
+        out: folder to write to; default: that of the sweep, else `runs/analysis`.
     """
 
     runs: Annotated[Names, tyro.conf.arg(metavar="RUN...")] = ()
@@ -268,8 +267,7 @@ class ScenarioConfig(CheckedConfig):
             as in `carpark_mj suite`.
         environment: whose observation those of other libraries have.
         repetitions: how many, instead of the file's; the first ones do not change.
-        seeds: of the planner's searches and of stochastic policies; each seed drives
-            all repetitions.
+        seeds: of the planner and of stochastic policies; each drives all repetitions.
         videos: number of worst repetitions to film for every policy, at most 10; needs
             off-screen OpenGL.
         out: folder for the files.

@@ -73,8 +73,7 @@ class TrainConfig(RunConfig):
     Every preset has defaults of its own.
 
     Attributes:
-        preset: settings the other flags start from; `auto` is `gpu` where JAX finds
-            one, else `cpu`.
+        preset: settings to start from; `auto` is `gpu` where JAX finds one, else `cpu`.
         num_steps: total number of agent steps, see `PPOConfig.steps_per_update`.
         minutes: limit of the training time, from the end of the first update, which
             compiles [min]; 0 = none. Schedules follow the share of steps or time,

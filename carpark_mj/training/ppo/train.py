@@ -28,7 +28,7 @@ from carpark_mj.training.ppo.config import PPOConfig
 from carpark_mj.training.ppo.group import make_learner
 from carpark_mj.training.ppo.learner import Learner
 from carpark_mj.training.ppo.warm_start import require_run, warm_start
-from carpark_mj.training.run_folder import argument, open_run, read_header
+from carpark_mj.training.run_folder import argument, open_run, read_header, require_new
 
 MAX_SKIPPED = 5  # updates in a row that may come out non-finite
 FEW_UPDATES = 20  # below this many a policy has hardly changed
@@ -81,6 +81,7 @@ def train_runs(
             CALLBACKS[name]  # refused before there is a folder
         if not config.resume:
             require_run(config)
+    hosts.on_first(lambda: [require_new(config) for config in configs])
     learner = make_learner(configs)
     if any(config.stored_lots for config in configs):
         doing(DRAWING)
