@@ -231,6 +231,19 @@ def test_manoeuvres_end_before_what_stands():
     assert float(pedal(free, [0.0, 1.0], sim)) == 1.0
 
 
+def test_a_drive_that_lags_pushes_on():
+    state, sim = (
+        between(WAYS[0.0, 1.0] + ASIDE + 0.05),
+        SimConfig(manoeuvre_brake=ASIDE),
+    )
+    lags = dataclasses.replace(VEHICLE, drive_lag=jnp.float32(0.25))
+    physics = PHYSICS.init(state.motion.pose_w, jax.tree.map(lambda x: x[None], lags))
+    assert float(pedal(state, [0.0, 1.0], sim)) == 1.0
+    assert (
+        float(pedal(dataclasses.replace(state, physics=physics), [0.0, 1.0], sim)) == 0
+    )
+
+
 def test_brakes_stop_cars_within_a_step():
     speed = jnp.array([0.06, 0.1, 0.3, 0.5, 0.79, -0.1, -0.5])
 
