@@ -172,7 +172,7 @@ class State:
         waited: (num_agents,) int32 control steps for which an absent agent has waited
             for a free start; 0 = it does not wait. None where no agent ever does.
         routes: None where nothing reads them.
-        kind: (num_agents,) int32 of `Fleet.agents` which each drives; None if one kind.
+        kind: (num_agents,) int32 which of `Fleet.agents` each drives; None if one.
         movers: obstacles that move by themselves.
     """
 
@@ -278,7 +278,7 @@ class Transition:
         target_pose: (num_agents, 3) poses of the goals held during the step; of an
             exploring agent that of the nearest bay it tracked.
         goal_events: None while goals are fixed.
-        wrong_way: (num_agents,) bool, against the lanes; None in lots that have none.
+        wrong_way: (num_agents,) bool, drives against lanes; None in lots without any.
         invalid_action: (num_agents,) bool, the action was NaN or out of range.
         one_way: (num_agents,) bool, whether only the heading of `target_pose` is right,
             not its opposite; None in lots without such bays.

@@ -40,7 +40,7 @@ def encode(layers: EntityLayers, entities: jax.Array) -> jax.Array:
 def largest(layers: EntityLayers, entities: jax.Array, present: jax.Array) -> jax.Array:
     """The largest of each feature (..., features) over the entities that are present.
 
-    0 where none is. Entities (..., count, size) are normalised, present (..., count).
+    0 where none is. Entities (..., count, size), normalised; present (..., count) bool.
     """
     hidden = encode(layers, entities)
     found = jnp.max(jnp.where(present[..., None], hidden, -jnp.inf), axis=-2)

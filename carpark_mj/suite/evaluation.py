@@ -1,7 +1,7 @@
 """The suite of hard cases, `carpark_mj suite`: one car parks in every case of levels.
 
-All policies drive the same car, `tpcap` by default, on the same physics, without noise;
-an episode ends after 100 s.
+All policies drive the same car, `tpcap` by default, on the same ground, without noise;
+it brakes by itself as in a policy's training. An episode ends after 100 s.
 """
 
 import dataclasses
