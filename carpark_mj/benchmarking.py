@@ -24,6 +24,7 @@ import mujoco
 
 from carpark_mj.cli.process import OUTPUT_FUSION, configure_jax, enable_output_fusion
 from carpark_mj.cli.settings.tables import BenchmarkConfig, Clock, What
+from carpark_mj.compilation import compile_for_one_lot
 from carpark_mj.config import CONTACT_SIM_DT, EnvConfig, SimConfig
 from carpark_mj.evaluation import tables
 from carpark_mj.files import write_csv
@@ -417,6 +418,8 @@ def measure_start(job: Job, started: float) -> Result:
 
     from carpark_mj.env import ParkingEnv
 
+    if job.lots == 1:
+        compile_for_one_lot()
     lap("import_s")
     env = ParkingEnv(_environment(job.variant))
     lap("construct_s")

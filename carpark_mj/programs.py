@@ -12,7 +12,7 @@ from carpark_mj.cli.process import (
     dispatch_synchronously,
     enable_output_fusion,
 )
-from carpark_mj.compilation import keep_compiled_programs
+from carpark_mj.compilation import compile_for_one_lot, keep_compiled_programs
 from carpark_mj.extensions import (
     FORMATS,
     Entry,
@@ -26,6 +26,7 @@ from carpark_mj.rendering.gl import choose_gl
 
 ACTING = (dispatch_synchronously, enable_output_fusion, keep_compiled_programs)
 KEEPING = (keep_compiled_programs,)
+SHOWING = (compile_for_one_lot, keep_compiled_programs)
 TRAINING = (choose_gl, configure_jax, keep_compiled_programs)
 
 
@@ -65,7 +66,8 @@ COMMANDS = {
     ),
     "render": _command(
         "cli.render:main", "render episodes to a video or a still",
-        "driving:RenderConfig", (choose_gl, *ACTING), drives=True,
+        "driving:RenderConfig", (choose_gl, dispatch_synchronously, *SHOWING),
+        drives=True,
     ),
     "record": _command(
         "cli.record:main", "record a policy's episodes as data to learn from",
@@ -73,11 +75,11 @@ COMMANDS = {
     ),
     "scene": _command(
         "cli.pages:scene", "write a car park as MJCF, or show it",
-        "driving:SceneConfig", KEEPING, drives=True,
+        "driving:SceneConfig", SHOWING, drives=True,
     ),
     "play": _command(
         "cli.pages:play", "drive a car yourself",
-        "driving:PlayConfig", KEEPING, drives=True,
+        "driving:PlayConfig", SHOWING, drives=True,
     ),
     "list": _command(
         "cli.listing:main", "list layouts, environments, vehicles, policies, presets",

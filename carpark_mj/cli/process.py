@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any, NoReturn, cast
 
 from carpark_mj.cli.clock import CLOCK, LOADING
-from carpark_mj.compilation import EXTRA_OPTIONS, SHARE_LOOPS, SHARED_LOOPS
+from carpark_mj.compilation import EXTRA_OPTIONS, ONE_LOT, SHARE_LOOPS, SHARED_LOOPS
 from carpark_mj.extensions import Entry, missing_extra
 from carpark_mj.rendering.gl import check_gl
 
@@ -241,8 +241,10 @@ def enable_output_fusion() -> None:
     Call it before JAX's first computation, when XLA reads them.
     """
     flags = os.environ.get("XLA_FLAGS", SHARE_LOOPS)
-    # Those that `compilation.choose_xla_flags` has set are not the user's.
-    os.environ["XLA_FLAGS"] = flags.replace(SHARE_LOOPS, OUTPUT_FUSION)
+    # Those that `carpark_mj.compilation` has set are not the user's.
+    for own in (SHARE_LOOPS, ONE_LOT):
+        flags = flags.replace(own, OUTPUT_FUSION)
+    os.environ["XLA_FLAGS"] = flags
 
 
 def dispatch_synchronously() -> None:

@@ -15,6 +15,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from carpark_mj.compilation import compile_for_one_lot
 from carpark_mj.config import EnvConfig
 from carpark_mj.config.checks import require_count
 from carpark_mj.env import ParkingEnv
@@ -125,6 +126,7 @@ class ParkEnv(Parking, gymnasium.Env[Any, np.ndarray]):  # pyright: ignore[repor
         batch.require_render_mode(render_mode, batch.RENDER_MODES)
         if (steps := _asked_steps(inspect.currentframe())) is not None:
             options["max_episode_steps"] = steps
+        compile_for_one_lot()
         env = self._make(options)
         self._batch = batch.NumpyBatch(env, 1, restart=False)
         self.metadata = self._open(env, render_mode, camera, width, height)

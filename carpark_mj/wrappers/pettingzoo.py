@@ -9,6 +9,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils.env_logger import EnvLogger
 
+from carpark_mj.compilation import compile_for_one_lot
 from carpark_mj.config.checks import require_kind
 from carpark_mj.mdp.goals import possible_choices
 from carpark_mj.spawning.reset_options import ResetOptions
@@ -51,6 +52,7 @@ def parallel_env(
     Pictures are those of `carpark_mj.wrappers.gymnasium_env.ParkEnv`, options those of
     `carpark_mj.wrappers.options.Options`.
     """
+    compile_for_one_lot()
     config = configure(options)
     env = share(JointEnv, config)
     fps = 1 / config.sim.ctrl_dt

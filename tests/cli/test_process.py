@@ -12,6 +12,7 @@ from helpers.programs import ROOT, python
 
 from carpark_mj.cli.clock import Clock
 from carpark_mj.cli.process import OUTPUT_FUSION
+from carpark_mj.compilation import ONE_LOT
 from carpark_mj.config import SimConfig
 from carpark_mj.physics.mjx import MjxPhysics
 from carpark_mj.physics.mjx_step import ContactPhysics
@@ -205,15 +206,19 @@ print(json.dumps({
 """
 
 
-def test_a_script_sets_up_what_it_needs():
+@pytest.mark.parametrize(
+    ("script", "flags"), [("render", ONE_LOT), ("evaluate", OUTPUT_FUSION)]
+)
+def test_a_script_sets_up_what_it_needs(script, flags):
     assert choose_gl() is None, "this machine cannot render"
-    script = ROOT / "eval" / "render.py"
+    script = ROOT / "eval" / f"{script}.py"
     done = python("-c", SCRIPT, script, XLA_FLAGS=None, MUJOCO_GL=None)
     assert done.returncode == 0, done.stderr
     left = json.loads(done.stdout)
-    assert left["gl"] == os.environ["MUJOCO_GL"]
+    if flags == ONE_LOT:  # what renders
+        assert left["gl"] == os.environ["MUJOCO_GL"]
     assert not left["asynchronous"]
-    assert (left["fused"], left["flags"]) == (True, OUTPUT_FUSION)
+    assert (left["fused"], left["flags"]) == (flags == OUTPUT_FUSION, flags)
 
 
 # What draws numbers of cars and lots anew among people, what moves parked cars: XLA

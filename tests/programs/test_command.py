@@ -17,7 +17,7 @@ from carpark_mj import __main__ as command
 from carpark_mj import __version__, compilation
 from carpark_mj import programs as programs_module
 from carpark_mj.cli.process import OUTPUT_FUSION, enable_output_fusion
-from carpark_mj.compilation import SHARE_LOOPS, keep_compiled_programs
+from carpark_mj.compilation import ONE_LOT, SHARE_LOOPS, keep_compiled_programs
 from carpark_mj.config import LAYOUTS
 from carpark_mj.extensions import FORMATS, Entry
 from carpark_mj.layouts.base import LAYOUT_WRITERS
@@ -28,6 +28,7 @@ from carpark_mj.registry import ENVIRONMENTS
 from carpark_mj.suite.levels import LEVELS
 from carpark_mj.training.ppo.parts import PRESETS
 from carpark_mj.vehicle import VEHICLES
+from carpark_mj.wrappers import gymnasium_env, pettingzoo
 
 
 @pytest.fixture
@@ -384,14 +385,31 @@ def test_flags_that_xla_gets_on_import(gpu, before, after, monkeypatch):
 
 def test_xla_knows_the_flags():
     own = f"--{compilation.FUSION_AUTOTUNER}=false"
-    flags = f"{SHARE_LOOPS} {own}"  # or XLA ends the process
+    flags = f"{ONE_LOT} {own}"  # or XLA ends the process
     count = "import jax; print(jax.device_count())"
     assert printed(count, XLA_FLAGS=flags, JAX_PLATFORMS="cpu") >= 1
 
 
+@pytest.mark.parametrize("before", [SHARE_LOOPS, "--xla_other=1"])
+def test_adapters_of_one_lot_compile_it_quickly(before, monkeypatch):
+    def build(*_):  # only then may JAX compute
+        raise InterruptedError(os.environ["XLA_FLAGS"])
+
+    after = before.replace(SHARE_LOOPS, ONE_LOT)
+    for module, make in (
+        (gymnasium_env, gymnasium_env.ParkEnv),
+        (pettingzoo, pettingzoo.parallel_env),
+    ):
+        monkeypatch.setenv("XLA_FLAGS", before)
+        monkeypatch.setattr(module, "share", build)
+        with pytest.raises(InterruptedError, match=f"^{re.escape(after)}$"):
+            make()
+
+
 def test_output_fusion_joins_our_own_flag(monkeypatch):
     gpu = compilation.SKIP_SLOW_KERNELS
-    for before, fused in ((f"{SHARE_LOOPS} {gpu}", True), ("--xla_a=1", False)):
+    own = [(f"{flag} {gpu}", True) for flag in (SHARE_LOOPS, ONE_LOT)]
+    for before, fused in (*own, ("--xla_a=1", False)):
         monkeypatch.setenv("XLA_FLAGS", before)
         enable_output_fusion()
         flags = os.environ["XLA_FLAGS"].split()
