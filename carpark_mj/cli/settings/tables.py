@@ -73,6 +73,7 @@ class BenchmarkConfig(CheckedConfig):
 
     `start` is the time until the first step of `environments`, compiling included, in a
     first process and in a second one, which finds the compiled programs of the first.
+    One lot compiles as single environments do.
 
     Attributes:
         what: what to measure; `start` alone.
