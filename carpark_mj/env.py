@@ -293,7 +293,8 @@ class ParkingEnv:
         keys = self._spawner.split_keys(state.key)
         act = actions.parse(config, self._stop_finished(before, action))
         after = goals.choose_goals(config, before, act.goal_choice)
-        after = self._move(after, act.controls, keys)
+        controls, braked = self._brake(after, act.controls)
+        after = self._move(after, controls, keys)
         with jax.named_scope("terminations"):
             events = terminations.detect_events(config.episode, after)
             state = self._spawner.end(after, events, keys.relocate)
@@ -310,6 +311,7 @@ class ParkingEnv:
             wrong_way=drives_wrong_way(layout, after.motion),
             invalid_action=act.invalid,
             one_way=None if layout.one_way is None else layout.one_way[target],
+            braked=braked,
         )
         with jax.named_scope("rewards"):
             terms = rewards.reward_terms(config, transition)
@@ -339,13 +341,20 @@ class ParkingEnv:
             final_observation=final_observation,
         )
 
+    def _brake(
+        self, state: State, wanted: jax.Array
+    ) -> tuple[jax.Array, jax.Array | None]:
+        """Controls (num_agents, 2) of automatic brakes, and whose they overrode."""
+        if not (self.config.sim.emergency_brake or self.config.sim.manoeuvre_brake):
+            return wanted, None
+        from carpark_mj.physics import emergency_brake  # only such cars load it
+
+        controls = emergency_brake.override(self.config.sim, state, wanted)
+        return controls, (controls != wanted).any(axis=-1)
+
     def _move(self, state: State, controls: jax.Array, keys: StepKeys) -> State:
         """The state when the cars have moved and their motion has been measured."""
         config, memory = self.config, self.config.observation.remember(state)
-        if config.sim.emergency_brake or config.sim.manoeuvre_brake:
-            from carpark_mj.physics import emergency_brake  # only such cars load it
-
-            controls = emergency_brake.override(config.sim, state, controls)
         ours, dt = self._spawner.movers, config.sim.ctrl_dt
         movers = step_movers(ours, state, dt, keys.movers)
         groups = state.movers.groups, movers.groups

@@ -282,6 +282,8 @@ class Transition:
         invalid_action: (num_agents,) bool, the action was NaN or out of range.
         one_way: (num_agents,) bool, whether only the heading of `target_pose` is right,
             not its opposite; None in lots without such bays.
+        braked: (num_agents,) bool, automatic brakes overrode the driver; None of cars
+            without such brakes.
     """
 
     before: State
@@ -292,6 +294,7 @@ class Transition:
     wrong_way: jax.Array | None
     invalid_action: jax.Array
     one_way: jax.Array | None = None
+    braked: jax.Array | None = None
 
     @property
     def goal(self) -> jax.Array:

@@ -430,8 +430,15 @@ def _yielding(config: EnvConfig, transition: Transition) -> jax.Array:
     return yields * (config.reward.time / config.episode.max_steps)
 
 
+def _automatic_braking(_: EnvConfig, transition: Transition) -> jax.Array:
+    """Penalty for each step in which automatic brakes override the driver."""
+    braked = transition.braked
+    return jnp.array(0.0) if braked is None else braked
+
+
 REWARD_TERMS.register("approach", RewardTerm(_approach, per_step=True))
 _SMOOTHNESS = RewardTerm(_smoothness, -1, per_step=True, fixed=("by_speed",))
 REWARD_TERMS.register("smoothness", _SMOOTHNESS)
 REWARD_TERMS.register("reverse", RewardTerm(_reverse, -1, per_step=True))
 REWARD_TERMS.register("yielding", RewardTerm(_yielding, most=1.0))
+REWARD_TERMS.register("automatic_braking", RewardTerm(_automatic_braking, -1))

@@ -38,8 +38,8 @@ class SpawnConfig(CheckedConfig):
         reverse_ratio: share of spawns on a collision-free path sampled backwards from
             the goal; a training aid.
         misaligned_ratio: share of spawns in the goal bay, over its lines by
-            centimetres or askew; a training aid for parked rules that ask for the lines
-            of the bay. All remaining spawns are random.
+            centimetres or askew, or the wrong way round; a training aid for parked
+            rules that ask for the lines of the bay. All remaining spawns are random.
         min_distance: desired distance to other agents' centres [m]; 7.38 m is Tanner's
             13.125 world units.
         num_candidates: poses drawn per spawn. The first that keeps `min_distance` is

@@ -6,7 +6,8 @@
   agent's goal bay and touches nothing that stands still. Driven back it ends in the
   bay, so every such episode can be solved.
 - *Misaligned*: in the goal bay, over its lines by centimetres or askew. From there a
-  car has to manoeuvre on the spot, which it otherwise rarely has to.
+  car has to manoeuvre on the spot, which it otherwise rarely has to. In bays that ask
+  for one end, half stand the wrong way round.
 
 The numbers of a start are uniform in [0, 1), see `starts.draw_uniform`.
 """
@@ -216,7 +217,7 @@ def misaligned_pose(
     agent: jax.Array,
     draws: Draws,
 ) -> tuple[jax.Array, jax.Array]:
-    """Draws a start in the goal bay of one agent, not within its lines.
+    """Draws a start in the goal bay of one agent where no rule calls it parked.
 
     It overlaps no other agent, but may be right beside one. Arguments and results are
     those of `reverse_pose`.
@@ -226,9 +227,10 @@ def misaligned_pose(
     bay_pose, bay_size = layout.bay_pose[goal], layout.bay_size[goal]
     size = inputs.cars.size[agent]
     off = (2.0 * draws["off"] - 1.0) * jnp.asarray(FARTHEST)
-    nose_out = clamp_to_bay_end(layout, goal, draws["way_round"])
-    turned = jnp.where(nose_out < 0.5, jnp.pi, 0.0)
-    pose = to_world(bay_pose, off.at[:, 2].add(turned))
+    nose_in = draws["way_round"] < 0.5
+    wrong = nose_in != (clamp_to_bay_end(layout, goal, draws["way_round"]) < 0.5)
+    pose = to_world(bay_pose, off.at[:, 2].add(jnp.where(nose_in, jnp.pi, 0.0)))
+    parked = box_inside(pose, size, bay_pose, bay_size) & ~wrong
     good = ~around.blocks(pose, size + 2 * MARGIN) & around.free(pose)
-    good = good & ~box_inside(pose, size, bay_pose, bay_size) & placing.found[agent]
+    good = good & ~parked & placing.found[agent]
     return pose[pick(good, draws["score"])], good.any()

@@ -80,7 +80,9 @@ VALET = dataclasses.replace(
         snug=0.5,
     ),
     episode=EpisodeConfig(max_steps=500, parked_rule="exact"),  # 100 s
-    reward=dataclasses.replace(ANYWHERE.reward, extra={"person": 5.0}),
+    reward=dataclasses.replace(
+        ANYWHERE.reward, extra={"person": 5.0, "automatic_braking": 0.05}
+    ),
     observation=dataclasses.replace(
         OBSERVATION,
         tracked_agents=3,

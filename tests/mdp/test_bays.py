@@ -20,6 +20,7 @@ from carpark_mj.config import (
     RayConfig,
     RewardConfig,
 )
+from carpark_mj.geometry import box_inside
 from carpark_mj.layouts import (
     BayEnd,
     Maxima,
@@ -229,13 +230,19 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
     np.testing.assert_array_equal(either, drawn)
 
 
-def test_misaligned_starts_stand_as_the_car_must_park(layout):
+def test_misaligned_starts_are_parked_nowhere_and_face_either_way(layout):
+    """Within the lines only the wrong way round, where one end is asked for."""
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     inputs = SpawnInputs(layout, parked_at(), cars=car)
-    for goal, low, high in ((0, 0.3, 0.7), (1, 1.0, 1.0), (2, 0.0, 0.0)):
-        pose, found = misaligned(inputs, placing_one(inputs, goal), 64)
+    size = inputs.cars.size[0]
+    for goal, wrong in ((0, ()), (1, (False,)), (2, (True,))):
+        pose, found = misaligned(inputs, placing_one(inputs, goal), 256)
         assert found.all()
-        assert low <= (np.cos(pose[:, 2]) < 0.0).mean() <= high  # with the nose in
+        nose_in = np.cos(pose[:, 2]) < 0.0
+        assert 0.3 <= nose_in.mean() <= 0.7
+        bay = layout.bay_pose[goal], layout.bay_size[goal]
+        inside = np.asarray(box_inside(jnp.asarray(pose), size, *bay))
+        assert set(nose_in[inside]) == set(wrong)
 
 
 def test_cars_in_bays_drive_out_and_others_to_free_bays():

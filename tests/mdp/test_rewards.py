@@ -217,7 +217,18 @@ def test_nearer_is_by_more_than_rounding():
     assert not is_nearer(before, before, target).any()  # standing still
 
 
+def test_each_step_of_automatic_braking_costs_its_weight():
+    config = EnvConfig(num_agents=3, reward=RewardConfig(extra={BRAKING: 0.25}))
+    motion = cars([(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (12.0, 0.0, 0.0)])
+    braked = jnp.array([True, False, True])
+    made = dataclasses.replace(step(config, motion, motion), braked=braked)
+    np.testing.assert_array_equal(reward_terms(config, made)[BRAKING], [-0.25, 0, -0.25])
+    without = dataclasses.replace(made, braked=None)
+    np.testing.assert_array_equal(reward_terms(config, without)[BRAKING], 0.0)
+
+
 ON_A_LINE = [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (12.0, 0.0, 0.0)]
+BRAKING = "automatic_braking"
 REWARD = RewardConfig(time=1.0, extra={"yielding": 1.0})
 
 

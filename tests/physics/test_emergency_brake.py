@@ -10,7 +10,7 @@ import pytest
 from helpers.scenes import cars, lot
 from helpers.states import state_of
 
-from carpark_mj.config import EnvConfig, SimConfig
+from carpark_mj.config import EnvConfig, RewardConfig, SimConfig
 from carpark_mj.env import ParkingEnv
 from carpark_mj.geometry.obstacles import Boxes, Discs, Movers, ObstacleKind
 from carpark_mj.physics import emergency_brake
@@ -290,3 +290,31 @@ def test_the_program_of_a_step_brakes_only_where_asked_to(brake):
     program = jax.make_jaxpr(env.step)(state, jnp.zeros((1, 2)))
     text = program.pretty_print(name_stack=True)
     assert ("emergency_brake" in text) == bool(brake)
+
+
+def test_the_reward_counts_the_steps_in_which_brakes_override_the_driver():
+    config = EnvConfig(
+        num_agents=1,
+        sim=SimConfig(manoeuvre_brake=0.05),
+        reward=RewardConfig(extra={"automatic_braking": 1.0}),
+    )
+    env, lots = ParkingEnv(config), 16
+    full = jnp.zeros((lots, 1, 2)).at[..., 1].set(1.0)
+
+    def step(state, _):
+        after, timestep = jax.vmap(env.step)(state, full)
+        speed = state.motion.speed, timestep.motion.speed
+        paid = timestep.reward_terms["automatic_braking"]
+        return after, (*speed, paid, timestep.events.done)
+
+    def drive(keys):
+        state, _ = jax.vmap(env.reset)(keys)
+        return jax.lax.scan(step, state, length=60)[1]
+
+    got = jax.device_get(jax.jit(drive)(jax.random.split(jax.random.key(0), lots)))
+    before, after, paid, done = (x[..., 0] for x in got)
+    assert set(np.unique(paid)) == {-1.0, 0.0}
+    top = before > 0.95 * COMPACT.max_speed
+    brakes = np.abs(after) <= np.maximum(before, emergency_brake.STANDING)
+    assert brakes[(paid < 0.0) & ~done].all()
+    assert (after > before)[(paid == 0.0) & ~done & ~top].all()
