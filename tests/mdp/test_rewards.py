@@ -222,7 +222,9 @@ def test_each_step_of_automatic_braking_costs_its_weight():
     motion = cars([(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (12.0, 0.0, 0.0)])
     braked = jnp.array([True, False, True])
     made = dataclasses.replace(step(config, motion, motion), braked=braked)
-    np.testing.assert_array_equal(reward_terms(config, made)[BRAKING], [-0.25, 0, -0.25])
+    np.testing.assert_array_equal(
+        reward_terms(config, made)[BRAKING], [-0.25, 0, -0.25]
+    )
     without = dataclasses.replace(made, braked=None)
     np.testing.assert_array_equal(reward_terms(config, without)[BRAKING], 0.0)
 
