@@ -217,7 +217,7 @@ def misaligned_pose(
     agent: jax.Array,
     draws: Draws,
 ) -> tuple[jax.Array, jax.Array]:
-    """Draws a start in the goal bay of one agent where no rule calls it parked.
+    """Draws a start in one agent's goal bay, over its lines or the wrong way round.
 
     It overlaps no other agent, but may be right beside one. Arguments and results are
     those of `reverse_pose`.

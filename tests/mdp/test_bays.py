@@ -230,7 +230,7 @@ def test_reverse_starts_drive_out_of_where_the_car_must_park(layout):
     np.testing.assert_array_equal(either, drawn)
 
 
-def test_misaligned_starts_are_parked_nowhere_and_face_either_way(layout):
+def test_misaligned_starts_face_either_way(layout):
     """Within the lines only the wrong way round, where one end is asked for."""
     car = jax.tree.map(lambda x: x[None], make_vehicle(COMPACT))
     inputs = SpawnInputs(layout, parked_at(), cars=car)
